@@ -1,0 +1,1 @@
+"""Frozen data types and enumerations that every layer above shares."""

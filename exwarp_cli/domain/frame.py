@@ -1,0 +1,151 @@
+"""Images, G-buffers and the windows they live in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+Float32 = npt.NDArray[np.float32]
+Int32 = npt.NDArray[np.int32]
+Bool = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Window:
+    """A pixel rectangle in the coordinates of OpenEXR: x right, y down, both ends inclusive.
+
+    Attributes
+    ----------
+    x, y
+        First column and row; negative values are legal.
+    width, height
+        Size in pixels, at least 1.
+    """
+
+    x: int
+    y: int
+    width: int
+    height: int
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of an array that covers the window."""
+        return self.height, self.width
+
+    @property
+    def corners(self) -> tuple[int, int, int, int]:
+        """First column, first row, last column, last row, all inclusive."""
+        return self.x, self.y, self.x + self.width - 1, self.y + self.height - 1
+
+    def union(self, other: Window) -> Window:
+        """Smallest window that covers both."""
+        ax, ay, bx, by = self.corners
+        cx, cy, dx, dy = other.corners
+        x, y = min(ax, cx), min(ay, cy)
+        return Window(x, y, max(bx, dx) - x + 1, max(by, dy) - y + 1)
+
+    def covers(self, other: Window) -> bool:
+        """Whether every pixel of `other` lies in this window."""
+        return self.union(other) == self
+
+    def __str__(self) -> str:
+        return f"{self.width}x{self.height}{self.x:+d}{self.y:+d}"
+
+
+@dataclass(frozen=True)
+class Image:
+    """Colour of one instant.
+
+    Attributes
+    ----------
+    pixels
+        float32 [H, W, 3] or [H, W, 4]: scene-linear R, G, B and premultiplied alpha. Values below
+        0 and above 1 are legal; so are NaN and infinities in what a renderer wrote.
+    data_window
+        Where `pixels` lie; H and W are its size.
+    display_window
+        The frame that is meant to be seen.
+    """
+
+    pixels: Float32
+    data_window: Window
+    display_window: Window
+
+    def on(self, canvas: Window) -> Image:
+        """Return the image on another window: cropped, or padded with zeros."""
+        return replace(self, pixels=place(self.pixels, self.data_window, canvas), data_window=canvas)
+
+
+@dataclass(frozen=True)
+class GBuffer:
+    """Geometry of one instant, all arrays on one window; what a renderer did not write is None.
+
+    Attributes
+    ----------
+    window
+        The window that every array covers.
+    depth
+        float32 [H, W], distance along the camera's axis in scene units; +inf is background.
+    normal
+        float32 [H, W, 3], world space, about unit length; 0 is background.
+    position
+        float32 [H, W, 3], world space, scene units; meaningless on background.
+    stencil
+        int32 [H, W], object id: 0 static, above 0 dynamic; negative where ids mix in a pixel.
+    to_previous, to_next
+        float32 [H, W, 2], pixels, +x right, +y down: where this surface point is seen one frame
+        earlier and later, minus where it is seen now. NaN where the renderer's value is unusable.
+    """
+
+    window: Window
+    depth: Float32 | None = None
+    normal: Float32 | None = None
+    position: Float32 | None = None
+    stencil: Int32 | None = None
+    to_previous: Float32 | None = None
+    to_next: Float32 | None = None
+
+    @property
+    def has_motion(self) -> bool:
+        """Whether any motion vectors are there."""
+        return self.to_previous is not None or self.to_next is not None
+
+
+@dataclass(frozen=True)
+class KeyFrame:
+    """A rendered frame as synthesis sees it.
+
+    Attributes
+    ----------
+    number
+        The frame's number in the input sequence.
+    image
+        Colour; non-finite pixels are as the renderer wrote them.
+    gbuffer
+        Geometry of the same instant, on the same window as `image`; None without AOVs.
+    """
+
+    number: int
+    image: Image
+    gbuffer: GBuffer | None
+
+
+def place(array: np.ndarray, window: Window, canvas: Window, fill: float = 0.0) -> np.ndarray:
+    """Copy an array [H, W, ...] that covers `window` onto `canvas`.
+
+    Pixels of the canvas outside the window get `fill`; pixels of the window outside the canvas are
+    dropped. The array itself is returned, not a copy, when the windows are equal.
+    """
+    if window == canvas:
+        return array
+    out = np.full((*canvas.shape, *array.shape[2:]), fill, dtype=array.dtype)
+    ax, ay, bx, by = window.corners
+    cx, cy, dx, dy = canvas.corners
+    x0, y0, x1, y1 = max(ax, cx), max(ay, cy), min(bx, dx), min(by, dy)
+    if x0 <= x1 and y0 <= y1:
+        out[y0 - cy : y1 - cy + 1, x0 - cx : x1 - cx + 1] = array[
+            y0 - ay : y1 - ay + 1, x0 - ax : x1 - ax + 1
+        ]
+    return out

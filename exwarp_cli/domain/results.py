@@ -1,0 +1,152 @@
+"""What a run found out: one record a frame, and the summary that becomes the report."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum
+
+
+class FrameKind(Enum):
+    """Where a written frame came from."""
+
+    KEY = "key"
+    """A rendered frame, passed through."""
+
+    GENERATED = "generated"
+    """Made by a method for this slot."""
+
+    DROPPED = "dropped"
+    """A repeat of the frame shown before: no new frame for the eye."""
+
+
+@dataclass(frozen=True)
+class Score:
+    """Quality of one frame, or part of one, against ground truth.
+
+    Attributes
+    ----------
+    psnr_db
+        Decibels, at most 100.
+    ssim
+        Mean structural similarity, at most 1.
+    flip
+        Mean FLIP error, 0 (equal) to 1.
+    """
+
+    psnr_db: float
+    ssim: float
+    flip: float
+
+
+@dataclass(frozen=True)
+class FrameRecord:
+    """One written frame.
+
+    Attributes
+    ----------
+    number
+        Output frame number.
+    file
+        Name of the written file, without its folder.
+    key
+        Input number of the key frame that the slot belongs to.
+    slot
+        0 for the key frame itself, else 1 to 3.
+    kind
+        Rendered, generated or repeated.
+    method
+        The method that made this very frame (a look-ahead run falls back to a causal method after
+        the last key frame); "key" for a rendered one.
+    sources
+        Input numbers of the rendered frames that its colour came from.
+    hole_fraction
+        Share of the frame's pixels, 0 to 1, that the warp from the key frame cannot see; None
+        where there is no motion to tell.
+    nonfinite_pixels
+        Pixels of the source frames with NaN or infinite colour, treated as holes; None where the
+        frame was not computed in this run.
+    score, hole_score
+        Against ground truth, over all pixels and over the hole mask; None where not measured.
+    resumed
+        Whether an earlier run had written it and this one only checked it.
+    timing_ms
+        Milliseconds by step of the work.
+    """
+
+    number: int
+    file: str
+    key: int
+    slot: int
+    kind: FrameKind
+    method: str
+    sources: tuple[int, ...]
+    hole_fraction: float | None = None
+    nonfinite_pixels: int | None = None
+    score: Score | None = None
+    hole_score: Score | None = None
+    resumed: bool = False
+    timing_ms: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class InputSummary:
+    """The input as the report names it.
+
+    Attributes
+    ----------
+    pattern
+        Sequence pattern as a path, with ``#`` for digits.
+    first, last
+        Input numbers of the first and last key frame of the whole sequence.
+    width, height
+        Display window, pixels.
+    producer
+        What wrote the files, as far as they tell.
+    motion_source, motion_evidence
+        How the motion convention was found; None without motion.
+    """
+
+    pattern: str
+    first: int
+    last: int
+    width: int
+    height: int
+    producer: str
+    motion_source: str | None
+    motion_evidence: str | None
+
+
+@dataclass(frozen=True)
+class RunSummary:
+    """A whole `upsample` run.
+
+    Attributes
+    ----------
+    method
+        Name of the method asked for.
+    setting
+        "key" or "slot": whether G-buffers were given for key frames only or for every slot.
+    lookahead
+        Whether the method uses the next key frame.
+    input
+        The input sequence.
+    base_fps, fps_source
+        Frames per second of the input, and where that number came from: "option", "header" or
+        "assumed".
+    wall_seconds
+        Wall time of the streaming part.
+    frames
+        One record a written frame, ascending.
+    path
+        Decision path S1 to S6 that the method stands for; None outside the paper's paths.
+    """
+
+    method: str
+    setting: str
+    lookahead: bool
+    input: InputSummary
+    base_fps: float
+    fps_source: str
+    wall_seconds: float
+    frames: tuple[FrameRecord, ...]
+    path: str | None = None

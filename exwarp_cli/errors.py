@@ -1,0 +1,76 @@
+"""Every error that a user can cause, in one tree.
+
+::
+
+    ExwarpError                 exit code
+      UsageError                2   options that contradict each other or do not parse
+      InputError                3   an input file or sequence that cannot be used
+        MissingFrameError       3   a frame that the sequence should have and does not
+        DamagedFileError        3   a file that is truncated, not an EXR, or unreadable
+        LayoutError             3   channels, sizes or windows that do not fit together
+      MotionError               4   the convention of the motion vectors cannot be settled
+      OutputError               5   a file that cannot be written (rights, space, folder)
+        OutputExistsError       6   frames in the way, without --overwrite or --skip-existing
+      MissingExtraError         7   an optional dependency that is not installed
+
+A message says what is wrong, where (the file, frame or option), and what to do about it, in one
+sentence. Exit code 1 is left for defects of ExWarp itself, 130 means interrupted by the user.
+"""
+
+from __future__ import annotations
+
+INTERRUPTED = 130
+
+
+class ExwarpError(Exception):
+    """Root of the tree; `exit_code` is what the command exits with."""
+
+    exit_code = 1
+
+
+class UsageError(ExwarpError):
+    """Options that contradict each other or do not parse."""
+
+    exit_code = 2
+
+
+class InputError(ExwarpError):
+    """An input file or sequence that cannot be used."""
+
+    exit_code = 3
+
+
+class MissingFrameError(InputError):
+    """A frame that the sequence should have and does not."""
+
+
+class DamagedFileError(InputError):
+    """A file that is truncated, is not what its name says, or cannot be read."""
+
+
+class LayoutError(InputError):
+    """Channels, sizes or windows that do not fit together."""
+
+
+class MotionError(ExwarpError):
+    """The convention of the motion vectors cannot be settled."""
+
+    exit_code = 4
+
+
+class OutputError(ExwarpError):
+    """A file that cannot be written."""
+
+    exit_code = 5
+
+
+class OutputExistsError(OutputError):
+    """Frames that this run would write exist already."""
+
+    exit_code = 6
+
+
+class MissingExtraError(ExwarpError):
+    """An optional dependency that is not installed."""
+
+    exit_code = 7

@@ -1,0 +1,1 @@
+"""Report files: report.json and frames.csv."""
