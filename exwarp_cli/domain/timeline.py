@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
+from itertools import pairwise
 
-from fileseq import FrameSet  # type: ignore[import-untyped]
-from fileseq.exceptions import ParseException  # type: ignore[import-untyped]
+from fileseq.frameset import FrameSet
 
 from exwarp_cli.errors import MissingFrameError, UsageError
 
@@ -73,13 +72,10 @@ class Timeline:
         ordered = sorted(set(numbers))
         if not ordered:
             raise MissingFrameError("the sequence has no frames; check the path or pattern")
-        steps = [b - a for a, b in zip(ordered, ordered[1:], strict=False)]
-        step = min(steps, default=1)
-        missing = sorted(set(range(ordered[0], ordered[-1] + 1, step)) - set(ordered))
-        if missing or any(s % step for s in steps):
-            named = ranges(missing) if missing else "some"
+        step = min((b - a for a, b in pairwise(ordered)), default=1)
+        if gaps := [(a, b) for a, b in pairwise(ordered) if b - a != step]:
             raise MissingFrameError(
-                f"frame {named} is missing from the sequence {ranges(ordered)}; "
+                f"frame {_missing(gaps, step)} is missing from the sequence {ranges(ordered)}; "
                 "render it, or move the frames on one side of the gap elsewhere"
             )
         return cls(tuple(ordered), ordered[0] if start is None else start, tail)
@@ -133,16 +129,33 @@ def parse_frames(text: str) -> list[int]:
         When the text is not a frame range.
     """
     try:
-        found = {int(number) for number in FrameSet(re.sub(r":", "x", text.strip()))}
-    except (ParseException, ValueError, TypeError, OverflowError) as error:
+        found = list(FrameSet(text.replace(":", "x")))
+    except (ValueError, TypeError, OverflowError) as error:
         raise UsageError(
             f"--frames {text!r} is not a frame range; write for example 1001-1100, 1-10x2 or 1,5,9"
         ) from error
     if not found:
-        raise UsageError(f"--frames {text!r} names no frame")
-    return sorted(found)
+        raise UsageError(
+            f"--frames {text!r} names no frame; write for example 1001-1100, 1-10x2 or 1,5,9"
+        )
+    if fractions := [str(number) for number in found if number != int(number)]:
+        raise UsageError(
+            f"--frames {text!r} names the subframe {fractions[0]}; "
+            "key frames have whole numbers, and the slots between them come by themselves"
+        )
+    return sorted({int(number) for number in found})
 
 
 def ranges(numbers: list[int]) -> str:
     """Write frame numbers compactly, for messages: ``1-4,7``."""
     return str(FrameSet(sorted(set(numbers)))) if numbers else ""
+
+
+def _missing(gaps: list[tuple[int, int]], step: int) -> str:
+    """Name the missing frames by their ends: a list could be as long as the largest number."""
+    named = []
+    for before, after in gaps:
+        count = (after - before - 1) // step
+        first, last = before + step, before + count * step
+        named.append(f"{first}-{last}" if count > 1 else str(first))
+    return ",".join(named)

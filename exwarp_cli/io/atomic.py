@@ -1,0 +1,216 @@
+"""Files that are absent or whole: written beside their place, then renamed into it."""
+
+from __future__ import annotations
+
+import errno
+import itertools
+import os
+import re
+import shutil
+import socket
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from exwarp_cli.errors import InputError, OutputError
+
+MARK = ".exwarp-tmp"
+"""Ending of every temporary name; no image or video reader takes it for one of its own."""
+
+FOREIGN_AGE_S = 24 * 3600
+"""Seconds without a write after which another machine's temporary counts as left over.
+
+Whether a process lives can only be asked on its own machine, so elsewhere age has to do; a day is
+longer than any frame takes, and longer than the clocks of a farm differ.
+"""
+
+_LEFTOVER = re.compile(r"\..*\.(?P<host>[A-Za-z0-9_-]+)-(?P<pid>[0-9]+)-[0-9]+" + re.escape(MARK))
+_NAME_LIMIT = 255  # bytes in a file name, on every file system that matters
+_counter = itertools.count()
+
+_REMEDIES = {
+    errno.ENOSPC: ("no space is left on the device", "free some space or write elsewhere"),
+    errno.EDQUOT: ("the disk quota is used up", "free some space or write elsewhere"),
+    errno.EACCES: ("permission denied", "change the rights of the folder or write elsewhere"),
+    errno.EPERM: ("permission denied", "change the rights of the folder or write elsewhere"),
+    errno.EROFS: ("the file system is read-only", "write elsewhere"),
+    errno.ENOENT: ("the folder does not exist", "create it, or check the path"),
+    errno.ENOTDIR: ("a part of the path is a file, not a folder", "check the path"),
+    errno.EEXIST: ("a file of that name is in the way", "remove it or choose another path"),
+    errno.EISDIR: ("a folder of that name is in the way", "remove it or choose another path"),
+    errno.ENAMETOOLONG: ("the name is too long", "choose a shorter one"),
+    errno.EFBIG: ("the file system allows no file that large", "write elsewhere"),
+    errno.EIO: ("the device reports an input/output error", "check the disk or the network share"),
+    errno.ESTALE: ("the network share went away", "mount it again"),
+}
+
+
+def output_error(path: Path, error: OSError) -> OutputError:
+    """Translate a failure to write `path` into one sentence: what, where, what to do."""
+    default = (error.strerror or str(error) or "unknown error", "check the path and the disk")
+    reason, remedy = _REMEDIES.get(error.errno or 0, default)
+    return OutputError(f"cannot write {path}: {reason}; {remedy}")
+
+
+@contextmanager
+def atomic_path(path: Path) -> Iterator[Path]:
+    """Yield a temporary path beside `path`; rename it into place when the block succeeds.
+
+    The temporary is removed when the block fails in any way, interruption included.
+
+    Parameters
+    ----------
+    path
+        The file to write; its folder must exist. An existing file is replaced.
+
+    Yields
+    ------
+    Path
+        Where to write, in the same folder, with a name that has no image or video suffix.
+
+    Raises
+    ------
+    OutputError
+        When writing, or the rename, fails with an OSError.
+    """
+    temporary = path.with_name(_temporary_name(path.name))
+    try:
+        yield temporary
+        _flush(temporary)
+        temporary.replace(path)
+    except OSError as error:
+        raise output_error(path, error) from error
+    finally:
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+def atomic_write_bytes(path: Path, data: bytes) -> None:
+    """Write a whole file, or none; raises OutputError."""
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(data)
+
+
+def atomic_write_text(path: Path, text: str) -> None:
+    """Write a whole UTF-8 file with ``\\n`` line ends, or none; raises OutputError."""
+    atomic_write_bytes(path, text.encode("utf-8"))
+
+
+def atomic_copy(source: Path, target: Path) -> None:
+    """Copy a file byte for byte, all or nothing.
+
+    Raises
+    ------
+    InputError
+        When the source cannot be opened.
+    OutputError
+        When the copy cannot be written.
+    """
+    try:
+        with source.open("rb"):
+            pass
+    except OSError as error:
+        raise InputError(
+            f"cannot read {source}: {error.strerror or error}; check the path and its rights"
+        ) from error
+    with atomic_path(target) as temporary:
+        # copyfile lets the kernel move the bytes; modes and times are the new file's own.
+        shutil.copyfile(source, temporary)
+
+
+def make_folder(path: Path) -> None:
+    """Make a folder with its parents, and prove that files can be written in it.
+
+    Raises
+    ------
+    OutputError
+        When it cannot be made, or nothing can be written there.
+    """
+    probe = path / _temporary_name("probe")
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        # Rights alone do not tell: shares are exported read-only, and root passes any check.
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise output_error(path, error) from error
+
+
+def remove_leftovers(folder: Path) -> int:
+    """Delete the temporaries of dead runs from a folder.
+
+    Never touches one of a living process: those of this machine go when their process is gone,
+    those of other machines when nothing was written to them for `FOREIGN_AGE_S`.
+
+    Returns
+    -------
+    int
+        How many were deleted.
+    """
+    removed = 0
+    try:
+        entries = [entry for entry in folder.iterdir() if entry.name.endswith(MARK)]
+    except OSError:  # no folder, no leftovers; a real problem shows when frames are written
+        return 0
+    for entry in entries:
+        with suppress(OSError):  # another run may be cleaning up too
+            if _is_leftover(entry):
+                entry.unlink()
+                removed += 1
+    return removed
+
+
+def _temporary_name(name: str) -> str:
+    ending = f".{_host()}-{os.getpid()}-{next(_counter)}{MARK}"
+    room = _NAME_LIMIT - len(ending) - 1
+    return f".{os.fsencode(name)[:room].decode('utf-8', 'ignore')}{ending}"
+
+
+def _host() -> str:
+    """Name the space in which process ids mean something.
+
+    Containers on a host's network share its name but not its process ids, hence the namespace.
+    """
+    try:
+        namespace = f"-{Path('/proc/self/ns/pid').stat().st_ino}"
+    except OSError:
+        namespace = ""
+    return re.sub(r"[^A-Za-z0-9_]+", "_", socket.gethostname())[:64] + namespace
+
+
+def _flush(path: Path) -> None:
+    """Push a written file to the disk.
+
+    Renaming without it would be faster, but after a power cut some file systems then show an empty
+    file under the final name, and network shares report a full disk only here. The folder itself
+    is not flushed: losing the rename leaves the file absent, which is allowed.
+    """
+    handle = os.open(path, os.O_RDWR)
+    try:
+        os.fsync(handle)
+    except OSError as error:
+        if error.errno not in (errno.EINVAL, errno.ENOTSUP):  # some shares cannot, and say so
+            raise
+    finally:
+        os.close(handle)
+
+
+def _is_leftover(path: Path) -> bool:
+    match = _LEFTOVER.fullmatch(path.name)
+    if match is None:
+        return False
+    if match["host"] == _host() and sys.platform != "win32":
+        return not _is_alive(int(match["pid"]))
+    return time.time() - path.stat().st_mtime > FOREIGN_AGE_S
+
+
+def _is_alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except (PermissionError, OverflowError):
+        return True
+    return True

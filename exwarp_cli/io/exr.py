@@ -1,0 +1,170 @@
+"""Reading OpenEXR files: their structure, and the pixels of chosen channels.
+
+OpenImageIO decodes the pixels: it reads single parts of a multi-part file, without the interpreter
+lock, and reports damage as an error where OpenEXR's own bindings print and drop the part.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import OpenImageIO as oiio
+
+from exwarp_cli.domain.frame import Window
+from exwarp_cli.errors import DamagedFileError, LayoutError, MissingFrameError
+
+PIXEL_TYPES = ("half", "float", "uint")
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One channel of one part.
+
+    Attributes
+    ----------
+    part
+        Index of the part in the file.
+    index
+        Index of the channel in the part, in the order in which it is decoded.
+    name
+        Name with the part's name in front where the channel does not carry its layer itself.
+    raw_name
+        Name as it stands in the file.
+    pixel_type
+        "half", "float" or "uint".
+    """
+
+    part: int
+    index: int
+    name: str
+    raw_name: str
+    pixel_type: str
+
+
+@dataclass(frozen=True)
+class Part:
+    """One part of a file.
+
+    Attributes
+    ----------
+    index, name
+        Position in the file, and the part's name ("" in single-part files).
+    data_window, display_window
+        In OpenEXR's coordinates.
+    channels
+        In the order in which they are decoded.
+    view
+        Name of the stereo view, "" where there is none.
+    deep
+        Whether the part holds deep samples.
+    """
+
+    index: int
+    name: str
+    data_window: Window
+    display_window: Window
+    channels: tuple[Channel, ...]
+    view: str
+    deep: bool
+
+
+class ExrReader:
+    """An open OpenEXR file; a context manager.
+
+    Raises
+    ------
+    MissingFrameError
+        When the file does not exist.
+    DamagedFileError
+        When it is not a readable OpenEXR file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        if not path.exists():
+            raise MissingFrameError(f"{path} does not exist; check the path or render the frame")
+        try:
+            self._file = oiio.ImageInput.open(str(path))
+        except (RuntimeError, ValueError, UnicodeError):
+            self._file = None
+        if self._file is None:
+            reason = oiio.geterror().strip().splitlines()
+            raise damaged(path, reason[0] if reason else "")
+        if self._file.format_name() != "openexr":
+            self._file.close()
+            raise damaged(path, f"its content is {self._file.format_name()}")
+        self.parts = self._parts()
+
+    def __enter__(self) -> ExrReader:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self._file.close()
+
+    def _parts(self) -> tuple[Part, ...]:
+        """Describe every part."""
+        specs = []
+        while True:
+            spec = self._file.spec(len(specs), 0)
+            if spec.width == 0 or spec.nchannels == 0:
+                break
+            specs.append(spec)
+        if not specs:
+            raise damaged(self.path, "it holds no image")
+        return tuple(_part(i, spec, len(specs) > 1) for i, spec in enumerate(specs))
+
+    def read(self, channels: Iterable[Channel]) -> dict[Channel, np.ndarray]:
+        """Decode channels: [H, W] arrays on their part's data window.
+
+        Half and float become float32; uint stays uint32, as ids above 2^24 need it. Each part is
+        decoded once, whatever the number of its channels.
+        """
+        wanted: dict[tuple[int, bool], list[Channel]] = {}
+        for channel in channels:
+            wanted.setdefault((channel.part, channel.pixel_type == "uint"), []).append(channel)
+        out: dict[Channel, np.ndarray] = {}
+        for (part, integer), members in sorted(wanted.items(), key=lambda item: item[0]):
+            if self.parts[part].deep:
+                raise LayoutError(
+                    f"{self.path} is a deep image, which is not read; flatten it to plain pixels"
+                )
+            begin = min(c.index for c in members)
+            end = max(c.index for c in members) + 1
+            pixels = self._file.read_image(part, 0, begin, end, "uint" if integer else "float")
+            if pixels is None:
+                raise damaged(self.path, self._file.geterror())
+            height, width = self.parts[part].data_window.shape
+            pixels = pixels.reshape(height, width, end - begin)
+            for channel in members:
+                out[channel] = pixels[..., channel.index - begin]
+        return out
+
+
+def damaged(path: Path, reason: str) -> DamagedFileError:
+    """Build the error for a file that cannot be decoded."""
+    detail = f" ({reason.strip().rstrip('.')})" if reason.strip() else ""
+    return DamagedFileError(
+        f"{path} is truncated, damaged or not an OpenEXR file{detail}; render or copy it again"
+    )
+
+
+def _part(index: int, spec: oiio.ImageSpec, multipart: bool) -> Part:
+    """Describe one part from OpenImageIO's specification."""
+    name = spec.getattribute("oiio:subimagename") or ""
+    formats = [str(f) for f in spec.channelformats] or [str(spec.format)] * spec.nchannels
+    channels = []
+    for i, raw in enumerate(spec.channelnames):
+        full = raw if not multipart or not name or "." in raw else f"{name}.{raw}"
+        channels.append(Channel(index, i, full, raw, formats[i]))
+    return Part(
+        index,
+        name if multipart else "",
+        Window(spec.x, spec.y, spec.width, spec.height),
+        Window(spec.full_x, spec.full_y, spec.full_width, spec.full_height),
+        tuple(channels),
+        spec.getattribute("view") or "",
+        bool(spec.deep),
+    )

@@ -1,0 +1,132 @@
+"""How frame numbers stand in file names: tokens such as ``####``, padding, grouping.
+
+Strings only; nothing here looks at a disk. A number may carry a minus sign where the text before it
+is empty or ends in a separator, so ``shot-0001.exr`` is frame 1 and ``shot.-0001.exr`` is frame -1.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from fileseq.constants import PAD_STYLE_HASH1
+from fileseq.filesequence import FileSequence
+
+_TOKEN = re.compile(r"#+|@+|%[0-9]{0,2}d|\$F[0-9]{0,2}")
+_NUMBER = re.compile(r"-?[0-9]+")
+_TRAILING_NUMBER = re.compile(r"(?P<base>.*?)(?P<number>-?[0-9]+)", re.DOTALL)
+
+
+@dataclass(frozen=True, order=True)
+class NamePattern:
+    """A file name with a frame number in it.
+
+    Attributes
+    ----------
+    base
+        Text before the number, for example ``shot.``.
+    padding
+        Digits that the number is filled up to with zeros; 1 means not filled.
+    suffix
+        Text after the number, for example ``.exr``.
+    """
+
+    base: str
+    padding: int
+    suffix: str
+
+    @classmethod
+    def parse(cls, name: str) -> NamePattern | None:
+        """Read a name with a frame token: ``####``, ``@@@@``, ``%04d`` or ``$F4``; None without.
+
+        The last token counts, so that a ``#`` or ``%`` in the title is text.
+        """
+        tokens = list(_TOKEN.finditer(name))
+        if not tokens:
+            return None
+        token = tokens[-1]
+        padding = FileSequence.getPaddingNum(token[0], pad_style=PAD_STYLE_HASH1)
+        return cls(name[: token.start()], max(padding, 1), name[token.end() :])
+
+    def __str__(self) -> str:
+        return f"{self.base}{'#' * self.padding}{self.suffix}"
+
+    def name(self, number: int) -> str:
+        """Name of a frame; a minus sign counts as one of the digits, as in C's ``%04d``."""
+        return f"{self.base}{number:0{self.padding}d}{self.suffix}"
+
+    def number_text(self, name: str) -> str | None:
+        """Return the digits, and sign, that stand where the frame number belongs, else None."""
+        if not (name.startswith(self.base) and name.endswith(self.suffix)):
+            return None
+        text = name[len(self.base) : len(name) - len(self.suffix)]
+        return text if _NUMBER.fullmatch(text) and _sign_is_sign(self.base, text) else None
+
+
+def split_name(name: str, suffixes: tuple[str, ...]) -> NamePattern | None:
+    """Read a frame's name: the digits right before one of `suffixes` (any case) are its number.
+
+    Returns
+    -------
+    NamePattern or None
+        With the padding that this one name suggests; None without suffix or digits.
+    """
+    length = next((len(s) for s in suffixes if name.lower().endswith(s)), 0)
+    match = _TRAILING_NUMBER.fullmatch(name[: len(name) - length]) if length else None
+    if match is None:
+        return None
+    base, number = match["base"], match["number"]
+    if not _sign_is_sign(base, number):
+        base, number = base + number[0], number[1:]
+    return NamePattern(base, len(number), name[len(name) - length :])
+
+
+def group_names(pattern: NamePattern, names: Iterable[str]) -> list[tuple[int, dict[int, str]]]:
+    """Split names of one base and suffix by padding.
+
+    Zeros in front tell the padding; names without any belong to the widest padding that would
+    print them so, and are unpadded where there is none: ``9, 10`` have padding 1, ``0999, 1000``
+    padding 4, ``0001, 9`` are two sequences.
+
+    Parameters
+    ----------
+    pattern
+        Base and suffix; its padding is not looked at.
+    names
+        File names; those of another base or suffix are skipped.
+
+    Returns
+    -------
+    list of (int, dict)
+        Padding, and names by frame number, ascending.
+    """
+    texts = {text: name for name in sorted(names) if (text := pattern.number_text(name))}
+    known = sorted(_filled_widths(texts), reverse=True)
+    groups: dict[int, dict[int, str]] = defaultdict(dict)
+    for text, name in texts.items():
+        padding = next((p for p in known if is_printed(text, p)), 0)
+        groups[padding].setdefault(int(text), name)
+    if 0 in groups:
+        loose = groups.pop(0)
+        groups[min(len(str(abs(number))) for number in loose)] = loose
+    return [(padding, dict(sorted(groups[padding].items()))) for padding in sorted(groups)]
+
+
+def is_printed(text: str, padding: int) -> bool:
+    """Whether a number filled to `padding` reads like `text`, the sign counted in or not."""
+    number = int(text)
+    return text in (f"{number:0{padding}d}", f"{'-' * (number < 0)}{abs(number):0{padding}d}")
+
+
+def _filled_widths(texts: Iterable[str]) -> set[int]:
+    filled = [text for text in texts if len(text) > 1 and text.lstrip("-").startswith("0")]
+    # Programs disagree on whether a minus sign counts, so positive numbers decide where there are.
+    return {len(t) for t in filled if t[0] != "-"} or {len(t) for t in filled}
+
+
+def _sign_is_sign(base: str, number: str) -> bool:
+    if number[0] != "-":
+        return True
+    return int(number) != 0 and not (base and base[-1].isalnum())

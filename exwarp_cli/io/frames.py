@@ -1,0 +1,276 @@
+"""Frames of a sequence as typed arrays: colour, G-buffer and raw motion channels."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from exwarp_cli.domain.frame import Bool, Float32, GBuffer, Image, Int32, KeyFrame, Window, place
+from exwarp_cli.domain.motion import MotionConvention
+from exwarp_cli.errors import DamagedFileError, LayoutError
+from exwarp_cli.io.channels import ChannelRef, Layout, Role, detect, require
+from exwarp_cli.io.exr import Channel, ExrReader, Part
+from exwarp_cli.io.sequence import Sequence, find_aov_set, find_sequence
+
+FAR = 1e9
+"""Depth from which on a pixel counts as background: Blender writes 1e10 there."""
+
+MAX_BROKEN = 0.5
+"""Share of non-finite colour from which on a frame is refused rather than repaired."""
+
+GEOMETRY = (Role.DEPTH, Role.NORMAL, Role.POSITION, Role.STENCIL, Role.MOTION)
+
+
+@dataclass(frozen=True)
+class RawFrame:
+    """One frame before the meaning of its motion channels is settled.
+
+    Attributes
+    ----------
+    number
+        Frame number.
+    path
+        The frame's main file.
+    image
+        Colour; None for G-buffers without colour.
+    gbuffer
+        Geometry without motion, on the window of `image`, else on the display window.
+    motion
+        float32 [H, W, C]: the motion channels as written; None without.
+    """
+
+    number: int
+    path: Path
+    image: Image | None
+    gbuffer: GBuffer
+    motion: Float32 | None
+
+    def settle(self, convention: MotionConvention | None) -> GBuffer:
+        """Return the G-buffer with motion read by a convention."""
+        if convention is None or self.motion is None:
+            return self.gbuffer
+        before, after = convention.to_previous, convention.to_next
+        return replace(
+            self.gbuffer,
+            to_previous=None if before is None else before.apply(self.motion),
+            to_next=None if after is None else after.apply(self.motion),
+        )
+
+    def key(self, convention: MotionConvention | None) -> KeyFrame:
+        """Return the frame for synthesis."""
+        if self.image is None:
+            raise LayoutError(f"{self.path} has no colour channels; render the beauty pass")
+        gbuffer = self.settle(convention)
+        return KeyFrame(self.number, self.image, gbuffer)
+
+
+@dataclass(frozen=True)
+class Shot:
+    """A sequence with its layout.
+
+    Attributes
+    ----------
+    sequence
+        The main files.
+    aovs
+        Further sequences of the same frames, by AOV, where each AOV has a file of its own.
+    layout
+        Which channels hold what, as detected in the first frame.
+    display
+        The display window that all frames must share.
+    """
+
+    sequence: Sequence
+    aovs: Mapping[str, Sequence]
+    layout: Layout
+    display: Window
+
+    def files(self, number: int) -> dict[str, Path]:
+        """Files of one frame by AOV; "" is the main one."""
+        return {"": self.sequence.files[number]} | {
+            aov: sequence.files[number] for aov, sequence in self.aovs.items()
+        }
+
+
+def open_shot(spec: str) -> Shot:
+    """Find a sequence and recognise its channels in its first frame.
+
+    Raises
+    ------
+    InputError
+        When there is no such sequence or its first frame cannot be read.
+    """
+    aov_set = find_aov_set(spec)
+    if aov_set is None:
+        sequence, aovs = find_sequence(spec), {}
+    elif aov_set.colour is None:
+        sequence = aov_set.leader
+        aovs = {name: aov for name, aov in aov_set.aovs.items() if aov is not sequence}
+    else:
+        sequence, aovs = aov_set.colour, dict(aov_set.aovs)
+    first = sequence.numbers[0]
+    main = "" if aov_set is None or aov_set.colour is not None else _own_name(aov_set.aovs, sequence)
+    channels: dict[str, tuple[Channel, ...]] = {}
+    display = None
+    for aov, path in ({main: sequence.files[first]} | {a: s.files[first] for a, s in aovs.items()}).items():
+        with ExrReader(path) as file:
+            channels[aov] = tuple(c for part in _hero(file.parts) for c in part.channels)
+            display = display or file.parts[0].display_window
+    assert display is not None
+    members = {aov: seq for aov, seq in aovs.items()} | ({main: sequence} if main else {})
+    return Shot(sequence, members, detect(channels), display)
+
+
+def read_raw(shot: Shot, number: int, roles: tuple[Role, ...] = (Role.COLOUR, *GEOMETRY)) -> RawFrame:
+    """Read the channels of some roles of one frame.
+
+    Raises
+    ------
+    InputError
+        When a file is missing, damaged, of another size, lacks a channel, or is mostly NaN.
+    """
+    refs = {role: shot.layout.roles[role] for role in roles if role in shot.layout}
+    planes, windows = _read_planes(shot, number, [r for group in refs.values() for r in group])
+    path = shot.sequence.files[number]
+
+    def stack(role: Role, canvas: Window, fill: float) -> Float32 | None:
+        if role not in refs:
+            return None
+        members = [place(planes[r].astype(np.float32), windows[r], canvas, fill) for r in refs[role]]
+        return np.ascontiguousarray(np.stack(members, axis=-1))
+
+    canvas = windows[refs[Role.COLOUR][0]] if Role.COLOUR in refs else shot.display
+    image = None
+    if Role.COLOUR in refs:
+        pixels = stack(Role.COLOUR, canvas, 0.0)
+        assert pixels is not None
+        image = Image(pixels, canvas, shot.display)
+        _refuse_broken(pixels, path)
+    depth = stack(Role.DEPTH, canvas, np.inf)
+    normal = stack(Role.NORMAL, canvas, 0.0)
+    stencil = None
+    if Role.STENCIL in refs:
+        ref = refs[Role.STENCIL][0]
+        stencil = place(clean_stencil(planes[ref]), windows[ref], canvas)
+    gbuffer = GBuffer(
+        canvas,
+        None if depth is None else clean_depth(depth[..., 0], normal),
+        normal,
+        stack(Role.POSITION, canvas, 0.0),
+        stencil,
+    )
+    return RawFrame(number, path, image, gbuffer, stack(Role.MOTION, canvas, np.nan))
+
+
+def read_image(path: Path) -> Image:
+    """Read the colour of the beauty layer of one file.
+
+    Raises
+    ------
+    InputError
+        When the file is missing or damaged.
+    LayoutError
+        When no colour is recognised.
+    """
+    with ExrReader(path) as file:
+        channels = {c.name: c for part in _hero(file.parts) for c in part.channels}
+        refs = require(detect({"": tuple(channels.values())}), Role.COLOUR, str(path))
+        chosen = [channels[ref.name] for ref in refs]
+        planes = file.read(chosen)
+        part = file.parts[chosen[0].part]
+    pixels = np.ascontiguousarray(np.stack([planes[c] for c in chosen], -1), dtype=np.float32)
+    return Image(pixels, part.data_window, part.display_window)
+
+
+def read_plane(path: Path, name: str) -> tuple[Float32, Window, Window]:
+    """Read one channel by name: float32 [H, W], its data window and the display window."""
+    with ExrReader(path) as file:
+        for part in file.parts:
+            for channel in part.channels:
+                if name in (channel.name, channel.raw_name):
+                    plane = file.read([channel])[channel].astype(np.float32)
+                    return np.ascontiguousarray(plane), part.data_window, part.display_window
+    raise LayoutError(f"{path} has no channel {name!r}; list its channels with 'exwarp inspect'")
+
+
+def clean_depth(depth: Float32, normal: Float32 | None) -> Float32:
+    """Return depth with every way of writing background made +inf.
+
+    Background is written as 0, 1e10, infinity or NaN; Unreal marks it by the normal (-1, -1, -1).
+    """
+    with np.errstate(invalid="ignore"):
+        background = ~((depth > 0) & (depth < FAR))
+    if normal is not None:
+        background |= (normal == -1).all(axis=-1)
+    return np.where(background, np.float32(np.inf), depth).astype(np.float32)
+
+
+def clean_stencil(ids: np.ndarray) -> Int32:
+    """Return ids as int32, -1 where a fraction tells of mixed ids in one pixel."""
+    if ids.dtype == np.uint32:
+        return (ids & np.uint32(0x7FFFFFFF)).astype(np.int32)
+    finite = np.where(np.isfinite(ids), ids, -1.0)
+    rounded = np.clip(np.rint(finite), -1, 2**31 - 128)
+    return np.where(np.abs(finite - rounded) < 0.02, rounded, -1).astype(np.int32)
+
+
+def broken_pixels(pixels: Float32) -> Bool:
+    """bool [H, W]: pixels with a NaN or infinity in any channel."""
+    return np.asarray(~np.isfinite(pixels).all(axis=-1))
+
+
+def _refuse_broken(pixels: Float32, path: Path) -> None:
+    share = float(broken_pixels(pixels).mean())
+    if share > MAX_BROKEN:
+        raise DamagedFileError(
+            f"{path} has NaN or infinite colour in {share:.0%} of its pixels; render it again"
+        )
+
+
+def _own_name(aovs: Mapping[str, Sequence], sequence: Sequence) -> str:
+    """Return the AOV under which a set without colour keeps its leader."""
+    return next(name for name, member in aovs.items() if member is sequence)
+
+
+def _hero(parts: tuple[Part, ...]) -> tuple[Part, ...]:
+    """Return the parts of the hero view: those of the first part's view, or without one."""
+    view = parts[0].view
+    return tuple(part for part in parts if part.view in ("", view))
+
+
+def _read_planes(
+    shot: Shot, number: int, refs: list[ChannelRef]
+) -> tuple[dict[ChannelRef, np.ndarray], dict[ChannelRef, Window]]:
+    """Read channels of one frame, with the data window of each."""
+    planes: dict[ChannelRef, np.ndarray] = {}
+    windows: dict[ChannelRef, Window] = {}
+    files = shot.files(number)
+    for aov in sorted({ref.aov for ref in refs}):
+        path = files[aov]
+        with ExrReader(path) as file:
+            _same_size(file.parts[0].display_window, shot, path)
+            channels = {c.name: c for part in _hero(file.parts) for c in part.channels}
+            mine = [ref for ref in refs if ref.aov == aov]
+            for ref in mine:
+                if ref.name not in channels:
+                    raise LayoutError(
+                        f"{path} has no channel {ref.name!r}, which the sequence's first frame "
+                        "has; render all frames with the same passes"
+                    )
+            pixels = file.read(channels[ref.name] for ref in mine)
+            for ref in mine:
+                channel = channels[ref.name]
+                planes[ref] = pixels[channel]
+                windows[ref] = file.parts[channel.part].data_window
+    return planes, windows
+
+
+def _same_size(display: Window, shot: Shot, path: Path) -> None:
+    if display != shot.display:
+        raise LayoutError(
+            f"{path} has the display window {display} where the sequence's first frame has "
+            f"{shot.display}; render all frames at one resolution"
+        )

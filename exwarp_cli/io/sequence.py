@@ -1,0 +1,376 @@
+"""Image sequences on disk: finding one, sets of one file per AOV, and where frames are written."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections import defaultdict
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from exwarp_cli.domain.timeline import ranges
+from exwarp_cli.errors import InputError, MissingFrameError, OutputError, UsageError
+from exwarp_cli.io.frame_names import NamePattern, group_names, is_printed, split_name
+
+EXR = (".exr",)
+
+COLOUR_AOVS = ("PreTonemapHDRColor", "SceneColor", "FinalImage")
+"""Names under which Unreal dumps colour, the most nearly scene-linear one first."""
+
+MOTION_AOV = "MotionVector"
+
+GEOMETRY_AOVS = (
+    "SceneDepth",
+    "WorldNormal",
+    "WorldPosition",
+    "MyStencil",
+    "BaseColor",
+    "Roughness",
+    "Metallic",
+    "NoV",
+)
+
+_AOV = re.compile(
+    r"(?P<prefix>.*)"
+    rf"(?P<aov>{'|'.join((*COLOUR_AOVS, MOTION_AOV, *GEOMETRY_AOVS))})"
+    r"(?P<end>[._ -]?)",
+    re.DOTALL,
+)
+# What people write by mistake; anything else without a frame token names a folder.
+_OTHER_MEDIA = frozenset(
+    {".bmp", ".cin", ".dng", ".dpx", ".gif", ".hdr", ".heic", ".jp2", ".jpeg", ".jpg", ".jxl"}
+    | {".pic", ".png", ".ppm", ".psd", ".rgbe", ".sgi", ".tga", ".tif", ".tiff", ".tx", ".webp"}
+    | {".avi", ".m4v", ".mkv", ".mov", ".mp4", ".webm"}
+)
+
+
+@dataclass(frozen=True)
+class Sequence:
+    """Files of one folder that differ in their frame number alone.
+
+    Attributes
+    ----------
+    directory
+        The folder.
+    base
+        Text before the digits, for example ``shot.``.
+    padding
+        Digits that numbers are filled up to; 1 means not filled.
+    suffix
+        Text after the digits, for example ``.exr``.
+    files
+        Path of each frame by number, ascending.
+    """
+
+    directory: Path
+    base: str
+    padding: int
+    suffix: str
+    files: dict[int, Path]
+
+    @property
+    def pattern(self) -> str:
+        """Path with one ``#`` per digit of padding."""
+        return str(self.directory / str(NamePattern(self.base, self.padding, self.suffix)))
+
+    @property
+    def numbers(self) -> list[int]:
+        """Frame numbers, ascending."""
+        return list(self.files)
+
+
+@dataclass(frozen=True)
+class AovSet:
+    """Sequences of one shot, one file per AOV and frame, as Unreal dumps them for ExtraNet.
+
+    Attributes
+    ----------
+    colour
+        The colour sequence; None in a folder of G-buffers alone.
+    aovs
+        All other sequences by the name of their AOV, for example ``MotionVector``; with the frame
+        numbers of the colour, or all with the same ones where there is no colour.
+    """
+
+    colour: Sequence | None
+    aovs: dict[str, Sequence]
+
+    @property
+    def leader(self) -> Sequence:
+        """The sequence that stands for the set: colour, else motion."""
+        return self.colour or self.aovs[MOTION_AOV]
+
+    @property
+    def members(self) -> tuple[Sequence, ...]:
+        """Every sequence of the set."""
+        colour = () if self.colour is None else (self.colour,)
+        return (*colour, *self.aovs.values())
+
+
+@dataclass(frozen=True)
+class OutputPattern:
+    """Where output frames are written.
+
+    Attributes
+    ----------
+    folder
+        The folder, which may not exist yet.
+    base, padding, suffix
+        As in `Sequence`.
+    """
+
+    folder: Path
+    base: str
+    padding: int
+    suffix: str
+
+    @property
+    def name(self) -> str:
+        """File name with one ``#`` per digit of padding."""
+        return str(NamePattern(self.base, self.padding, self.suffix))
+
+    def path(self, number: int) -> Path:
+        """Path of the frame with this number."""
+        return self.folder / NamePattern(self.base, self.padding, self.suffix).name(number)
+
+
+def find_sequence(spec: str, suffixes: tuple[str, ...] = EXR) -> Sequence:
+    """Find the sequence that a user names.
+
+    Parameters
+    ----------
+    spec
+        A folder that holds one sequence, a pattern (``shot.####.exr``, ``@@@@``, ``%04d``, ``$F4``)
+        or any one frame. In a folder with one file per AOV, the colour sequence is found, or the
+        motion vectors where there is no colour.
+    suffixes
+        Accepted file suffixes, in lower case.
+
+    Raises
+    ------
+    InputError
+        When there is no such sequence, or several.
+    """
+    try:
+        if spec and Path(spec).is_dir():
+            found = _candidates(Path(spec), suffixes)
+            leaders = [c.leader if isinstance(c, AovSet) else c for c in found]
+            return _only(Path(spec), leaders, suffixes)
+        return _named(spec, suffixes)
+    except OSError as error:
+        raise InputError(
+            f"cannot look into {spec}: {error.strerror or error}; check the path and its rights"
+        ) from error
+
+
+def find_aov_set(spec: str, suffixes: tuple[str, ...] = EXR) -> AovSet | None:
+    """Find the one-file-per-AOV set that a folder, pattern or frame belongs to.
+
+    Returns
+    -------
+    AovSet or None
+        None when `spec` names an ordinary sequence.
+
+    Raises
+    ------
+    InputError
+        As `find_sequence` does.
+    MissingFrameError
+        When an AOV lacks a frame that the colour has (or any other AOV, without colour).
+    """
+    leader = find_sequence(spec, suffixes)
+    for candidate in _candidates(leader.directory, suffixes):
+        if isinstance(candidate, AovSet) and leader in candidate.members:
+            return _complete(candidate)
+    return None
+
+
+def output_pattern(spec: str, source: Sequence) -> OutputPattern:
+    """Read the ``-o`` option: a pattern that ends in ``.exr``, or a folder.
+
+    In a folder, frames have the base name, padding and suffix of the input.
+
+    Parameters
+    ----------
+    spec
+        What the user wrote. A name without frame token and image suffix, one that ends in a
+        slash, or an existing folder is a folder.
+    source
+        The input sequence.
+
+    Raises
+    ------
+    UsageError
+        When it names one file, or another format than EXR.
+    OutputError
+        When the frames would fall among those of the input.
+    """
+    if not spec:
+        raise UsageError(
+            "the output path is empty; name a folder or a pattern such as out.####.exr"
+        )
+    path = Path(spec)
+    if spec.endswith(("/", os.sep)) or path.is_dir():
+        return _apart(OutputPattern(path, source.base, source.padding, source.suffix), source)
+    pattern = NamePattern.parse(path.name)
+    suffix = path.suffix.lower()
+    if suffix in _OTHER_MEDIA or (pattern is not None and suffix != ".exr"):
+        raise UsageError(
+            f"the output {spec} is not an EXR pattern, and ExWarp writes frames as EXR only; "
+            "name a folder or a pattern such as out.####.exr"
+        )
+    if pattern is not None:
+        return _apart(
+            OutputPattern(path.parent, pattern.base, pattern.padding, pattern.suffix), source
+        )
+    if suffix == ".exr":
+        raise UsageError(
+            f"the output {spec} is one file, and many frames are written; "
+            f"put a frame token in it, such as {path.stem}.####.exr, or name a folder"
+        )
+    return _apart(OutputPattern(path, source.base, source.padding, source.suffix), source)
+
+
+def _apart(target: OutputPattern, source: Sequence) -> OutputPattern:
+    same_names = (target.base, target.suffix) == (source.base, source.suffix)
+    if same_names and target.folder.resolve() == source.directory.resolve():
+        raise OutputError(
+            f"the output {target.folder / target.name} would mix new frames with those of the "
+            "input and overwrite them; name another folder or another base name"
+        )
+    return target
+
+
+def _candidates(folder: Path, suffixes: tuple[str, ...]) -> list[AovSet | Sequence]:
+    """Sequences of a folder, those of one AOV set as one."""
+    # Names that start with a dot are other programs' bookkeeping, such as macOS' "._" files.
+    names = [name for name in _file_names(folder) if not name.startswith(".")]
+    kinds = {split for name in names if (split := split_name(name, suffixes))}
+    stems = {replace(kind, padding=1) for kind in kinds}
+    sequences = [s for stem in sorted(stems) for s in _sequences(folder, stem, names)]
+    return _gather_aovs(sequences)
+
+
+def _gather_aovs(sequences: list[Sequence]) -> list[AovSet | Sequence]:
+    shots: dict[tuple[str, str, str], dict[str, Sequence]] = defaultdict(dict)
+    for sequence in sequences:
+        if match := _AOV.fullmatch(sequence.base):
+            shot = (match["prefix"], match["end"], sequence.suffix)
+            shots[shot].setdefault(match["aov"], sequence)
+    sets = [s for members in shots.values() if len(members) > 1 and (s := _as_set(members))]
+    taken = [member.pattern for s in sets for member in s.members]
+    return [*sets, *(s for s in sequences if s.pattern not in taken)]
+
+
+def _as_set(members: dict[str, Sequence]) -> AovSet | None:
+    colours = [name for name in COLOUR_AOVS if name in members]
+    if not colours and MOTION_AOV not in members:
+        return None
+    others = {name: s for name, s in members.items() if name not in colours[:1]}
+    return AovSet(members[colours[0]] if colours else None, others)
+
+
+def _complete(found: AovSet) -> AovSet:
+    """Cut the AOVs to the colour's frames, and make sure that they have them all."""
+    if found.colour is not None:
+        wanted = set(found.colour.files)
+    else:
+        wanted = {number for sequence in found.aovs.values() for number in sequence.files}
+    for name, sequence in found.aovs.items():
+        if absent := sorted(wanted - set(sequence.files)):
+            raise MissingFrameError(
+                f"frame {ranges(absent)} of the AOV {name} is missing from {sequence.pattern}; "
+                "render it, or move that frame's other files elsewhere"
+            )
+    aovs = {
+        name: replace(s, files={n: path for n, path in s.files.items() if n in wanted})
+        for name, s in found.aovs.items()
+    }
+    return replace(found, aovs=aovs)
+
+
+def _named(spec: str, suffixes: tuple[str, ...]) -> Sequence:
+    """Find the sequence of a pattern or of one frame."""
+    path = Path(spec)
+    if path.is_file():
+        return _around(path, suffixes)
+    pattern = NamePattern.parse(path.name)
+    if not path.parent.is_dir():
+        raise InputError(f"the folder {path.parent} does not exist; check the path {spec!r}")
+    if pattern is None:
+        raise InputError(
+            f"there is no file or folder {spec!r}; "
+            "name a folder, a pattern such as shot.####.exr, or any one frame"
+        )
+    _require_suffix(path, suffixes)
+    found = _sequences(path.parent, pattern, _file_names(path.parent))
+    exact = [s for s in found if _all_printed(s, pattern)]
+    if not exact and pattern.padding == 1 and len(found) == 1:
+        return found[0]  # "#" and "%d" are often written for any padding; here only one fits
+    if not exact:
+        there = f"; there is {_listing(found)}" if found else ""
+        raise InputError(f"no frame in {path.parent} matches {path.name}{there}; check the pattern")
+    return replace(exact[0], padding=pattern.padding)
+
+
+def _around(frame: Path, suffixes: tuple[str, ...]) -> Sequence:
+    _require_suffix(frame, suffixes)
+    stem = split_name(frame.name, suffixes)
+    if stem is None:
+        raise InputError(
+            f"{frame} has no frame number before its suffix, so it is no frame of a sequence; "
+            "name the frames like shot.0001.exr, or give a pattern such as shot.####_left.exr"
+        )
+    found = _sequences(frame.parent, stem, _file_names(frame.parent))
+    return next(s for s in found if frame.name in {path.name for path in s.files.values()})
+
+
+def _only(folder: Path, found: list[Sequence], suffixes: tuple[str, ...]) -> Sequence:
+    if len(found) == 1:
+        return found[0]
+    if found:
+        raise InputError(
+            f"{folder} holds {len(found)} sequences, {_listing(found)}; "
+            f"name one of them, for example {found[0].pattern}"
+        )
+    single = next((n for n in sorted(_file_names(folder)) if n.lower().endswith(suffixes)), None)
+    why = f"{single} has no frame number before its suffix" if single else "check the path"
+    raise InputError(f"{folder} holds no sequence of {' or '.join(suffixes)} files; {why}")
+
+
+def _require_suffix(path: Path, suffixes: tuple[str, ...]) -> None:
+    if not path.name.lower().endswith(suffixes):
+        raise InputError(
+            f"{path} is not an {' or '.join(suffixes)} file, and nothing else is read here; "
+            "convert the frames, or check the path"
+        )
+
+
+def _sequences(folder: Path, stem: NamePattern, names: Iterable[str]) -> list[Sequence]:
+    return [
+        Sequence(
+            folder,
+            stem.base,
+            padding,
+            stem.suffix,
+            {number: folder / name for number, name in files.items()},
+        )
+        for padding, files in group_names(stem, names)
+    ]
+
+
+def _all_printed(sequence: Sequence, pattern: NamePattern) -> bool:
+    texts = (pattern.number_text(path.name) for path in sequence.files.values())
+    return all(text is not None and is_printed(text, pattern.padding) for text in texts)
+
+
+def _listing(found: list[Sequence], most: int = 6) -> str:
+    named = [f"{Path(s.pattern).name} ({ranges(s.numbers)})" for s in found[:most]]
+    rest = f" and {len(found) - most} more" if len(found) > most else ""
+    return ", ".join(named) + rest
+
+
+def _file_names(folder: Path) -> list[str]:
+    with os.scandir(folder) as entries:
+        return [entry.name for entry in entries if entry.is_file()]

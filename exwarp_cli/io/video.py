@@ -1,0 +1,197 @@
+"""A video of the result for looking at: H.264 in MP4 or QuickTime."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import tempfile
+from contextlib import ExitStack, suppress
+from fractions import Fraction
+from pathlib import Path
+from types import TracebackType
+from typing import IO
+
+import imageio_ffmpeg
+import numpy as np
+import numpy.typing as npt
+
+from exwarp_cli.domain.frame import Float32
+from exwarp_cli.errors import OutputError, UsageError
+from exwarp_cli.io.atomic import atomic_path
+
+UInt8 = npt.NDArray[np.uint8]
+
+CONTAINERS = {".mp4": "mp4", ".mov": "mov"}
+"""ffmpeg's name of the container by file suffix."""
+
+QUALITY_CRF = 16
+"""Constant rate factor of libx264, 0 to 51: 16 cannot be told from the frames by eye."""
+
+# ffmpeg would convert with the matrix of standard definition, and the encoder labels the video with
+# what the filters say, so both stand here.
+_FILTERS = (
+    "scale=out_color_matrix=bt709:out_range=tv:flags=accurate_rnd+full_chroma_int,"
+    "setparams=range=tv:colorspace=bt709:color_primaries=bt709:color_trc=iec61966-2-1"
+)
+
+
+def to_display(pixels: Float32, exposure_stops: float = 0.0) -> UInt8:
+    """Turn scene-linear colour into 8-bit sRGB.
+
+    Parameters
+    ----------
+    pixels
+        float32 [H, W, 3 or more], scene-linear with Rec. 709 primaries; channels past the third
+        are dropped. NaN and negative infinity become 0, positive infinity 255.
+    exposure_stops
+        Factors of two to brighten by before the curve.
+
+    Returns
+    -------
+    numpy.ndarray
+        uint8 [H, W, 3], rounded half up (IEC 61966-2-1).
+    """
+    linear = pixels[..., :3] * np.float32(2.0**exposure_stops)
+    linear = np.nan_to_num(linear, copy=False, nan=0.0, posinf=1.0, neginf=0.0).clip(0.0, 1.0)
+    curved = np.where(
+        linear <= np.float32(0.0031308),
+        linear * np.float32(12.92),
+        np.float32(1.055) * linear ** np.float32(1 / 2.4) - np.float32(0.055),
+    )
+    rounded: UInt8 = np.floor(curved * np.float32(255.0) + np.float32(0.5)).astype(np.uint8)
+    return rounded
+
+
+class VideoWriter:
+    """Write frames to a video that appears when it is whole.
+
+    A context manager: leaving it without an error puts the video in place, with one discards it.
+    ffmpeg is the one that imageio-ffmpeg ships. It is started here, not by that package's
+    ``write_frames``, because that drops the exit status and so takes a full disk for success.
+
+    Parameters
+    ----------
+    path
+        The video, ``.mp4`` or ``.mov``; its folder must exist.
+    width, height
+        Size of the frames, pixels. Odd sizes are padded by repeating the last column or row,
+        since 4:2:0 video has even ones only.
+    fps
+        Frames per second, kept exactly: `Fraction` (120000, 1001), or the nearest fraction of
+        a float.
+
+    Raises
+    ------
+    UsageError
+        For another suffix, or a frame rate that is not positive.
+    OutputError
+        When ffmpeg is missing or fails, or the video cannot be written.
+    """
+
+    def __init__(self, path: Path, width: int, height: int, fps: Fraction | float) -> None:
+        if path.suffix.lower() not in CONTAINERS:
+            raise UsageError(
+                f"the video {path} is neither .mp4 nor .mov; choose a name with one of the two"
+            )
+        if not 0 < fps < float("inf"):
+            raise UsageError(f"the frame rate {fps} of the video is not a positive number")
+        self._path = path
+        self._shape = (height, width, 3)
+        self._rate = Fraction(fps).limit_denominator(100_000)
+        self._stack = ExitStack()
+        self._count = 0
+
+    def __enter__(self) -> VideoWriter:
+        with ExitStack() as stack:
+            temporary = stack.enter_context(atomic_path(self._path))
+            temporary.touch()  # a bad folder shows here, with its reason
+            self._log: IO[bytes] = stack.enter_context(tempfile.TemporaryFile())
+            self._ffmpeg = self._start(temporary)
+            stack.callback(self._kill)
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if error is None:
+            with self._stack:
+                self._finish()
+        else:
+            self._stack.__exit__(kind, error, trace)
+
+    def write(self, frame: UInt8) -> None:
+        """Append a frame, uint8 [H, W, 3] in display encoding; raises OutputError."""
+        if frame.shape != self._shape or frame.dtype != np.uint8:
+            raise ValueError(f"expected uint8 {self._shape}, got {frame.dtype} {frame.shape}")
+        height, width, _ = self._shape
+        if height % 2 or width % 2:
+            frame = np.pad(frame, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
+        assert self._ffmpeg.stdin is not None
+        try:
+            self._ffmpeg.stdin.write(np.ascontiguousarray(frame).data)
+        except OSError as error:  # a broken pipe; why ffmpeg left stands in what it printed
+            raise self._failure() from error
+        self._count += 1
+
+    def _start(self, target: Path) -> subprocess.Popen[bytes]:
+        height, width, _ = self._shape
+        container = CONTAINERS[self._path.suffix.lower()]
+        options = (
+            "-v error -nostdin -y -f rawvideo -pix_fmt rgb24 "
+            f"-s {width + width % 2}x{height + height % 2} -r {self._rate} -i - "
+            f"-vf {_FILTERS} -c:v libx264 -crf {QUALITY_CRF} -pix_fmt yuv420p "
+            f"-movflags +faststart -f {container}"
+        )
+        try:
+            return subprocess.Popen(
+                [imageio_ffmpeg.get_ffmpeg_exe(), *options.split(), f"file:{target}"],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.DEVNULL,
+                stderr=self._log,
+                process_group=0,  # Ctrl-C is for us to answer; ffmpeg then ends with us
+            )
+        except (OSError, RuntimeError) as error:
+            raise OutputError(
+                f"cannot write the video {self._path}: ffmpeg does not start ({error}); "
+                "reinstall the package imageio-ffmpeg, or run without the video"
+            ) from error
+
+    def _finish(self) -> None:
+        assert self._ffmpeg.stdin is not None
+        try:
+            self._ffmpeg.stdin.close()
+        except OSError as error:
+            raise self._failure() from error
+        if self._ffmpeg.wait() != 0:
+            raise self._failure()
+        if self._count == 0:
+            raise OutputError(
+                f"the video {self._path} would have no frames; choose frames to write, or run "
+                "without the video"
+            )
+
+    def _failure(self) -> OutputError:
+        self._kill()
+        self._log.seek(0)
+        lines = self._log.read().decode("utf-8", "replace").strip().splitlines()
+        why = (
+            re.sub(r"^\[.*?\] ", "", lines[-1].strip())
+            if lines
+            else f"exit status {self._ffmpeg.returncode}"
+        )
+        return OutputError(
+            f"cannot write the video {self._path}: ffmpeg says {why!r}; "
+            "check the folder and the space on the disk, or run without the video"
+        )
+
+    def _kill(self) -> None:
+        if self._ffmpeg.poll() is None:
+            self._ffmpeg.kill()
+        self._ffmpeg.wait()
+        if self._ffmpeg.stdin is not None and not self._ffmpeg.stdin.closed:
+            with suppress(OSError):  # what was buffered has no reader any more
+                self._ffmpeg.stdin.close()

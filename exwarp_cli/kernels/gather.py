@@ -1,0 +1,121 @@
+"""Backward sampling of an image along a motion field."""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from exwarp_cli.kernels.jit import parallel, serial
+
+F32 = npt.NDArray[np.float32]
+B8 = npt.NDArray[np.bool_]
+
+
+@serial
+def clamp(value: int, low: int, high: int) -> int:
+    """Return the value, or the nearer bound."""
+    return min(max(value, low), high)
+
+
+def gather_bilinear_text(image: F32, field: F32, out: F32, hole: B8) -> None:
+    """Sample `image` bilinearly at x + field(x) and mark what cannot be sampled.
+
+    Parameters
+    ----------
+    image
+        float32 [H, W, C].
+    field
+        float32 [h, w, 2], pixels, +x right, +y down, from a pixel of `out` to its source; NaN where
+        there is none.
+    out
+        float32 [h, w, C], written; 0 where there is no source, the edge's colour where the source
+        lies outside the image.
+    hole
+        bool [h, w], written: no source, a source outside the image's pixel areas, or a non-finite
+        value among the samples.
+    """
+    height, width, channels = image.shape
+    for row in numba.prange(out.shape[0]):
+        i = np.int64(row)
+        for j in range(out.shape[1]):
+            x = np.float32(j) + field[i, j, 0]
+            y = np.float32(i) + field[i, j, 1]
+            if not (abs(x) < np.float32(1e7) and abs(y) < np.float32(1e7)):
+                hole[i, j] = True
+                for c in range(channels):
+                    out[i, j, c] = np.float32(0.0)
+                continue
+            outside = x < -0.5 or y < -0.5 or x > width - 0.5 or y > height - 0.5
+            left, top = math.floor(x), math.floor(y)
+            fx, fy = x - np.float32(left), y - np.float32(top)
+            x0, x1 = clamp(left, 0, width - 1), clamp(left + 1, 0, width - 1)
+            y0, y1 = clamp(top, 0, height - 1), clamp(top + 1, 0, height - 1)
+            # A sample of weight 0 must not spread its NaN: whole-pixel motion copies exactly.
+            x1 = x0 if fx == 0 else x1
+            y1 = y0 if fy == 0 else y1
+            finite = True
+            for c in range(channels):
+                upper = image[y0, x0, c] * (np.float32(1) - fx) + image[y0, x1, c] * fx
+                lower = image[y1, x0, c] * (np.float32(1) - fx) + image[y1, x1, c] * fx
+                value = upper * (np.float32(1) - fy) + lower * fy
+                finite = finite and math.isfinite(value)
+                out[i, j, c] = value
+            if not finite:
+                for c in range(channels):
+                    out[i, j, c] = np.float32(0.0)
+            hole[i, j] = outside or not finite
+
+
+def compose_text(first: F32, second: F32, out: F32) -> None:
+    """Chain two motion fields: out(x) = first(x) + second(x + first(x)).
+
+    Parameters
+    ----------
+    first, second
+        float32 [H, W, 2], from instant t to t-1 and from t-1 to s; NaN where unknown.
+    out
+        float32 [H, W, 2], written: from t to s. NaN where either is unknown or the way leads
+        outside.
+
+    Notes
+    -----
+    `second` is interpolated bilinearly where its four samples differ by less than a pixel, and
+    taken from the nearest pixel at silhouettes, where a mean would belong to neither surface.
+    """
+    height, width, _ = second.shape
+    for row in numba.prange(first.shape[0]):
+        i = np.int64(row)
+        for j in range(first.shape[1]):
+            x = np.float32(j) + first[i, j, 0]
+            y = np.float32(i) + first[i, j, 1]
+            out[i, j, 0] = np.nan
+            out[i, j, 1] = np.nan
+            if not (x >= -0.5 and y >= -0.5 and x <= width - 0.5 and y <= height - 0.5):
+                continue
+            left, top = math.floor(x), math.floor(y)
+            fx, fy = x - np.float32(left), y - np.float32(top)
+            x0, x1 = clamp(left, 0, width - 1), clamp(left + 1, 0, width - 1)
+            y0, y1 = clamp(top, 0, height - 1), clamp(top + 1, 0, height - 1)
+            smooth = True
+            for c in range(2):
+                a, b = second[y0, x0, c], second[y0, x1, c]
+                d, e = second[y1, x0, c], second[y1, x1, c]
+                spread = max(max(a, b), max(d, e)) - min(min(a, b), min(d, e))
+                smooth = smooth and spread < np.float32(1.0) and math.isfinite(a + b + d + e)
+            for c in range(2):
+                if smooth:
+                    upper = second[y0, x0, c] * (np.float32(1) - fx) + second[y0, x1, c] * fx
+                    lower = second[y1, x0, c] * (np.float32(1) - fx) + second[y1, x1, c] * fx
+                    value = upper * (np.float32(1) - fy) + lower * fy
+                else:
+                    value = second[y1 if fy >= 0.5 else y0, x1 if fx >= 0.5 else x0, c]
+                out[i, j, c] = first[i, j, c] + value
+
+
+gather_bilinear = parallel(gather_bilinear_text)
+gather_bilinear_serial = serial(gather_bilinear_text)
+compose = parallel(compose_text)
+compose_serial = serial(compose_text)

@@ -1,0 +1,223 @@
+"""Finding holes, pixels whose source is another surface, and filling them from the background."""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from exwarp_cli.kernels.gather import clamp
+from exwarp_cli.kernels.jit import parallel, serial
+
+F32 = npt.NDArray[np.float32]
+I32 = npt.NDArray[np.int32]
+B8 = npt.NDArray[np.bool_]
+
+FOOTPRINTS = np.float32(2.0)
+"""How many pixel footprints two world positions may lie apart and still be the same surface: the
+nearest source pixel is up to 0.71 pixels off, and its own sample as much again."""
+
+DEPTH_TOLERANCE = np.float32(0.1)
+"""Relative change of depth up to which two pixels may be the same surface, without positions."""
+
+MIN_COSINE = np.float32(0.98)
+"""Least cosine between the normals of one dynamic surface at both ends (ExtraNet's constant)."""
+
+DIRECTIONS = 16
+BACKGROUND_POWER = 4
+"""Weight of a fill candidate falls with this power of its nearness."""
+
+
+@serial
+def footprint(position: F32, i: int, j: int) -> float:
+    """World-space size of a pixel at (i, j): grows with distance and at grazing angles.
+
+    Of the differences to both neighbours on each axis the smaller counts, so that a silhouette
+    beside the pixel does not enlarge it.
+    """
+    height, width, _ = position.shape
+    total = np.float32(0.0)
+    for axis in range(2):
+        best = np.float32(np.inf)
+        for side in (-1, 1):
+            y = i + side if axis == 0 else i
+            x = j + side if axis == 1 else j
+            if x < 0 or y < 0 or x >= width or y >= height:
+                continue
+            squared = np.float32(0.0)
+            for c in range(3):
+                squared += (position[y, x, c] - position[i, j, c]) ** 2
+            best = min(best, math.sqrt(squared))
+        if best < np.float32(np.inf):
+            total += np.float32(best)
+    return total
+
+
+@serial
+def is_background(depth: F32, i: int, j: int) -> bool:
+    """Whether a pixel shows no surface."""
+    return math.isinf(depth[i, j])
+
+
+@serial
+def other_surface(
+    i: int, j: int, y: int, x: int, positions: tuple[F32, F32], normals: tuple[F32, F32], dynamic: bool
+) -> bool:
+    """Whether position (static) or normal (dynamic) at (i, j) now and (y, x) then disagree."""
+    if dynamic:
+        now, then = normals
+        if now.shape[0] == 0:
+            return False
+        dot, a, b = np.float32(0), np.float32(0), np.float32(0)
+        for c in range(3):
+            dot += now[i, j, c] * then[y, x, c]
+            a += now[i, j, c] ** 2
+            b += then[y, x, c] ** 2
+        return dot < MIN_COSINE * math.sqrt(a * b)
+    here, there = positions
+    if here.shape[0] == 0:
+        return False
+    squared = np.float32(0.0)
+    for c in range(3):
+        squared += (here[i, j, c] - there[y, x, c]) ** 2
+    return math.sqrt(squared) > FOOTPRINTS * footprint(here, i, j)
+
+
+def mark_text(
+    field: F32,
+    depths: tuple[F32, F32],
+    stencils: tuple[I32, I32],
+    positions: tuple[F32, F32],
+    normals: tuple[F32, F32],
+    hole: B8,
+) -> None:
+    """Mark pixels whose source along a motion field is not the same surface point.
+
+    Parameters
+    ----------
+    field
+        float32 [H, W, 2], from the target instant to the source instant; NaN is a hole.
+    depths
+        float32 [H, W] at target and source; +inf background.
+    stencils
+        int32 [H, W] or [0, 0] when unknown; negative where ids mix.
+    positions, normals
+        float32 [H, W, 3] or [0, 0, 3] when unknown.
+    hole
+        bool [H, W], written.
+
+    Notes
+    -----
+    ExtraNet's tests: ids differ; a static pixel's world positions lie further apart than a bias
+    that grows with depth and grazing angle; a dynamic pixel's normal turned. Without positions the
+    depths stand in.
+    """
+    height, width, _ = field.shape
+    known_ids = stencils[0].shape[0] > 0
+    known_positions = positions[0].shape[0] > 0
+    for row in numba.prange(height):
+        i = np.int64(row)
+        for j in range(width):
+            fx, fy = np.float32(j) + field[i, j, 0], np.float32(i) + field[i, j, 1]
+            hole[i, j] = True
+            if not (fx >= -0.5 and fy >= -0.5 and fx <= width - 0.5 and fy <= height - 0.5):
+                continue
+            x = clamp(math.floor(fx + np.float32(0.5)), 0, width - 1)
+            y = clamp(math.floor(fy + np.float32(0.5)), 0, height - 1)
+            sky = is_background(depths[0], i, j)
+            if sky != is_background(depths[1], y, x):
+                continue
+            if sky:
+                hole[i, j] = False
+                continue
+            now, then = (stencils[0][i, j], stencils[1][y, x]) if known_ids else (0, 0)
+            if now >= 0 and then >= 0 and now != then:
+                continue
+            if other_surface(i, j, y, x, positions, normals, now > 0):
+                continue
+            if not known_positions and now <= 0:
+                a, b = depths[0][i, j], depths[1][y, x]
+                if abs(a - b) > DEPTH_TOLERANCE * max(a, b):
+                    continue
+            hole[i, j] = False
+
+
+def fill_text(image: F32, depth: F32, hole: B8, cap: float, reach: int, out: F32) -> None:
+    """Fill holes from the surrounding background.
+
+    Parameters
+    ----------
+    image
+        float32 [H, W, C].
+    depth
+        float32 [H, W], of the visible surface; +inf background, read where `hole` is False.
+    hole
+        bool [H, W].
+    cap
+        Depth at which everything further counts as equally far, scene units.
+    reach
+        How far to look, pixels.
+    out
+        float32 [H, W, C], written: `image`, with holes replaced.
+
+    Notes
+    -----
+    From every hole pixel 16 rays look for the first visible pixel. Candidates are averaged with
+    weights that fall with the distance squared and with the fourth power of nearness to the
+    camera, since a disocclusion shows what lies behind. Nothing found gives 0.
+    """
+    height, width, channels = image.shape
+    for row in numba.prange(height):
+        i = np.int64(row)
+        for j in range(width):
+            if not hole[i, j]:
+                for c in range(channels):
+                    out[i, j, c] = image[i, j, c]
+                continue
+            fill_pixel(i, j, image, depth, hole, (cap, np.float32(reach)), out)
+
+
+@serial
+def fill_pixel(
+    i: int, j: int, image: F32, depth: F32, hole: B8, limits: tuple[float, float], out: F32
+) -> None:
+    """Fill one pixel; see :func:`fill_text`."""
+    height, width, channels = image.shape
+    found_y = np.empty(DIRECTIONS, np.int64)
+    found_x = np.empty(DIRECTIONS, np.int64)
+    steps = np.empty(DIRECTIONS, np.float64)
+    found = 0
+    furthest = 0.0
+    for ray in range(DIRECTIONS):
+        angle = 2 * math.pi * ray / DIRECTIONS
+        dy, dx = math.sin(angle), math.cos(angle)
+        for step in range(1, int(limits[1]) + 1):
+            y, x = round(i + dy * step), round(j + dx * step)
+            if y < 0 or x < 0 or y >= height or x >= width:
+                break
+            if not hole[y, x]:
+                found_y[found], found_x[found], steps[found] = y, x, step
+                furthest = max(furthest, min(depth[y, x], limits[0]))
+                found += 1
+                break
+    total = 0.0
+    for c in range(channels):
+        out[i, j, c] = np.float32(0.0)
+    for k in range(found):
+        y, x = found_y[k], found_x[k]
+        far = min(depth[y, x], limits[0]) / furthest if furthest > 0 else 1.0
+        weight = (far**BACKGROUND_POWER + 1e-6) / (steps[k] * steps[k])
+        total += weight
+        for c in range(channels):
+            out[i, j, c] += np.float32(weight) * image[y, x, c]
+    if total > 0:
+        for c in range(channels):
+            out[i, j, c] = np.float32(out[i, j, c] / total)
+
+
+mark = parallel(mark_text)
+mark_serial = serial(mark_text)
+fill = parallel(fill_text)
+fill_serial = serial(fill_text)

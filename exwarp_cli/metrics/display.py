@@ -1,0 +1,37 @@
+"""From scene-linear colour to the display values that the metrics are defined on."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from exwarp_cli.domain.frame import Float32
+
+PEAK = 255.0
+"""Largest display value: the metrics' constants are those of 8-bit images."""
+
+
+def encode(pixels: Float32) -> Float32:
+    """Clip to [0, 1], apply the sRGB curve (IEC 61966-2-1) and scale to 8-bit range.
+
+    The values are *not* rounded to integers: rounding would hide errors below half a step, and
+    quantise two nearly equal frames into equal ones.
+
+    Parameters
+    ----------
+    pixels
+        float32 [H, W, 3] or more channels, scene-linear with sRGB primaries; channels after the
+        third (alpha) are left out. NaN counts as 0 (black), infinities as the nearer end of the
+        range, so that a broken pixel costs quality instead of turning the score into NaN.
+
+    Returns
+    -------
+    float32 [H, W, 3]
+        0 to 255, finite.
+    """
+    linear = np.clip(pixels[..., :3].astype(np.float32), 0, 1)
+    linear[np.isnan(linear)] = 0
+    # The scale is inside the constants, so that white comes out as 255 and not one ulp below.
+    curve = np.float32(1.055 * PEAK) * linear ** np.float32(1 / 2.4) - np.float32(0.055 * PEAK)
+    toe = np.float32(12.92 * PEAK) * linear
+    shown: Float32 = np.where(linear <= np.float32(0.0031308), toe, curve)
+    return np.clip(shown, 0, np.float32(PEAK))

@@ -1,0 +1,67 @@
+"""What ``exwarp compare`` reports, schema ``exwarp.compare/1``."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from exwarp_cli import __version__
+from exwarp_cli.io.sequence import Sequence
+from exwarp_cli.pipeline.evaluate import Comparison
+from exwarp_cli.report.frames_csv import score_cells, table
+from exwarp_cli.report.quality import quality
+from exwarp_cli.report.summary import finite
+
+SCHEMA = "exwarp.compare/1"
+
+COLUMNS = (
+    *("frame", "reference_frame", "file", "hole_fraction", "psnr_db", "ssim", "flip"),
+    *("psnr_db_holes", "ssim_holes", "flip_holes"),
+)
+"""Columns of frames.csv; `frame` is the test's number."""
+
+
+def comparison(result: Comparison) -> dict[str, Any]:
+    """Turn a comparison into the dictionary of report.json; None is what was not measured."""
+    worst = result.worst
+    document: dict[str, Any] = finite(
+        {
+            "schema": SCHEMA,
+            "version": __version__,
+            "reference": _sequence(result.reference),
+            "test": _sequence(result.test),
+            "masks": None if result.holes is None else _sequence(result.holes),
+            "matched_by": result.matched_by,
+            "width": result.width,
+            "height": result.height,
+            "frames": len(result.frames),
+            "quality": {
+                "all": quality(frame.score for frame in result.frames),
+                "holes": quality(frame.hole_score for frame in result.frames),
+            },
+            "worst": {
+                "frame": worst.test,
+                "reference_frame": worst.reference,
+                "file": worst.file,
+                **dict(zip(("psnr_db", "ssim", "flip"), score_cells(worst.score), strict=True)),
+            },
+        }
+    )
+    return document
+
+
+def comparison_csv(result: Comparison) -> str:
+    """Write a row for every compared frame as CSV text."""
+    rows = (
+        (
+            *(frame.test, frame.reference, frame.file, frame.hole_fraction),
+            *score_cells(frame.score),
+            *score_cells(frame.hole_score),
+        )
+        for frame in result.frames
+    )
+    return table(COLUMNS, rows)
+
+
+def _sequence(sequence: Sequence) -> dict[str, Any]:
+    numbers = sorted(sequence.files)
+    return {"pattern": sequence.pattern, "first": numbers[0], "last": numbers[-1]}

@@ -1,0 +1,65 @@
+"""frames.csv: a row for every written frame."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from exwarp_cli.domain.results import FrameRecord, Score
+from exwarp_cli.report.summary import steps_of
+
+COLUMNS = (
+    *("frame", "file", "key", "slot", "kind", "method", "sources"),
+    *("hole_fraction", "nonfinite_pixels", "psnr_db", "ssim", "flip"),
+    *("psnr_db_holes", "ssim_holes", "flip_holes", "resumed"),
+)
+"""After these come the timed steps, each as ``<step>_ms``."""
+
+
+def frames_csv(frames: tuple[FrameRecord, ...]) -> str:
+    """Write the records as CSV text: a header line, then a row a frame in the given order.
+
+    An empty cell is what was not measured; `sources` are frame numbers with spaces between.
+    """
+    steps = steps_of(frames)
+    header = [*COLUMNS, *(f"{step}_ms" for step in steps)]
+    return table(header, (_row(frame, steps) for frame in frames))
+
+
+def table(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+    """Write a header and rows as CSV text with ``\\n`` line ends; floats keep all their digits."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows([cell(value) for value in row] for row in rows)
+    # A file name need not be valid Unicode; what cannot be encoded is spelled out.
+    return text.getvalue().encode("utf-8", "backslashreplace").decode("utf-8")
+
+
+def cell(value: Any) -> str:
+    """Text of one cell: nothing for None, NaN and infinities, ``true`` and ``false`` in words."""
+    if value is None or (isinstance(value, float) and not math.isfinite(value)):
+        return ""
+    if isinstance(value, bool):
+        return str(value).lower()
+    return repr(float(value)) if isinstance(value, float) else str(value)
+
+
+def score_cells(score: Score | None) -> tuple[float | None, float | None, float | None]:
+    """PSNR, SSIM and FLIP of a score, or three empty cells."""
+    return (None, None, None) if score is None else (score.psnr_db, score.ssim, score.flip)
+
+
+def _row(frame: FrameRecord, steps: list[str]) -> list[Any]:
+    return [
+        *(frame.number, frame.file, frame.key, frame.slot, frame.kind.value, frame.method),
+        " ".join(str(number) for number in frame.sources),
+        *(frame.hole_fraction, frame.nonfinite_pixels),
+        *score_cells(frame.score),
+        *score_cells(frame.hole_score),
+        frame.resumed,
+        *(frame.timing_ms.get(step) for step in steps),
+    ]

@@ -1,0 +1,158 @@
+"""The contract of report.json, schema ``exwarp.report/1``."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+import numpy as np
+
+from exwarp_cli import __version__
+from exwarp_cli.domain.results import FrameKind, FrameRecord, InputSummary, RunSummary
+from exwarp_cli.domain.timeline import FACTOR
+from exwarp_cli.report.decisions import decisions, quality_by_decision
+from exwarp_cli.report.quality import mean, quality
+
+SCHEMA = "exwarp.report/1"
+
+STEPS = ("read", "features", "decide", "warp", "holes", "extrapolate", "write")
+"""Steps of the work that a report always names; a run may time others too."""
+
+HOLE_BINS = 20
+"""Bins of the hole histogram, 5 % of the frame each."""
+
+
+def report(run: RunSummary) -> dict[str, Any]:
+    """Turn a run into the dictionary that report.json holds.
+
+    Keys are a contract: more may come, none is renamed. What was not measured is None, never 0,
+    and no number is NaN or infinite.
+    """
+    shown = tuple(frame for frame in run.frames if frame.slot)
+    found = {
+        "schema": SCHEMA,
+        "version": __version__,
+        "method": run.method,
+        "setting": run.setting,
+        "lookahead": run.lookahead,
+        "input": _input(run.input),
+        "frames": _frames(run.frames),
+        "fps": _fps(run),
+        "holes": _holes(shown),
+        "decisions": decisions(run.path, len(complete_intervals(run.frames))),
+        "quality": _quality(run.path, shown),
+        "timing_ms": _timing(run.frames),
+    }
+    plain: dict[str, Any] = finite(found)
+    return plain
+
+
+def complete_intervals(frames: tuple[FrameRecord, ...]) -> list[list[FrameRecord]]:
+    """Group frames by key frame; leave out groups that lack a slot (the last one without tail)."""
+    groups: dict[int, list[FrameRecord]] = {}
+    for frame in frames:
+        groups.setdefault(frame.key, []).append(frame)
+    return [group for group in groups.values() if len({f.slot for f in group}) == FACTOR]
+
+
+def steps_of(frames: tuple[FrameRecord, ...]) -> list[str]:
+    """Return the steps that a report names: the fixed ones, then others that were timed."""
+    others = {step for frame in frames for step in frame.timing_ms} - set(STEPS)
+    return [*STEPS, *sorted(others)]
+
+
+def finite(value: Any) -> Any:
+    """Return nested dictionaries and lists with plain numbers; NaN and infinities become None."""
+    if isinstance(value, dict):
+        return {key: finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(item) for item in value]
+    if isinstance(value, np.generic):
+        return finite(value.item())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def to_json(document: dict[str, Any]) -> str:
+    """Write a report as JSON text; floats keep all their digits."""
+    return json.dumps(document, indent=2, allow_nan=False) + "\n"
+
+
+def _input(source: InputSummary) -> dict[str, Any]:
+    return {
+        "pattern": source.pattern,
+        "first": source.first,
+        "last": source.last,
+        "width": source.width,
+        "height": source.height,
+        "producer": source.producer,
+        "motion": {"source": source.motion_source, "evidence": source.motion_evidence},
+    }
+
+
+def _frames(frames: tuple[FrameRecord, ...]) -> dict[str, int]:
+    """Count the output frames; `written` counts those of an earlier run (`resumed`) too."""
+    kinds = [frame.kind for frame in frames]
+    return {
+        "key": kinds.count(FrameKind.KEY),
+        "written": len(frames),
+        "generated": kinds.count(FrameKind.GENERATED),
+        "dropped": kinds.count(FrameKind.DROPPED),
+        "resumed": sum(frame.resumed for frame in frames),
+    }
+
+
+def _fps(run: RunSummary) -> dict[str, Any]:
+    """Base, effective and working speed.
+
+    Effective FPS is base x (1 + mean number of generated frames per key interval), over intervals
+    with all their slots: a repeated frame is none for the eye. Throughput is frames that this very
+    run wrote, per second of its wall time.
+    """
+    new = mean(
+        sum(frame.kind is FrameKind.GENERATED for frame in interval)
+        for interval in complete_intervals(run.frames)
+    )
+    fresh = sum(not frame.resumed for frame in run.frames)
+    timed = fresh > 0 and run.wall_seconds > 0
+    return {
+        "base": run.base_fps,
+        "effective": None if new is None else run.base_fps * (1 + new),
+        "throughput": fresh / run.wall_seconds if timed else None,
+        "source": run.fps_source,
+    }
+
+
+def _holes(shown: tuple[FrameRecord, ...]) -> dict[str, Any]:
+    """Distribution of the hole fraction over slots 1 to 3, where it is known."""
+    known = [f.hole_fraction for f in shown if f.hole_fraction is not None]
+    known = [fraction for fraction in known if math.isfinite(fraction)]
+    if not known:
+        return {"mean_fraction": None, "p95_fraction": None, "histogram": None}
+    edges = [i / HOLE_BINS for i in range(HOLE_BINS + 1)]
+    counts, _ = np.histogram(known, bins=edges)
+    return {
+        "mean_fraction": mean(known),
+        "p95_fraction": float(np.percentile(known, 95)),
+        "histogram": {"edges": edges, "counts": counts.tolist()},
+    }
+
+
+def _quality(path: str | None, shown: tuple[FrameRecord, ...]) -> dict[str, Any]:
+    """Mean scores over the frames shown at slots 1 to 3, repeats included."""
+    return {
+        "all": quality(f.score for f in shown),
+        "holes": quality(f.hole_score for f in shown),
+        "by_decision": quality_by_decision(path, shown),
+        "dropped": quality(f.score for f in shown if f.kind is FrameKind.DROPPED),
+    }
+
+
+def _timing(frames: tuple[FrameRecord, ...]) -> dict[str, float | None]:
+    """Mean milliseconds of each step, over the frames that had it."""
+    return {
+        step: mean(f.timing_ms[step] for f in frames if step in f.timing_ms)
+        for step in steps_of(frames)
+    }

@@ -1,0 +1,205 @@
+"""Motion fields of slots, from the G-buffers of key frames or of the slots themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from exwarp_cli.domain.frame import Bool, Float32, GBuffer, Int32
+from exwarp_cli.kernels import edges, gather, holes, splat
+from exwarp_cli.synthesis.camera import background_of, rigid_motion, scene_points
+
+STATIC_TOLERANCE = 0.25
+"""Pixels by which a static pixel's rendered vector may miss the camera's motion."""
+
+
+@dataclass(frozen=True)
+class SlotField:
+    """Where a slot's pixels come from.
+
+    Attributes
+    ----------
+    field
+        float32 [H, W, 2], pixels, +x right, +y down: from the slot to the source frame; NaN where
+        nothing is known.
+    depth
+        float32 [H, W]: depth of the surface that the slot shows; NaN where nothing is known.
+    hole
+        bool [H, W]: the source does not show this surface point.
+    """
+
+    field: Float32
+    depth: Float32
+    hole: Bool
+
+
+def depth_of(gbuffer: GBuffer) -> Float32:
+    """Return a depth to order surfaces by, float32 [H, W], +inf for background.
+
+    Without a depth pass the distance of the world positions from their common centre of projection
+    is not known either, so all surfaces count as equally near.
+    """
+    if gbuffer.depth is not None:
+        return gbuffer.depth
+    if gbuffer.position is None:
+        return np.ones(gbuffer.window.shape, np.float32)
+    return np.where(background_of(gbuffer), np.inf, 1.0).astype(np.float32)
+
+
+def stencil_of(gbuffer: GBuffer) -> Int32:
+    """Return the ids, int32 [H, W], or [0, 0] when unknown."""
+    return gbuffer.stencil if gbuffer.stencil is not None else np.zeros((0, 0), np.int32)
+
+
+def settle_motion(gbuffer: GBuffer) -> GBuffer:
+    """Give every pixel its own surface's motion.
+
+    Renderers filter vectors like colour, so at silhouettes they are mixtures, and background has
+    none. Static pixels and the background get the motion of the recovered cameras, moving edges
+    that of their own inside (SCENES: the mixture is off by up to 8 px).
+    """
+    if not gbuffer.has_motion:
+        return gbuffer
+    depth, stencil = depth_of(gbuffer), stencil_of(gbuffer)
+    edge = np.empty(depth.shape, np.bool_)
+    edges.find_edges(depth, stencil, edge)
+    scene = scene_points(gbuffer)
+
+    def settle(vectors: Float32 | None) -> Float32 | None:
+        if vectors is None:
+            return None
+        rigid = None if scene is None else rigid_motion(scene, vectors, gbuffer.stencil)
+        if rigid is None:
+            rigid = np.full_like(vectors, np.nan)
+        out = np.empty_like(vectors)
+        edges.unmix(vectors, rigid, depth, stencil, edge, np.float32(STATIC_TOLERANCE), out)
+        return out
+
+    return replace(
+        gbuffer, to_previous=settle(gbuffer.to_previous), to_next=settle(gbuffer.to_next)
+    )
+
+
+def displacement(gbuffer: GBuffer, time: float) -> Float32:
+    """Return where points of a key frame are at another time, minus where they are.
+
+    Parameters
+    ----------
+    gbuffer
+        With settled motion.
+    time
+        In key intervals, -1 <= time <= 1; negative is earlier.
+
+    Returns
+    -------
+    float32 [H, W, 2]
+        With n the displacement to the next key frame and p to the previous one, the parabola
+        through both, t (n - p) / 2 + t² (n + p) / 2; else t n, or -t p, constant velocity.
+    """
+    t = np.float32(time)
+    after, before = gbuffer.to_next, gbuffer.to_previous
+    if after is not None and before is not None:
+        half = np.float32(0.5)
+        curve = t * half * (after - before) + t * t * half * (after + before)
+        straight = np.where(np.isfinite(after), t * after, -t * before)
+        return np.where(np.isfinite(curve), curve, straight).astype(np.float32)
+    if after is not None:
+        return t * after
+    assert before is not None
+    return -t * before
+
+
+def reproject(gbuffer: GBuffer, time: float) -> SlotField:
+    """Return the motion field of a slot from a key frame's G-buffer alone (DESIGN's setting 1).
+
+    Parameters
+    ----------
+    gbuffer
+        With settled motion.
+    time
+        Of the slot, in key intervals from this key frame; negative is earlier.
+    """
+    depth = depth_of(gbuffer)
+    motion = displacement(gbuffer, time)
+    owner = _owners(depth, stencil_of(gbuffer))
+    motion = np.ascontiguousarray(motion.reshape(-1, 2)[owner])
+    depth = np.ascontiguousarray(depth.ravel()[owner])
+    field, near = np.empty_like(motion), np.empty_like(depth)
+    reach = np.empty((depth.shape[0], 2), np.float32)
+    splat.row_reach(motion, reach)
+    splat.splat(motion, depth, reach, field, near)
+    return SlotField(field, near, np.isnan(near))
+
+
+def compose_back(slots: Sequence[GBuffer], key: GBuffer) -> list[SlotField]:
+    """Return the motion fields of slots 1, 2 … to their key frame (DESIGN's setting 2).
+
+    Parameters
+    ----------
+    slots
+        G-buffers of the slots after the key frame, in order, with settled motion to the previous
+        slot.
+    key
+        G-buffer of the key frame's instant.
+    """
+    out: list[SlotField] = []
+    total: Float32 | None = None
+    for slot in slots:
+        assert slot.to_previous is not None
+        total = slot.to_previous if total is None else _compose(slot.to_previous, total)
+        out.append(_matched(slot, key, total))
+    return out
+
+
+def compose_forward(slots: Sequence[GBuffer], key: GBuffer) -> list[SlotField]:
+    """Return the motion fields of slots to the key frame after them, by their to-next vectors."""
+    out: list[SlotField] = []
+    total: Float32 | None = None
+    for slot in reversed(slots):
+        assert slot.to_next is not None
+        total = slot.to_next if total is None else _compose(slot.to_next, total)
+        out.append(_matched(slot, key, total))
+    return out[::-1]
+
+
+def _compose(first: Float32, second: Float32) -> Float32:
+    """Chain two fields."""
+    out = np.empty_like(first)
+    gather.compose(first, second, out)
+    return out
+
+
+def _owners(depth: Float32, stencil: Int32) -> Int32:
+    """Return for each pixel the flat index of the pixel whose motion its colour follows."""
+    edge = np.empty(depth.shape, np.bool_)
+    edges.find_edges(depth, stencil, edge)
+    owner = np.empty(depth.shape, np.int32)
+    edges.nearest_surface(depth, edge, owner)
+    return owner
+
+
+def _matched(slot: GBuffer, key: GBuffer, field: Float32) -> SlotField:
+    """Test a field for holes and let silhouettes follow the nearer surface."""
+    depth = depth_of(slot)
+    stencils = (
+        (stencil_of(slot), stencil_of(key))
+        if slot.stencil is not None and key.stencil is not None
+        else (np.zeros((0, 0), np.int32),) * 2
+    )
+    none = np.zeros((0, 0, 3), np.float32)
+    positions = (none, none)
+    if slot.position is not None and key.position is not None:
+        positions = (slot.position, key.position)
+    normals = (none, none)
+    if slot.normal is not None and key.normal is not None:
+        normals = (slot.normal, key.normal)
+    hole = np.empty(depth.shape, np.bool_)
+    holes.mark(field, (depth, depth_of(key)), stencils, positions, normals, hole)
+    owner = _owners(depth, stencil_of(slot))
+    return SlotField(
+        np.ascontiguousarray(field.reshape(-1, 2)[owner]),
+        depth,
+        np.ascontiguousarray(hole.ravel()[owner]),
+    )

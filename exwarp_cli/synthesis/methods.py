@@ -1,0 +1,121 @@
+"""The methods by name: what makes the frame of a slot."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from exwarp_cli.domain.frame import Float32
+from exwarp_cli.domain.results import FrameKind
+from exwarp_cli.domain.timeline import FACTOR
+from exwarp_cli.synthesis.interpolate import blend_by_depth
+from exwarp_cli.synthesis.interval import Interval
+from exwarp_cli.synthesis.warp import fill_background, warp
+
+
+@dataclass(frozen=True)
+class Predicted:
+    """What is shown at a slot.
+
+    Attributes
+    ----------
+    pixels
+        float32 [H, W, C], scene-linear, premultiplied alpha, on the interval's window.
+    kind
+        GENERATED, or DROPPED for a repeat.
+    method
+        Name of the method that made it, which differs from the one asked for after the last key
+        frame.
+    sources
+        Numbers of the key frames that colour came from.
+    """
+
+    pixels: Float32
+    kind: FrameKind
+    method: str
+    sources: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Method:
+    """A way to make the frames of slots.
+
+    Attributes
+    ----------
+    name
+        As on the command line.
+    summary
+        One line for help and listings.
+    predict
+        Called with an interval and a slot, 1 to 3.
+    lookahead
+        Whether it uses the next key frame.
+    needs_motion
+        Whether it cannot do without motion vectors.
+    path
+        The paper's decision path that it is, if any.
+    """
+
+    name: str
+    summary: str
+    predict: Callable[[Interval, int], Predicted]
+    lookahead: bool
+    needs_motion: bool
+    path: str | None = None
+
+
+def _hold(interval: Interval, slot: int) -> Predicted:
+    """Repeat the key frame."""
+    pixels = np.where(np.isfinite(interval.key.image.pixels), interval.key.image.pixels, 0)
+    return Predicted(
+        pixels.astype(np.float32), FrameKind.DROPPED, "hold", (interval.key.number,)
+    )
+
+
+def _s6(interval: Interval, slot: int) -> Predicted:
+    """Warp the key frame to the slot; colour is sampled once, through the whole motion."""
+    pixels = fill_background(warp(interval.key.image.pixels, interval.back(slot)))
+    return Predicted(pixels, FrameKind.GENERATED, "s6", (interval.key.number,))
+
+
+def _causal(interval: Interval, slot: int) -> Predicted:
+    """Do what can be done without a next key frame."""
+    return _s6(interval, slot) if interval.has_motion else _hold(interval, slot)
+
+
+def _blend(interval: Interval, slot: int) -> Predicted:
+    """Cross-fade the key frames."""
+    if interval.following is None:
+        return _causal(interval, slot)
+    share = np.float32(slot / FACTOR)
+    before, after = (
+        np.where(np.isfinite(frame.image.pixels), frame.image.pixels, 0)
+        for frame in (interval.key, interval.following)
+    )
+    pixels = (before + share * (after - before)).astype(np.float32)
+    sources = (interval.key.number, interval.following.number)
+    return Predicted(pixels, FrameKind.GENERATED, "blend", sources)
+
+
+def _softsplat(interval: Interval, slot: int) -> Predicted:
+    """Warp both key frames to the slot and blend them by depth and time."""
+    if interval.following is None:
+        return _causal(interval, slot)
+    before = warp(interval.key.image.pixels, interval.back(slot))
+    after = warp(interval.following.image.pixels, interval.forward(slot))
+    pixels = blend_by_depth(before, after, slot / FACTOR)
+    sources = (interval.key.number, interval.following.number)
+    return Predicted(pixels, FrameKind.GENERATED, "softsplat", sources)
+
+
+METHODS: Mapping[str, Method] = {
+    method.name: method
+    for method in (
+        Method("s6", "warp the last key frame (causal; the paper's path S6)", _s6, False, True, "S6"),
+        Method("softsplat", "warp both key frames and blend by depth", _softsplat, True, True),
+        Method("blend", "cross-fade the key frames", _blend, True, False),
+        Method("hold", "repeat the key frame", _hold, False, False),
+    )
+}

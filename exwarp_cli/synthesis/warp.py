@@ -1,0 +1,64 @@
+"""W: a slot's frame as the key frame's colour, moved (paper, sections II-B and III-B)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from exwarp_cli.domain.frame import Bool, Float32
+from exwarp_cli.kernels import gather, holes
+from exwarp_cli.synthesis.geometry import SlotField
+
+FILL_REACH = 0.25
+"""How far to look for background, as a share of the frame's longer side."""
+
+BEYOND = 2.0
+"""The sky counts as this many times as far as the furthest surface when holes are filled."""
+
+
+@dataclass(frozen=True)
+class Warped:
+    """A warped frame before its holes are filled.
+
+    Attributes
+    ----------
+    pixels
+        float32 [H, W, C], scene-linear; 0 or the frame's edge colour in holes.
+    depth
+        float32 [H, W] of the surface shown.
+    hole
+        bool [H, W]: no source, another surface, outside the source, or a non-finite source pixel.
+    """
+
+    pixels: Float32
+    depth: Float32
+    hole: Bool
+
+
+def warp(pixels: Float32, source: SlotField) -> Warped:
+    """Sample colour once, bilinearly, along a motion field, and find the holes in the same pass.
+
+    Parameters
+    ----------
+    pixels
+        float32 [H, W, C], scene-linear.
+    source
+        Where the slot's pixels come from.
+    """
+    out = np.empty_like(pixels)
+    unseen = np.empty(pixels.shape[:2], np.bool_)
+    gather.gather_bilinear(pixels, source.field, out, unseen)
+    return Warped(out, source.depth, unseen | source.hole)
+
+
+def fill_background(warped: Warped) -> Float32:
+    """Return the warped frame with its holes filled from the surrounding background."""
+    if not warped.hole.any():
+        return warped.pixels
+    finite = warped.depth[np.isfinite(warped.depth) & ~warped.hole]
+    cap = BEYOND * float(finite.max()) if finite.size else 1.0
+    out = np.empty_like(warped.pixels)
+    reach = int(FILL_REACH * max(out.shape[:2])) + 1
+    holes.fill(warped.pixels, warped.depth, warped.hole, np.float32(cap), reach, out)
+    return out
