@@ -75,7 +75,9 @@ class Image:
 
     def on(self, canvas: Window) -> Image:
         """Return the image on another window: cropped, or padded with zeros."""
-        return replace(self, pixels=place(self.pixels, self.data_window, canvas), data_window=canvas)
+        return replace(
+            self, pixels=place(self.pixels, self.data_window, canvas), data_window=canvas
+        )
 
 
 @dataclass(frozen=True)
@@ -112,6 +114,24 @@ class GBuffer:
         """Whether any motion vectors are there."""
         return self.to_previous is not None or self.to_next is not None
 
+    def on(self, canvas: Window) -> GBuffer:
+        """Return the geometry on another window; what is new there is background."""
+        if canvas == self.window:
+            return self
+
+        def moved(array: np.ndarray | None, fill: float = 0.0) -> np.ndarray | None:
+            return None if array is None else place(array, self.window, canvas, fill)
+
+        return GBuffer(
+            canvas,
+            moved(self.depth, np.inf),
+            moved(self.normal),
+            moved(self.position),
+            moved(self.stencil),
+            moved(self.to_previous, np.nan),
+            moved(self.to_next, np.nan),
+        )
+
 
 @dataclass(frozen=True)
 class KeyFrame:
@@ -130,6 +150,11 @@ class KeyFrame:
     number: int
     image: Image
     gbuffer: GBuffer | None
+
+    def on(self, canvas: Window) -> KeyFrame:
+        """Return the frame on another window."""
+        gbuffer = None if self.gbuffer is None else self.gbuffer.on(canvas)
+        return replace(self, image=self.image.on(canvas), gbuffer=gbuffer)
 
 
 def place(array: np.ndarray, window: Window, canvas: Window, fill: float = 0.0) -> np.ndarray:

@@ -98,9 +98,7 @@ _RULES: dict[Role, tuple[_Rule, ...]] = {
         _Rule(("motionvector", "motionvectors", "velocity", "motion"), ("XY", "UV", "RG")),
     ),
     Role.NORMAL: (_Rule(("normal", "worldnormal", "normals", "nworld", "n"), ("XYZ", "RGB")),),
-    Role.POSITION: (
-        _Rule(("position", "worldposition", "pworld", "wp", "p"), ("XYZ", "RGB")),
-    ),
+    Role.POSITION: (_Rule(("position", "worldposition", "pworld", "wp", "p"), ("XYZ", "RGB")),),
     Role.STENCIL: (
         _Rule(
             ("objectindex", "indexob", "mystencil", "stencil", "objectid", "id", "renderid"),

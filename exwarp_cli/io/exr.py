@@ -168,3 +168,9 @@ def _part(index: int, spec: oiio.ImageSpec, multipart: bool) -> Part:
         spec.getattribute("view") or "",
         bool(spec.deep),
     )
+
+
+def set_threads(count: int | None) -> None:
+    """Set how many threads decode; None for all cores."""
+    oiio.attribute("threads", count or 0)
+    oiio.attribute("exr_threads", count or 0)

@@ -112,10 +112,14 @@ def open_shot(spec: str) -> Shot:
     else:
         sequence, aovs = aov_set.colour, dict(aov_set.aovs)
     first = sequence.numbers[0]
-    main = "" if aov_set is None or aov_set.colour is not None else _own_name(aov_set.aovs, sequence)
+    main = (
+        "" if aov_set is None or aov_set.colour is not None else _own_name(aov_set.aovs, sequence)
+    )
     channels: dict[str, tuple[Channel, ...]] = {}
     display = None
-    for aov, path in ({main: sequence.files[first]} | {a: s.files[first] for a, s in aovs.items()}).items():
+    for aov, path in (
+        {main: sequence.files[first]} | {a: s.files[first] for a, s in aovs.items()}
+    ).items():
         with ExrReader(path) as file:
             channels[aov] = tuple(c for part in _hero(file.parts) for c in part.channels)
             display = display or file.parts[0].display_window
@@ -124,7 +128,9 @@ def open_shot(spec: str) -> Shot:
     return Shot(sequence, members, detect(channels), display)
 
 
-def read_raw(shot: Shot, number: int, roles: tuple[Role, ...] = (Role.COLOUR, *GEOMETRY)) -> RawFrame:
+def read_raw(
+    shot: Shot, number: int, roles: tuple[Role, ...] = (Role.COLOUR, *GEOMETRY)
+) -> RawFrame:
     """Read the channels of some roles of one frame.
 
     Raises
@@ -139,7 +145,9 @@ def read_raw(shot: Shot, number: int, roles: tuple[Role, ...] = (Role.COLOUR, *G
     def stack(role: Role, canvas: Window, fill: float) -> Float32 | None:
         if role not in refs:
             return None
-        members = [place(planes[r].astype(np.float32), windows[r], canvas, fill) for r in refs[role]]
+        members = [
+            place(planes[r].astype(np.float32), windows[r], canvas, fill) for r in refs[role]
+        ]
         return np.ascontiguousarray(np.stack(members, axis=-1))
 
     canvas = windows[refs[Role.COLOUR][0]] if Role.COLOUR in refs else shot.display

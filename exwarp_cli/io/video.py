@@ -51,7 +51,8 @@ def to_display(pixels: Float32, exposure_stops: float = 0.0) -> UInt8:
     numpy.ndarray
         uint8 [H, W, 3], rounded half up (IEC 61966-2-1).
     """
-    linear = pixels[..., :3] * np.float32(2.0**exposure_stops)
+    with np.errstate(over="ignore"):  # brightened beyond float32 is white all the same
+        linear = pixels[..., :3] * np.float32(2.0**exposure_stops)
     linear = np.nan_to_num(linear, copy=False, nan=0.0, posinf=1.0, neginf=0.0).clip(0.0, 1.0)
     curved = np.where(
         linear <= np.float32(0.0031308),

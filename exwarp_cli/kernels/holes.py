@@ -63,7 +63,13 @@ def is_background(depth: F32, i: int, j: int) -> bool:
 
 @serial
 def other_surface(
-    i: int, j: int, y: int, x: int, positions: tuple[F32, F32], normals: tuple[F32, F32], dynamic: bool
+    i: int,
+    j: int,
+    y: int,
+    x: int,
+    positions: tuple[F32, F32],
+    normals: tuple[F32, F32],
+    dynamic: bool,
 ) -> bool:
     """Whether position (static) or normal (dynamic) at (i, j) now and (y, x) then disagree."""
     if dynamic:

@@ -7,6 +7,7 @@ kernel costs 0.35 s at import.
 
 from __future__ import annotations
 
+import types
 from collections.abc import Callable
 from typing import Any
 
@@ -22,6 +23,23 @@ def parallel(text: Kernel) -> Kernel:
 
 
 def serial(text: Kernel) -> Kernel:
-    """Compile for one thread."""
-    compiled: Kernel = numba.njit(text, cache=True, nogil=True, error_model="numpy")
+    """Compile for one thread.
+
+    Numba's cache goes by a function's name and not by `parallel`, so the serial build is made from
+    a twin of another name; else one build would be loaded for both.
+    """
+    assert isinstance(text, types.FunctionType)
+    name = f"{text.__name__}_serial"
+    twin = types.FunctionType(
+        text.__code__, text.__globals__, name, text.__defaults__, text.__closure__
+    )
+    twin.__doc__, twin.__module__ = text.__doc__, text.__module__
+    twin.__qualname__ = f"{text.__qualname__}_serial"
+    compiled: Kernel = numba.njit(twin, cache=True, nogil=True, error_model="numpy")
     return compiled
+
+
+def set_threads(count: int | None) -> None:
+    """Set how many threads the parallel builds use; None for all that there are."""
+    most = numba.config.NUMBA_NUM_THREADS
+    numba.set_num_threads(most if count is None else max(1, min(count, most)))

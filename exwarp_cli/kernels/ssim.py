@@ -15,7 +15,6 @@ from exwarp_cli.kernels.jit import parallel, serial
 
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
-Real = npt.NDArray[np.floating]
 
 RADIUS = 5
 """Taps on either side of the centre: 3.5 sigma, rounded."""
@@ -37,17 +36,18 @@ def _gaussian() -> tuple[float, ...]:
 W0, W1, W2, W3, W4, W5 = _gaussian()
 
 
-def ssim_map(reference: Real, test: Real, threads: bool = True) -> F32:
+def ssim_map(reference: F32, test: F32, threads: bool = True) -> F32:
     """Structural similarity of every pixel and channel.
 
     The same numbers as scikit-image's ``structural_similarity`` with ``gaussian_weights=True,
-    sigma=1.5, use_sample_covariance=False, data_range=255, full=True`` on float64 input, except
-    that an image may be smaller than the 11 taps: its reflection is then reflected again.
+    sigma=1.5, use_sample_covariance=False, data_range=255, full=True`` on the same pixels as
+    float64, except that an image may be smaller than the 11 taps: its reflection is then reflected
+    again.
 
     Parameters
     ----------
     reference, test
-        float32 or float64 [H, W, C], display-encoded, 0 to 255, finite, of one shape and dtype.
+        float32 [H, W, C], display-encoded, 0 to 255, finite, of one shape.
     threads
         Whether to use numba's threads; the values are the same bit for bit.
 
@@ -77,20 +77,20 @@ def _mirror(i: int, n: int) -> int:
 # The loops below are apart, with one array written in each, because LLVM vectorises only loops that
 # need few checks for overlap. As one loop over all four sums they took 132 ms instead of 44.
 @serial
-def _add_values(total: F64, weight: float, a: Real, b: Real) -> None:
+def _add_values(total: F64, weight: float, a: F32, b: F32) -> None:
     for i in range(total.size):
         total[i] += weight * (np.float64(a[i]) + np.float64(b[i]))
 
 
 @serial
-def _add_squares(total: F64, weight: float, a: Real, b: Real, c: Real, d: Real) -> None:
+def _add_squares(total: F64, weight: float, a: F32, b: F32, c: F32, d: F32) -> None:
     for i in range(total.size):
         e, f, g, h = np.float64(a[i]), np.float64(b[i]), np.float64(c[i]), np.float64(d[i])
         total[i] += weight * ((e * e + f * f) + (g * g + h * h))
 
 
 @serial
-def _add_products(total: F64, weight: float, a: Real, b: Real, c: Real, d: Real) -> None:
+def _add_products(total: F64, weight: float, a: F32, b: F32, c: F32, d: F32) -> None:
     for i in range(total.size):
         total[i] += weight * (
             np.float64(a[i]) * np.float64(b[i]) + np.float64(c[i]) * np.float64(d[i])
@@ -98,7 +98,7 @@ def _add_products(total: F64, weight: float, a: Real, b: Real, c: Real, d: Real)
 
 
 @serial
-def _column_sums(x: Real, y: Real, row: int, halo: int, sums: F64) -> None:
+def _column_sums(x: F32, y: F32, row: int, halo: int, sums: F64) -> None:
     """Blur x, y, x*x + y*y and x*y downwards, for one row, into the four lines of `sums`."""
     sums[:] = 0.0
     # Each line is sliced by itself: numba takes a line of a sliced block for strided and does not
@@ -149,7 +149,7 @@ def _similarity(mean_x: F64, mean_y: F64, squares: F64, products: F64, out: F32)
 
 
 @serial
-def _band(x: Real, y: Real, channels: int, out: F32, first: int) -> None:
+def _band(x: F32, y: F32, channels: int, out: F32, first: int) -> None:
     """Fill rows `first` to `first + _BAND` of the map."""
     height, span = x.shape
     halo = RADIUS * channels
@@ -164,12 +164,12 @@ def _band(x: Real, y: Real, channels: int, out: F32, first: int) -> None:
 
 
 @serial
-def _fill_serial(x: Real, y: Real, channels: int, out: F32) -> None:
+def _fill_serial(x: F32, y: F32, channels: int, out: F32) -> None:
     for band in range((x.shape[0] + _BAND - 1) // _BAND):
         _band(x, y, channels, out, band * _BAND)
 
 
 @parallel
-def _fill_parallel(x: Real, y: Real, channels: int, out: F32) -> None:
+def _fill_parallel(x: F32, y: F32, channels: int, out: F32) -> None:
     for band in numba.prange((x.shape[0] + _BAND - 1) // _BAND):
         _band(x, y, channels, out, band * _BAND)

@@ -14,7 +14,7 @@ NODES = ("d1", "d2", "d3", "d4", "d5")
 
 
 @dataclass(frozen=True)
-class Path:
+class DecisionPath:
     """One way through the decision tree of a key interval.
 
     Attributes
@@ -31,14 +31,14 @@ class Path:
 
 
 PATHS = {
-    "S1": Path({"d1": EXTRAPOLATE, "d3": EXTRAPOLATE}, (None, EXTRAPOLATE, None)),
-    "S2": Path({"d1": EXTRAPOLATE, "d3": WARP}, (None, EXTRAPOLATE, WARP)),
-    "S3": Path(
+    "S1": DecisionPath({"d1": EXTRAPOLATE, "d3": EXTRAPOLATE}, (None, EXTRAPOLATE, None)),
+    "S2": DecisionPath({"d1": EXTRAPOLATE, "d3": WARP}, (None, EXTRAPOLATE, WARP)),
+    "S3": DecisionPath(
         {"d1": WARP, "d2": EXTRAPOLATE, "d4": EXTRAPOLATE}, (WARP, EXTRAPOLATE, EXTRAPOLATE)
     ),
-    "S4": Path({"d1": WARP, "d2": EXTRAPOLATE, "d4": WARP}, (WARP, EXTRAPOLATE, WARP)),
-    "S5": Path({"d1": WARP, "d2": WARP, "d5": EXTRAPOLATE}, (WARP, WARP, EXTRAPOLATE)),
-    "S6": Path({"d1": WARP, "d2": WARP, "d5": WARP}, (WARP, WARP, WARP)),
+    "S4": DecisionPath({"d1": WARP, "d2": EXTRAPOLATE, "d4": WARP}, (WARP, EXTRAPOLATE, WARP)),
+    "S5": DecisionPath({"d1": WARP, "d2": WARP, "d5": EXTRAPOLATE}, (WARP, WARP, EXTRAPOLATE)),
+    "S6": DecisionPath({"d1": WARP, "d2": WARP, "d5": WARP}, (WARP, WARP, WARP)),
 }
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from exwarp_cli.domain.results import RunSummary
+from exwarp_cli.errors import OutputExistsError
 from exwarp_cli.io.atomic import atomic_write_text, make_folder
 from exwarp_cli.pipeline.evaluate import Comparison
 from exwarp_cli.report.comparison import comparison, comparison_csv
@@ -13,6 +14,23 @@ from exwarp_cli.report.summary import report, to_json
 
 REPORT_FILE = "report.json"
 FRAMES_FILE = "frames.csv"
+
+
+def prepare_report(folder: Path, replace: bool) -> None:
+    """Make the folder before the work, and refuse to replace a report unless asked.
+
+    Raises
+    ------
+    OutputExistsError
+        When a report is there and `replace` is False.
+    OutputError
+        When the folder cannot be made.
+    """
+    if (folder / REPORT_FILE).exists() and not replace:
+        raise OutputExistsError(
+            f"{folder} holds a report already; give --overwrite to replace it, or another --report"
+        )
+    make_folder(folder)
 
 
 def write_report(folder: Path, run: RunSummary) -> None:

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import csv
 import io
-import math
 from collections.abc import Iterable, Sequence
 from typing import Any
 
 from exwarp_cli.domain.results import FrameRecord, Score
-from exwarp_cli.report.summary import steps_of
+from exwarp_cli.report.summary import finite, steps_of
 
 COLUMNS = (
     *("frame", "file", "key", "slot", "kind", "method", "sources"),
@@ -41,11 +40,10 @@ def table(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
 
 def cell(value: Any) -> str:
     """Text of one cell: nothing for None, NaN and infinities, ``true`` and ``false`` in words."""
-    if value is None or (isinstance(value, float) and not math.isfinite(value)):
+    value = finite(value)
+    if value is None:
         return ""
-    if isinstance(value, bool):
-        return str(value).lower()
-    return repr(float(value)) if isinstance(value, float) else str(value)
+    return str(value).lower() if isinstance(value, bool) else str(value)
 
 
 def score_cells(score: Score | None) -> tuple[float | None, float | None, float | None]:

@@ -159,8 +159,10 @@ def calibrate(
             f"no reading of the motion channels explains the motion between frames {frames} (error "
             f"{error:.3f}, {still:.3f} without motion); check the pass, or give --motion"
         )
-    maps = {later: _named_or_best(ranked[(c, later)], measured[(c, later)], guess)[1]
-            for c, later in choice}
+    maps = {
+        later: _named_or_best(ranked[(c, later)], measured[(c, later)], guess)[1]
+        for c, later in choice
+    }
     convention = MotionConvention(maps.get(False), maps.get(True))
     rival = min(_rival(ranked[k], measured[k], maps[k[1]]) for k in choice)
     if guess is None and rival < error * TIE_RATIO:

@@ -223,12 +223,15 @@ def _solve(points: F64, pixels: F64, weights: F64) -> F64 | None:
     """Return the 3x4 matrix of least algebraic error, None when it is not determined."""
     x, y = pixels[:, :1], pixels[:, 1:]
     zero = np.zeros_like(points)
-    rows = np.concatenate(
-        [
-            np.concatenate([points, zero, -x * points], axis=1),
-            np.concatenate([zero, points, -y * points], axis=1),
-        ]
-    ) * np.concatenate([weights, weights])[:, None]
+    rows = (
+        np.concatenate(
+            [
+                np.concatenate([points, zero, -x * points], axis=1),
+                np.concatenate([zero, points, -y * points], axis=1),
+            ]
+        )
+        * np.concatenate([weights, weights])[:, None]
+    )
     used = rows[np.abs(rows).sum(axis=1) > 0]
     if len(used) < 2 * MIN_SAMPLES:
         return None

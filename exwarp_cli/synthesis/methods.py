@@ -12,7 +12,7 @@ from exwarp_cli.domain.results import FrameKind
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.synthesis.interpolate import blend_by_depth
 from exwarp_cli.synthesis.interval import Interval
-from exwarp_cli.synthesis.warp import fill_background, warp
+from exwarp_cli.synthesis.warp import fill_background, repair, warp
 
 
 @dataclass(frozen=True)
@@ -68,10 +68,8 @@ class Method:
 
 def _hold(interval: Interval, slot: int) -> Predicted:
     """Repeat the key frame."""
-    pixels = np.where(np.isfinite(interval.key.image.pixels), interval.key.image.pixels, 0)
-    return Predicted(
-        pixels.astype(np.float32), FrameKind.DROPPED, "hold", (interval.key.number,)
-    )
+    pixels = repair(interval.key.image.pixels)
+    return Predicted(pixels, FrameKind.DROPPED, "hold", (interval.key.number,))
 
 
 def _s6(interval: Interval, slot: int) -> Predicted:
@@ -90,10 +88,7 @@ def _blend(interval: Interval, slot: int) -> Predicted:
     if interval.following is None:
         return _causal(interval, slot)
     share = np.float32(slot / FACTOR)
-    before, after = (
-        np.where(np.isfinite(frame.image.pixels), frame.image.pixels, 0)
-        for frame in (interval.key, interval.following)
-    )
+    before, after = repair(interval.key.image.pixels), repair(interval.following.image.pixels)
     pixels = (before + share * (after - before)).astype(np.float32)
     sources = (interval.key.number, interval.following.number)
     return Predicted(pixels, FrameKind.GENERATED, "blend", sources)
@@ -113,7 +108,9 @@ def _softsplat(interval: Interval, slot: int) -> Predicted:
 METHODS: Mapping[str, Method] = {
     method.name: method
     for method in (
-        Method("s6", "warp the last key frame (causal; the paper's path S6)", _s6, False, True, "S6"),
+        Method(
+            "s6", "warp the last key frame (causal; the paper's path S6)", _s6, False, True, "S6"
+        ),
         Method("softsplat", "warp both key frames and blend by depth", _softsplat, True, True),
         Method("blend", "cross-fade the key frames", _blend, True, False),
         Method("hold", "repeat the key frame", _hold, False, False),

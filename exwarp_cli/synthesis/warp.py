@@ -52,6 +52,15 @@ def warp(pixels: Float32, source: SlotField) -> Warped:
     return Warped(out, source.depth, unseen | source.hole)
 
 
+def repair(pixels: Float32) -> Float32:
+    """Return a frame whose non-finite pixels are filled from around them; itself if it has none."""
+    broken = ~np.isfinite(pixels).all(axis=-1)
+    if not broken.any():
+        return pixels
+    clean = np.where(broken[..., None], np.float32(0), pixels)
+    return fill_background(Warped(clean, np.ones(broken.shape, np.float32), broken))
+
+
 def fill_background(warped: Warped) -> Float32:
     """Return the warped frame with its holes filled from the surrounding background."""
     if not warped.hole.any():

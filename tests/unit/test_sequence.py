@@ -90,6 +90,7 @@ class TestNumbers:
             (["f.-2.exr", "f.-1.exr", "f.0.exr", "f.1.exr"], 1, [-2, -1, 0, 1]),
             (["f.-001.exr", "f.0000.exr", "f.0001.exr"], 4, [-1, 0, 1]),
             (["f.-0001.exr", "f.0000.exr"], 4, [-1, 0]),
+            (["f.-012.exr", "f.-001.exr"], 4, [-12, -1]),
             (["shot-0001.exr", "shot-0002.exr"], 4, [1, 2]),
             (["0001.exr", "0002.exr"], 4, [1, 2]),
             (["v10007.EXR", "v10008.EXR"], 5, [10007, 10008]),
@@ -111,6 +112,17 @@ class TestNumbers:
         fill(tmp_path, "f.999.exr", "f.1000.exr")
         with pytest.raises(InputError, match=r"no frame .* matches f\.####\.exr; there is f\.###"):
             find_sequence(f"{tmp_path}/f.####.exr")
+
+    def test_frames_past_the_padding_belong_to_the_widest_one(self):
+        names = ["f.001.exr", "f.0001.exr", "f.1000.exr"]
+        assert group_names(NamePattern("f.", 1, ".exr"), names) == [
+            (3, {1: "f.001.exr"}),
+            (4, {1: "f.0001.exr", 1000: "f.1000.exr"}),
+        ]
+
+    def test_a_fitting_pattern_settles_the_padding(self, tmp_path):
+        fill(tmp_path, "f.1001.exr", "f.1002.exr")
+        assert find_sequence(f"{tmp_path}/f.%02d.exr").padding == 2
 
     def test_a_base_that_ends_in_digits_is_taken_at_its_word(self, tmp_path):
         fill(tmp_path, "v20001.exr", "v20002.exr", "v30001.exr")

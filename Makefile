@@ -1,0 +1,53 @@
+# make test     lint, types, layers and all tests, in a virtual environment made on first use
+# make check    the same without the tests
+# make bench    the benchmarks
+# make demo     upsample the example, score it against its ground truth, make a video
+# make clean    remove all that make made
+
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+
+# The first folder under examples/ that holds rendered key frames.
+EXAMPLE ?= $(firstword $(patsubst examples/%/keys,%,$(wildcard examples/*/keys)))
+METHOD ?= softsplat
+DEMO := build/demo
+
+.PHONY: test check bench demo clean
+
+test: check
+	$(BIN)/pytest
+
+check: $(STAMP)
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+bench: $(STAMP)
+	$(BIN)/pytest tests/bench --benchmark-enable --benchmark-only
+
+demo: $(STAMP)
+	@test -n "$(EXAMPLE)" || { echo "make: no examples/*/keys folder; see examples/" >&2; exit 1; }
+	$(BIN)/exwarp upsample examples/$(EXAMPLE)/keys -o $(DEMO)/frames --method $(METHOD) \
+	    --ground-truth examples/$(EXAMPLE)/truth --report $(DEMO)/report \
+	    --video $(DEMO)/$(EXAMPLE).mp4 --overwrite
+	@echo
+	@echo "frames  $(DEMO)/frames"
+	@echo "report  $(DEMO)/report/report.html"
+	@echo "video   $(DEMO)/$(EXAMPLE).mp4"
+
+clean:
+	rm -rf $(VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .benchmarks .import_linter_cache
+	find exwarp_cli tests examples -name __pycache__ -type d -prune -exec rm -rf {} +
+
+$(STAMP): pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	    { echo "make: $(PYTHON) is missing or older than 3.11; name another, as in make PYTHON=python3.12" >&2; exit 1; }
+	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || \
+	    { echo "make: $(PYTHON) cannot make virtual environments; on Debian and Ubuntu: apt install python3-venv" >&2; exit 1; }
+	test -x $(BIN)/pip || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --upgrade 'pip>=25.1'
+	$(BIN)/python -m pip install --quiet --editable . --group test
+	@touch $@

@@ -1,0 +1,133 @@
+"""``exwarp upsample``: the main job."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+if TYPE_CHECKING:
+    from exwarp_cli.domain.results import RunSummary
+
+
+class FrameRate(click.ParamType):
+    """Frames per second, exactly: 30, 23.976, 24000/1001."""
+
+    name = "fps"
+
+    def convert(
+        self, value: object, param: click.Parameter | None, ctx: click.Context | None
+    ) -> Fraction:
+        """Read a rate; the broadcast rates written with three decimals become exact."""
+        try:
+            rate = Fraction(str(value))
+        except (ValueError, ZeroDivisionError):
+            self.fail(f"{value!r} is not a frame rate; write for example 30 or 24000/1001")
+        broadcast = Fraction(round(rate) * 1000, 1001)
+        if rate.denominator > 1 and abs(rate - broadcast) < Fraction(1, 1000):
+            rate = broadcast
+        if rate <= 0:
+            self.fail(f"{value!r} is not a frame rate; it must be above 0")
+        return rate
+
+
+@click.command("upsample")
+@click.argument("sequence")
+@click.option("-o", "--output", required=True, metavar="DIR|PATTERN", help="Where frames go.")
+@click.option(
+    "-m",
+    "--method",
+    default="softsplat",
+    show_default=True,
+    metavar="NAME",
+    help="s6: warp the last key frame; softsplat: warp both neighbours and blend by depth; "
+    "blend: cross-fade; hold: repeat.",
+)
+@click.option("--frames", metavar="RANGE", help="Key frames to do, by number: 1001-1100x2, 1-10:2.")
+@click.option("--gbuffers", metavar="SEQ", help="G-buffers rendered at the output rate.")
+@click.option(
+    "--motion",
+    metavar="CONVENTION",
+    help="Read vectors so, and measure nothing: a "
+    "preset (blender, unreal, forward, backward) or e.g. 'previous=X,-Y next=-Z,W'.",
+)
+@click.option("--fps", type=FrameRate(), help="Rate of the input; else the header's, else 30.")
+@click.option("--start-frame", type=int, help="Number of the first output frame.")
+@click.option(
+    "--tail/--no-tail", default=True, help="Predict past the last key frame, or stop there."
+)
+@click.option("--ground-truth", metavar="SEQ", help="Score against this sequence.")
+@click.option(
+    "--report",
+    "report_folder",
+    metavar="DIR",
+    type=click.Path(path_type=Path),
+    help="Write report.json and frames.csv there.",
+)
+@click.option("--video", metavar="FILE", help="Also write an MP4 or MOV.")
+@click.option("--exposure", type=float, default=0.0, show_default=True, help="Of the video, stops.")
+@click.option("--write-holes", metavar="DIR|PATTERN", help="Also write the hole masks.")
+@click.option("--compression", metavar="NAME", help="Of generated frames: zip, piz, dwaa, none …")
+@click.option("--skip-existing", is_flag=True, help="Keep good frames of an earlier run.")
+@click.option("--overwrite", is_flag=True, help="Replace frames that exist.")
+@click.option("--threads", type=click.IntRange(1), help="Default: all cores.")
+@click.option(
+    "--progress",
+    type=click.Choice(["auto", "bar", "plain", "json", "none"]),
+    default="auto",
+    show_default=True,
+)
+def command(
+    report_folder: Path | None,
+    progress: str,
+    sequence: str,
+    gbuffers: str | None,
+    motion: str | None,
+    fps: Fraction | None,
+    start_frame: int | None,
+    tail: bool,
+    **options: object,
+) -> None:
+    """Write SEQUENCE at four times its frame rate.
+
+    SEQUENCE is a folder, a pattern such as shot.####.exr, or any one frame. Rendered frames pass
+    through unchanged; frames 1, 2, 3 after each are made from its motion vectors.
+    """
+    from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
+    from exwarp_cli.pipeline.progress import make_progress
+    from exwarp_cli.pipeline.upsample import upsample
+    from exwarp_cli.report.folder import prepare_report, write_report
+
+    source = SourceSettings(sequence, gbuffers, motion, fps, start_frame, tail)
+    settings = UpsampleSettings(source, **options)  # type: ignore[arg-type]
+    if report_folder is not None:
+        prepare_report(report_folder, replace=settings.overwrite or settings.skip_existing)
+    summary = upsample(settings, make_progress(progress))
+    if report_folder is not None:
+        write_report(report_folder, summary)
+    _print(summary, settings.output, report_folder)
+
+
+def _print(summary: RunSummary, output: str, report_folder: Path | None) -> None:
+    """Say in a few lines what was done."""
+    from exwarp_cli.report.summary import report
+
+    document = report(summary)
+    frames, fps, quality = document["frames"], document["fps"], document["quality"]["all"]
+    click.echo(
+        f"{frames['written']} frames in {output}: {frames['key']} rendered, {frames['generated']} "
+        f"generated, {frames['dropped']} repeated"
+    )
+    effective = "" if fps["effective"] is None else f", effective {fps['effective']:g}"
+    click.echo(f"{fps['base']:g} fps in, {4 * fps['base']:g} out{effective}")
+    if document["holes"]["mean_fraction"] is not None:
+        click.echo(f"holes {document['holes']['mean_fraction']:.1%} of the pixels on average")
+    if quality["frames"]:
+        click.echo(
+            f"against ground truth ({quality['frames']} frames): PSNR {quality['psnr_db']:.2f} dB, "
+            f"SSIM {quality['ssim']:.4f}, FLIP {quality['flip']:.4f}"
+        )
+    if report_folder is not None:
+        click.echo(f"report in {report_folder}")

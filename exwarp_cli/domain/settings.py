@@ -1,0 +1,85 @@
+"""What a user asks of a run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+
+
+@dataclass(frozen=True)
+class SourceSettings:
+    """How the input is read.
+
+    Attributes
+    ----------
+    sequence
+        Folder, pattern or any frame of the key frames.
+    gbuffers
+        The same for G-buffers at the output rate; None when only key frames have them.
+    motion
+        A motion convention by hand: a preset's name or for example ``previous=X,-Y next=-Z,W``;
+        None to measure it.
+    fps
+        Frames per second of the key frames; None to take the header's, else `DEFAULT_FPS`.
+    start_frame
+        Number of the first output frame; None for the first key frame's.
+    tail
+        Whether to predict past the last key frame.
+    """
+
+    sequence: str
+    gbuffers: str | None = None
+    motion: str | None = None
+    fps: Fraction | None = None
+    start_frame: int | None = None
+    tail: bool = True
+
+
+@dataclass(frozen=True)
+class UpsampleSettings:
+    """What `upsample` writes, and how.
+
+    Attributes
+    ----------
+    source
+        The input.
+    output
+        Folder or pattern for the frames.
+    method
+        Name in the registry of methods.
+    frames
+        Range of key frames by input number; None for all.
+    ground_truth
+        Sequence at the output rate to score against.
+    compression
+        Of generated frames; None keeps the key frame's.
+    skip_existing
+        Keep frames that an earlier run wrote, if they are undamaged and would come out the same.
+    overwrite
+        Replace frames that exist.
+    video
+        Path of a video to write too.
+    exposure
+        Of the video, in stops.
+    write_holes
+        Folder or pattern for hole masks.
+    threads
+        For encoding and the kernels; None for all cores.
+    """
+
+    source: SourceSettings
+    output: str
+    method: str = "softsplat"
+    frames: str | None = None
+    ground_truth: str | None = None
+    compression: str | None = None
+    skip_existing: bool = False
+    overwrite: bool = False
+    video: str | None = None
+    exposure: float = 0.0
+    write_holes: str | None = None
+    threads: int | None = None
+
+
+DEFAULT_FPS = Fraction(30)
+"""Base rate where neither the user nor the header tells one."""

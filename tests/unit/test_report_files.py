@@ -1,0 +1,106 @@
+"""frames.csv, and the folder that the report's files lie in."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from exwarp_cli.domain.results import Score
+from exwarp_cli.errors import OutputError
+from exwarp_cli.report.folder import write_report
+from exwarp_cli.report.frames_csv import cell, frames_csv
+from tests.unit.sample_runs import interval, path_run, run
+
+COLUMNS = [
+    *("frame", "file", "key", "slot", "kind", "method", "sources"),
+    *("hole_fraction", "nonfinite_pixels", "psnr_db", "ssim", "flip"),
+    *("psnr_db_holes", "ssim_holes", "flip_holes", "resumed"),
+]
+STEPS = ("read", "features", "decide", "warp", "holes", "extrapolate", "write")
+TIMES = [f"{step}_ms" for step in STEPS]
+
+
+def rows_of(text: str) -> list[dict[str, str]]:
+    return list(csv.DictReader(io.StringIO(text)))
+
+
+def test_columns_are_those_of_the_contract() -> None:
+    assert frames_csv(()).splitlines() == [",".join(COLUMNS + TIMES)]
+
+
+def test_every_value_has_its_cell() -> None:
+    first, second, *_ = interval(1001, "ggg", 1001)
+    second = replace(
+        second,
+        sources=(1001, 1002),
+        hole_fraction=0.1,
+        nonfinite_pixels=0,
+        score=Score(34.5, 0.9, 1 / 3),
+        hole_score=Score(20.25, 0.5, 0.5),
+        resumed=True,
+        timing_ms={"warp": 1.5, "score": 7.0},
+    )
+    key, row = rows_of(frames_csv((first, second)))
+    assert list(row) == [*COLUMNS, *TIMES, "score_ms"]
+    filled = {name: value for name, value in row.items() if value != ""}
+    assert filled == {
+        "frame": "1002",
+        "file": "shot.1002.exr",
+        "key": "1001",
+        "slot": "1",
+        "kind": "generated",
+        "method": "warp",
+        "sources": "1001 1002",
+        "hole_fraction": "0.1",
+        "nonfinite_pixels": "0",
+        "psnr_db": "34.5",
+        "ssim": "0.9",
+        "flip": repr(1 / 3),
+        "psnr_db_holes": "20.25",
+        "ssim_holes": "0.5",
+        "flip_holes": "0.5",
+        "resumed": "true",
+        "warp_ms": "1.5",
+        "score_ms": "7.0",
+    }
+    assert key["psnr_db"] == key["hole_fraction"] == key["warp_ms"] == ""
+    assert (key["kind"], key["resumed"]) == ("key", "false")
+
+
+def test_rows_keep_their_order() -> None:
+    rows = rows_of(frames_csv(path_run("S1", 2).frames))
+    assert [row["frame"] for row in rows] == [str(n) for n in range(1001, 1009)]
+    assert [row["kind"] for row in rows[:4]] == ["key", "dropped", "generated", "dropped"]
+
+
+@pytest.mark.parametrize("value", [None, math.nan, math.inf, -math.inf])
+def test_unmeasured_cells_are_empty(value: float | None) -> None:
+    assert cell(value) == ""
+
+
+def test_file_names_that_csv_could_break_on_come_back() -> None:
+    frame = replace(interval(1001, "", 1001)[0], file='a, "b" \udcff.exr')
+    text = frames_csv((frame,))
+    assert rows_of(text)[0]["file"] == 'a, "b" \\udcff.exr'
+
+
+def test_folder_is_made_and_files_are_whole(tmp_path: Path) -> None:
+    folder = tmp_path / "new" / "report"
+    write_report(folder, path_run("S6", 2))
+    assert sorted(p.name for p in folder.iterdir()) == ["frames.csv", "report.json"]
+    assert json.loads((folder / "report.json").read_text())["frames"]["written"] == 8
+    assert len(rows_of((folder / "frames.csv").read_text())) == 8
+    write_report(folder, run([]))
+    assert json.loads((folder / "report.json").read_text())["frames"]["written"] == 0
+
+
+def test_folder_that_cannot_be_made_is_an_output_error(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OutputError):
+        write_report(tmp_path / "file", run([]))

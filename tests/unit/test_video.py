@@ -1,0 +1,159 @@
+"""The preview video: display encoding, exact rates, whole or absent."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from fractions import Fraction
+from pathlib import Path
+
+import imageio_ffmpeg
+import numpy as np
+import pytest
+
+from exwarp_cli.errors import OutputError, UsageError
+from exwarp_cli.io.video import VideoWriter, to_display
+
+
+def ffmpeg(*arguments: str) -> subprocess.CompletedProcess[bytes]:
+    program = imageio_ffmpeg.get_ffmpeg_exe()
+    return subprocess.run([program, "-nostdin", *arguments], capture_output=True, check=False)
+
+
+def decode(path: Path, width: int, height: int) -> np.ndarray:
+    matrix = "scale=in_color_matrix=bt709"
+    raw = ffmpeg("-i", str(path), "-vf", matrix, "-f", "rawvideo", "-pix_fmt", "rgb24", "-")
+    return np.frombuffer(raw.stdout, np.uint8).reshape(-1, height, width, 3)
+
+
+def flat(width: int, height: int, *colour: int) -> np.ndarray:
+    return np.full((height, width, 3), colour, np.uint8)
+
+
+class TestToDisplay:
+    def test_the_curve_against_the_standard_in_double_precision(self):
+        linear = np.linspace(0, 1, 4001, dtype=np.float32).reshape(1, -1, 1).repeat(3, axis=2)
+        exact = linear.astype(np.float64)
+        curved = np.where(exact <= 0.0031308, 12.92 * exact, 1.055 * exact ** (1 / 2.4) - 0.055)
+        distance = np.abs(to_display(linear) - 255 * curved)
+        assert distance.max() < 0.5 + 1e-4
+
+    def test_every_code_value_survives(self):
+        codes = np.arange(256, dtype=np.float64) / 255
+        linear = np.where(codes <= 0.04045, codes / 12.92, ((codes + 0.055) / 1.055) ** 2.4)
+        pixels = linear.astype(np.float32).reshape(16, 16, 1).repeat(3, axis=2)
+        assert np.array_equal(to_display(pixels)[..., 0].ravel(), np.arange(256))
+
+    def test_halves_are_rounded_up(self):
+        # 0.5/255 and 1.5/255 on the linear part; the float just below must stay below
+        for code in (0.5, 1.5):
+            x = np.float32(code / 255 / 12.92)
+            around = np.array([x * (1 - 1e-5), x * (1 + 1e-5)], np.float32)
+            found = to_display(around.reshape(1, 2, 1).repeat(3, axis=2))[0, :, 0]
+            assert list(found) == [int(code - 0.5), int(code + 0.5)]
+
+    def test_out_of_range_and_non_finite_values(self):
+        values = [-5.0, -np.inf, np.nan, np.inf, 7.0, 3e38]
+        pixels = np.array(values, np.float32).reshape(1, -1, 1).repeat(3, axis=2)
+        assert list(to_display(pixels)[0, :, 0]) == [0, 0, 0, 255, 255, 255]
+        assert list(to_display(pixels, exposure_stops=20)[0, :, 0]) == [0, 0, 0, 255, 255, 255]
+
+    def test_exposure_is_in_stops(self):
+        pixels = np.full((2, 2, 3), 0.1, np.float32)
+        assert np.array_equal(to_display(pixels, 2.0), to_display(pixels * 4))
+
+    def test_alpha_is_dropped_and_the_input_kept(self):
+        pixels = np.full((2, 3, 4), np.nan, np.float32)
+        assert to_display(pixels).shape == (2, 3, 3)
+        assert np.isnan(pixels).all()
+
+
+class TestVideoWriter:
+    def test_frames_come_back_in_order_and_colour(self, tmp_path):
+        shades = [(200, 40, 30), (20, 180, 60), (30, 60, 220), (128, 128, 128), (255, 255, 255)]
+        path = tmp_path / "ä %d #.mp4"
+        with VideoWriter(path, 64, 32, 120) as video:
+            for shade in shades:
+                video.write(flat(64, 32, *shade))
+            assert not path.exists()
+        assert [entry.name for entry in tmp_path.iterdir()] == [path.name]
+        frames = decode(path, 64, 32)
+        assert frames.shape[0] == len(shades)
+        difference = frames.astype(int) - np.array(shades)[:, None, None, :]
+        assert np.abs(difference).max() <= 3
+
+    @pytest.mark.parametrize("suffix", [".mp4", ".mov", ".MP4"])
+    def test_rate_and_tags(self, tmp_path, suffix):
+        path = tmp_path / f"a{suffix}"
+        with VideoWriter(path, 32, 32, Fraction(30000, 1001) * 4) as video:
+            for _ in range(8):
+                video.write(flat(32, 32, 9, 9, 9))
+        told = ffmpeg("-i", str(path)).stderr.decode()
+        assert "119.88 fps" in told and "120k tbn" in told
+        assert re.search(r"h264.*yuv420p\(tv, bt709/bt709/iec61966-2-1", told)
+
+    @pytest.mark.parametrize(("fps", "rate"), [(23.976023976, "24000/1001"), (96.0, "96")])
+    def test_a_float_rate_becomes_the_fraction_that_is_meant(self, tmp_path, fps, rate):
+        assert str(VideoWriter(tmp_path / "a.mp4", 2, 2, fps)._rate) == rate
+
+    def test_odd_sizes_are_padded_by_the_edge(self, tmp_path):
+        frame = flat(33, 17, 40, 40, 40)
+        frame[:, -1] = frame[-1, :] = 220
+        with VideoWriter(tmp_path / "a.mp4", 33, 17, 24) as video:
+            video.write(frame)
+        (shown,) = decode(tmp_path / "a.mp4", 34, 18)
+        assert shown[:, -1].min() > 190 and shown[-1, :].min() > 190
+
+    def test_a_frame_of_another_size_is_a_defect(self, tmp_path):
+        writer = VideoWriter(tmp_path / "a.mp4", 32, 32, 24)
+        with pytest.raises(ValueError, match="expected uint8"), writer as video:
+            video.write(flat(16, 32, 0, 0, 0))
+        assert list(tmp_path.iterdir()) == []
+
+    @pytest.mark.parametrize("name", ["a.avi", "a", "a.exr", "mp4"])
+    def test_other_containers_are_refused(self, tmp_path, name):
+        with pytest.raises(UsageError, match=r"neither \.mp4 nor \.mov"):
+            VideoWriter(tmp_path / name, 32, 32, 24)
+
+    @pytest.mark.parametrize("fps", [0, -1.0, float("nan"), float("inf")])
+    def test_a_rate_must_be_positive(self, tmp_path, fps):
+        with pytest.raises(UsageError, match="frame rate"):
+            VideoWriter(tmp_path / "a.mp4", 32, 32, fps)
+
+    @pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
+    def test_an_interrupted_video_leaves_nothing(self, tmp_path, error):
+        with pytest.raises(error), VideoWriter(tmp_path / "a.mp4", 32, 32, 24) as video:
+            video.write(flat(32, 32, 1, 2, 3))
+            raise error
+        assert list(tmp_path.iterdir()) == []
+
+    def test_no_frames_no_video(self, tmp_path):
+        writer = VideoWriter(tmp_path / "a.mp4", 32, 32, 24)
+        with pytest.raises(OutputError, match="would have no frames"), writer:
+            pass
+        assert list(tmp_path.iterdir()) == []
+
+    def test_a_missing_folder(self, tmp_path):
+        with pytest.raises(OutputError, match="the folder does not exist"):
+            VideoWriter(tmp_path / "no" / "a.mp4", 32, 32, 24).__enter__()
+
+    def test_a_missing_ffmpeg(self, tmp_path, monkeypatch):
+        monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", str(tmp_path / "none"))
+        with pytest.raises(OutputError, match="ffmpeg does not start"):
+            VideoWriter(tmp_path / "a.mp4", 32, 32, 24).__enter__()
+        assert list(tmp_path.iterdir()) == []
+
+    @pytest.mark.parametrize("frames", [1, 200])
+    def test_a_failing_ffmpeg_is_quoted(self, tmp_path, monkeypatch, frames):
+        folder = tmp_path / "out"
+        folder.mkdir()
+        fake = tmp_path / "ffmpeg"
+        fake.write_text("#!/bin/sh\necho '[mp4 @ 0x1] No space left on device' >&2\nexit 1\n")
+        fake.chmod(0o755)
+        monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", str(fake))
+        writer = VideoWriter(folder / "a.mp4", 64, 64, 24)
+        said = "ffmpeg says 'No space left on device'"
+        with pytest.raises(OutputError, match=said), writer as video:
+            for _ in range(frames):
+                video.write(flat(64, 64, 0, 0, 0))
+        assert list(folder.iterdir()) == []
