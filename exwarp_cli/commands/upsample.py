@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from exwarp_cli.domain.results import RunSummary
 
 
-class FrameRate(click.ParamType):
+class FrameRate(click.ParamType[Fraction]):
     """Frames per second, exactly: 30, 23.976, 24000/1001."""
 
     name = "fps"

@@ -87,15 +87,16 @@ class ExrReader:
         if not path.exists():
             raise MissingFrameError(f"{path} does not exist; check the path or render the frame")
         try:
-            self._file = oiio.ImageInput.open(str(path))
+            file = oiio.ImageInput.open(str(path))
         except (RuntimeError, ValueError, UnicodeError):
-            self._file = None
-        if self._file is None:
+            file = None
+        if file is None:
             reason = oiio.geterror().strip().splitlines()
             raise damaged(path, reason[0] if reason else "")
-        if self._file.format_name() != "openexr":
-            self._file.close()
-            raise damaged(path, f"its content is {self._file.format_name()}")
+        if file.format_name() != "openexr":
+            file.close()
+            raise damaged(path, f"its content is {file.format_name()}")
+        self._file: oiio.ImageInput = file
         self.parts = self._parts()
 
     def __enter__(self) -> ExrReader:
@@ -106,7 +107,7 @@ class ExrReader:
 
     def _parts(self) -> tuple[Part, ...]:
         """Describe every part."""
-        specs = []
+        specs: list[oiio.ImageSpec] = []
         while True:
             spec = self._file.spec(len(specs), 0)
             if spec.width == 0 or spec.nchannels == 0:

@@ -1,8 +1,8 @@
 """Writing generated frames, and telling a good one on disk from a damaged or foreign one.
 
 A generated frame carries its own checksum: the SHA-256 of the file with the checksum's 64 digits
-taken as zeros. So any damage shows without decoding, whatever the compression, and an attribute that
-digests the sources and settings shows whether the frame is the one that this run would write.
+taken as zeros. So any damage shows without decoding, whatever the compression; and an attribute
+that digests sources and settings shows whether the frame is the one that this run would write.
 """
 
 from __future__ import annotations
@@ -217,9 +217,7 @@ def _write(
     try:
         OpenEXR.File(full, dict(planes), num_threads=0).write(buffer)
     except (RuntimeError, ValueError, TypeError) as error:
-        raise OutputError(
-            f"cannot encode {path}: {error}; try another --compression, and report the file's header"
-        ) from error
+        raise OutputError(f"cannot encode {path}: {error}; try another --compression") from error
     atomic_write_bytes(path, seal(buffer.getbuffer()))
 
 
@@ -315,7 +313,7 @@ def _box(window: Window) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _writable(name: str, value: object) -> bool:
-    """Whether OpenEXR's bindings can write back what they read; empty names and blobs they cannot."""
+    """Whether OpenEXR's bindings can write back what they read."""
     if name == "name" and not value:
         return False
     return not isinstance(value, OpenEXR.OpaqueAttribute)

@@ -8,6 +8,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from exwarp_cli.kernels.gather import clamp
 from exwarp_cli.kernels.jit import parallel, serial
 
 F32 = npt.NDArray[np.float32]
@@ -29,7 +30,7 @@ def same_surface(depth: F32, stencil: I32, i: int, j: int, y: int, x: int) -> bo
     a, b = depth[i, j], depth[y, x]
     if math.isinf(a) or math.isinf(b):
         return math.isinf(a) == math.isinf(b)
-    return abs(a - b) <= SAME_DEPTH * max(a, b)
+    return bool(abs(a - b) <= SAME_DEPTH * max(a, b))
 
 
 def find_edges_text(depth: F32, stencil: I32, edge: B8) -> None:
@@ -49,7 +50,7 @@ def find_edges_text(depth: F32, stencil: I32, edge: B8) -> None:
         i = np.int64(row)
         for j in range(width):
             edge[i, j] = False
-            for y in range(max(i - 1, 0), min(i + 2, height)):
+            for y in range(max(i - 1, np.int64(0)), min(i + 2, np.int64(height))):
                 for x in range(max(j - 1, 0), min(j + 2, width)):
                     if not same_surface(depth, stencil, i, j, y, x):
                         edge[i, j] = True
@@ -84,22 +85,22 @@ def unmix_text(
     for row in numba.prange(height):
         i = np.int64(row)
         for j in range(width):
-            unmix_pixel(i, j, vectors, rigid, depth, stencil, edge, tolerance, out)
+            unmix_pixel(i, j, (vectors, rigid), depth, stencil, edge, tolerance, out)
 
 
 @serial
 def unmix_pixel(
     i: int,
     j: int,
-    vectors: F32,
-    rigid: F32,
+    motions: tuple[F32, F32],
     depth: F32,
     stencil: I32,
     edge: B8,
     tolerance: float,
     out: F32,
 ) -> None:
-    """Settle one pixel; see :func:`unmix_text`."""
+    """Settle one pixel; `motions` are vectors and rigid of :func:`unmix_text`."""
+    vectors, rigid = motions
     known = math.isfinite(rigid[i, j, 0])
     moving = stencil.shape[0] > 0 and stencil[i, j] > 0
     y, x = nearest_unmixed(i, j, depth, stencil, edge, vectors)
@@ -140,42 +141,53 @@ def nearest_unmixed(
     return found_y, found_x
 
 
-def nearest_surface_text(depth: F32, edge: B8, owner: I32) -> None:
-    """Find for each pixel the pixel whose surface owns its colour.
+@serial
+def beside_nearer(depth: F32, i: int, j: int) -> bool:
+    """Whether one of the four neighbours shows a surface clearly nearer than the pixel's own."""
+    height, width = depth.shape
+    limit = depth[i, j] * (np.float32(1) - SAME_DEPTH)
+    for dy, dx in ((-1, 0), (0, -1), (0, 1), (1, 0)):
+        y, x = i + dy, j + dx
+        if 0 <= y < height and 0 <= x < width and depth[y, x] < limit:
+            return True
+    return False
 
-    Colour is filtered over more than a pixel, so a pixel beside a nearer surface shows part of it,
-    and the eye follows the nearer one: its motion is what a silhouette moves with.
+
+def find_fringe_text(field: F32, near: F32, depth: F32, fringe: B8) -> None:
+    """Mark target pixels that show the rim of a surface which has moved on.
+
+    Colour is filtered over more than a pixel, so a source pixel beside a nearer surface holds part
+    of that one's colour. Where the nearer surface is no longer beside it, this is a ghost outline.
 
     Parameters
     ----------
+    field
+        float32 [H, W, 2], from target to source; NaN where unknown.
+    near
+        float32 [H, W], depth at the target; NaN where unknown, +inf background.
     depth
-        float32 [H, W]; +inf background, NaN unknown.
-    edge
-        bool [H, W].
-    owner
-        int32 [H, W], written: flat index of the nearest surface among the pixel and its four
-        direct neighbours, the pixel's own unless the other is nearer by more than the tolerance.
+        float32 [H, W], depth at the source.
+    fringe
+        bool [H, W], written.
     """
     height, width = depth.shape
     for row in numba.prange(height):
         i = np.int64(row)
         for j in range(width):
-            owner[i, j] = np.int32(i * width + j)
-            if not edge[i, j]:
+            fringe[i, j] = False
+            x = np.float32(j) + field[i, j, 0]
+            y = np.float32(i) + field[i, j, 1]
+            if not (x >= -0.5 and y >= -0.5 and x <= width - 0.5 and y <= height - 0.5):
                 continue
-            best = depth[i, j] * (np.float32(1) - SAME_DEPTH)
-            for dy, dx in ((-1, 0), (0, -1), (0, 1), (1, 0)):
-                y, x = i + dy, j + dx
-                if y < 0 or x < 0 or y >= height or x >= width:
-                    continue
-                if depth[y, x] < best:
-                    best = depth[y, x]
-                    owner[i, j] = np.int32(y * width + x)
+            source_x = clamp(math.floor(x + np.float32(0.5)), 0, width - 1)
+            source_y = clamp(math.floor(y + np.float32(0.5)), 0, height - 1)
+            if beside_nearer(depth, source_y, source_x):
+                fringe[i, j] = not beside_nearer(near, i, j)
 
 
 find_edges = parallel(find_edges_text)
 find_edges_serial = serial(find_edges_text)
 unmix = parallel(unmix_text)
 unmix_serial = serial(unmix_text)
-nearest_surface = parallel(nearest_surface_text)
-nearest_surface_serial = serial(nearest_surface_text)
+find_fringe = parallel(find_fringe_text)
+find_fringe_serial = serial(find_fringe_text)

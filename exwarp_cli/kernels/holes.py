@@ -31,7 +31,7 @@ BACKGROUND_POWER = 4
 
 
 @serial
-def footprint(position: F32, i: int, j: int) -> float:
+def footprint(position: F32, i: int, j: int) -> np.float32:
     """World-space size of a pixel at (i, j): grows with distance and at grazing angles.
 
     Of the differences to both neighbours on each axis the smaller counts, so that a silhouette
@@ -49,9 +49,9 @@ def footprint(position: F32, i: int, j: int) -> float:
             squared = np.float32(0.0)
             for c in range(3):
                 squared += (position[y, x, c] - position[i, j, c]) ** 2
-            best = min(best, math.sqrt(squared))
+            best = min(best, np.float32(math.sqrt(squared)))
         if best < np.float32(np.inf):
-            total += np.float32(best)
+            total += best
     return total
 
 
@@ -81,14 +81,14 @@ def other_surface(
             dot += now[i, j, c] * then[y, x, c]
             a += now[i, j, c] ** 2
             b += then[y, x, c] ** 2
-        return dot < MIN_COSINE * math.sqrt(a * b)
+        return bool(dot < MIN_COSINE * math.sqrt(a * b))
     here, there = positions
     if here.shape[0] == 0:
         return False
     squared = np.float32(0.0)
     for c in range(3):
         squared += (here[i, j, c] - there[y, x, c]) ** 2
-    return math.sqrt(squared) > FOOTPRINTS * footprint(here, i, j)
+    return bool(math.sqrt(squared) > FOOTPRINTS * footprint(here, i, j))
 
 
 def mark_text(

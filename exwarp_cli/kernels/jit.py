@@ -41,5 +41,5 @@ def serial(text: Kernel) -> Kernel:
 
 def set_threads(count: int | None) -> None:
     """Set how many threads the parallel builds use; None for all that there are."""
-    most = numba.config.NUMBA_NUM_THREADS
+    most: int = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
     numba.set_num_threads(most if count is None else max(1, min(count, most)))

@@ -13,7 +13,6 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.kernels.gather import clamp
 from exwarp_cli.kernels.jit import parallel, serial
 
 F32 = npt.NDArray[np.float32]
@@ -29,13 +28,20 @@ ROWS_PER_BAND = 32
 
 
 @serial
-def slope(before: float, here: float, after: float) -> float:
-    """Return the change per pixel from neighbours of the same surface, 0 where there are none.
+def slope(displacement: F32, i: int, j: int, axis: int, c: int) -> np.float32:
+    """Return the change of component c per row (axis 0) or column (axis 1) at a pixel.
 
-    NaN neighbours count as another surface.
+    From neighbours of the same surface, 0 where there are none; NaN neighbours count as another
+    surface, and so does what lies outside the frame.
     """
-    left = here - before
-    right = after - here
+    dy, dx = (1, 0) if axis == 0 else (0, 1)
+    height, width, _ = displacement.shape
+    here = displacement[i, j, c]
+    left, right = np.float32(np.nan), np.float32(np.nan)
+    if i >= dy and j >= dx:
+        left = here - displacement[i - dy, j - dx, c]
+    if i + dy < height and j + dx < width:
+        right = displacement[i + dy, j + dx, c] - here
     left_same = abs(left) < SAME_SURFACE
     right_same = abs(right) < SAME_SURFACE
     if left_same and right_same:
@@ -52,15 +58,12 @@ def splat_pixel(
     i: int, j: int, displacement: F32, depth: F32, rows: tuple[int, int], field: F32, near: F32
 ) -> None:
     """Write one source pixel's patch into the target rows [rows[0], rows[1])."""
-    height, width, _ = displacement.shape
     dx, dy = displacement[i, j, 0], displacement[i, j, 1]
     # Jacobian of x -> x + d(x), from neighbours of the same surface.
-    west, east = clamp(j - 1, 0, width - 1), clamp(j + 1, 0, width - 1)
-    north, south = clamp(i - 1, 0, height - 1), clamp(i + 1, 0, height - 1)
-    a = np.float32(1) + slope(displacement[i, west, 0], dx, displacement[i, east, 0])
-    b = slope(displacement[north, j, 0], dx, displacement[south, j, 0])
-    c = slope(displacement[i, west, 1], dy, displacement[i, east, 1])
-    d = np.float32(1) + slope(displacement[north, j, 1], dy, displacement[south, j, 1])
+    a = np.float32(1) + slope(displacement, i, j, 1, 0)
+    b = slope(displacement, i, j, 0, 0)
+    c = slope(displacement, i, j, 1, 1)
+    d = np.float32(1) + slope(displacement, i, j, 0, 1)
     determinant = a * d - b * c
     if not determinant > np.float32(0.05):
         return  # turned over or edge-on: it shows nothing

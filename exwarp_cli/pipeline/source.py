@@ -121,7 +121,7 @@ def find_motion(shot: Shot, given: str | None) -> MotionFinding | None:
 
 
 def motion_names(shot: Shot) -> tuple[str, ...]:
-    """Names of the motion channels as --motion takes them: with their layer where that is needed."""
+    """Names of the motion channels as --motion takes them, with their layer where needed."""
     refs = shot.layout.roles[Role.MOTION]
     short = [ref.component for ref in refs]
     if len(set(short)) == len(short):
@@ -158,8 +158,8 @@ def parse_motion(text: str, names: tuple[str, ...]) -> MotionConvention:
         axes = [_axis(term, names) for term in terms.split(",")]
         if direction not in ("previous", "next") or len(axes) != 2 or None in axes:
             raise UsageError(
-                f"--motion {text!r} is not understood; write a preset ({', '.join(PRESETS)}) or for "
-                f"example 'previous={names[0]},-{names[1]}', with channels out of "
+                f"--motion {text!r} is not understood; write a preset ({', '.join(PRESETS)}) or "
+                f"for example 'previous={names[0]},-{names[1]}', with channels out of "
                 f"{', '.join(names)}"
             )
         (x, x_scale), (y, y_scale) = (axis for axis in axes if axis is not None)
@@ -170,7 +170,9 @@ def parse_motion(text: str, names: tuple[str, ...]) -> MotionConvention:
 
 
 def align(timeline: Timeline, sequence: Sequence, what: str) -> FrameOf:
-    """Match a sequence at the output rate to slots: by number if its numbers are those, else by order.
+    """Match a sequence at the output rate to slots: by number where its numbers are those.
+
+    Else by order: its first frame belongs to the first key frame.
 
     Raises
     ------
@@ -191,8 +193,8 @@ def align(timeline: Timeline, sequence: Sequence, what: str) -> FrameOf:
 
     if len(numbers) == len(timeline.numbers) and len(numbers) > 1:
         raise InputError(
-            f"{what} has {len(numbers)} frames like the key frames, but has to be at {FACTOR} times "
-            "their rate; check the path"
+            f"{what} has {len(numbers)} frames like the key frames, but has to be at {FACTOR} "
+            "times their rate; check the path"
         )
     return frame_of
 
@@ -202,8 +204,8 @@ def _enough(timeline: Timeline, slots: Shot, frame_of: FrameOf) -> None:
     last = Slot(len(timeline.numbers) - 1, 0)
     if frame_of(last) is None:
         raise InputError(
-            f"--gbuffers {slots.sequence.pattern} has frames {ranges(slots.sequence.numbers)}, fewer "
-            f"than the {last.order + 1} slots up to the last key frame; render the others"
+            f"--gbuffers {slots.sequence.pattern} has frames {ranges(slots.sequence.numbers)}, "
+            f"fewer than the {last.order + 1} slots up to the last key frame; render the others"
         )
 
 

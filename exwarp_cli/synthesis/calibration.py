@@ -256,7 +256,7 @@ def _rival(ranked: list[tuple[float, AxisMap]], evidence: _Evidence, chosen: Axi
 
 def _probe(here: Instant, there: Instant) -> _Probe | None:
     """Sample pixels of `here` and prepare to look them up in `there`; None without any."""
-    usable = np.isfinite(here.motion).all(axis=-1)
+    usable = np.asarray(np.isfinite(here.motion).all(axis=-1))
     if here.gbuffer.depth is not None:
         usable &= np.isfinite(here.gbuffer.depth)
     if here.gbuffer.position is not None:

@@ -1,11 +1,11 @@
 """Cameras, recovered from what the G-buffer shows.
 
 EXR headers seldom hold a camera matrix, but points of known position that are seen at known pixels
-determine the 3x4 projection by a linear fit (the direct linear transform). With world positions the
-points are those; with only depth along the camera's axis, the frame's own camera serves as the
-world: the point at pixel (x, y) and depth z is (x, y, 1, 1/z) up to scale. Either way the fit to the
-neighbouring frame, through the renderer's vectors, gives that frame's camera, and with it the motion
-of everything static and of the sky, whose rendered vectors are 0 even while the camera turns.
+determine the 3x4 projection by a linear fit (the direct linear transform). With world positions
+the points are those; with only depth along the camera's axis, the frame's own camera serves as the
+world: the point at pixel (x, y) and depth z is (x, y, 1, 1/z) up to scale. Either way the fit to
+the neighbouring frame, through the renderer's vectors, gives that frame's camera, and with it the
+motion of everything static and of the sky, whose rendered vectors are 0 even while the camera turns.
 """
 
 from __future__ import annotations

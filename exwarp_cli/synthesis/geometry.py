@@ -28,11 +28,14 @@ class SlotField:
         float32 [H, W]: depth of the surface that the slot shows; NaN where nothing is known.
     hole
         bool [H, W]: the source does not show this surface point.
+    fringe
+        bool [H, W]: the source's colour there is mixed with a nearer surface that has moved on.
     """
 
     field: Float32
     depth: Float32
     hole: Bool
+    fringe: Bool
 
 
 def depth_of(gbuffer: GBuffer) -> Float32:
@@ -123,14 +126,11 @@ def reproject(gbuffer: GBuffer, time: float) -> SlotField:
     """
     depth = depth_of(gbuffer)
     motion = displacement(gbuffer, time)
-    owner = _owners(depth, stencil_of(gbuffer))
-    motion = np.ascontiguousarray(motion.reshape(-1, 2)[owner])
-    depth = np.ascontiguousarray(depth.ravel()[owner])
     field, near = np.empty_like(motion), np.empty_like(depth)
     reach = np.empty((depth.shape[0], 2), np.float32)
     splat.row_reach(motion, reach)
     splat.splat(motion, depth, reach, field, near)
-    return SlotField(field, near, np.isnan(near))
+    return SlotField(field, near, np.isnan(near), _fringe(field, near, depth))
 
 
 def compose_back(slots: Sequence[GBuffer], key: GBuffer) -> list[SlotField]:
@@ -171,17 +171,19 @@ def _compose(first: Float32, second: Float32) -> Float32:
     return out
 
 
-def _owners(depth: Float32, stencil: Int32) -> Int32:
-    """Return for each pixel the flat index of the pixel whose motion its colour follows."""
-    edge = np.empty(depth.shape, np.bool_)
-    edges.find_edges(depth, stencil, edge)
-    owner = np.empty(depth.shape, np.int32)
-    edges.nearest_surface(depth, edge, owner)
-    return owner
+def _fringe(field: Float32, near: Float32, depth: Float32) -> Bool:
+    """Find ghost outlines.
+
+    Moving the mixed pixels with the nearer surface instead, by widening it by a pixel, lost 0.2 dB
+    with one key frame and 0.5 dB with two: a ring of old background went along.
+    """
+    out = np.empty(depth.shape, np.bool_)
+    edges.find_fringe(field, near, depth, out)
+    return out
 
 
 def _matched(slot: GBuffer, key: GBuffer, field: Float32) -> SlotField:
-    """Test a field for holes and let silhouettes follow the nearer surface."""
+    """Test a field for holes and ghost outlines."""
     depth = depth_of(slot)
     stencils = (
         (stencil_of(slot), stencil_of(key))
@@ -197,9 +199,4 @@ def _matched(slot: GBuffer, key: GBuffer, field: Float32) -> SlotField:
         normals = (slot.normal, key.normal)
     hole = np.empty(depth.shape, np.bool_)
     holes.mark(field, (depth, depth_of(key)), stencils, positions, normals, hole)
-    owner = _owners(depth, stencil_of(slot))
-    return SlotField(
-        np.ascontiguousarray(field.reshape(-1, 2)[owner]),
-        depth,
-        np.ascontiguousarray(hole.ravel()[owner]),
-    )
+    return SlotField(field, depth, hole, _fringe(field, depth, depth_of(key)))

@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from exwarp_cli.domain.frame import Float32
+from exwarp_cli.kernels import blend
 from exwarp_cli.synthesis.warp import Warped, fill_background
-
-NEARNESS = np.float32(10.0)
-"""Exponent of the depth weight: a surface twice as near outweighs the other 1000 to 1."""
 
 
 def blend_by_depth(before: Warped, after: Warped, time: float) -> Float32:
@@ -24,28 +22,13 @@ def blend_by_depth(before: Warped, after: Warped, time: float) -> Float32:
     Returns
     -------
     float32 [H, W, C]
-        Each side weighs by its nearness in time, times a softmax over -NEARNESS log(depth); a side
-        that does not see the surface weighs nothing, so disocclusions come from the side that sees
-        them. What neither sees is filled from the background.
-
-    Notes
-    -----
-    Niklaus and Liu, Softmax Splatting, CVPR 2020, equation 14, with importance from depth.
+        Each side weighs by its nearness in time, times a softmax over its depth; a side that does
+        not see the surface weighs nothing, so disocclusions come from the side that sees them. What
+        neither sees is filled from the background.
     """
-    t = np.float32(time)
-    nearest = np.fmin(before.depth, after.depth)
-    first = (np.float32(1) - t) * _importance(before, nearest)
-    second = t * _importance(after, nearest)
-    total = first + second
-    hole = total <= 0
-    share = np.where(hole, np.float32(0), second / np.where(hole, np.float32(1), total))[..., None]
-    pixels = before.pixels + share * (after.pixels - before.pixels)
-    return fill_background(Warped(pixels.astype(np.float32), nearest, hole))
-
-
-def _importance(side: Warped, nearest: Float32) -> Float32:
-    """float32 [H, W]: (nearest / depth) ** NEARNESS, 0 in holes; background equals background."""
-    with np.errstate(invalid="ignore", divide="ignore"):
-        ratio = np.where(np.isinf(side.depth) & np.isinf(nearest), 1, nearest / side.depth)
-    weight = np.power(np.maximum(ratio, np.float32(1e-3)), NEARNESS, dtype=np.float32)
-    return np.where(side.hole | ~np.isfinite(weight), np.float32(0), weight).astype(np.float32)
+    out = np.empty_like(before.pixels)
+    depth = np.empty_like(before.depth)
+    hole = np.empty_like(before.hole)
+    sides = [(side.pixels, side.depth, side.hole, side.fringe) for side in (before, after)]
+    blend.blend(*sides, np.float32(time), out, depth, hole)
+    return fill_background(Warped(out, depth, hole, before.fringe & after.fringe))

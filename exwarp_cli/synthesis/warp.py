@@ -29,11 +29,14 @@ class Warped:
         float32 [H, W] of the surface shown.
     hole
         bool [H, W]: no source, another surface, outside the source, or a non-finite source pixel.
+    fringe
+        bool [H, W]: colour mixed with a nearer surface that has moved on.
     """
 
     pixels: Float32
     depth: Float32
     hole: Bool
+    fringe: Bool
 
 
 def warp(pixels: Float32, source: SlotField) -> Warped:
@@ -49,16 +52,17 @@ def warp(pixels: Float32, source: SlotField) -> Warped:
     out = np.empty_like(pixels)
     unseen = np.empty(pixels.shape[:2], np.bool_)
     gather.gather_bilinear(pixels, source.field, out, unseen)
-    return Warped(out, source.depth, unseen | source.hole)
+    return Warped(out, source.depth, unseen | source.hole, source.fringe)
 
 
 def repair(pixels: Float32) -> Float32:
     """Return a frame whose non-finite pixels are filled from around them; itself if it has none."""
-    broken = ~np.isfinite(pixels).all(axis=-1)
+    broken = np.asarray(~np.isfinite(pixels).all(axis=-1))
     if not broken.any():
         return pixels
     clean = np.where(broken[..., None], np.float32(0), pixels)
-    return fill_background(Warped(clean, np.ones(broken.shape, np.float32), broken))
+    flat = np.ones(broken.shape, np.float32)
+    return fill_background(Warped(clean, flat, broken, np.zeros_like(broken)))
 
 
 def fill_background(warped: Warped) -> Float32:

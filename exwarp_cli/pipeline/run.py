@@ -1,0 +1,300 @@
+"""One run under way: interval by interval, from what was read to what is written and recorded."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from exwarp_cli import __version__
+from exwarp_cli.domain.frame import Bool, Float32, Image, KeyFrame, Window, place
+from exwarp_cli.domain.results import FrameKind, FrameRecord
+from exwarp_cli.domain.settings import UpsampleSettings
+from exwarp_cli.domain.timeline import FACTOR, Slot
+from exwarp_cli.errors import LayoutError
+from exwarp_cli.io.atomic import atomic_copy
+from exwarp_cli.io.frames import broken_pixels, read_image
+from exwarp_cli.io.output import (
+    PREFIX,
+    compression_of,
+    quantise,
+    tight_window,
+    write_frame,
+    write_mask,
+    written_attributes,
+)
+from exwarp_cli.io.video import VideoWriter, to_display
+from exwarp_cli.metrics.registry import score
+from exwarp_cli.pipeline.loading import IntervalLoader, Loaded
+from exwarp_cli.pipeline.progress import Progress
+from exwarp_cli.pipeline.schedule import WriteBehind, read_ahead
+from exwarp_cli.pipeline.source import Source
+from exwarp_cli.pipeline.targets import Targets, key_is_there, slot_is_there
+from exwarp_cli.synthesis.geometry import settle_motion
+from exwarp_cli.synthesis.interval import Interval
+from exwarp_cli.synthesis.methods import Method
+
+INTERVALS_AHEAD = 1
+FRAMES_BEHIND = 4
+
+
+@dataclass
+class Run:
+    """One run under way: settings, open outputs, and what was recorded."""
+
+    settings: UpsampleSettings
+    source: Source
+    method: Method
+    targets: Targets
+    progress: Progress
+    records: list[FrameRecord] = field(default_factory=list)
+    _write_ms: dict[int, float] = field(default_factory=dict)
+    _settled: dict[tuple[int, Window], KeyFrame] = field(default_factory=dict)
+
+    def all(self, loader: IntervalLoader, keys: tuple[int, ...]) -> tuple[FrameRecord, ...]:
+        """Work through the intervals: reading ahead, computing here, writing behind."""
+        threads = self.settings.threads or os.cpu_count() or 1
+        tasks = (partial(loader.load, key, self._needed) for key in keys)
+        with ExitStack() as stack:
+            writer = stack.enter_context(WriteBehind(threads, FRAMES_BEHIND + threads))
+            video = None
+            if self.targets.video is not None:
+                video = stack.enter_context(self._open_video())
+            for loaded in read_ahead(tasks, INTERVALS_AHEAD):
+                self._interval(loaded, writer, video)
+        return tuple(
+            replace(r, timing_ms=r.timing_ms | {"write": self._write_ms[r.number]})
+            if r.number in self._write_ms
+            else r
+            for r in self.records
+        )
+
+    def _needed(self, key: int, recipes: dict[int, str]) -> bool:
+        """Whether an interval has to be computed: something is missing, or is to be scored."""
+        if not self.settings.skip_existing or self.settings.ground_truth is not None:
+            return True
+        return not all(self._is_there(Slot(key, i), recipes) for i in recipes)
+
+    def _is_there(self, slot: Slot, recipes: dict[int, str]) -> bool:
+        """Whether an earlier run wrote this slot's files as this one would."""
+        if not self.settings.skip_existing:
+            return False
+        number = self.source.timeline.number(slot)
+        patterns = [self.targets.frames]
+        if self.targets.holes is not None:
+            patterns.append(self.targets.holes)
+        return all(slot_is_there(p.path(number), recipes[slot.index]) for p in patterns)
+
+    def _open_video(self) -> VideoWriter:
+        assert self.targets.video is not None
+        height, width = self.source.keys.display.shape
+        return VideoWriter(self.targets.video, width, height, self.source.fps * FACTOR)
+
+    def _interval(self, loaded: Loaded, writer: WriteBehind, video: VideoWriter | None) -> None:
+        """Pass the key frame through and make the slots after it."""
+        number = self.source.timeline.numbers[loaded.key]
+        self._pass_key(loaded, number, writer, video)
+        begin = time.perf_counter()
+        interval = self._geometry(loaded)
+        geometry_ms = 1e3 * (time.perf_counter() - begin)
+        slots = self.source.timeline.slots_of(loaded.key)[1:]
+        for slot in slots:
+            if interval is None or self._is_there(slot, loaded.recipes):
+                record, shown = self._resume(slot, interval, loaded)
+            else:
+                record, shown = self._make(slot, interval, loaded, writer)
+                record = replace(
+                    record,
+                    timing_ms={"geometry": geometry_ms / len(slots)} | record.timing_ms,
+                )
+            self.records.append(record)
+            if video is not None:
+                image = shown or read_image(self.targets.frames.path(record.number))
+                video.write(self._display(image))
+            self.progress.advance(record.number, record.method)
+
+    def _pass_key(
+        self, loaded: Loaded, number: int, writer: WriteBehind, video: VideoWriter | None
+    ) -> None:
+        """Copy the key frame's file: its bytes, so all its layers and attributes."""
+        output = self.source.timeline.number(Slot(loaded.key, 0))
+        path, target = self.source.keys.sequence.files[number], self.targets.frames.path(output)
+        resumed = self.settings.skip_existing and key_is_there(target, path)
+        if not resumed:
+            writer.submit(self._timed(output, partial(atomic_copy, path, target)))
+        record = FrameRecord(
+            output, target.name, number, 0, FrameKind.KEY, "key", (number,), resumed=resumed
+        )
+        timing = {} if resumed else {"read": loaded.read_ms}
+        self.records.append(replace(record, timing_ms=timing))
+        if video is not None:
+            image = loaded.frame.image if loaded.frame is not None else read_image(path)
+            video.write(self._display(image))
+        self.progress.advance(output, "key")
+
+    def _geometry(self, loaded: Loaded) -> Interval | None:
+        """Bring an interval's frames onto one window and settle their motion."""
+        if loaded.frame is None:
+            return None
+        canvas = self.source.keys.display.union(loaded.frame.image.data_window)
+        if loaded.following is not None:
+            canvas = canvas.union(loaded.following.image.data_window)
+        slots = tuple(settle_motion(gbuffer.on(canvas)) for gbuffer in loaded.slots)
+        frames = [
+            None if frame is None else self._settle(frame, canvas)
+            for frame in (loaded.frame, loaded.following)
+        ]
+        self._settled = {(f.number, canvas): f for f in frames if f is not None}
+        assert frames[0] is not None
+        return Interval(frames[0], frames[1], slots)
+
+    def _settle(self, frame: KeyFrame, canvas: Window) -> KeyFrame:
+        known = self._settled.get((frame.number, canvas))
+        if known is not None:
+            return known
+        placed = frame.on(canvas)
+        gbuffer = None if placed.gbuffer is None else settle_motion(placed.gbuffer)
+        return replace(placed, gbuffer=gbuffer)
+
+    def _make(
+        self, slot: Slot, interval: Interval, loaded: Loaded, writer: WriteBehind
+    ) -> tuple[FrameRecord, Image]:
+        """Make, write and score the frame of a slot."""
+        assert loaded.frame is not None
+        begin = time.perf_counter()
+        predicted = self.method.predict(interval, slot.index)
+        elapsed = 1e3 * (time.perf_counter() - begin)
+        canvas, display = interval.key.image.data_window, self.source.keys.display
+        pixels = quantise(predicted.pixels, loaded.template)
+        image = tight_window(Image(pixels, canvas, display), loaded.frame.image.data_window)
+        mask = self._mask(interval, slot)
+        record = FrameRecord(
+            number=self.source.timeline.number(slot),
+            file=self.targets.frames.path(self.source.timeline.number(slot)).name,
+            key=interval.key.number,
+            slot=slot.index,
+            kind=predicted.kind,
+            method=predicted.method,
+            sources=predicted.sources,
+            hole_fraction=_fraction(mask),
+            nonfinite_pixels=_nonfinite(interval, predicted.sources),
+            timing_ms={"warp" if predicted.method != "hold" else "hold": elapsed},
+        )
+        attributes = self._attributes(record, loaded.recipes[slot.index])
+        target = self.targets.frames.path(record.number)
+        writer.submit(
+            self._timed(
+                record.number, partial(write_frame, target, image, loaded.template, attributes)
+            )
+        )
+        if self.targets.holes is not None and mask is not None:
+            path = self.targets.holes.path(record.number)
+            marks = {k: v for k, v in attributes.items() if k.startswith(PREFIX)}
+            writer.submit(partial(write_mask, path, mask, (display, display), marks))
+        return self._scored(record, image, mask, loaded), image
+
+    def _resume(
+        self, slot: Slot, interval: Interval | None, loaded: Loaded
+    ) -> tuple[FrameRecord, Image | None]:
+        """Record a frame that an earlier run wrote, and score it."""
+        number = self.source.timeline.number(slot)
+        path = self.targets.frames.path(number)
+        known = written_attributes(path)
+        holes = known.get("holeFraction")
+        record = FrameRecord(
+            number=number,
+            file=path.name,
+            key=self.source.timeline.numbers[slot.key],
+            slot=slot.index,
+            kind=FrameKind(known["kind"]),
+            method=str(known["method"]),
+            sources=tuple(int(n) for n in str(known["sources"]).split(",")),
+            hole_fraction=None if holes is None else float(holes),
+            resumed=True,
+        )
+        if interval is None or slot.index not in loaded.truth:
+            return record, None
+        image = read_image(path)
+        return self._scored(record, image, self._mask(interval, slot), loaded), image
+
+    def _scored(
+        self, record: FrameRecord, image: Image, mask: Bool | None, loaded: Loaded
+    ) -> FrameRecord:
+        """Score a frame against ground truth, where there is some, on the display window."""
+        truth = loaded.truth.get(record.slot)
+        if truth is None:
+            return record
+        display = self.source.keys.display
+        if truth.display_window.shape != display.shape:
+            raise LayoutError(
+                f"--ground-truth for frame {record.number} is {truth.display_window} and the input "
+                f"is {display}; give a sequence of the same resolution"
+            )
+        begin = time.perf_counter()
+        reference = truth.on(truth.display_window).pixels
+        everything, holes = score(reference, image.on(display).pixels, mask)
+        elapsed = 1e3 * (time.perf_counter() - begin)
+        timing = record.timing_ms | {"score": elapsed}
+        return replace(record, score=everything, hole_score=holes, timing_ms=timing)
+
+    def _mask(self, interval: Interval, slot: Slot) -> Bool | None:
+        """Hole mask of a slot on the display window."""
+        mask = interval.hole_mask(slot.index)
+        if mask is None:
+            return None
+        return place(mask, interval.key.image.data_window, self.source.keys.display)
+
+    def _attributes(self, record: FrameRecord, recipe: str) -> dict[str, Any]:
+        """Header attributes of a generated frame."""
+        out: dict[str, Any] = {
+            "framesPerSecond": self.source.fps * FACTOR,
+            f"{PREFIX}version": __version__,
+            f"{PREFIX}method": record.method,
+            f"{PREFIX}kind": record.kind.value,
+            f"{PREFIX}sources": ",".join(str(n) for n in record.sources),
+            f"{PREFIX}key": record.key,
+            f"{PREFIX}slot": record.slot,
+            f"{PREFIX}setting": self.source.setting,
+            f"{PREFIX}recipe": recipe,
+        }
+        if record.hole_fraction is not None:
+            out[f"{PREFIX}holeFraction"] = record.hole_fraction
+        compression = compression_of(self.settings.compression)
+        if compression is not None:
+            out["compression"] = compression
+        return out
+
+    def _timed(self, number: int, write: Callable[[], None]) -> Callable[[], None]:
+        """Return a write that records how long it took."""
+
+        def run() -> None:
+            begin = time.perf_counter()
+            write()
+            self._write_ms[number] = 1e3 * (time.perf_counter() - begin)
+
+        return run
+
+    def _display(self, image: Image) -> np.ndarray:
+        """Pixels for the video, uint8 [H, W, 3] of the display window."""
+        return to_display(image.on(self.source.keys.display).pixels, self.settings.exposure)
+
+
+def _fraction(mask: Bool | None) -> float | None:
+    """Share of holes, rounded to float32 as the header of the frame keeps it."""
+    return None if mask is None else float(np.float32(mask.mean()))
+
+
+def _nonfinite(interval: Interval, sources: tuple[int, ...]) -> int:
+    """How many pixels of the source frames are NaN or infinite."""
+    pixels: list[Float32] = [
+        frame.image.pixels
+        for frame in (interval.key, interval.following)
+        if frame is not None and frame.number in sources
+    ]
+    return int(sum(broken_pixels(p).sum() for p in pixels))

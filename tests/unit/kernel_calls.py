@@ -1,0 +1,105 @@
+"""The kernels called with fresh outputs, as their wrappers call them, in either build."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from exwarp_cli.kernels import edges, gather, holes, splat
+
+Arrays = tuple[np.ndarray, ...]
+Pair = tuple[np.ndarray, np.ndarray]
+
+NO_IDS = np.zeros((0, 0), np.int32)
+NO_VECTORS = np.zeros((0, 0, 3), np.float32)
+
+
+def build(module: object, name: str, serial: bool) -> object:
+    return getattr(module, f"{name}_serial" if serial else name)
+
+
+def gathered(image: np.ndarray, field: np.ndarray, serial: bool = False) -> Arrays:
+    shape = field.shape[:2]
+    out = np.full((*shape, image.shape[2]), np.nan, np.float32)
+    hole = np.zeros(shape, np.bool_)
+    build(gather, "gather_bilinear", serial)(image, field, out, hole)
+    return out, hole
+
+
+def composed(first: np.ndarray, second: np.ndarray, serial: bool = False) -> Arrays:
+    out = np.zeros_like(first)
+    build(gather, "compose", serial)(first, second, out)
+    return (out,)
+
+
+def reached(displacement: np.ndarray, serial: bool = False) -> Arrays:
+    reach = np.zeros((displacement.shape[0], 2), np.float32)
+    build(splat, "row_reach", serial)(displacement, reach)
+    return (reach,)
+
+
+def splatted(displacement: np.ndarray, depth: np.ndarray, serial: bool = False) -> Arrays:
+    field, near = np.zeros_like(displacement), np.zeros_like(depth)
+    (reach,) = reached(displacement, serial)
+    build(splat, "splat", serial)(displacement, depth, reach, field, near)
+    return field, near
+
+
+def marked(
+    field: np.ndarray,
+    depths: Pair,
+    stencils: Pair | None = None,
+    positions: Pair | None = None,
+    normals: Pair | None = None,
+    serial: bool = False,
+) -> Arrays:
+    hole = np.zeros(field.shape[:2], np.bool_)
+    build(holes, "mark", serial)(
+        field,
+        depths,
+        stencils or (NO_IDS, NO_IDS),
+        positions or (NO_VECTORS, NO_VECTORS),
+        normals or (NO_VECTORS, NO_VECTORS),
+        hole,
+    )
+    return (hole,)
+
+
+def filled(
+    image: np.ndarray,
+    depth: np.ndarray,
+    hole: np.ndarray,
+    cap: float,
+    reach: int,
+    serial: bool = False,
+) -> Arrays:
+    out = np.full_like(image, np.nan)
+    build(holes, "fill", serial)(image, depth, hole, np.float32(cap), reach, out)
+    return (out,)
+
+
+def edges_found(depth: np.ndarray, stencil: np.ndarray = NO_IDS, serial: bool = False) -> Arrays:
+    edge = np.zeros(depth.shape, np.bool_)
+    build(edges, "find_edges", serial)(depth, stencil, edge)
+    return (edge,)
+
+
+def unmixed(
+    vectors: np.ndarray,
+    rigid: np.ndarray,
+    depth: np.ndarray,
+    stencil: np.ndarray = NO_IDS,
+    tolerance: float = 0.25,
+    serial: bool = False,
+) -> Arrays:
+    (edge,) = edges_found(depth, stencil, serial)
+    out = np.zeros_like(vectors)
+    build(edges, "unmix", serial)(vectors, rigid, depth, stencil, edge, np.float32(tolerance), out)
+    return (out,)
+
+
+def fringe_found(
+    field: np.ndarray, near: np.ndarray, depth: np.ndarray, serial: bool = False
+) -> Arrays:
+    fringe = np.zeros(depth.shape, np.bool_)
+    build(edges, "find_fringe", serial)(field, near, depth, fringe)
+    return (fringe,)

@@ -1,0 +1,107 @@
+"""A case for every kernel, run in whatever build is asked for; as a script, writes the results.
+
+``python -m tests.unit.kernel_cases OUT.npz`` with NUMBA_DISABLE_JIT=1 runs the plain Python text.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+
+import numpy as np
+
+from tests.unit import kernel_calls as calls
+
+SHAPE = (37, 15)  # more rows than one band of the splat
+
+
+def field(seed: int, spread: float = 2.0) -> np.ndarray:
+    """Smooth motion with a block that moves apart, noise, and unknown pixels."""
+    rng = np.random.default_rng(seed)
+    rows, columns = np.mgrid[0 : SHAPE[0], 0 : SHAPE[1]]
+    out = np.stack([np.sin(rows / 5) + columns / 9, np.cos(columns / 4)], axis=-1) * spread
+    out += rng.normal(0, 0.05, out.shape)
+    out[8:20, 4:9] += 5
+    out[rng.random(SHAPE) < 0.05] = np.nan
+    return out.astype(np.float32)
+
+
+def depth(seed: int) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    out = rng.choice([2.0, 2.05, 6.0, np.inf], SHAPE, p=[0.3, 0.3, 0.3, 0.1])
+    out[10:20] = 3
+    return out.astype(np.float32)
+
+
+def vectors(seed: int, spread: float, base: tuple[float, ...] = (0, 0, 1)) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return (np.array(base) + rng.normal(0, spread, (*SHAPE, 3))).astype(np.float32)
+
+
+def image(seed: int) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    out = rng.lognormal(0, 2, (*SHAPE, 4)) * rng.choice([-1, 1], (*SHAPE, 4))
+    out[rng.random(SHAPE) < 0.03] = np.nan
+    return out.astype(np.float32)
+
+
+def ids(seed: int) -> np.ndarray:
+    return np.random.default_rng(seed).integers(-1, 2, SHAPE).astype(np.int32)
+
+
+def wide(values: np.ndarray) -> np.ndarray:
+    """Stretch rows, so that neighbouring positions lie apart like the pixels of a surface."""
+    rows, columns = np.mgrid[0 : SHAPE[0], 0 : SHAPE[1]]
+    values[..., 0] += columns
+    values[..., 1] += rows
+    return values
+
+
+def mark(serial: bool) -> calls.Arrays:
+    """All tests at once, and depth alone."""
+    depths = (depth(5), depth(5))
+    positions = (wide(vectors(6, 0.1)), wide(vectors(7, 0.8)))
+    full = calls.marked(
+        field(4, 0.3),
+        depths,
+        (ids(8), ids(9)),
+        positions,
+        (vectors(10, 0.1), vectors(11, 0.1)),
+        serial,
+    )
+    return full + calls.marked(field(4, 0.3), depths, serial=serial)
+
+
+def fill(serial: bool) -> calls.Arrays:
+    hole = np.random.default_rng(12).random(SHAPE) < 0.3
+    hole[10:20, 3:9] = True
+    pixels = np.clip(np.nan_to_num(image(13)), -3, 3)
+    return calls.filled(pixels, depth(14), hole, 12.0, 9, serial)
+
+
+CASES: dict[str, Callable[[bool], calls.Arrays]] = {
+    "gather_bilinear": lambda serial: calls.gathered(image(1), field(1), serial),
+    "compose": lambda serial: calls.composed(field(2), field(3, 0.5), serial),
+    "row_reach": lambda serial: calls.reached(field(2), serial),
+    "splat": lambda serial: calls.splatted(field(2), depth(2), serial),
+    "mark": mark,
+    "fill": fill,
+    "find_edges": lambda serial: calls.edges_found(depth(15), ids(15), serial),
+    "unmix": lambda serial: calls.unmixed(
+        field(16), field(16) + field(17, 0.05), depth(15), ids(15), serial=serial
+    ),
+    "find_fringe": lambda serial: calls.fringe_found(field(18), depth(18), depth(19), serial),
+}
+
+
+def run_all(serial: bool) -> dict[str, np.ndarray]:
+    """Return every output of every case by name and position."""
+    return {
+        f"{name}.{i}": array
+        for name, case in CASES.items()
+        for i, array in enumerate(case(serial))
+    }
+
+
+if __name__ == "__main__":
+    np.savez(sys.argv[1], **run_all(serial=True))

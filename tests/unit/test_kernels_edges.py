@@ -1,0 +1,173 @@
+"""Silhouettes: finding them, giving them one surface's motion, and their ghosts."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from exwarp_cli.kernels.edges import SAME_DEPTH, SEARCH
+from tests.reference import edges as naive
+from tests.unit.kernel_calls import NO_IDS, edges_found, fringe_found, unmixed
+
+SHAPE = (16, 19)
+SQUARE = (slice(5, 11), slice(6, 13))
+
+
+def patches(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Depth and ids of overlapping rectangles before background."""
+    rng = np.random.default_rng(seed)
+    depth = np.full(SHAPE, np.inf, np.float32)
+    stencil = np.zeros(SHAPE, np.int32)
+    for index in range(6):
+        top, left = rng.integers(0, 12, 2)
+        height, width = rng.integers(1, 8, 2)
+        part = (slice(top, top + height), slice(left, left + width))
+        depth[part] = rng.uniform(2, 9) * rng.uniform(0.98, 1.02, depth[part].shape)
+        stencil[part] = rng.choice([-1, 0, 0, index])
+    return depth, stencil
+
+
+def square(front: float = 2.0, behind: float = 8.0) -> np.ndarray:
+    depth = np.full(SHAPE, behind, np.float32)
+    depth[SQUARE] = front
+    return depth
+
+
+def mask_of(rows: slice, columns: slice) -> np.ndarray:
+    out = np.zeros(SHAPE, bool)
+    out[rows, columns] = True
+    return out
+
+
+class TestEdges:
+    @pytest.mark.parametrize("seed", range(4))
+    @pytest.mark.parametrize("with_ids", [False, True])
+    def test_equals_the_naive_twin(self, seed, with_ids):
+        depth, stencil = patches(seed)
+        depth[3, 3] = np.nan
+        (found,) = edges_found(depth, stencil if with_ids else NO_IDS)
+        expected = naive.find_edges(depth, stencil if with_ids else None, SAME_DEPTH)
+        np.testing.assert_array_equal(found, expected)
+        assert 0 < found.sum() < found.size
+
+    def test_one_surface_has_no_edges(self):
+        for value in (3.0, np.inf):
+            assert not edges_found(np.full(SHAPE, value, np.float32))[0].any()
+
+    def test_a_slope_is_one_surface_and_a_step_is_not(self):
+        steps = np.float32(1 + 0.9 * float(SAME_DEPTH)) ** np.arange(SHAPE[1])
+        assert not edges_found(np.tile(steps, (SHAPE[0], 1)).astype(np.float32))[0].any()
+        steep = np.float32(1 + 1.2 * float(SAME_DEPTH)) ** np.arange(SHAPE[1])
+        assert edges_found(np.tile(steep, (SHAPE[0], 1)).astype(np.float32))[0].all()
+
+    def test_both_sides_of_a_silhouette_are_marked(self):
+        expected = mask_of(slice(4, 12), slice(5, 14)) & ~mask_of(slice(6, 10), slice(7, 12))
+        np.testing.assert_array_equal(edges_found(square())[0], expected)
+        np.testing.assert_array_equal(edges_found(square(behind=np.inf))[0], expected)
+
+    def test_ids_separate_what_is_equally_far(self):
+        stencil = mask_of(*SQUARE).astype(np.int32)
+        flat = square(behind=2.0)
+        assert not edges_found(flat)[0].any()
+        np.testing.assert_array_equal(edges_found(flat, stencil)[0], edges_found(square())[0])
+
+
+class TestUnmix:
+    @pytest.mark.parametrize("seed", range(4))
+    @pytest.mark.parametrize("with_ids", [False, True])
+    def test_equals_the_naive_twin(self, seed, with_ids):
+        rng = np.random.default_rng(seed)
+        depth, stencil = patches(seed)
+        ids = stencil if with_ids else NO_IDS
+        rigid = rng.normal(0, 3, (*SHAPE, 2)).astype(np.float32)
+        vectors = rigid + rng.normal(0, 0.2, (*SHAPE, 2)).astype(np.float32)
+        vectors[rng.random(SHAPE) < 0.1] += 4
+        vectors[rng.random(SHAPE) < 0.05] = np.nan
+        rigid[rng.random(SHAPE) < 0.05] = np.nan
+        (edge,) = edges_found(depth, ids)
+        expected = naive.unmix(
+            vectors,
+            rigid,
+            (depth, stencil if with_ids else None, edge),
+            0.25,
+            (SAME_DEPTH, SEARCH),
+        )
+        np.testing.assert_array_equal(unmixed(vectors, rigid, depth, ids)[0], expected)
+
+    def scene(self, behind: float = 8.0) -> tuple[np.ndarray, ...]:
+        """A square that moves by (5, 0) before a wall that the camera moves by (1, 1).
+
+        The renderer's filter has mixed the vectors at the silhouette.
+        """
+        rigid = np.ones((*SHAPE, 2), np.float32)
+        exact = rigid.copy()
+        exact[SQUARE] = (5, 0)
+        depth = square(behind=behind)
+        (edge,) = edges_found(depth)
+        vectors = exact.copy()
+        vectors[edge] = (3, 0.5)
+        return vectors, rigid, depth, exact
+
+    def test_a_moving_square_gets_its_own_motion_up_to_its_rim(self):
+        vectors, rigid, depth, exact = self.scene()
+        np.testing.assert_array_equal(unmixed(vectors, rigid, depth)[0], exact)
+
+    def test_background_follows_the_cameras(self):
+        vectors, rigid, depth, exact = self.scene(behind=np.inf)
+        vectors[np.isinf(depth)] = 0  # as renderers write it
+        np.testing.assert_array_equal(unmixed(vectors, rigid, depth)[0], exact)
+
+    def test_without_cameras_the_inside_decides(self):
+        vectors, rigid, depth, exact = self.scene()
+        (found,) = unmixed(vectors, np.full_like(rigid, np.nan), depth)
+        np.testing.assert_array_equal(found, exact)
+
+    def test_static_pixels_take_the_cameras_exact_motion(self):
+        rigid = np.random.default_rng(1).normal(0, 3, (*SHAPE, 2)).astype(np.float32)
+        vectors = rigid + np.float32(0.1)
+        np.testing.assert_array_equal(unmixed(vectors, rigid, square())[0], rigid)
+        (edge,) = edges_found(square())
+        (moving,) = unmixed(vectors, rigid, square(), np.ones(SHAPE, np.int32))
+        np.testing.assert_array_equal(moving[~edge], vectors[~edge])
+
+    @pytest.mark.parametrize(("ident", "moves"), [(0, False), (7, True)])
+    def test_thin_structures_are_static_unless_an_id_moves(self, ident, moves):
+        depth, stencil = np.full(SHAPE, 8, np.float32), np.zeros(SHAPE, np.int32)
+        depth[:, 9], stencil[:, 9] = 2, ident
+        rigid = np.ones((*SHAPE, 2), np.float32)
+        vectors = rigid.copy()
+        vectors[:, 8:11] = (3, 0.5)
+        (found,) = unmixed(vectors, rigid, depth, stencil)
+        assert (found[:, 9] == ((3, 0.5) if moves else (1, 1))).all()
+        assert (np.delete(found, 9, axis=1) == 1).all()
+
+
+class TestFringe:
+    @pytest.mark.parametrize("seed", range(4))
+    def test_equals_the_naive_twin(self, seed):
+        rng = np.random.default_rng(seed)
+        near, depth = patches(seed)[0], patches(seed + 10)[0]
+        near[rng.random(SHAPE) < 0.05] = np.nan
+        field = rng.normal(0, 3, (*SHAPE, 2)).astype(np.float32)
+        field[rng.random(SHAPE) < 0.05] = np.nan
+        (found,) = fringe_found(field, near, depth)
+        np.testing.assert_array_equal(found, naive.find_fringe(field, near, depth, SAME_DEPTH))
+        assert 0 < found.sum() < found.size
+
+    def test_nothing_moves_nothing_is_a_ghost(self):
+        depth = square()
+        assert not fringe_found(np.zeros((*SHAPE, 2), np.float32), depth, depth)[0].any()
+
+    @pytest.mark.parametrize("behind", [8.0, np.inf])
+    def test_the_rim_left_behind_is_marked(self, behind):
+        depth = square(behind=behind)
+        near = np.roll(depth, 4, axis=1)
+        field = np.zeros((*SHAPE, 2), np.float32)
+        field[near == 2] = (-4, 0)
+        (found,) = fringe_found(field, near, depth)
+        # The wall beside the square's old place, save where the square's new place is beside it.
+        rows, columns = SQUARE
+        rim = np.zeros(SHAPE, bool)
+        rim[rows, [columns.start - 1]] = True
+        rim[[rows.start - 1, rows.stop], columns.start : columns.start + 4] = True
+        np.testing.assert_array_equal(found & ~(near == 2), rim)
