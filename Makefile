@@ -35,7 +35,7 @@ demo: $(STAMP)
 	    --video $(DEMO)/$(EXAMPLE).mp4 --overwrite
 	@echo
 	@echo "frames  $(DEMO)/frames"
-	@echo "report  $(DEMO)/report/report.html"
+	@echo "report  $(DEMO)/report/report.json"
 	@echo "video   $(DEMO)/$(EXAMPLE).mp4"
 
 clean:

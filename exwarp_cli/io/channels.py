@@ -168,6 +168,10 @@ def detect(channels: Mapping[str, Iterable[Channel]]) -> Layout:
         found = _motion(layers) if role is Role.MOTION else _first(layers, rules)
         if found:
             roles[role] = found
+        if role is Role.COLOUR and found:
+            # Of several view layers, geometry is looked for in the one whose colour is used.
+            parent = _parent(found[0].name)
+            layers.sort(key=lambda layer: _parent(f"{layer.name}.") != parent)
     if Role.COLOUR not in roles:
         roles.update(_only_colour(layers, roles))
     guess, producer = _guess(roles.get(Role.MOTION, ()))
@@ -188,6 +192,11 @@ def require(layout: Layout, role: Role, where: str) -> tuple[ChannelRef, ...]:
             "list its channels with 'exwarp inspect' and render the missing pass"
         )
     return layout.roles[role]
+
+
+def _parent(name: str) -> str:
+    """Return what stands before a channel's layer: "A" for "A.Combined.R"."""
+    return name.rpartition(".")[0].rpartition(".")[0]
 
 
 def _layers(channels: Mapping[str, Iterable[Channel]]) -> list[_Layer]:

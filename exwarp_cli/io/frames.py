@@ -106,26 +106,19 @@ def open_shot(spec: str) -> Shot:
     aov_set = find_aov_set(spec)
     if aov_set is None:
         sequence, aovs = find_sequence(spec), {}
-    elif aov_set.colour is None:
-        sequence = aov_set.leader
-        aovs = {name: aov for name, aov in aov_set.aovs.items() if aov is not sequence}
     else:
-        sequence, aovs = aov_set.colour, dict(aov_set.aovs)
+        sequence, aovs = aov_set.leader, aov_set.aovs
     first = sequence.numbers[0]
-    main = (
-        "" if aov_set is None or aov_set.colour is not None else _own_name(aov_set.aovs, sequence)
-    )
+    # Without colour one of the AOVs leads the set; it keeps its AOV's name.
+    files = {} if sequence in aovs.values() else {"": sequence.files[first]}
+    files |= {aov: member.files[first] for aov, member in aovs.items()}
     channels: dict[str, tuple[Channel, ...]] = {}
-    display = None
-    for aov, path in (
-        {main: sequence.files[first]} | {a: s.files[first] for a, s in aovs.items()}
-    ).items():
+    displays: list[Window] = []
+    for aov, path in files.items():
         with ExrReader(path) as file:
             channels[aov] = tuple(c for part in _hero(file.parts) for c in part.channels)
-            display = display or file.parts[0].display_window
-    assert display is not None
-    members = {aov: seq for aov, seq in aovs.items()} | ({main: sequence} if main else {})
-    return Shot(sequence, members, detect(channels), display)
+            displays.append(file.parts[0].display_window)
+    return Shot(sequence, aovs, detect(channels), displays[0])
 
 
 def read_raw(
@@ -236,11 +229,6 @@ def _refuse_broken(pixels: Float32, path: Path) -> None:
         raise DamagedFileError(
             f"{path} has NaN or infinite colour in {share:.0%} of its pixels; render it again"
         )
-
-
-def _own_name(aovs: Mapping[str, Sequence], sequence: Sequence) -> str:
-    """Return the AOV under which a set without colour keeps its leader."""
-    return next(name for name, member in aovs.items() if member is sequence)
 
 
 def _hero(parts: tuple[Part, ...]) -> tuple[Part, ...]:

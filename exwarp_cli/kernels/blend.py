@@ -48,7 +48,7 @@ def blend_text(before: Side, after: Side, time: np.float32, out: F32, depth: F32
     time
         Of the slot in the key interval, 0 < time < 1.
     out
-        float32 [H, W, C], written; 0 in holes.
+        float32 [H, W, C], written; in holes that of `before`.
     depth
         float32 [H, W], written: the nearer of both depths.
     hole
@@ -74,7 +74,11 @@ def blend_text(before: Side, after: Side, time: np.float32, out: F32, depth: F32
             share = np.float32(0) if hole[i, j] else b / (a + b)
             for c in range(channels):
                 first, second = before[0][i, j, c], after[0][i, j, c]
-                out[i, j, c] = first + share * (second - first)
+                # From the heavier side: exact where it counts alone, whatever stands in the other.
+                if share < np.float32(0.5):
+                    out[i, j, c] = first + share * (second - first)
+                else:
+                    out[i, j, c] = second + (np.float32(1) - share) * (first - second)
 
 
 blend = parallel(blend_text)

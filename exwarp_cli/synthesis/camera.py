@@ -5,7 +5,7 @@ determine the 3x4 projection by a linear fit (the direct linear transform). With
 the points are those; with only depth along the camera's axis, the frame's own camera serves as the
 world: the point at pixel (x, y) and depth z is (x, y, 1, 1/z) up to scale. Either way the fit to
 the neighbouring frame, through the renderer's vectors, gives that frame's camera, and with it the
-motion of everything static and of the sky, whose rendered vectors are 0 even while the camera turns.
+motion of everything static and of the sky, whose vectors are 0 even while the camera turns.
 """
 
 from __future__ import annotations
@@ -15,11 +15,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.domain.frame import Bool, Float32, GBuffer
+from exwarp_cli.domain.frame import Bool, Float32, GBuffer, Int32
+from exwarp_cli.kernels import project
 
 F64 = npt.NDArray[np.float64]
 
-MAX_SAMPLES = 6000
+MAX_SAMPLES = 4000
 MIN_SAMPLES = 60
 ROUNDS = 12
 MAX_MEDIAN_ERROR = 0.25
@@ -28,24 +29,8 @@ MAX_MEDIAN_ERROR = 0.25
 INLIER_FLOOR = 0.02
 """Pixels below which an error is never an outlier: the rounding of half-float passes."""
 
-
-@dataclass(frozen=True)
-class ScenePoints:
-    """Homogeneous points of a frame, in whatever world is at hand.
-
-    Attributes
-    ----------
-    points
-        float64 [H, W, 4]; the last coordinate is 0 for background, which lies at infinity.
-    valid
-        bool [H, W]: the pixel shows a surface of known place.
-    background
-        bool [H, W]: the pixel shows none.
-    """
-
-    points: F64
-    valid: Bool
-    background: Bool
+DEGENERATE = 1e-5
+"""Ratio of singular values below which points do not determine a camera: all on one plane."""
 
 
 @dataclass(frozen=True)
@@ -72,41 +57,60 @@ class Camera:
         return pixels
 
 
-def pixel_grid(shape: tuple[int, int]) -> F64:
-    """Pixel coordinates float64 [H, W, 2] as (x, y)."""
-    y, x = np.mgrid[0 : shape[0], 0 : shape[1]].astype(np.float64)
-    return np.stack([x, y], axis=-1)
+@dataclass(frozen=True)
+class Scene:
+    """The points of a frame, in whatever world is at hand.
+
+    Attributes
+    ----------
+    position
+        float32 [H, W, 3], world space; [0, 0, 3] where depth places the points instead.
+    depth
+        float32 [H, W], +inf background.
+    to_ray
+        float64 [3, 3]: takes (x, y, 1) of a pixel to the direction of its ray in that world.
+    """
+
+    position: Float32
+    depth: Float32
+    to_ray: F64
+
+    def points(self, index: npt.NDArray[np.intp]) -> F64:
+        """Homogeneous points float64 [N, 4] of pixels given by flat index."""
+        if self.position.shape[0]:
+            chosen = self.position.reshape(-1, 3)[index].astype(np.float64)
+            return np.concatenate([chosen, np.ones((len(index), 1))], axis=1)
+        inverse = 1.0 / self.depth.ravel()[index].astype(np.float64)
+        grid = pixels_at(index, self.depth.shape[1])
+        return np.column_stack([grid, np.ones(len(index)), inverse])
 
 
-def scene_points(gbuffer: GBuffer) -> ScenePoints | None:
-    """Return a frame's points, from world positions if they fit a camera, else from depth.
+def pixels_at(index: npt.NDArray[np.intp], width: int) -> F64:
+    """Pixel coordinates (x, y) float64 [N, 2] of flat indices."""
+    y, x = np.divmod(index, width)
+    return np.stack([x, y], axis=1).astype(np.float64)
+
+
+def scene_of(gbuffer: GBuffer) -> Scene | None:
+    """Return a frame's points: from world positions if they fit a camera, else from depth.
 
     None when neither is there.
     """
-    if gbuffer.depth is None and gbuffer.position is None:
-        return None
-    background = background_of(gbuffer)
-    grid = pixel_grid(background.shape)
+    depth = gbuffer.depth
     if gbuffer.position is not None:
-        valid = ~background & np.isfinite(gbuffer.position).all(axis=-1)
-        points = np.concatenate(
-            [np.where(valid[..., None], gbuffer.position, 0), np.ones((*valid.shape, 1))], axis=-1
-        ).astype(np.float64)
-        own = fit(points[valid], grid[valid])
+        position = np.ascontiguousarray(gbuffer.position)
+        if depth is None:
+            depth = np.where(background_of(gbuffer), np.inf, 1.0).astype(np.float32)
+        usable = np.isfinite(depth) & np.isfinite(position).all(axis=-1)
+        index = sample(usable)
+        scene = Scene(position, depth, np.eye(3))
+        own = fit(scene.points(index), pixels_at(index, depth.shape[1]))
         if own is not None:
-            directions = np.concatenate([grid, np.ones((*valid.shape, 1))], axis=-1)
-            rays = directions @ np.linalg.inv(own.matrix[:, :3]).T
-            points[background, :3] = rays[background]
-            points[background, 3] = 0.0
-            return ScenePoints(points, valid, background)
+            to_ray = np.asarray(np.linalg.inv(own.matrix[:, :3]), dtype=np.float64)
+            return Scene(position, depth, to_ray)
     if gbuffer.depth is None:
         return None
-    valid = np.isfinite(gbuffer.depth) & (gbuffer.depth > 0)
-    inverse = np.where(valid, 1.0 / np.where(valid, gbuffer.depth, 1.0), 0.0)
-    points = np.concatenate(
-        [grid, np.ones((*valid.shape, 1)), inverse[..., None].astype(np.float64)], axis=-1
-    )
-    return ScenePoints(points, valid, background)
+    return Scene(np.zeros((0, 0, 3), np.float32), gbuffer.depth, np.eye(3))
 
 
 def background_of(gbuffer: GBuffer) -> Bool:
@@ -115,6 +119,44 @@ def background_of(gbuffer: GBuffer) -> Bool:
         return np.asarray(np.isinf(gbuffer.depth))
     assert gbuffer.position is not None
     return np.asarray((gbuffer.position == 0).all(axis=-1))
+
+
+def sample(usable: Bool) -> npt.NDArray[np.intp]:
+    """Return flat indices of about MAX_SAMPLES usable pixels, always the same ones."""
+    index = np.flatnonzero(usable)
+    return index[:: max(1, len(index) // MAX_SAMPLES)]
+
+
+def rigid_motion(scene: Scene, vectors: Float32, stencil: Int32 | None) -> Float32 | None:
+    """Return the motion that static points and the sky have, from the camera that `vectors` imply.
+
+    Parameters
+    ----------
+    scene
+        The frame's points.
+    vectors
+        float32 [H, W, 2], pixels, displacement to the other frame as rendered.
+    stencil
+        int32 [H, W], 0 static; None when unknown. Used to find points for the fit.
+
+    Returns
+    -------
+    float32 [H, W, 2] or None
+        NaN where unknown. None when no camera can be found.
+    """
+    usable = np.asarray(np.isfinite(scene.depth) & np.isfinite(vectors).all(axis=-1))
+    if stencil is not None:
+        static = usable & (stencil == 0)
+        usable = static if np.count_nonzero(static) >= MIN_SAMPLES else usable
+    index = sample(usable)
+    seen_at = pixels_at(index, scene.depth.shape[1]) + vectors.reshape(-1, 2)[index]
+    camera = fit(scene.points(index), seen_at)
+    if camera is None:
+        return None
+    out = np.empty_like(vectors)
+    at_infinity = camera.matrix[:, :3] @ scene.to_ray
+    project.rigid(scene.position, scene.depth, camera.matrix, at_infinity, out)
+    return out
 
 
 def fit(points: F64, pixels: F64) -> Camera | None:
@@ -136,18 +178,16 @@ def fit(points: F64, pixels: F64) -> Camera | None:
     Notes
     -----
     Direct linear transform on normalised coordinates, reweighted to pixel error, with points beyond
-    four median errors left out round by round. Points are taken at a fixed stride, so the same
-    input always gives the same camera.
+    four median errors left out round by round, until the same points stay.
     """
     usable = np.isfinite(points).all(axis=1) & np.isfinite(pixels).all(axis=1)
     points, pixels = points[usable], pixels[usable]
-    stride = max(1, len(points) // MAX_SAMPLES)
-    points, pixels = points[::stride], pixels[::stride]
     if len(points) < MIN_SAMPLES:
         return None
     to_unit, unit_points = _normalise(points)
     from_unit, unit_pixels = _normalise_pixels(pixels)
     weights = np.ones(len(points))
+    inliers = np.ones(len(points), np.bool_)
     camera = None
     for _ in range(ROUNDS):
         unit = _solve(unit_points, unit_pixels, weights)
@@ -156,46 +196,18 @@ def fit(points: F64, pixels: F64) -> Camera | None:
         matrix = from_unit @ unit @ to_unit
         error = np.linalg.norm(Camera(matrix, 0).project(points) - pixels, axis=1)
         error[~np.isfinite(error)] = np.inf
-        middle = float(np.median(error))
-        inliers = error <= max(4.0 * middle, INLIER_FLOOR)
+        before = inliers
+        inliers = error <= max(4.0 * float(np.median(error)), INLIER_FLOOR)
+        if np.count_nonzero(inliers) < MIN_SAMPLES:
+            return None
+        settled = camera is not None and bool((inliers == before).all())
+        camera = Camera(matrix, float(np.median(error[inliers])))
+        if settled:
+            break
         scale = np.abs(unit_points @ unit[2])
         weights = np.where(inliers, 1.0 / np.maximum(scale, 1e-9), 0.0)
-        camera = Camera(matrix, float(np.median(error[inliers])) if inliers.any() else np.inf)
-        if inliers.sum() < MIN_SAMPLES:
-            return None
     assert camera is not None
     return camera if camera.median_error <= MAX_MEDIAN_ERROR else None
-
-
-def rigid_motion(
-    scene: ScenePoints, vectors: Float32, stencil: npt.NDArray[np.int32] | None
-) -> Float32 | None:
-    """Return the motion that static points and the sky have, from the camera that `vectors` imply.
-
-    Parameters
-    ----------
-    scene
-        The frame's points.
-    vectors
-        float32 [H, W, 2], pixels, displacement to the other frame as rendered.
-    stencil
-        int32 [H, W], 0 static; None when unknown. Used to find points for the fit.
-
-    Returns
-    -------
-    float32 [H, W, 2] or None
-        NaN where unknown. None when no camera can be found.
-    """
-    grid = pixel_grid(scene.valid.shape)
-    chosen = scene.valid & np.isfinite(vectors).all(axis=-1)
-    if stencil is not None and (chosen & (stencil == 0)).sum() >= MIN_SAMPLES:
-        chosen &= stencil == 0
-    camera = fit(scene.points[chosen], (grid + vectors)[chosen])
-    if camera is None:
-        return None
-    motion = (camera.project(scene.points) - grid).astype(np.float32)
-    motion[~(scene.valid | scene.background)] = np.nan
-    return motion
 
 
 def _normalise(points: F64) -> tuple[F64, F64]:
@@ -221,24 +233,19 @@ def _normalise_pixels(pixels: F64) -> tuple[F64, F64]:
 
 def _solve(points: F64, pixels: F64, weights: F64) -> F64 | None:
     """Return the 3x4 matrix of least algebraic error, None when it is not determined."""
-    x, y = pixels[:, :1], pixels[:, 1:]
-    zero = np.zeros_like(points)
-    rows = (
-        np.concatenate(
-            [
-                np.concatenate([points, zero, -x * points], axis=1),
-                np.concatenate([zero, points, -y * points], axis=1),
-            ]
-        )
-        * np.concatenate([weights, weights])[:, None]
-    )
-    used = rows[np.abs(rows).sum(axis=1) > 0]
-    if len(used) < 2 * MIN_SAMPLES:
+    used = weights > 0
+    scaled = points[used] * weights[used, None]
+    x, y = pixels[used, :1], pixels[used, 1:]
+    rows = np.zeros((2, len(scaled), 12))
+    rows[0, :, :4], rows[0, :, 8:] = scaled, -x * scaled
+    rows[1, :, 4:8], rows[1, :, 8:] = scaled, -y * scaled
+    flat = rows.reshape(-1, 12)
+    if len(flat) < 2 * MIN_SAMPLES:
         return None
-    _, values, directions = np.linalg.svd(np.linalg.qr(used, mode="r"))
-    if values[-2] < 1e-5 * values[0]:
+    squares, directions = np.linalg.eigh(flat.T @ flat)
+    if squares[1] < DEGENERATE**2 * squares[-1]:
         return None
-    matrix = directions[-1].reshape(3, 4)
-    signs = points[weights > 0] @ matrix[2]
+    matrix = directions[:, 0].reshape(3, 4)
+    signs = scaled @ matrix[2]
     oriented: F64 = matrix * (1.0 if np.median(signs) > 0 else -1.0)
     return oriented

@@ -9,7 +9,7 @@ import numpy as np
 
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, Int32
 from exwarp_cli.kernels import edges, gather, holes, splat
-from exwarp_cli.synthesis.camera import background_of, rigid_motion, scene_points
+from exwarp_cli.synthesis.camera import background_of, rigid_motion, scene_of
 
 STATIC_TOLERANCE = 0.25
 """Pixels by which a static pixel's rendered vector may miss the camera's motion."""
@@ -68,7 +68,7 @@ def settle_motion(gbuffer: GBuffer) -> GBuffer:
     depth, stencil = depth_of(gbuffer), stencil_of(gbuffer)
     edge = np.empty(depth.shape, np.bool_)
     edges.find_edges(depth, stencil, edge)
-    scene = scene_points(gbuffer)
+    scene = scene_of(gbuffer)
 
     def settle(vectors: Float32 | None) -> Float32 | None:
         if vectors is None:

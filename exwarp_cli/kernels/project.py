@@ -1,0 +1,64 @@
+"""Motion of static points and of the background, from recovered cameras."""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from exwarp_cli.kernels.jit import parallel, serial
+
+F32 = npt.NDArray[np.float32]
+F64 = npt.NDArray[np.float64]
+
+
+def rigid_text(position: F32, depth: F32, camera: F64, at_infinity: F64, out: F32) -> None:
+    """Write the displacement of every pixel to another camera's frame, if its point stands still.
+
+    Parameters
+    ----------
+    position
+        float32 [H, W, 3], world space; or [0, 0, 3], then depth places the points.
+    depth
+        float32 [H, W], along the camera's axis; +inf is background, at infinity.
+    camera
+        float64 [3, 4]: projects (X, Y, Z, 1) to the other frame, or, without positions,
+        (x, y, 1, 1/depth) with x and y this frame's pixel coordinates.
+    at_infinity
+        float64 [3, 3]: takes (x, y, 1) of a background pixel to the other frame.
+    out
+        float32 [H, W, 2], written, pixels; NaN for what lies behind the other camera or nowhere.
+    """
+    height, width = depth.shape
+    placed = position.shape[0] > 0
+    for row in numba.prange(height):
+        i = np.int64(row)
+        for j in range(width):
+            x, y = np.float64(j), np.float64(i)
+            u, v, w = 0.0, 0.0, 0.0
+            if math.isinf(depth[i, j]):
+                u = at_infinity[0, 0] * x + at_infinity[0, 1] * y + at_infinity[0, 2]
+                v = at_infinity[1, 0] * x + at_infinity[1, 1] * y + at_infinity[1, 2]
+                w = at_infinity[2, 0] * x + at_infinity[2, 1] * y + at_infinity[2, 2]
+            else:
+                a, b, c, d = x, y, 1.0, 1.0 / np.float64(depth[i, j])
+                if placed:
+                    a = np.float64(position[i, j, 0])
+                    b = np.float64(position[i, j, 1])
+                    c = np.float64(position[i, j, 2])
+                    d = 1.0
+                u = camera[0, 0] * a + camera[0, 1] * b + camera[0, 2] * c + camera[0, 3] * d
+                v = camera[1, 0] * a + camera[1, 1] * b + camera[1, 2] * c + camera[1, 3] * d
+                w = camera[2, 0] * a + camera[2, 1] * b + camera[2, 2] * c + camera[2, 3] * d
+            if w > 0:
+                out[i, j, 0] = np.float32(u / w - x)
+                out[i, j, 1] = np.float32(v / w - y)
+            else:
+                out[i, j, 0] = np.nan
+                out[i, j, 1] = np.nan
+
+
+rigid = parallel(rigid_text)
+rigid_serial = serial(rigid_text)
