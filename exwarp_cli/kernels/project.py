@@ -48,7 +48,7 @@ def rigid_text(position: F32, depth: F32, camera: F64, at_infinity: F64, out: F3
                     a = np.float64(position[i, j, 0])
                     b = np.float64(position[i, j, 1])
                     c = np.float64(position[i, j, 2])
-                    d = 1.0
+                    d = np.float64(1.0)
                 u = camera[0, 0] * a + camera[0, 1] * b + camera[0, 2] * c + camera[0, 3] * d
                 v = camera[1, 0] * a + camera[1, 1] * b + camera[1, 2] * c + camera[1, 3] * d
                 w = camera[2, 0] * a + camera[2, 1] * b + camera[2, 2] * c + camera[2, 3] * d

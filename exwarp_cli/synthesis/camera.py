@@ -177,8 +177,9 @@ def fit(points: F64, pixels: F64) -> Camera | None:
 
     Notes
     -----
-    Direct linear transform on normalised coordinates, reweighted to pixel error, with points beyond
-    four median errors left out round by round, until the same points stay.
+    Direct linear transform on normalised coordinates, reweighted to pixel error and by Geman and
+    McClure's weights, with points beyond four median errors left out round by round, until the same
+    points stay.
     """
     usable = np.isfinite(points).all(axis=1) & np.isfinite(pixels).all(axis=1)
     points, pixels = points[usable], pixels[usable]
@@ -196,16 +197,19 @@ def fit(points: F64, pixels: F64) -> Camera | None:
         matrix = from_unit @ unit @ to_unit
         error = np.linalg.norm(Camera(matrix, 0).project(points) - pixels, axis=1)
         error[~np.isfinite(error)] = np.inf
-        before = inliers
-        inliers = error <= max(4.0 * float(np.median(error)), INLIER_FLOOR)
+        before, middle = inliers, float(np.median(error))
+        inliers = error <= max(4.0 * middle, INLIER_FLOOR)
         if np.count_nonzero(inliers) < MIN_SAMPLES:
             return None
         settled = camera is not None and bool((inliers == before).all())
         camera = Camera(matrix, float(np.median(error[inliers])))
         if settled:
             break
-        scale = np.abs(unit_points @ unit[2])
-        weights = np.where(inliers, 1.0 / np.maximum(scale, 1e-9), 0.0)
+        scale = np.maximum(np.abs(unit_points @ unit[2]), 1e-9)
+        # Without this doubt an object on a sixth of the points drags the camera with it: it pulls
+        # the first fit so far that it stays within four median errors.
+        doubt = 1.0 + (error / max(middle, INLIER_FLOOR)) ** 2
+        weights = np.where(inliers, 1.0 / (scale * doubt), 0.0)
     assert camera is not None
     return camera if camera.median_error <= MAX_MEDIAN_ERROR else None
 
