@@ -1,6 +1,6 @@
 # make test     lint, types, layers and all tests, in a virtual environment made on first use
 # make check    the same without the tests
-# make bench    the benchmarks
+# make bench    quality beside other interpolators, and run times beside OpenCV and the codecs
 # make demo     upsample the example, score it against its ground truth, make a video
 # make clean    remove all that make made
 
@@ -26,7 +26,9 @@ check: $(STAMP)
 	$(BIN)/lint-imports
 
 bench: $(STAMP)
-	$(BIN)/pytest tests/bench --benchmark-enable --benchmark-only
+	$(BIN)/python -m tests.bench.quality
+	$(BIN)/python -m tests.bench.bench_kernels
+	$(BIN)/python -m tests.bench.bench_command
 
 demo: $(STAMP)
 	@test -n "$(EXAMPLE)" || { echo "make: no examples/*/keys folder; see examples/" >&2; exit 1; }

@@ -156,6 +156,33 @@ class KeyFrame:
         gbuffer = None if self.gbuffer is None else self.gbuffer.on(canvas)
         return replace(self, image=self.image.on(canvas), gbuffer=gbuffer)
 
+    def extended(self, canvas: Window) -> KeyFrame:
+        """Return the frame on a larger window, for warping.
+
+        Inside the display window, what the data window leaves out is empty, and stays so: it gets
+        no motion. Outside, where another frame may have data, it is unknown: NaN, hence a hole.
+        """
+        placed = self.on(canvas)
+        if canvas == self.image.data_window:
+            return placed
+        around = outside(canvas, self.image.data_window)
+        beyond = outside(canvas, self.image.display_window)
+        pixels = np.where((around & beyond)[..., None], np.float32(np.nan), placed.image.pixels)
+        gbuffer = placed.gbuffer
+        if gbuffer is not None:
+            empty = (around & ~beyond)[..., None]
+            before, after = (
+                None if vectors is None else np.where(empty, np.float32(0), vectors)
+                for vectors in (gbuffer.to_previous, gbuffer.to_next)
+            )
+            gbuffer = replace(gbuffer, to_previous=before, to_next=after)
+        return replace(placed, image=replace(placed.image, pixels=pixels), gbuffer=gbuffer)
+
+
+def outside(canvas: Window, window: Window) -> Bool:
+    """bool [H, W] over `canvas`: pixels that `window` does not cover."""
+    return ~place(np.ones(window.shape, np.bool_), window, canvas)
+
 
 def place(array: np.ndarray, window: Window, canvas: Window, fill: float = 0.0) -> np.ndarray:
     """Copy an array [H, W, ...] that covers `window` onto `canvas`.

@@ -6,7 +6,7 @@ lock, and reports damage as an error where OpenEXR's own bindings print and drop
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -91,8 +91,7 @@ class ExrReader:
         except (RuntimeError, ValueError, UnicodeError):
             file = None
         if file is None:
-            reason = oiio.geterror().strip().splitlines()
-            raise damaged(path, reason[0] if reason else "")
+            raise damaged(path, _said(oiio.geterror))
         if file.format_name() != "openexr":
             file.close()
             raise damaged(path, f"its content is {file.format_name()}")
@@ -136,7 +135,7 @@ class ExrReader:
             end = max(c.index for c in members) + 1
             pixels = self._file.read_image(part, 0, begin, end, "uint" if integer else "float")
             if pixels is None:
-                raise damaged(self.path, self._file.geterror())
+                raise damaged(self.path, _said(self._file.geterror))
             height, width = self.parts[part].data_window.shape
             pixels = pixels.reshape(height, width, end - begin)
             for channel in members:
@@ -146,10 +145,20 @@ class ExrReader:
 
 def damaged(path: Path, reason: str) -> DamagedFileError:
     """Build the error for a file that cannot be decoded."""
-    detail = f" ({reason.strip().rstrip('.')})" if reason.strip() else ""
+    told = " ".join(reason.split()).rstrip(".")  # decoders write several lines
+    detail = f" ({told})" if told else ""
     return DamagedFileError(
         f"{path} is truncated, damaged or not an OpenEXR file{detail}; render or copy it again"
     )
+
+
+def _said(geterror: Callable[[], str]) -> str:
+    """Return the first line of what the decoder reports; it may quote the file's broken bytes."""
+    try:
+        lines = geterror().strip().splitlines()
+    except UnicodeDecodeError:
+        return ""
+    return lines[0] if lines else ""
 
 
 def _part(index: int, spec: oiio.ImageSpec, multipart: bool) -> Part:

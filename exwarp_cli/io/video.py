@@ -63,6 +63,14 @@ def to_display(pixels: Float32, exposure_stops: float = 0.0) -> UInt8:
     return rounded
 
 
+def require_container(path: Path) -> None:
+    """Refuse a video whose suffix names no container that is written; raises UsageError."""
+    if path.suffix.lower() not in CONTAINERS:
+        raise UsageError(
+            f"the video {path} is neither .mp4 nor .mov; choose a name with one of the two"
+        )
+
+
 class VideoWriter:
     """Write frames to a video that appears when it is whole.
 
@@ -90,10 +98,7 @@ class VideoWriter:
     """
 
     def __init__(self, path: Path, width: int, height: int, fps: Fraction | float) -> None:
-        if path.suffix.lower() not in CONTAINERS:
-            raise UsageError(
-                f"the video {path} is neither .mp4 nor .mov; choose a name with one of the two"
-            )
+        require_container(path)
         if not 0 < fps < float("inf"):
             raise UsageError(f"the frame rate {fps} of the video is not a positive number")
         self._path = path

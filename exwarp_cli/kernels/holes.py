@@ -22,9 +22,6 @@ nearest source pixel is up to 0.71 pixels off, and its own sample as much again.
 DEPTH_TOLERANCE = np.float32(0.1)
 """Relative change of depth up to which two pixels may be the same surface, without positions."""
 
-MIN_COSINE = np.float32(0.98)
-"""Least cosine between the normals of one dynamic surface at both ends (ExtraNet's constant)."""
-
 DIRECTIONS = 16
 BACKGROUND_POWER = 4
 """Weight of a fill candidate falls with this power of its nearness."""
@@ -69,10 +66,13 @@ def other_surface(
     x: int,
     positions: tuple[F32, F32],
     normals: tuple[F32, F32],
-    dynamic: bool,
+    least_cosine: np.float32,
 ) -> bool:
-    """Whether position (static) or normal (dynamic) at (i, j) now and (y, x) then disagree."""
-    if dynamic:
+    """Whether position (static) or normal (dynamic) at (i, j) now and (y, x) then disagree.
+
+    `least_cosine` is that of the normals of one dynamic surface, -2 for a static one.
+    """
+    if least_cosine > -2:
         now, then = normals
         if now.shape[0] == 0:
             return False
@@ -81,7 +81,7 @@ def other_surface(
             dot += now[i, j, c] * then[y, x, c]
             a += now[i, j, c] ** 2
             b += then[y, x, c] ** 2
-        return bool(dot < MIN_COSINE * math.sqrt(a * b))
+        return bool(dot < least_cosine * math.sqrt(a * b))
     here, there = positions
     if here.shape[0] == 0:
         return False
@@ -97,6 +97,7 @@ def mark_text(
     stencils: tuple[I32, I32],
     positions: tuple[F32, F32],
     normals: tuple[F32, F32],
+    least_cosine: np.float32,
     hole: B8,
 ) -> None:
     """Mark pixels whose source along a motion field is not the same surface point.
@@ -111,6 +112,8 @@ def mark_text(
         int32 [H, W] or [0, 0] when unknown; negative where ids mix.
     positions, normals
         float32 [H, W, 3] or [0, 0, 3] when unknown.
+    least_cosine
+        Of the angle by which the normal of one dynamic surface may turn on the way.
     hole
         bool [H, W], written.
 
@@ -141,7 +144,9 @@ def mark_text(
             now, then = (stencils[0][i, j], stencils[1][y, x]) if known_ids else (0, 0)
             if now >= 0 and then >= 0 and now != then:
                 continue
-            if other_surface(i, j, y, x, positions, normals, now > 0):
+            if other_surface(
+                i, j, y, x, positions, normals, least_cosine if now > 0 else np.float32(-2)
+            ):
                 continue
             if not known_positions and now <= 0:
                 a, b = depths[0][i, j], depths[1][y, x]

@@ -158,7 +158,7 @@ class Run:
         known = self._settled.get((frame.number, canvas))
         if known is not None:
             return known
-        placed = frame.on(canvas)
+        placed = frame.extended(canvas)
         gbuffer = None if placed.gbuffer is None else settle_motion(placed.gbuffer)
         return replace(placed, gbuffer=gbuffer)
 
@@ -183,7 +183,7 @@ class Run:
             method=predicted.method,
             sources=predicted.sources,
             hole_fraction=_fraction(mask),
-            nonfinite_pixels=_nonfinite(interval, predicted.sources),
+            nonfinite_pixels=_nonfinite(loaded, predicted.sources),
             timing_ms={"warp" if predicted.method != "hold" else "hold": elapsed},
         )
         attributes = self._attributes(record, loaded.recipes[slot.index])
@@ -290,11 +290,11 @@ def _fraction(mask: Bool | None) -> float | None:
     return None if mask is None else float(np.float32(mask.mean()))
 
 
-def _nonfinite(interval: Interval, sources: tuple[int, ...]) -> int:
+def _nonfinite(loaded: Loaded, sources: tuple[int, ...]) -> int:
     """How many pixels of the source frames are NaN or infinite."""
     pixels: list[Float32] = [
         frame.image.pixels
-        for frame in (interval.key, interval.following)
+        for frame in (loaded.frame, loaded.following)
         if frame is not None and frame.number in sources
     ]
     return int(sum(broken_pixels(p).sum() for p in pixels))

@@ -7,6 +7,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
 
+import numpy as np
+
+from exwarp_cli.domain.frame import place
 from exwarp_cli.domain.motion import AxisMap, MotionConvention, MotionFinding
 from exwarp_cli.domain.settings import DEFAULT_FPS, SourceSettings
 from exwarp_cli.domain.timeline import FACTOR, Slot, Timeline, ranges
@@ -222,10 +225,12 @@ def _axis(term: str, names: tuple[str, ...]) -> tuple[int, float] | None:
 
 
 def _instant(shot: Shot, number: int) -> Instant:
-    roles = (Role.COLOUR, *GEOMETRY)
-    raw = read_raw(shot, number, roles)
+    """Read a frame on the display window: data windows differ, and normalised vectors go by it."""
+    raw = read_raw(shot, number, (Role.COLOUR, *GEOMETRY))
     assert raw.motion is not None
-    return Instant(number, raw.gbuffer, raw.motion, None if raw.image is None else raw.image.pixels)
+    motion = place(raw.motion, raw.gbuffer.window, shot.display, np.nan)
+    colour = None if raw.image is None else raw.image.on(shot.display).pixels
+    return Instant(number, raw.gbuffer.on(shot.display), motion, colour)
 
 
 def rate_of(keys: Shot, given: Fraction | None) -> tuple[Fraction, str]:

@@ -12,6 +12,7 @@ from exwarp_cli.errors import OutputExistsError, UsageError
 from exwarp_cli.io.atomic import make_folder, remove_leftovers
 from exwarp_cli.io.output import recipe_of
 from exwarp_cli.io.sequence import OutputPattern, Sequence, output_pattern
+from exwarp_cli.io.video import require_container
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,7 @@ class Targets:
         Raises
         ------
         UsageError
-            When they name the same folder and pattern twice.
+            When they name the same folder and pattern twice, or a video of an unknown kind.
         """
         frames = output_pattern(settings.output, source)
         holes = None
@@ -49,7 +50,10 @@ class Targets:
                 raise UsageError(
                     "--write-holes and -o name the same files; give the masks a folder of their own"
                 )
-        return cls(frames, holes, None if settings.video is None else Path(settings.video))
+        video = None if settings.video is None else Path(settings.video)
+        if video is not None:
+            require_container(video)
+        return cls(frames, holes, video)
 
     def prepare(self, settings: UpsampleSettings, timeline: Timeline, slots: list[Slot]) -> None:
         """Refuse to overwrite, make the folders, and clear what dead runs left there.

@@ -58,8 +58,10 @@ def upsample(settings: UpsampleSettings, progress: Progress | None = None) -> Ru
     begin = time.perf_counter()
     progress.start(len(slots))
     run = Run(settings, source, method, targets, progress)
-    records = run.all(loader, keys)
-    progress.finish()
+    try:
+        records = run.all(loader, keys)
+    finally:
+        progress.finish()
     return RunSummary(
         method=method.name,
         setting=source.setting,

@@ -35,6 +35,9 @@ STILL_ERROR = 0.08
 BEATS_STILL = 0.7
 """The best candidate's error must be below this share of the error without motion."""
 
+DEPTH_TOLERANCE = 0.02
+"""Relative error of depth that counts as a miss."""
+
 SAME_PIXELS = 0.3
 """Candidates whose vectors differ by less than this on average count as one."""
 
@@ -51,7 +54,10 @@ class Instant:
 
 @dataclass
 class _Probe:
-    """Sampled pixels of one frame, to be looked up in its neighbour."""
+    """Sampled pixels of one frame, to be looked up in its neighbour.
+
+    Values of one component are depth, others are fixed to the surface point.
+    """
 
     xy: F64
     raw: F64
@@ -65,8 +71,10 @@ class _Probe:
         target = self.xy[part] + displacement
         losses = []
         for here, there, tolerance in zip(self.here, self.there, self.tolerance, strict=True):
-            found = _bilinear(there, target)
-            distance = np.linalg.norm(found - here[part], axis=1) / tolerance[part]
+            found, wanted = _bilinear(there, target), here[part]
+            if wanted.shape[1] == 1:
+                wanted = _depth_later(wanted, found, self.xy[part], tolerance[part])
+            distance = np.linalg.norm(found - wanted, axis=1) / tolerance[part]
             losses.append(np.where(np.isfinite(distance), np.minimum(distance, 1.0), 1.0))
         return float(np.mean(losses))
 
@@ -290,11 +298,32 @@ def _observables(
     out: list[tuple[F64, Float32, F64]] = []
     if a.depth is not None and b.depth is not None:
         depth = a.depth[y, x][:, None].astype(np.float64)
-        out.append((depth, b.depth[..., None], 0.05 * depth[:, 0]))
+        out.append((depth, b.depth[..., None], DEPTH_TOLERANCE * depth[:, 0]))
     if here.colour is not None and there.colour is not None:
         mine, other = _perceived(here.colour), _perceived(there.colour)
         out.append((mine[y, x].astype(np.float64), other, np.full(len(y), 0.15)))
     return out
+
+
+def _depth_later(depth: F64, found: F64, xy: F64, tolerance: F64) -> F64:
+    """Return the depth [N, 1] that static points have in the other frame, as its camera moved.
+
+    That is linear in a point's place (x z, y z, z): the four coefficients are fitted to what was
+    found there, robustly. Unfitted, a camera's way forward spoke for half the right vectors.
+    """
+    seen = np.isfinite(found[:, 0])
+    x, y = (xy / xy.max() - 0.5).T
+    z = depth[:, 0]
+    terms = np.stack([x * z, y * z, z, np.ones_like(z)], axis=1) / tolerance[:, None]
+    known, values = terms[seen], found[seen, 0] / tolerance[seen]
+    predicted = z[seen] / tolerance[seen]
+    if len(known) < 50:
+        return depth
+    for _ in range(4):
+        weighted = known / (1.0 + (values - predicted) ** 2)[:, None]
+        fitted = np.linalg.lstsq(weighted.T @ known, weighted.T @ values, rcond=None)[0]
+        predicted = known @ fitted
+    return np.asarray((terms @ fitted * tolerance)[:, None])
 
 
 def _pixel_size(position: Float32, y: npt.NDArray[np.intp], x: npt.NDArray[np.intp]) -> F64:

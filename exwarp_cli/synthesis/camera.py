@@ -69,11 +69,14 @@ class Scene:
         float32 [H, W], +inf background.
     to_ray
         float64 [3, 3]: takes (x, y, 1) of a pixel to the direction of its ray in that world.
+    camera
+        The frame's own projection, from world positions; None where depth places the points.
     """
 
     position: Float32
     depth: Float32
     to_ray: F64
+    camera: Camera | None = None
 
     def points(self, index: npt.NDArray[np.intp]) -> F64:
         """Homogeneous points float64 [N, 4] of pixels given by flat index."""
@@ -107,7 +110,7 @@ def scene_of(gbuffer: GBuffer) -> Scene | None:
         own = fit(scene.points(index), pixels_at(index, depth.shape[1]))
         if own is not None:
             to_ray = np.asarray(np.linalg.inv(own.matrix[:, :3]), dtype=np.float64)
-            return Scene(position, depth, to_ray)
+            return Scene(position, depth, to_ray, own)
     if gbuffer.depth is None:
         return None
     return Scene(np.zeros((0, 0, 3), np.float32), gbuffer.depth, np.eye(3))
@@ -153,7 +156,18 @@ def rigid_motion(scene: Scene, vectors: Float32, stencil: Int32 | None) -> Float
     camera = fit(scene.points(index), seen_at)
     if camera is None:
         return None
-    out = np.empty_like(vectors)
+    return seen_by(scene, camera)
+
+
+def seen_by(scene: Scene, camera: Camera) -> Float32:
+    """Return the displacement of each pixel to another camera's frame, if its point stands still.
+
+    Returns
+    -------
+    float32 [H, W, 2]
+        Pixels; NaN for what lies behind the camera.
+    """
+    out = np.empty((*scene.depth.shape, 2), np.float32)
     at_infinity = camera.matrix[:, :3] @ scene.to_ray
     project.rigid(scene.position, scene.depth, camera.matrix, at_infinity, out)
     return out
@@ -199,7 +213,7 @@ def fit(points: F64, pixels: F64) -> Camera | None:
         error[~np.isfinite(error)] = np.inf
         before, middle = inliers, float(np.median(error))
         inliers = error <= max(4.0 * middle, INLIER_FLOOR)
-        if np.count_nonzero(inliers) < MIN_SAMPLES:
+        if np.count_nonzero(inliers) < MIN_SAMPLES or not np.isfinite(middle):
             return None
         settled = camera is not None and bool((inliers == before).all())
         camera = Camera(matrix, float(np.median(error[inliers])))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -9,7 +10,11 @@ import numpy as np
 
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, Int32
 from exwarp_cli.kernels import edges, gather, holes, splat
-from exwarp_cli.synthesis.camera import background_of, rigid_motion, scene_of
+from exwarp_cli.synthesis.camera import Scene, background_of, rigid_motion, scene_of, seen_by
+
+TURN_PER_SLOT = math.acos(0.98)
+"""Radians by which the normal of one dynamic surface may turn from slot to slot: ExtraNet's
+constant, which it applies over one step; over three slots it took spinning objects for holes."""
 
 STATIC_TOLERANCE = 0.25
 """Pixels by which a static pixel's rendered vector may miss the camera's motion."""
@@ -144,24 +149,49 @@ def compose_back(slots: Sequence[GBuffer], key: GBuffer) -> list[SlotField]:
     key
         G-buffer of the key frame's instant.
     """
-    out: list[SlotField] = []
-    total: Float32 | None = None
-    for slot in slots:
-        assert slot.to_previous is not None
-        total = slot.to_previous if total is None else _compose(slot.to_previous, total)
-        out.append(_matched(slot, key, total))
-    return out
+    return _chain([(slot, slot.to_previous) for slot in slots], key)
 
 
 def compose_forward(slots: Sequence[GBuffer], key: GBuffer) -> list[SlotField]:
     """Return the motion fields of slots to the key frame after them, by their to-next vectors."""
+    return _chain([(slot, slot.to_next) for slot in reversed(slots)], key)[::-1]
+
+
+def _chain(steps: Sequence[tuple[GBuffer, Float32 | None]], key: GBuffer) -> list[SlotField]:
+    """Compose steps that lead from slot to slot towards a key frame, the nearest slot first.
+
+    What stands still is placed by the cameras instead: composed motion goes astray where a nearer
+    surface covers the point in between, though slot and key frame both show it.
+    """
     out: list[SlotField] = []
     total: Float32 | None = None
-    for slot in reversed(slots):
-        assert slot.to_next is not None
-        total = slot.to_next if total is None else _compose(slot.to_next, total)
-        out.append(_matched(slot, key, total))
-    return out[::-1]
+    before, last = scene_of(key), scene_of(key)
+    for count, (slot, step) in enumerate(steps, start=1):
+        assert step is not None
+        total = step if total is None else _compose(step, total)
+        here = scene_of(slot)
+        direct = _still(here, before, last, step)
+        field = total if direct is None else np.where(np.isnan(direct), total, direct)
+        out.append(_matched(slot, key, field, count))
+        before = here
+    return out
+
+
+def _still(
+    here: Scene | None, before: Scene | None, key: Scene | None, step: Float32
+) -> Float32 | None:
+    """Return the motion of still points from a slot to the key frame, NaN for what moves.
+
+    A point stands still if its step to the neighbouring slot is the cameras'. None without world
+    positions in all three frames.
+    """
+    if here is None or before is None or key is None:
+        return None
+    if here.camera is None or before.camera is None or key.camera is None:
+        return None
+    away = np.abs(step - seen_by(here, before.camera)).max(axis=-1)
+    still = np.isinf(here.depth) | (away <= STATIC_TOLERANCE)
+    return np.where(still[..., None], seen_by(here, key.camera), np.float32(np.nan))
 
 
 def _compose(first: Float32, second: Float32) -> Float32:
@@ -182,8 +212,8 @@ def _fringe(field: Float32, near: Float32, depth: Float32) -> Bool:
     return out
 
 
-def _matched(slot: GBuffer, key: GBuffer, field: Float32) -> SlotField:
-    """Test a field for holes and ghost outlines."""
+def _matched(slot: GBuffer, key: GBuffer, field: Float32, count: int) -> SlotField:
+    """Test a field over `count` slots for holes and ghost outlines."""
     depth = depth_of(slot)
     stencils = (
         (stencil_of(slot), stencil_of(key))
@@ -192,11 +222,13 @@ def _matched(slot: GBuffer, key: GBuffer, field: Float32) -> SlotField:
     )
     none = np.zeros((0, 0, 3), np.float32)
     positions = (none, none)
-    if slot.position is not None and key.position is not None:
+    # Without ids a moving point cannot be told from another one: its world position changes too.
+    if stencils[0].size and slot.position is not None and key.position is not None:
         positions = (slot.position, key.position)
     normals = (none, none)
     if slot.normal is not None and key.normal is not None:
         normals = (slot.normal, key.normal)
     hole = np.empty(depth.shape, np.bool_)
-    holes.mark(field, (depth, depth_of(key)), stencils, positions, normals, hole)
+    cosine = np.float32(math.cos(count * TURN_PER_SLOT))
+    holes.mark(field, (depth, depth_of(key)), stencils, positions, normals, cosine, hole)
     return SlotField(field, depth, hole, _fringe(field, depth, depth_of(key)))
