@@ -1,0 +1,251 @@
+"""Render the market example: key frames, ground truth and slot G-buffers, with Blender's module.
+
+    python examples/render_market.py --what all --out examples/market
+
+keys
+    9 multi-layer frames of a true 30 fps scene (vectors span 1/30 s): what a user would have.
+truth
+    33 colour frames at 120 fps; frame 4k + 1 shows the instant of key k + 1.
+gbuffers
+    33 multi-layer frames at 120 fps (vectors span 1/120 s) with few samples, whose data passes
+    serve as slot G-buffers. They are large and go to the user's cache folder.
+
+Frames that exist are kept, so an interrupted run goes on where it stopped.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+try:
+    import bpy
+except ModuleNotFoundError as missing:
+    sys.exit(
+        f"This script needs the Python module {missing.name}; make an environment for it: "
+        "python3.11 -m venv blender && blender/bin/pip install bpy==5.0.1, "
+        "then run it with blender/bin/python."
+    )
+import market_scene
+from market_looks import AOVS
+
+NAME = "market"
+SEED = 7
+QUALITY = 98
+"""Of lossy compression (DWAA), percent: the truth stays within 65 dB of what was rendered."""
+
+MAGIC = b"\x76\x2f\x31\x01"
+INSTANTS_PER_KEY = 4
+GBUFFER_SAMPLES = 32
+DATA_PASSES = (
+    "z",
+    "vector",
+    "normal",
+    "position",
+    "object_index",
+    "diffuse_color",
+    "glossy_color",
+)
+
+
+@dataclass(frozen=True)
+class Product:
+    """One kind of frames.
+
+    Attributes
+    ----------
+    frames : int
+        How many.
+    step : int
+        How far apart, in instants of 1/120 s.
+    data : bool
+        Whether they hold the data passes, or colour alone.
+    codec : str
+        Blender's name of the compression. PXR24 keeps 24 of the 32 bits of a data pass, the others
+        are sampling noise that nothing can compress: 1.4 MB a frame instead of 2.4.
+    samples : int
+        Most samples per pixel.
+    """
+
+    frames: int
+    step: int
+    data: bool
+    codec: str
+    samples: int
+
+
+def products(samples: int) -> dict[str, Product]:
+    """Describe what `--what` may name; `samples` counts for colour."""
+    instants = market_scene.LAST_INSTANT
+    return {
+        "keys": Product(instants // INSTANTS_PER_KEY + 1, INSTANTS_PER_KEY, True, "PXR24", samples),
+        "truth": Product(instants + 1, 1, False, "DWAA", samples),
+        "gbuffers": Product(instants + 1, 1, True, "ZIP", min(samples, GBUFFER_SAMPLES)),
+    }
+
+
+def settle(resolution: tuple[int, int], samples: int) -> None:
+    """Set what all products share: engine, size, bounces, samples, no motion blur, plain colour."""
+    scene = bpy.context.scene
+    scene.render.engine = "CYCLES"
+    scene.render.resolution_x, scene.render.resolution_y = resolution
+    scene.render.resolution_percentage = 100
+    scene.render.use_motion_blur = False  # with blur there is no Vector pass
+    scene.render.use_persistent_data = True
+    scene.view_settings.view_transform = "Standard"
+    cycles = scene.cycles
+    cycles.device = "CPU"
+    cycles.samples = samples
+    cycles.use_adaptive_sampling = True
+    cycles.adaptive_threshold, cycles.adaptive_min_samples = 0.015, 32
+    cycles.use_denoising = True
+    cycles.denoiser = "OPENIMAGEDENOISE"
+    drop_noisy_image()
+    cycles.max_bounces, cycles.diffuse_bounces, cycles.glossy_bounces = 4, 2, 3
+    cycles.caustics_reflective = cycles.caustics_refractive = False
+    cycles.sample_clamp_indirect = 3.0
+    cycles.use_animated_seed = False
+
+
+def drop_noisy_image() -> None:
+    """Keep the layer that denoising adds by itself, "Noisy Image", out of the files."""
+    engine = importlib.import_module("cycles.engine")
+    listed = engine.list_render_passes
+
+    def without(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> Iterator[tuple]:
+        return (layer_pass for layer_pass in listed(scene, layer) if layer_pass[0] != "Noisy Image")
+
+    engine.list_render_passes = without
+
+
+def configure(product: Product) -> None:
+    """Set frame rate, passes and file format for one product."""
+    scene = bpy.context.scene
+    scene.render.fps = 120 // product.step
+    # A true low-rate scene: frame f shows instant f * step, and vectors span a whole step.
+    scene.render.frame_map_old, scene.render.frame_map_new = product.step, 1
+    scene.cycles.samples = product.samples
+    layer = scene.view_layers[0]
+    for name in DATA_PASSES:
+        setattr(layer, f"use_pass_{name}", product.data)
+    for aov in list(layer.aovs):
+        layer.aovs.remove(aov)
+    for name in AOVS if product.data else ():
+        added = layer.aovs.add()
+        added.name, added.type = name, "VALUE"
+    image = scene.render.image_settings
+    image.media_type = "MULTI_LAYER_IMAGE" if product.data else "IMAGE"
+    image.file_format = "OPEN_EXR_MULTILAYER" if product.data else "OPEN_EXR"
+    if not product.data:
+        image.color_mode = "RGB"
+    image.color_depth = "16"
+    image.exr_codec = product.codec
+    image.quality = QUALITY
+
+
+def render(frame: int, product: Product, target: Path, seed: int) -> None:
+    """Render one frame (from 0) to a file, which appears only once it is whole.
+
+    Parameters
+    ----------
+    frame : int
+        Frame number from 0, in steps of the product.
+    product : Product
+        What is rendered; the scene is configured for it.
+    target : Path
+        The file to write.
+    seed : int
+        Seed of the noise at instant 0; each instant has its own.
+    """
+    scene = bpy.context.scene
+    scene.frame_set(frame)
+    scene.cycles.seed = seed + frame * product.step  # same instant, same noise
+    with tempfile.TemporaryDirectory(dir=target.parent, prefix=".part-") as folder:
+        part = Path(folder, target.name)
+        scene.render.filepath = str(part)
+        bpy.ops.render.render(write_still=True)
+        part.replace(target)
+
+
+def is_exr(path: Path) -> bool:
+    """Say whether the file exists and starts like an EXR file."""
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return file.read(len(MAGIC)) == MAGIC
+
+
+def render_product(what: str, product: Product, folder: Path, seed: int) -> None:
+    """Render all missing frames of one product, with progress and the time left."""
+    folder.mkdir(parents=True, exist_ok=True)
+    targets = [folder / f"{NAME}.{frame + 1:04d}.exr" for frame in range(product.frames)]
+    missing = [frame for frame, target in enumerate(targets) if not is_exr(target)]
+    say(f"{what}: {len(targets) - len(missing)} of {len(targets)} frames are there, in {folder}")
+    configure(product)
+    started = time.monotonic()
+    for done, frame in enumerate(missing, start=1):
+        render(frame, product, targets[frame], seed)
+        pace = (time.monotonic() - started) / done
+        left = pace * (len(missing) - done)
+        say(f"{what}: {targets[frame].name}  {pace:.1f} s a frame, {left / 60:.1f} min left")
+
+
+def say(text: str) -> None:
+    """Print a line at once, also into a log file."""
+    sys.stdout.write(text + "\n")
+    sys.stdout.flush()
+
+
+def size(text: str) -> tuple[int, int]:
+    """Read a resolution such as 320x180."""
+    width, _, height = text.lower().partition("x")
+    if not (width.isdigit() and height.isdigit() and int(width) > 0 and int(height) > 0):
+        raise argparse.ArgumentTypeError(f"{text!r} is no resolution; write it as 320x180")
+    return int(width), int(height)
+
+
+def count(text: str) -> int:
+    """Read a whole number from 1 on."""
+    if not (text.isdigit() and int(text) > 0):
+        raise argparse.ArgumentTypeError(f"{text!r} is no whole number from 1 on")
+    return int(text)
+
+
+def parse() -> argparse.Namespace:
+    """Read the command line."""
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser()
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    add = parser.add_argument
+    add("--what", choices=("keys", "truth", "gbuffers", "all"), default="all")
+    folder = Path(__file__).parent / NAME
+    add("--out", type=Path, default=folder, help="gets keys/ and truth/ (default: %(default)s)")
+    folder = cache / "exwarp" / "scenes" / NAME
+    add("--gbuffers", type=Path, default=folder, help="gets gbuffers/ (default: %(default)s)")
+    add("--resolution", type=size, default=(320, 180), metavar="WxH", help="default: 320x180")
+    add("--samples", type=count, default=512, help="most samples per pixel (default: 512)")
+    add("--seed", type=count, default=SEED, help="of the noise; the scene stays (default: 7)")
+    return parser.parse_args()
+
+
+def main() -> None:
+    """Build the scene once and render what was asked for."""
+    options = parse()
+    market_scene.build(SEED)
+    settle(options.resolution, options.samples)
+    for what, product in products(options.samples).items():
+        if options.what in (what, "all"):
+            base = options.gbuffers if what == "gbuffers" else options.out
+            render_product(what, product, (base / what).resolve(), options.seed * 1000)
+
+
+if __name__ == "__main__":
+    main()
