@@ -6,7 +6,7 @@ from pathlib import Path
 
 from exwarp_cli.domain.results import RunSummary
 from exwarp_cli.errors import OutputExistsError
-from exwarp_cli.io.atomic import atomic_write_text, make_folder
+from exwarp_cli.io.atomic import atomic_write_text, make_folder, remove_leftovers
 from exwarp_cli.pipeline.evaluate import Comparison
 from exwarp_cli.report.comparison import comparison, comparison_csv
 from exwarp_cli.report.frames_csv import frames_csv
@@ -31,6 +31,7 @@ def prepare_report(folder: Path, replace: bool) -> None:
             f"{folder} holds a report already; give --overwrite to replace it, or another --report"
         )
     make_folder(folder)
+    remove_leftovers(folder)
 
 
 def write_report(folder: Path, run: RunSummary) -> None:

@@ -23,6 +23,7 @@ from exwarp_cli.metrics.display import PEAK, encode
 from exwarp_cli.metrics.registry import score
 from exwarp_cli.synthesis.geometry import (
     STATIC_TOLERANCE,
+    TURN_PER_SLOT,
     SlotField,
     displacement,
     reproject,
@@ -56,7 +57,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     title = f"1920x1080, float32, {options.threads} threads, {options.rounds} rounds"
     _table(title, "cv2.remap", works, options.rounds)
     reference, test = (np.ascontiguousarray(key.image.pixels[..., :3]) for key in raw)
-    rounds = max(3, options.rounds // 3)
+    rounds = max(3, options.rounds // 3)  # these take seconds
     _table("SSIM", "scikit-image", _ssim(encode(reference), encode(test)), rounds)
     _table("score()", "score()", _scoring(reference, test), rounds)
     return 0
@@ -124,11 +125,12 @@ def _geometry(raw: KeyFrame, settled: KeyFrame) -> dict[str, tuple[Work, Work]]:
         splat.row_reach(motion, reach)
         splat.splat(motion, depth, reach, field, near)
 
+    cosine = np.float32(np.cos(SLOT * TURN_PER_SLOT))
     pairs = [(a, a) for a in (depth, stencil, buffers.position, buffers.normal)]
     works: dict[str, Work] = {
         "row_reach": lambda: splat.row_reach(motion, reach),
         "row_reach + splat": splat_all,
-        "mark": lambda: holes.mark(source.field, *pairs, mask),
+        "mark": lambda: holes.mark(source.field, *pairs, cosine, mask),
         "find_edges": lambda: edges.find_edges(depth, stencil, edge),
         "unmix": lambda: edges.unmix(vectors, rigid, depth, stencil, edge, tolerance, out),
         "find_fringe": lambda: edges.find_fringe(source.field, source.depth, depth, mask),

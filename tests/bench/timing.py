@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 Work = Callable[[], object]
 
-ROUNDS = 9
+ROUNDS = 7
 LEAST_SECONDS = 0.03
 """Short work is repeated until it takes this long, so that the clock and waking threads vanish."""
 

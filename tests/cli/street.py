@@ -1,7 +1,7 @@
-"""A small shot with known truth at any instant: a room under the sky, a moving box, a panning camera.
+"""A small shot with known truth at any instant: a wall under the sky, a moving box, a camera.
 
-Everything is ray cast in closed form, so colour, geometry and vectors are exact at every time. World
-coordinates are x right, y down, z away from the camera at time 0; time counts key intervals.
+Everything is ray cast in closed form, so colour, geometry and vectors are exact at every time.
+World coordinates are x right, y down, z away from the camera at time 0; time counts key intervals.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ class Street:
     def geometry(self, time: float) -> dict[str, np.ndarray]:
         """What a renderer's AOVs hold, at pixel centres, float64.
 
-        `depth` is along the camera's axis, inf for sky; `previous` and `following` are displacements
-        in pixels, x right, y down, 0 for sky as renderers write it.
+        `depth` is along the camera's axis, inf for sky; `previous` and `following` are
+        displacements in pixels, x right, y down, 0 for sky as renderers write it.
         """
         x, y = self._pixels()
         what, points, depth = self._cast(time, x, y)
@@ -78,9 +78,9 @@ class Street:
     def _camera(self, time: float) -> tuple[np.ndarray, np.ndarray]:
         """Return where the camera is, and its rotation from camera to world."""
         t = self.speed * time
-        yaw = 0.012 * t + 0.0008 * t * t
+        yaw = -0.03 * t - 0.001 * t * t
         c, s = np.cos(yaw), np.sin(yaw)
-        return np.array([0.1 * t, 0.01 * t, 0.08 * t]), np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
+        return np.array([0.1 * t, 0.15 * t, 0.08 * t]), np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
 
     def _box(self, time: float) -> np.ndarray:
         """Return the middle of the box."""
@@ -131,7 +131,7 @@ class Street:
         colour = np.zeros((*x.shape, 4))
         colour[..., 3] = 1.0
         for kind, base in tint.items():
-            shade = 0.15 * wave + 1.0 if kind != SKY else 1.0 + 0.3 * np.sin(6 * u)
+            shade = 0.3 * wave + 1.0 if kind != SKY else 1.0 + 0.3 * np.sin(6 * u)
             colour[what == kind, :3] = (np.array(base) * shade[..., None])[what == kind]
         return colour
 
@@ -145,4 +145,4 @@ class Street:
         local = (moved - centre) @ turn
         with np.errstate(divide="ignore", invalid="ignore"):
             image = local[..., :2] / local[..., 2:] * self.focal
-        return np.asarray(image + [(self.width - 1) / 2, (self.height - 1) / 2])
+        return np.asarray(image + np.array([self.width - 1, self.height - 1]) / 2)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from exwarp_cli.kernels import edges, gather, holes, splat
+from exwarp_cli.kernels import blend, edges, gather, holes, project, splat
 
 Arrays = tuple[np.ndarray, ...]
 Pair = tuple[np.ndarray, np.ndarray]
+Side = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 NO_IDS = np.zeros((0, 0), np.int32)
 NO_VECTORS = np.zeros((0, 0, 3), np.float32)
@@ -50,6 +51,7 @@ def marked(
     stencils: Pair | None = None,
     positions: Pair | None = None,
     normals: Pair | None = None,
+    least_cosine: float = 0.98,
     serial: bool = False,
 ) -> Arrays:
     hole = np.zeros(field.shape[:2], np.bool_)
@@ -59,6 +61,7 @@ def marked(
         stencils or (NO_IDS, NO_IDS),
         positions or (NO_VECTORS, NO_VECTORS),
         normals or (NO_VECTORS, NO_VECTORS),
+        np.float32(least_cosine),
         hole,
     )
     return (hole,)
@@ -103,3 +106,23 @@ def fringe_found(
     fringe = np.zeros(depth.shape, np.bool_)
     build(edges, "find_fringe", serial)(field, near, depth, fringe)
     return (fringe,)
+
+
+def blended(before: Side, after: Side, time: float, serial: bool = False) -> Arrays:
+    out, depth = np.zeros_like(before[0]), np.zeros_like(before[1])
+    hole = np.zeros(depth.shape, np.bool_)
+    build(blend, "blend", serial)(before, after, np.float32(time), out, depth, hole)
+    return out, depth, hole
+
+
+def projected(
+    position: np.ndarray | None,
+    depth: np.ndarray,
+    camera: np.ndarray,
+    at_infinity: np.ndarray,
+    serial: bool = False,
+) -> Arrays:
+    out = np.zeros((*depth.shape, 2), np.float32)
+    places = NO_VECTORS if position is None else position
+    build(project, "rigid", serial)(places, depth, camera, at_infinity, out)
+    return (out,)

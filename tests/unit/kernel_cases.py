@@ -26,11 +26,14 @@ def field(seed: int, spread: float = 2.0) -> np.ndarray:
     return out.astype(np.float32)
 
 
+def blocks(values: np.ndarray) -> np.ndarray:
+    """Repeat values to patches of 5x5 pixels over the frame."""
+    return np.ascontiguousarray(values.repeat(5, 0).repeat(5, 1)[: SHAPE[0], : SHAPE[1]])
+
+
 def depth(seed: int) -> np.ndarray:
     rng = np.random.default_rng(seed)
-    out = rng.choice([2.0, 2.05, 6.0, np.inf], SHAPE, p=[0.3, 0.3, 0.3, 0.1])
-    out[10:20] = 3
-    return out.astype(np.float32)
+    return blocks(rng.choice([2.0, 2.05, 6.0, np.inf], SHAPE)).astype(np.float32)
 
 
 def vectors(seed: int, spread: float, base: tuple[float, ...] = (0, 0, 1)) -> np.ndarray:
@@ -46,7 +49,7 @@ def image(seed: int) -> np.ndarray:
 
 
 def ids(seed: int) -> np.ndarray:
-    return np.random.default_rng(seed).integers(-1, 2, SHAPE).astype(np.int32)
+    return blocks(np.random.default_rng(seed).integers(-1, 2, SHAPE)).astype(np.int32)
 
 
 def wide(values: np.ndarray) -> np.ndarray:
@@ -67,7 +70,7 @@ def mark(serial: bool) -> calls.Arrays:
         (ids(8), ids(9)),
         positions,
         (vectors(10, 0.1), vectors(11, 0.1)),
-        serial,
+        serial=serial,
     )
     return full + calls.marked(field(4, 0.3), depths, serial=serial)
 
@@ -77,6 +80,24 @@ def fill(serial: bool) -> calls.Arrays:
     hole[10:20, 3:9] = True
     pixels = np.clip(np.nan_to_num(image(13)), -3, 3)
     return calls.filled(pixels, depth(14), hole, 12.0, 9, serial)
+
+
+def side(seed: int) -> calls.Side:
+    rng = np.random.default_rng(seed)
+    distance = depth(seed)
+    distance[rng.random(SHAPE) < 0.1] = np.nan
+    masks = [rng.random(SHAPE) < share for share in (0.2, 0.1)]
+    return np.nan_to_num(image(seed)), distance, masks[0], masks[1]
+
+
+def project(serial: bool) -> calls.Arrays:
+    """With positions, and by depth alone."""
+    rng = np.random.default_rng(22)
+    camera = np.eye(3, 4) + rng.normal(0, 0.02, (3, 4))
+    at_infinity = np.eye(3) + rng.normal(0, 0.01, (3, 3))
+    places = wide(vectors(23, 0.3))
+    placed = calls.projected(places, depth(24), camera, at_infinity, serial)
+    return placed + calls.projected(None, depth(24), camera, at_infinity, serial)
 
 
 CASES: dict[str, Callable[[bool], calls.Arrays]] = {
@@ -90,6 +111,8 @@ CASES: dict[str, Callable[[bool], calls.Arrays]] = {
     "unmix": lambda serial: calls.unmixed(
         field(16), field(16) + field(17, 0.05), depth(15), ids(15), serial=serial
     ),
+    "blend": lambda serial: calls.blended(side(20), side(21), 0.25, serial),
+    "rigid": project,
     "find_fringe": lambda serial: calls.fringe_found(field(18), depth(18), depth(19), serial),
 }
 
@@ -97,9 +120,7 @@ CASES: dict[str, Callable[[bool], calls.Arrays]] = {
 def run_all(serial: bool) -> dict[str, np.ndarray]:
     """Return every output of every case by name and position."""
     return {
-        f"{name}.{i}": array
-        for name, case in CASES.items()
-        for i, array in enumerate(case(serial))
+        f"{name}.{i}": array for name, case in CASES.items() for i, array in enumerate(case(serial))
     }
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
 import os
+import pkgutil
 import subprocess
 import sys
 from pathlib import Path
@@ -10,23 +12,28 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from exwarp_cli.kernels import edges, gather, holes, splat
+from exwarp_cli import kernels
 from exwarp_cli.kernels.jit import set_threads
 from tests.unit.kernel_cases import CASES, run_all
 
 ROOT = Path(__file__).parents[2]
 
 # Python computes this kernel's weights of numpy scalars in float32 where the compiled text, whose
-# variables have one type each, takes float64: the sum of 16 candidates may differ in its last bits.
-ROUNDED = {"fill.0": 2e-6}
+# variables have one type each, takes float64: the sum of 16 candidates, of values up to 3, may
+# differ in its last bit.
+ROUNDED = {"fill.0": 5e-7}
 
 
 def test_every_pair_of_builds_has_a_case():
+    modules = [
+        importlib.import_module(f"exwarp_cli.kernels.{module.name}")
+        for module in pkgutil.iter_modules(kernels.__path__)
+    ]
     pairs = {
         name.removesuffix("_serial")
-        for module in (edges, gather, holes, splat)
+        for module in modules
         for name in vars(module)
-        if name.endswith("_serial")
+        if name.endswith("_serial") and not name.startswith("_")
     }
     assert pairs == set(CASES)
 
@@ -62,9 +69,7 @@ def test_compiled_and_interpreted_agree(tmp_path):
     with np.load(target) as interpreted:
         for name, compiled in run_all(serial=True).items():
             if name in ROUNDED:
-                scale = np.abs(compiled).max()
-                np.testing.assert_allclose(
-                    interpreted[name] / scale, compiled / scale, rtol=0, atol=ROUNDED[name]
-                )
+                tolerance = ROUNDED[name]
+                np.testing.assert_allclose(interpreted[name], compiled, rtol=0, atol=tolerance)
             else:
                 np.testing.assert_array_equal(interpreted[name], compiled, err_msg=name)

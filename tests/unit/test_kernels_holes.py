@@ -10,13 +10,12 @@ from exwarp_cli.kernels.holes import (
     DEPTH_TOLERANCE,
     DIRECTIONS,
     FOOTPRINTS,
-    MIN_COSINE,
 )
 from tests.reference import holes as naive
 from tests.unit.kernel_calls import filled, marked
 
 SHAPE = (14, 17)
-CONSTANTS = (float(FOOTPRINTS), float(DEPTH_TOLERANCE), float(MIN_COSINE))
+CONSTANTS = (float(FOOTPRINTS), float(DEPTH_TOLERANCE), 0.98)
 STILL = np.zeros((*SHAPE, 2), np.float32)
 WALL = np.full(SHAPE, 5, np.float32)
 
@@ -144,6 +143,8 @@ class TestMark:
         normals = (up() * np.float32(7), turned(cosine))  # length does not matter
         assert (marked(STILL, (WALL, WALL), moving, None, normals)[0] == hole).all()
         assert not marked(STILL, (WALL, WALL), still, None, normals)[0].any()
+        over_more_slots = marked(STILL, (WALL, WALL), moving, None, normals, least_cosine=0.9)[0]
+        assert (over_more_slots == (cosine < 0.9)).all()
 
     def test_a_dynamic_surface_may_go_anywhere(self):
         moving = (np.ones(SHAPE, np.int32),) * 2

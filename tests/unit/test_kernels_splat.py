@@ -107,7 +107,9 @@ class TestExactness:
             (rows - y >= 0) & (rows - y < SHAPE[0]) & (columns - x >= 0) & (columns - x < SHAPE[1])
         )
         np.testing.assert_array_equal(np.isfinite(near), landed)
-        np.testing.assert_array_equal(near[landed], depth[(rows - y)[landed], (columns - x)[landed]])
+        np.testing.assert_array_equal(
+            near[landed], depth[(rows - y)[landed], (columns - x)[landed]]
+        )
         assert (field[landed] == (-x, -y)).all()
         assert np.isnan(field[~landed]).all()
 

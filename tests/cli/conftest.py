@@ -1,0 +1,77 @@
+"""The command in this process, and the shots that tests share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from exwarp_cli import cli
+from tests.cli import shots
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a user sees of a command."""
+
+    code: int
+    out: str
+    err: str
+
+    def refused(self, code: int, *words: str) -> None:
+        """Judge a failure: its exit code, and one sentence that holds these words."""
+        assert self.code == code, self.err
+        told = [line for line in self.err.splitlines() if line.startswith("exwarp: error: ")]
+        assert len(told) == 1, self.err
+        rest = [line for line in self.err.splitlines() if not line.startswith("exwarp: ")]
+        assert rest == [] and self.out == "", self.err + self.out
+        assert "Traceback" not in self.err and "unexpected" not in told[0]
+        for word in words:
+            assert word in told[0]
+
+
+Command = Callable[..., Result]
+
+
+@pytest.fixture
+def exwarp(capfd, monkeypatch) -> Command:
+    """Run a command line; what libraries print past Python counts as well."""
+    monkeypatch.delenv("EXWARP_DEBUG", raising=False)
+
+    def run(*arguments: object) -> Result:
+        capfd.readouterr()
+        code = cli.run([str(argument) for argument in arguments])
+        out, err = capfd.readouterr()
+        return Result(code, out, err)
+
+    return run
+
+
+@pytest.fixture
+def upsample(exwarp) -> Command:
+    """Run ``exwarp upsample`` on a sequence into a folder, in silence, and expect success.
+
+    One thread, unless told: on frames this small more of them only wait for each other.
+    """
+
+    def run(sequence: object, output: object, *options: object) -> Result:
+        quiet = ("--progress", "none", "--threads", 1)
+        result = exwarp("upsample", sequence, "-o", output, *quiet, *options)
+        assert result.code == 0, result.err
+        return result
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def plain_shot(tmp_path_factory) -> Path:
+    """Three plain frames, 1 to 3; read only."""
+    return shots.sequence(tmp_path_factory.mktemp("plain") / "keys")
+
+
+@pytest.fixture(scope="session")
+def plain_truth(tmp_path_factory) -> Path:
+    """The truth of `plain_shot`, frames 1 to 9; read only."""
+    return shots.truth(tmp_path_factory.mktemp("truth") / "truth")

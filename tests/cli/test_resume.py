@@ -1,0 +1,165 @@
+"""Chunks, threads, and runs that go on from an earlier one: always the same bytes."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import imageio_ffmpeg
+import pytest
+
+from exwarp_cli.io.atomic import MARK, _host
+from tests.cli import shots
+from tests.cli.street import Street
+
+SMALL = Street(48, 27)
+FORWARD = ("--motion", "next=u,-v")
+
+
+@pytest.fixture(scope="module")
+def nine(tmp_path_factory) -> Path:
+    """Nine key frames."""
+    return shots.sequence(
+        tmp_path_factory.mktemp("nine") / "keys", shots.plain, range(1, 10), SMALL
+    )
+
+
+class TestChunks:
+    @pytest.mark.parametrize("method", ["s6", "softsplat", "blend", "hold"])
+    def test_any_split_gives_the_whole(self, nine, upsample, tmp_path, method):
+        whole, parts = tmp_path / "whole", tmp_path / "parts"
+        upsample(nine, whole, "-m", method, "--write-holes", tmp_path / "whole-holes")
+        for chunk in ("1-3", "4-4", "5-9"):
+            masks = ("--write-holes", tmp_path / "parts-holes")
+            upsample(nine, parts, "-m", method, *masks, "--frames", chunk)
+        assert len(shots.names(whole)) == 36
+        assert shots.contents(parts) == shots.contents(whole)
+        assert shots.contents(tmp_path / "parts-holes") == shots.contents(tmp_path / "whole-holes")
+
+    @pytest.mark.parametrize("method", ["s6", "softsplat"])
+    def test_threads_change_nothing(self, nine, upsample, tmp_path, method):
+        for count in (1, 2):
+            upsample(nine, tmp_path / str(count), "-m", method, "--threads", count)
+        assert shots.contents(tmp_path / "1") == shots.contents(tmp_path / "2")
+
+    def test_slot_g_buffers_too(self, upsample, tmp_path):
+        keys = shots.sequence(tmp_path / "keys", shots.colour_only, (1, 2, 3), SMALL)
+        slots = shots.sequence(tmp_path / "slots", shots.slot_gbuffer, range(1, 10), SMALL, 0.25)
+        options = ("-m", "softsplat", "--gbuffers", slots)
+        upsample(keys, tmp_path / "whole", *options)
+        for chunk in ("3", "1", "2"):
+            upsample(keys, tmp_path / "parts", *options, "--frames", chunk)
+        assert shots.contents(tmp_path / "parts") == shots.contents(tmp_path / "whole")
+
+    def test_windows_that_change_too(self, upsample, tmp_path):
+        """A frame that both its neighbours share is placed on two different windows."""
+
+        def frame(path: Path, street: Street, time: float) -> None:
+            x, y = 2 * int(time) % 5, int(time) % 3
+            planes = {k: v[y:25, x:44].copy() for k, v in shots.plain_planes(street, time).items()}
+            place = shots.window(x - 4, y - 2, 44 - x, 25 - y)
+            head = shots.header(dataWindow=place, displayWindow=shots.window(0, 0, 36, 20))
+            shots.write(path, {"": planes}, head)
+
+        keys = shots.sequence(tmp_path / "keys", frame, range(1, 5), SMALL)
+        upsample(keys, tmp_path / "whole", "-m", "softsplat", *FORWARD)
+        for chunk in ("1-2", "3", "4"):
+            upsample(keys, tmp_path / "parts", "-m", "softsplat", *FORWARD, "--frames", chunk)
+        assert shots.contents(tmp_path / "parts") == shots.contents(tmp_path / "whole")
+
+
+class TestSkipExisting:
+    OPTIONS = ("-m", "s6", *FORWARD)
+
+    @pytest.fixture
+    def done(self, plain_shot, upsample, tmp_path) -> Path:
+        upsample(plain_shot, tmp_path / "out", *self.OPTIONS)
+        return tmp_path / "out"
+
+    def resume(self, upsample, keys: Path, out: Path, *options: object) -> set[str]:
+        """Run again, and return the names of the frames that were written anew."""
+        before = {name: (out / name).stat().st_mtime_ns for name in shots.names(out)}
+        upsample(keys, out, "--skip-existing", *(options or self.OPTIONS))
+        now = {name: (out / name).stat().st_mtime_ns for name in shots.names(out)}
+        return {name for name, time in now.items() if before.get(name) != time}
+
+    def test_good_frames_stay(self, plain_shot, upsample, done):
+        assert self.resume(upsample, plain_shot, done) == set()
+
+    def test_spoilt_frames_are_made_again(self, plain_shot, upsample, done):
+        good = shots.contents(done)
+        for i, (name, data) in enumerate(list(good.items())[:7]):
+            spoilt = bytearray(data)
+            if i % 2:
+                spoilt[(i * 997 + 40) % len(data)] ^= 1
+            else:
+                spoilt = spoilt[: len(data) // 2]
+            (done / name).write_bytes(spoilt)
+        (done / "shot.0012.exr").unlink()
+        assert self.resume(upsample, plain_shot, done) == {*list(good)[:7], "shot.0012.exr"}
+        assert shots.contents(done) == good
+
+    def test_frames_of_another_run_are_made_again(self, plain_shot, upsample, done, tmp_path):
+        options = ("-m", "softsplat", *FORWARD)
+        changed = self.resume(upsample, plain_shot, done, *options)
+        upsample(plain_shot, tmp_path / "fresh", *options)
+        assert shots.contents(done) == shots.contents(tmp_path / "fresh")
+        assert not changed & {"shot.0001.exr", "shot.0005.exr", "shot.0009.exr"}
+
+    @pytest.mark.parametrize(
+        "other", [("--compression", "piz"), ("--motion", "next=-u,v"), ("--fps", "25")]
+    )
+    def test_other_settings_count(self, plain_shot, upsample, done, other):
+        assert len(self.resume(upsample, plain_shot, done, *self.OPTIONS, *other)) == 9
+
+    def test_a_changed_source_counts_for_its_frames_alone(
+        self, plain_shot, upsample, done, tmp_path
+    ):
+        keys = Path(shutil.copytree(plain_shot, tmp_path / "keys"))
+        shots.plain(keys / "shot.0002.exr", Street(), 1.25)
+        changed = self.resume(upsample, keys, done)
+        assert changed == {f"shot.{n:04d}.exr" for n in (5, 6, 7, 8)}
+
+    def test_a_missing_mask_counts(self, plain_shot, upsample, done, tmp_path):
+        holes = tmp_path / "holes"
+        options = (*self.OPTIONS, "--write-holes", holes)
+        upsample(plain_shot, done, "--skip-existing", *options)
+        good = shots.contents(holes)
+        assert len(good) == 9
+        (holes / "shot.0003.exr").unlink()
+        upsample(plain_shot, done, "--skip-existing", *options)
+        assert shots.contents(holes) == good
+
+    def test_leftovers_of_dead_runs_go(self, plain_shot, upsample, done, tmp_path):
+        report = tmp_path / "report"
+        report.mkdir()
+        leftovers = [f / f".a.{_host()}-{2**22 + 1}-0{MARK}" for f in (done, report)]
+        for leftover in leftovers:
+            leftover.write_bytes(b"half")
+        options = ("--skip-existing", *self.OPTIONS, "--report", report)
+        upsample(plain_shot, done, *options)
+        assert not [leftover for leftover in leftovers if leftover.exists()]
+
+    def test_the_report_of_a_resumed_run(self, plain_shot, plain_truth, upsample, tmp_path):
+        reports = {}
+        for name in ("whole", "resumed"):
+            out, report = tmp_path / name, tmp_path / f"{name}-report"
+            options = (*self.OPTIONS, "--ground-truth", plain_truth, "--report", report)
+            if name == "resumed":
+                upsample(plain_shot, out, *self.OPTIONS, "--frames", "1-2")
+                (out / "shot.0007.exr").write_bytes(b"damaged")
+                options = (*options, "--skip-existing")
+            upsample(plain_shot, out, *options)
+            reports[name] = json.loads((report / "report.json").read_text())
+        assert shots.contents(tmp_path / "whole") == shots.contents(tmp_path / "resumed")
+        whole, resumed = reports["whole"], reports["resumed"]
+        for key in ("quality", "holes", "decisions", "method", "setting", "input"):
+            assert resumed[key] == whole[key]
+        assert (whole["frames"]["resumed"], resumed["frames"]["resumed"]) == (0, 7)
+        assert resumed["frames"]["written"] == whole["frames"]["written"] == 12
+
+    def test_a_video_of_a_resumed_run_is_whole(self, plain_shot, upsample, done, tmp_path):
+        video = tmp_path / "a.mp4"
+        upsample(plain_shot, done, "--skip-existing", *self.OPTIONS, "--video", video)
+        assert imageio_ffmpeg.count_frames_and_secs(str(video))[0] == 12

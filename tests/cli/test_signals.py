@@ -1,0 +1,110 @@
+"""Killed at any moment: what is there is whole, and going on gives the undisturbed run's bytes."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from exwarp_cli.io.atomic import MARK
+from exwarp_cli.io.output import is_intact
+from tests.cli import shots
+from tests.cli.street import Street
+
+pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+
+KEYS = 12
+
+
+@pytest.fixture(scope="module")
+def keys(tmp_path_factory) -> Path:
+    return shots.sequence(
+        tmp_path_factory.mktemp("long") / "keys", shots.plain, range(1, KEYS + 1), Street(48, 27)
+    )
+
+
+def arguments(keys: Path, root: Path, *more: str) -> list[str]:
+    where = ["-o", str(root / "out"), "--write-holes", str(root / "holes")]
+    how = ["-m", "softsplat", "--motion", "forward", "--threads", "1", "--progress", "none"]
+    return ["upsample", str(keys), *where, *how, *more]
+
+
+def start(*options: str) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "exwarp_cli", *options]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def await_files(process: subprocess.Popen[str], folder: Path, count: int) -> None:
+    """Wait until a folder has so many entries, temporaries included, or the process is done."""
+    for _ in range(6000):
+        if process.poll() is not None or len(shots.names(folder)) >= count:
+            return
+        time.sleep(0.005)
+    pytest.fail(f"{folder} never had {count} files")
+
+
+def kill_and_go_on(keys: Path, root: Path, kills: int, seed: int, exwarp) -> None:
+    chance = random.Random(seed)
+    struck = 0
+    for _ in range(kills):
+        before = len(shots.names(root / "out"))
+        with start(*arguments(keys, root, "--skip-existing")) as process:
+            await_files(process, root / "out", before + chance.randint(1, 5))
+            time.sleep(chance.uniform(0, 0.03))
+            process.kill()
+        struck += process.returncode == -signal.SIGKILL
+        rendered = set(shots.contents(keys).values())
+        for folder in (root / "out", root / "holes"):
+            for name, data in shots.contents(folder).items():
+                assert MARK in name or data in rendered or is_intact(data)
+        if len(shots.names(root / "out")) >= 4 * KEYS - 6:
+            for name in chance.sample(shots.names(root / "out"), 4 * KEYS - 8):
+                (root / "out" / name).unlink()  # go on killing
+    assert struck > kills // 2
+    assert exwarp(*arguments(keys, root, "--skip-existing")).code == 0
+
+
+class TestKill:
+    @pytest.fixture(scope="class")
+    @staticmethod
+    def undisturbed(keys, tmp_path_factory) -> Path:
+        root = tmp_path_factory.mktemp("undisturbed")
+        with start(*arguments(keys, root)) as process:
+            assert process.wait() == 0
+        return root
+
+    @pytest.mark.parametrize(
+        ("kills", "seed"), [(6, 1), pytest.param(25, 2, marks=pytest.mark.slow)]
+    )
+    def test_going_on_gives_the_same_bytes(self, keys, undisturbed, exwarp, tmp_path, kills, seed):
+        kill_and_go_on(keys, tmp_path, kills, seed, exwarp)
+        for folder in ("out", "holes"):
+            assert shots.contents(tmp_path / folder) == shots.contents(undisturbed / folder)
+
+
+class TestTermination:
+    @pytest.mark.parametrize(
+        ("number", "code", "word"),
+        [(signal.SIGTERM, 143, "terminated"), (signal.SIGINT, 130, "interrupted")],
+    )
+    def test_one_sentence_and_whole_frames(self, keys, tmp_path, number, code, word):
+        with start(*arguments(keys, tmp_path, "--video", str(tmp_path / "a.mp4"))) as process:
+            await_files(process, tmp_path / "out", 6)
+            process.send_signal(number)
+            out, err = process.communicate(timeout=60)
+        assert process.returncode == code and out == ""
+        # a blank line may come first: it parts the sentence from the terminal's own "^C"
+        told = [line for line in err.splitlines() if line and not line.startswith("exwarp: ")]
+        assert told == [] and "Traceback" not in err
+        errors = [line for line in err.splitlines() if line.startswith("exwarp: error: ")]
+        assert len(errors) == 1 and word in errors[0] and "--skip-existing" in errors[0]
+        rendered = set(shots.contents(keys).values())
+        for name, data in shots.contents(tmp_path / "out").items():
+            assert MARK not in name and (data in rendered or is_intact(data))
+        assert set(shots.names(tmp_path)) == {"out", "holes"}

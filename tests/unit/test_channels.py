@@ -1,0 +1,200 @@
+"""Recognising channels by name."""
+
+from __future__ import annotations
+
+import pytest
+
+from exwarp_cli.errors import LayoutError
+from exwarp_cli.io.channels import PRESETS, Layout, Role, detect, require
+from exwarp_cli.io.exr import Channel
+
+
+def channels(*names: str) -> list[Channel]:
+    return [Channel(0, i, name, name, "float") for i, name in enumerate(names)]
+
+
+def expand(*layers: str) -> list[str]:
+    """Spell out ``layer.XYZ``: one channel for every letter after the last dot."""
+    out = []
+    for spec in layers:
+        layer, _, letters = spec.rpartition(".")
+        out += [f"{layer}.{letter}" if layer else letter for letter in letters]
+    return out
+
+
+def found(*layers: str) -> Layout:
+    return detect({"": channels(*expand(*layers))})
+
+
+def names(layout: Layout, role: Role) -> list[str]:
+    return [ref.name for ref in layout.roles.get(role, ())]
+
+
+BLENDER_5 = (
+    "ViewLayer.Combined.RGBA",
+    "ViewLayer.Depth.Z",
+    "ViewLayer.Position.XYZ",
+    "ViewLayer.Normal.XYZ",
+    "ViewLayer.Vector.XYZW",
+    "ViewLayer.Object Index.X",
+    "ViewLayer.Diffuse Color.RGB",
+    "ViewLayer.Glossy Color.RGB",
+    "ViewLayer.CryptoObject00.rgba",
+)
+
+
+class TestBlender:
+    def test_multi_part_names(self):
+        layout = found(*BLENDER_5)
+        assert names(layout, Role.COLOUR) == expand("ViewLayer.Combined.RGBA")
+        assert names(layout, Role.DEPTH) == ["ViewLayer.Depth.Z"]
+        assert names(layout, Role.POSITION) == expand("ViewLayer.Position.XYZ")
+        assert names(layout, Role.NORMAL) == expand("ViewLayer.Normal.XYZ")
+        assert names(layout, Role.MOTION) == expand("ViewLayer.Vector.XYZW")
+        assert names(layout, Role.STENCIL) == ["ViewLayer.Object Index.X"]
+        assert names(layout, Role.ALBEDO) == expand("ViewLayer.Diffuse Color.RGB")
+        assert names(layout, Role.SPECULAR) == expand("ViewLayer.Glossy Color.RGB")
+        assert layout.guess == PRESETS["blender"] and layout.producer == "Blender"
+
+    @pytest.mark.parametrize(
+        "prefix", ["View Layer.", "RenderLayer.", "Hero shot.v2.", "été_01.", ""]
+    )
+    def test_old_names_under_any_layer_name(self, prefix):
+        layout = found(
+            *(f"{prefix}{name}" for name in ("Combined.RGBA", "Depth.Z", "Vector.XYZW")),
+            *(f"{prefix}{name}" for name in ("IndexOB.X", "IndexMA.X", "DiffCol.RGB")),
+        )
+        assert names(layout, Role.COLOUR) == expand(f"{prefix}Combined.RGBA")
+        assert names(layout, Role.DEPTH) == [f"{prefix}Depth.Z"]
+        assert names(layout, Role.MOTION) == expand(f"{prefix}Vector.XYZW")
+        assert names(layout, Role.STENCIL) == [f"{prefix}IndexOB.X"]
+        assert names(layout, Role.ALBEDO) == expand(f"{prefix}DiffCol.RGB")
+        assert layout.guess == PRESETS["blender"]
+
+    def test_components_come_in_their_order_whatever_the_file_s(self):
+        # OpenEXR sorts channels by name: A B G R, and W X Y Z.
+        layout = detect(
+            {"": channels("V.Combined.A", "V.Combined.B", "V.Combined.G", "V.Combined.R",
+                          "V.Vector.W", "V.Vector.X", "V.Vector.Y", "V.Vector.Z")}
+        )  # fmt: skip
+        assert [ref.component for ref in layout.roles[Role.COLOUR]] == list("RGBA")
+        assert [ref.component for ref in layout.roles[Role.MOTION]] == list("XYZW")
+
+    @pytest.mark.parametrize("first", ["A", "B"])
+    def test_of_several_view_layers_the_first_counts_throughout(self, first):
+        second = "B" if first == "A" else "A"
+        layers = ("Combined.RGBA", "Depth.Z", "Vector.XYZW", "Normal.XYZ")
+        layout = found(*(f"{name}.{layer}" for name in (first, second) for layer in layers))
+        for refs in layout.roles.values():
+            assert {ref.name.split(".")[0] for ref in refs} == {first}
+
+    def test_geometry_comes_from_the_layer_of_the_colour_where_it_is(self):
+        layout = found("Fog.Depth.Z", "Fog.Vector.XYZW", "Main.Combined.RGBA", "Main.Depth.Z")
+        assert names(layout, Role.DEPTH) == ["Main.Depth.Z"]
+        assert names(layout, Role.MOTION) == expand("Fog.Vector.XYZW")
+
+    def test_cryptomatte_is_taken_for_nothing(self):
+        layout = found("V.CryptoObject00.rgba", "V.CryptoMaterial00.rgba", "V.Depth.Z")
+        assert set(layout.roles) == {Role.DEPTH}
+
+
+class TestPlain:
+    def test_forward_alone(self):
+        layout = found("RGBA", "Z", "forward.uv")
+        assert names(layout, Role.COLOUR) == list("RGBA")
+        assert names(layout, Role.DEPTH) == ["Z"]
+        assert names(layout, Role.MOTION) == ["forward.u", "forward.v"]
+        assert layout.guess == PRESETS["forward"] and layout.producer == "Nuke convention"
+
+    def test_backward_alone(self):
+        layout = found("RGB", "backward.uv")
+        assert names(layout, Role.COLOUR) == list("RGB")
+        assert layout.guess == PRESETS["backward"]
+
+    @pytest.mark.parametrize(
+        "order", [("forward.uv", "backward.uv"), ("backward.uv", "forward.uv")]
+    )
+    def test_both_forward_first(self, order):
+        layout = found("RGBA", *order)
+        assert names(layout, Role.MOTION) == expand("forward.uv", "backward.uv")
+        assert layout.guess == PRESETS["forward+backward"]
+
+    def test_lower_case(self):
+        layout = found("rgba", "z", "motion.xy", "n.xyz", "p.xyz", "id")
+        assert names(layout, Role.COLOUR) == list("rgba")
+        assert names(layout, Role.DEPTH) == ["z"]
+        assert names(layout, Role.MOTION) == ["motion.x", "motion.y"]
+        assert names(layout, Role.NORMAL) == expand("n.xyz")
+        assert names(layout, Role.POSITION) == expand("p.xyz")
+        assert layout.guess is None and layout.producer == "unknown"
+
+    @pytest.mark.parametrize("name", ["id", "ID"])
+    def test_a_bare_id(self, name):
+        layout = detect({"": channels("R", "G", "B", name)})
+        assert names(layout, Role.STENCIL) == [name]
+
+    @pytest.mark.parametrize(
+        "layer", ["depth.Z", "SceneDepth.R", "Z-Depth.V", "shot_01.depth.y", "Z.R"]
+    )
+    def test_depth_under_other_names(self, layer):
+        assert names(found("RGB", layer), Role.DEPTH) == [layer]
+
+    @pytest.mark.parametrize("layer", ["motionvector.RG", "velocity.XY", "Motion Vectors.uv"])
+    def test_motion_of_unknown_meaning(self, layer):
+        layout = found("RGB", layer)
+        assert names(layout, Role.MOTION) == expand(layer) and layout.guess is None
+
+    def test_a_lone_rgb_layer_of_any_name_is_colour(self):
+        assert names(found("foo.RGB", "Z"), Role.COLOUR) == expand("foo.RGB")
+        assert Role.COLOUR not in found("foo.RGB", "bar.RGB")
+        assert Role.COLOUR not in found("Normal.RGB")
+
+    def test_the_beauty_is_preferred_to_other_layers(self):
+        layout = found("spec.RGB", "beauty.RGB", "DiffCol.RGB")
+        assert names(layout, Role.COLOUR) == expand("beauty.RGB")
+        assert names(found("beauty.RGB", "RGBA"), Role.COLOUR) == list("RGBA")
+
+    def test_half_a_layer_is_not_taken(self):
+        layout = found("R", "forward.u", "Normal.XY", "Vector.XYZ")
+        assert layout.roles == {} and layout.guess is None
+
+    def test_unknown_names(self):
+        layout = found("foo.X", "bar.QW", "mask")
+        assert layout.roles == {} and layout.producer == "unknown"
+        assert Role.DEPTH not in layout
+
+
+class TestUnreal:
+    def test_one_file_per_aov(self):
+        aovs = {
+            "": "RGBA", "MotionVector": "RG", "SceneDepth": "R", "WorldNormal": "RGB",
+            "WorldPosition": "RGB", "MyStencil": "R", "BaseColor": "RGB", "Roughness": "R",
+            "Metallic": "R", "NoV": "R",
+        }  # fmt: skip
+        layout = detect({aov: channels(*letters) for aov, letters in aovs.items()})
+        expected = {
+            Role.COLOUR: "", Role.MOTION: "MotionVector", Role.DEPTH: "SceneDepth",
+            Role.NORMAL: "WorldNormal", Role.POSITION: "WorldPosition",
+            Role.STENCIL: "MyStencil", Role.ALBEDO: "BaseColor", Role.ROUGHNESS: "Roughness",
+            Role.METALLIC: "Metallic",
+        }  # fmt: skip
+        assert {role: {ref.aov for ref in refs} for role, refs in layout.roles.items()} == {
+            role: {aov} for role, aov in expected.items()
+        }
+        assert [ref.component for ref in layout.roles[Role.MOTION]] == ["R", "G"]
+        assert layout.guess == PRESETS["unreal"] and layout.producer.startswith("Unreal")
+
+    def test_files_with_more_letters_than_they_need(self):
+        layout = detect({"MotionVector": channels(*"RGBA"), "SceneDepth": channels(*"RGBA")})
+        assert [ref.component for ref in layout.roles[Role.MOTION]] == ["R", "G"]
+        assert names(layout, Role.DEPTH) == ["R"]
+
+
+class TestRequire:
+    def test_what_is_there(self):
+        layout = found("RGB")
+        assert require(layout, Role.COLOUR, "x.exr") == layout.roles[Role.COLOUR]
+
+    def test_what_is_not(self):
+        with pytest.raises(LayoutError, match=r"^x\.exr has no motion channels .*exwarp inspect"):
+            require(found("RGB"), Role.MOTION, "x.exr")

@@ -1,0 +1,185 @@
+"""Reading OpenEXR files: structure, pixels, and whatever is wrong with them."""
+
+from __future__ import annotations
+
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+
+from exwarp_cli.domain.frame import Window
+from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, MissingFrameError
+from exwarp_cli.io.exr import ExrReader
+from exwarp_cli.io.frames import read_image, read_plane
+from tests.unit.exr_files import box, plane, rgba, write_parts, write_single
+
+
+def read_all(path):
+    with ExrReader(path) as file:
+        channels = [channel for part in file.parts for channel in part.channels]
+        planes = file.read(channels)
+        return file.parts, {channel.name: planes[channel] for channel in channels}
+
+
+class TestStructure:
+    def test_one_part(self, tmp_path):
+        planes = rgba(4, 6) | {"Z": plane(4, 6, 2.5), "id": plane(4, 6, 7, np.uint32)}
+        path = write_single(
+            tmp_path / "a.exr",
+            planes,
+            dataWindow=box(-2, 3, 6, 4),
+            displayWindow=box(0, 0, 10, 8),
+        )
+        parts, found = read_all(path)
+        assert len(parts) == 1
+        part = parts[0]
+        assert (part.index, part.name, part.view, part.deep) == (0, "", "", False)
+        assert part.data_window == Window(-2, 3, 6, 4)
+        assert part.display_window == Window(0, 0, 10, 8)
+        types = {channel.name: channel.pixel_type for channel in part.channels}
+        assert types == dict.fromkeys("RGBA", "half") | {"Z": "float", "id": "uint"}
+        for name, expected in planes.items():
+            np.testing.assert_array_equal(found[name], expected)
+
+    def test_parts_give_their_name_to_bare_channels_alone(self, tmp_path):
+        path = write_parts(
+            tmp_path / "a.exr",
+            {
+                "beauty": (rgba(3, 4), {}),
+                "depth": ({"Z": plane(3, 4, 1)}, {}),
+                "V.Normal": ({f"V.Normal.{c}": plane(3, 4, 0) for c in "XYZ"}, {}),
+            },
+        )
+        parts, found = read_all(path)
+        assert [part.name for part in parts] == ["beauty", "depth", "V.Normal"]
+        assert set(found) == {f"beauty.{c}" for c in "RGBA"} | {"depth.Z"} | {
+            f"V.Normal.{c}" for c in "XYZ"
+        }
+        raw = {channel.raw_name for part in parts for channel in part.channels}
+        assert "Z" in raw and "V.Normal.X" in raw
+
+    def test_views_are_known(self, tmp_path):
+        path = write_parts(
+            tmp_path / "a.exr",
+            {
+                "l": (rgba(3, 4, seed=1), {"view": "left"}),
+                "r": (rgba(3, 4, seed=2), {"view": "right"}),
+            },
+        )
+        parts, _ = read_all(path)
+        assert [part.view for part in parts] == ["left", "right"]
+
+
+class TestPixels:
+    def test_parts_of_different_windows(self, tmp_path):
+        path = write_parts(
+            tmp_path / "a.exr",
+            {
+                "rgb": (rgba(5, 6), {"displayWindow": box(0, 0, 8, 8)}),
+                "z": (
+                    {"Z": np.arange(6, dtype=np.float32).reshape(2, 3)},
+                    {"dataWindow": box(2, -1, 3, 2), "displayWindow": box(0, 0, 8, 8)},
+                ),
+            },
+        )
+        parts, found = read_all(path)
+        assert [str(part.data_window) for part in parts] == ["6x5+0+0", "3x2+2-1"]
+        np.testing.assert_array_equal(found["z.Z"], [[0, 1, 2], [3, 4, 5]])
+
+    def test_large_ids_are_exact(self, tmp_path):
+        ids = np.array([[0, 1, 2**24 + 1], [2**31 - 1, 2**31, 2**32 - 1]], np.uint32)
+        path = write_single(tmp_path / "a.exr", rgba(2, 3) | {"id": ids})
+        _, found = read_all(path)
+        assert found["id"].dtype == np.uint32
+        np.testing.assert_array_equal(found["id"], ids)
+
+    @pytest.mark.parametrize("dtype", [np.float16, np.float32])
+    def test_values_come_as_they_are(self, tmp_path, dtype):
+        values = np.array([[-0.0, -3, 65504], [1e-7, np.inf, np.nan]], dtype)
+        path = write_single(tmp_path / "a.exr", dict.fromkeys("RGB", values))
+        _, found = read_all(path)
+        assert found["R"].dtype == np.float32
+        np.testing.assert_array_equal(found["R"], values.astype(np.float32))
+
+    def test_a_single_channel_by_name(self, tmp_path):
+        path = write_parts(
+            tmp_path / "a.exr", {"rgb": (rgba(3, 4), {}), "d": ({"Z": plane(3, 4, 5)}, {})}
+        )
+        for name in ("Z", "d.Z"):
+            found, window, display = read_plane(path, name)
+            assert (found == 5).all() and found.flags.c_contiguous
+            assert window == display == Window(0, 0, 4, 3)
+        with pytest.raises(LayoutError, match="has no channel 'W'"):
+            read_plane(path, "W")
+
+    def test_an_image_and_its_windows(self, tmp_path):
+        planes = rgba(3, 4)
+        path = write_single(
+            tmp_path / "a.exr", planes, dataWindow=box(1, 2, 4, 3), displayWindow=box(0, 0, 9, 9)
+        )
+        image = read_image(path)
+        assert image.data_window == Window(1, 2, 4, 3)
+        assert image.display_window == Window(0, 0, 9, 9)
+        for i, name in enumerate("RGBA"):
+            np.testing.assert_array_equal(image.pixels[..., i], planes[name])
+
+    def test_an_image_without_colour(self, tmp_path):
+        path = write_single(tmp_path / "a.exr", {"Z": plane(3, 4, 5)})
+        with pytest.raises(LayoutError, match="no colour channels"):
+            read_image(path)
+
+
+def one_sentence(error: InputError, path: object) -> bool:
+    text = str(error)
+    return str(path) in text and "\n" not in text and "; " in text
+
+
+class TestBadFiles:
+    def test_missing(self, tmp_path):
+        with pytest.raises(MissingFrameError, match="does not exist") as caught:
+            ExrReader(tmp_path / "none.exr")
+        assert one_sentence(caught.value, tmp_path / "none.exr")
+
+    @pytest.mark.parametrize(
+        "content", [b"", b"\x76\x2f\x31\x01", b"hello world, this is text\n" * 40, b"\0" * 4096]
+    )
+    def test_not_an_exr(self, tmp_path, content):
+        path = tmp_path / "a.exr"
+        path.write_bytes(content)
+        with pytest.raises(DamagedFileError, match="truncated, damaged or not") as caught:
+            ExrReader(path)
+        assert one_sentence(caught.value, path)
+
+    def test_another_format_under_the_name(self, tmp_path):
+        source = tmp_path / "a.png"
+        image = oiio.ImageBuf(oiio.ImageSpec(4, 4, 3, "uint8"))
+        assert image.write(str(source))
+        path = source.rename(tmp_path / "a.exr")
+        with pytest.raises(DamagedFileError, match="png") as caught:
+            ExrReader(path)
+        assert one_sentence(caught.value, path)
+
+    def test_a_folder(self, tmp_path):
+        folder = tmp_path / "a.exr"
+        folder.mkdir()
+        with pytest.raises(InputError) as caught:
+            ExrReader(folder)
+        assert one_sentence(caught.value, folder)
+
+    @pytest.mark.parametrize("share", [0.02, 0.3, 0.6, 0.95])
+    def test_truncated_anywhere(self, tmp_path, share):
+        whole = write_single(tmp_path / "whole.exr", rgba(64, 64)).read_bytes()
+        path = tmp_path / "a.exr"
+        path.write_bytes(whole[: int(len(whole) * share)])
+        with pytest.raises(DamagedFileError) as caught:
+            read_image(path)
+        assert one_sentence(caught.value, path)
+
+    def test_flipped_bytes_in_the_pixels(self, tmp_path):
+        data = bytearray(write_single(tmp_path / "a.exr", rgba(64, 64)).read_bytes())
+        middle = len(data) // 2
+        data[middle : middle + 400] = b"\xff" * 400
+        path = tmp_path / "b.exr"
+        path.write_bytes(data)
+        with pytest.raises(DamagedFileError) as caught:
+            read_image(path)
+        assert one_sentence(caught.value, path)

@@ -1,0 +1,288 @@
+"""Written frames: what they carry, how they are sealed, what damage shows."""
+
+from __future__ import annotations
+
+import hashlib
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from exwarp_cli.domain.frame import Image, Window
+from exwarp_cli.errors import DamagedFileError, OutputError, UsageError
+from exwarp_cli.io import output
+from exwarp_cli.io.channels import ChannelRef
+from exwarp_cli.io.exr import ExrReader
+from exwarp_cli.io.frames import read_image
+from tests.unit.exr_files import box, plane, rgba, write_parts, write_single
+
+RGBA = tuple(ChannelRef("", name) for name in "RGBA")
+WINDOW = Window(0, 0, 12, 9)
+
+CARRIED = {
+    "owner": "Ada Lovelace",
+    "shot:take": 3,
+    "exposure": 0.25,
+    "pixelAspectRatio": 1.5,
+    "screenWindowWidth": 2.0,
+    "gate": np.array([36, 24], np.int32),
+    "chromaticities": (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329),
+    "worldToCamera": np.arange(16, dtype=np.float32).reshape(4, 4),
+    "cut": Fraction(24000, 1001),
+}
+
+
+def pixels(seed: int = 0, window: Window = WINDOW) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return (rng.random((*window.shape, 4)) * 3 - 0.5).astype(np.float32)
+
+
+def image(seed: int = 0) -> Image:
+    return Image(pixels(seed), WINDOW, Window(0, 0, 16, 10))
+
+
+def template(path: Path, dtype: type = np.float16, **attributes: object) -> output.Template:
+    write_single(path, rgba(3, 4, dtype), **attributes)
+    return output.read_template(path, RGBA)
+
+
+@pytest.fixture
+def frame(tmp_path) -> Path:
+    path = tmp_path / "out.exr"
+    kept = template(tmp_path / "in.exr", **CARRIED)
+    output.write_frame(path, image(), kept, {output.RECIPE: "abc", "exwarp:method": "s6"})
+    return path
+
+
+class TestTemplate:
+    @pytest.mark.parametrize("name", CARRIED)
+    def test_attributes_are_carried(self, frame, name):
+        found, value = output.read_headers(frame)[0][name], CARRIED[name]
+        if isinstance(value, str | Fraction):
+            assert found == value
+        else:
+            np.testing.assert_allclose(np.asarray(found), np.asarray(value), rtol=1e-6)
+
+    def test_types_are_kept(self, frame, tmp_path):
+        before = output.read_headers(tmp_path / "in.exr")[0]
+        after = output.read_headers(frame)[0]
+        for name in CARRIED:
+            assert type(after[name]) is type(before[name]), name
+
+    @pytest.mark.parametrize("name", ["framesPerSecond", "preview", "timeCode", "view"])
+    def test_what_belongs_to_the_source_alone_is_not(self, tmp_path, name):
+        values = {"framesPerSecond": Fraction(24), "view": "left"}
+        kept = template(tmp_path / "in.exr", **{k: v for k, v in values.items() if k == name})
+        assert name not in kept.header
+
+    @pytest.mark.parametrize("compression", ["none", "zips", "piz", "dwaa"])
+    def test_compression_is_the_source_s(self, tmp_path, compression):
+        constant = output.compression_of(compression)
+        kept = template(tmp_path / "in.exr", compression=constant)
+        output.write_frame(tmp_path / "out.exr", image(), kept, {})
+        assert output.read_headers(tmp_path / "out.exr")[0]["compression"] == constant
+
+    @pytest.mark.parametrize("dtype", [np.float16, np.float32])
+    def test_pixel_types_are_the_source_s(self, tmp_path, dtype):
+        kept = template(tmp_path / "in.exr", dtype)
+        assert kept.dtypes == (np.dtype(dtype),) * 4
+        output.write_frame(tmp_path / "out.exr", image(), kept, {})
+        with ExrReader(tmp_path / "out.exr") as file:
+            types = {channel.pixel_type for channel in file.parts[0].channels}
+        assert types == {"half" if dtype is np.float16 else "float"}
+        found = read_image(tmp_path / "out.exr").pixels
+        np.testing.assert_array_equal(found, pixels().astype(dtype))
+
+    def test_of_several_parts_the_colour_s_counts(self, tmp_path):
+        path = write_parts(
+            tmp_path / "in.exr",
+            {
+                "V.Depth": ({"V.Depth.Z": plane(3, 4, 1)}, {"owner": "depth"}),
+                "V.Combined": (
+                    {f"V.Combined.{c}": p for c, p in rgba(3, 4).items()},
+                    {"owner": "colour"},
+                ),
+            },
+        )
+        colour = tuple(ChannelRef("", f"V.Combined.{c}") for c in "RGBA")
+        kept = output.read_template(path, colour)
+        assert kept.header["owner"] == "colour"
+        assert kept.channels == tuple(ref.name for ref in colour)
+        output.write_frame(tmp_path / "out.exr", image(), kept, {})
+        np.testing.assert_array_equal(
+            read_image(tmp_path / "out.exr").pixels, pixels().astype(np.float16)
+        )
+
+    def test_a_damaged_source(self, tmp_path):
+        (tmp_path / "in.exr").write_bytes(b"\x76\x2f\x31\x01 and no more")
+        with pytest.raises(DamagedFileError, match=r"in\.exr"):
+            output.read_template(tmp_path / "in.exr", RGBA)
+        with pytest.raises(DamagedFileError, match=r"in\.exr"):
+            output.read_headers(tmp_path / "in.exr")
+
+
+class TestFrame:
+    def test_windows_and_attributes(self, frame):
+        with ExrReader(frame) as file:
+            assert file.parts[0].data_window == WINDOW
+            assert file.parts[0].display_window == Window(0, 0, 16, 10)
+        assert output.written_attributes(frame) == {
+            "recipe": "abc",
+            "method": "s6",
+            "sha256": output.written_attributes(frame)["sha256"],
+        }
+
+    def test_the_same_frame_gives_the_same_bytes(self, frame, tmp_path):
+        again = tmp_path / "again.exr"
+        kept = output.read_template(tmp_path / "in.exr", RGBA)
+        output.write_frame(again, image(), kept, {output.RECIPE: "abc", "exwarp:method": "s6"})
+        assert again.read_bytes() == frame.read_bytes()
+
+    def test_half_ends_at_its_largest_value(self, tmp_path):
+        kept = template(tmp_path / "in.exr")
+        bright = image()
+        bright.pixels[0, 0] = (1e6, -1e6, 65519, 1)
+        output.write_frame(tmp_path / "out.exr", bright, kept, {})
+        found = read_image(tmp_path / "out.exr").pixels
+        assert found[0, 0].tolist() == [65504, -65504, 65504, 1]
+
+    def test_float_does_not(self, tmp_path):
+        kept = template(tmp_path / "in.exr", np.float32)
+        bright = image()
+        bright.pixels[0, 0] = (1e6, -1e30, 65519, 1)
+        output.write_frame(tmp_path / "out.exr", bright, kept, {})
+        found = read_image(tmp_path / "out.exr").pixels
+        np.testing.assert_array_equal(found[0, 0], np.float32([1e6, -1e30, 65519, 1]))
+
+    @pytest.mark.parametrize("dtype", [np.float16, np.float32])
+    def test_quantised_pixels_are_those_that_are_read_back(self, tmp_path, dtype):
+        kept = template(tmp_path / "in.exr", dtype)
+        bright = image()
+        bright.pixels[0, :3] = 7e4, -0.0, 1e-9, 0.1
+        rounded = output.quantise(bright.pixels, kept)
+        output.write_frame(tmp_path / "out.exr", bright, kept, {})
+        np.testing.assert_array_equal(read_image(tmp_path / "out.exr").pixels, rounded)
+        np.testing.assert_array_equal(output.quantise(rounded, kept), rounded)
+
+    def test_nowhere_to_write(self, tmp_path):
+        kept = template(tmp_path / "in.exr")
+        with pytest.raises(OutputError, match="the folder does not exist"):
+            output.write_frame(tmp_path / "no" / "out.exr", image(), kept, {})
+
+    def test_nothing_else_is_left_in_the_folder(self, frame, tmp_path):
+        assert sorted(p.name for p in tmp_path.iterdir()) == ["in.exr", "out.exr"]
+
+    def test_a_mask(self, tmp_path):
+        mask = np.random.default_rng(0).random(WINDOW.shape) < 0.3
+        output.write_mask(tmp_path / "m.exr", mask, (WINDOW, WINDOW), {output.RECIPE: "r"})
+        with ExrReader(tmp_path / "m.exr") as file:
+            (channel,) = file.parts[0].channels
+            assert (channel.name, channel.pixel_type) == ("holes", "half")
+            np.testing.assert_array_equal(file.read([channel])[channel], mask)
+        assert output.recipe_of(tmp_path / "m.exr") == "r"
+
+
+class TestSeal:
+    def test_a_written_frame_is_intact(self, frame):
+        data = frame.read_bytes()
+        assert output.is_intact(data)
+        assert output.recipe_of(frame) == "abc"
+        digits = output.written_attributes(frame)["sha256"]
+        plain = data.replace(digits.encode(), b"0" * 64)
+        assert hashlib.sha256(plain).hexdigest() == digits
+
+    def test_any_flipped_bit_shows(self, frame):
+        data = frame.read_bytes()
+        rng = np.random.default_rng(0)
+        start = data.index(output.CHECKSUM.encode())
+        places = {0, 4, start, start + 10, start + 60, len(data) - 1}
+        places |= set(range(start, start + 110, 7)) | set(rng.integers(0, len(data), 150).tolist())
+        for place in sorted(places):
+            for bit in (1, 0x20, 0x80):
+                broken = bytearray(data)
+                broken[place] ^= bit
+                assert not output.is_intact(bytes(broken)), place
+
+    @settings(derandomize=True, deadline=None, max_examples=30)
+    @given(st.floats(0, 0.999))
+    def test_any_truncation_shows(self, share):
+        header = output.CHECKSUM.encode() + b"\0string\0" + (64).to_bytes(4, "little") + b"0" * 64
+        data = output.seal(b"head" + header + bytes(range(256)))
+        assert output.is_intact(data)
+        assert not output.is_intact(data[: int(len(data) * share)])
+        assert not output.is_intact(data + b"\0")
+
+    def test_foreign_files_have_no_recipe(self, tmp_path):
+        plain = write_single(tmp_path / "plain.exr", rgba(3, 4), **{output.RECIPE: "abc"})
+        assert output.recipe_of(plain) is None
+        assert output.recipe_of(tmp_path / "none.exr") is None
+        assert output.recipe_of(tmp_path) is None
+        (tmp_path / "empty.exr").touch()
+        assert output.recipe_of(tmp_path / "empty.exr") is None
+        assert not output.is_intact(plain.read_bytes())
+
+    def test_a_file_without_room_for_it_cannot_be_sealed(self, tmp_path):
+        plain = write_single(tmp_path / "plain.exr", rgba(3, 4))
+        with pytest.raises(ValueError, match="no place"):
+            output.seal(plain.read_bytes())
+
+    def test_text_is_read_from_the_bytes(self, frame):
+        data = frame.read_bytes()
+        assert output.read_text(data, "exwarp:method") == "s6"
+        assert output.read_text(data, "owner") == "Ada Lovelace"
+        assert output.read_text(data, "exwarp:nothing") is None
+
+
+class TestTightWindow:
+    def test_a_frame_that_filled_its_window_stays(self):
+        whole = image()
+        assert output.tight_window(whole, WINDOW) is whole
+
+    def test_the_rest_is_cropped_to_what_is_not_empty(self):
+        values = np.zeros((*WINDOW.shape, 4), np.float32)
+        values[3:5, 2] = 1
+        values[4, 7, 3] = -0.5
+        moved = Image(values, Window(-5, 10, 12, 9), WINDOW)
+        found = output.tight_window(moved, Window(0, 0, 3, 3))
+        assert found.data_window == Window(-3, 13, 6, 2) and found.display_window == WINDOW
+        np.testing.assert_array_equal(found.pixels, values[3:5, 2:8])
+        assert found.pixels.flags.c_contiguous
+
+    def test_nothing_is_one_pixel(self):
+        empty = Image(np.zeros((*WINDOW.shape, 4), np.float32), WINDOW, WINDOW)
+        found = output.tight_window(empty, Window(0, 0, 3, 3))
+        assert found.data_window == Window(0, 0, 1, 1) and found.pixels.shape == (1, 1, 4)
+
+
+class TestSmallThings:
+    @pytest.mark.parametrize(
+        ("value", "rate"),
+        [(Fraction(24), 24), (Fraction(0), None), (Fraction(-5), None), (25.0, None), (None, None)],
+    )
+    def test_frame_rate(self, value, rate):
+        header = {} if value is None else {"framesPerSecond": value}
+        assert output.frame_rate(header) == rate
+
+    def test_compressions_by_name(self):
+        assert output.compression_of(None) is None
+        assert output.compression_of("zip") == OpenEXR.ZIP_COMPRESSION
+        with pytest.raises(UsageError, match=r"--compression lzma is not one of none, rle"):
+            output.compression_of("lzma")
+
+    def test_digest(self, tmp_path):
+        (tmp_path / "a").write_bytes(b"abc")
+        assert output.file_digest(tmp_path / "a") == hashlib.sha256(b"abc").hexdigest()
+        with pytest.raises(DamagedFileError):
+            output.file_digest(tmp_path / "none")
+
+    def test_display_windows_off_the_origin(self, tmp_path):
+        source = tmp_path / "in.exr"
+        write_single(source, rgba(3, 4), dataWindow=box(-7, -9, 4, 3))
+        kept = output.read_template(source, RGBA)
+        shifted = Image(pixels(window=Window(-7, -9, 4, 3)), Window(-7, -9, 4, 3), WINDOW)
+        output.write_frame(tmp_path / "out.exr", shifted, kept, {})
+        assert read_image(tmp_path / "out.exr").data_window == Window(-7, -9, 4, 3)

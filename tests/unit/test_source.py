@@ -1,0 +1,211 @@
+"""Opening an input: conventions by hand, matching by number or order, the frame rate."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from exwarp_cli.domain.motion import AxisMap, MotionConvention
+from exwarp_cli.domain.settings import DEFAULT_FPS, SourceSettings
+from exwarp_cli.domain.timeline import Slot, Timeline
+from exwarp_cli.errors import InputError, LayoutError, MissingFrameError, MotionError, UsageError
+from exwarp_cli.io.channels import PRESETS
+from exwarp_cli.io.frames import open_shot
+from exwarp_cli.io.sequence import Sequence
+from exwarp_cli.pipeline.source import (
+    align,
+    find_motion,
+    motion_names,
+    open_source,
+    parse_motion,
+    rate_of,
+)
+from tests.unit.exr_files import plane, rgba, write_single
+from tests.unit.scenes import town
+
+XYZW = ("X", "Y", "Z", "W")
+UV = ("forward.u", "forward.v", "backward.u", "backward.v")
+
+
+class TestParseMotion:
+    @pytest.mark.parametrize(
+        ("text", "names", "expected"),
+        [
+            ("previous=X,-Y", XYZW, MotionConvention(AxisMap(0, 1, 1, -1))),
+            ("next=-Z,W", XYZW, MotionConvention(None, AxisMap(2, 3, -1, 1))),
+            ("previous=X,-Y next=-Z,W", XYZW, PRESETS["blender"]),
+            ("next=-Z,W   previous=+X,-Y", XYZW, PRESETS["blender"]),
+            ("next=0.5*X,-0.25*Y", XYZW, MotionConvention(None, AxisMap(0, 1, 0.5, -0.25))),
+            ("next=1920*Y,1080*X", XYZW, MotionConvention(None, AxisMap(1, 0, 1920, 1080))),
+            ("next=forward.u,-forward.v", UV, MotionConvention(None, AxisMap(0, 1, 1, -1))),
+            ("previous=-backward.u,backward.v", UV, MotionConvention(AxisMap(2, 3, -1, 1))),
+        ],
+    )
+    def test_by_hand(self, text, names, expected):
+        assert parse_motion(text, names) == expected
+
+    @pytest.mark.parametrize("name", PRESETS)
+    def test_presets(self, name):
+        assert parse_motion(name, XYZW) == PRESETS[name]
+        assert parse_motion(f"  {name.upper()} ", XYZW) == PRESETS[name]
+
+    @pytest.mark.parametrize("name", PRESETS)
+    def test_what_is_described_can_be_given(self, name):
+        for names in (XYZW, UV):
+            assert parse_motion(PRESETS[name].describe(names), names) == PRESETS[name]
+
+    @pytest.mark.parametrize("name", ["blender", "forward+backward"])
+    def test_a_preset_of_more_channels_than_there_are(self, name):
+        with pytest.raises(UsageError, match="needs 4 motion channels and there are 2: u, v"):
+            parse_motion(name, ("u", "v"))
+
+    @pytest.mark.parametrize(
+        "text",
+        [
+            "X,Y",
+            "next=X",
+            "next=X,Y,Z",
+            "later=X,Y",
+            "next=X,Q",
+            "next=x,y",
+            "next=1..5*X,Y",
+            "next=.*X,Y",
+            "next=X*2,Y",
+            "next=--X,Y",
+            "next=X, Y",
+            "previous=X,Y nonsense",
+            "vray",
+        ],
+    )
+    def test_what_is_not_understood(self, text):
+        with pytest.raises(UsageError) as caught:
+            parse_motion(text, XYZW)
+        told = str(caught.value)
+        assert repr(text) in told and "previous=X,-Y" in told and "blender" in told
+
+    @pytest.mark.parametrize("text", ["", "   "])
+    def test_nothing(self, text):
+        with pytest.raises(UsageError, match="--motion is empty"):
+            parse_motion(text, XYZW)
+
+
+def sequence(numbers: range | list[int]) -> Sequence:
+    files = {n: Path(f"/in/g.{n:04d}.exr") for n in numbers}
+    return Sequence(Path("/in"), "g.", 4, ".exr", files)
+
+
+class TestAlign:
+    TIMELINE = Timeline.of([1001, 1002, 1003])  # slots 1001 to 1012
+
+    def test_by_number(self):
+        frame_of = align(self.TIMELINE, sequence(range(1001, 1013)), "--gbuffers")
+        assert frame_of(Slot(0, 0)) == 1001 and frame_of(Slot(1, 2)) == 1007
+        assert frame_of(Slot(2, 3)) == 1012
+
+    def test_by_number_among_others(self):
+        frame_of = align(self.TIMELINE, sequence(range(990, 1010)), "--gbuffers")
+        assert frame_of(Slot(0, 0)) == 1001 and frame_of(Slot(2, 0)) == 1009
+        assert frame_of(Slot(2, 1)) is None  # past the last one
+
+    def test_by_order(self):
+        frame_of = align(self.TIMELINE, sequence(range(9)), "--gbuffers")
+        assert frame_of(Slot(0, 0)) == 0 and frame_of(Slot(1, 1)) == 5
+        assert frame_of(Slot(2, 0)) == 8 and frame_of(Slot(2, 1)) is None
+
+    def test_by_order_where_numbers_begin_elsewhere(self):
+        frame_of = align(self.TIMELINE, sequence(range(1002, 1014)), "--gbuffers")
+        assert frame_of(Slot(0, 0)) == 1002 and frame_of(Slot(2, 0)) == 1010
+
+    def test_one_that_has_the_key_frames_rate(self):
+        with pytest.raises(InputError, match=r"--gbuffers has 3 frames like the key frames"):
+            align(self.TIMELINE, sequence(range(1001, 1004)), "--gbuffers")
+
+    def test_one_with_a_gap(self):
+        with pytest.raises(MissingFrameError, match="frame 5 is missing"):
+            align(self.TIMELINE, sequence([1, 2, 3, 4, 6, 7, 8, 9]), "--gbuffers")
+
+
+class TestRate:
+    def shot(self, tmp_path, **attributes):
+        write_single(tmp_path / "a.0001.exr", rgba(2, 2), **attributes)
+        return open_shot(str(tmp_path))
+
+    def test_what_is_given_counts_first(self, tmp_path):
+        shot = self.shot(tmp_path, framesPerSecond=Fraction(25))
+        assert rate_of(shot, Fraction(12)) == (12, "option")
+
+    def test_then_the_header(self, tmp_path):
+        shot = self.shot(tmp_path, framesPerSecond=Fraction(24000, 1001))
+        assert rate_of(shot, None) == (Fraction(24000, 1001), "header")
+
+    def test_else_it_is_assumed(self, tmp_path):
+        assert rate_of(self.shot(tmp_path), None) == (DEFAULT_FPS, "assumed")
+
+
+def write_town(folder: Path, channels: bool = True, count: int = 2, still: bool = False) -> Path:
+    """The ray-traced scene as plain EXR files, forward.u and forward.v in pixels, y up."""
+    folder.mkdir(exist_ok=True)
+    scene = town((96, 60)).still() if still else town((96, 60))
+    for number in range(count):
+        view = scene.view(float(number))
+        colour = view.colour
+        planes = {c: np.ascontiguousarray(colour[..., i]) for i, c in enumerate("RGBA")}
+        if channels:
+            vectors = view.motion_to(number + 1.0, sky=False)
+            planes["forward.u"] = np.ascontiguousarray(vectors[..., 0])
+            planes["forward.v"] = np.ascontiguousarray(-vectors[..., 1])
+            planes["Z"] = np.where(np.isinf(view.depth), 1e10, view.depth).astype(np.float32)
+        write_single(folder / f"a.{number + 1:04d}.exr", planes)
+    return folder
+
+
+class TestOpen:
+    def test_a_shot_with_motion(self, tmp_path):
+        source = open_source(SourceSettings(str(write_town(tmp_path))))
+        assert source.setting == "key" and source.timeline.numbers == (1, 2)
+        assert source.finding is not None
+        assert source.finding.convention == PRESETS["forward"]
+        assert source.finding.source == "calibrated"
+        assert source.slot_number(Slot(0, 1)) is None
+
+    def test_a_convention_by_hand_is_not_questioned(self, tmp_path):
+        settings = SourceSettings(str(write_town(tmp_path)), motion="previous=u,v")
+        finding = open_source(settings).finding
+        assert finding is not None and finding.source == "given"
+        assert finding.convention == MotionConvention(AxisMap(0, 1, 1, 1))
+        assert "previous=u,v given by --motion" in finding.evidence
+
+    def test_one_frame_alone_keeps_the_names(self, tmp_path):
+        shot = open_shot(str(write_town(tmp_path, count=1)))
+        finding = find_motion(shot, None)
+        assert finding is not None and finding.source == "untested"
+
+    def test_without_motion(self, tmp_path):
+        folder = str(write_town(tmp_path, channels=False))
+        with pytest.raises(LayoutError, match=r"has no motion vectors .* --method hold or blend"):
+            open_source(SourceSettings(folder))
+        assert open_source(SourceSettings(folder), motion_needed=False).finding is None
+
+    def test_a_convention_that_cannot_be_settled_matters_only_where_it_is_needed(self, tmp_path):
+        for number in (1, 2):
+            planes = rgba(20, 20, seed=number)
+            planes |= {f"velocity.{c}": plane(20, 20, 3) for c in "XY"}
+            write_single(tmp_path / f"a.{number:04d}.exr", planes)
+        with pytest.raises(MotionError):
+            open_source(SourceSettings(str(tmp_path)))
+        assert open_source(SourceSettings(str(tmp_path)), motion_needed=False).finding is None
+
+    def test_without_colour(self, tmp_path):
+        write_single(tmp_path / "a.0001.exr", {"Z": plane(4, 4, 1)})
+        with pytest.raises(LayoutError, match="no colour channels"):
+            open_source(SourceSettings(str(tmp_path)))
+
+    def test_names_get_their_layer_where_they_are_not_unique(self, tmp_path):
+        planes = rgba(4, 4)
+        for layer in ("a.forward", "a.backward"):
+            planes |= {f"{layer}.{c}": plane(4, 4, 0) for c in "uv"}
+        write_single(tmp_path / "a.0001.exr", planes)
+        assert motion_names(open_shot(str(tmp_path))) == UV
