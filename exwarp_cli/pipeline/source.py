@@ -18,7 +18,8 @@ from exwarp_cli.io.channels import PRESETS, Role
 from exwarp_cli.io.frames import GEOMETRY, Shot, open_shot, read_raw
 from exwarp_cli.io.output import frame_rate, read_headers
 from exwarp_cli.io.sequence import Sequence
-from exwarp_cli.synthesis.calibration import Instant, calibrate
+from exwarp_cli.synthesis.calibration import calibrate
+from exwarp_cli.synthesis.probing import Instant
 
 FrameOf = Callable[[Slot], int | None]
 
@@ -159,7 +160,8 @@ def parse_motion(text: str, names: tuple[str, ...]) -> MotionConvention:
     for clause in text.split():
         direction, _, terms = clause.partition("=")
         axes = [_axis(term, names) for term in terms.split(",")]
-        if direction not in ("previous", "next") or len(axes) != 2 or None in axes:
+        known = direction in ("previous", "next") and direction not in maps
+        if not known or len(axes) != 2 or None in axes:
             raise UsageError(
                 f"--motion {text!r} is not understood; write a preset ({', '.join(PRESETS)}) or "
                 f"for example 'previous={names[0]},-{names[1]}', with channels out of "

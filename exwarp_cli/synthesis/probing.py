@@ -1,0 +1,158 @@
+"""Looking surface points up in a neighbouring frame: how well a displacement explains it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from exwarp_cli.domain.frame import Float32, GBuffer
+
+F64 = npt.NDArray[np.float64]
+
+SAMPLES = 6000
+"""Pixels looked at in each frame."""
+
+DEPTH_TOLERANCE = 0.02
+"""Relative error of depth that counts as a miss."""
+
+
+@dataclass(frozen=True)
+class Instant:
+    """A frame of a pair: geometry, raw motion channels, and colour where there is some."""
+
+    number: int
+    gbuffer: GBuffer
+    motion: Float32
+    colour: Float32 | None
+
+
+@dataclass
+class Probe:
+    """Sampled pixels of one frame, to be looked up in its neighbour.
+
+    Values of one component are depth, others are fixed to the surface point.
+    """
+
+    xy: F64
+    raw: F64
+    here: list[F64]
+    there: list[Float32]
+    tolerance: list[F64]
+
+    def error(self, displacement: F64, count: int | None = None) -> float:
+        """Return the mean error of displacements [N, 2], 0 (all find themselves) to 1."""
+        part = slice(None) if count is None else slice(None, None, max(1, len(self.xy) // count))
+        target = self.xy[part] + displacement
+        losses = []
+        for here, there, tolerance in zip(self.here, self.there, self.tolerance, strict=True):
+            found, wanted = _bilinear(there, target), here[part]
+            if wanted.shape[1] == 1:
+                wanted = _depth_later(wanted, found, self.xy[part], tolerance[part])
+            distance = np.linalg.norm(found - wanted, axis=1) / tolerance[part]
+            losses.append(np.where(np.isfinite(distance), np.minimum(distance, 1.0), 1.0))
+        return float(np.mean(losses))
+
+
+def probe(here: Instant, there: Instant) -> Probe | None:
+    """Sample pixels of `here` and prepare to look them up in `there`; None without any."""
+    usable = np.asarray(np.isfinite(here.motion).all(axis=-1))
+    if here.gbuffer.depth is not None:
+        usable &= np.isfinite(here.gbuffer.depth)
+    if here.gbuffer.position is not None:
+        usable &= np.isfinite(here.gbuffer.position).all(axis=-1)
+    usable[[0, -1]] = False
+    usable[:, [0, -1]] = False
+    index = np.flatnonzero(usable)
+    if len(index) < 100:
+        return None
+    index = index[:: max(1, len(index) // SAMPLES)]
+    y, x = np.divmod(index, usable.shape[1])
+    values = _observables(here, there, y, x)
+    if not values:
+        return None
+    return Probe(
+        np.stack([x, y], axis=1).astype(np.float64),
+        here.motion[y, x].astype(np.float64),
+        [v[0] for v in values],
+        [v[1] for v in values],
+        [v[2] for v in values],
+    )
+
+
+def _observables(
+    here: Instant, there: Instant, y: npt.NDArray[np.intp], x: npt.NDArray[np.intp]
+) -> list[tuple[F64, Float32, F64]]:
+    """Return (values here, image there, tolerance) of what identifies a surface point."""
+    a, b = here.gbuffer, there.gbuffer
+    if a.position is not None and b.position is not None:
+        return [(a.position[y, x].astype(np.float64), b.position, _pixel_size(a.position, y, x))]
+    out: list[tuple[F64, Float32, F64]] = []
+    if a.depth is not None and b.depth is not None:
+        depth = a.depth[y, x][:, None].astype(np.float64)
+        out.append((depth, b.depth[..., None], DEPTH_TOLERANCE * depth[:, 0]))
+    if here.colour is not None and there.colour is not None:
+        mine, other = _perceived(here.colour), _perceived(there.colour)
+        out.append((mine[y, x].astype(np.float64), other, np.full(len(y), 0.15)))
+    return out
+
+
+def _depth_later(depth: F64, found: F64, xy: F64, tolerance: F64) -> F64:
+    """Return the depth [N, 1] that static points have in the other frame, as its camera moved.
+
+    That is linear in a point's place (x z, y z, z): the four coefficients are fitted to what was
+    found there, robustly. Unfitted, a camera's way forward spoke for half the right vectors.
+    """
+    seen = np.isfinite(found[:, 0])
+    x, y = (xy / xy.max() - 0.5).T
+    z = depth[:, 0]
+    terms = np.stack([x * z, y * z, z, np.ones_like(z)], axis=1) / tolerance[:, None]
+    known, values = terms[seen], found[seen, 0] / tolerance[seen]
+    predicted = z[seen] / tolerance[seen]
+    if len(known) < 50:
+        return depth
+    for _ in range(4):
+        weighted = known / (1.0 + (values - predicted) ** 2)[:, None]
+        fitted = np.linalg.lstsq(weighted.T @ known, weighted.T @ values, rcond=None)[0]
+        predicted = known @ fitted
+    return np.asarray((terms @ fitted * tolerance)[:, None])
+
+
+def _pixel_size(position: Float32, y: npt.NDArray[np.intp], x: npt.NDArray[np.intp]) -> F64:
+    """World-space size of a pixel, plus the rounding of positions stored as half."""
+    p = position.astype(np.float64)
+    steps = [
+        np.minimum(
+            np.linalg.norm(p[y, x] - p[y - dy, x - dx], axis=1),
+            np.linalg.norm(p[y, x] - p[y + dy, x + dx], axis=1),
+        )
+        for dy, dx in ((0, 1), (1, 0))
+    ]
+    size = np.maximum(steps[0], steps[1])
+    largest = np.abs(p[y, x]).max(axis=1)
+    with np.errstate(over="ignore"):
+        half = bool((position[y, x].astype(np.float16) == position[y, x]).all())
+    return np.asarray(size + largest * (2.0**-10 if half else 2.0**-22) + 1e-12)
+
+
+def _perceived(colour: Float32) -> Float32:
+    """Scene-linear RGB compressed roughly as the eye does, float32 [H, W, 3]."""
+    return np.sqrt(np.maximum(np.nan_to_num(colour[..., :3], posinf=0, neginf=0), 0))
+
+
+def _bilinear(image: Float32, target: F64) -> F64:
+    """Sample an image [H, W, C] at (x, y) positions [N, 2]; NaN outside it."""
+    height, width = image.shape[:2]
+    corner = np.floor(target)
+    inside = ((target >= 0) & (target <= (width - 1, height - 1))).all(axis=1)
+    x = np.where(inside, corner[:, 0], 0).astype(np.intp)
+    y = np.where(inside, corner[:, 1], 0).astype(np.intp)
+    x1, y1 = np.minimum(x + 1, width - 1), np.minimum(y + 1, height - 1)
+    fx, fy = (target - corner)[:, :1], (target - corner)[:, 1:]
+    with np.errstate(invalid="ignore"):
+        upper = image[y, x] * (1 - fx) + image[y, x1] * fx
+        lower = image[y1, x] * (1 - fx) + image[y1, x1] * fx
+        found: F64 = np.asarray(upper * (1 - fy) + lower * fy, dtype=np.float64)
+    found[~inside] = np.nan
+    return found
