@@ -1,4 +1,4 @@
-"""Finding holes, pixels whose source is another surface, and filling them from the background."""
+"""Finding holes: pixels whose source is another surface."""
 
 from __future__ import annotations
 
@@ -21,10 +21,6 @@ nearest source pixel is up to 0.71 pixels off, and its own sample as much again.
 
 DEPTH_TOLERANCE = np.float32(0.1)
 """Relative change of depth up to which two pixels may be the same surface, without positions."""
-
-DIRECTIONS = 16
-BACKGROUND_POWER = 4
-"""Weight of a fill candidate falls with this power of its nearness."""
 
 
 @serial
@@ -155,80 +151,5 @@ def mark_text(
             hole[i, j] = False
 
 
-def fill_text(image: F32, depth: F32, hole: B8, cap: float, reach: int, out: F32) -> None:
-    """Fill holes from the surrounding background.
-
-    Parameters
-    ----------
-    image
-        float32 [H, W, C].
-    depth
-        float32 [H, W], of the visible surface; +inf background, read where `hole` is False.
-    hole
-        bool [H, W].
-    cap
-        Depth at which everything further counts as equally far, scene units.
-    reach
-        How far to look, pixels.
-    out
-        float32 [H, W, C], written: `image`, with holes replaced.
-
-    Notes
-    -----
-    From every hole pixel 16 rays look for the first visible pixel. Candidates are averaged with
-    weights that fall with the distance squared and with the fourth power of nearness to the
-    camera, since a disocclusion shows what lies behind. Nothing found gives 0.
-    """
-    height, width, channels = image.shape
-    for row in numba.prange(height):
-        i = np.int64(row)
-        for j in range(width):
-            if not hole[i, j]:
-                for c in range(channels):
-                    out[i, j, c] = image[i, j, c]
-                continue
-            fill_pixel(i, j, image, depth, hole, (cap, np.float32(reach)), out)
-
-
-@serial
-def fill_pixel(
-    i: int, j: int, image: F32, depth: F32, hole: B8, limits: tuple[float, float], out: F32
-) -> None:
-    """Fill one pixel; see :func:`fill_text`."""
-    height, width, channels = image.shape
-    found_y = np.empty(DIRECTIONS, np.int64)
-    found_x = np.empty(DIRECTIONS, np.int64)
-    steps = np.empty(DIRECTIONS, np.float64)
-    found = 0
-    furthest = 0.0
-    for ray in range(DIRECTIONS):
-        angle = 2 * math.pi * ray / DIRECTIONS
-        dy, dx = math.sin(angle), math.cos(angle)
-        for step in range(1, int(limits[1]) + 1):
-            y, x = round(i + dy * step), round(j + dx * step)
-            if y < 0 or x < 0 or y >= height or x >= width:
-                break
-            if not hole[y, x]:
-                found_y[found], found_x[found], steps[found] = y, x, step
-                furthest = max(furthest, min(depth[y, x], limits[0]))
-                found += 1
-                break
-    total = 0.0
-    for c in range(channels):
-        out[i, j, c] = np.float32(0.0)
-    for k in range(found):
-        y, x = found_y[k], found_x[k]
-        far = min(depth[y, x], limits[0]) / furthest if furthest > 0 else 1.0
-        weight = (far**BACKGROUND_POWER + 1e-6) / (steps[k] * steps[k])
-        total += weight
-        for c in range(channels):
-            out[i, j, c] += np.float32(weight) * image[y, x, c]
-    if total > 0:
-        for c in range(channels):
-            out[i, j, c] = np.float32(out[i, j, c] / total)
-
-
 mark = parallel(mark_text)
 mark_serial = serial(mark_text)
-fill = parallel(fill_text)
-fill_serial = serial(fill_text)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from exwarp_cli.domain.frame import Bool, Float32
-from exwarp_cli.kernels import gather, holes
+from exwarp_cli.kernels import fill, gather
 from exwarp_cli.synthesis.geometry import SlotField
 
 FILL_REACH = 0.25
@@ -66,12 +66,19 @@ def repair(pixels: Float32) -> Float32:
 
 
 def fill_background(warped: Warped) -> Float32:
-    """Return the warped frame with its holes filled from the surrounding background."""
+    """Return the warped frame with its holes filled from what is visible around them.
+
+    Where the surface in a hole is known (slot G-buffers, or a source outside the frame) it is
+    filled from the same surface, else from the background.
+    """
     if not warped.hole.any():
         return warped.pixels
     finite = warped.depth[np.isfinite(warped.depth) & ~warped.hole]
     cap = BEYOND * float(finite.max()) if finite.size else 1.0
+    height, width, _ = warped.pixels.shape
+    reach = min(int(FILL_REACH * max(height, width)) + 1, 32000)
+    steps = np.empty((len(fill.WAYS), height, width), np.int16)
+    fill.look(warped.hole, reach, steps)
     out = np.empty_like(warped.pixels)
-    reach = int(FILL_REACH * max(out.shape[:2])) + 1
-    holes.fill(warped.pixels, warped.depth, warped.hole, np.float32(cap), reach, out)
+    fill.fill(warped.pixels, warped.depth, warped.hole, np.float32(cap), steps, out)
     return out

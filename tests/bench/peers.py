@@ -1,9 +1,9 @@
 """Frame interpolators that see colour only: ffmpeg's minterpolate and OpenCV's DIS optical flow.
 
 Both get what suits them best of the variants that were tried on the example (PSNR in dB):
-minterpolate with scene-change detection off (20.3 against 19.4, since it repeats frames at motion
-that it takes for a cut), blocks of 8 pixels (20.6 against 20.4 with 16) and full-range 4:4:4; DIS
-at its finest scale (21.33 against 21.24) and blended in sRGB (21.33 against 21.21 in linear light).
+minterpolate with scene-change detection off (21.0 against 20.2, since it repeats frames at motion
+that it takes for a cut), blocks of 8 pixels (21.5 against 21.0 with 16) and full-range 4:4:4; DIS
+at its finest scale (22.23 against 22.18) and blended in sRGB (22.23 against 22.11 in linear light).
 """
 
 from __future__ import annotations

@@ -64,37 +64,3 @@ def mark(
                 other |= abs(a - b) > depth_tolerance * max(a, b)
             hole[here] = other
     return hole
-
-
-def fill(
-    image: np.ndarray,
-    depth: np.ndarray,
-    hole: np.ndarray,
-    limits: tuple[float, int],
-    constants: tuple[int, float],
-) -> np.ndarray:
-    """Return the filled image, float64; `limits` are cap and reach, `constants` rays and power."""
-    cap, reach = limits
-    rays, power = constants
-    out = image.astype(np.float64)
-    for i, j in zip(*np.nonzero(hole), strict=True):
-        seen = []
-        for ray in range(rays):
-            angle = 2 * math.pi * ray / rays
-            for step in range(1, reach + 1):
-                y = round(int(i) + math.sin(angle) * step)
-                x = round(int(j) + math.cos(angle) * step)
-                if not (0 <= y < hole.shape[0] and 0 <= x < hole.shape[1]):
-                    break
-                if not hole[y, x]:
-                    seen.append((y, x, step, min(float(depth[y, x]), cap)))
-                    break
-        furthest = max((far for *_, far in seen), default=0.0)
-        total, value = 0.0, np.zeros(image.shape[2])
-        for y, x, step, far in seen:
-            share = far / furthest if furthest > 0 else 1.0
-            weight = (share**power + 1e-6) / step**2
-            total += weight
-            value += weight * image[y, x]
-        out[i, j] = value / total if total > 0 else 0.0
-    return out

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from exwarp_cli.kernels import blend, edges, gather, holes, project, splat
+from exwarp_cli.kernels import blend, edges, fill, gather, holes, project, splat
 
 Arrays = tuple[np.ndarray, ...]
 Pair = tuple[np.ndarray, np.ndarray]
@@ -67,6 +67,12 @@ def marked(
     return (hole,)
 
 
+def seen(hole: np.ndarray, reach: int, serial: bool = False) -> Arrays:
+    steps = np.full((8, *hole.shape), -1, np.int16)
+    build(fill, "look", serial)(hole, reach, steps)
+    return (steps,)
+
+
 def filled(
     image: np.ndarray,
     depth: np.ndarray,
@@ -76,7 +82,8 @@ def filled(
     serial: bool = False,
 ) -> Arrays:
     out = np.full_like(image, np.nan)
-    build(holes, "fill", serial)(image, depth, hole, np.float32(cap), reach, out)
+    (steps,) = seen(hole, reach, serial)
+    build(fill, "fill", serial)(image, depth, hole, np.float32(cap), steps, out)
     return (out,)
 
 

@@ -79,7 +79,9 @@ def fill(serial: bool) -> calls.Arrays:
     hole = np.random.default_rng(12).random(SHAPE) < 0.3
     hole[10:20, 3:9] = True
     pixels = np.clip(np.nan_to_num(image(13)), -3, 3)
-    return calls.filled(pixels, depth(14), hole, 12.0, 9, serial)
+    known = np.where(np.random.default_rng(25).random(SHAPE) < 0.5, depth(14), np.nan)
+    distances = np.where(hole, known, depth(14)).astype(np.float32)
+    return calls.filled(pixels, distances, hole, 12.0, 9, serial)
 
 
 def side(seed: int) -> calls.Side:
@@ -107,6 +109,7 @@ CASES: dict[str, Callable[[bool], calls.Arrays]] = {
     "splat": lambda serial: calls.splatted(field(2), depth(2), serial),
     "mark": mark,
     "fill": fill,
+    "look": lambda serial: calls.seen(ids(26) > 0, 9, serial),
     "find_edges": lambda serial: calls.edges_found(depth(15), ids(15), serial),
     "unmix": lambda serial: calls.unmixed(
         field(16), field(16) + field(17, 0.05), depth(15), ids(15), serial=serial

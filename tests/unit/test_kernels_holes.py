@@ -1,18 +1,13 @@
-"""Finding holes and filling them."""
+"""Finding holes."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from exwarp_cli.kernels.holes import (
-    BACKGROUND_POWER,
-    DEPTH_TOLERANCE,
-    DIRECTIONS,
-    FOOTPRINTS,
-)
+from exwarp_cli.kernels.holes import DEPTH_TOLERANCE, FOOTPRINTS
 from tests.reference import holes as naive
-from tests.unit.kernel_calls import filled, marked
+from tests.unit.kernel_calls import marked
 
 SHAPE = (14, 17)
 CONSTANTS = (float(FOOTPRINTS), float(DEPTH_TOLERANCE), 0.98)
@@ -150,71 +145,3 @@ class TestMark:
         moving = (np.ones(SHAPE, np.int32),) * 2
         positions = (plane_positions(), plane_positions(40.0))
         assert not marked(STILL, (WALL, WALL * np.float32(3)), moving, positions)[0].any()
-
-
-class TestFill:
-    def scene(self, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        rng = np.random.default_rng(seed)
-        image = rng.normal(1, 2, (*SHAPE, 4)).astype(np.float32)
-        depth = rng.uniform(1, 9, SHAPE).astype(np.float32)
-        depth[rng.random(SHAPE) < 0.2] = np.inf
-        hole = rng.random(SHAPE) < 0.3
-        hole[4:9, 3:12] = True
-        depth[hole] = np.nan
-        return image, depth, hole
-
-    @pytest.mark.parametrize("seed", [0, 1])
-    @pytest.mark.parametrize("reach", [2, 20])
-    def test_equals_the_naive_twin(self, seed, reach):
-        image, depth, hole = self.scene(seed)
-        (found,) = filled(image, depth, hole, 18.0, reach)
-        limits, constants = (18.0, reach), (DIRECTIONS, BACKGROUND_POWER)
-        expected = naive.fill(image, depth, hole, limits, constants)
-        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-5)
-
-    def test_what_is_no_hole_stays_bit_for_bit(self):
-        image, depth, hole = self.scene(2)
-        image[0, 0], hole[0, 0] = (-0.0, 1e-41, 65504, -3), False
-        (found,) = filled(image, depth, hole, 18.0, 20)
-        assert found[~hole].tobytes() == image[~hole].tobytes()
-
-    def test_what_stands_in_a_hole_does_not_matter(self):
-        image, depth, hole = self.scene(3)
-        (clean,) = filled(image, depth, hole, 18.0, 20)
-        image[hole], depth[hole] = np.nan, np.nan
-        np.testing.assert_array_equal(filled(image, depth, hole, 18.0, 20)[0], clean)
-        assert np.isfinite(clean).all()
-
-    def test_constant_surroundings_give_the_constant(self):
-        _, depth, hole = self.scene(4)
-        image = np.full((*SHAPE, 3), 3.25, np.float32)
-        (found,) = filled(image, depth, hole, 18.0, 20)
-        np.testing.assert_allclose(found, image, rtol=1e-6)
-
-    @pytest.mark.parametrize("behind", [40.0, np.inf])
-    def test_the_far_side_fills(self, behind):
-        image = np.zeros((*SHAPE, 3), np.float32)
-        depth = np.full(SHAPE, 2, np.float32)
-        image[:, :9], depth[:, :9] = 1, behind
-        hole = np.zeros(SHAPE, bool)
-        hole[:, 7:11] = True
-        (found,) = filled(image, depth, hole, 40.0, 20)
-        assert found[hole].min() > 0.99
-
-    def test_without_anything_in_reach_it_is_black(self):
-        image = np.ones((*SHAPE, 3), np.float32)
-        assert (filled(image, WALL, np.ones(SHAPE, bool), 9.0, 20)[0] == 0).all()
-        hole = np.ones(SHAPE, bool)
-        hole[0, 0] = False
-        (found,) = filled(image, WALL, hole, 9.0, 3)
-        assert (found[8:, 8:] == 0).all()
-        np.testing.assert_allclose(found[0, :4], 1, rtol=1e-6)
-
-    def test_the_nearer_candidate_weighs_more(self):
-        image = np.zeros((*SHAPE, 3), np.float32)
-        image[:, 12:] = 1
-        hole = np.zeros(SHAPE, bool)
-        hole[:, 4:12] = True
-        (found,) = filled(image, WALL, hole, 9.0, 20)
-        row = found[7, 4:12, 0]
-        assert (np.diff(row) > 0).all() and row[0] < 0.2 and row[-1] > 0.8

@@ -1,0 +1,60 @@
+"""Filling holes, pixel by pixel."""
+
+from __future__ import annotations
+
+import numpy as np
+
+WAYS = [(dy, dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1) if (dy, dx) != (0, 0)]
+
+
+def look(hole: np.ndarray, reach: int) -> np.ndarray:
+    """Return the steps to the first visible pixel in eight ways, int [8, H, W]."""
+    height, width = hole.shape
+    out = np.zeros((8, height, width), int)
+    for way, (dy, dx) in enumerate(WAYS):
+        for i, j in zip(*np.nonzero(hole), strict=True):
+            for step in range(1, reach + 1):
+                y, x = i + dy * step, j + dx * step
+                if not (0 <= y < height and 0 <= x < width):
+                    break
+                if not hole[y, x]:
+                    out[way, i, j] = step
+                    break
+    return out
+
+
+def fill(
+    image: np.ndarray,
+    depth: np.ndarray,
+    hole: np.ndarray,
+    limits: tuple[float, int],
+    powers: tuple[int, int],
+) -> np.ndarray:
+    """Return the filled image, float64; `limits` are cap and reach."""
+    cap, reach = limits
+    out = image.astype(np.float64)
+    for i, j in zip(*np.nonzero(hole), strict=True):
+        seen = []
+        for dy, dx in WAYS:
+            for step in range(1, reach + 1):
+                y, x = i + dy * step, j + dx * step
+                if not (0 <= y < hole.shape[0] and 0 <= x < hole.shape[1]):
+                    break
+                if not hole[y, x]:
+                    distance = np.hypot(dy * step, dx * step)
+                    seen.append((y, x, distance, min(float(depth[y, x]), cap)))
+                    break
+        wanted = min(float(depth[i, j]), cap)
+        power = powers[0]
+        if np.isnan(depth[i, j]):
+            power = powers[1]
+            wanted = max((far for *_, far in seen), default=0.0)
+        total, value = 0.0, np.zeros(image.shape[2])
+        for y, x, distance, far in seen:
+            largest = max(far, wanted)
+            alike = min(far, wanted) / largest if largest > 0 else 1.0
+            weight = (alike**power + 1e-6) / distance**2
+            total += weight
+            value += weight * image[y, x]
+        out[i, j] = value / total if total > 0 else 0.0
+    return out
