@@ -34,7 +34,8 @@ class AxisMap:
         x = raw[..., self.x_channel] * np.float32(self.x_scale)
         y = raw[..., self.y_channel] * np.float32(self.y_scale)
         out = np.stack([x, y], axis=-1)
-        out[~np.isfinite(out).all(axis=-1)] = np.nan
+        with np.errstate(over="ignore", invalid="ignore"):
+            out[~np.isfinite(x + y)] = np.nan
         return out
 
     def describe(self, channels: tuple[str, ...]) -> str:

@@ -8,7 +8,16 @@ from pathlib import Path
 
 import numpy as np
 
-from exwarp_cli.domain.frame import Bool, Float32, GBuffer, Image, Int32, KeyFrame, Window, place
+from exwarp_cli.domain.frame import (
+    Float32,
+    GBuffer,
+    Image,
+    Int32,
+    KeyFrame,
+    Window,
+    broken_pixels,
+    place,
+)
 from exwarp_cli.domain.motion import MotionConvention
 from exwarp_cli.errors import DamagedFileError, LayoutError
 from exwarp_cli.io.channels import ChannelRef, Layout, Role, detect, require
@@ -139,7 +148,8 @@ def read_raw(
         if role not in refs:
             return None
         members = [
-            place(planes[r].astype(np.float32), windows[r], canvas, fill) for r in refs[role]
+            place(planes[r].astype(np.float32, copy=False), windows[r], canvas, fill)
+            for r in refs[role]
         ]
         return np.ascontiguousarray(np.stack(members, axis=-1))
 
@@ -216,11 +226,6 @@ def clean_stencil(ids: np.ndarray) -> Int32:
     finite = np.where(np.isfinite(ids), ids, -1.0)
     rounded = np.clip(np.rint(finite), -1, 2**31 - 128)
     return np.where(np.abs(finite - rounded) < 0.02, rounded, -1).astype(np.int32)
-
-
-def broken_pixels(pixels: Float32) -> Bool:
-    """bool [H, W]: pixels with a NaN or infinity in any channel."""
-    return np.asarray(~np.isfinite(pixels).all(axis=-1))
 
 
 def _refuse_broken(pixels: Float32, path: Path) -> None:

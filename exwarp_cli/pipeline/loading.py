@@ -114,8 +114,7 @@ class IntervalLoader:
             number = source.timeline.numbers[key]
             convention = None if source.finding is None else source.finding.convention
             if source.slots is None:
-                roles = (Role.COLOUR, *GEOMETRY) if self._uses_motion else (Role.COLOUR,)
-                frame = read_raw(source.keys, number, roles).key(convention)
+                frame = read_raw(source.keys, number, self._key_roles).key(convention)
             else:
                 frame = read_raw(source.keys, number, (Role.COLOUR,)).key(None)
                 slot = source.slot_number(Slot(key, 0))
@@ -130,9 +129,17 @@ class IntervalLoader:
         return self._frames[key]
 
     @property
-    def _uses_motion(self) -> bool:
-        """Whether geometry is read at all: methods without motion still report holes by it."""
-        return self._source.finding is not None
+    def _key_roles(self) -> tuple[Role, ...]:
+        """What is read of a key frame in the key setting.
+
+        Methods without motion still report holes by the geometry. Normals tell nothing there but
+        Unreal's background, in sets of one file per AOV.
+        """
+        if self._source.finding is None:
+            return (Role.COLOUR,)
+        if self._source.keys.aovs:
+            return (Role.COLOUR, *GEOMETRY)
+        return (Role.COLOUR, *(role for role in GEOMETRY if role is not Role.NORMAL))
 
     def _slot_gbuffer(self, number: int) -> GBuffer:
         source = self._source

@@ -13,13 +13,21 @@ from typing import Any
 import numpy as np
 
 from exwarp_cli import __version__
-from exwarp_cli.domain.frame import Bool, Float32, Image, KeyFrame, Window, place
+from exwarp_cli.domain.frame import (
+    Bool,
+    Float32,
+    Image,
+    KeyFrame,
+    Window,
+    broken_pixels,
+    place,
+)
 from exwarp_cli.domain.results import FrameKind, FrameRecord
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR, Slot
 from exwarp_cli.errors import LayoutError
 from exwarp_cli.io.atomic import atomic_copy
-from exwarp_cli.io.frames import broken_pixels, read_image
+from exwarp_cli.io.frames import read_image
 from exwarp_cli.io.output import (
     PREFIX,
     compression_of,
@@ -171,8 +179,8 @@ class Run:
         predicted = self.method.predict(interval, slot.index)
         elapsed = 1e3 * (time.perf_counter() - begin)
         canvas, display = interval.key.image.data_window, self.source.keys.display
-        pixels = quantise(predicted.pixels, loaded.template)
-        image = tight_window(Image(pixels, canvas, display), loaded.frame.image.data_window)
+        image = Image(predicted.pixels, canvas, display)
+        image = tight_window(image, loaded.frame.image.data_window)
         mask = self._mask(interval, slot)
         record = FrameRecord(
             number=self.source.timeline.number(slot),
@@ -197,6 +205,8 @@ class Run:
             path = self.targets.holes.path(record.number)
             marks = {k: v for k, v in attributes.items() if k.startswith(PREFIX)}
             writer.submit(partial(write_mask, path, mask, (display, display), marks))
+        if loaded.truth or self.targets.video is not None:
+            image = replace(image, pixels=quantise(image.pixels, loaded.template))
         return self._scored(record, image, mask, loaded), image
 
     def _resume(

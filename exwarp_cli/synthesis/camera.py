@@ -22,6 +22,9 @@ F64 = npt.NDArray[np.float64]
 
 MAX_SAMPLES = 4000
 MIN_SAMPLES = 60
+GRID = 5
+"""How many pixels are looked at for each sample."""
+
 ROUNDS = 12
 MAX_MEDIAN_ERROR = 0.25
 """A fit whose median error on its inliers is above this, in pixels, is no camera."""
@@ -104,8 +107,7 @@ def scene_of(gbuffer: GBuffer) -> Scene | None:
         position = np.ascontiguousarray(gbuffer.position)
         if depth is None:
             depth = np.where(background_of(gbuffer), np.inf, 1.0).astype(np.float32)
-        usable = np.isfinite(depth) & np.isfinite(position).all(axis=-1)
-        index = sample(usable)
+        index = sample(depth)
         scene = Scene(position, depth, np.eye(3))
         own = fit(scene.points(index), pixels_at(index, depth.shape[1]))
         if own is not None:
@@ -124,9 +126,17 @@ def background_of(gbuffer: GBuffer) -> Bool:
     return np.asarray((gbuffer.position == 0).all(axis=-1))
 
 
-def sample(usable: Bool) -> npt.NDArray[np.intp]:
-    """Return flat indices of about MAX_SAMPLES usable pixels, always the same ones."""
-    index = np.flatnonzero(usable)
+def sample(depth: Float32, stencil: Int32 | None = None) -> npt.NDArray[np.intp]:
+    """Return flat indices of about MAX_SAMPLES pixels that show surfaces, always the same ones.
+
+    Static ones where ids are known and there are enough. A regular grid, some times finer than
+    needed, is looked at, as looking at every pixel takes longer than the fit.
+    """
+    grid = np.arange(0, depth.size, max(1, depth.size // (GRID * MAX_SAMPLES)))
+    index = grid[np.isfinite(depth.ravel()[grid])]
+    if stencil is not None:
+        static = index[stencil.ravel()[index] == 0]
+        index = static if len(static) >= MIN_SAMPLES else index
     return index[:: max(1, len(index) // MAX_SAMPLES)]
 
 
@@ -147,11 +157,7 @@ def rigid_motion(scene: Scene, vectors: Float32, stencil: Int32 | None) -> Float
     float32 [H, W, 2] or None
         NaN where unknown. None when no camera can be found.
     """
-    usable = np.asarray(np.isfinite(scene.depth) & np.isfinite(vectors).all(axis=-1))
-    if stencil is not None:
-        static = usable & (stencil == 0)
-        usable = static if np.count_nonzero(static) >= MIN_SAMPLES else usable
-    index = sample(usable)
+    index = sample(scene.depth, stencil)
     seen_at = pixels_at(index, scene.depth.shape[1]) + vectors.reshape(-1, 2)[index]
     camera = fit(scene.points(index), seen_at)
     if camera is None:

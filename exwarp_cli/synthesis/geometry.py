@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, Int32
-from exwarp_cli.kernels import edges, gather, holes, splat
+from exwarp_cli.kernels import edges, gather, holes, parabola, splat
 from exwarp_cli.synthesis.camera import Scene, background_of, rigid_motion, scene_of, seen_by
 
 TURN_PER_SLOT = math.acos(0.98)
@@ -109,10 +109,9 @@ def displacement(gbuffer: GBuffer, time: float) -> Float32:
     t = np.float32(time)
     after, before = gbuffer.to_next, gbuffer.to_previous
     if after is not None and before is not None:
-        half = np.float32(0.5)
-        curve = t * half * (after - before) + t * t * half * (after + before)
-        straight = np.where(np.isfinite(after), t * after, -t * before)
-        return np.where(np.isfinite(curve), curve, straight).astype(np.float32)
+        out = np.empty_like(after)
+        parabola.parabola(before, after, t, out)
+        return out
     if after is not None:
         return t * after
     assert before is not None

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from exwarp_cli.domain.frame import Bool, Float32
+from exwarp_cli.domain.frame import Bool, Float32, broken_pixels
 from exwarp_cli.kernels import fill, gather
 from exwarp_cli.synthesis.geometry import SlotField
 
@@ -57,7 +57,7 @@ def warp(pixels: Float32, source: SlotField) -> Warped:
 
 def repair(pixels: Float32) -> Float32:
     """Return a frame whose non-finite pixels are filled from around them; itself if it has none."""
-    broken = np.asarray(~np.isfinite(pixels).all(axis=-1))
+    broken = broken_pixels(pixels)
     if not broken.any():
         return pixels
     clean = np.where(broken[..., None], np.float32(0), pixels)

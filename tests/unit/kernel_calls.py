@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from exwarp_cli.kernels import blend, edges, fill, gather, holes, project, splat
+from exwarp_cli.kernels import blend, edges, fill, gather, holes, parabola, project, splat
 
 Arrays = tuple[np.ndarray, ...]
 Pair = tuple[np.ndarray, np.ndarray]
@@ -84,6 +84,12 @@ def filled(
     out = np.full_like(image, np.nan)
     (steps,) = seen(hole, reach, serial)
     build(fill, "fill", serial)(image, depth, hole, np.float32(cap), steps, out)
+    return (out,)
+
+
+def displaced(before: np.ndarray, after: np.ndarray, time: float, serial: bool = False) -> Arrays:
+    out = np.zeros_like(after)
+    build(parabola, "parabola", serial)(before, after, np.float32(time), out)
     return (out,)
 
 

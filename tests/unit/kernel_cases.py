@@ -109,6 +109,7 @@ CASES: dict[str, Callable[[bool], calls.Arrays]] = {
     "splat": lambda serial: calls.splatted(field(2), depth(2), serial),
     "mark": mark,
     "fill": fill,
+    "parabola": lambda serial: calls.displaced(field(27), field(28), 0.75, serial),
     "look": lambda serial: calls.seen(ids(26) > 0, 9, serial),
     "find_edges": lambda serial: calls.edges_found(depth(15), ids(15), serial),
     "unmix": lambda serial: calls.unmixed(

@@ -66,7 +66,7 @@ class TestFill:
         hole[:, 7:11] = True
         depth[hole] = np.nan
         (found,) = filled(image, depth, hole, 40.0, 20)
-        # The near side is beside the last column and weighs (2 / 40) ** 2 there; the far one is 4 off.
+        # The near side is next to the last column, but weighs (2 / 40) ** 2; the far one is 4 off.
         assert found[hole].min() > 0.94
 
     @pytest.mark.parametrize(("belongs", "colour"), [(2.0, 0.0), (40.0, 1.0), (np.inf, 1.0)])
