@@ -6,15 +6,15 @@ import time
 
 from exwarp_cli.domain.results import InputSummary, RunSummary
 from exwarp_cli.domain.settings import UpsampleSettings
-from exwarp_cli.errors import UsageError
+from exwarp_cli.errors import LayoutError, UsageError
 from exwarp_cli.io import exr
 from exwarp_cli.io.output import compression_of
-from exwarp_cli.io.sequence import find_sequence
+from exwarp_cli.io.sequence import Sequence, find_sequence
 from exwarp_cli.kernels import jit
 from exwarp_cli.pipeline.loading import IntervalLoader
 from exwarp_cli.pipeline.progress import NoProgress, Progress
 from exwarp_cli.pipeline.run import Run
-from exwarp_cli.pipeline.source import Source, align, open_source
+from exwarp_cli.pipeline.source import FrameOf, Source, align, open_source
 from exwarp_cli.pipeline.targets import Targets
 from exwarp_cli.synthesis.methods import METHODS, Method
 
@@ -48,10 +48,7 @@ def upsample(settings: UpsampleSettings, progress: Progress | None = None) -> Ru
     keys = source.timeline.select(settings.frames)
     slots = [slot for key in keys for slot in source.timeline.slots_of(key)]
     targets = Targets.of(settings, source.keys.sequence)
-    truth = None
-    if settings.ground_truth is not None:
-        sequence = find_sequence(settings.ground_truth)
-        truth = (sequence, align(source.timeline, sequence, "--ground-truth"))
+    truth = None if settings.ground_truth is None else _find_truth(settings.ground_truth, source)
     targets.prepare(settings, source.timeline, slots)
     _announce(progress, source, method, keys)
     loader = IntervalLoader(source, method, settings, truth)
@@ -80,6 +77,20 @@ def find_method(name: str) -> Method:
     if name not in METHODS:
         raise UsageError(f"--method {name} is not one of {', '.join(METHODS)}")
     return METHODS[name]
+
+
+def _find_truth(spec: str, source: Source) -> tuple[Sequence, FrameOf]:
+    """Find ground truth, and refuse one of another size before any work."""
+    sequence = find_sequence(spec)
+    frame_of = align(source.timeline, sequence, "--ground-truth")
+    with exr.ExrReader(next(iter(sequence.files.values()))) as first:
+        window, display = first.parts[0].display_window, source.keys.display
+        if window.shape != display.shape:
+            raise LayoutError(
+                f"--ground-truth {sequence.pattern} is {window.width}x{window.height} and the "
+                f"input is {display.width}x{display.height}; give one of the same resolution"
+            )
+    return sequence, frame_of
 
 
 def _announce(progress: Progress, source: Source, method: Method, keys: tuple[int, ...]) -> None:

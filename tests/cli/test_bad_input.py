@@ -168,6 +168,7 @@ class TestSequences:
         truth = shots.truth(tmp_path / "truth", street=TINY)
         result = exwarp("upsample", keys, "-o", tmp_path / "out", "--ground-truth", truth)
         result.refused(3, "--ground-truth", "16x9", "64x36")
+        assert not (tmp_path / "out").exists()
 
     def test_ground_truth_at_the_base_rate(self, keys, exwarp, tmp_path):
         options = ("--ground-truth", keys)
