@@ -15,7 +15,7 @@ from exwarp_cli.domain.settings import DEFAULT_FPS, SourceSettings
 from exwarp_cli.domain.timeline import FACTOR, Slot, Timeline, ranges
 from exwarp_cli.errors import InputError, LayoutError, MotionError, UsageError
 from exwarp_cli.io.channels import PRESETS, Role
-from exwarp_cli.io.frames import GEOMETRY, Shot, open_shot, read_raw
+from exwarp_cli.io.frames import Shot, open_shot, read_raw
 from exwarp_cli.io.output import frame_rate, read_headers
 from exwarp_cli.io.sequence import Sequence
 from exwarp_cli.synthesis.calibration import calibrate
@@ -228,7 +228,9 @@ def _axis(term: str, names: tuple[str, ...]) -> tuple[int, float] | None:
 
 def _instant(shot: Shot, number: int) -> Instant:
     """Read a frame on the display window: data windows differ, and normalised vectors go by it."""
-    raw = read_raw(shot, number, (Role.COLOUR, *GEOMETRY))
+    # World positions tell points apart best, and alone; reading the rest takes most of the time.
+    seen = (Role.POSITION,) if Role.POSITION in shot.layout else (Role.COLOUR,)
+    raw = read_raw(shot, number, (Role.MOTION, Role.DEPTH, *seen))
     assert raw.motion is not None
     motion = place(raw.motion, raw.gbuffer.window, shot.display, np.nan)
     colour = None if raw.image is None else raw.image.on(shot.display).pixels

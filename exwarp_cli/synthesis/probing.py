@@ -12,7 +12,9 @@ from exwarp_cli.domain.frame import Float32, GBuffer
 F64 = npt.NDArray[np.float64]
 
 SAMPLES = 6000
-"""Pixels looked at in each frame."""
+"""Pixels looked up of each frame, out of GRID times as many on a regular grid."""
+
+GRID = 5
 
 DEPTH_TOLERANCE = 0.02
 """Relative error of depth that counts as a miss."""
@@ -57,18 +59,20 @@ class Probe:
 
 def probe(here: Instant, there: Instant) -> Probe | None:
     """Sample pixels of `here` and prepare to look them up in `there`; None without any."""
-    usable = np.asarray(np.isfinite(here.motion).all(axis=-1))
+    height, width, _ = here.motion.shape
+    grid = np.arange(0, height * width, max(1, height * width // (GRID * SAMPLES)))
+    y, x = np.divmod(grid, width)
+    usable = (y > 0) & (y < height - 1) & (x > 0) & (x < width - 1)
+    usable &= np.isfinite(here.motion[y, x]).all(axis=-1)
     if here.gbuffer.depth is not None:
-        usable &= np.isfinite(here.gbuffer.depth)
+        usable &= np.isfinite(here.gbuffer.depth[y, x])
     if here.gbuffer.position is not None:
-        usable &= np.isfinite(here.gbuffer.position).all(axis=-1)
-    usable[[0, -1]] = False
-    usable[:, [0, -1]] = False
-    index = np.flatnonzero(usable)
-    if len(index) < 100:
+        usable &= np.isfinite(here.gbuffer.position[y, x]).all(axis=-1)
+    chosen = np.flatnonzero(usable)
+    if len(chosen) < 100:
         return None
-    index = index[:: max(1, len(index) // SAMPLES)]
-    y, x = np.divmod(index, usable.shape[1])
+    chosen = chosen[:: max(1, len(chosen) // SAMPLES)]
+    y, x = y[chosen], x[chosen]
     values = _observables(here, there, y, x)
     if not values:
         return None
@@ -121,16 +125,16 @@ def _depth_later(depth: F64, found: F64, xy: F64, tolerance: F64) -> F64:
 
 def _pixel_size(position: Float32, y: npt.NDArray[np.intp], x: npt.NDArray[np.intp]) -> F64:
     """World-space size of a pixel, plus the rounding of positions stored as half."""
-    p = position.astype(np.float64)
+    p = position[y, x].astype(np.float64)
     steps = [
         np.minimum(
-            np.linalg.norm(p[y, x] - p[y - dy, x - dx], axis=1),
-            np.linalg.norm(p[y, x] - p[y + dy, x + dx], axis=1),
+            np.linalg.norm(p - position[y - dy, x - dx], axis=1),
+            np.linalg.norm(p - position[y + dy, x + dx], axis=1),
         )
         for dy, dx in ((0, 1), (1, 0))
     ]
     size = np.maximum(steps[0], steps[1])
-    largest = np.abs(p[y, x]).max(axis=1)
+    largest = np.abs(p).max(axis=1)
     with np.errstate(over="ignore"):
         half = bool((position[y, x].astype(np.float16) == position[y, x]).all())
     return np.asarray(size + largest * (2.0**-10 if half else 2.0**-22) + 1e-12)
