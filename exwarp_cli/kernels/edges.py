@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numba
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.kernels.gather import clamp
 from exwarp_cli.kernels.jit import parallel, serial
 
 F32 = npt.NDArray[np.float32]
 I32 = npt.NDArray[np.int32]
 B8 = npt.NDArray[np.bool_]
+Line = npt.NDArray[Any]
 
 SAME_DEPTH = np.float32(0.05)
 """Relative difference of depth below which neighbours lie on one surface."""
 
 SEARCH = 2
 """How far to look for an unmixed pixel of the same surface, pixels."""
+
+ROWS_PER_BAND = 16
 
 
 @serial
@@ -33,27 +36,81 @@ def same_surface(depth: F32, stencil: I32, i: int, j: int, y: int, x: int) -> bo
     return bool(abs(a - b) <= SAME_DEPTH * max(a, b))
 
 
+@serial
+def write_extremes(above: Line, here: Line, below: Line, low: Line, high: Line) -> None:
+    """Write the least and greatest of three rows [W] to [1 : W + 1] of `low` and `high` [W + 2].
+
+    The ends repeat the pixels beside them. NaN spreads.
+    """
+    width = here.size
+    for j in range(width):
+        low[j + 1] = np.minimum(above[j], np.minimum(here[j], below[j]))
+        high[j + 1] = np.maximum(above[j], np.maximum(here[j], below[j]))
+    low[0], high[0] = low[1], high[1]
+    low[width + 1], high[width + 1] = low[width], high[width]
+
+
+@serial
+def mark_steps(depth: F32, low: F32, high: F32, edge: B8) -> None:
+    """Mark the pixels of a row whose nearest or farthest neighbour is another surface.
+
+    The others lie between those two, so :func:`same_surface` holds for them if it holds for both.
+    """
+    infinite = np.float32(np.inf)
+    for j in range(depth.size):
+        least = np.minimum(low[j], np.minimum(low[j + 1], low[j + 2]))
+        most = np.maximum(high[j], np.maximum(high[j + 1], high[j + 2]))
+        same = depth[j] - least <= SAME_DEPTH * depth[j]
+        same &= (most - depth[j] <= SAME_DEPTH * most) & (most < infinite)
+        edge[j] = not (same | (least == infinite))
+
+
+@serial
+def mark_ids(low: I32, high: I32, edge: B8) -> None:
+    """Mark the pixels of a row that have another id among their neighbours as well."""
+    for j in range(edge.size):
+        least = min(low[j], min(low[j + 1], low[j + 2]))
+        most = max(high[j], max(high[j + 1], high[j + 2]))
+        edge[j] |= least != most
+
+
+@serial
+def find_band(depth: F32, stencil: I32, rows: tuple[int, int], edge: B8) -> None:
+    """Find the edges in rows [rows[0], rows[1])."""
+    height, width = depth.shape
+    low, high = np.empty(width + 2, np.float32), np.empty(width + 2, np.float32)
+    low_id, high_id = np.empty(width + 2, np.int32), np.empty(width + 2, np.int32)
+    for i in range(rows[0], rows[1]):
+        above, below = max(i - 1, 0), min(i + 1, height - 1)
+        write_extremes(depth[above], depth[i], depth[below], low, high)
+        mark_steps(depth[i], low, high, edge[i])
+        if stencil.shape[0] > 0:
+            write_extremes(stencil[above], stencil[i], stencil[below], low_id, high_id)
+            mark_ids(low_id, high_id, edge[i])
+
+
 def find_edges_text(depth: F32, stencil: I32, edge: B8) -> None:
     """Mark pixels with another surface among their eight neighbours.
 
     Parameters
     ----------
     depth
-        float32 [H, W]; +inf background.
+        float32 [H, W], not negative; +inf background.
     stencil
         int32 [H, W], or [0, 0] when unknown.
     edge
         bool [H, W], written.
+
+    Notes
+    -----
+    Least and greatest of three rows, then of three columns, without branches: 0.3 times cv2.remap.
+    Asking :func:`same_surface` about nine pixels each took 19 times.
     """
-    height, width = depth.shape
-    for row in numba.prange(height):
-        i = np.int64(row)
-        for j in range(width):
-            edge[i, j] = False
-            for y in range(max(i - 1, np.int64(0)), min(i + 2, np.int64(height))):
-                for x in range(max(j - 1, 0), min(j + 2, width)):
-                    if not same_surface(depth, stencil, i, j, y, x):
-                        edge[i, j] = True
+    height, _ = depth.shape
+    for band in numba.prange((height + ROWS_PER_BAND - 1) // ROWS_PER_BAND):
+        begin = np.int64(band) * ROWS_PER_BAND
+        end = min(begin + ROWS_PER_BAND, height)
+        find_band(depth, stencil, (begin, end), edge)
 
 
 def unmix_text(
@@ -82,14 +139,25 @@ def unmix_text(
     thin structures, it counts as static unless an id says that it moves.
     """
     height, width, _ = vectors.shape
+    known_ids = stencil.shape[0] > 0
     for row in numba.prange(height):
         i = np.int64(row)
         for j in range(width):
-            unmix_pixel(i, j, (vectors, rigid), depth, stencil, edge, tolerance, out)
+            # Few pixels are edges; calling for all of them took ten times as long.
+            if edge[i, j]:
+                unmix_edge(i, j, (vectors, rigid), depth, stencil, edge, tolerance, out)
+                continue
+            dx = vectors[i, j, 0] - rigid[i, j, 0]
+            dy = vectors[i, j, 1] - rigid[i, j, 1]
+            moving = known_ids and stencil[i, j] > 0
+            static = not moving and dx * dx + dy * dy <= tolerance * tolerance
+            static = math.isfinite(rigid[i, j, 0]) and (static or math.isinf(depth[i, j]))
+            for c in range(2):
+                out[i, j, c] = rigid[i, j, c] if static else vectors[i, j, c]
 
 
 @serial
-def unmix_pixel(
+def unmix_edge(
     i: int,
     j: int,
     motions: tuple[F32, F32],
@@ -99,7 +167,7 @@ def unmix_pixel(
     tolerance: float,
     out: F32,
 ) -> None:
-    """Settle one pixel; `motions` are vectors and rigid of :func:`unmix_text`."""
+    """Settle a pixel at an edge; `motions` are vectors and rigid of :func:`unmix_text`."""
     vectors, rigid = motions
     known = math.isfinite(rigid[i, j, 0])
     moving = stencil.shape[0] > 0 and stencil[i, j] > 0
@@ -127,8 +195,6 @@ def nearest_unmixed(
 ) -> tuple[int, int]:
     """Return the nearest pixel of the same surface that is not at its edge, (-1, -1) if none."""
     height, width = depth.shape
-    if not edge[i, j]:
-        return i, j
     best = 1 << 30
     found_y, found_x = -1, -1
     for y in range(max(i - SEARCH, 0), min(i + SEARCH + 1, height)):
@@ -142,15 +208,22 @@ def nearest_unmixed(
 
 
 @serial
-def beside_nearer(depth: F32, i: int, j: int) -> bool:
-    """Whether one of the four neighbours shows a surface clearly nearer than the pixel's own."""
+def mark_rim(depth: F32, i: int, rim: B8) -> None:
+    """Mark the pixels of row i with a clearly nearer surface among their four neighbours.
+
+    `rim` is bool [W], written. NaN is not nearer, and nothing is nearer than NaN.
+    """
     height, width = depth.shape
-    limit = depth[i, j] * (np.float32(1) - SAME_DEPTH)
-    for dy, dx in ((-1, 0), (0, -1), (0, 1), (1, 0)):
-        y, x = i + dy, j + dx
-        if 0 <= y < height and 0 <= x < width and depth[y, x] < limit:
-            return True
-    return False
+    nothing = np.full(width + 2, np.inf, np.float32)  # as seen beyond the frame
+    padded = nothing.copy()
+    padded[1:-1] = depth[i]
+    left, right = padded[:-2], padded[2:]
+    above = depth[i - 1] if i > 0 else nothing[2:]
+    below = depth[i + 1] if i + 1 < height else nothing[2:]
+    for j in range(width):
+        limit = depth[i, j] * (np.float32(1) - SAME_DEPTH)
+        beside = (left[j] < limit) | (right[j] < limit)
+        rim[j] = beside | (above[j] < limit) | (below[j] < limit)
 
 
 def find_fringe_text(field: F32, near: F32, depth: F32, fringe: B8) -> None:
@@ -171,18 +244,25 @@ def find_fringe_text(field: F32, near: F32, depth: F32, fringe: B8) -> None:
         bool [H, W], written.
     """
     height, width = depth.shape
+    # All rims at once, in loops without branches: 0.8 times cv2.remap. Looking at the neighbours of
+    # each target pixel's source took 2.4.
+    rim = np.empty((height, width), np.bool_)
     for row in numba.prange(height):
         i = np.int64(row)
+        mark_rim(depth, i, rim[i])
+    for row in numba.prange(height):
+        i = np.int64(row)
+        still_beside = fringe[i]
+        mark_rim(near, i, still_beside)
         for j in range(width):
-            fringe[i, j] = False
             x = np.float32(j) + field[i, j, 0]
             y = np.float32(i) + field[i, j, 1]
-            if not (x >= -0.5 and y >= -0.5 and x <= width - 0.5 and y <= height - 0.5):
-                continue
-            source_x = clamp(math.floor(x + np.float32(0.5)), 0, width - 1)
-            source_y = clamp(math.floor(y + np.float32(0.5)), 0, height - 1)
-            if beside_nearer(depth, source_y, source_x):
-                fringe[i, j] = not beside_nearer(near, i, j)
+            if x >= -0.5 and y >= -0.5 and x <= width - 0.5 and y <= height - 0.5:
+                source_x = min(int(x + np.float32(0.5)), width - 1)
+                source_y = min(int(y + np.float32(0.5)), height - 1)
+                fringe[i, j] = rim[source_y, source_x] and not still_beside[j]
+            else:
+                fringe[i, j] = False
 
 
 find_edges = parallel(find_edges_text)

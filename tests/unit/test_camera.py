@@ -79,6 +79,16 @@ class TestFit:
         camera = fit(points, seen)
         assert error_of(camera, points, pixels).max() < 1e-4
 
+    @pytest.mark.parametrize("share", [0.3, 0.4])
+    def test_what_moves_as_one_does_not_take_the_camera_along(self, share):
+        points = random_points(2000, 3)
+        pixels = project(MATRIX, points)
+        seen = pixels.copy()
+        moving = points[:, 0] > np.quantile(points[:, 0], 1 - share)
+        seen[moving] = project(projection(turn(0.1, -0.05), (1.2, 0.1, 0.3)), points[moving])
+        camera = fit(points, seen, movers=True)
+        assert error_of(camera, points, pixels).max() < 1e-4
+
     def test_points_without_a_value_are_left_out(self):
         points = random_points()
         pixels = project(MATRIX, points)

@@ -14,6 +14,8 @@ import pytest
 
 from exwarp_cli import kernels
 from exwarp_cli.kernels.jit import set_threads
+from tests.unit import kernel_calls as calls
+from tests.unit import kernel_cases as cases
 from tests.unit.kernel_cases import CASES, run_all
 
 ROOT = Path(__file__).parents[2]
@@ -49,6 +51,27 @@ def test_serial_and_parallel_agree_bit_for_bit(name):
 def test_a_second_run_gives_the_same_bytes(name):
     for first, second in zip(CASES[name](False), CASES[name](False), strict=True):
         assert first.tobytes() == second.tobytes()
+
+
+@pytest.mark.parametrize("name", ["gather", "compose", "splat", "find_edges", "unmix", "fringe"])
+def test_views_of_any_layout_give_the_same(name):
+    def view(array: np.ndarray) -> np.ndarray:
+        """The same values, as columns of a wider array."""
+        wide = np.zeros((array.shape[0], 2 * array.shape[1] + 1, *array.shape[2:]), array.dtype)
+        wide[:, 1::2] = array
+        return wide[:, 1::2]
+
+    kernel, arrays = {
+        "gather": (calls.gathered, (cases.image(1), cases.field(1))),
+        "compose": (calls.composed, (cases.field(2), cases.field(3))),
+        "splat": (calls.splatted, (cases.field(2), cases.depth(2))),
+        "find_edges": (calls.edges_found, (cases.depth(15), cases.ids(15))),
+        "unmix": (calls.unmixed, (cases.field(1), cases.field(2), cases.depth(3), cases.ids(3))),
+        "fringe": (calls.fringe_found, (cases.field(18), cases.depth(18), cases.depth(19))),
+    }[name]
+    found = kernel(*map(view, arrays), serial=True)
+    for one, other in zip(found, kernel(*arrays, serial=True), strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
 def test_compiled_and_interpreted_agree(tmp_path):

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from exwarp_cli.kernels.edges import SAME_DEPTH, SEARCH
+from exwarp_cli.kernels.edges import ROWS_PER_BAND, SAME_DEPTH, SEARCH
 from tests.reference import edges as naive
 from tests.unit.kernel_calls import NO_IDS, edges_found, fringe_found, unmixed
 
 SHAPE = (16, 19)
+SIZES = [(1, 1), (1, 9), (9, 1), (2, 2), (2 * ROWS_PER_BAND + 1, 33)]
 SQUARE = (slice(5, 11), slice(6, 13))
 
 
@@ -40,6 +43,28 @@ def mask_of(rows: slice, columns: slice) -> np.ndarray:
 
 
 class TestEdges:
+    @pytest.mark.parametrize("shape", SIZES)
+    @pytest.mark.parametrize("with_ids", [False, True])
+    def test_equals_the_naive_twin_at_any_size(self, shape, with_ids):
+        rng = np.random.default_rng(shape)
+        depth = rng.choice([2, 2.04, 2.08, np.inf], shape, p=[0.4, 0.5, 0.05, 0.05])
+        depth, stencil = depth.astype(np.float32), np.zeros(shape, np.int32)
+        stencil[rng.random(shape) < 0.04] = 1
+        (found,) = edges_found(depth, stencil if with_ids else NO_IDS)
+        expected = naive.find_edges(depth, stencil if with_ids else None, SAME_DEPTH)
+        np.testing.assert_array_equal(found, expected)
+
+    @settings(derandomize=True, deadline=None, max_examples=200)
+    @given(st.floats(2.0**-120, 2.0**120, width=32), st.integers(-3, 3))
+    def test_the_tolerance_ends_at_the_same_bit(self, near, steps):
+        far = np.float32(near) / (np.float32(1) - SAME_DEPTH)  # on the verge of another surface
+        for _ in range(abs(steps)):
+            far = np.nextafter(far, np.float32(np.inf * np.sign(steps)))
+        for depth in ([[near, far]], [[near, near, far], [far, near, near]]):
+            pixels = np.array(depth, np.float32)
+            expected = naive.find_edges(pixels, None, SAME_DEPTH)
+            np.testing.assert_array_equal(edges_found(pixels)[0], expected)
+
     @pytest.mark.parametrize("seed", range(4))
     @pytest.mark.parametrize("with_ids", [False, True])
     def test_equals_the_naive_twin(self, seed, with_ids):
@@ -94,6 +119,14 @@ class TestUnmix:
         )
         np.testing.assert_array_equal(unmixed(vectors, rigid, depth, ids)[0], expected)
 
+    def test_infinite_motion_inside_a_surface_is_not_static(self):
+        rigid = np.ones((*SHAPE, 2), np.float32)
+        vectors = rigid.copy()
+        vectors[3, 4], vectors[5, 6, 1] = (np.inf, 1), -np.inf
+        rigid[7, 8] = np.inf
+        (found,) = unmixed(vectors, rigid, np.full(SHAPE, 3, np.float32))
+        np.testing.assert_array_equal(found, vectors)
+
     def scene(self, behind: float = 8.0) -> tuple[np.ndarray, ...]:
         """A square that moves by (5, 0) before a wall that the camera moves by (1, 1).
 
@@ -143,6 +176,16 @@ class TestUnmix:
 
 
 class TestFringe:
+    @pytest.mark.parametrize("shape", SIZES)
+    def test_equals_the_naive_twin_at_any_size(self, shape):
+        rng = np.random.default_rng(shape)
+        near, depth = (rng.choice([2, 8, np.inf], shape, p=[0.1, 0.8, 0.1]) for _ in range(2))
+        field = np.round(rng.normal(0, 1, (*shape, 2)) * 2) / 2  # many halves
+        field[rng.random(shape) < 0.05] = np.nan, np.inf
+        arrays = [array.astype(np.float32) for array in (field, near, depth)]
+        (found,) = fringe_found(*arrays)
+        np.testing.assert_array_equal(found, naive.find_fringe(*arrays, SAME_DEPTH))
+
     @pytest.mark.parametrize("seed", range(4))
     def test_equals_the_naive_twin(self, seed):
         rng = np.random.default_rng(seed)

@@ -47,6 +47,30 @@ class TestGather:
         assert np.isfinite(found).all()
         assert (found[np.isnan(field).any(axis=-1)] == 0).all()
 
+    @pytest.mark.parametrize("channels", [1, 2, 3, 4, 5])
+    def test_equals_the_naive_twin_with_any_number_of_channels(self, channels):
+        image, field = random_image((15, 18, channels)), random_field((15, 18), 1, 2)
+        for c in range(channels):
+            image[3 * c, 4:6, c] = np.nan, np.inf  # seen in whichever channel
+        field[:, 3:9] = np.round(field[:, 3:9])
+        expected, hole = naive.gather_bilinear(image, field)
+        found, found_hole = gathered(image, field)
+        np.testing.assert_array_equal(found_hole, hole)
+        np.testing.assert_allclose(found, expected, rtol=0, atol=5e-6)
+
+    @pytest.mark.parametrize("way", [-1, 1])
+    @pytest.mark.parametrize("axis", [0, 1])
+    def test_the_border_joins_the_inside_without_a_seam(self, way, axis):
+        image, field = random_image((8, 9, 3)), uniform((8, 9), 0, 0)
+        place = np.indices((8, 9), np.float32)[1 - axis]
+        edge = np.float32(0 if way < 0 else image.shape[1 - axis] - 1)
+        for at in (edge, *(np.nextafter(edge, edge + side) for side in np.float32([-1, 1]))):
+            field[..., axis] = at - place
+            expected, hole = naive.gather_bilinear(image, field)
+            found, found_hole = gathered(image, field)
+            np.testing.assert_array_equal(found_hole, hole)
+            np.testing.assert_allclose(found, expected, rtol=0, atol=5e-6)
+
     def test_the_target_may_have_another_size(self):
         image, field = random_image((9, 12, 4)), random_field((5, 20))
         expected, hole = naive.gather_bilinear(image, field)
@@ -124,6 +148,14 @@ class TestCompose:
         second[4:9, 5:9] += 6
         second[2, 3] = np.nan
         first[10, 11] = np.nan
+        (found,) = composed(first, second)
+        np.testing.assert_allclose(found, naive.compose(first, second), rtol=0, atol=3e-6)
+
+    @pytest.mark.parametrize("shape", [(1, 1), (1, 7), (7, 1), (2, 2), (9, 33)])
+    def test_equals_the_naive_twin_at_any_size(self, shape):
+        first, second = random_field(shape, 5, 1), random_field(shape, 6, 0.3)
+        first[..., 0] = np.round(first[..., 0] * 4) / 4  # up to the rims of the pixels
+        first[0, 0] = np.inf
         (found,) = composed(first, second)
         np.testing.assert_allclose(found, naive.compose(first, second), rtol=0, atol=3e-6)
 

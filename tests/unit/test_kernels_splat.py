@@ -72,6 +72,21 @@ class TestAgainstTheTwin:
         displacement[..., 1] *= 5
         assert_equals_twin(displacement, random_depth(3, shape))
 
+    @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 3e9])
+    @pytest.mark.parametrize("at", [(0, 0), (0, -1), (-1, 0), (-1, -1), (9, 9)])
+    def test_one_value_astray(self, bad, at):
+        for c in range(2):
+            displacement = smooth(4)
+            displacement[(*at, c)] = bad
+            assert_equals_twin(displacement, random_depth(4))
+
+    @pytest.mark.parametrize("shift", [-1, 0, 1])
+    def test_across_the_bands(self, shift):
+        shape = (3 * ROWS_PER_BAND + shift, 5)
+        displacement = smooth(6, shape)
+        displacement[..., 1] += np.float32(ROWS_PER_BAND)
+        assert_equals_twin(displacement, random_depth(6, shape))
+
     def test_rows_reach_at_least_as_far_as_they_land(self):
         displacement = smooth(5)
         displacement[4] = np.nan
