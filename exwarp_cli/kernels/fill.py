@@ -11,17 +11,14 @@ import numpy.typing as npt
 from exwarp_cli.kernels.jit import parallel, serial
 
 F32 = npt.NDArray[np.float32]
+F64 = npt.NDArray[np.float64]
 I16 = npt.NDArray[np.int16]
+I64 = npt.NDArray[np.int64]
 B8 = npt.NDArray[np.bool_]
 
 WAYS = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))
 """Steps (rows, columns) in which a hole looks for visible pixels: its eight neighbours. Sixteen
 ways scored the same, and a walk along each of them took 20 times as long as these sweeps."""
-
-KNOWN_POWER, GUESSED_POWER = 4, 2
-"""Weight of a candidate falls with this power of how far its depth is from the wanted one, where
-that is known and where it is the furthest candidate's; 2 for both lost 0.1 dB with known depth, 4
-for both 0.04 dB with guessed depth."""
 
 LEAST_WEIGHT = 1e-6
 
@@ -35,9 +32,11 @@ def look_along(way: int, hole: B8, reach: int, steps: I16) -> None:
         i = row if dy <= 0 else height - 1 - row
         for column in range(width):
             j = column if dx <= 0 else width - 1 - column
+            if not hole[i, j]:
+                continue
             steps[i, j] = 0
             y, x = i + dy, j + dx
-            if not hole[i, j] or y < 0 or x < 0 or y >= height or x >= width:
+            if y < 0 or x < 0 or y >= height or x >= width:
                 continue
             if not hole[y, x]:
                 steps[i, j] = 1
@@ -55,44 +54,40 @@ def look_text(hole: B8, reach: int, steps: I16) -> None:
     reach
         How many steps to look, below 32,767.
     steps
-        int16 [8, H, W], written: how many steps away it is; 0 where there is none, and outside
-        holes.
+        int16 [8, H, W], written in holes: how many steps away it is; 0 where there is none.
     """
     for way in numba.prange(len(WAYS)):
         look_along(np.int64(way), hole, reach, steps[way])
 
 
 @serial
-def fill_pixel(
-    i: int, j: int, image: F32, depth: F32, cap: np.float32, steps: I16, out: F32
-) -> None:
-    """Fill one pixel; see :func:`fill_text`."""
+def find_seen(
+    i: int, j: int, depth: F32, cap: np.float32, steps: I16, weights: F64, places: I64
+) -> int:
+    """Write weight and place (row, column) of what a hole pixel sees; return how many."""
     wanted = np.float64(depth[i, j])
-    power = GUESSED_POWER if math.isnan(wanted) else KNOWN_POWER
-    if math.isnan(wanted):
-        wanted = np.float64(0.0)
-        for way in range(len(WAYS)):
-            count = np.int64(steps[way, i, j])
-            if count > 0:
-                found = depth[i + WAYS[way][0] * count, j + WAYS[way][1] * count]
-                wanted = max(wanted, np.float64(min(found, cap)))
-    wanted = min(wanted, np.float64(cap))
-    total = 0.0
-    sums = np.zeros(image.shape[2], np.float64)
+    known = not math.isnan(wanted)
+    count = 0
+    furthest = np.float64(0.0)
     for way in range(len(WAYS)):
         dy, dx = WAYS[way]
-        count = np.int64(steps[way, i, j])
-        if count == 0:
-            continue
-        y, x = i + dy * count, j + dx * count
-        there = np.float64(min(depth[y, x], cap))
-        alike = min(there, wanted) / max(there, wanted) if max(there, wanted) > 0 else 1.0
-        weight = (alike**power + LEAST_WEIGHT) / (count * count * (dy * dy + dx * dx))
-        total += weight
-        for c in range(image.shape[2]):
-            sums[c] += weight * np.float64(image[y, x, c])
-    for c in range(image.shape[2]):
-        out[i, j, c] = np.float32(sums[c] / total) if total > 0 else np.float32(0)
+        away = np.int64(steps[way, i, j])
+        if away > 0:
+            y, x = i + dy * away, j + dx * away
+            far = np.float64(min(depth[y, x], cap))
+            furthest = max(furthest, far)
+            places[count, 0], places[count, 1] = y, x
+            places[count, 2] = away * away * (dy * dy + dx * dx)
+            weights[count] = far
+            count += 1
+    wanted = min(wanted, np.float64(cap)) if known else furthest
+    for k in range(count):
+        most = max(weights[k], wanted)
+        alike = (min(weights[k], wanted) / most) ** 2 if most > 0 else 1.0
+        # Squares: a power known only at run time took half of the whole fill.
+        alike = alike * alike if known else alike
+        weights[k] = (alike + LEAST_WEIGHT) / np.float64(places[k, 2])
+    return count
 
 
 def fill_text(image: F32, depth: F32, hole: B8, cap: np.float32, steps: I16, out: F32) -> None:
@@ -117,19 +112,31 @@ def fill_text(image: F32, depth: F32, hole: B8, cap: np.float32, steps: I16, out
     Notes
     -----
     Each hole pixel averages the first visible pixels that it sees in eight ways, with weights that
-    fall with the distance squared and with a power of the ratio of their depth to the wanted one:
-    that of the surface which belongs there, or, where it is not known, of the furthest candidate,
-    since a disocclusion shows what lies behind. Nothing found gives 0.
+    fall with the distance squared and with the ratio of their depth to the wanted one: to the
+    fourth power of that to the surface which belongs there, or, where it is not known, squared, of
+    that to the furthest candidate, since a disocclusion shows what lies behind. (Squares for both
+    lost 0.1 dB with known depth, fourth powers for both 0.04 dB without.) Nothing found gives 0.
     """
     height, width, channels = image.shape
     for row in numba.prange(height):
         i = np.int64(row)
+        weights = np.empty(len(WAYS), np.float64)
+        places = np.empty((len(WAYS), 3), np.int64)
         for j in range(width):
+            count = -1
             if hole[i, j]:
-                fill_pixel(i, j, image, depth, cap, steps, out)
-            else:
-                for c in range(channels):
+                count = find_seen(i, j, depth, cap, steps, weights, places)
+            total = np.float64(0.0)
+            for k in range(count):
+                total += weights[k]
+            for c in range(channels):
+                if count < 0:
                     out[i, j, c] = image[i, j, c]
+                    continue
+                value = np.float64(0.0)
+                for k in range(count):
+                    value += weights[k] * np.float64(image[places[k, 0], places[k, 1], c])
+                out[i, j, c] = np.float32(value / total) if total > 0 else np.float32(0)
 
 
 look = parallel(look_text)

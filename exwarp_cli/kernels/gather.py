@@ -8,14 +8,11 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.kernels.jit import parallel, serial
+from exwarp_cli.kernels.jit import inlined, parallel, serial
 
 F32 = npt.NDArray[np.float32]
 B8 = npt.NDArray[np.bool_]
 U64 = np.uint64
-
-inlined = numba.njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-"""For what is called at every pixel and stays a call else: 1.7 times cv2.remap instead of 3.2."""
 
 
 @serial

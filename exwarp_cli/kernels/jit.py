@@ -39,6 +39,17 @@ def serial(text: Kernel) -> Kernel:
     return compiled
 
 
+def inlined(text: Kernel) -> Kernel:
+    """Compile for use at every pixel of another kernel.
+
+    Without force such functions stay calls: a gather took 3.2 times cv2.remap instead of 1.7.
+    """
+    compiled: Kernel = numba.njit(
+        text, cache=True, nogil=True, error_model="numpy", forceinline=True
+    )
+    return compiled
+
+
 def set_threads(count: int | None) -> None:
     """Set how many threads the parallel builds use; None for all that there are."""
     most: int = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
