@@ -71,10 +71,10 @@ def sample_inside(image: F32, pixels: F32, x: np.float32, y: np.float32, out: F3
     # Written out, as the compiler unrolls the loop for constants only: 1.7 times cv2.remap instead
     # of 2.4.
     if channels == 3:
-        return mix(pixels, at, fx, fy, 3, out)
+        return bool(mix(pixels, at, fx, fy, 3, out))
     if channels == 4:
-        return mix(pixels, at, fx, fy, 4, out)
-    return mix(pixels, at, fx, fy, channels, out)
+        return bool(mix(pixels, at, fx, fy, 4, out))
+    return bool(mix(pixels, at, fx, fy, channels, out))
 
 
 @serial
