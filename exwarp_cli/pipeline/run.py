@@ -65,7 +65,7 @@ class Run:
     _write_ms: dict[int, float] = field(default_factory=dict)
     _settled: dict[tuple[int, Window], KeyFrame] = field(default_factory=dict)
 
-    def all(self, loader: IntervalLoader, keys: tuple[int, ...]) -> tuple[FrameRecord, ...]:
+    def write_all(self, loader: IntervalLoader, keys: tuple[int, ...]) -> tuple[FrameRecord, ...]:
         """Work through the intervals: reading ahead, computing here, writing behind."""
         threads = self.settings.threads or os.cpu_count() or 1
         tasks = (partial(loader.load, key, self._needed) for key in keys)

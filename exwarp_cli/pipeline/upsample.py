@@ -56,7 +56,7 @@ def upsample(settings: UpsampleSettings, progress: Progress | None = None) -> Ru
     progress.start(len(slots))
     run = Run(settings, source, method, targets, progress)
     try:
-        records = run.all(loader, keys)
+        records = run.write_all(loader, keys)
     finally:
         progress.finish()
     return RunSummary(

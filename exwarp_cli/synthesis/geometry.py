@@ -66,7 +66,7 @@ def settle_motion(gbuffer: GBuffer) -> GBuffer:
 
     Renderers filter vectors like colour, so at silhouettes they are mixtures, and background has
     none. Static pixels and the background get the motion of the recovered cameras, moving edges
-    that of their own inside (SCENES: the mixture is off by up to 8 px).
+    that of their own inside; a mixture was found to be off by up to 8 px.
     """
     if not gbuffer.has_motion:
         return gbuffer
@@ -119,7 +119,7 @@ def displacement(gbuffer: GBuffer, time: float) -> Float32:
 
 
 def reproject(gbuffer: GBuffer, time: float) -> SlotField:
-    """Return the motion field of a slot from a key frame's G-buffer alone (DESIGN's setting 1).
+    """Return the motion field of a slot from a key frame's G-buffer alone.
 
     Parameters
     ----------
@@ -138,7 +138,7 @@ def reproject(gbuffer: GBuffer, time: float) -> SlotField:
 
 
 def compose_back(slots: Sequence[GBuffer], key: GBuffer) -> list[SlotField]:
-    """Return the motion fields of slots 1, 2 … to their key frame (DESIGN's setting 2).
+    """Return the motion fields of slots 1, 2 … to their key frame.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Which frames are written, and under which names (DESIGN section 9, numbering)."""
+"""Which frames are written, and under which names."""
 
 from __future__ import annotations
 
