@@ -16,10 +16,23 @@ import numba
 Kernel = Callable[..., Any]
 
 
+def _compile(text: Kernel, **options: bool) -> Kernel:
+    """Compile lazily, and keep the result on disk where that is possible.
+
+    Numba looks for a folder beside the source, then in the user's cache. On a machine where neither
+    can be written (a read-only container without a home) kernels are compiled for every run.
+    """
+    common: dict[str, Any] = {"nogil": True, "error_model": "numpy", **options}
+    try:
+        compiled: Kernel = numba.njit(text, cache=True, **common)
+    except RuntimeError:
+        compiled = numba.njit(text, cache=False, **common)
+    return compiled
+
+
 def parallel(text: Kernel) -> Kernel:
     """Compile for all threads; loops over `numba.prange` are shared out."""
-    compiled: Kernel = numba.njit(text, parallel=True, cache=True, nogil=True, error_model="numpy")
-    return compiled
+    return _compile(text, parallel=True)
 
 
 def serial(text: Kernel) -> Kernel:
@@ -35,8 +48,7 @@ def serial(text: Kernel) -> Kernel:
     )
     twin.__doc__, twin.__module__ = text.__doc__, text.__module__
     twin.__qualname__ = f"{text.__qualname__}_serial"
-    compiled: Kernel = numba.njit(twin, cache=True, nogil=True, error_model="numpy")
-    return compiled
+    return _compile(twin)
 
 
 def inlined(text: Kernel) -> Kernel:
@@ -44,10 +56,7 @@ def inlined(text: Kernel) -> Kernel:
 
     Without force such functions stay calls: a gather took 3.2 times cv2.remap instead of 1.7.
     """
-    compiled: Kernel = numba.njit(
-        text, cache=True, nogil=True, error_model="numpy", forceinline=True
-    )
-    return compiled
+    return _compile(text, forceinline=True)
 
 
 def set_threads(count: int | None) -> None:

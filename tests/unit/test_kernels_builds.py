@@ -9,10 +9,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numba
 import numpy as np
 import pytest
 
 from exwarp_cli import kernels
+from exwarp_cli.kernels import jit
 from exwarp_cli.kernels.jit import set_threads
 from tests.unit import kernel_calls as calls
 from tests.unit import kernel_cases as cases
@@ -87,3 +89,15 @@ def test_compiled_and_interpreted_agree(tmp_path):
     with np.load(target) as interpreted:
         for name, compiled in run_all(serial=True).items():
             np.testing.assert_array_equal(interpreted[name], compiled, err_msg=name)
+
+
+def test_without_a_writable_cache_kernels_still_compile(monkeypatch):
+    njit = numba.njit
+
+    def unwritable(text, cache, **options):
+        if cache:
+            raise RuntimeError("cannot cache function: no locator available")
+        return njit(text, cache=False, **options)
+
+    monkeypatch.setattr(numba, "njit", unwritable)
+    assert jit.serial(lambda value: value + 1)(2) == 3
