@@ -95,14 +95,15 @@ def _find_truth(spec: str, source: Source) -> tuple[Sequence, FrameOf]:
 
 def _announce(progress: Progress, source: Source, method: Method, keys: tuple[int, ...]) -> None:
     """Say what was found and what is going to happen."""
+    count = len(source.timeline.numbers)
     progress.message(
-        f"{source.keys.sequence.pattern}: {len(source.timeline.numbers)} key frames at "
+        f"{source.keys.sequence.pattern}: {count} key frame{'' if count == 1 else 's'} at "
         f"{float(source.fps):g} fps ({source.fps_source}), G-buffers for "
         f"{'every slot' if source.slots is not None else 'the key frames'}"
     )
     if source.finding is not None:
         progress.message(f"motion {source.finding.source}: {source.finding.evidence}")
-    last = len(source.timeline.numbers) - 1
+    last = count - 1
     if method.lookahead and last in keys and len(source.timeline.slots_of(last)) > 1:
         fallback = "s6" if source.finding is not None else "hold"
         progress.message(
