@@ -147,11 +147,14 @@ def read_raw(
     def stack(role: Role, canvas: Window, fill: float) -> Float32 | None:
         if role not in refs:
             return None
-        members = [
-            place(planes[r].astype(np.float32, copy=False), windows[r], canvas, fill)
-            for r in refs[role]
+        members = [planes[r].astype(np.float32, copy=False) for r in refs[role]]
+        if len({windows[r] for r in refs[role]}) == 1:
+            return place(joined(members), windows[refs[role][0]], canvas, fill)
+        placed = [
+            place(plane, windows[r], canvas, fill)
+            for r, plane in zip(refs[role], members, strict=True)
         ]
-        return np.ascontiguousarray(np.stack(members, axis=-1))
+        return joined(placed)
 
     canvas = windows[refs[Role.COLOUR][0]] if Role.COLOUR in refs else shot.display
     image = None
@@ -192,7 +195,7 @@ def read_image(path: Path) -> Image:
         chosen = [channels[ref.name] for ref in refs]
         planes = file.read(chosen)
         part = file.parts[chosen[0].part]
-    pixels = np.ascontiguousarray(np.stack([planes[c] for c in chosen], -1), dtype=np.float32)
+    pixels = joined([planes[c].astype(np.float32, copy=False) for c in chosen])
     return Image(pixels, part.data_window, part.display_window)
 
 
@@ -205,6 +208,26 @@ def read_plane(path: Path, name: str) -> tuple[Float32, Window, Window]:
                     plane = file.read([channel])[channel].astype(np.float32)
                     return np.ascontiguousarray(plane), part.data_window, part.display_window
     raise LayoutError(f"{path} has no channel {name!r}; list its channels with 'exwarp inspect'")
+
+
+def joined(planes: list[np.ndarray]) -> Float32:
+    """Join planes [H, W] to a C-contiguous array [H, W, C].
+
+    Planes that lie interleaved in one array already, as a part of just these channels is decoded,
+    are not copied: copying took as long as decoding.
+    """
+    first, count = planes[0], len(planes)
+    step = first.itemsize
+    starts = [plane.__array_interface__["data"][0] for plane in planes]
+    together = all(p.strides == first.strides and p.dtype == first.dtype for p in planes)
+    if (
+        together
+        and first.strides == (first.shape[1] * count * step, count * step)
+        and starts == [starts[0] + i * step for i in range(count)]
+    ):
+        strides = (*first.strides, step)
+        return np.lib.stride_tricks.as_strided(first, (*first.shape, count), strides)
+    return np.stack(planes, axis=-1)
 
 
 def clean_depth(depth: Float32, normal: Float32 | None) -> Float32:

@@ -9,7 +9,14 @@ from exwarp_cli.domain.frame import Window
 from exwarp_cli.domain.motion import AxisMap, MotionConvention
 from exwarp_cli.errors import DamagedFileError, LayoutError, MissingFrameError
 from exwarp_cli.io.channels import Role
-from exwarp_cli.io.frames import MAX_BROKEN, clean_depth, clean_stencil, open_shot, read_raw
+from exwarp_cli.io.frames import (
+    MAX_BROKEN,
+    clean_depth,
+    clean_stencil,
+    joined,
+    open_shot,
+    read_raw,
+)
 from tests.unit.exr_files import box, plane, rgba, write_parts, write_single
 
 INF = np.inf
@@ -50,6 +57,25 @@ class TestCleanStencil:
 def motion(height: int, width: int) -> dict[str, np.ndarray]:
     values = zip("XYZW", (1.5, -2, 3, 4), strict=True)
     return {f"Vector.{letter}": plane(height, width, value) for letter, value in values}
+
+
+class TestJoined:
+    BLOCK = np.arange(5 * 7 * 4, dtype=np.float32).reshape(5, 7, 4)
+
+    def test_neighbours_are_not_copied(self):
+        found = joined([self.BLOCK[..., i] for i in range(4)])
+        np.testing.assert_array_equal(found, self.BLOCK)
+        assert np.shares_memory(found, self.BLOCK) and found.flags.c_contiguous
+
+    @pytest.mark.parametrize("order", [(0, 1, 2), (1, 2, 3), (3, 2, 1, 0), (0, 0, 1, 1), (2,)])
+    def test_anything_else_is(self, order):
+        found = joined([self.BLOCK[..., i] for i in order])
+        np.testing.assert_array_equal(found, self.BLOCK[..., list(order)])
+        assert found.flags.c_contiguous and not np.shares_memory(found, self.BLOCK)
+
+    def test_planes_of_different_arrays(self):
+        planes = [np.full((3, 4), i, np.float32) for i in range(3)]
+        np.testing.assert_array_equal(joined(planes), np.stack(planes, -1))
 
 
 class TestReadRaw:
