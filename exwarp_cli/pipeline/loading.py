@@ -119,9 +119,7 @@ class IntervalLoader:
                 frame = read_raw(source.keys, number, (Role.COLOUR,)).key(None)
                 slot = source.slot_number(Slot(key, 0))
                 assert slot is not None
-                gbuffer = self._slot_gbuffer(slot)
-                if not self._slot_numbers(key):
-                    gbuffer = _stretched(gbuffer)
+                gbuffer = _stretched(self._slot_gbuffer(slot))
                 frame = replace(frame, gbuffer=gbuffer.on(frame.image.data_window))
             self._frames[key] = frame
             while len(self._frames) > 2:
@@ -200,7 +198,9 @@ class IntervalLoader:
 def _stretched(gbuffer: GBuffer) -> GBuffer:
     """Turn motion per slot into motion per key interval, at constant velocity.
 
-    For the slots after the last key frame, where slot G-buffers usually end.
+    A key frame's vectors span a key interval in either setting. With slot G-buffers they are only
+    used where the slots' own do not lead: after the last key frame, and to the next one where the
+    renderer writes none that way.
     """
     if gbuffer.to_next is not None:
         return replace(gbuffer, to_next=FACTOR * gbuffer.to_next, to_previous=None)
