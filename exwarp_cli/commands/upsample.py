@@ -8,6 +8,9 @@ from typing import TYPE_CHECKING
 
 import click
 
+from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
+from exwarp_cli.pipeline.progress import KINDS
+
 if TYPE_CHECKING:
     from exwarp_cli.domain.results import RunSummary
 
@@ -39,7 +42,7 @@ class FrameRate(click.ParamType[Fraction]):
 @click.option(
     "-m",
     "--method",
-    default="softsplat",
+    default=UpsampleSettings.method,
     show_default=True,
     metavar="NAME",
     help="s6: warp the last key frame; softsplat: warp both neighbours and blend by depth; "
@@ -75,8 +78,8 @@ class FrameRate(click.ParamType[Fraction]):
 @click.option("--threads", type=click.IntRange(1), help="Default: all cores.")
 @click.option(
     "--progress",
-    type=click.Choice(["auto", "bar", "plain", "json", "none"]),
-    default="auto",
+    type=click.Choice(KINDS),
+    default=KINDS[0],
     show_default=True,
 )
 def command(
@@ -95,7 +98,6 @@ def command(
     SEQUENCE is a folder, a pattern such as shot.####.exr, or any one frame. Rendered frames pass
     through unchanged; frames 1, 2, 3 after each are made from its motion vectors.
     """
-    from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
     from exwarp_cli.pipeline.progress import make_progress
     from exwarp_cli.pipeline.upsample import upsample
     from exwarp_cli.report.folder import prepare_report, write_report
@@ -112,6 +114,7 @@ def command(
 
 def _print(summary: RunSummary, output: str, report_folder: Path | None) -> None:
     """Say in a few lines what was done."""
+    from exwarp_cli.domain.timeline import FACTOR
     from exwarp_cli.report.summary import report
 
     document = report(summary)
@@ -121,7 +124,7 @@ def _print(summary: RunSummary, output: str, report_folder: Path | None) -> None
         f"generated, {frames['dropped']} repeated"
     )
     effective = "" if fps["effective"] is None else f", effective {fps['effective']:g}"
-    click.echo(f"{fps['base']:g} fps in, {4 * fps['base']:g} out{effective}")
+    click.echo(f"{fps['base']:g} fps in, {FACTOR * fps['base']:g} out{effective}")
     if document["holes"]["mean_fraction"] is not None:
         click.echo(f"holes {document['holes']['mean_fraction']:.1%} of the pixels on average")
     if quality["frames"]:

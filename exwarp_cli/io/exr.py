@@ -16,8 +16,6 @@ import OpenImageIO as oiio
 from exwarp_cli.domain.frame import Window
 from exwarp_cli.errors import DamagedFileError, LayoutError, MissingFrameError
 
-PIXEL_TYPES = ("half", "float", "uint")
-
 
 @dataclass(frozen=True)
 class Channel:

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import OpenEXR
 
-from exwarp_cli.domain.frame import Bool, Float32, Image, Window, place
+from exwarp_cli.domain.frame import Bool, Float32, Image, Window
 from exwarp_cli.errors import OutputError, UsageError
 from exwarp_cli.io.atomic import atomic_write_bytes
 from exwarp_cli.io.channels import ChannelRef
@@ -295,9 +295,7 @@ def tight_window(image: Image, source: Window) -> Image:
         int(columns[-1] - columns[0]) + 1,
         int(rows[-1] - rows[0]) + 1,
     )
-    return Image(
-        np.ascontiguousarray(place(image.pixels, window, crop)), crop, image.display_window
-    )
+    return image.on(crop)
 
 
 def _checksum_at(data: bytes | bytearray) -> int | None:

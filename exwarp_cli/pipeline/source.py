@@ -109,7 +109,6 @@ def find_motion(shot: Shot, given: str | None) -> MotionFinding | None:
     """Settle the motion convention of a shot, by hand or by measuring; None without motion."""
     if Role.MOTION not in shot.layout:
         return None
-    refs = shot.layout.roles[Role.MOTION]
     names = motion_names(shot)
     if given is not None:
         convention = parse_motion(given, names)
@@ -121,7 +120,7 @@ def find_motion(shot: Shot, given: str | None) -> MotionFinding | None:
         for i in firsts
         if i + 1 < len(numbers)
     ]
-    return calibrate(pairs, shot.layout.guess, names[: len(refs)])
+    return calibrate(pairs, shot.layout.guess, names)
 
 
 def motion_names(shot: Shot) -> tuple[str, ...]:

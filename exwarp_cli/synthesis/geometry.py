@@ -164,7 +164,8 @@ def _chain(steps: Sequence[tuple[GBuffer, Float32 | None]], key: GBuffer) -> lis
     """
     out: list[SlotField] = []
     total: Float32 | None = None
-    before, last = scene_of(key), scene_of(key)
+    last = scene_of(key)
+    before = last
     for count, (slot, step) in enumerate(steps, start=1):
         assert step is not None
         total = step if total is None else _compose(step, total)

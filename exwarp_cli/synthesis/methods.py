@@ -46,8 +46,6 @@ class Method:
     ----------
     name
         As on the command line.
-    summary
-        One line for help and listings.
     predict
         Called with an interval and a slot, 1 to 3.
     lookahead
@@ -59,7 +57,6 @@ class Method:
     """
 
     name: str
-    summary: str
     predict: Callable[[Interval, int], Predicted]
     lookahead: bool
     needs_motion: bool
@@ -108,11 +105,9 @@ def _softsplat(interval: Interval, slot: int) -> Predicted:
 METHODS: Mapping[str, Method] = {
     method.name: method
     for method in (
-        Method(
-            "s6", "warp the last key frame (causal; the paper's path S6)", _s6, False, True, "S6"
-        ),
-        Method("softsplat", "warp both key frames and blend by depth", _softsplat, True, True),
-        Method("blend", "cross-fade the key frames", _blend, True, False),
-        Method("hold", "repeat the key frame", _hold, False, False),
+        Method("s6", _s6, lookahead=False, needs_motion=True, path="S6"),
+        Method("softsplat", _softsplat, lookahead=True, needs_motion=True),
+        Method("blend", _blend, lookahead=True, needs_motion=False),
+        Method("hold", _hold, lookahead=False, needs_motion=False),
     )
 }
