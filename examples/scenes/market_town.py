@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import bpy
-import market_looks as looks
-from market_meshes import MeshBuilder, lettering
+from stage import looks
+from stage.meshes import MeshBuilder, lettering
 from mathutils import Matrix, Vector
 
 UPRIGHT = Matrix.Rotation(math.pi / 2, 4, "X")

@@ -12,9 +12,9 @@ import math
 from collections.abc import Callable
 
 import bpy
-import market_looks as looks
+from stage import looks
 import market_town
-from market_meshes import MeshBuilder, lettering
+from stage.meshes import MeshBuilder, lettering
 from mathutils import Euler, Matrix, Vector
 
 LAST_INSTANT = 32

@@ -1,13 +1,13 @@
-"""Meshes of the market scene: boxes, tubes and balls gathered into one Blender object."""
+"""Meshes: boxes, tubes and balls gathered into one Blender object."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
 
-import bpy
-from mathutils import Matrix, Vector
+from stage.blender import bpy, mathutils
 
+Matrix, Vector = mathutils.Matrix, mathutils.Vector
 Point = Sequence[float]
 
 

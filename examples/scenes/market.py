@@ -34,7 +34,7 @@ except ModuleNotFoundError as missing:
         "then run it with blender/bin/python."
     )
 import market_scene
-from market_looks import AOVS
+from stage.looks import AOVS
 
 NAME = "market"
 SEED = 7

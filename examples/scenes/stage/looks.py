@@ -1,10 +1,10 @@
-"""Materials and sky of the market scene, all procedural, each with roughness and metallic AOVs."""
+"""Materials and skies, all procedural; materials come with roughness and metallic AOVs."""
 
 from __future__ import annotations
 
 from typing import Any
 
-import bpy
+from stage.blender import bpy
 
 Colour = tuple[float, float, float]
 AOVS = ("Roughness", "Metallic")
@@ -61,7 +61,7 @@ class Nodes:
         return self.add("CombineXYZ", inputs).outputs[0]
 
 
-def _finish(
+def finish(
     nodes: Nodes,
     colour: Any,
     roughness: Any = 0.8,
@@ -82,7 +82,8 @@ def _finish(
         nodes.add("OutputAOV", {"Value": value}, aov_name=name)
 
 
-def _new(name: str) -> tuple[bpy.types.Material, Nodes]:
+def new(name: str) -> tuple[bpy.types.Material, Nodes]:
+    """Make an empty material."""
     material = bpy.data.materials.new(name)
     material.use_nodes = True
     return material, Nodes(material.node_tree)
@@ -92,17 +93,17 @@ def paint(
     name: str, colour: Colour, roughness: float = 0.6, metallic: float = 0.0, glow: float = 0.0
 ) -> bpy.types.Material:
     """Paint or metal with a little dirt, so that its motion can be seen."""
-    material, nodes = _new(name)
+    material, nodes = new(name)
     dirt = nodes.step(nodes.noise(nodes.spot(), 9.0, 3.0), 0.3, 0.75)
     worn = tuple(0.55 * part + 0.02 for part in colour)
     shade = colour if glow else nodes.mix(dirt, colour, worn)
-    _finish(nodes, shade, roughness, metallic, glow=glow)
+    finish(nodes, shade, roughness, metallic, glow=glow)
     return material
 
 
 def plaster(name: str, colour: Colour) -> bpy.types.Material:
     """House plaster: stains running down, patches of other age."""
-    material, nodes = _new(name)
+    material, nodes = new(name)
     where = nodes.wall()
     streaks = nodes.add("Mapping", {0: where, 3: (3.0, 0.5, 1.0)}).outputs[0]
     stain = nodes.step(nodes.noise(streaks, 1.6, 4.0), 0.42, 0.78)
@@ -112,7 +113,7 @@ def plaster(name: str, colour: Colour) -> bpy.types.Material:
     darker = tuple(0.4 * part for part in colour)
     shade = nodes.mix(stain, nodes.mix(patch, colour, lighter), darker)
     shade = nodes.mix(0.35, shade, nodes.mix(fine, darker, lighter))
-    _finish(nodes, shade, 0.9)
+    finish(nodes, shade, 0.9)
     return material
 
 
@@ -120,7 +121,7 @@ def brick(
     name: str, first: Colour, second: Colour, size: tuple[float, float], mortar: Colour
 ) -> bpy.types.Material:
     """Bricks, tiles or shingles of the given width and height in metres."""
-    material, nodes = _new(name)
+    material, nodes = new(name)
     where = nodes.wall()
     inputs = {
         "Vector": where,
@@ -136,13 +137,13 @@ def brick(
     bricks = nodes.add("TexBrick", inputs)
     dirt = nodes.step(nodes.noise(where, 2.3, 5.0), 0.35, 0.75)
     shade = nodes.mix(nodes.math("MULTIPLY", dirt, 0.6), bricks.outputs[0], (0.06, 0.05, 0.05))
-    _finish(nodes, shade, 0.85)
+    finish(nodes, shade, 0.85)
     return material
 
 
 def cobbles(name: str) -> bpy.types.Material:
     """Paving of the square: rounded stones of many greys, sandy joints, damp stains."""
-    material, nodes = _new(name)
+    material, nodes = new(name)
     where = nodes.spot()
     inputs = {"Vector": where, "Scale": 3.1, "Randomness": 0.8}
     edge = nodes.add("TexVoronoi", inputs, feature="DISTANCE_TO_EDGE", voronoi_dimensions="2D")
@@ -157,7 +158,7 @@ def cobbles(name: str) -> bpy.types.Material:
     shade = nodes.mix(nodes.math("MULTIPLY", damp, 0.55), shade, (0.04, 0.04, 0.045))
     rough = nodes.math("SUBTRACT", 0.85, nodes.math("MULTIPLY", damp, 0.35))
     height = nodes.math("ADD", stone, nodes.math("MULTIPLY", grain, 0.3))
-    _finish(nodes, shade, rough, height=height)
+    finish(nodes, shade, rough, height=height)
     return material
 
 
@@ -165,20 +166,20 @@ def checker(
     name: str, first: Colour, second: Colour, size: float, roughness: float = 0.8
 ) -> bpy.types.Material:
     """Checked cloth or tiles with squares of the given size in metres."""
-    material, nodes = _new(name)
+    material, nodes = new(name)
     where = nodes.spot()
     raised = nodes.add("VectorMath", {0: where, 1: (0.0013, 0.0017, 0.0011)}).outputs[0]
     inputs = {"Vector": raised, "Color1": first, "Color2": second, "Scale": 1.0 / size}
     squares = nodes.add("TexChecker", inputs).outputs[0]
     wear = nodes.step(nodes.noise(where, 5.0, 4.0), 0.35, 0.8)
     shade = nodes.mix(nodes.math("MULTIPLY", wear, 0.5), squares, (0.12, 0.10, 0.09))
-    _finish(nodes, shade, roughness)
+    finish(nodes, shade, roughness)
     return material
 
 
 def wood(name: str, colour: Colour, along: int = 0) -> bpy.types.Material:
     """Planks with grain along one axis of the object."""
-    material, nodes = _new(name)
+    material, nodes = new(name)
     where = nodes.spot()
     stretch = [9.0, 9.0, 9.0]
     stretch[along] = 0.9
@@ -188,15 +189,15 @@ def wood(name: str, colour: Colour, along: int = 0) -> bpy.types.Material:
     shade = nodes.mix(nodes.step(grain, 0.32, 0.68), light, dark)
     knots = nodes.step(nodes.noise(where, 3.0, 2.0), 0.55, 0.75)
     shade = nodes.mix(nodes.math("MULTIPLY", knots, 0.6), shade, dark)
-    _finish(nodes, shade, 0.7)
+    finish(nodes, shade, 0.7)
     return material
 
 
 def foliage(name: str, first: Colour, second: Colour) -> bpy.types.Material:
     """Leaves that differ from place to place."""
-    material, nodes = _new(name)
+    material, nodes = new(name)
     tone = nodes.step(nodes.noise(nodes.spot(), 4.0, 5.0), 0.3, 0.7)
-    _finish(nodes, nodes.mix(tone, first, second), 0.6)
+    finish(nodes, nodes.mix(tone, first, second), 0.6)
     return material
 
 
@@ -218,3 +219,41 @@ def sky(strength: float) -> None:
     colour = nodes.mix(cover, blue, shaded)
     back = nodes.add("Background", {"Color": colour, "Strength": strength})
     nodes.add("OutputWorld", {0: back.outputs[0]})
+
+
+def backdrop(
+    zenith: Colour, horizon: Colour, strength: float = 1.0, clouds: Colour | None = None
+) -> None:
+    """Gradient sky with clouds, as the world of the scene.
+
+    The clouds are seen by the camera and in mirrors but light nothing: evaluating them for every
+    light sample took a quarter of a frame's time.
+
+    Parameters
+    ----------
+    zenith, horizon : tuple of float
+        Colours straight up and at the horizon (and below), scene-linear.
+    strength : float
+        Factor on everything.
+    clouds : tuple of float, optional
+        Colour of the bright side of clouds, values above 1 allowed.
+    """
+    world = bpy.data.worlds.new("backdrop")
+    bpy.context.scene.world = world
+    world.use_nodes = True
+    nodes = Nodes(world.node_tree)
+    axes = nodes.add("SeparateXYZ", {0: nodes.add("TexCoord", {}).outputs["Generated"]}).outputs
+    rise = nodes.math("MAXIMUM", axes[2], 0.0)
+    plain = nodes.mix(nodes.math("POWER", rise, 0.5), horizon, zenith)
+    light = nodes.add("Background", {"Color": plain, "Strength": strength}).outputs[0]
+    if clouds is not None:
+        flat = nodes.math("ADD", rise, 0.22)
+        plane = {0: nodes.math("DIVIDE", axes[0], flat), 1: nodes.math("DIVIDE", axes[1], flat)}
+        cloud = nodes.noise(nodes.add("CombineXYZ", plane).outputs[0], 1.7, 5.0)
+        shaded = nodes.mix(nodes.step(cloud, 0.55, 0.8), clouds, tuple(0.6 * c for c in clouds))
+        colour = nodes.mix(nodes.step(cloud, 0.50, 0.66), plain, shaded)
+        seen = nodes.add("Background", {"Color": colour, "Strength": strength}).outputs[0]
+        path = nodes.add("LightPath", {}).outputs
+        looked = nodes.math("MAXIMUM", path["Is Camera Ray"], path["Is Glossy Ray"])
+        light = nodes.add("MixShader", {0: looked, 1: light, 2: seen}).outputs[0]
+    nodes.add("OutputWorld", {0: light})

@@ -1,0 +1,102 @@
+"""The manifest of a rendered scene; this module does without Blender."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+NAME = "manifest.json"
+SCHEMA = "exwarp.scene/1"
+INSTANTS_PER_KEY = 4
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """What was, or is being, rendered into one folder.
+
+    Attributes
+    ----------
+    scene : str
+        Name; also the base name of the files.
+    role : str
+        "benchmark" scenes are judged on; "training" shots never are.
+    about : str
+        One sentence.
+    instants : int
+        How many, 1/fps apart.
+    fps, key_fps : int
+        Rates of instants and of key frames.
+    width, height : int
+        Pixels.
+    renderer : str
+        Name, version and engine.
+    samples : int
+        Per pixel.
+    denoiser : str
+        Name, or "" for none.
+    seed : int
+        Of the scene and of the noise.
+    dynamic : dict of str to str
+        Object ids (as text, as JSON wants it) of what moves, and what each is.
+    """
+
+    scene: str
+    role: str
+    about: str
+    instants: int
+    fps: int
+    key_fps: int
+    width: int
+    height: int
+    renderer: str
+    samples: int
+    denoiser: str
+    seed: int
+    dynamic: dict[str, str]
+
+    @property
+    def keys(self) -> int:
+        """How many key frames lie within the instants."""
+        return (self.instants - 1) // INSTANTS_PER_KEY + 1
+
+    def as_json(self) -> str:
+        """Write it down, with the sequences named."""
+        content = {"schema": SCHEMA} | asdict(self)
+        content["instants"] = {
+            "pattern": f"instants/{self.scene}.####.exr",
+            "first": 1,
+            "count": self.instants,
+        }
+        content["keys"] = {
+            "pattern": f"keys/{self.scene}.####.exr",
+            "first": 1,
+            "count": self.keys,
+            "step": INSTANTS_PER_KEY,
+        }
+        return json.dumps(content, indent=2, ensure_ascii=False) + "\n"
+
+
+def differences(folder: Path, manifest: Manifest) -> list[str]:
+    """Say how a folder's manifest differs from another one; nothing if it has none."""
+    path = folder / NAME
+    if not path.is_file():
+        return []
+    try:
+        there = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError:
+        return ["it is no JSON"]
+    wanted = json.loads(manifest.as_json())
+    keys = sorted(wanted.keys() | there.keys())
+    return [
+        f"{key} is {there.get(key)!r}, not {wanted.get(key)!r}"
+        for key in keys
+        if there.get(key) != wanted.get(key)
+    ]
+
+
+def write(folder: Path, manifest: Manifest) -> None:
+    """Write a folder's manifest, whole or not at all."""
+    part = folder / f".{NAME}.part"
+    part.write_text(manifest.as_json(), encoding="utf-8")
+    part.replace(folder / NAME)

@@ -1,0 +1,82 @@
+"""The command line that all scene scripts share."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from stage.shooting import Order, Script, default_data, shoot
+
+RESOLUTIONS = {
+    "240p": (427, 240),
+    "480p": (854, 480),
+    "720p": (1280, 720),
+    "1080p": (1920, 1080),
+}
+SAMPLES = 16
+
+
+def main(script: Script) -> None:
+    """Read the command line of one scene's script and render."""
+    parser = argparse.ArgumentParser(
+        description=f"Render the scene {script.name}: {script.about} Frames that exist are kept.",
+    )
+    options(parser)
+    shoot(script, order(parser.parse_args()))
+
+
+def options(parser: argparse.ArgumentParser) -> None:
+    """Add the options that all scripts share."""
+    add = parser.add_argument
+    add("--data", type=Path, default=default_data(), help="folder of all scenes (%(default)s)")
+    add(
+        "--resolution",
+        type=size,
+        default=RESOLUTIONS["240p"],
+        help=f"{', '.join(RESOLUTIONS)} or WIDTHxHEIGHT (240p)",
+    )
+    add("--samples", type=count, default=SAMPLES, help="per pixel (%(default)s)")
+    add("--frames", type=ranges, default=frozenset(), help="instants, as in 1-49,97 (all)")
+    add("--what", choices=("instants", "keys", "all"), default="all")
+
+
+def order(chosen: argparse.Namespace) -> Order:
+    """Turn options into an order."""
+    what = {"instants", "keys"} if chosen.what == "all" else {chosen.what}
+    return Order(
+        chosen.data.expanduser().resolve(),
+        chosen.resolution,
+        chosen.samples,
+        chosen.frames,
+        frozenset(what),
+    )
+
+
+def size(text: str) -> tuple[int, int]:
+    """Read a resolution: a name, or as in 320x180."""
+    if text in RESOLUTIONS:
+        return RESOLUTIONS[text]
+    width, _, height = text.lower().partition("x")
+    if not (width.isdigit() and height.isdigit() and int(width) > 0 and int(height) > 0):
+        raise argparse.ArgumentTypeError(f"{text!r} is no resolution; write it as 320x180")
+    return int(width), int(height)
+
+
+def count(text: str) -> int:
+    """Read a whole number from 1 on."""
+    if not (text.isdigit() and int(text) > 0):
+        raise argparse.ArgumentTypeError(f"{text!r} is no whole number from 1 on")
+    return int(text)
+
+
+def ranges(text: str) -> frozenset[int]:
+    """Read frame numbers such as 1-49,97 or 1-241x24."""
+    found: set[int] = set()
+    for part in text.split(","):
+        span, _, step = part.partition("x")
+        first, dash, last = span.partition("-")
+        numbers = [first, last if dash else first, step or "1"]
+        if not all(number.isdigit() and int(number) > 0 for number in numbers):
+            raise argparse.ArgumentTypeError(f"{part!r} is no range of frames; write it as 1-49")
+        found.update(range(int(numbers[0]), int(numbers[1]) + 1, int(numbers[2])))
+    return frozenset(found)

@@ -1,0 +1,289 @@
+"""Rendering a scene into a data set: instants at 120 fps, and true 30 fps key frames.
+
+A scene's folder gets `manifest.json`, `instants/NAME.####.exr` (colour and all G-buffers, vectors
+over 1/120 s) and `keys/NAME.####.exr` (every fourth instant again, vectors over 1/30 s). Frames
+that are there and whole are kept, so that a run that was stopped goes on where it was.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+from pathlib import Path
+
+from stage import files, manifest, render
+from stage.blender import bpy
+from stage.manifest import INSTANTS_PER_KEY, Manifest
+from stage.motion import FPS
+
+BYTES_PER_PIXEL = 21.0
+"""Of a written frame; measured 15 to 26, less where there is much sky."""
+
+KEY_SHARE = 0.35
+"""Time that a key frame's vectors take, in times of an instant."""
+
+LIGHTS_OUT = 1.0
+
+
+@dataclass(frozen=True)
+class Script:
+    """A scene as its script describes it.
+
+    Attributes
+    ----------
+    name : str
+        Base name of its folder and files.
+    about : str
+        One sentence.
+    build : callable
+        Builds the scene, for instants 0 to `last`, in an empty Blender file; takes (seed, last)
+        and returns what each object id is.
+    instants : int
+        How many.
+    seed : int
+        Of the scene's small random differences, and of the noise.
+    role : str
+        "benchmark" or "training".
+    pace : float
+        Core-seconds for a megapixel at one sample, as measured: for the estimate before the
+        first frame.
+    """
+
+    name: str
+    about: str
+    build: Callable[[int, int], dict[int, str]]
+    instants: int = 241
+    seed: int = 1
+    role: str = "benchmark"
+    pace: float = 3.0
+
+
+@dataclass(frozen=True)
+class Order:
+    """What is to be rendered of a scene, and where to.
+
+    Attributes
+    ----------
+    data : Path
+        Folder of all scenes.
+    size : tuple of int
+        Width and height.
+    samples : int
+        Per pixel.
+    frames : frozenset of int
+        Numbers of the instants that are wanted, from 1; empty for all.
+    what : frozenset of str
+        "instants", "keys" or both.
+    """
+
+    data: Path
+    size: tuple[int, int]
+    samples: int
+    frames: frozenset[int] = frozenset()
+    what: frozenset[str] = frozenset({"instants", "keys"})
+
+
+def default_data() -> Path:
+    """Return where rendered scenes go unless told: the user's cache folder."""
+    cache = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
+    return Path(cache).expanduser() / "exwarp" / "scenes"
+
+
+def shoot(script: Script, order: Order) -> None:
+    """Render what is missing of a scene.
+
+    Raises
+    ------
+    SystemExit
+        With one sentence, when the folder holds another rendering, or the disk is too small.
+    """
+    folder = order.data / script.name
+    wanted = _wanted(script, order)
+    missing = _missing(script, order, folder, wanted)
+    if missing and not _says_plan(script, order, folder, wanted, missing):
+        return
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    dynamic = script.build(script.seed, script.instants - 1)
+    render.settle(order.size)
+    _settle_manifest(folder, _describe(script, order, dynamic))
+    if not missing:
+        say(f"{script.name}: all {len(wanted)} files are there and whole, in {folder}")
+        return
+    progress = _Progress(script.name, missing)
+    for what, product in render.products(order.samples, INSTANTS_PER_KEY).items():
+        target = folder / what
+        target.mkdir(exist_ok=True)
+        render.configure(product, FPS)
+        for kind, instant in missing:
+            if kind == what:
+                _make(what, instant, product, _path(script, folder, what, instant), script.seed)
+                progress.step(what, instant)
+    progress.end()
+
+
+def _wanted(script: Script, order: Order) -> list[tuple[str, int]]:
+    """List (kind, instant from 0) of all that the order asks for, in the order of rendering."""
+    numbers = order.frames or frozenset(range(1, script.instants + 1))
+    if beyond := sorted(number for number in numbers if number > script.instants):
+        sys.exit(f"--frames: {script.name} has frames 1 to {script.instants}, not {beyond[0]}.")
+    instants = sorted(number - 1 for number in numbers)
+    keys = [instant for instant in instants if instant % INSTANTS_PER_KEY == 0]
+    both = {"instants": instants, "keys": keys}
+    return [(what, instant) for what in both if what in order.what for instant in both[what]]
+
+
+def _path(script: Script, folder: Path, what: str, instant: int) -> Path:
+    number = instant if what == "instants" else instant // INSTANTS_PER_KEY
+    return folder / what / f"{script.name}.{number + 1:04d}.exr"
+
+
+def _missing(
+    script: Script, order: Order, folder: Path, wanted: list[tuple[str, int]]
+) -> list[tuple[str, int]]:
+    """List what is not there, or damaged; a key frame also needs its instant."""
+    missing = [
+        (what, instant)
+        for what, instant in wanted
+        if not files.is_whole(_path(script, folder, what, instant), order.size)
+    ]
+    for what, instant in list(missing):
+        source = ("instants", instant)
+        if what == "keys" and source not in wanted:
+            if not files.is_whole(_path(script, folder, *source), order.size):
+                missing.append(source)
+    return missing
+
+
+def _says_plan(
+    script: Script,
+    order: Order,
+    folder: Path,
+    wanted: Collection[tuple[str, int]],
+    missing: Collection[tuple[str, int]],
+) -> bool:
+    """Say how much there is to do, how long that takes and how large it gets."""
+    width, height = order.size
+    share = sum(1.0 if what == "instants" else KEY_SHARE for what, _ in missing)
+    cores = os.cpu_count() or 1
+    seconds = share * script.pace * width * height / 1e6 * order.samples / cores
+    size = len(missing) * BYTES_PER_PIXEL * width * height
+    say(
+        f"{script.name}: {len(missing)} of {len(wanted)} files to render at {width}x{height} with "
+        f"{order.samples} samples, about {_span(seconds)} on {cores} cores and "
+        f"{_amount(size)}, to {folder}"
+    )
+    folder.mkdir(parents=True, exist_ok=True)
+    free = shutil.disk_usage(folder).free
+    if size > free:
+        sys.exit(
+            f"{folder} has room for {_amount(free)}; name another folder with --data, "
+            "or less with --frames or --resolution."
+        )
+    return True
+
+
+def _describe(script: Script, order: Order, dynamic: dict[int, str]) -> Manifest:
+    return Manifest(
+        scene=script.name,
+        role=script.role,
+        about=script.about,
+        instants=script.instants,
+        fps=FPS,
+        key_fps=FPS // INSTANTS_PER_KEY,
+        width=order.size[0],
+        height=order.size[1],
+        renderer=f"Blender {bpy.app.version_string} Cycles",
+        samples=order.samples,
+        denoiser="OpenImageDenoise",
+        seed=script.seed,
+        dynamic={str(index): dynamic[index] for index in sorted(dynamic)},
+    )
+
+
+def _settle_manifest(folder: Path, description: Manifest) -> None:
+    """Write the manifest, or refuse to mix two renderings in one folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    if found := manifest.differences(folder, description):
+        sys.exit(
+            f"{folder} holds another rendering ({found[0]}); remove it, or name another folder "
+            "with --data."
+        )
+    manifest.write(folder, description)
+
+
+def _make(what: str, instant: int, product: render.Product, target: Path, seed: int) -> None:
+    """Render one file. A key frame is its instant with vectors that span a key interval."""
+    noise = seed * 1000
+    if what == "instants":
+        render.render(instant, product, target, noise)
+        return
+    number = instant + 1
+    source = target.parents[1] / "instants" / f"{target.name[:-8]}{number:04d}.exr"
+    with tempfile.TemporaryDirectory(dir=target.parent, prefix=".part-") as folder:
+        vectors = Path(folder, "vectors.exr")
+        render.render(instant, product, vectors, noise)
+        files.join_key(source, vectors, target)
+
+
+class _Progress:
+    """Says after each frame how many are done and how long the rest takes."""
+
+    def __init__(self, name: str, missing: Collection[tuple[str, int]]) -> None:
+        self._name = name
+        self._left = {"instants": 0, "keys": 0}
+        for what, _ in missing:
+            self._left[what] += 1
+        self._all = len(missing)
+        self._started = self._last = time.monotonic()
+        self._spent: dict[str, list[float]] = {"instants": [], "keys": []}
+
+    def step(self, what: str, instant: int) -> None:
+        """Count a frame."""
+        now = time.monotonic()
+        self._spent[what].append(now - self._last)
+        self._last = now
+        self._left[what] -= 1
+        done = self._all - sum(self._left.values())
+        say(
+            f"{self._name}: {what} {instant + 1}, {done} of {self._all}, "
+            f"{self._spent[what][-1]:.1f} s, {_span(self._rest())} left"
+        )
+
+    def _rest(self) -> float:
+        pace = {kind: self._mean(kind) for kind in self._spent}
+        pace["keys"] = pace["keys"] or KEY_SHARE * pace["instants"]
+        return sum(pace[kind] * self._left[kind] for kind in pace)
+
+    def _mean(self, kind: str) -> float:
+        """Mean of the last frames, without the first one, which also loads the scene."""
+        spent = self._spent[kind]
+        recent = spent[1:][-20:] or spent
+        return sum(recent) / len(recent) if recent else 0.0
+
+    def end(self) -> None:
+        """Say how long it took."""
+        say(
+            f"{self._name}: done in {_span(time.monotonic() - self._started)}, "
+            f"{self._mean('instants'):.2f} s an instant, {self._mean('keys'):.2f} s a key frame"
+        )
+
+
+def _span(seconds: float) -> str:
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+
+
+def _amount(size: float) -> str:
+    return f"{size / 1e9:.1f} GB" if size >= 1e9 else f"{size / 1e6:.0f} MB"
+
+
+def say(text: str) -> None:
+    """Print a line at once, also into a log file."""
+    sys.stdout.write(text + "\n")
+    sys.stdout.flush()
