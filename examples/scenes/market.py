@@ -1,6 +1,6 @@
 """Render the market example: key frames, ground truth and slot G-buffers, with Blender's module.
 
-    python examples/render_market.py --what all --out examples/market
+    python examples/scenes/market.py --what all --out examples/market
 
 keys
     9 multi-layer frames of a true 30 fps scene (vectors span 1/30 s): what a user would have.
@@ -16,25 +16,16 @@ Frames that exist are kept, so an interrupted run goes on where it stopped.
 from __future__ import annotations
 
 import argparse
-import importlib
-import os
-import sys
-import tempfile
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-try:
-    import bpy
-except ModuleNotFoundError as missing:
-    sys.exit(
-        f"This script needs the Python module {missing.name}; make an environment for it: "
-        "python3.11 -m venv blender && blender/bin/pip install bpy==5.0.1, "
-        "then run it with blender/bin/python."
-    )
 import market_scene
+from stage import render
+from stage.blender import bpy
 from stage.looks import AOVS
+from stage.options import count, size
+from stage.shooting import default_data, say
 
 NAME = "market"
 SEED = 7
@@ -107,22 +98,11 @@ def settle(resolution: tuple[int, int], samples: int) -> None:
     cycles.adaptive_threshold, cycles.adaptive_min_samples = 0.015, 32
     cycles.use_denoising = True
     cycles.denoiser = "OPENIMAGEDENOISE"
-    drop_noisy_image()
+    render.drop_noisy_image()
     cycles.max_bounces, cycles.diffuse_bounces, cycles.glossy_bounces = 4, 2, 3
     cycles.caustics_reflective = cycles.caustics_refractive = False
     cycles.sample_clamp_indirect = 3.0
     cycles.use_animated_seed = False
-
-
-def drop_noisy_image() -> None:
-    """Keep the layer that denoising adds by itself, "Noisy Image", out of the files."""
-    engine = importlib.import_module("cycles.engine")
-    listed = engine.list_render_passes
-
-    def without(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> Iterator[tuple]:
-        return (layer_pass for layer_pass in listed(scene, layer) if layer_pass[0] != "Noisy Image")
-
-    engine.list_render_passes = without
 
 
 def configure(product: Product) -> None:
@@ -150,30 +130,6 @@ def configure(product: Product) -> None:
     image.quality = QUALITY
 
 
-def render(frame: int, product: Product, target: Path, seed: int) -> None:
-    """Render one frame (from 0) to a file, which appears only once it is whole.
-
-    Parameters
-    ----------
-    frame : int
-        Frame number from 0, in steps of the product.
-    product : Product
-        What is rendered; the scene is configured for it.
-    target : Path
-        The file to write.
-    seed : int
-        Seed of the noise at instant 0; each instant has its own.
-    """
-    scene = bpy.context.scene
-    scene.frame_set(frame)
-    scene.cycles.seed = seed + frame * product.step  # same instant, same noise
-    with tempfile.TemporaryDirectory(dir=target.parent, prefix=".part-") as folder:
-        part = Path(folder, target.name)
-        scene.render.filepath = str(part)
-        bpy.ops.render.render(write_still=True)
-        part.replace(target)
-
-
 def is_exr(path: Path) -> bool:
     """Say whether the file exists and starts like an EXR file."""
     if not path.is_file():
@@ -191,44 +147,22 @@ def render_product(what: str, product: Product, folder: Path, seed: int) -> None
     configure(product)
     started = time.monotonic()
     for done, frame in enumerate(missing, start=1):
-        render(frame, product, targets[frame], seed)
+        render.render(frame * product.step, product, targets[frame], seed)
         pace = (time.monotonic() - started) / done
         left = pace * (len(missing) - done)
         say(f"{what}: {targets[frame].name}  {pace:.1f} s a frame, {left / 60:.1f} min left")
 
 
-def say(text: str) -> None:
-    """Print a line at once, also into a log file."""
-    sys.stdout.write(text + "\n")
-    sys.stdout.flush()
-
-
-def size(text: str) -> tuple[int, int]:
-    """Read a resolution such as 320x180."""
-    width, _, height = text.lower().partition("x")
-    if not (width.isdigit() and height.isdigit() and int(width) > 0 and int(height) > 0):
-        raise argparse.ArgumentTypeError(f"{text!r} is no resolution; write it as 320x180")
-    return int(width), int(height)
-
-
-def count(text: str) -> int:
-    """Read a whole number from 1 on."""
-    if not (text.isdigit() and int(text) > 0):
-        raise argparse.ArgumentTypeError(f"{text!r} is no whole number from 1 on")
-    return int(text)
-
-
 def parse() -> argparse.Namespace:
     """Read the command line."""
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser()
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     add = parser.add_argument
     add("--what", choices=("keys", "truth", "gbuffers", "all"), default="all")
-    folder = Path(__file__).parent / NAME
+    folder = Path(__file__).parents[1] / NAME
     add("--out", type=Path, default=folder, help="gets keys/ and truth/ (default: %(default)s)")
-    folder = cache / "exwarp" / "scenes" / NAME
+    folder = default_data() / NAME
     add("--gbuffers", type=Path, default=folder, help="gets gbuffers/ (default: %(default)s)")
     add("--resolution", type=size, default=(320, 180), metavar="WxH", help="default: 320x180")
     add("--samples", type=count, default=512, help="most samples per pixel (default: 512)")

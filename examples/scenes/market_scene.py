@@ -11,11 +11,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-import bpy
-from stage import looks
 import market_town
+from stage import looks
+from stage.blender import bpy, mathutils
 from stage.meshes import MeshBuilder, lettering
-from mathutils import Euler, Matrix, Vector
+
+Vector, Euler, Matrix = mathutils.Vector, mathutils.Euler, mathutils.Matrix
 
 LAST_INSTANT = 32
 MARGIN = 8

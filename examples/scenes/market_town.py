@@ -7,10 +7,11 @@ import random
 from dataclasses import dataclass
 from itertools import pairwise
 
-import bpy
 from stage import looks
+from stage.blender import bpy, mathutils
 from stage.meshes import MeshBuilder, lettering
-from mathutils import Matrix, Vector
+
+Matrix, Vector = mathutils.Matrix, mathutils.Vector
 
 UPRIGHT = Matrix.Rotation(math.pi / 2, 4, "X")
 """Turns letters from lying on the ground to standing and facing -y."""

@@ -99,6 +99,11 @@ class GBuffer:
     to_previous, to_next
         float32 [H, W, 2], pixels, +x right, +y down: where this surface point is seen one frame
         earlier and later, minus where it is seen now. NaN where the renderer's value is unusable.
+    albedo, specular
+        float32 [H, W, 3], scene-linear, 0 to 1: colour of diffuse and of glossy reflection. The
+        albedo of metals is black.
+    roughness, metallic
+        float32 [H, W], 0 to 1.
     """
 
     window: Window
@@ -108,6 +113,10 @@ class GBuffer:
     stencil: Int32 | None = None
     to_previous: Float32 | None = None
     to_next: Float32 | None = None
+    albedo: Float32 | None = None
+    specular: Float32 | None = None
+    roughness: Float32 | None = None
+    metallic: Float32 | None = None
 
     @property
     def has_motion(self) -> bool:
@@ -130,6 +139,10 @@ class GBuffer:
             moved(self.stencil),
             moved(self.to_previous, np.nan),
             moved(self.to_next, np.nan),
+            moved(self.albedo),
+            moved(self.specular),
+            moved(self.roughness),
+            moved(self.metallic),
         )
 
 

@@ -31,6 +31,7 @@ MAX_BROKEN = 0.5
 """Share of non-finite colour from which on a frame is refused rather than repaired."""
 
 GEOMETRY = (Role.DEPTH, Role.NORMAL, Role.POSITION, Role.STENCIL, Role.MOTION)
+SURFACE = (Role.ALBEDO, Role.SPECULAR, Role.ROUGHNESS, Role.METALLIC)
 
 
 @dataclass(frozen=True)
@@ -175,8 +176,17 @@ def read_raw(
         normal,
         stack(Role.POSITION, canvas, 0.0),
         stencil,
+        albedo=stack(Role.ALBEDO, canvas, 0.0),
+        specular=stack(Role.SPECULAR, canvas, 0.0),
+        roughness=_only(stack(Role.ROUGHNESS, canvas, 0.0)),
+        metallic=_only(stack(Role.METALLIC, canvas, 0.0)),
     )
     return RawFrame(number, path, image, gbuffer, stack(Role.MOTION, canvas, np.nan))
+
+
+def _only(planes: Float32 | None) -> Float32 | None:
+    """Return the one plane of [H, W, 1]."""
+    return None if planes is None else planes[..., 0]
 
 
 def read_image(path: Path) -> Image:

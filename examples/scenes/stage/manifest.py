@@ -10,6 +10,10 @@ NAME = "manifest.json"
 SCHEMA = "exwarp.scene/1"
 INSTANTS_PER_KEY = 4
 
+BLENDER_MOTION = "previous=X,-Y next=-Z,W"
+"""Blender's Vector pass: previous minus current in X and Y, current minus next in Z and W, in
+pixels, rows counted upwards."""
+
 
 @dataclass(frozen=True)
 class Manifest:
@@ -37,6 +41,8 @@ class Manifest:
         Name, or "" for none.
     seed : int
         Of the scene and of the noise.
+    motion : str
+        What the channels of the vectors mean, in the notation of `exwarp --motion`.
     dynamic : dict of str to str
         Object ids (as text, as JSON wants it) of what moves, and what each is.
     """
@@ -53,6 +59,7 @@ class Manifest:
     samples: int
     denoiser: str
     seed: int
+    motion: str
     dynamic: dict[str, str]
 
     @property

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
+
 from stage.blender import bpy, mathutils
 
 FPS = 120
@@ -90,9 +91,7 @@ def along(points: Sequence[Sequence[float]], share: float) -> Vector:
     place = min(max(share, 0.0), 1.0) * count
     first = min(int(place), count - 1)
     t = place - first
-    a, b, c, d = (
-        Vector(points[min(max(first + step, 0), count)]) for step in (-1, 0, 1, 2)
-    )
+    a, b, c, d = (Vector(points[min(max(first + step, 0), count)]) for step in (-1, 0, 1, 2))
     return 0.5 * (
         2 * b + (c - a) * t + (2 * a - 5 * b + 4 * c - d) * t**2 + (3 * b - a - 3 * c + d) * t**3
     )

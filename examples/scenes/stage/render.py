@@ -131,7 +131,9 @@ def _black() -> bpy.types.Material:
     material.use_nodes = True
     tree = material.node_tree
     tree.nodes.clear()
-    shader, output = (tree.nodes.new(f"ShaderNode{kind}") for kind in ("Emission", "OutputMaterial"))
+    shader, output = (
+        tree.nodes.new(f"ShaderNode{kind}") for kind in ("Emission", "OutputMaterial")
+    )
     shader.inputs["Strength"].default_value = 0.0
     tree.links.new(shader.outputs[0], output.inputs[0])
     return material

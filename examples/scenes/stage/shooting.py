@@ -27,8 +27,6 @@ BYTES_PER_PIXEL = 21.0
 KEY_SHARE = 0.35
 """Time that a key frame's vectors take, in times of an instant."""
 
-LIGHTS_OUT = 1.0
-
 
 @dataclass(frozen=True)
 class Script:
@@ -151,12 +149,13 @@ def _missing(
         for what, instant in wanted
         if not files.is_whole(_path(script, folder, what, instant), order.size)
     ]
-    for what, instant in list(missing):
-        source = ("instants", instant)
-        if what == "keys" and source not in wanted:
-            if not files.is_whole(_path(script, folder, *source), order.size):
-                missing.append(source)
-    return missing
+    sources = [("instants", instant) for what, instant in missing if what == "keys"]
+    unasked = [source for source in sources if source not in wanted]
+    return missing + [
+        source
+        for source in unasked
+        if not files.is_whole(_path(script, folder, *source), order.size)
+    ]
 
 
 def _says_plan(
@@ -201,6 +200,7 @@ def _describe(script: Script, order: Order, dynamic: dict[int, str]) -> Manifest
         samples=order.samples,
         denoiser="OpenImageDenoise",
         seed=script.seed,
+        motion=manifest.BLENDER_MOTION,
         dynamic={str(index): dynamic[index] for index in sorted(dynamic)},
     )
 

@@ -1,0 +1,202 @@
+"""Folders of rendered scenes: each with its manifest, instants and key frames.
+
+::
+
+    DATA/lab/manifest.json
+    DATA/lab/instants/lab.0001.exr …    colour and G-buffers at the output rate
+    DATA/lab/keys/lab.0001.exr …        true key frames: vectors reach from key frame to key frame
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from exwarp_cli.domain.dataset import ROLES, FrameSet, SceneManifest
+from exwarp_cli.domain.timeline import ranges
+from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, MissingFrameError
+from exwarp_cli.io.frames import Shot, open_shot
+
+MANIFEST = "manifest.json"
+SCHEMA = "exwarp.scene/1"
+
+
+@dataclass(frozen=True)
+class RenderedScene:
+    """One scene of a data set.
+
+    Attributes
+    ----------
+    folder
+        Where it lies.
+    manifest
+        What it holds once it is rendered in full.
+    """
+
+    folder: Path
+    manifest: SceneManifest
+
+    @property
+    def name(self) -> str:
+        """The scene's name."""
+        return self.manifest.scene
+
+    def path(self, frames: FrameSet, number: int) -> Path:
+        """Path of one frame of `manifest.instants` or `manifest.keys`."""
+        digits = frames.pattern.count("#")
+        return self.folder / frames.pattern.replace("#" * digits, f"{number:0{digits}d}")
+
+    def missing(self, frames: FrameSet) -> tuple[int, ...]:
+        """Numbers of frames that are not there (yet)."""
+        return tuple(n for n in frames.numbers if not self.path(frames, n).is_file())
+
+    def require_complete(self) -> None:
+        """Refuse a scene that is not rendered in full.
+
+        Raises
+        ------
+        MissingFrameError
+            When a frame is missing.
+        """
+        for frames in (self.manifest.instants, self.manifest.keys):
+            if absent := self.missing(frames):
+                raise MissingFrameError(
+                    f"{self.folder} lacks frames {ranges(list(absent))} of {frames.pattern}; "
+                    "finish rendering it, which goes on where it stopped"
+                )
+
+    @cached_property
+    def instants(self) -> Shot:
+        """The instants as a sequence."""
+        return self._open(self.manifest.instants)
+
+    @cached_property
+    def keys(self) -> Shot:
+        """The key frames as a sequence."""
+        return self._open(self.manifest.keys)
+
+    def _open(self, frames: FrameSet) -> Shot:
+        shot = open_shot(str(self.folder / frames.pattern))
+        width, height = self.manifest.width, self.manifest.height
+        if (shot.display.width, shot.display.height) != (width, height):
+            raise LayoutError(
+                f"{shot.sequence.pattern} is {shot.display.width}x{shot.display.height} and "
+                f"{self.folder / MANIFEST} says {width}x{height}; render the scene again"
+            )
+        return shot
+
+
+def find_scenes(
+    data: str | Path, role: str | None = None, names: Iterable[str] = ()
+) -> tuple[RenderedScene, ...]:
+    """Find the scenes of a data set, by name.
+
+    Parameters
+    ----------
+    data
+        Folder whose subfolders are scenes; or one scene's folder.
+    role
+        "benchmark" or "training"; None for both.
+    names
+        Only these, in this order; empty for all, ascending.
+
+    Raises
+    ------
+    InputError
+        When there is none, or one that is named is not there.
+    """
+    root = Path(data).expanduser()
+    if not root.is_dir():
+        raise InputError(f"the data set {root} is no folder; render scenes first or mend the path")
+    folders = [root] if (root / MANIFEST).is_file() else sorted(root.iterdir())
+    found = [open_scene(folder) for folder in folders if (folder / MANIFEST).is_file()]
+    scenes = {s.name: s for s in found if role is None or s.manifest.role == role}
+    if not scenes:
+        kind = "scene" if role is None else f"{role} scene"
+        raise InputError(f"{root} holds no {kind} (a folder with {MANIFEST}); render one first")
+    wanted = tuple(names) or tuple(sorted(scenes))
+    for name in wanted:
+        if name not in scenes:
+            raise InputError(f"{root} holds no scene {name!r}, but {', '.join(sorted(scenes))}")
+    return tuple(scenes[name] for name in wanted)
+
+
+def open_scene(folder: str | Path) -> RenderedScene:
+    """Read one scene's manifest.
+
+    Raises
+    ------
+    InputError
+        When there is none.
+    DamagedFileError
+        When it is not what a manifest has to be.
+    LayoutError
+        When it is of another version of the layout.
+    """
+    path = Path(folder) / MANIFEST
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise InputError(f"{path} is missing; render the scene, which writes it") from error
+    except (OSError, ValueError) as error:
+        raise DamagedFileError(
+            f"{path} cannot be read ({error}); render the scene again"
+        ) from error
+    if not isinstance(content, dict) or content.get("schema") != SCHEMA:
+        raise LayoutError(f"{path} is not of schema {SCHEMA}; render the scene again")
+    try:
+        return RenderedScene(Path(folder), _parse(content))
+    except (KeyError, TypeError, ValueError) as error:
+        raise DamagedFileError(
+            f"{path} lacks or misstates {error}; render the scene again"
+        ) from error
+
+
+def _parse(content: dict[str, Any]) -> SceneManifest:
+    texts = {
+        name: _of(content, name, str)
+        for name in ("scene", "role", "about", "renderer", "denoiser", "motion")
+    }
+    if texts["role"] not in ROLES:
+        raise ValueError(f"role {texts['role']!r}")
+    return SceneManifest(
+        **texts,
+        width=_positive(content, "width"),
+        height=_positive(content, "height"),
+        fps=_positive(content, "fps"),
+        key_fps=_positive(content, "key_fps"),
+        samples=_positive(content, "samples"),
+        seed=_of(content, "seed", int),
+        instants=_frames(content, "instants"),
+        keys=_frames(content, "keys"),
+        dynamic={int(index): str(what) for index, what in _of(content, "dynamic", dict).items()},
+    )
+
+
+def _frames(content: dict[str, Any], name: str) -> FrameSet:
+    inner = _of(content, name, dict)
+    pattern = _of(inner, "pattern", str)
+    digits = pattern.count("#")
+    inside = not Path(pattern).is_absolute() and ".." not in Path(pattern).parts
+    if not (digits and "#" * digits in pattern and inside):
+        raise ValueError(f"pattern {pattern!r}")
+    step = _positive(inner, "step") if "step" in inner else 1
+    return FrameSet(pattern, _of(inner, "first", int), _positive(inner, "count"), step)
+
+
+def _positive(content: dict[str, Any], name: str) -> int:
+    value: int = _of(content, name, int)
+    if value < 1:
+        raise ValueError(f"{name} {value}")
+    return value
+
+
+def _of(content: dict[str, Any], name: str, kind: type) -> Any:
+    value = content[name]
+    if not isinstance(value, kind) or isinstance(value, bool):
+        raise ValueError(f"{name} {value!r}")
+    return value

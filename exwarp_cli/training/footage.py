@@ -1,0 +1,151 @@
+"""A rendered scene as a source of key intervals, in any variant."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from dataclasses import replace
+
+from exwarp_cli.domain.frame import Float32, GBuffer, Image, KeyFrame
+from exwarp_cli.domain.motion import MotionConvention
+from exwarp_cli.domain.timeline import FACTOR
+from exwarp_cli.errors import InputError
+from exwarp_cli.io.channels import Role
+from exwarp_cli.io.dataset import RenderedScene
+from exwarp_cli.io.frames import GEOMETRY, SURFACE, Shot, read_raw
+from exwarp_cli.pipeline.source import motion_names, parse_motion
+from exwarp_cli.synthesis.geometry import settle_motion
+from exwarp_cli.synthesis.interval import Interval
+from exwarp_cli.synthesis.span import span_motion
+from exwarp_cli.training.variant import Variant, backwards, mirrored
+
+KEPT = 24
+"""Instants that are kept in memory: enough for one interval and its history."""
+
+
+class Footage:
+    """Key frames, slots and ground truth of one scene as one variant shows them.
+
+    Frames are read when they are asked for, the latest ones are kept.
+
+    Parameters
+    ----------
+    scene
+        Rendered as far as it will be used.
+    variant
+        How it is looked at; None for as it was rendered.
+    """
+
+    def __init__(self, scene: RenderedScene, variant: Variant | None = None) -> None:
+        self.scene = scene
+        self.variant = variant or Variant()
+        count = scene.manifest.instants.count
+        self._order = self.variant.order(count)
+        self._frames: OrderedDict[int, KeyFrame] = OrderedDict()
+        if not self.intervals:
+            raise InputError(
+                f"{scene.folder} has {count} instants, too few for {variant}; leave it out"
+            )
+
+    @property
+    def intervals(self) -> range:
+        """Indices k of the key frames that are followed by another one."""
+        return range((len(self._order) - 1) // FACTOR)
+
+    def key(self, k: int) -> KeyFrame:
+        """Return key frame k, with settled motion to the neighbouring key frames.
+
+        Motion to a key frame that lies outside the render is None, unless the render has it.
+        """
+        index = self._order[FACTOR * k]
+        frame = self._load(index)
+        assert frame.gbuffer is not None
+        before, after = self._key_motion(index)
+        gbuffer = replace(frame.gbuffer, to_previous=before, to_next=after)
+        return self._shown(replace(frame, gbuffer=gbuffer))
+
+    def slot(self, k: int, i: int) -> KeyFrame:
+        """Return slot i of key frame k: ground truth, and settled motion to neighbouring slots."""
+        index = self._order[FACTOR * k + i]
+        frame = self._load(index)
+        assert frame.gbuffer is not None
+        before, after = self._motion(index, self.variant.speed)
+        gbuffer = replace(frame.gbuffer, to_previous=before, to_next=after)
+        return self._shown(replace(frame, gbuffer=gbuffer))
+
+    def truth(self, k: int, i: int) -> Image:
+        """Return the colour that was rendered for slot i of key frame k."""
+        frame = self._load(self._order[FACTOR * k + i])
+        return self._shown(replace(frame, gbuffer=None)).image
+
+    def interval(self, k: int, setting: str) -> Interval:
+        """Return key interval k for synthesis.
+
+        Parameters
+        ----------
+        k
+            Out of `intervals`.
+        setting
+            "key", or "slot" for G-buffers of the slots.
+        """
+        slots: tuple[GBuffer, ...] = ()
+        if setting == "slot":
+            found = (self.slot(k, i).gbuffer for i in range(1, FACTOR))
+            slots = tuple(gbuffer for gbuffer in found if gbuffer is not None)
+        return Interval(self.key(k), self.key(k + 1), slots)
+
+    def _shown(self, frame: KeyFrame) -> KeyFrame:
+        """Apply what the variant does to a single frame."""
+        if self.variant.backwards and frame.gbuffer is not None:
+            frame = replace(frame, gbuffer=backwards(frame.gbuffer))
+        return mirrored(frame) if self.variant.mirror else frame
+
+    def _key_motion(self, index: int) -> tuple[Float32 | None, Float32 | None]:
+        """Motion of an instant to the key frames before and after it, in rendered order."""
+        step = self.scene.manifest.keys.step
+        if self.variant.speed == 1 and index % step == 0 and step == FACTOR:
+            gbuffer = self._rendered_key(index // step)
+            return gbuffer.to_previous, gbuffer.to_next
+        return self._motion(index, FACTOR * self.variant.speed)
+
+    def _motion(self, index: int, span: int) -> tuple[Float32 | None, Float32 | None]:
+        """Motion of an instant over `span` instants to both sides, in rendered order."""
+        before = after = None
+        if span == 1:
+            gbuffer = self._gbuffer(index)
+            return gbuffer.to_previous, gbuffer.to_next
+        if index - span >= 0:
+            _, before = span_motion([self._gbuffer(i) for i in range(index - span, index + 1)])
+        if index + span < self.scene.manifest.instants.count:
+            after, _ = span_motion([self._gbuffer(i) for i in range(index, index + span + 1)])
+        return before, after
+
+    def _gbuffer(self, index: int) -> GBuffer:
+        gbuffer = self._load(index).gbuffer
+        assert gbuffer is not None
+        return gbuffer
+
+    def _load(self, index: int) -> KeyFrame:
+        """Return an instant as rendered, its motion settled; index from 0."""
+        if index not in self._frames:
+            shot = self.scene.instants
+            raw = read_raw(
+                shot,
+                self.scene.manifest.instants.first + index,
+                (Role.COLOUR, *GEOMETRY, *SURFACE),
+            )
+            frame = raw.key(self._convention(shot))
+            assert frame.gbuffer is not None
+            self._frames[index] = replace(frame, gbuffer=settle_motion(frame.gbuffer))
+            while len(self._frames) > KEPT:
+                self._frames.popitem(last=False)
+        self._frames.move_to_end(index)
+        return self._frames[index]
+
+    def _rendered_key(self, k: int) -> GBuffer:
+        """Return the G-buffer of a key frame's own file, its motion settled; k from 0."""
+        shot = self.scene.keys
+        raw = read_raw(shot, self.scene.manifest.keys.first + k, GEOMETRY)
+        return settle_motion(raw.settle(self._convention(shot)))
+
+    def _convention(self, shot: Shot) -> MotionConvention:
+        return parse_motion(self.scene.manifest.motion, motion_names(shot))
