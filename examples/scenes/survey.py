@@ -1,0 +1,257 @@
+"""Statistics and a contact sheet of rendered scenes; runs where ExWarp is installed.
+
+    python examples/scenes/survey.py                    # every benchmark scene that is rendered
+    python examples/scenes/survey.py lab town --data DIR
+
+Prints a table and writes `statistics.json` and `STATISTICS.md` beside this script, and for each
+scene `NAME.jpg`, instants at equal distances. Scenes that are not named keep what was measured of
+them before. Training shots are counted together.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import re
+import tempfile
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import OpenImageIO as oiio
+from survey_table import EDGES, lines
+
+from exwarp_cli.domain.dataset import BENCHMARK, TRAINING, FrameSet
+from exwarp_cli.domain.results import FrameRecord
+from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
+from exwarp_cli.domain.timeline import FACTOR
+from exwarp_cli.errors import ExwarpError, InputError
+from exwarp_cli.io.dataset import RenderedScene, find_scenes
+from exwarp_cli.io.frames import read_image
+from exwarp_cli.io.output import read_headers
+from exwarp_cli.io.video import to_display
+from exwarp_cli.pipeline.progress import NoProgress
+from exwarp_cli.pipeline.upsample import upsample
+from exwarp_cli.report.quality import quality
+from exwarp_cli.training.footage import Footage
+
+HERE = Path(__file__).parent
+METHODS = ("s6", "softsplat")
+SETTINGS = ("key", "slot")
+SLOTS = range(1, FACTOR)
+TILES, TILE_WIDTH = (4, 2), 240
+JPEG_QUALITY = 82
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Measure, print and write."""
+    options = _options(arguments)
+    try:
+        scenes = find_scenes(options.data, BENCHMARK, options.scenes)
+        table = _read(options.out / "statistics.json")
+        for scene in scenes:
+            scene.require_complete()
+            table["scenes"][scene.name] = measure(scene)
+            _save(table, options.out)
+            write_sheet(scene, options.out / f"{scene.name}.jpg")
+        if options.training:
+            table["training"] = measure_training(find_scenes(options.data, TRAINING))
+            _save(table, options.out)
+    except ExwarpError as error:
+        raise SystemExit(f"{error}.") from error
+    print((options.out / "STATISTICS.md").read_text(encoding="utf-8"))
+
+
+def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
+    cache = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    add = parser.add_argument
+    add("scenes", nargs="*", metavar="SCENE", help="names of scenes (all that are rendered)")
+    data = Path(cache).expanduser() / "exwarp" / "scenes"
+    add("--data", type=Path, default=data, help="folder of all scenes (%(default)s)")
+    add("--out", type=Path, default=HERE, help="folder for what is written (%(default)s)")
+    add("--training", action="store_true", help="count the training shots, too")
+    return parser.parse_args(arguments)
+
+
+def measure(scene: RenderedScene) -> dict[str, Any]:
+    """Measure one scene: motion, holes, cost, and what plain methods reach."""
+    runs = {
+        setting: {method: run(scene, method, setting) for method in METHODS} for setting in SETTINGS
+    }
+    manifest = scene.manifest
+    return {
+        "renderer": manifest.renderer,
+        "width": manifest.width,
+        "height": manifest.height,
+        "samples": manifest.samples,
+        "seed": manifest.seed,
+        "instants": manifest.instants.count,
+        "seconds_per_instant": _seconds(scene, manifest.instants),
+        "megabytes": _megabytes(scene),
+        "dynamic_objects": len(manifest.dynamic),
+        **_motion(Footage(scene)),
+        "holes": {setting: _holes(runs[setting]["s6"]) for setting in SETTINGS},
+        "quality": {
+            setting: {method: quality(r.score for r in runs[setting][method]) for method in METHODS}
+            for setting in SETTINGS
+        },
+    }
+
+
+def run(scene: RenderedScene, method: str, setting: str) -> list[FrameRecord]:
+    """Upsample a scene through files, as a user does, and return the generated frames' records."""
+    keys, instants = (
+        str(scene.folder / frames.pattern)
+        for frames in (scene.manifest.keys, scene.manifest.instants)
+    )
+    with tempfile.TemporaryDirectory(prefix="exwarp-survey-") as folder:
+        source = SourceSettings(keys, instants if setting == "slot" else None, tail=False)
+        settings = UpsampleSettings(source, folder, method, ground_truth=instants)
+        return [record for record in upsample(settings, _Silent()).frames if record.slot]
+
+
+class _Silent(NoProgress):
+    """No progress, and no word about the input either."""
+
+    def message(self, text: str) -> None:
+        """Drop it."""
+
+
+def _motion(footage: Footage) -> dict[str, float]:
+    """Length of the motion to the next key frame, and how much moves or is sky."""
+    median, high, moving, sky = [], [], [], []
+    for k in footage.intervals:
+        gbuffer = footage.key(k).gbuffer
+        assert gbuffer is not None and gbuffer.to_next is not None
+        assert gbuffer.stencil is not None and gbuffer.depth is not None
+        length = np.linalg.norm(gbuffer.to_next, axis=-1)
+        median.append(float(np.nanmedian(length)))
+        high.append(float(np.nanpercentile(length, 95)))
+        moving.append(float((gbuffer.stencil != 0).mean()))
+        sky.append(float(np.isinf(gbuffer.depth).mean()))
+    return {
+        "motion_median_px": round(float(np.median(median)), 2),
+        "motion_median_px_calmest": round(min(median), 2),
+        "motion_median_px_fastest": round(max(median), 2),
+        "motion_p95_px": round(float(np.median(high)), 2),
+        "motion_p95_px_fastest": round(max(high), 2),
+        "moving_share": round(float(np.mean(moving)), 4),
+        "sky_share": round(float(np.mean(sky)), 4),
+    }
+
+
+def _holes(records: Iterable[FrameRecord]) -> dict[str, Any]:
+    """Hole shares of the warp from the last key frame."""
+    shares = {slot: [] for slot in SLOTS}
+    for record in records:
+        shares[record.slot].append(record.hole_fraction or 0.0)
+    everything = [share for slot in SLOTS for share in shares[slot]]
+    counts, _ = np.histogram(everything, EDGES)
+    return {
+        **{f"slot{slot}": round(float(np.mean(shares[slot])), 4) for slot in SLOTS},
+        "mean": round(float(np.mean(everything)), 4),
+        "least": round(min(everything), 4),
+        "most": round(max(everything), 4),
+        "histogram": {
+            f"{100 * low:g}-{100 * high:g} %": int(count)
+            for low, high, count in zip(EDGES[:-1], EDGES[1:], counts, strict=True)
+        },
+    }
+
+
+def measure_training(shots: Sequence[RenderedScene]) -> dict[str, Any]:
+    """Count the training shots and measure how much they differ."""
+    motion, holes, objects = [], [], []
+    for shot in shots:
+        shot.require_complete()
+        footage = Footage(shot)
+        motion.append(_motion(footage)["motion_median_px"])
+        objects.append(len(shot.manifest.dynamic))
+        masks = (footage.interval(k, "slot").hole_mask(i) for k in footage.intervals for i in SLOTS)
+        holes.append(float(np.mean([mask.mean() for mask in masks if mask is not None])))
+    first = shots[0].manifest
+    return {
+        "shots": len(shots),
+        "instants": first.instants.count,
+        "width": first.width,
+        "height": first.height,
+        "samples": first.samples,
+        "seconds_per_instant": round(
+            float(np.mean([_seconds(shot, shot.manifest.instants) for shot in shots])), 2
+        ),
+        "megabytes": sum(_megabytes(shot) for shot in shots),
+        "motion_median_px": _spread(motion),
+        "hole_share": _spread(holes),
+        "dynamic_objects": _spread(objects),
+    }
+
+
+def _spread(values: Sequence[float]) -> dict[str, float]:
+    names = ("least", "p10", "median", "p90", "most")
+    found = np.percentile(values, (0, 10, 50, 90, 100))
+    return {name: round(float(value), 4) for name, value in zip(names, found, strict=True)}
+
+
+def _seconds(scene: RenderedScene, frames: FrameSet) -> float:
+    """Mean of the render times that the renderer wrote into the headers."""
+    times = [_render_time(scene.path(frames, number)) for number in frames.numbers]
+    return round(float(np.mean(times)), 2)
+
+
+def _render_time(path: Path) -> float:
+    text = str(read_headers(path)[0].get("RenderTime", ""))
+    match = re.fullmatch(r"(?:(\d+):)?(\d+):(\d+\.\d+)", text)
+    if match is None:
+        raise InputError(f"{path} has no render time in its header; render it again")
+    hours, minutes, seconds = match.groups()
+    return 3600 * int(hours or 0) + 60 * int(minutes) + float(seconds)
+
+
+def _megabytes(scene: RenderedScene) -> int:
+    kinds = (scene.manifest.instants, scene.manifest.keys)
+    paths = [scene.path(frames, number) for frames in kinds for number in frames.numbers]
+    return round(sum(path.stat().st_size for path in paths) / 1e6)
+
+
+def write_sheet(scene: RenderedScene, path: Path) -> None:
+    """Write a contact sheet: instants at equal distances, rows first."""
+    across, down = TILES
+    numbers = scene.manifest.instants.numbers
+    chosen = np.linspace(0, len(numbers) - 1, across * down).round().astype(int)
+    height = round(TILE_WIDTH * scene.manifest.height / scene.manifest.width)
+    sheet = np.zeros((down * height, across * TILE_WIDTH, 3), np.uint8)
+    for tile, index in enumerate(chosen):
+        image = read_image(scene.path(scene.manifest.instants, numbers[int(index)]))
+        shown = oiio.ImageBuf(to_display(image.pixels))
+        roi = oiio.ROI(0, TILE_WIDTH, 0, height, 0, 1, 0, 3)
+        small = oiio.ImageBufAlgo.resize(shown, roi=roi).get_pixels(oiio.UINT8)
+        y, x = divmod(tile, across)
+        rows = slice(y * height, (y + 1) * height)
+        sheet[rows, x * TILE_WIDTH : (x + 1) * TILE_WIDTH] = small
+    buffer = oiio.ImageBuf(sheet)
+    buffer.specmod().attribute("Compression", f"jpeg:{JPEG_QUALITY}")
+    if not buffer.write(str(path)):
+        raise SystemExit(f"{path} cannot be written: {buffer.geterror()}.")
+
+
+def _read(path: Path) -> dict[str, Any]:
+    if path.is_file():
+        found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        return found
+    return {"scenes": {}}
+
+
+def _save(table: dict[str, Any], folder: Path) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    text = json.dumps(table, indent=2) + "\n"
+    (folder / "statistics.json").write_text(text, encoding="utf-8")
+    (folder / "STATISTICS.md").write_text("\n".join(lines(table)) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
