@@ -2,6 +2,8 @@
 # make check    the same without the tests
 # make bench    quality beside other interpolators, and run times beside OpenCV and the codecs
 # make demo     upsample the example, score it against its ground truth, make a video
+# make scenes   render the benchmark scenes and the training shots with Blender's module (hours;
+#               goes on where it stopped); SCENES='lab town' for some, OPTIONS='--resolution 480p'
 # make clean    remove all that make made
 
 PYTHON ?= python3
@@ -14,7 +16,13 @@ EXAMPLE ?= $(firstword $(patsubst examples/%/keys,%,$(wildcard examples/*/keys))
 METHOD ?= softsplat
 DEMO := build/demo
 
-.PHONY: test check bench demo clean
+# Blender's module wants Python 3.11 and an environment of its own.
+BLENDER ?= .blender
+BLENDER_PYTHON ?= python3.11
+SCENES ?= lab tropical village town slum variety
+OPTIONS ?=
+
+.PHONY: test check bench demo scenes blender clean
 
 test: check
 	$(BIN)/pytest
@@ -40,8 +48,22 @@ demo: $(STAMP)
 	@echo "report  $(DEMO)/report/report.json"
 	@echo "video   $(DEMO)/$(EXAMPLE).mp4"
 
+blender: $(BLENDER)/.installed
+
+scenes: $(BLENDER)/.installed
+	@for scene in $(SCENES); do \
+	    $(BLENDER)/bin/python examples/scenes/$$scene.py $(OPTIONS) || exit 1; \
+	done
+
+$(BLENDER)/.installed:
+	@$(BLENDER_PYTHON) -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' || \
+	    { echo "make: $(BLENDER_PYTHON) is missing or not 3.11; name another, as in make BLENDER_PYTHON=/path/python3.11" >&2; exit 1; }
+	test -x $(BLENDER)/bin/pip || $(BLENDER_PYTHON) -m venv $(BLENDER)
+	$(BLENDER)/bin/python -m pip install --quiet bpy==5.0.1 OpenEXR
+	@touch $@
+
 clean:
-	rm -rf $(VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .benchmarks .import_linter_cache
+	rm -rf $(VENV) $(BLENDER) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .benchmarks .import_linter_cache
 	find exwarp_cli tests examples -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(STAMP): pyproject.toml

@@ -1,0 +1,138 @@
+"""Real renders, tiny: what the scenes' scripts write is what the loader and ExWarp take."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from exwarp_cli.domain.dataset import BENCHMARK, TRAINING
+from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
+from exwarp_cli.io.channels import Role
+from exwarp_cli.io.dataset import find_scenes, open_scene
+from exwarp_cli.io.frames import read_raw
+from exwarp_cli.pipeline.upsample import upsample
+from exwarp_cli.training.footage import Footage
+from exwarp_cli.training.variant import Variant
+
+pytestmark = [pytest.mark.blender, pytest.mark.slow]
+
+SCENES = ("lab", "tropical", "village", "town", "slum")
+SIZE = ("--resolution", "64x36", "--samples", 2)
+SHOT, NAME = 7, "variety-0007"
+
+
+@pytest.fixture(scope="module")
+def data(script, tmp_path_factory) -> Path:
+    """A training shot, rendered in full; read only."""
+    folder = tmp_path_factory.mktemp("data")
+    done = script("variety", SHOT, "--data", folder, *SIZE)
+    assert done.returncode == 0, done.stderr
+    assert f"{NAME}: 17 of 17 files to render at 64x36 with 2 samples, about" in done.stdout
+    return folder
+
+
+def test_a_shot_is_complete_and_of_training(data):
+    (scene,) = find_scenes(data, TRAINING)
+    scene.require_complete()
+    told = scene.manifest
+    assert (told.scene, told.seed, told.width, told.height) == (NAME, SHOT, 64, 36)
+    assert told.renderer.startswith("Blender 5") and told.samples == 2
+    roles = set(Role)
+    assert set(scene.instants.layout.roles) == roles == set(scene.keys.layout.roles)
+    leftovers = [p.name for p in data.rglob(".*")]
+    assert leftovers == []
+
+
+def test_what_is_there_and_whole_is_kept(data, script):
+    files = sorted(data.rglob("*.exr"))
+    before = {path: path.read_bytes() for path in files}
+    broken = files[3]
+    broken.write_bytes(before[broken][:5000])
+    again = script("variety", SHOT, "--data", data, *SIZE)
+    assert again.returncode == 0, again.stderr
+    assert "1 of 17 files to render" in again.stdout
+    assert len(broken.read_bytes()) > 5000
+    assert all(path.read_bytes() == before[path] for path in files if path != broken)
+    third = script("variety", SHOT, "--data", data, *SIZE)
+    assert "all 17 files are there and whole" in third.stdout
+
+
+def test_another_rendering_is_not_mixed_in(data, script):
+    refused = script("variety", SHOT, "--data", data, "--resolution", "64x36", "--samples", 3)
+    assert refused.returncode == 1
+    assert "holds another rendering (samples is 2, not 3)" in refused.stderr
+    assert "Traceback" not in refused.stderr
+
+
+def test_key_frames_are_instants_with_longer_vectors(data):
+    scene = open_scene(data / NAME)
+    for k in range(4):
+        key = read_raw(scene.keys, 1 + k)
+        instant = read_raw(scene.instants, 1 + 4 * k)
+        np.testing.assert_array_equal(key.image.pixels, instant.image.pixels)
+        np.testing.assert_array_equal(key.gbuffer.depth, instant.gbuffer.depth)
+        np.testing.assert_array_equal(key.gbuffer.position, instant.gbuffer.position)
+        assert not np.array_equal(key.motion, instant.motion)
+
+
+def test_composed_motion_is_that_of_a_true_low_rate_render(data):
+    """Every fourth instant composed over four steps, beside the key frames' own vectors."""
+    scene = open_scene(data / NAME)
+    rendered, composed = Footage(scene), Footage(scene)
+    for k in range(3):
+        index = 4 * k
+        _, after = composed._motion(index, 4)
+        before, _ = composed._motion(index + 4, 4)
+        for found, frame, name in (
+            (after, rendered.key(k), "to_next"),
+            (before, rendered.key(k + 1), "to_previous"),
+        ):
+            gap = np.linalg.norm(found - getattr(frame.gbuffer, name), axis=-1)
+            still = frame.gbuffer.stencil == 0
+            assert np.median(gap[still]) < 0.01 and np.percentile(gap[still], 95) < 0.1
+            assert np.percentile(gap, 90) < 0.5
+
+
+def test_a_backward_shot_is_warped_as_well_as_a_forward_one(data):
+    scene = open_scene(data / NAME)
+    for variant in (Variant(), Variant(backwards=True), Variant(mirror=True)):
+        interval = Footage(scene, variant).interval(1, "key")
+        assert interval.back(2).hole.mean() < 0.5
+
+
+def test_exwarp_takes_the_files_as_they_are(data, tmp_path):
+    scene = open_scene(data / NAME)
+    keys, instants = data / NAME / "keys", str(data / NAME / "instants")
+    source = SourceSettings(str(keys), instants, tail=False)
+    summary = upsample(UpsampleSettings(source, str(tmp_path), ground_truth=instants))
+    assert len(summary.frames) == scene.manifest.instants.count
+    assert all(record.score is not None for record in summary.frames if record.slot)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_a_benchmark_scene_renders(script, tmp_path, name):
+    done = script(name, "--data", tmp_path, "--frames", "1-2,121,241", *SIZE)
+    assert done.returncode == 0, done.stderr
+    scene = open_scene(tmp_path / name)
+    told = scene.manifest
+    assert told.role == BENCHMARK and told.instants.count == 241 and told.keys.count == 61
+    assert set(told.instants.numbers) - set(scene.missing(told.instants)) == {1, 2, 121, 241}
+    assert set(told.keys.numbers) - set(scene.missing(told.keys)) == {1, 31, 61}
+    seen: set[int] = set()
+    for number in (1, 121, 241):
+        raw = read_raw(scene.instants, number)
+        assert np.isfinite(raw.image.pixels).all()
+        assert 0.02 < raw.image.pixels[..., :3].mean() < 1.5
+        seen |= set(np.unique(raw.gbuffer.stencil)) - {0, -1}
+    assert seen and seen <= set(told.dynamic)
+
+
+def test_bad_options_are_one_sentence(script, tmp_path):
+    beyond = script("lab", "--data", tmp_path, "--frames", "240-250", *SIZE)
+    assert beyond.returncode == 1 and "frames 1 to 241, not 242" in beyond.stderr
+    assert list(tmp_path.iterdir()) == []
+    for option, value in (("--resolution", "4k"), ("--frames", "x"), ("--samples", "0")):
+        wrong = script("lab", "--data", tmp_path, option, value)
+        assert wrong.returncode == 2 and "Traceback" not in wrong.stderr
