@@ -8,10 +8,10 @@ from dataclasses import replace
 from exwarp_cli.domain.frame import Float32, GBuffer, Image, KeyFrame
 from exwarp_cli.domain.motion import MotionConvention
 from exwarp_cli.domain.timeline import FACTOR
-from exwarp_cli.errors import InputError
+from exwarp_cli.errors import InputError, MissingFrameError
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.dataset import RenderedScene
-from exwarp_cli.io.frames import GEOMETRY, SURFACE, Shot, read_raw
+from exwarp_cli.io.frames import GEOMETRY, SURFACE, RawFrame, Shot, read_raw
 from exwarp_cli.pipeline.source import motion_names, parse_motion
 from exwarp_cli.synthesis.geometry import settle_motion
 from exwarp_cli.synthesis.interval import Interval
@@ -127,12 +127,8 @@ class Footage:
     def _load(self, index: int) -> KeyFrame:
         """Return an instant as rendered, its motion settled; index from 0."""
         if index not in self._frames:
-            shot = self.scene.instants
-            raw = read_raw(
-                shot,
-                self.scene.manifest.instants.first + index,
-                (Role.COLOUR, *GEOMETRY, *SURFACE),
-            )
+            shot, number = self.scene.instants, self.scene.manifest.instants.first + index
+            raw = _read(shot, number, (Role.COLOUR, *GEOMETRY, *SURFACE))
             frame = raw.key(self._convention(shot))
             assert frame.gbuffer is not None
             self._frames[index] = replace(frame, gbuffer=settle_motion(frame.gbuffer))
@@ -143,9 +139,18 @@ class Footage:
 
     def _rendered_key(self, k: int) -> GBuffer:
         """Return the G-buffer of a key frame's own file, its motion settled; k from 0."""
-        shot = self.scene.keys
-        raw = read_raw(shot, self.scene.manifest.keys.first + k, GEOMETRY)
+        shot, number = self.scene.keys, self.scene.manifest.keys.first + k
+        raw = _read(shot, number, GEOMETRY)
         return settle_motion(raw.settle(self._convention(shot)))
 
     def _convention(self, shot: Shot) -> MotionConvention:
         return parse_motion(self.scene.manifest.motion, motion_names(shot))
+
+
+def _read(shot: Shot, number: int, roles: tuple[Role, ...]) -> RawFrame:
+    if number not in shot.sequence.files:
+        raise MissingFrameError(
+            f"{shot.sequence.pattern} lacks frame {number}; finish rendering the scene, which goes "
+            "on where it stopped"
+        )
+    return read_raw(shot, number, roles)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from exwarp_cli.kernels import blend, edges, fill, gather, holes, parabola, project, splat
+from exwarp_cli.kernels import blend, edges, fill, follow, gather, holes, parabola, project, splat
 
 Arrays = tuple[np.ndarray, ...]
 Pair = tuple[np.ndarray, np.ndarray]
@@ -29,6 +29,18 @@ def gathered(image: np.ndarray, field: np.ndarray, serial: bool = False) -> Arra
 def composed(first: np.ndarray, second: np.ndarray, serial: bool = False) -> Arrays:
     out = np.zeros_like(first)
     build(gather, "compose", serial)(first, second, out)
+    return (out,)
+
+
+def followed(
+    step: np.ndarray,
+    expected: np.ndarray,
+    moved: np.ndarray,
+    stencils: Pair | None = None,
+    serial: bool = False,
+) -> Arrays:
+    out = moved.copy()
+    build(follow, "follow", serial)(step, *(stencils or (NO_IDS, NO_IDS)), expected, out)
     return (out,)
 
 

@@ -102,9 +102,17 @@ def project(serial: bool) -> calls.Arrays:
     return placed + calls.projected(None, depth(24), camera, at_infinity, serial)
 
 
+def follow(serial: bool) -> calls.Arrays:
+    """With ids, and without."""
+    fields = field(29), field(30), field(31)
+    known = calls.followed(*fields, (ids(32), ids(33)), serial)
+    return known + calls.followed(*fields, serial=serial)
+
+
 CASES: dict[str, Callable[[bool], calls.Arrays]] = {
     "gather_bilinear": lambda serial: calls.gathered(image(1), field(1), serial),
     "compose": lambda serial: calls.composed(field(2), field(3, 0.5), serial),
+    "follow": follow,
     "row_reach": lambda serial: calls.reached(field(2), serial),
     "splat": lambda serial: calls.splatted(field(2), depth(2), serial),
     "mark": mark,

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from exwarp_cli.domain.frame import GBuffer, Image, KeyFrame, Window
-from exwarp_cli.errors import InputError
+from exwarp_cli.errors import InputError, MissingFrameError
 from exwarp_cli.io.dataset import open_scene
 from exwarp_cli.training.footage import Footage
 from exwarp_cli.training.variant import Variant, all_variants, backwards, mirrored
@@ -199,6 +199,15 @@ def test_a_shot_that_is_too_short_is_refused(tmp_path):
     assert Footage(open_scene(folder)).intervals == range(1)
     with pytest.raises(InputError, match="5 instants, too few"):
         Footage(open_scene(folder), Variant(speed=2))
+
+
+def test_a_missing_frame_is_named(tmp_path):
+    folder = write_scene(tmp_path / "analytic", instants=9)
+    (folder / "instants" / "analytic.0006.exr").unlink()
+    footage = Footage(open_scene(folder))
+    footage.truth(0, 3)
+    with pytest.raises(MissingFrameError, match="lacks frame 6"):
+        footage.interval(1, "slot")
 
 
 def test_the_sky_moves_with_the_camera(folder):
