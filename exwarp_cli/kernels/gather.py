@@ -136,54 +136,5 @@ def gather_bilinear_text(image: F32, field: F32, out: F32, hole: B8) -> None:
                     out[i, j, c] = np.float32(0.0)
 
 
-def compose_text(first: F32, second: F32, out: F32) -> None:
-    """Chain two motion fields: out(x) = first(x) + second(x + first(x)).
-
-    Parameters
-    ----------
-    first, second
-        float32 [H, W, 2], from instant t to t-1 and from t-1 to s; NaN where unknown.
-    out
-        float32 [H, W, 2], written: from t to s. NaN where either is unknown or the way leads
-        outside.
-
-    Notes
-    -----
-    `second` is interpolated bilinearly where its four samples differ by less than a pixel, and
-    taken from the nearest pixel at silhouettes, where a mean would belong to neither surface.
-    """
-    height, width, _ = second.shape
-    for row in numba.prange(first.shape[0]):
-        i = np.int64(row)
-        for j in range(first.shape[1]):
-            x = np.float32(j) + first[i, j, 0]
-            y = np.float32(i) + first[i, j, 1]
-            out[i, j, 0] = np.nan
-            out[i, j, 1] = np.nan
-            if not (x >= -0.5 and y >= -0.5 and x <= width - 0.5 and y <= height - 0.5):
-                continue
-            # Rounds down, as neither is below -1, and in less time than math.floor.
-            left, top = int(x) - int(x < 0), int(y) - int(y < 0)
-            fx, fy = x - np.float32(left), y - np.float32(top)
-            x0, x1 = clamp(left, 0, width - 1), clamp(left + 1, 0, width - 1)
-            y0, y1 = clamp(top, 0, height - 1), clamp(top + 1, 0, height - 1)
-            smooth = True
-            for c in range(2):
-                a, b = second[y0, x0, c], second[y0, x1, c]
-                d, e = second[y1, x0, c], second[y1, x1, c]
-                spread = max(max(a, b), max(d, e)) - min(min(a, b), min(d, e))
-                smooth = smooth and spread < np.float32(1.0) and math.isfinite(a + b + d + e)
-            for c in range(2):
-                if smooth:
-                    upper = second[y0, x0, c] * (np.float32(1) - fx) + second[y0, x1, c] * fx
-                    lower = second[y1, x0, c] * (np.float32(1) - fx) + second[y1, x1, c] * fx
-                    value = upper * (np.float32(1) - fy) + lower * fy
-                else:
-                    value = second[y1 if fy >= 0.5 else y0, x1 if fx >= 0.5 else x0, c]
-                out[i, j, c] = first[i, j, c] + value
-
-
 gather_bilinear = parallel(gather_bilinear_text)
 gather_bilinear_serial = serial(gather_bilinear_text)
-compose = parallel(compose_text)
-compose_serial = serial(compose_text)

@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from exwarp_cli.domain.frame import Bool, Float32, GBuffer, Int32
-from exwarp_cli.kernels import edges, gather, holes, parabola, splat
+from exwarp_cli.domain.frame import Bool, Float32, GBuffer
+from exwarp_cli.kernels import edges, holes, splat
 from exwarp_cli.synthesis.camera import Scene, background_of, rigid_motion, scene_of, seen_by
+from exwarp_cli.synthesis.trajectory import displacement, followed, stencil_of
 
 TURN_PER_SLOT = math.acos(0.98)
 """Radians by which the normal of one dynamic surface may turn from slot to slot: ExtraNet's
@@ -56,11 +57,6 @@ def depth_of(gbuffer: GBuffer) -> Float32:
     return np.where(background_of(gbuffer), np.inf, 1.0).astype(np.float32)
 
 
-def stencil_of(gbuffer: GBuffer) -> Int32:
-    """Return the ids, int32 [H, W], or [0, 0] when unknown."""
-    return gbuffer.stencil if gbuffer.stencil is not None else np.zeros((0, 0), np.int32)
-
-
 def settle_motion(gbuffer: GBuffer) -> GBuffer:
     """Give every pixel its own surface's motion.
 
@@ -88,34 +84,6 @@ def settle_motion(gbuffer: GBuffer) -> GBuffer:
     return replace(
         gbuffer, to_previous=settle(gbuffer.to_previous), to_next=settle(gbuffer.to_next)
     )
-
-
-def displacement(gbuffer: GBuffer, time: float) -> Float32:
-    """Return where points of a key frame are at another time, minus where they are.
-
-    Parameters
-    ----------
-    gbuffer
-        With settled motion.
-    time
-        In key intervals, -1 <= time <= 1; negative is earlier.
-
-    Returns
-    -------
-    float32 [H, W, 2]
-        With n the displacement to the next key frame and p to the previous one, the parabola
-        through both, t (n - p) / 2 + t² (n + p) / 2; else t n, or -t p, constant velocity.
-    """
-    t = np.float32(time)
-    after, before = gbuffer.to_next, gbuffer.to_previous
-    if after is not None and before is not None:
-        out = np.empty_like(after)
-        parabola.parabola(before, after, t, out)
-        return out
-    if after is not None:
-        return t * after
-    assert before is not None
-    return -t * before
 
 
 def reproject(gbuffer: GBuffer, time: float) -> SlotField:
@@ -148,31 +116,31 @@ def compose_back(slots: Sequence[GBuffer], key: GBuffer) -> list[SlotField]:
     key
         G-buffer of the key frame's instant.
     """
-    return _chain([(slot, slot.to_previous) for slot in slots], key)
+    return _chain(slots, key, -1)
 
 
 def compose_forward(slots: Sequence[GBuffer], key: GBuffer) -> list[SlotField]:
     """Return the motion fields of slots to the key frame after them, by their to-next vectors."""
-    return _chain([(slot, slot.to_next) for slot in reversed(slots)], key)[::-1]
+    return _chain(slots[::-1], key, 1)[::-1]
 
 
-def _chain(steps: Sequence[tuple[GBuffer, Float32 | None]], key: GBuffer) -> list[SlotField]:
-    """Compose steps that lead from slot to slot towards a key frame, the nearest slot first.
+def _chain(slots: Sequence[GBuffer], key: GBuffer, way: int) -> list[SlotField]:
+    """Follow each slot's points to a key frame, the nearest slot first; `way` is -1 back in time.
 
-    What stands still is placed by the cameras instead: composed motion goes astray where a nearer
+    What stands still is placed by the cameras instead: followed motion goes astray where a nearer
     surface covers the point in between, though slot and key frame both show it.
     """
     out: list[SlotField] = []
-    total: Float32 | None = None
     last = scene_of(key)
     before = last
-    for count, (slot, step) in enumerate(steps, start=1):
+    for count, slot in enumerate(slots):
+        step = slot.to_next if way > 0 else slot.to_previous
         assert step is not None
-        total = step if total is None else _compose(step, total)
         here = scene_of(slot)
         direct = _still(here, before, last, step)
-        field = total if direct is None else np.where(np.isnan(direct), total, direct)
-        out.append(_matched(slot, key, field, count))
+        moved = followed(slot, slots[:count][::-1], way)
+        field = moved if direct is None else np.where(np.isnan(direct), moved, direct)
+        out.append(_matched(slot, key, field, count + 1))
         before = here
     return out
 
@@ -192,13 +160,6 @@ def _still(
     away = np.abs(step - seen_by(here, before.camera)).max(axis=-1)
     still = np.isinf(here.depth) | (away <= STATIC_TOLERANCE)
     return np.where(still[..., None], seen_by(here, key.camera), np.float32(np.nan))
-
-
-def _compose(first: Float32, second: Float32) -> Float32:
-    """Chain two fields."""
-    out = np.empty_like(first)
-    gather.compose(first, second, out)
-    return out
 
 
 def _fringe(field: Float32, near: Float32, depth: Float32) -> Bool:

@@ -44,23 +44,3 @@ def gather_bilinear(image: np.ndarray, field: np.ndarray) -> tuple[np.ndarray, n
                 out[i, j] = value
                 hole[i, j] = not lies_inside(x, y, image.shape)
     return out, hole
-
-
-def compose(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Chain two fields, float64: bilinear where smooth, nearest elsewhere."""
-    out = np.full(first.shape, np.nan)
-    for i in range(first.shape[0]):
-        for j in range(first.shape[1]):
-            x, y = float(np.float32(j) + first[i, j, 0]), float(np.float32(i) + first[i, j, 1])
-            if not lies_inside(x, y, second.shape):
-                continue
-            around = corners(x, y, second.shape)
-            samples = np.array([second[row, column] for _, row, column in around])
-            weights = np.array([weight for weight, _, _ in around])
-            if np.isfinite(samples).all() and (np.ptp(samples, axis=0) < 1).all():
-                value = weights @ samples.astype(np.float64)
-            else:
-                bottom, right = y - math.floor(y) >= 0.5, x - math.floor(x) >= 0.5
-                value = samples[2 * bottom + right].astype(np.float64)
-            out[i, j] = first[i, j] + value
-    return out

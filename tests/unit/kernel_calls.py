@@ -26,12 +26,6 @@ def gathered(image: np.ndarray, field: np.ndarray, serial: bool = False) -> Arra
     return out, hole
 
 
-def composed(first: np.ndarray, second: np.ndarray, serial: bool = False) -> Arrays:
-    out = np.zeros_like(first)
-    build(gather, "compose", serial)(first, second, out)
-    return (out,)
-
-
 def followed(
     step: np.ndarray,
     expected: np.ndarray,

@@ -111,7 +111,6 @@ def follow(serial: bool) -> calls.Arrays:
 
 CASES: dict[str, Callable[[bool], calls.Arrays]] = {
     "gather_bilinear": lambda serial: calls.gathered(image(1), field(1), serial),
-    "compose": lambda serial: calls.composed(field(2), field(3, 0.5), serial),
     "follow": follow,
     "row_reach": lambda serial: calls.reached(field(2), serial),
     "splat": lambda serial: calls.splatted(field(2), depth(2), serial),

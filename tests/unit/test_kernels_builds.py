@@ -55,7 +55,7 @@ def test_a_second_run_gives_the_same_bytes(name):
         assert first.tobytes() == second.tobytes()
 
 
-@pytest.mark.parametrize("name", ["gather", "compose", "splat", "find_edges", "unmix", "fringe"])
+@pytest.mark.parametrize("name", ["gather", "follow", "splat", "find_edges", "unmix", "fringe"])
 def test_views_of_any_layout_give_the_same(name):
     def view(array: np.ndarray) -> np.ndarray:
         """The same values, as columns of a wider array."""
@@ -65,7 +65,7 @@ def test_views_of_any_layout_give_the_same(name):
 
     kernel, arrays = {
         "gather": (calls.gathered, (cases.image(1), cases.field(1))),
-        "compose": (calls.composed, (cases.field(2), cases.field(3))),
+        "follow": (calls.followed, (cases.field(2), cases.field(3), cases.field(4))),
         "splat": (calls.splatted, (cases.field(2), cases.depth(2))),
         "find_edges": (calls.edges_found, (cases.depth(15), cases.ids(15))),
         "unmix": (calls.unmixed, (cases.field(1), cases.field(2), cases.depth(3), cases.ids(3))),

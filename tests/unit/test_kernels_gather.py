@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.reference import gather as naive
-from tests.unit.kernel_calls import composed, gathered
+from tests.unit.kernel_calls import gathered
 
 
 def random_image(shape: tuple[int, int, int], seed: int = 0) -> np.ndarray:
@@ -140,54 +140,3 @@ class TestGather:
         found, _ = gathered(image, random_field((9, 10), seed, spread))
         slack = 1e-5
         assert found.min() >= image.min() - slack and found.max() <= image.max() + slack
-
-
-class TestCompose:
-    def test_equals_the_naive_twin(self):
-        first, second = random_field((14, 17), 3, 3), random_field((14, 17), 4, 0.3)
-        second[4:9, 5:9] += 6
-        second[2, 3] = np.nan
-        first[10, 11] = np.nan
-        (found,) = composed(first, second)
-        np.testing.assert_allclose(found, naive.compose(first, second), rtol=0, atol=3e-6)
-
-    @pytest.mark.parametrize("shape", [(1, 1), (1, 7), (7, 1), (2, 2), (9, 33)])
-    def test_equals_the_naive_twin_at_any_size(self, shape):
-        first, second = random_field(shape, 5, 1), random_field(shape, 6, 0.3)
-        first[..., 0] = np.round(first[..., 0] * 4) / 4  # up to the rims of the pixels
-        first[0, 0] = np.inf
-        (found,) = composed(first, second)
-        np.testing.assert_allclose(found, naive.compose(first, second), rtol=0, atol=3e-6)
-
-    def test_both_ways_occur_in_that_comparison(self):
-        second = random_field((14, 17), 4, 0.3)
-        second[4:9, 5:9] += 6
-        first = uniform((14, 17), 0.5, 0)
-        (found,) = composed(first, second)
-        # Right of the step the nearest pixel counts, within the surface the mean does.
-        np.testing.assert_array_equal(found[6, 4], first[6, 4] + second[6, 5])
-        np.testing.assert_allclose(
-            found[1, 1], first[1, 1] + (second[1, 1] + second[1, 2]) / 2, atol=1e-6
-        )
-
-    def test_uniform_motions_add(self):
-        (found,) = composed(uniform((12, 13), 1.25, -0.5), uniform((12, 13), 2.5, 0.75))
-        inside = found[1:, :-2]
-        np.testing.assert_array_equal(inside, uniform(inside.shape[:2], 3.75, 0.25))
-
-    def test_no_motion_is_neutral(self):
-        field, still = random_field((9, 11), 5, 0.2), uniform((9, 11), 0, 0)
-        np.testing.assert_array_equal(composed(still, field)[0], field)
-        np.testing.assert_array_equal(composed(field, still)[0][2:-2, 2:-2], field[2:-2, 2:-2])
-
-    def test_the_way_out_of_the_frame_is_unknown(self):
-        (found,) = composed(uniform((6, 8), 3, 0), uniform((6, 8), 0, 0))
-        assert np.isnan(found[:, 5:]).all() and np.isfinite(found[:, :5]).all()
-
-    def test_unknown_stays_unknown(self):
-        first, second = uniform((6, 8), 0, 0), uniform((6, 8), 0, 0)
-        first[1, 1] = np.nan
-        second[4, 4] = np.nan
-        (found,) = composed(first, second)
-        assert np.isnan(found[1, 1]).all() and np.isnan(found[4, 4]).all()
-        assert np.isfinite(found).sum() == found.size - 4

@@ -1,0 +1,76 @@
+"""Where the points of one instant are at others."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from exwarp_cli.domain.frame import Float32, GBuffer, Int32
+from exwarp_cli.kernels import parabola
+from exwarp_cli.kernels.follow import follow
+
+
+def stencil_of(gbuffer: GBuffer) -> Int32:
+    """Return the ids, int32 [H, W], or [0, 0] when unknown."""
+    return gbuffer.stencil if gbuffer.stencil is not None else np.zeros((0, 0), np.int32)
+
+
+def displacement(gbuffer: GBuffer, time: float) -> Float32:
+    """Return where points of a frame are at another time, minus where they are.
+
+    Parameters
+    ----------
+    gbuffer
+        With settled motion.
+    time
+        In steps of the vectors (key intervals, or slots); negative is earlier.
+
+    Returns
+    -------
+    float32 [H, W, 2]
+        With n the displacement to the next frame and p to the previous one, the parabola
+        through both, t (n - p) / 2 + t² (n + p) / 2; else t n, or -t p, constant velocity.
+    """
+    t = np.float32(time)
+    after, before = gbuffer.to_next, gbuffer.to_previous
+    if after is not None and before is not None:
+        out = np.empty_like(after)
+        parabola.parabola(before, after, t, out)
+        return out
+    if after is not None:
+        return t * after
+    assert before is not None
+    return -t * before
+
+
+def followed(start: GBuffer, others: Sequence[GBuffer], way: int) -> Float32:
+    """Follow the points of one instant through others, one step beyond the last of them.
+
+    Parameters
+    ----------
+    start
+        With settled motion.
+    others
+        The instants after it if `way` is 1, before it if -1, the nearest first; with settled motion
+        that way.
+    way
+        1 or -1.
+
+    Returns
+    -------
+    float32 [H, W, 2]
+        Displacement in pixels over one step more than there are others. Where another surface
+        hides a point on its way, it goes on as its own vectors foretell.
+    """
+    step = start.to_next if way > 0 else start.to_previous
+    assert step is not None
+    moved = step.copy()
+    before = displacement(start, way) if others else moved
+    for count, other in enumerate(others, start=2):
+        after = displacement(start, way * count)
+        step = other.to_next if way > 0 else other.to_previous
+        assert step is not None
+        follow(step, stencil_of(other), stencil_of(start), after - before, moved)
+        before = after
+    return moved
