@@ -105,23 +105,33 @@ def shoot(script: Script, order: Order) -> None:
     missing = _missing(script, order, folder, wanted)
     if missing and not _says_plan(script, order, folder, wanted, missing):
         return
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    dynamic = script.build(script.seed, script.instants - 1)
-    render.settle(order.size)
-    _settle_manifest(folder, _describe(script, order, dynamic))
     if not missing:
+        _settle_manifest(folder, _describe(script, order, _build(script, order)))
         say(f"{script.name}: all {len(wanted)} files are there and whole, in {folder}")
         return
     progress = _Progress(script.name, missing)
     for what, product in render.products(order.samples, INSTANTS_PER_KEY).items():
+        instants = [instant for kind, instant in missing if kind == what]
+        if not instants:
+            continue
+        # Anew for each kind: Blender 5.0 crashed when passes changed on data kept from frame to
+        # frame, in town in two of three runs.
+        _settle_manifest(folder, _describe(script, order, _build(script, order)))
         target = folder / what
         target.mkdir(exist_ok=True)
         render.configure(product, FPS)
-        for kind, instant in missing:
-            if kind == what:
-                _make(what, instant, product, _path(script, folder, what, instant), script.seed)
-                progress.step(what, instant)
+        for instant in instants:
+            _make(what, instant, product, _path(script, folder, what, instant), script.seed)
+            progress.step(what, instant)
     progress.end()
+
+
+def _build(script: Script, order: Order) -> dict[int, str]:
+    """Build the scene in an empty file and return what its object ids are."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    dynamic = script.build(script.seed, script.instants - 1)
+    render.settle(order.size)
+    return dynamic
 
 
 def _wanted(script: Script, order: Order) -> list[tuple[str, int]]:
