@@ -84,6 +84,10 @@ def settle(size: tuple[int, int]) -> None:
     cycles.use_animated_seed = False
     for material in bpy.data.materials:
         material.cycles.emission_sampling = "NONE"
+    if scene.world is not None:
+        # Made anew for every frame; at the size that Blender chooses it took 0.2 s of two cores.
+        scene.world.cycles.sampling_method = "MANUAL"
+        scene.world.cycles.sample_map_resolution = 64
     image = scene.render.image_settings
     image.media_type = "MULTI_LAYER_IMAGE"
     image.file_format = "OPEN_EXR_MULTILAYER"
