@@ -84,7 +84,7 @@ def settle(size: tuple[int, int]) -> None:
     cycles.use_animated_seed = False
     for material in bpy.data.materials:
         material.cycles.emission_sampling = "NONE"
-    if scene.world is not None:
+    if scene.world is not None and scene.world.cycles.sampling_method == "AUTOMATIC":
         # Made anew for every frame; at the size that Blender chooses it took 0.2 s of two cores.
         scene.world.cycles.sampling_method = "MANUAL"
         scene.world.cycles.sample_map_resolution = 64
