@@ -2,10 +2,11 @@
 
     python examples/scenes/survey.py                    # every benchmark scene that is rendered
     python examples/scenes/survey.py lab town --data DIR
+    python examples/scenes/survey.py --training         # all training shots together
 
 Prints a table and writes `statistics.json` and `STATISTICS.md` beside this script, and for each
 scene `NAME.jpg`, instants at equal distances. Scenes that are not named keep what was measured of
-them before. Training shots are counted together.
+them before.
 """
 
 from __future__ import annotations
@@ -48,20 +49,20 @@ JPEG_QUALITY = 82
 def main(arguments: Sequence[str] | None = None) -> None:
     """Measure, print and write."""
     options = _options(arguments)
+    table = _read(options.out / "statistics.json")
     try:
-        scenes = find_scenes(options.data, BENCHMARK, options.scenes)
-        table = _read(options.out / "statistics.json")
-        for scene in scenes:
-            scene.require_complete()
-            table["scenes"][scene.name] = measure(scene)
-            _save(table, options.out)
-            write_sheet(scene, options.out / f"{scene.name}.jpg")
         if options.training:
             table["training"] = measure_training(find_scenes(options.data, TRAINING))
             _save(table, options.out)
+        else:
+            for scene in find_scenes(options.data, BENCHMARK, options.scenes):
+                scene.require_complete()
+                table["scenes"][scene.name] = measure(scene)
+                _save(table, options.out)
+                write_sheet(scene, options.out / f"{scene.name}.jpg")
     except ExwarpError as error:
         raise SystemExit(f"{error}.") from error
-    print((options.out / "STATISTICS.md").read_text(encoding="utf-8"))
+    print("\n".join(lines(table)))
 
 
 def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
@@ -74,7 +75,7 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     data = Path(cache).expanduser() / "exwarp" / "scenes"
     add("--data", type=Path, default=data, help="folder of all scenes (%(default)s)")
     add("--out", type=Path, default=HERE, help="folder for what is written (%(default)s)")
-    add("--training", action="store_true", help="count the training shots, too")
+    add("--training", action="store_true", help="count the training shots instead")
     return parser.parse_args(arguments)
 
 
@@ -250,7 +251,8 @@ def _save(table: dict[str, Any], folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     text = json.dumps(table, indent=2) + "\n"
     (folder / "statistics.json").write_text(text, encoding="utf-8")
-    (folder / "STATISTICS.md").write_text("\n".join(lines(table)) + "\n", encoding="utf-8")
+    words = "\n".join(lines(table)) + "\n"
+    (folder / "STATISTICS.md").write_text(words, encoding="utf-8")
 
 
 if __name__ == "__main__":
