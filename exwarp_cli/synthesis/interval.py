@@ -56,7 +56,7 @@ class Interval:
     def forward(self, slot: int) -> SlotField:
         """Motion field from a slot, 1 to 3, to the key frame after it.
 
-        With slot G-buffers their to-next vectors are composed; where a renderer writes none, the
+        With slot G-buffers their to-next vectors are followed; where a renderer writes none, the
         next key frame's own geometry is moved back, as with key G-buffers only.
         """
         assert self.following is not None
