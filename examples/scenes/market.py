@@ -82,27 +82,14 @@ def products(samples: int) -> dict[str, Product]:
     }
 
 
-def settle(resolution: tuple[int, int], samples: int) -> None:
-    """Set what all products share: engine, size, bounces, samples, no motion blur, plain colour."""
-    scene = bpy.context.scene
-    scene.render.engine = "CYCLES"
-    scene.render.resolution_x, scene.render.resolution_y = resolution
-    scene.render.resolution_percentage = 100
-    scene.render.use_motion_blur = False  # with blur there is no Vector pass
-    scene.render.use_persistent_data = True
-    scene.view_settings.view_transform = "Standard"
-    cycles = scene.cycles
-    cycles.device = "CPU"
-    cycles.samples = samples
+def build(resolution: tuple[int, int]) -> None:
+    """Build the scene and set what all products share."""
+    market_scene.build(SEED)
+    render.prepare(resolution)
+    cycles = bpy.context.scene.cycles
     cycles.use_adaptive_sampling = True
     cycles.adaptive_threshold, cycles.adaptive_min_samples = 0.015, 32
     cycles.use_denoising = True
-    cycles.denoiser = "OPENIMAGEDENOISE"
-    render.drop_noisy_image()
-    cycles.max_bounces, cycles.diffuse_bounces, cycles.glossy_bounces = 4, 2, 3
-    cycles.caustics_reflective = cycles.caustics_refractive = False
-    cycles.sample_clamp_indirect = 3.0
-    cycles.use_animated_seed = False
 
 
 def configure(product: Product) -> None:
@@ -171,12 +158,11 @@ def parse() -> argparse.Namespace:
 
 
 def main() -> None:
-    """Build the scene once and render what was asked for."""
+    """Render what was asked for."""
     options = parse()
-    market_scene.build(SEED)
-    settle(options.resolution, options.samples)
     for what, product in products(options.samples).items():
         if options.what in (what, "all"):
+            build(options.resolution)  # anew, as Blender may crash when passes change
             base = options.gbuffers if what == "gbuffers" else options.out
             render_product(what, product, (base / what).resolve(), options.seed * 1000)
 
