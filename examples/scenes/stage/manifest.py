@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Collection
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -84,8 +85,18 @@ class Manifest:
         return json.dumps(content, indent=2, ensure_ascii=False) + "\n"
 
 
-def differences(folder: Path, manifest: Manifest) -> list[str]:
-    """Say how a folder's manifest differs from another one; nothing if it has none."""
+def differences(folder: Path, manifest: Manifest, but: Collection[str] = ()) -> list[str]:
+    """Say how a folder's manifest differs from another one; nothing if it has none.
+
+    Parameters
+    ----------
+    folder : Path
+        A scene's folder.
+    manifest : Manifest
+        What it should hold.
+    but : collection of str
+        Keys that are not compared.
+    """
     path = folder / NAME
     if not path.is_file():
         return []
@@ -94,7 +105,7 @@ def differences(folder: Path, manifest: Manifest) -> list[str]:
     except ValueError:
         return ["it is no JSON"]
     wanted = json.loads(manifest.as_json())
-    keys = sorted(wanted.keys() | there.keys())
+    keys = sorted((wanted.keys() | there.keys()) - set(but))
     return [
         f"{key} is {there.get(key)!r}, not {wanted.get(key)!r}"
         for key in keys

@@ -21,8 +21,8 @@ from stage.blender import bpy
 from stage.manifest import INSTANTS_PER_KEY, Manifest
 from stage.motion import FPS
 
-BYTES_PER_PIXEL = 21.0
-"""Of a written frame; measured 15 to 26, less where there is much sky."""
+BYTES_PER_PIXEL = 26.0
+"""Of a written frame; measured 21 to 29, more where there are leaves."""
 
 KEY_SHARE = 0.35
 """Time that a key frame's vectors take, in times of an instant."""
@@ -101,22 +101,25 @@ def shoot(script: Script, order: Order) -> None:
         With one sentence, when the folder holds another rendering, or the disk is too small.
     """
     folder = order.data / script.name
+    _refuse_other(folder, _describe(script, order, {}), but=("dynamic",))
     wanted = _wanted(script, order)
     missing = _missing(script, order, folder, wanted)
-    if missing and not _says_plan(script, order, folder, wanted, missing):
-        return
     if not missing:
-        _settle_manifest(folder, _describe(script, order, _build(script, order)))
+        if not (folder / manifest.NAME).is_file():
+            manifest.write(folder, _describe(script, order, _build(script, order)))
         say(f"{script.name}: all {len(wanted)} files are there and whole, in {folder}")
         return
+    _say_plan(script, order, folder, wanted, missing)
     progress = _Progress(script.name, missing)
     for what, product in render.products(order.samples, INSTANTS_PER_KEY).items():
         instants = [instant for kind, instant in missing if kind == what]
         if not instants:
             continue
-        # Anew for each kind: Blender 5.0 crashed when passes changed on data kept from frame to
-        # frame, in town in two of three runs.
-        _settle_manifest(folder, _describe(script, order, _build(script, order)))
+        # Anew for each kind: Blender 5.0 crashed, or wrote wrong vectors, when passes changed on
+        # data kept from frame to frame.
+        description = _describe(script, order, _build(script, order))
+        _refuse_other(folder, description)
+        manifest.write(folder, description)
         target = folder / what
         target.mkdir(exist_ok=True)
         render.configure(product, FPS)
@@ -168,13 +171,13 @@ def _missing(
     ]
 
 
-def _says_plan(
+def _say_plan(
     script: Script,
     order: Order,
     folder: Path,
     wanted: Collection[tuple[str, int]],
     missing: Collection[tuple[str, int]],
-) -> bool:
+) -> None:
     """Say how much there is to do, how long that takes and how large it gets."""
     width, height = order.size
     share = sum(1.0 if what == "instants" else KEY_SHARE for what, _ in missing)
@@ -193,7 +196,6 @@ def _says_plan(
             f"{folder} has room for {_amount(free)}; name another folder with --data, "
             "or less with --frames or --resolution."
         )
-    return True
 
 
 def _describe(script: Script, order: Order, dynamic: dict[int, str]) -> Manifest:
@@ -215,15 +217,13 @@ def _describe(script: Script, order: Order, dynamic: dict[int, str]) -> Manifest
     )
 
 
-def _settle_manifest(folder: Path, description: Manifest) -> None:
-    """Write the manifest, or refuse to mix two renderings in one folder."""
-    folder.mkdir(parents=True, exist_ok=True)
-    if found := manifest.differences(folder, description):
+def _refuse_other(folder: Path, description: Manifest, but: Collection[str] = ()) -> None:
+    """Refuse to mix two renderings in one folder."""
+    if found := manifest.differences(folder, description, but):
         sys.exit(
             f"{folder} holds another rendering ({found[0]}); remove it, or name another folder "
             "with --data."
         )
-    manifest.write(folder, description)
 
 
 def _make(what: str, instant: int, product: render.Product, target: Path, seed: int) -> None:
