@@ -111,7 +111,8 @@ def run(scene: RenderedScene, method: str, setting: str) -> list[FrameRecord]:
         for frames in (scene.manifest.keys, scene.manifest.instants)
     )
     with tempfile.TemporaryDirectory(prefix="exwarp-survey-") as folder:
-        source = SourceSettings(keys, instants if setting == "slot" else None, tail=False)
+        gbuffers = instants if setting == "slot" else None
+        source = SourceSettings(keys, gbuffers, scene.manifest.motion, tail=False)
         settings = UpsampleSettings(source, folder, method, ground_truth=instants)
         return [record for record in upsample(settings, _Silent()).frames if record.slot]
 
