@@ -33,6 +33,7 @@ from exwarp_cli.io.dataset import RenderedScene, find_scenes
 from exwarp_cli.io.frames import read_image
 from exwarp_cli.io.output import read_headers
 from exwarp_cli.io.video import to_display
+from exwarp_cli.metrics.registry import score
 from exwarp_cli.pipeline.progress import NoProgress
 from exwarp_cli.pipeline.upsample import upsample
 from exwarp_cli.report.quality import quality
@@ -95,6 +96,7 @@ def measure(scene: RenderedScene) -> dict[str, Any]:
         "seconds_per_instant": _seconds(scene, manifest.instants),
         "megabytes": _megabytes(scene),
         "dynamic_objects": len(manifest.dynamic),
+        "noise_floor_psnr_db": _noise_floor(scene),
         **_motion(Footage(scene)),
         "holes": {setting: _holes(runs[setting]["s6"]) for setting in SETTINGS},
         "quality": {
@@ -122,6 +124,16 @@ class _Silent(NoProgress):
 
     def message(self, text: str) -> None:
         """Drop it."""
+
+
+def _noise_floor(scene: RenderedScene) -> float | None:
+    """PSNR between instants rendered twice, with other noise; None where they were not."""
+    found = []
+    for path in sorted((scene.folder / "floor").glob(f"{scene.name}.*.exr")):
+        number = int(path.suffixes[0][1:])
+        rendered = read_image(scene.path(scene.manifest.instants, number)).pixels
+        found.append(score(rendered, read_image(path).pixels, None)[0].psnr_db)
+    return round(float(np.mean(found)), 2) if found else None
 
 
 def _motion(footage: Footage) -> dict[str, float]:

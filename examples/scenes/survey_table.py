@@ -15,16 +15,18 @@ def lines(table: dict[str, Any]) -> list[str]:
     lines = ["# The rendered scenes in figures", "", "Written by `survey.py`.", ""]
     lines += [
         "| scene | motion per key interval, px: median (calmest-fastest) | p95 (fastest) "
-        "| moving | objects | sky | s a frame | MB |",
-        "|---|---|---|---|---|---|---|---|",
+        "| moving | objects | sky | s a frame | MB | noise floor, dB |",
+        "|---|---|---|---|---|---|---|---|---|",
     ]
     for name, row in scenes.items():
+        floor = row.get("noise_floor_psnr_db")
         lines.append(
             f"| {name} | {row['motion_median_px']:.1f} ({row['motion_median_px_calmest']:.1f}-"
             f"{row['motion_median_px_fastest']:.1f}) | {row['motion_p95_px']:.1f} "
             f"({row['motion_p95_px_fastest']:.1f}) | {row['moving_share']:.0%} "
             f"| {row['dynamic_objects']} | {row['sky_share']:.0%} "
-            f"| {row['seconds_per_instant']:.2f} | {row['megabytes']} |"
+            f"| {row['seconds_per_instant']:.2f} | {row['megabytes']} "
+            f"| {'' if floor is None else f'{floor:.1f}'} |"
         )
     lines += ["", "Share of the frame that the warp from the last key frame cannot see:", ""]
     bins = [f"{100 * low:g}-{100 * high:g} %" for low, high in pairwise(EDGES)]

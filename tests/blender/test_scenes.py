@@ -11,7 +11,8 @@ from exwarp_cli.domain.dataset import BENCHMARK, TRAINING
 from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.dataset import find_scenes, open_scene
-from exwarp_cli.io.frames import read_raw
+from exwarp_cli.io.frames import read_image, read_raw
+from exwarp_cli.metrics.registry import score
 from exwarp_cli.pipeline.upsample import upsample
 from exwarp_cli.training.footage import Footage
 from exwarp_cli.training.variant import Variant
@@ -121,6 +122,10 @@ def test_a_benchmark_scene_renders(script, tmp_path, name):
     assert told.role == BENCHMARK and told.instants.count == 241 and told.keys.count == 61
     assert set(told.instants.numbers) - set(scene.missing(told.instants)) == {1, 2, 121, 241}
     assert set(told.keys.numbers) - set(scene.missing(told.keys)) == {1, 31, 61}
+    for number in (1, 121, 241):
+        again = read_image(scene.folder / "floor" / f"{name}.{number:04d}.exr")
+        rendered = read_image(scene.path(told.instants, number))
+        assert 12 < score(rendered.pixels, again.pixels, None)[0].psnr_db < 60
     seen: set[int] = set()
     for number in (1, 121, 241):
         raw = read_raw(scene.instants, number)

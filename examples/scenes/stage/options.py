@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from stage.shooting import Order, Script, default_data, shoot
+from stage.shooting import KINDS, Order, Script, default_data, shoot
 
 RESOLUTIONS = {
     "240p": (427, 240),
@@ -37,12 +37,12 @@ def options(parser: argparse.ArgumentParser) -> None:
     )
     add("--samples", type=count, default=SAMPLES, help="per pixel (%(default)s)")
     add("--frames", type=ranges, default=frozenset(), help="instants, as in 1-49,97 (all)")
-    add("--what", choices=("instants", "keys", "all"), default="all")
+    add("--what", choices=(*KINDS, "all"), default="all")
 
 
 def order(chosen: argparse.Namespace) -> Order:
     """Turn options into an order."""
-    what = {"instants", "keys"} if chosen.what == "all" else {chosen.what}
+    what = KINDS if chosen.what == "all" else (chosen.what,)
     return Order(
         chosen.data.expanduser().resolve(),
         chosen.resolution,

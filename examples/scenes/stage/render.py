@@ -50,9 +50,11 @@ class Product:
 
 
 def products(samples: int, step: int) -> dict[str, Product]:
-    """Return what a scene consists of: instants, and vectors over `step` instants."""
+    """Return what a scene consists of: instants, some of them again, vectors over `step`."""
+    instants = Product(1, PASSES, True, samples)
     return {
-        "instants": Product(1, PASSES, True, samples),
+        "instants": instants,
+        "floor": instants,
         "keys": Product(step, ("vector",), False, min(samples, VECTOR_SAMPLES)),
     }
 

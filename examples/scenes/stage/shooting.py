@@ -1,8 +1,10 @@
 """Rendering a scene into a data set: instants at 120 fps, and true 30 fps key frames.
 
 A scene's folder gets `manifest.json`, `instants/NAME.####.exr` (colour and all G-buffers, vectors
-over 1/120 s) and `keys/NAME.####.exr` (every fourth instant again, vectors over 1/30 s). Frames
-that are there and whole are kept, so that a run that was stopped goes on where it was.
+over 1/120 s) and `keys/NAME.####.exr` (every fourth instant again, vectors over 1/30 s). Benchmark
+scenes also get `floor/NAME.####.exr`: three instants with other noise, to tell from how many dB on
+scores mean nothing. Frames that are there and whole are kept, so that a run that was stopped goes
+on where it was.
 """
 
 from __future__ import annotations
@@ -26,6 +28,11 @@ BYTES_PER_PIXEL = 26.0
 
 KEY_SHARE = 0.35
 """Time that a key frame's vectors take, in times of an instant."""
+
+KINDS = ("instants", "floor", "keys")
+
+OTHER_NOISE = 500_000
+"""What is added to the seed of the noise for the noise floor."""
 
 
 @dataclass(frozen=True)
@@ -76,14 +83,14 @@ class Order:
     frames : frozenset of int
         Numbers of the instants that are wanted, from 1; empty for all.
     what : frozenset of str
-        "instants", "keys" or both.
+        Which of `KINDS`.
     """
 
     data: Path
     size: tuple[int, int]
     samples: int
     frames: frozenset[int] = frozenset()
-    what: frozenset[str] = frozenset({"instants", "keys"})
+    what: frozenset[str] = frozenset(KINDS)
 
 
 def default_data() -> Path:
@@ -144,12 +151,13 @@ def _wanted(script: Script, order: Order) -> list[tuple[str, int]]:
         sys.exit(f"--frames: {script.name} has frames 1 to {script.instants}, not {beyond[0]}.")
     instants = sorted(number - 1 for number in numbers)
     keys = [instant for instant in instants if instant % INSTANTS_PER_KEY == 0]
-    both = {"instants": instants, "keys": keys}
-    return [(what, instant) for what in both if what in order.what for instant in both[what]]
+    floor = {0, script.instants // 2, script.instants - 1} if script.role == "benchmark" else set()
+    of = {"instants": instants, "floor": sorted(floor.intersection(instants)), "keys": keys}
+    return [(what, instant) for what in KINDS if what in order.what for instant in of[what]]
 
 
 def _path(script: Script, folder: Path, what: str, instant: int) -> Path:
-    number = instant if what == "instants" else instant // INSTANTS_PER_KEY
+    number = instant // INSTANTS_PER_KEY if what == "keys" else instant
     return folder / what / f"{script.name}.{number + 1:04d}.exr"
 
 
@@ -180,7 +188,7 @@ def _say_plan(
 ) -> None:
     """Say how much there is to do, how long that takes and how large it gets."""
     width, height = order.size
-    share = sum(1.0 if what == "instants" else KEY_SHARE for what, _ in missing)
+    share = sum(KEY_SHARE if what == "keys" else 1.0 for what, _ in missing)
     cores = os.cpu_count() or 1
     seconds = share * script.pace * width * height / 1e6 * order.samples / cores
     size = len(missing) * BYTES_PER_PIXEL * width * height
@@ -229,8 +237,9 @@ def _refuse_other(folder: Path, description: Manifest, but: Collection[str] = ()
 def _make(what: str, instant: int, product: render.Product, target: Path, seed: int) -> None:
     """Render one file. A key frame is its instant with vectors that span a key interval."""
     noise = seed * 1000
-    if what == "instants":
-        render.render(instant, product, target, noise)
+    if what != "keys":
+        other = OTHER_NOISE if what == "floor" else 0
+        render.render(instant, product, target, noise + other)
         return
     number = instant + 1
     source = target.parents[1] / "instants" / f"{target.name[:-8]}{number:04d}.exr"
@@ -245,12 +254,12 @@ class _Progress:
 
     def __init__(self, name: str, missing: Collection[tuple[str, int]]) -> None:
         self._name = name
-        self._left = {"instants": 0, "keys": 0}
+        self._left = dict.fromkeys(KINDS, 0)
         for what, _ in missing:
             self._left[what] += 1
         self._all = len(missing)
         self._started = self._last = time.monotonic()
-        self._spent: dict[str, list[float]] = {"instants": [], "keys": []}
+        self._spent: dict[str, list[float]] = {kind: [] for kind in KINDS}
 
     def step(self, what: str, instant: int) -> None:
         """Count a frame."""
@@ -266,6 +275,7 @@ class _Progress:
 
     def _rest(self) -> float:
         pace = {kind: self._mean(kind) for kind in self._spent}
+        pace["floor"] = pace["floor"] or pace["instants"]
         pace["keys"] = pace["keys"] or KEY_SHARE * pace["instants"]
         return sum(pace[kind] * self._left[kind] for kind in pace)
 
