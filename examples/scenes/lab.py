@@ -82,6 +82,7 @@ SCENE = Script(
     "A robotics laboratory with a polished floor: robot arm, rover, gyroscope, swinging lamp.",
     build,
     seed=4,
+    pace=2.6,
 )
 
 if __name__ == "__main__":

@@ -151,6 +151,7 @@ SCENE = Script(
     "A town's main street with tram, traffic and people, and a whip around a corner.",
     build,
     seed=41,
+    pace=3.4,
 )
 
 if __name__ == "__main__":

@@ -333,7 +333,13 @@ def _camera(t: float) -> tuple[Spot, Spot]:
     return tuple(where), tuple(motion.looking(at, where, 0.02 * math.sin(1.9 * t)))
 
 
-SCENE = Script("tropical", "A dash through leaves in a strong wind along a beach.", build, seed=11)
+SCENE = Script(
+    "tropical",
+    "A dash through leaves in a strong wind along a beach.",
+    build,
+    seed=11,
+    pace=3.4,
+)
 
 if __name__ == "__main__":
     main(SCENE)

@@ -233,6 +233,7 @@ SCENE = Script(
     "An old village at a pond: still, full of fine texture, a gentle camera.",
     build,
     seed=7,
+    pace=3.0,
 )
 
 if __name__ == "__main__":
