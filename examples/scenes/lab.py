@@ -41,7 +41,6 @@ def _world() -> None:
     """
     world = bpy.data.worlds.new("dim")
     bpy.context.scene.world = world
-    world.use_nodes = True
     nodes = Nodes(world.node_tree)
     glow = nodes.add("Background", {"Color": (0.85, 0.95, 1.0), "Strength": 0.36})
     nodes.add("OutputWorld", {0: glow.outputs[0]})

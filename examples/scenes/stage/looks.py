@@ -85,7 +85,6 @@ def finish(
 def new(name: str) -> tuple[bpy.types.Material, Nodes]:
     """Make an empty material."""
     material = bpy.data.materials.new(name)
-    material.use_nodes = True
     return material, Nodes(material.node_tree)
 
 
@@ -205,7 +204,6 @@ def sky(strength: float) -> None:
     """Blue sky with fair-weather clouds, as the world of the scene."""
     world = bpy.data.worlds.new("sky")
     bpy.context.scene.world = world
-    world.use_nodes = True
     nodes = Nodes(world.node_tree)
     ray = nodes.add("TexCoord", {}).outputs["Generated"]
     axes = nodes.add("SeparateXYZ", {0: ray}).outputs
@@ -240,7 +238,6 @@ def backdrop(
     """
     world = bpy.data.worlds.new("backdrop")
     bpy.context.scene.world = world
-    world.use_nodes = True
     nodes = Nodes(world.node_tree)
     axes = nodes.add("SeparateXYZ", {0: nodes.add("TexCoord", {}).outputs["Generated"]}).outputs
     rise = nodes.math("MAXIMUM", axes[2], 0.0)

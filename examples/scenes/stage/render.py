@@ -141,7 +141,6 @@ def _black() -> bpy.types.Material:
     if name in bpy.data.materials:
         return bpy.data.materials[name]
     material = bpy.data.materials.new(name)
-    material.use_nodes = True
     tree = material.node_tree
     tree.nodes.clear()
     shader, output = (
