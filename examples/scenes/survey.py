@@ -44,7 +44,7 @@ METHODS = ("s6", "softsplat")
 SETTINGS = ("key", "slot")
 SLOTS = range(1, FACTOR)
 TILES, TILE_WIDTH = (4, 2), 240
-JPEG_QUALITY = 82
+JPEG_QUALITY = 60
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
