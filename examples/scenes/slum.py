@@ -299,6 +299,7 @@ SCENE = Script(
     "A hurried walk through narrow alleys full of clutter, washing and cables, in late sun.",
     build,
     seed=17,
+    pace=3.6,
 )
 
 if __name__ == "__main__":

@@ -19,7 +19,7 @@ def lines(table: dict[str, Any]) -> list[str]:
         "|---|---|---|---|---|---|---|---|---|",
     ]
     for name, row in scenes.items():
-        floor = row.get("noise_floor_psnr_db")
+        floor = row["noise_floor_psnr_db"]
         lines.append(
             f"| {name} | {row['motion_median_px']:.1f} ({row['motion_median_px_calmest']:.1f}-"
             f"{row['motion_median_px_fastest']:.1f}) | {row['motion_p95_px']:.1f} "
