@@ -229,7 +229,7 @@ def _instant(shot: Shot, number: int) -> Instant:
     """Read a frame on the display window: data windows differ, and normalised vectors go by it."""
     # World positions tell points apart best, and alone; reading the rest takes most of the time.
     seen = (Role.POSITION,) if Role.POSITION in shot.layout else (Role.COLOUR,)
-    raw = read_raw(shot, number, (Role.MOTION, Role.DEPTH, *seen))
+    raw = read_raw(shot, number, (Role.MOTION, Role.DEPTH, Role.STENCIL, *seen))
     assert raw.motion is not None
     motion = place(raw.motion, raw.gbuffer.window, shot.display, np.nan)
     colour = None if raw.image is None else raw.image.on(shot.display).pixels

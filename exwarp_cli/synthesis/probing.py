@@ -16,6 +16,9 @@ SAMPLES = 6000
 
 GRID = 5
 
+LEAST = 100
+"""Samples below which a frame says nothing."""
+
 DEPTH_TOLERANCE = 0.02
 """Relative error of depth that counts as a miss."""
 
@@ -68,8 +71,13 @@ def probe(here: Instant, there: Instant) -> Probe | None:
         usable &= np.isfinite(here.gbuffer.depth[y, x])
     if here.gbuffer.position is not None:
         usable &= np.isfinite(here.gbuffer.position[y, x]).all(axis=-1)
+    if here.gbuffer.stencil is not None and here.gbuffer.position is not None:
+        # World positions of what moves are not found again. In leaves that move over
+        # half of the frame no reading was better than none.
+        still = usable & (here.gbuffer.stencil[y, x] == 0)
+        usable = still if np.count_nonzero(still) >= LEAST else usable
     chosen = np.flatnonzero(usable)
-    if len(chosen) < 100:
+    if len(chosen) < LEAST:
         return None
     chosen = chosen[:: max(1, len(chosen) // SAMPLES)]
     y, x = y[chosen], x[chosen]

@@ -184,20 +184,37 @@ class TestAgainstTheNames:
         assert truth.describe(XYZW) in found.evidence
         assert f"the names say {BLENDER.describe(XYZW)}" in found.evidence
 
-    def test_a_slow_motion_does_not_unseat_the_names(self):
-        # Thirty times slower, signs can hardly be told; the names then stand.
+    @pytest.mark.parametrize(("slower", "source"), [(30, "calibrated"), (60, "untested")])
+    def test_a_slow_motion_does_not_unseat_the_names(self, slower, source):
+        # Sixty times slower, signs can hardly be told; the names then stand.
         scene = town()
         slow = [
             Instant(
                 number,
-                (seen := scene.view(number / 30)).gbuffer(motion=False),
-                raw_of(seen, BLENDER, 4, 1 / 30),
+                (seen := scene.view(number / slower)).gbuffer(motion=False),
+                raw_of(seen, BLENDER, 4, 1 / slower),
                 seen.colour,
             )
             for number in range(2)
         ]
         found = calibrate(pairs_of(slow), BLENDER, XYZW)
-        assert (found.convention, found.source) == (BLENDER, "untested")
+        assert (found.convention, found.source) == (BLENDER, source)
+
+    def test_what_moves_does_not_count_where_ids_tell_it(self):
+        # Most of the frame moves by itself, as leaves in the wind: world positions cannot follow.
+        moving = []
+        for frame in instants(BLENDER, 4):
+            g = frame.gbuffer
+            assert g.stencil is not None and g.position is not None
+            blown = np.zeros(g.stencil.shape, bool)
+            blown[:, : g.stencil.shape[1] * 7 // 10] = True
+            stencil = np.where(blown, 5, g.stencil).astype(np.int32)
+            shift = np.where(blown[..., None], 0.7 * frame.number, 0).astype(np.float32)
+            away = replace(g, stencil=stencil, position=g.position + shift)
+            moving.append(replace(frame, gbuffer=away, colour=None))
+        found = calibrate(pairs_of(moving), BLENDER, XYZW)
+        assert (found.convention, found.source) == (BLENDER, "calibrated")
+        assert found.error is not None and found.error < 0.2
 
 
 def still_pairs() -> list[tuple[Instant, Instant]]:
