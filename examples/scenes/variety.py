@@ -32,7 +32,7 @@ SLOWEST, FASTEST = 0.3, 25.0
 STILL = 0.06
 """Share of shots whose camera stands still."""
 INSTANTS = 13
-PACE = 3.0
+PACE = 3.6
 GOLDEN = (math.sqrt(5) - 1) / 2
 
 
