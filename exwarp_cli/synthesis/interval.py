@@ -6,10 +6,28 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from exwarp_cli.domain.frame import GBuffer, KeyFrame
+from exwarp_cli.domain.extrapolator import Extrapolator
+from exwarp_cli.domain.frame import Float32, GBuffer, KeyFrame
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import LayoutError
 from exwarp_cli.synthesis.geometry import SlotField, compose_back, compose_forward, reproject
+
+
+@dataclass(frozen=True)
+class Past:
+    """An older key frame.
+
+    Attributes
+    ----------
+    frame
+        F_k-1 or F_k-2, on the window of F_k; its motion is settled.
+    motion
+        float32 [H, W, 2], pixels: where the points of the key frame after it (F_k for F_k-1) are
+        in this one, minus where they are there; NaN where unknown.
+    """
+
+    frame: KeyFrame
+    motion: Float32
 
 
 @dataclass
@@ -25,11 +43,17 @@ class Interval:
     slots
         G-buffers of slots 1 to 3 with settled motion between neighbouring slots; empty when only
         the key frames have G-buffers.
+    past
+        F_k-1 and F_k-2, the newer first, as far as they exist; only for extrapolation.
+    extrapolator
+        The network that extrapolates; None for methods that only warp.
     """
 
     key: KeyFrame
     following: KeyFrame | None = None
     slots: tuple[GBuffer, ...] = ()
+    past: tuple[Past, ...] = ()
+    extrapolator: Extrapolator | None = None
     _back: dict[int, SlotField] = field(default_factory=dict)
     _forward: dict[int, SlotField] = field(default_factory=dict)
 

@@ -11,29 +11,27 @@ from exwarp_cli.synthesis.camera import scene_of, seen_by
 from exwarp_cli.synthesis.trajectory import followed
 
 
-def span_motion(steps: Sequence[GBuffer]) -> tuple[Float32, Float32]:
-    """Return the motion between the first and the last of successive instants.
+def span_motion(steps: Sequence[GBuffer], way: int) -> Float32:
+    """Return the motion from the first of successive instants to the last.
 
     Parameters
     ----------
     steps
-        At least two, with settled motion to both neighbours.
+        At least two, in the order in which the motion runs, with settled motion to the instant
+        that comes next; the last needs none.
+    way
+        1 if that is forward in time, -1 if back.
 
     Returns
     -------
-    to_next, to_previous
-        float32 [H, W, 2] each, pixels: from the first instant to the last, and back. What stands
-        still follows the recovered cameras, what moves is followed from instant to instant.
+    float32 [H, W, 2]
+        Pixels. What stands still follows the recovered cameras, what moves is followed from
+        instant to instant.
     """
-    scenes = scene_of(steps[0]), scene_of(steps[-1])
-    found = []
-    for way in (1, -1):
-        start, *others = steps[::way][:-1]
-        here, there = scenes[::way]
-        moved = followed(start, others, way)
-        camera = None if there is None else there.camera
-        if here is not None and camera is not None and start.stencil is not None:
-            still = start.stencil == 0
-            moved = np.where(still[..., None], seen_by(here, camera), moved)
-        found.append(moved)
-    return found[0], found[1]
+    start, *others = steps[:-1]
+    moved = followed(start, others, way)
+    here, there = scene_of(start), scene_of(steps[-1])
+    if here is None or there is None or there.camera is None or start.stencil is None:
+        return moved
+    still = start.stencil == 0
+    return np.where(still[..., None], seen_by(here, there.camera), moved)

@@ -57,20 +57,12 @@ class Footage:
         Motion to a key frame that lies outside the render is None, unless the render has it.
         """
         index = self._order[FACTOR * k]
-        frame = self._load(index)
-        assert frame.gbuffer is not None
-        before, after = self._key_motion(index)
-        gbuffer = replace(frame.gbuffer, to_previous=before, to_next=after)
-        return self._shown(replace(frame, gbuffer=gbuffer))
+        return self._moving(index, self._key_motion(index))
 
     def slot(self, k: int, i: int) -> KeyFrame:
         """Return slot i of key frame k: ground truth, and settled motion to neighbouring slots."""
         index = self._order[FACTOR * k + i]
-        frame = self._load(index)
-        assert frame.gbuffer is not None
-        before, after = self._motion(index, self.variant.speed)
-        gbuffer = replace(frame.gbuffer, to_previous=before, to_next=after)
-        return self._shown(replace(frame, gbuffer=gbuffer))
+        return self._moving(index, self._motion(index, self.variant.speed))
 
     def truth(self, k: int, i: int) -> Image:
         """Return the colour that was rendered for slot i of key frame k."""
@@ -93,6 +85,13 @@ class Footage:
             slots = tuple(gbuffer for gbuffer in found if gbuffer is not None)
         return Interval(self.key(k), self.key(k + 1), slots)
 
+    def _moving(self, index: int, motion: tuple[Float32 | None, Float32 | None]) -> KeyFrame:
+        """Return an instant as the variant shows it, with this motion to previous and to next."""
+        frame = self._load(index)
+        before, after = motion
+        gbuffer = replace(self._gbuffer(index), to_previous=before, to_next=after)
+        return self._shown(replace(frame, gbuffer=gbuffer))
+
     def _shown(self, frame: KeyFrame) -> KeyFrame:
         """Apply what the variant does to a single frame."""
         if self.variant.backwards and frame.gbuffer is not None:
@@ -109,15 +108,17 @@ class Footage:
 
     def _motion(self, index: int, span: int) -> tuple[Float32 | None, Float32 | None]:
         """Motion of an instant over `span` instants to both sides, in rendered order."""
-        before = after = None
         if span == 1:
             gbuffer = self._gbuffer(index)
             return gbuffer.to_previous, gbuffer.to_next
-        if index - span >= 0:
-            _, before = span_motion([self._gbuffer(i) for i in range(index - span, index + 1)])
-        if index + span < self.scene.manifest.instants.count:
-            after, _ = span_motion([self._gbuffer(i) for i in range(index, index + span + 1)])
-        return before, after
+        return self._spanned(index, span, -1), self._spanned(index, span, 1)
+
+    def _spanned(self, index: int, span: int, way: int) -> Float32 | None:
+        """Motion of an instant over `span` instants one way; None beyond the render."""
+        end = index + way * span
+        if not 0 <= end < self.scene.manifest.instants.count:
+            return None
+        return span_motion([self._gbuffer(i) for i in range(index, end + way, way)], way)
 
     def _gbuffer(self, index: int) -> GBuffer:
         gbuffer = self._load(index).gbuffer
