@@ -6,7 +6,7 @@ from typing import Any
 
 from stage import looks
 from stage.blender import bpy
-from stage.looks import Colour, Nodes
+from stage.looks import Colour
 
 Material = bpy.types.Material
 
@@ -61,25 +61,6 @@ def palette() -> dict[str, Material]:
     return made | {name: lacquer(name, look, 0.05, wear=0.0) for name, look in glasses.items()}
 
 
-def close(
-    nodes: Nodes,
-    colour: Any,
-    roughness: Any,
-    metallic: float = 0.0,
-    ior: float = 1.5,
-    light: Any = None,
-    strength: float = 0.0,
-) -> None:
-    """Close a glossy material, which may also emit `light`, with the outputs for its AOVs."""
-    inputs = {"Base Color": colour, "Roughness": roughness, "Metallic": metallic, "IOR": ior}
-    if light is not None:
-        inputs |= {"Emission Color": light, "Emission Strength": strength}
-    shader = nodes.add("BsdfPrincipled", inputs)
-    nodes.add("OutputMaterial", {0: shader.outputs[0]})
-    for name, value in zip(looks.AOVS, (roughness, metallic), strict=True):
-        nodes.add("OutputAOV", {"Value": value}, aov_name=name)
-
-
 def lacquer(
     name: str, colour: Colour, roughness: float, metallic: float = 0.0, wear: float = 0.35
 ) -> Material:
@@ -90,14 +71,14 @@ def lacquer(
         marks = nodes.step(nodes.noise(nodes.spot(), 7.0, 1.0), 0.35, 0.75)
         worn = tuple((1.0 - wear) * part + 0.01 for part in colour)
         shade = nodes.mix(marks, colour, worn)
-    close(nodes, shade, roughness, metallic)
+    looks.finish(nodes, shade, roughness, metallic)
     return material
 
 
 def glow(name: str, colour: Colour, strength: float) -> Material:
     """Surface that shines evenly."""
     material, nodes = looks.new(name)
-    close(nodes, (0.5, 0.5, 0.5), 0.4, light=colour, strength=strength)
+    looks.finish(nodes, (0.5, 0.5, 0.5), 0.4, light=colour, glow=strength)
     return material
 
 
@@ -122,7 +103,7 @@ def floor(name: str) -> Material:
     scuff = nodes.step(nodes.noise(where, 1.4, 2.0), 0.4, 0.72)
     shade = nodes.mix(nodes.math("MULTIPLY", scuff, 0.3), shade, (0.12, 0.12, 0.12))
     rough = nodes.math("MULTIPLY_ADD", scuff, 0.13, 0.045)
-    close(nodes, shade, rough, ior=1.75)
+    looks.finish(nodes, shade, rough, ior=1.75)
     return material
 
 
@@ -143,7 +124,7 @@ def cladding(name: str, colour: Colour, size: tuple[float, float]) -> Material:
     panels = nodes.add("TexBrick", inputs, offset=0.0).outputs[0]
     smear = nodes.step(nodes.noise(where, 3.1, 2.0), 0.35, 0.8)
     shade = nodes.mix(smear, panels, tuple(0.62 * part for part in colour))
-    close(nodes, shade, 0.38)
+    looks.finish(nodes, shade, 0.38)
     return material
 
 
@@ -156,7 +137,7 @@ def brushed(name: str, colour: Colour, along: int, roughness: float) -> Material
     scratch = nodes.step(nodes.noise(lines, 1.0, 2.0), 0.3, 0.7)
     shade = nodes.mix(scratch, tuple(0.68 * part for part in colour), colour)
     rough = nodes.math("MULTIPLY_ADD", scratch, -0.08, roughness + 0.05)
-    close(nodes, shade, rough, 1.0)
+    looks.finish(nodes, shade, rough, 1.0)
     return material
 
 
@@ -170,7 +151,7 @@ def hazard(name: str, first: Colour, second: Colour) -> Material:
     shade = nodes.mix(nodes.math("GREATER_THAN", band, 0.5), first, second)
     worn = nodes.step(nodes.noise(where, 9.0, 3.0), 0.55, 0.75)
     shade = nodes.mix(nodes.math("MULTIPLY", worn, 0.7), shade, (0.2, 0.19, 0.17))
-    close(nodes, shade, 0.3)
+    looks.finish(nodes, shade, 0.3)
     return material
 
 
@@ -184,7 +165,7 @@ def dusk(name: str) -> Material:
     flat = nodes.add("Mapping", {0: where, 3: (1.0, 0.35, 2.6)}).outputs[0]
     cloud = nodes.step(nodes.noise(flat, 0.7, 3.0), 0.5, 0.68)
     sky = nodes.mix(nodes.math("MULTIPLY", cloud, 0.7), sky, (0.55, 0.30, 0.34))
-    close(nodes, (0.0, 0.0, 0.0), 1.0, light=sky, strength=1.0)
+    looks.finish(nodes, (0.0, 0.0, 0.0), 1.0, light=sky, glow=1.0)
     return material
 
 
@@ -220,5 +201,5 @@ def screen(name: str, seed: float, colour: Colour, accent: Colour) -> Material:
     light = nodes.mix(nodes.math("MULTIPLY", second, left), light, accent)
     light = nodes.mix(nodes.math("MULTIPLY", bar, 0.75), light, accent)
     light = nodes.mix(nodes.math("GREATER_THAN", up, 0.235), light, tuple(0.5 * c for c in colour))
-    close(nodes, (0.01, 0.012, 0.015), 0.07, light=light, strength=2.6)
+    looks.finish(nodes, (0.01, 0.012, 0.015), 0.07, light=light, glow=2.6)
     return material

@@ -10,7 +10,7 @@ gbuffers
     33 multi-layer frames at 120 fps (vectors span 1/120 s) with few samples, whose data passes
     serve as slot G-buffers. They are large and go to the user's cache folder.
 
-Frames that exist are kept, so an interrupted run goes on where it stopped.
+Frames that are there and whole are kept, so an interrupted run goes on where it stopped.
 """
 
 from __future__ import annotations
@@ -21,64 +21,50 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import market_scene
-from stage import render
+from stage import files, render
 from stage.blender import bpy
-from stage.looks import AOVS
+from stage.manifest import INSTANTS_PER_KEY, default_data
+from stage.motion import FPS
 from stage.options import count, size
-from stage.shooting import default_data, say
+from stage.shooting import say
 
 NAME = "market"
 SEED = 7
 QUALITY = 98
 """Of lossy compression (DWAA), percent: the truth stays within 65 dB of what was rendered."""
 
-MAGIC = b"\x76\x2f\x31\x01"
-INSTANTS_PER_KEY = 4
 GBUFFER_SAMPLES = 32
-DATA_PASSES = (
-    "z",
-    "vector",
-    "normal",
-    "position",
-    "object_index",
-    "diffuse_color",
-    "glossy_color",
-)
 
 
 @dataclass(frozen=True)
-class Product:
+class Kind:
     """One kind of frames.
 
     Attributes
     ----------
-    frames : int
-        How many.
-    step : int
-        How far apart, in instants of 1/120 s.
-    data : bool
-        Whether they hold the data passes, or colour alone.
+    product : stage.render.Product
+        How they are rendered; without passes they hold colour alone.
     codec : str
         Blender's name of the compression. PXR24 keeps 24 of the 32 bits of a data pass, the others
         are sampling noise that nothing can compress: 1.4 MB a frame instead of 2.4.
-    samples : int
-        Most samples per pixel.
     """
 
-    frames: int
-    step: int
-    data: bool
+    product: render.Product
     codec: str
-    samples: int
+
+    @property
+    def frames(self) -> int:
+        """How many."""
+        return market_scene.LAST_INSTANT // self.product.step + 1
 
 
-def products(samples: int) -> dict[str, Product]:
+def kinds(samples: int) -> dict[str, Kind]:
     """Describe what `--what` may name; `samples` counts for colour."""
-    instants = market_scene.LAST_INSTANT
+    few = min(samples, GBUFFER_SAMPLES)
     return {
-        "keys": Product(instants // INSTANTS_PER_KEY + 1, INSTANTS_PER_KEY, True, "PXR24", samples),
-        "truth": Product(instants + 1, 1, False, "DWAA", samples),
-        "gbuffers": Product(instants + 1, 1, True, "ZIP", min(samples, GBUFFER_SAMPLES)),
+        "keys": Kind(render.Product(INSTANTS_PER_KEY, render.PASSES, True, samples), "PXR24"),
+        "truth": Kind(render.Product(1, (), True, samples), "DWAA"),
+        "gbuffers": Kind(render.Product(1, render.PASSES, True, few), "ZIP"),
     }
 
 
@@ -89,52 +75,37 @@ def build(resolution: tuple[int, int]) -> None:
     cycles = bpy.context.scene.cycles
     cycles.use_adaptive_sampling = True
     cycles.adaptive_threshold, cycles.adaptive_min_samples = 0.015, 32
-    cycles.use_denoising = True
 
 
-def configure(product: Product) -> None:
-    """Set frame rate, passes and file format for one product."""
-    scene = bpy.context.scene
-    scene.render.fps = 120 // product.step
-    # A true low-rate scene: frame f shows instant f * step, and vectors span a whole step.
-    scene.render.frame_map_old, scene.render.frame_map_new = product.step, 1
-    scene.cycles.samples = product.samples
-    layer = scene.view_layers[0]
-    for name in DATA_PASSES:
-        setattr(layer, f"use_pass_{name}", product.data)
-    for aov in list(layer.aovs):
-        layer.aovs.remove(aov)
-    for name in AOVS if product.data else ():
-        added = layer.aovs.add()
-        added.name, added.type = name, "VALUE"
-    image = scene.render.image_settings
-    image.media_type = "MULTI_LAYER_IMAGE" if product.data else "IMAGE"
-    image.file_format = "OPEN_EXR_MULTILAYER" if product.data else "OPEN_EXR"
-    if not product.data:
+def configure(kind: Kind) -> None:
+    """Set frame rate, passes and file format for one kind of frames."""
+    render.configure(kind.product, FPS)
+    data = bool(kind.product.passes)
+    image = bpy.context.scene.render.image_settings
+    image.media_type = "MULTI_LAYER_IMAGE" if data else "IMAGE"
+    image.file_format = "OPEN_EXR_MULTILAYER" if data else "OPEN_EXR"
+    if not data:
         image.color_mode = "RGB"
     image.color_depth = "16"
-    image.exr_codec = product.codec
+    image.exr_codec = kind.codec
     image.quality = QUALITY
 
 
-def is_exr(path: Path) -> bool:
-    """Say whether the file exists and starts like an EXR file."""
-    if not path.is_file():
-        return False
-    with path.open("rb") as file:
-        return file.read(len(MAGIC)) == MAGIC
-
-
-def render_product(what: str, product: Product, folder: Path, seed: int) -> None:
-    """Render all missing frames of one product, with progress and the time left."""
+def render_kind(what: str, kind: Kind, folder: Path, chosen: argparse.Namespace) -> None:
+    """Render all missing frames of one kind, with progress and the time left."""
     folder.mkdir(parents=True, exist_ok=True)
-    targets = [folder / f"{NAME}.{frame + 1:04d}.exr" for frame in range(product.frames)]
-    missing = [frame for frame, target in enumerate(targets) if not is_exr(target)]
+    targets = [folder / f"{NAME}.{frame + 1:04d}.exr" for frame in range(kind.frames)]
+    missing = [
+        frame
+        for frame, target in enumerate(targets)
+        if not files.is_whole(target, chosen.resolution)
+    ]
     say(f"{what}: {len(targets) - len(missing)} of {len(targets)} frames are there, in {folder}")
-    configure(product)
+    configure(kind)
     started = time.monotonic()
     for done, frame in enumerate(missing, start=1):
-        render.render(frame * product.step, product, targets[frame], seed)
+        instant = frame * kind.product.step
+        render.render(instant, kind.product, targets[frame], chosen.seed * 1000)
         pace = (time.monotonic() - started) / done
         left = pace * (len(missing) - done)
         say(f"{what}: {targets[frame].name}  {pace:.1f} s a frame, {left / 60:.1f} min left")
@@ -159,12 +130,12 @@ def parse() -> argparse.Namespace:
 
 def main() -> None:
     """Render what was asked for."""
-    options = parse()
-    for what, product in products(options.samples).items():
-        if options.what in (what, "all"):
-            build(options.resolution)  # anew, as Blender may crash when passes change
-            base = options.gbuffers if what == "gbuffers" else options.out
-            render_product(what, product, (base / what).resolve(), options.seed * 1000)
+    chosen = parse()
+    for what, kind in kinds(chosen.samples).items():
+        if chosen.what in (what, "all"):
+            build(chosen.resolution)  # anew, as Blender may crash when passes change
+            base = chosen.gbuffers if what == "gbuffers" else chosen.out
+            render_kind(what, kind, (base / what).resolve(), chosen)
 
 
 if __name__ == "__main__":

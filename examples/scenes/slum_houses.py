@@ -13,7 +13,6 @@ Storey = tuple[float, str, float]
 """Height, skin, and how far it juts out over the alley."""
 
 TIN = ("zinc", "rust", "bluetin", "greentin", "redtin")
-PLASTER = ("turquoise", "rose", "ochre", "lime")
 WORDS = ("CINE", "TONIGHT", "VOTE 7", "CIRCO", "BOXING", "SALE", "LIVE", "RADIO", "GOAL")
 TURNS = {"left": 90.0, "right": -90.0, "outer": 0.0, "inner": 180.0}
 LINES = {"left": -1.1, "right": 1.1, "outer": 4.4, "inner": 2.3}

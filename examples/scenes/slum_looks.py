@@ -175,7 +175,7 @@ def mud(name: str) -> bpy.types.Material:
     shade = nodes.mix(nodes.math("MULTIPLY", wet, 0.6), shade, (0.03, 0.025, 0.02))
     shade = nodes.mix(nodes.step(grit, 0.58, 0.66), shade, (0.34, 0.31, 0.27))
     rough = nodes.math("SUBTRACT", 0.85, nodes.math("MULTIPLY", wet, 0.6))
-    looks.finish(nodes, shade, rough, height=grit)
+    looks.finish(nodes, shade, rough, normal=nodes.bump(grit))
     return material
 
 

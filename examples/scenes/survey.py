@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import re
 import tempfile
 from collections.abc import Iterable, Sequence
@@ -22,6 +21,7 @@ from typing import Any
 
 import numpy as np
 import OpenImageIO as oiio
+from stage.manifest import default_data
 from survey_table import EDGES, lines
 
 from exwarp_cli.domain.dataset import BENCHMARK, TRAINING, FrameSet
@@ -67,14 +67,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
-    cache = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     add = parser.add_argument
     add("scenes", nargs="*", metavar="SCENE", help="names of scenes (all that are rendered)")
-    data = Path(cache).expanduser() / "exwarp" / "scenes"
-    add("--data", type=Path, default=data, help="folder of all scenes (%(default)s)")
+    add("--data", type=Path, default=default_data(), help="folder of all scenes (%(default)s)")
     add("--out", type=Path, default=HERE, help="folder for what is written (%(default)s)")
     add("--training", action="store_true", help="count the training shots instead")
     return parser.parse_args(arguments)

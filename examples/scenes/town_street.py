@@ -14,8 +14,8 @@ Matrix, Vector = mathutils.Matrix, mathutils.Vector
 CROSS_Y = 20.0
 """Where the side street's middle lies; the main street's is x = 0."""
 
-ROAD, PAVED = (5.5, 5.0), (8.5, 8.0)
-"""Half widths between the kerbs and between the houses, of main and side street."""
+ROAD = (5.5, 5.0)
+"""Half widths between the kerbs, of main and side street."""
 
 KERB = 0.15
 

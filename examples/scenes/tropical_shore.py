@@ -85,7 +85,8 @@ def _sand() -> bpy.types.Material:
     wet = nodes.step(edge, SEA + 0.24, SEA + 0.1)
     shade = nodes.mix(wet, dry, (0.17, 0.13, 0.09))
     rough = nodes.math("SUBTRACT", 0.9, nodes.math("MULTIPLY", wet, 0.72))
-    looks.finish(nodes, shade, rough, height=nodes.math("MULTIPLY", grain, 0.6))
+    bump = nodes.bump(nodes.math("MULTIPLY", grain, 0.6))
+    looks.finish(nodes, shade, rough, normal=bump)
     return material
 
 
@@ -102,9 +103,8 @@ def _water() -> bpy.types.Material:
     crest = nodes.math("ABSOLUTE", nodes.math("SINE", nodes.math("MULTIPLY", swell, 0.55)))
     close = nodes.step(axes[1], 24.0, 10.0)
     foam = nodes.math("MULTIPLY", nodes.step(crest, 0.93, 1.0), close)
-    looks.finish(nodes, nodes.mix(foam, shade, (0.80, 0.84, 0.84)), 0.12, height=waves)
-    bump = next(node for node in material.node_tree.nodes if node.type == "BUMP")
-    bump.inputs["Distance"].default_value = 0.35
+    shade = nodes.mix(foam, shade, (0.80, 0.84, 0.84))
+    looks.finish(nodes, shade, 0.12, normal=nodes.bump(waves, 0.35))
     return material
 
 
@@ -117,7 +117,8 @@ def _rock() -> bpy.types.Material:
     normal = nodes.add("NewGeometry", {}).outputs["Normal"]
     up = nodes.add("SeparateXYZ", {0: normal}).outputs[2]
     moss = nodes.step(nodes.math("ADD", up, grain), 0.95, 1.25)
-    looks.finish(nodes, nodes.mix(moss, stone, (0.10, 0.20, 0.03)), 0.8, height=grain)
+    shade = nodes.mix(moss, stone, (0.10, 0.20, 0.03))
+    looks.finish(nodes, shade, 0.8, normal=nodes.bump(grain))
     return material
 
 

@@ -60,7 +60,8 @@ class Wardrobe:
             dark = tuple(0.3 * part for part in colours[0])
             shade = nodes.mix(nodes.step(dirt, 0.45, 0.8), shade, dark)
         rough = chance.uniform(0.06, 0.45) if metal else self._roughness(role)
-        looks.finish(nodes, shade, rough, 1.0 if metal else 0.0, height)
+        normal = None if height is None else nodes.bump(height)
+        looks.finish(nodes, shade, rough, 1.0 if metal else 0.0, normal)
         return material
 
     def _roughness(self, role: str) -> float:
@@ -98,7 +99,7 @@ class Wardrobe:
         spot = nodes.add("Mapping", {0: nodes.spot(), 3: (1.0, chance.uniform(1, 3), 1.0)})
         ripples = noise(nodes, spot.outputs[0], chance.uniform(0.8, 3.0), 2.0)
         deep = colorsys.hsv_to_rgb(chance.uniform(0.3, 0.62), 0.7, chance.uniform(0.02, 0.12))
-        looks.finish(nodes, deep, chance.uniform(0.03, 0.12), 0.0, ripples)
+        looks.finish(nodes, deep, chance.uniform(0.03, 0.12), normal=nodes.bump(ripples))
         return material
 
     def glow(self, strength: float | None = None) -> Material:

@@ -132,19 +132,10 @@ def _water(name: str) -> bpy.types.Material:
     flat = nodes.add("Mapping", {0: where, 3: (0.6, 2.2, 1.0)}).outputs[0]
     ripple = nodes.noise(flat, 1.5, 2.0)
     sparkle = nodes.step(nodes.noise(flat, 7.0, 1.0), 0.75, 0.78)
-    bump = nodes.add("Bump", {"Height": ripple, "Distance": 0.03, "Strength": 0.35})
-    inputs = {
-        "Base Color": (0.03, 0.075, 0.085),
-        "Roughness": 0.05,
-        "IOR": 2.3,
-        "Normal": bump.outputs[0],
-        "Emission Color": (1.0, 0.9, 0.7),
-        "Emission Strength": nodes.math("MULTIPLY", sparkle, 5.0),
-    }
-    shader = nodes.add("BsdfPrincipled", inputs)
-    nodes.add("OutputMaterial", {0: shader.outputs[0]})
-    for aov, value in zip(looks.AOVS, (0.05, 0.0), strict=True):
-        nodes.add("OutputAOV", {"Value": value}, aov_name=aov)
+    normal = nodes.bump(ripple, 0.03, 0.35)
+    glow = nodes.math("MULTIPLY", sparkle, 5.0)
+    colour, light = (0.03, 0.075, 0.085), (1.0, 0.9, 0.7)
+    looks.finish(nodes, colour, 0.05, normal=normal, glow=glow, light=light, ior=2.3)
     return material
 
 

@@ -19,6 +19,7 @@ from typing import Any
 from exwarp_cli.domain.dataset import ROLES, FrameSet, SceneManifest
 from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, MissingFrameError
+from exwarp_cli.io.frame_names import NamePattern
 from exwarp_cli.io.frames import Shot, open_shot
 
 MANIFEST = "manifest.json"
@@ -47,8 +48,9 @@ class RenderedScene:
 
     def path(self, frames: FrameSet, number: int) -> Path:
         """Path of one frame of `manifest.instants` or `manifest.keys`."""
-        digits = frames.pattern.count("#")
-        return self.folder / frames.pattern.replace("#" * digits, f"{number:0{digits}d}")
+        pattern = NamePattern.parse(frames.pattern)
+        assert pattern is not None  # a manifest with another one is refused
+        return self.folder / pattern.name(number)
 
     def missing(self, frames: FrameSet) -> tuple[int, ...]:
         """Numbers of frames that are not there (yet)."""

@@ -19,7 +19,7 @@ from exwarp_cli.domain.frame import (
     place,
 )
 from exwarp_cli.domain.motion import MotionConvention
-from exwarp_cli.errors import DamagedFileError, LayoutError
+from exwarp_cli.errors import DamagedFileError, LayoutError, MissingFrameError
 from exwarp_cli.io.channels import ChannelRef, Layout, Role, detect, require
 from exwarp_cli.io.exr import Channel, ExrReader, Part
 from exwarp_cli.io.sequence import Sequence, find_aov_set, find_sequence
@@ -99,10 +99,21 @@ class Shot:
     display: Window
 
     def files(self, number: int) -> dict[str, Path]:
-        """Files of one frame by AOV; "" is the main one."""
-        return {"": self.sequence.files[number]} | {
-            aov: sequence.files[number] for aov, sequence in self.aovs.items()
-        }
+        """Files of one frame by AOV; "" is the main one.
+
+        Raises
+        ------
+        MissingFrameError
+            When a sequence has no such frame.
+        """
+        sequences = {"": self.sequence, **self.aovs}
+        for sequence in sequences.values():
+            if number not in sequence.files:
+                raise MissingFrameError(
+                    f"{sequence.pattern} lacks frame {number}; finish rendering it, or leave that "
+                    "frame out"
+                )
+        return {aov: sequence.files[number] for aov, sequence in sequences.items()}
 
 
 def open_shot(spec: str) -> Shot:

@@ -140,7 +140,7 @@ def _chain(slots: Sequence[GBuffer], key: GBuffer, way: int) -> list[SlotField]:
         direct = _still(here, before, last, step)
         moved = followed(slot, slots[:count][::-1], way)
         field = moved if direct is None else np.where(np.isnan(direct), moved, direct)
-        out.append(_matched(slot, key, field, count + 1))
+        out.append(matched(slot, key, field, count + 1))
         before = here
     return out
 
@@ -173,8 +173,8 @@ def _fringe(field: Float32, near: Float32, depth: Float32) -> Bool:
     return out
 
 
-def _matched(slot: GBuffer, key: GBuffer, field: Float32, count: int) -> SlotField:
-    """Test a field over `count` slots for holes and ghost outlines."""
+def matched(slot: GBuffer, key: GBuffer, field: Float32, count: int) -> SlotField:
+    """Test the motion field between two instants, `count` slots apart, for holes and outlines."""
     depth = depth_of(slot)
     stencils = (
         (stencil_of(slot), stencil_of(key))

@@ -10,24 +10,16 @@ from exwarp_cli.domain.extrapolator import Extrapolator
 from exwarp_cli.domain.frame import Float32, GBuffer, KeyFrame
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import LayoutError
-from exwarp_cli.synthesis.geometry import SlotField, compose_back, compose_forward, reproject
-
-
-@dataclass(frozen=True)
-class Past:
-    """An older key frame.
-
-    Attributes
-    ----------
-    frame
-        F_k-1 or F_k-2, on the window of F_k; its motion is settled.
-    motion
-        float32 [H, W, 2], pixels: where the points of the key frame after it (F_k for F_k-1) are
-        in this one, minus where they are there; NaN where unknown.
-    """
-
-    frame: KeyFrame
-    motion: Float32
+from exwarp_cli.synthesis.extrapolate import Prepared, prepare
+from exwarp_cli.synthesis.geometry import (
+    SlotField,
+    compose_back,
+    compose_forward,
+    matched,
+    reproject,
+)
+from exwarp_cli.synthesis.history import LookBack, Past, look_back, step_back
+from exwarp_cli.synthesis.trajectory import displacement
 
 
 @dataclass
@@ -56,6 +48,8 @@ class Interval:
     extrapolator: Extrapolator | None = None
     _back: dict[int, SlotField] = field(default_factory=dict)
     _forward: dict[int, SlotField] = field(default_factory=dict)
+    _looked: dict[int, LookBack] = field(default_factory=dict)
+    _extrapolated: dict[int, Float32] = field(default_factory=dict)
 
     @property
     def has_motion(self) -> bool:
@@ -92,6 +86,39 @@ class Interval:
             else:
                 self._forward[slot] = reproject(_moving(self.following), slot / FACTOR - 1)
         return self._forward[slot]
+
+    def between(self, slot: int, earlier: int) -> SlotField:
+        """Motion field from a slot, 2 or 3, to the slot before it."""
+        if earlier != slot - 1 or earlier < 1:
+            raise ValueError(f"slot {earlier} is not the one before slot {slot}")
+        if self.slots:
+            here, before = self.slots[slot - 1], self.slots[earlier - 1]
+            assert here.to_previous is not None
+            return matched(here, before, here.to_previous, 1)
+        there = displacement(_moving(self.key), earlier / FACTOR)
+        return step_back(self.back(slot), there, self.back(earlier))
+
+    def look_back(self, slot: int) -> LookBack:
+        """What is known of the surfaces of a slot, 1 to 3, in this and the older key frames."""
+        if slot not in self._looked:
+            key, back = _moving(self.key), self.back(slot)
+            self._looked[slot] = look_back(slot, back, key, self.past, self.slots)
+        return self._looked[slot]
+
+    def prepared(self, slot: int) -> Prepared:
+        """What a network needs to extrapolate to a slot, 1 to 3."""
+        return prepare(slot, self.back(slot), self.look_back(slot), self.key, self.past)
+
+    def extrapolated(self, slot: int) -> Float32:
+        """E's frame for a slot, 2 or 3: float32 [H, W, C], scene-linear; made once.
+
+        At slot 2 it is E(F), at slot 3 E(P1): the network never sees what was predicted.
+        """
+        assert self.extrapolator is not None
+        if slot not in self._extrapolated:
+            prepared = self.prepared(slot)
+            self._extrapolated[slot] = prepared.finish(self.extrapolator(prepared.inputs))
+        return self._extrapolated[slot]
 
     def hole_mask(self, slot: int) -> np.ndarray | None:
         """bool [H, W]: what the warp from the key frame cannot see; None without motion."""

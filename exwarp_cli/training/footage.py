@@ -5,17 +5,20 @@ from __future__ import annotations
 from collections import OrderedDict
 from dataclasses import replace
 
+from exwarp_cli.domain.extrapolator import HISTORY
 from exwarp_cli.domain.frame import Float32, GBuffer, Image, KeyFrame
 from exwarp_cli.domain.motion import MotionConvention
 from exwarp_cli.domain.timeline import FACTOR
-from exwarp_cli.errors import InputError, MissingFrameError
+from exwarp_cli.errors import InputError
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.dataset import RenderedScene
-from exwarp_cli.io.frames import GEOMETRY, SURFACE, RawFrame, Shot, read_raw
+from exwarp_cli.io.frames import GEOMETRY, SURFACE, Shot, read_raw
 from exwarp_cli.pipeline.source import motion_names, parse_motion
 from exwarp_cli.synthesis.geometry import settle_motion
+from exwarp_cli.synthesis.history import Past
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.span import span_motion
+from exwarp_cli.synthesis.trajectory import displacement
 from exwarp_cli.training.variant import Variant, backwards, mirrored
 
 KEPT = 24
@@ -45,6 +48,12 @@ class Footage:
             raise InputError(
                 f"{scene.folder} has {count} instants, too few for {variant}; leave it out"
             )
+
+    def seen_as(self, variant: Variant) -> Footage:
+        """Return the same scene in another variant, sharing what was read."""
+        other = Footage(self.scene, variant)
+        other._frames = self._frames
+        return other
 
     @property
     def intervals(self) -> range:
@@ -79,11 +88,36 @@ class Footage:
         setting
             "key", or "slot" for G-buffers of the slots.
         """
-        slots: tuple[GBuffer, ...] = ()
-        if setting == "slot":
-            found = (self.slot(k, i).gbuffer for i in range(1, FACTOR))
-            slots = tuple(gbuffer for gbuffer in found if gbuffer is not None)
-        return Interval(self.key(k), self.key(k + 1), slots)
+        return Interval(self.key(k), self.key(k + 1), self._slots(k, setting))
+
+    @property
+    def predictable(self) -> range:
+        """Indices k of the key frames whose slots were all rendered; causal methods need no more."""
+        return range(len(self._order) // FACTOR)
+
+    def causal(self, k: int, setting: str) -> Interval:
+        """Return key interval k for causal synthesis, with its past but without the next key frame.
+
+        Parameters
+        ----------
+        k
+            Out of `predictable`.
+        setting
+            "key", or "slot" for G-buffers of the slots.
+        """
+        newest = newer = self.key(k)
+        past = []
+        for older in (self.key(k - j) for j in range(1, HISTORY) if k >= j):
+            assert newer.gbuffer is not None
+            past.append(Past(older, displacement(newer.gbuffer, -1)))
+            newer = older
+        return Interval(newest, None, self._slots(k, setting), tuple(past))
+
+    def _slots(self, k: int, setting: str) -> tuple[GBuffer, ...]:
+        if setting == "key":
+            return ()
+        found = (self.slot(k, i).gbuffer for i in range(1, FACTOR))
+        return tuple(gbuffer for gbuffer in found if gbuffer is not None)
 
     def _moving(self, index: int, motion: tuple[Float32 | None, Float32 | None]) -> KeyFrame:
         """Return an instant as the variant shows it, with this motion to previous and to next."""
@@ -129,7 +163,7 @@ class Footage:
         """Return an instant as rendered, its motion settled; index from 0."""
         if index not in self._frames:
             shot, number = self.scene.instants, self.scene.manifest.instants.first + index
-            raw = _read(shot, number, (Role.COLOUR, *GEOMETRY, *SURFACE))
+            raw = read_raw(shot, number, (Role.COLOUR, *GEOMETRY, *SURFACE))
             frame = raw.key(self._convention(shot))
             assert frame.gbuffer is not None
             self._frames[index] = replace(frame, gbuffer=settle_motion(frame.gbuffer))
@@ -141,17 +175,8 @@ class Footage:
     def _rendered_key(self, k: int) -> GBuffer:
         """Return the G-buffer of a key frame's own file, its motion settled; k from 0."""
         shot, number = self.scene.keys, self.scene.manifest.keys.first + k
-        raw = _read(shot, number, GEOMETRY)
+        raw = read_raw(shot, number, GEOMETRY)
         return settle_motion(raw.settle(self._convention(shot)))
 
     def _convention(self, shot: Shot) -> MotionConvention:
         return parse_motion(self.scene.manifest.motion, motion_names(shot))
-
-
-def _read(shot: Shot, number: int, roles: tuple[Role, ...]) -> RawFrame:
-    if number not in shot.sequence.files:
-        raise MissingFrameError(
-            f"{shot.sequence.pattern} lacks frame {number}; finish rendering the scene, which goes "
-            "on where it stopped"
-        )
-    return read_raw(shot, number, roles)

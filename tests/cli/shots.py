@@ -10,10 +10,16 @@ from typing import Any
 import numpy as np
 import OpenEXR
 
+from tests.blender_layers import (
+    FLOAT,
+    HALF,
+    Planes,
+    blender_depth,
+    blender_vector,
+    layer,
+    multipart,
+)
 from tests.cli.street import Street
-
-Planes = dict[str, np.ndarray]
-HALF, FLOAT = np.float16, np.float32
 
 HEADER: dict[str, Any] = {
     "compression": OpenEXR.ZIP_COMPRESSION,
@@ -59,33 +65,13 @@ def window(x: int, y: int, width: int, height: int) -> tuple[np.ndarray, np.ndar
     return np.array([x, y], np.int32), np.array([x + width - 1, y + height - 1], np.int32)
 
 
-def layer(name: str, letters: str, image: np.ndarray, kind: type = FLOAT) -> Planes:
-    """Name the channels of an image [H, W, C] or [H, W]."""
-    dot = f"{name}." if name else ""
-    planes = image[..., None] if image.ndim == 2 else image
-    return {
-        f"{dot}{letter}": np.ascontiguousarray(planes[..., i].astype(kind))
-        for i, letter in enumerate(letters)
-    }
-
-
-def blender_vector(geometry: Mapping[str, np.ndarray]) -> np.ndarray:
-    """X, Y: previous minus current; Z, W: current minus next; y up."""
-    p, n = geometry["previous"], geometry["following"]
-    return np.stack([p[..., 0], -p[..., 1], -n[..., 0], n[..., 1]], axis=-1)
-
-
-def blender_depth(geometry: Mapping[str, np.ndarray]) -> np.ndarray:
-    return np.where(np.isinf(geometry["depth"]), 1e10, geometry["depth"])
-
-
 def blender_passes(street: Street, time: float, sign: float = 1.0) -> list[Planes]:
     """The passes with Blender's names, without layer, colour first."""
     g = street.geometry(time)
     return [
         layer("Combined", "RGBA", street.colour(time), HALF),
-        layer("Depth", "Z", blender_depth(g)),
-        layer("Vector", "XYZW", sign * blender_vector(g)),
+        layer("Depth", "Z", blender_depth(g["depth"])),
+        layer("Vector", "XYZW", sign * blender_vector(g["previous"], g["following"])),
         layer("Normal", "XYZ", g["normal"]),
         layer("Position", "XYZ", g["position"]),
         layer("Object Index", "X", g["id"]),
@@ -95,11 +81,7 @@ def blender_passes(street: Street, time: float, sign: float = 1.0) -> list[Plane
 def blender5(path: Path, street: Street, time: float, sign: float = 1.0) -> None:
     """Multi-part, a part a pass, no frame rate."""
     bare = {k: v for k, v in HEADER.items() if k != "framesPerSecond"}
-    parts = {}
-    for planes in blender_passes(street, time, sign):
-        named = {f"ViewLayer.{name}": plane for name, plane in planes.items()}
-        parts[next(iter(named)).rsplit(".", 1)[0]] = named
-    write(path, parts, bare)
+    write(path, multipart(blender_passes(street, time, sign)), bare)
 
 
 def blender4(path: Path, street: Street, time: float) -> None:
@@ -115,7 +97,7 @@ def plain_planes(street: Street, time: float) -> Planes:
     forward = g["following"] * [1, -1]
     return {
         **layer("", "RGBA", street.colour(time), HALF),
-        **layer("", "Z", blender_depth(g)),
+        **layer("", "Z", blender_depth(g["depth"])),
         **layer("forward", "uv", forward),
     }
 
@@ -148,10 +130,9 @@ def unreal(folder: Path, street: Street, time: float, number: int, rate: float =
 def slot_gbuffer(path: Path, street: Street, time: float) -> None:
     """G-buffers of one slot, without colour: vectors to the neighbouring slots."""
     g = street.geometry(time)
-    g = g | {"previous": g["slot_previous"], "following": g["slot_following"]}
     planes = {
-        **layer("Depth", "Z", blender_depth(g)),
-        **layer("Vector", "XYZW", blender_vector(g)),
+        **layer("Depth", "Z", blender_depth(g["depth"])),
+        **layer("Vector", "XYZW", blender_vector(g["slot_previous"], g["slot_following"])),
         **layer("Normal", "XYZ", g["normal"]),
         **layer("Position", "XYZ", g["position"]),
         **layer("IndexOB", "X", g["id"]),

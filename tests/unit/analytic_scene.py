@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tests.blender_layers import HALF, Planes, blender_depth, blender_vector, layer, multipart
 from tests.unit.exr_files import write_parts
 from tests.unit.scenes import SKY, Rectangle, Scene, View, town, vec
 
@@ -53,7 +54,8 @@ def write_scene(folder: Path, instants: int = INSTANTS, **changes: object) -> Pa
         (folder / kind).mkdir(parents=True, exist_ok=True)
         for index in range(count):
             path = folder / kind / f"{name}.{index + 1:04d}.exr"
-            write_parts(path, _parts(town().view(index * step), step))
+            parts = multipart(_layers(town().view(index * step), step))
+            write_parts(path, {part: (planes, {}) for part, planes in parts.items()})
     write_manifest(folder, manifest(name, instants, **changes))
     return folder
 
@@ -78,18 +80,15 @@ def surface(view: View) -> dict[str, np.ndarray]:
 
 
 def mirror_image(scene: Scene) -> Scene:
-    """The scene reflected at the plane x = 0, with its camera."""
+    """The scene reflected at the plane x = 0, with its camera; normals u x v are turned over."""
 
     def reflected(quad: Rectangle) -> Rectangle:
-        # u and v change places, so that the normal u x v is the reflected one.
-        waves = quad.waves
         return replace(
             quad,
             origin=quad.origin * MIRROR,
             u=quad.u * MIRROR,
             v=quad.v * MIRROR,
             velocity=quad.velocity * MIRROR,
-            waves=waves,
         )
 
     camera = scene.camera
@@ -103,29 +102,17 @@ def mirror_image(scene: Scene) -> Scene:
     return replace(scene, quads=tuple(map(reflected, scene.quads)), camera=reflected_camera)
 
 
-def _parts(view: View, step: float) -> dict:
+def _layers(view: View, step: float) -> list[Planes]:
     gbuffer, more = view.gbuffer(step=step), surface(view)
-    before, after = gbuffer.to_previous, gbuffer.to_next
-    vector = np.stack([before[..., 0], -before[..., 1], -after[..., 0], after[..., 1]], axis=-1)
-    layers = {
-        "Combined": ("RGBA", view.colour.astype(np.float16)),
-        "Depth": ("Z", np.where(np.isinf(gbuffer.depth), 1e10, gbuffer.depth)),
-        "Position": ("XYZ", gbuffer.position),
-        "Normal": ("XYZ", gbuffer.normal),
-        "Vector": ("XYZW", vector),
-        "Object Index": ("X", gbuffer.stencil),
-        "Diffuse Color": ("RGB", more["albedo"].astype(np.float16)),
-        "Glossy Color": ("RGB", more["specular"].astype(np.float16)),
-        "Roughness": ("X", more["roughness"]),
-        "Metallic": ("X", more["metallic"]),
-    }
-    parts = {}
-    for name, (letters, image) in layers.items():
-        planes = image[..., None] if image.ndim == 2 else image
-        kind = image.dtype if image.dtype == np.float16 else np.float32
-        named = {
-            f"ViewLayer.{name}.{letter}": np.ascontiguousarray(planes[..., i].astype(kind))
-            for i, letter in enumerate(letters)
-        }
-        parts[f"ViewLayer.{name}"] = (named, {})
-    return parts
+    return [
+        layer("Combined", "RGBA", view.colour, HALF),
+        layer("Depth", "Z", blender_depth(gbuffer.depth)),
+        layer("Position", "XYZ", gbuffer.position),
+        layer("Normal", "XYZ", gbuffer.normal),
+        layer("Vector", "XYZW", blender_vector(gbuffer.to_previous, gbuffer.to_next)),
+        layer("Object Index", "X", gbuffer.stencil),
+        layer("Diffuse Color", "RGB", more["albedo"], HALF),
+        layer("Glossy Color", "RGB", more["specular"], HALF),
+        layer("Roughness", "X", more["roughness"]),
+        layer("Metallic", "X", more["metallic"]),
+    ]

@@ -190,6 +190,11 @@ class TestBadFrames:
         with pytest.raises(MissingFrameError, match=r"a\.0002\.exr does not exist"):
             read_raw(shot, 2)
 
+    def test_a_frame_that_was_never_there(self, tmp_path):
+        shot = self.two(tmp_path, rgba(4, 4))
+        with pytest.raises(MissingFrameError, match=r"a\.####\.exr lacks frame 3; finish"):
+            read_raw(shot, 3)
+
     @pytest.mark.parametrize(("count", "refused"), [(8, False), (9, True), (16, True)])
     def test_mostly_broken_colour(self, tmp_path, count, refused):
         planes = rgba(4, 4)

@@ -60,22 +60,33 @@ class Nodes:
         inputs = {0: self.math("ADD", axes[0], axes[1]), 1: axes[2]}
         return self.add("CombineXYZ", inputs).outputs[0]
 
+    def bump(
+        self, height: Any, distance: float = 0.04, strength: float = 0.7
+    ) -> bpy.types.NodeSocket:
+        """Normal of a surface with a relief; a height of 1 is `distance` metres."""
+        inputs = {"Height": height, "Distance": distance, "Strength": strength}
+        return self.add("Bump", inputs).outputs[0]
+
 
 def finish(
     nodes: Nodes,
     colour: Any,
     roughness: Any = 0.8,
     metallic: float = 0.0,
-    height: Any = None,
-    glow: float = 0.0,
+    normal: Any = None,
+    glow: Any = 0.0,
+    light: Any = None,
+    ior: float = 1.5,
 ) -> None:
-    """Close a material: principled surface, bump from a height, and the two AOV outputs."""
-    inputs = {"Base Color": colour, "Roughness": roughness, "Metallic": metallic}
-    if height is not None:
-        bump = nodes.add("Bump", {"Height": height, "Distance": 0.04, "Strength": 0.7})
-        inputs["Normal"] = bump.outputs[0]
+    """Close a material: principled surface and the two AOV outputs.
+
+    It emits `glow`, a number or a socket, times `light`, or times its own colour without.
+    """
+    inputs = {"Base Color": colour, "Roughness": roughness, "Metallic": metallic, "IOR": ior}
+    if normal is not None:
+        inputs["Normal"] = normal
     if glow:
-        inputs |= {"Emission Color": colour, "Emission Strength": glow}
+        inputs |= {"Emission Color": colour if light is None else light, "Emission Strength": glow}
     shader = nodes.add("BsdfPrincipled", inputs)
     nodes.add("OutputMaterial", {0: shader.outputs[0]})
     for name, value in zip(AOVS, (roughness, metallic), strict=True):
@@ -157,7 +168,7 @@ def cobbles(name: str) -> bpy.types.Material:
     shade = nodes.mix(nodes.math("MULTIPLY", damp, 0.55), shade, (0.04, 0.04, 0.045))
     rough = nodes.math("SUBTRACT", 0.85, nodes.math("MULTIPLY", damp, 0.35))
     height = nodes.math("ADD", stone, nodes.math("MULTIPLY", grain, 0.3))
-    finish(nodes, shade, rough, height=height)
+    finish(nodes, shade, rough, normal=nodes.bump(height))
     return material
 
 

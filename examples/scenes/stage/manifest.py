@@ -1,8 +1,9 @@
-"""The manifest of a rendered scene; this module does without Blender."""
+"""The manifest of a rendered scene, and where scenes lie; this module does without Blender."""
 
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Collection
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -83,6 +84,12 @@ class Manifest:
             "step": INSTANTS_PER_KEY,
         }
         return json.dumps(content, indent=2, ensure_ascii=False) + "\n"
+
+
+def default_data() -> Path:
+    """Return where rendered scenes go unless told: the user's cache folder."""
+    cache = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
+    return Path(cache).expanduser() / "exwarp" / "scenes"
 
 
 def differences(folder: Path, manifest: Manifest, but: Collection[str] = ()) -> list[str]:

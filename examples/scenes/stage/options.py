@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from stage.shooting import KINDS, Order, Script, default_data, shoot
+from stage.manifest import default_data
+from stage.shooting import KINDS, Order, Script, shoot
 
 RESOLUTIONS = {
     "240p": (427, 240),

@@ -38,7 +38,7 @@ class Product:
     passes : tuple of str
         Data passes beside colour.
     shaded : bool
-        Whether there is light, and materials with their own AOVs.
+        Whether there is light; then data passes come with the materials' own AOVs.
     samples : int
         Per pixel.
     """
@@ -130,7 +130,7 @@ def configure(product: Product, fps: int) -> None:
         setattr(layer, f"use_pass_{name}", name in product.passes)
     for aov in list(layer.aovs):
         layer.aovs.remove(aov)
-    for name in AOVS if product.shaded else ():
+    for name in AOVS if product.shaded and product.passes else ():
         added = layer.aovs.add()
         added.name, added.type = name, "VALUE"
 

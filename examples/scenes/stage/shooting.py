@@ -93,12 +93,6 @@ class Order:
     what: frozenset[str] = frozenset(KINDS)
 
 
-def default_data() -> Path:
-    """Return where rendered scenes go unless told: the user's cache folder."""
-    cache = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
-    return Path(cache).expanduser() / "exwarp" / "scenes"
-
-
 def shoot(script: Script, order: Order) -> None:
     """Render what is missing of a scene.
 
@@ -127,11 +121,10 @@ def shoot(script: Script, order: Order) -> None:
         description = _describe(script, order, _build(script, order))
         _refuse_other(folder, description)
         manifest.write(folder, description)
-        target = folder / what
-        target.mkdir(exist_ok=True)
+        (folder / what).mkdir(exist_ok=True)
         render.configure(product, FPS)
         for instant in instants:
-            _make(what, instant, product, _path(script, folder, what, instant), script.seed)
+            _make(script, folder, what, instant, product)
             progress.step(what, instant)
     progress.end()
 
@@ -234,19 +227,17 @@ def _refuse_other(folder: Path, description: Manifest, but: Collection[str] = ()
         )
 
 
-def _make(what: str, instant: int, product: render.Product, target: Path, seed: int) -> None:
+def _make(script: Script, folder: Path, what: str, instant: int, product: render.Product) -> None:
     """Render one file. A key frame is its instant with vectors that span a key interval."""
-    noise = seed * 1000
+    target, noise = _path(script, folder, what, instant), script.seed * 1000
     if what != "keys":
         other = OTHER_NOISE if what == "floor" else 0
         render.render(instant, product, target, noise + other)
         return
-    number = instant + 1
-    source = target.parents[1] / "instants" / f"{target.name[:-8]}{number:04d}.exr"
-    with tempfile.TemporaryDirectory(dir=target.parent, prefix=".part-") as folder:
-        vectors = Path(folder, "vectors.exr")
+    with tempfile.TemporaryDirectory(dir=target.parent, prefix=".part-") as apart:
+        vectors = Path(apart, "vectors.exr")
         render.render(instant, product, vectors, noise)
-        files.join_key(source, vectors, target)
+        files.join_key(_path(script, folder, "instants", instant), vectors, target)
 
 
 class _Progress:
