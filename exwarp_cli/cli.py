@@ -25,6 +25,8 @@ COMMANDS = {
     "upsample": "Write four frames for every rendered one.",
     "inspect": "Show what a sequence holds and how its motion is read.",
     "compare": "Score a sequence against ground truth.",
+    "train": "Train the networks on rendered scenes (extra: train).",
+    "models": "Make models for upsample --extrapolator.",
 }
 """Every command by its module in `exwarp_cli.commands`, with what ``exwarp --help`` says of it."""
 

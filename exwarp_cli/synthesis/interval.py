@@ -46,10 +46,10 @@ class Interval:
     slots: tuple[GBuffer, ...] = ()
     past: tuple[Past, ...] = ()
     extrapolator: Extrapolator | None = None
-    _back: dict[int, SlotField] = field(default_factory=dict)
-    _forward: dict[int, SlotField] = field(default_factory=dict)
-    _looked: dict[int, LookBack] = field(default_factory=dict)
-    _extrapolated: dict[int, Float32] = field(default_factory=dict)
+    _back: dict[int, SlotField] = field(default_factory=dict, init=False)
+    _forward: dict[int, SlotField] = field(default_factory=dict, init=False)
+    _looked: dict[int, LookBack] = field(default_factory=dict, init=False)
+    _extrapolated: dict[int, Float32] = field(default_factory=dict, init=False)
 
     @property
     def has_motion(self) -> bool:

@@ -92,7 +92,7 @@ class Footage:
 
     @property
     def predictable(self) -> range:
-        """Indices k of the key frames whose slots were all rendered; causal methods need no more."""
+        """Indices k of the key frames whose slots were rendered: what causal methods need."""
         return range(len(self._order) // FACTOR)
 
     def causal(self, k: int, setting: str) -> Interval:

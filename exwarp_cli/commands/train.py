@@ -1,0 +1,66 @@
+"""``exwarp train``: learning from rendered scenes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+FOLDER = click.Path(path_type=Path)
+
+
+@click.group("train", invoke_without_command=True)
+@click.pass_context
+def command(ctx: click.Context) -> None:
+    """Train ExWarp's networks on rendered scenes."""
+    if ctx.invoked_subcommand is None:
+        click.echo(ctx.get_help())
+
+
+@command.command("extrapolator")
+@click.option("--data", type=FOLDER, required=True, help="Folder of rendered scenes.")
+@click.option("-o", "--output", type=FOLDER, required=True, help="For checkpoints and the model.")
+@click.option(
+    "--scenes", multiple=True, metavar="GLOB", help="Names to learn from; else all made for it."
+)
+@click.option("--exclude", multiple=True, metavar="GLOB", help="Names to leave out.")
+@click.option("--architecture", default="kernels", show_default=True, metavar="NAME")
+@click.option("--width", type=click.IntRange(4), help="Channels at half resolution.")
+@click.option("--steps", type=click.IntRange(1), default=20000, show_default=True)
+@click.option("--batch", type=click.IntRange(1), default=8, show_default=True, help="In crops.")
+@click.option("--rate", type=float, default=2e-3, show_default=True, help="Of learning.")
+@click.option("--frames", type=click.IntRange(1), default=30, show_default=True, help="Of a scene.")
+@click.option("--seed", type=int, default=0, show_default=True)
+@click.option("--every", type=click.IntRange(1), default=500, show_default=True, help="Checkpoint.")
+@click.option("--cache", type=FOLDER, help="For crops; default: in the data folder's parent.")
+@click.option("--threads", type=click.IntRange(1), help="Default: all cores.")
+def extrapolator(
+    data: Path,
+    output: Path,
+    scenes: tuple[str, ...],
+    exclude: tuple[str, ...],
+    every: int,
+    cache: Path | None,
+    threads: int | None,
+    **options: object,
+) -> None:
+    """Train the network that extrapolates, on a GPU where there is one.
+
+    Stopped at any time, the same command goes on from the last checkpoint. The output folder gets
+    checkpoint.pt, curve.csv (validation on scenes held out), settings.json and extrapolator.onnx.
+    """
+    from exwarp_cli.training.extra import require_train
+
+    require_train()
+    from exwarp_cli.training.extrapolator import TrainingSettings, train_extrapolator
+    from exwarp_cli.training.selection import select
+
+    chosen = select(data, scenes, exclude, _say)
+    settings = TrainingSettings(**options)  # type: ignore[arg-type]
+    crops = cache or data.resolve().parent / "crops"
+    model = train_extrapolator(chosen, output, crops, settings, every, threads, _say)
+    click.echo(f"{model}: give it to exwarp upsample --extrapolator")
+
+
+def _say(line: str) -> None:
+    click.echo(line, err=True)

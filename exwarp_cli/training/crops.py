@@ -1,0 +1,173 @@
+"""Batches of cached crops, in an order and with changes that only the seed and the step decide."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from exwarp_cli.synthesis.extrapolate import UNKNOWN_METALLIC, UNKNOWN_ROUGHNESS
+
+PLANES = ("colour", "mask", "features", "modulation", "target", "time")
+
+DROPPED = 0.3
+"""How often roughness and metallic are left out together, besides what has no surface colour."""
+
+NO_NORMAL = 0.1
+EXPOSURE = 1.0
+"""Stops by which exposure is varied, up and down."""
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Crops as the network and the loss take them; float32 [N, channels, S, S].
+
+    Attributes
+    ----------
+    warped, mask, features, history, time
+        The network's inputs.
+    modulation
+        What its answer, decoded, is multiplied with.
+    target
+        The rendered frame, scene-linear.
+    """
+
+    warped: Tensor
+    mask: Tensor
+    features: Tensor
+    history: Tensor
+    time: Tensor
+    modulation: Tensor
+    target: Tensor
+
+    @property
+    def inputs(self) -> tuple[Tensor, ...]:
+        """What the network is called with."""
+        return self.warped, self.mask, self.features, self.history, self.time
+
+    @property
+    def plain(self) -> Tensor:
+        """The filled warp, scene-linear: what the network has to be better than."""
+        return self.finish(self.warped[:, 3:])
+
+    def finish(self, answer: Tensor) -> Tensor:
+        """Return the scene-linear colour that an answer means."""
+        return decode(answer) * self.modulation
+
+
+class Crops:
+    """All crops of some folders, read as they are needed."""
+
+    def __init__(self, folders: Sequence[Path]) -> None:
+        self._files = [
+            {plane: np.load(folder / f"{plane}.npy", mmap_mode="r") for plane in PLANES}
+            for folder in folders
+        ]
+        counts = [len(files["time"]) for files in self._files]
+        self._places = [(f, i) for f, count in enumerate(counts) for i in range(count)]
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    def batch(self, indices: Sequence[int], device: str = "cpu") -> Batch:
+        """Return crops as they are kept."""
+        parts = {
+            plane: np.stack([self._files[f][plane][i] for f, i in map(self._place, indices)])
+            for plane in PLANES
+        }
+        tensors = {plane: torch.from_numpy(array).to(device) for plane, array in parts.items()}
+        colour, mask = tensors["colour"].float(), tensors["mask"].float()
+        seen = mask[:, :1]
+        history = torch.cat(
+            [
+                torch.cat([colour[:, 3 * j + 3 : 3 * j + 6], mask[:, j : j + 1]], 1)
+                for j in range(mask.shape[1])
+            ],
+            1,
+        )
+        return Batch(
+            warped=torch.cat([history[:, :3] * seen, colour[:, :3]], 1),
+            mask=seen,
+            features=tensors["features"].float(),
+            history=history,
+            time=tensors["time"].float(),
+            modulation=tensors["modulation"].float(),
+            target=tensors["target"].float(),
+        )
+
+    def drawn(self, step: int, size: int, seed: int, device: str = "cpu") -> Batch:
+        """Return the batch of a step of training, varied.
+
+        The order is a new permutation each time that all crops were seen.
+        """
+        first = step * size
+        indices = [self._nth(first + i, seed) for i in range(size)]
+        return varied(self.batch(indices, device), np.random.default_rng((seed, step)))
+
+    def _place(self, index: int) -> tuple[int, int]:
+        return self._places[index]
+
+    def _nth(self, n: int, seed: int) -> int:
+        epoch, offset = divmod(n, len(self))
+        if getattr(self, "_epoch", None) != (epoch, seed):
+            self._epoch = (epoch, seed)
+            self._order = np.random.default_rng((seed, epoch, 1)).permutation(len(self))
+        return int(self._order[offset])
+
+
+def encode(linear: Tensor) -> Tensor:
+    """Return sign(x) log(1 + |x|), as `synthesis.modulation` does."""
+    return torch.sign(linear) * torch.log1p(linear.abs())
+
+
+def decode(coded: Tensor) -> Tensor:
+    """Return the linear values that were encoded."""
+    return torch.sign(coded) * torch.expm1(coded.abs().clamp_max(11.0))
+
+
+def varied(batch: Batch, rng: np.random.Generator) -> Batch:
+    """Turn, flip, re-expose and recolour a batch, and leave out what users may not have.
+
+    The world is turned too: its axes, which normals are given in, are exchanged and reflected.
+    """
+    flips = [axis for axis in (2, 3) if rng.random() < 0.5]
+    turned = rng.random() < 0.5
+
+    def placed(x: Tensor) -> Tensor:
+        x = x.flip(flips) if flips else x
+        return x.transpose(2, 3) if turned else x
+
+    gain = float(2 ** rng.uniform(-EXPOSURE, EXPOSURE))
+    order = rng.permutation(3).tolist()
+
+    def coded(x: Tensor) -> Tensor:
+        return encode(decode(placed(x)) * gain)[:, order]
+
+    frames = [
+        torch.cat([coded(frame[:, :3]), placed(frame[:, 3:])], 1)
+        for frame in torch.split(batch.history, 4, 1)
+    ]
+    return Batch(
+        warped=torch.cat([coded(batch.warped[:, :3]), coded(batch.warped[:, 3:])], 1),
+        mask=placed(batch.mask),
+        features=_features(placed(batch.features), rng),
+        history=torch.cat(frames, 1),
+        time=batch.time,
+        modulation=placed(batch.modulation)[:, order],
+        target=placed(batch.target)[:, order] * gain,
+    )
+
+
+def _features(features: Tensor, rng: np.random.Generator) -> Tensor:
+    axes, signs = rng.permutation(3).tolist(), rng.choice([-1.0, 1.0], 3)
+    normal = features[:, axes] * torch.tensor(signs, dtype=features.dtype).reshape(1, 3, 1, 1)
+    if rng.random() < NO_NORMAL:
+        normal = torch.zeros_like(normal)
+    rest = features[:, 3:].clone()
+    if rng.random() < DROPPED:
+        rest[:, 1], rest[:, 2] = UNKNOWN_ROUGHNESS, UNKNOWN_METALLIC
+    return torch.cat([normal, rest], 1)

@@ -1,0 +1,142 @@
+"""Extrapolation networks as ONNX models, for whoever has no torch."""
+
+from __future__ import annotations
+
+import inspect
+import logging
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from copy import deepcopy
+from pathlib import Path
+from typing import Any
+
+import onnx
+import torch
+from torch import Tensor, nn
+
+from exwarp_cli import __version__
+from exwarp_cli.domain.extrapolator import INPUTS, INTERFACE, OUTPUT, TIME
+from exwarp_cli.io.atomic import atomic_write_bytes
+from exwarp_cli.io.models import INTERFACE_KEY, REQUIRED, STRIDE
+
+OPSET = 18
+"""The exporter's own, so that nothing is converted; onnxruntime runs it since 1.14."""
+
+IR_VERSION = 10
+"""Of the file; onnxruntime reads it since 1.18."""
+
+EXAMPLE = 64
+"""Least height and width of the frame that the network is traced with."""
+
+AXES = {2: "height", 3: "width"}
+
+ABOUT = "exwarp.about"
+"""Key of the metadata that says what a model is."""
+
+
+def export_extrapolator(module: nn.Module, path: Path, *, stride: int, about: str) -> None:
+    """Write a network as a self-contained ONNX model of any height and width.
+
+    The module itself is left as it is, its mode and device included. The same weights give the same
+    bytes with the same versions of torch and onnxscript.
+
+    Parameters
+    ----------
+    module
+        Its ``forward`` takes tensors by the names of `domain.extrapolator.INPUTS` and ``time``, of
+        which it may leave out all but ``warped`` and ``mask``; it returns float32 [1, 3, H, W].
+    path
+        The file to write, whole or not at all.
+    stride
+        Height and width that the network is run with are multiples of this.
+    about
+        One line for whoever looks at the file.
+
+    Raises
+    ------
+    ValueError
+        When forward's parameters or its answer are not those of the interface.
+    OutputError
+        When the file cannot be written.
+    """
+    module = deepcopy(module).cpu().eval()
+    example = _example(module, stride)
+    with _quiet(), torch.no_grad():
+        _check_answer(module(**example), example)
+        model = _trace(module, example, stride)
+    _tidy(model)
+    facts = {INTERFACE_KEY: INTERFACE, STRIDE: str(stride), ABOUT: about}
+    onnx.helper.set_model_props(model, facts)
+    onnx.checker.check_model(model)
+    atomic_write_bytes(path, model.SerializeToString(deterministic=True))
+
+
+def _example(module: nn.Module, stride: int) -> dict[str, Tensor]:
+    """Return inputs for the names in forward's signature, in its order."""
+    rows = max(2, -(-EXAMPLE // stride))
+    size = (rows * stride, (rows + 1) * stride)
+    shapes = {name: (1, channels, *size) for name, channels in INPUTS.items()} | {TIME: (1,)}
+    wanted = list(inspect.signature(module.forward).parameters)
+    if not set(REQUIRED) <= set(wanted) <= set(shapes):
+        raise ValueError(
+            f"forward takes {', '.join(wanted)}; it must take {' and '.join(REQUIRED)}, and may "
+            f"take others out of {', '.join(shapes)}"
+        )
+    return {name: torch.full(shapes[name], 0.5) for name in wanted}
+
+
+def _check_answer(answer: Tensor, example: dict[str, Tensor]) -> None:
+    height, width = example[REQUIRED[0]].shape[2:]
+    if answer.shape != (1, 3, height, width) or answer.dtype != torch.float32:
+        raise ValueError(
+            f"forward returns {answer.dtype} {list(answer.shape)} for {height} rows of {width} "
+            f"pixels, not float32 [1, 3, {height}, {width}]"
+        )
+
+
+def _trace(module: nn.Module, example: dict[str, Tensor], stride: int) -> onnx.ModelProto:
+    """Return the model; fails where the network would be tied to the size of the example.
+
+    Exporting in one step is no choice: where torch.export refuses a size that was made constant,
+    torch.onnx.export falls back to a model of that size without a word.
+    """
+    free = {axis: stride * torch.export.Dim(name, min=2) for axis, name in AXES.items()}
+    shapes = {name: None if name == TIME else free for name in example}
+    program = torch.export.export(module, (), example, dynamic_shapes=shapes)
+    exported = torch.onnx.export(program, opset_version=OPSET, output_names=[OUTPUT], verbose=False)
+    assert exported is not None
+    return exported.model_proto
+
+
+def _tidy(model: onnx.ModelProto) -> None:
+    """Remove what differs between runs and machines: paths of the source, names of free sizes."""
+    graph = model.graph
+    graph.name = OUTPUT
+    model.ir_version = IR_VERSION
+    model.producer_name, model.producer_version = "exwarp", __version__
+    del graph.value_info[:]
+    parts: list[Any] = [model, graph, *graph.node, *graph.input, *graph.output, *graph.initializer]
+    for part in parts:
+        del part.metadata_props[:]
+        part.doc_string = ""
+    for value in (*graph.input, *graph.output):
+        if value.name != TIME:
+            for axis, name in AXES.items():
+                value.type.tensor_type.shape.dim[axis].dim_param = name
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Silence the exporter, which tells of absent torchvision, and of its own deprecations."""
+    loggers = [logging.getLogger(name) for name in ("torch", "torch.onnx", "onnxscript", "onnx_ir")]
+    levels = [logger.level for logger in loggers]
+    try:
+        for logger in loggers:
+            logger.setLevel(logging.ERROR)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        for logger, level in zip(loggers, levels, strict=True):
+            logger.setLevel(level)

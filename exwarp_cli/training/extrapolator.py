@@ -1,0 +1,315 @@
+"""Training an extrapolation network: resumable, seeded, with its validation curve in a file."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import os
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from exwarp_cli.errors import InputError, UsageError
+from exwarp_cli.io.atomic import atomic_path, atomic_write_text, make_folder
+from exwarp_cli.io.dataset import RenderedScene
+from exwarp_cli.training.crops import Batch, Crops
+from exwarp_cli.training.export import export_extrapolator
+from exwarp_cli.training.losses import decibels, loss_of
+from exwarp_cli.training.networks import STRIDE, ExtrapolationNetwork, build
+from exwarp_cli.training.samples import crops_folder, is_whole, write_crops
+
+CHECKPOINT = "checkpoint.pt"
+CURVE = "curve.csv"
+SETTINGS = "settings.json"
+MODEL = "extrapolator.onnx"
+
+WARM_UP = 200
+"""Steps until the learning rate is reached."""
+
+LEAST_RATE = 0.02
+"""What the learning rate ends at, as a share of its highest."""
+
+AVERAGED = 0.998
+"""The network that is kept is a running average of the weights; it forgets that much a step."""
+
+EVERY = 12
+"""One scene in so many is left out of training, to validate on."""
+
+VALIDATED = 192
+"""Crops, at most, that validation looks at, and how many at a time."""
+TOGETHER = 16
+
+CLIPPED = 1.0
+"""Largest norm of a gradient."""
+
+COLUMNS = ("step", "seconds", "loss", "rate", "gain_db", "gain_holes_db")
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class TrainingSettings:
+    """What decides the outcome of a training.
+
+    Attributes
+    ----------
+    architecture
+        Name in `networks.ARCHITECTURES`.
+    width
+        Channels at half resolution; None for the architecture's own.
+    steps
+        Batches to train on.
+    batch
+        Crops in a batch.
+    rate
+        Highest learning rate.
+    frames
+        Frames of each scene that crops are taken of.
+    seed
+        Of weights, crops and their order.
+    scenes
+        Names of the scenes that are trained on, and of those that are validated on.
+    """
+
+    architecture: str = "kernels"
+    width: int | None = None
+    steps: int = 20000
+    batch: int = 8
+    rate: float = 2e-3
+    frames: int = 30
+    seed: int = 0
+    scenes: dict[str, list[str]] = field(default_factory=dict)
+
+
+def split(scenes: Sequence[RenderedScene]) -> tuple[list[RenderedScene], list[RenderedScene]]:
+    """Return scenes to train on and to validate on: every twelfth by name, at least one."""
+    ordered = sorted(scenes, key=lambda s: s.name)
+    if len(ordered) < 2:
+        raise InputError(
+            f"there is {len(ordered)} scene to train on, and one more is needed to validate on; "
+            "render more with examples/scenes/variety.py"
+        )
+    held = ordered[EVERY // 2 :: EVERY] or ordered[-1:]
+    return [s for s in ordered if s not in held], held
+
+
+class Training:
+    """One training under way, in a folder of its own."""
+
+    def __init__(self, folder: Path, settings: TrainingSettings, say: Say) -> None:
+        self.folder, self.settings, self.say = folder, settings, say
+        self.device = "cuda" if torch.cuda.is_available() else "cpu"
+        torch.manual_seed(settings.seed)
+        self.network, self.average = (self._build() for _ in range(2))
+        self.average.load_state_dict(self.network.state_dict())
+        self.optimiser = torch.optim.AdamW(self.network.parameters(), settings.rate)
+        self.step, self.seconds = 0, 0.0
+        self._halved = _fast_halves(self.device)
+        self._open()
+
+    def run(self, crops: Crops, held: Crops, every: int) -> None:
+        """Train to the end; a checkpoint and a line of the curve every so many steps."""
+        begin = time.monotonic() - self.seconds
+        losses: list[float] = []
+        for batch in _ahead(crops, self.step, self.settings, self.device):
+            losses.append(self._learn(batch))
+            self.step += 1
+            self.seconds = time.monotonic() - begin
+            if self.step % every == 0 or self.step == self.settings.steps:
+                self._record(float(np.mean(losses)), *self._validate(held))
+                self._save()
+                losses = []
+
+    def export(self) -> Path:
+        """Write the network as an ONNX model; return its path."""
+        target = self.folder / MODEL
+        about = (
+            f"ExWarp extrapolation network, {self.settings.architecture}, {self.step} steps on "
+            f"{len(self.settings.scenes['training'])} scenes, seed {self.settings.seed}"
+        )
+        export_extrapolator(self.average, target, stride=STRIDE, about=about)
+        return target
+
+    def _build(self) -> ExtrapolationNetwork:
+        network = build(self.settings.architecture, self.settings.width).to(self.device)
+        network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        return network
+
+    def _learn(self, batch: Batch) -> float:
+        for group in self.optimiser.param_groups:
+            group["lr"] = self._rate()
+        self.network.train()
+        with torch.autocast(self.device, torch.bfloat16, enabled=self._halved):
+            answer = self.network(*batch.inputs)
+        made = batch.finish(answer.float())
+        loss = loss_of(made, batch.target, batch.plain, batch.mask)
+        self.optimiser.zero_grad(set_to_none=True)
+        loss.backward()  # type: ignore[no-untyped-call]
+        torch.nn.utils.clip_grad_norm_(self.network.parameters(), CLIPPED)
+        self.optimiser.step()
+        forget = 1 - min(AVERAGED, (1 + self.step) / (10 + self.step))
+        with torch.no_grad():
+            pairs = zip(self.average.parameters(), self.network.parameters(), strict=True)
+            for kept, new in pairs:
+                kept.lerp_(new, forget)
+        return float(loss.detach())
+
+    def _rate(self) -> float:
+        """Learning rate of this step: a straight rise, then half a cosine."""
+        if self.step < WARM_UP:
+            return self.settings.rate * (self.step + 1) / WARM_UP
+        done = (self.step - WARM_UP) / max(1, self.settings.steps - WARM_UP)
+        wave = 0.5 * (1 + math.cos(math.pi * done))
+        return self.settings.rate * (LEAST_RATE + (1 - LEAST_RATE) * wave)
+
+    def _validate(self, held: Crops) -> tuple[float, float]:
+        """Return how many dB the network is above the filled warp: overall, and in holes."""
+        self.average.eval()
+        chosen = np.unique(np.linspace(0, len(held) - 1, min(VALIDATED, len(held))).astype(int))
+        gains: list[float] = []
+        in_holes: list[float] = []
+        with torch.no_grad():
+            for first in range(0, len(chosen), TOGETHER):
+                batch = held.batch(chosen[first : first + TOGETHER].tolist(), self.device)
+                made = batch.finish(self.average(*batch.inputs))
+                plain = batch.plain
+                for where, found in ((None, gains), (1 - batch.mask, in_holes)):
+                    gain = decibels(made, batch.target, where)
+                    found += (gain - decibels(plain, batch.target, where)).tolist()
+        return float(np.nanmean(gains)), float(np.nanmean(in_holes))
+
+    def _open(self) -> None:
+        """Begin in an empty folder, or go on where an earlier run with these settings stopped."""
+        make_folder(self.folder)
+        path = self.folder / SETTINGS
+        wanted = json.dumps(asdict(self.settings), indent=2, sort_keys=True)
+        if path.exists() and path.read_text(encoding="utf-8") != wanted:
+            raise UsageError(
+                f"{self.folder} holds a training with other settings, see {SETTINGS} there; "
+                "repeat those to go on with it, or choose another folder"
+            )
+        atomic_write_text(path, wanted)
+        checkpoint = self.folder / CHECKPOINT
+        if checkpoint.exists():
+            self._restore(torch.load(checkpoint, map_location=self.device, weights_only=True))
+            self.say(f"going on at step {self.step} of {self.settings.steps}")
+
+    def _restore(self, kept: dict[str, Any]) -> None:
+        self.network.load_state_dict(kept["network"])
+        self.average.load_state_dict(kept["average"])
+        self.optimiser.load_state_dict(kept["optimiser"])
+        self.step, self.seconds = kept["step"], kept["seconds"]
+
+    def _save(self) -> None:
+        content = {
+            "network": self.network.state_dict(), "average": self.average.state_dict(),
+            "optimiser": self.optimiser.state_dict(), "step": self.step, "seconds": self.seconds,
+        }  # fmt: skip
+        with atomic_path(self.folder / CHECKPOINT) as temporary:
+            torch.save(content, temporary)
+
+    def _record(self, loss: float, gain: float, in_holes: float) -> None:
+        """Add a line to the curve, from which later ones of a broken run are removed."""
+        path = self.folder / CURVE
+        rows = []
+        if path.exists():
+            with path.open(newline="", encoding="utf-8") as file:
+                rows = [row for row in csv.DictReader(file) if int(row["step"]) < self.step]
+        values = (self.step, round(self.seconds), loss, self._rate(), gain, in_holes)
+        formatted = (v if isinstance(v, int) else f"{v:.5g}" for v in values)
+        rows.append(dict(zip(COLUMNS, map(str, formatted), strict=True)))
+        with atomic_path(path) as temporary, temporary.open("w", newline="") as file:
+            writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(rows)
+        left = self.seconds / self.step * (self.settings.steps - self.step) / 60
+        self.say(
+            f"step {self.step} of {self.settings.steps}: loss {loss:.4f}, held-out scenes "
+            f"{gain:+.2f} dB over the filled warp, {in_holes:+.2f} dB in holes, {left:.0f} min left"
+        )
+
+
+def train_extrapolator(
+    scenes: Sequence[RenderedScene],
+    folder: Path,
+    cache: Path,
+    settings: TrainingSettings,
+    every: int,
+    threads: int | None,
+    say: Say,
+) -> Path:
+    """Train a network and export it; return the model's path.
+
+    Parameters
+    ----------
+    scenes
+        To learn from; every twelfth is held out.
+    folder
+        For checkpoint, curve, settings and model; an earlier run there is gone on with.
+    cache
+        For prepared crops, which later trainings share.
+    settings
+        Of the training; `scenes` in it is filled in here.
+    every
+        Steps between two checkpoints.
+    threads
+        For torch; None for all cores.
+    say
+        Told what happens, in lines.
+    """
+    torch.set_num_threads(threads or os.cpu_count() or 1)
+    parts = dict(zip(("training", "validation"), split(scenes), strict=True))
+    names = {part: [s.name for s in chosen] for part, chosen in parts.items()}
+    settings = TrainingSettings(**(asdict(settings) | {"scenes": names}))
+    training = Training(folder, settings, say)
+    crops = {
+        part: Crops(list(_prepare(chosen, settings, cache, say))) for part, chosen in parts.items()
+    }
+    say(
+        f"{settings.architecture} on {training.device}: {len(crops['training'])} crops of "
+        f"{len(names['training'])} scenes, {len(crops['validation'])} of "
+        f"{len(names['validation'])} held out"
+    )
+    training.run(crops["training"], crops["validation"], every)
+    return training.export()
+
+
+def _fast_halves(device: str) -> bool:
+    """Whether 16-bit floats are faster: with AVX-512 BF16 a step takes two thirds of the time."""
+    if device == "cuda":
+        return bool(torch.cuda.is_bf16_supported())
+    return bool(torch.cpu._is_avx512_bf16_supported())
+
+
+def _prepare(
+    scenes: Sequence[RenderedScene], settings: TrainingSettings, cache: Path, say: Say
+) -> Iterator[Path]:
+    for count, scene in enumerate(scenes, start=1):
+        folder = crops_folder(scene, settings.frames, settings.seed, cache)
+        if not is_whole(folder):
+            say(f"preparing {scene.name}, {count} of {len(scenes)}")
+            write_crops(scene, settings.frames, settings.seed, folder)
+        yield folder
+
+
+def _ahead(crops: Crops, first: int, settings: TrainingSettings, device: str) -> Iterator[Batch]:
+    """Yield the batches of the steps that are left; the next one is read while one is learnt."""
+
+    def draw(step: int) -> Batch:
+        return crops.drawn(step, settings.batch, settings.seed, device)
+
+    with ThreadPoolExecutor(1) as pool:
+        steps = range(first, settings.steps)
+        coming = pool.submit(draw, first) if steps else None
+        for step in steps:
+            assert coming is not None
+            batch = coming.result()
+            coming = pool.submit(draw, step + 1)
+            yield batch

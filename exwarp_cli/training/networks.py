@@ -1,0 +1,219 @@
+"""Extrapolation networks: a gated U-Net at half resolution, and what is made of its answer.
+
+ExtraNet (Guo et al., SIGGRAPH Asia 2021) predicts a residual on the warp with gated convolutions
+at full resolution. Here pixels are first folded two by two into channels, so that the same work
+costs a quarter, and the answer may be weights for candidate colours instead of colour: weights
+cannot invent what no rendered frame shows, which keeps them right on scenes never seen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+STRIDE = 16
+"""Height and width have to be multiples of it."""
+
+PLANES = 25
+"""Channels of all picture inputs together."""
+
+LEAK = 0.1
+"""Slope of the activation below zero."""
+
+CERTAIN = 3.0
+"""How far the filled warp's weight lies above the others', as a logit, before any training."""
+
+
+@dataclass(frozen=True)
+class Architecture:
+    """What a network is made of.
+
+    Attributes
+    ----------
+    width
+        Channels at half resolution; 1.5, 2 and 2 times as many at each of the next three halvings.
+    taps
+        Radius of the kernels over F_k, F_k-1, F_k-2: 0 for the pixel alone, 1 for 3x3.
+    blurs
+        Sizes of the box blurs of the filled warp that are candidates too.
+    candidates
+        Whether candidates are weighed at all.
+    continued
+        Whether the change in shading since F_k-1, continued, is a candidate.
+    flow
+        Number of candidates that are the filled warp, sampled where the network says.
+    residual
+        Whether the network adds colour of its own.
+    """
+
+    width: int = 32
+    taps: tuple[int, int, int] = (0, 0, 0)
+    blurs: tuple[int, ...] = (3, 5, 9)
+    candidates: bool = True
+    continued: bool = True
+    flow: int = 0
+    residual: bool = False
+
+
+ARCHITECTURES: Mapping[str, Architecture] = {
+    "residual": Architecture(candidates=False, residual=True),
+    "blend": Architecture(),
+    "kernels": Architecture(taps=(1, 1, 0)),
+    "kernels-residual": Architecture(taps=(1, 1, 0), residual=True),
+    "kernels-flow": Architecture(taps=(1, 1, 0), flow=2),
+}
+
+
+class Gated(nn.Module):
+    """A convolution and a single-channel gate on it, as in ExtraNet, in one convolution."""
+
+    def __init__(self, given: int, made: int, stride: int = 1) -> None:
+        super().__init__()
+        self.both = nn.Conv2d(given, made + 1, 3, stride, padding=1)
+        with torch.no_grad():
+            # The gate halves what passes; without this a signal is gone after some layers.
+            nn.init.kaiming_normal_(self.both.weight[:-1], LEAK).mul_(2.0)
+            self.both.weight[-1:].mul_(0.5)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Return float [N, made, H / stride, W / stride]."""
+        both = self.both(x)
+        return functional.leaky_relu(both[:, :-1], LEAK) * torch.sigmoid(both[:, -1:])
+
+
+class UNet(nn.Module):
+    """Half resolution down to a sixteenth and back; [N, given, H, W] to [N, made, H, W]."""
+
+    def __init__(self, given: int, made: int, width: int) -> None:
+        super().__init__()
+        sizes = [width, width * 3 // 2, 2 * width, 2 * width]
+        self.fold = nn.PixelUnshuffle(2)
+        self.stem = Gated(4 * given, width)
+        self.first = Gated(width, width)
+        self.down = nn.ModuleList(
+            nn.Sequential(Gated(a, b, 2), Gated(b, b)) for a, b in pairwise(sizes)
+        )
+        self.up = nn.ModuleList(
+            Gated(a + b, b) for a, b in zip(sizes[:0:-1], sizes[-2::-1], strict=True)
+        )
+        self.last = nn.Conv2d(width, 4 * made, 3, padding=1)
+        self.unfold = nn.PixelShuffle(2)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Return the answer for every pixel; height and width are multiples of STRIDE."""
+        x = self.first(self.stem(self.fold(x)))
+        kept = []
+        for down in self.down:
+            kept.append(x)
+            x = down(x)
+        for up in self.up:
+            x = functional.interpolate(x, scale_factor=2.0, mode="nearest")
+            x = up(torch.cat([x, kept.pop()], 1))
+        answer: Tensor = self.unfold(self.last(x))
+        return answer
+
+
+class ExtrapolationNetwork(nn.Module):
+    """The network as it is exported: the inputs of `domain.extrapolator`, colour out."""
+
+    def __init__(self, architecture: Architecture) -> None:
+        super().__init__()
+        self.architecture = architecture
+        count = self._count()
+        made = count + 2 * architecture.flow + 3 * architecture.residual
+        self.net = UNet(PLANES + 1, made, architecture.width)
+        with torch.no_grad():
+            self.net.last.weight.mul_(0.03)
+            bias = torch.zeros(made, 4)
+            if count:
+                bias[0] = CERTAIN
+            assert self.net.last.bias is not None
+            self.net.last.bias.copy_(bias.reshape(-1))
+
+    def forward(
+        self, warped: Tensor, mask: Tensor, features: Tensor, history: Tensor, time: Tensor
+    ) -> Tensor:
+        """Return colour [N, 3, H, W], encoded as the inputs are."""
+        filled = warped[:, 3:]
+        when = time.reshape(-1, 1, 1, 1)
+        plane = torch.zeros_like(mask) + when
+        answer = self.net(torch.cat([warped, mask, features, history, plane], 1))
+        if not self.architecture.candidates:
+            return torch.add(filled, answer)
+        count = self._count()
+        weights = torch.softmax(answer[:, :count].float(), 1)
+        out = torch.zeros_like(filled)
+        flow = answer[:, count : count + 2 * self.architecture.flow].float()
+        candidates = self._candidates(filled, history, when, flow)
+        for index, candidate in enumerate(candidates):
+            out = out + weights[:, index : index + 1] * candidate
+        if self.architecture.residual:
+            out = out + answer[:, -3:]
+        return out
+
+    def _count(self) -> int:
+        """Return how many candidates are weighed."""
+        a = self.architecture
+        if not a.candidates:
+            return 0
+        taps = sum((2 * r + 1) ** 2 for r in a.taps)
+        return 1 + taps + len(a.blurs) + a.continued + a.flow
+
+    def _candidates(
+        self, filled: Tensor, history: Tensor, when: Tensor, flow: Tensor
+    ) -> list[Tensor]:
+        a = self.architecture
+        out = [filled]
+        for index, radius in enumerate(a.taps):
+            frame, seen = history[:, 4 * index : 4 * index + 3], history[:, 4 * index + 3 :][:, :1]
+            # What a frame does not show would be black: the filled warp stands in.
+            frame = torch.where((seen > 0) | (frame != 0), frame, filled)
+            out += _neighbours(frame, radius)
+        out += [_box(filled, size) for size in a.blurs]
+        if a.continued:
+            both = history[:, 3:4] * history[:, 7:8]
+            out.append(filled + when * both * (filled - history[:, 4:7]))
+        for index in range(a.flow):
+            out.append(_moved(filled, flow[:, 2 * index : 2 * index + 2]))
+        return out
+
+
+def _neighbours(frame: Tensor, radius: int) -> list[Tensor]:
+    """Return the frame shifted to every place of a (2 radius + 1) squared window."""
+    if radius == 0:
+        return [frame]
+    height, width = frame.shape[2:]
+    padded = functional.pad(frame, (radius,) * 4, mode="replicate")
+    side = range(2 * radius + 1)
+    return [padded[:, :, y : y + height, x : x + width] for y in side for x in side]
+
+
+def _box(frame: Tensor, size: int) -> Tensor:
+    padded = functional.pad(frame, (size // 2,) * 4, mode="replicate")
+    return functional.avg_pool2d(padded, size, 1)
+
+
+def _moved(frame: Tensor, flow: Tensor) -> Tensor:
+    """Sample a frame at each pixel plus a flow of pixels [N, 2, H, W], x and y."""
+    height, width = frame.shape[2:]
+    rows = torch.arange(height, dtype=flow.dtype, device=flow.device)
+    columns = torch.arange(width, dtype=flow.dtype, device=flow.device)
+    x = (columns + flow[:, 0]) * (2 / (width - 1)) - 1
+    y = (rows[:, None] + flow[:, 1]) * (2 / (height - 1)) - 1
+    grid = torch.stack([x, y], -1)
+    return functional.grid_sample(
+        frame, grid, mode="bilinear", padding_mode="border", align_corners=True
+    )
+
+
+def build(name: str, width: int | None = None) -> ExtrapolationNetwork:
+    """Build a network by the name of its architecture, with another width if given."""
+    architecture = ARCHITECTURES[name]
+    if width is not None:
+        architecture = replace(architecture, width=width)
+    return ExtrapolationNetwork(architecture)

@@ -1,0 +1,212 @@
+"""Crops of rendered scenes to train an extrapolation network with, kept on disk."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from exwarp_cli.domain.extrapolator import HISTORY
+from exwarp_cli.domain.frame import Float32, GBuffer, KeyFrame
+from exwarp_cli.domain.timeline import FACTOR
+from exwarp_cli.io.dataset import RenderedScene
+from exwarp_cli.synthesis.extrapolate import Prepared
+from exwarp_cli.synthesis.interval import Interval
+from exwarp_cli.training.footage import Footage
+from exwarp_cli.training.variant import Variant
+
+VERSION = 1
+"""Of what is kept; crops of another version are made again."""
+
+DONE = "done"
+"""File that is written last."""
+
+SIDE = 128
+CROPS = 2
+"""Crops of each frame."""
+
+HOLE_WEIGHT = 8.0
+MOTION_WEIGHT = 1.0
+"""How much more likely than still, visible ones holes, and pixels of the frame's mean motion, are
+to be the middle of a crop."""
+
+SHORT_HISTORY = 0.1
+"""How likely a frame with fewer than three key frames behind it is chosen, against another one."""
+
+BARE = 0.3
+"""Share of frames that are prepared without surface colour, so not demodulated."""
+
+HIGHEST = 6e4
+"""Linear values are clipped there: half floats end at 65504."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One frame to take crops of.
+
+    Attributes
+    ----------
+    variant
+        Of the scene.
+    k, slot
+        Key interval and slot, 1 to 3.
+    setting
+        "key" or "slot".
+    bare
+        Whether surface colour is left out.
+    """
+
+    variant: Variant
+    k: int
+    slot: int
+    setting: str
+    bare: bool
+
+
+def choices(count: int, frames: int, seed: int) -> list[Choice]:
+    """Choose frames of a scene, always the same ones for the same seed.
+
+    Parameters
+    ----------
+    count
+        Instants that were rendered.
+    frames
+        How many to choose.
+    seed
+        Of the choice.
+    """
+    rng = np.random.default_rng(seed)
+    variants = [Variant(p, backwards=b) for p in range(FACTOR) for b in (False, True)]
+    places = [
+        (variant, k) for variant in variants for k in range(len(variant.order(count)) // FACTOR)
+    ]
+    likely = np.array([1.0 if k >= HISTORY - 1 else SHORT_HISTORY for _, k in places])
+    found = []
+    for index in rng.choice(len(places), frames, p=likely / likely.sum()):
+        variant, k = places[int(index)]
+        slot, setting = int(rng.integers(1, FACTOR)), ("key", "slot")[int(rng.integers(2))]
+        found.append(Choice(variant, k, slot, setting, bool(rng.random() < BARE)))
+    order = {variant: i for i, variant in enumerate(variants)}
+    return sorted(set(found), key=lambda c: (order[c.variant], c.k, c.setting, c.slot, c.bare))
+
+
+def crops_of(scene: RenderedScene, frames: int, seed: int) -> dict[str, np.ndarray]:
+    """Prepare frames of a scene as a user's run would, and cut crops out of them.
+
+    Returns
+    -------
+    dict
+        ``colour`` float16 [N, 12, S, S] (filled warp, then F_k, F_k-1, F_k-2 moved to the slot, as
+        the network sees them), ``mask`` uint8 [N, 3, S, S] (of the last three), ``features``
+        float16 [N, 6, S, S], ``modulation`` and ``target`` float16 [N, 3, S, S] (linear), ``time``
+        float32 [N].
+    """
+    rng = np.random.default_rng(seed)
+    parts: dict[str, list[np.ndarray]] = {}
+    for footage, choice in _by_variant(scene, choices(scene.manifest.instants.count, frames, seed)):
+        interval = footage.causal(choice.k, choice.setting)
+        if choice.bare:
+            interval = _bare(interval)
+        prepared = interval.prepared(choice.slot)
+        truth = footage.truth(choice.k, choice.slot).pixels[..., :3]
+        planes = _planes(prepared, truth)
+        weight = _weight(interval, choice.slot)
+        for _ in range(CROPS):
+            y, x = _corner(weight, rng)
+            for name, array in planes.items():
+                cut = array[:, y : y + SIDE, x : x + SIDE]
+                parts.setdefault(name, []).append(cut.copy())
+            parts.setdefault("time", []).append(np.array(choice.slot / FACTOR, np.float32))
+    return {name: np.stack(arrays) for name, arrays in parts.items()}
+
+
+def crops_folder(scene: RenderedScene, frames: int, seed: int, cache: Path) -> Path:
+    """Return where in a cache a scene's crops lie; those of other settings lie beside them."""
+    token = {
+        "version": VERSION, "side": SIDE, "crops": CROPS, "frames": frames, "seed": seed,
+        "manifest": asdict(scene.manifest),
+    }  # fmt: skip
+    digest = hashlib.sha256(json.dumps(token, sort_keys=True, default=str).encode()).hexdigest()
+    return cache / f"{scene.name}-{digest[:12]}"
+
+
+def is_whole(folder: Path) -> bool:
+    """Whether crops were written there to the end."""
+    return (folder / DONE).exists()
+
+
+def write_crops(scene: RenderedScene, frames: int, seed: int, folder: Path) -> None:
+    """Make a scene's crops (:func:`crops_of`) and write them, one ``.npy`` a plane."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, array in crops_of(scene, frames, seed).items():
+        np.save(folder / f"{name}.npy", array)
+    (folder / DONE).touch()
+
+
+def _by_variant(scene: RenderedScene, chosen: list[Choice]) -> Iterator[tuple[Footage, Choice]]:
+    """Yield each choice with its variant's footage, which neighbouring choices share."""
+    footage = Footage(scene)
+    for choice in chosen:
+        if footage.variant != choice.variant:
+            footage = footage.seen_as(choice.variant)
+        yield footage, choice
+
+
+def _bare(interval: Interval) -> Interval:
+    """Leave out surface colour everywhere."""
+
+    def strip(gbuffer: GBuffer) -> GBuffer:
+        return replace(gbuffer, albedo=None, specular=None)
+
+    def stripped(frame: KeyFrame) -> KeyFrame:
+        return frame if frame.gbuffer is None else replace(frame, gbuffer=strip(frame.gbuffer))
+
+    past = tuple(replace(step, frame=stripped(step.frame)) for step in interval.past)
+    slots = tuple(strip(gbuffer) for gbuffer in interval.slots)
+    return Interval(stripped(interval.key), None, slots, past)
+
+
+def _planes(prepared: Prepared, truth: Float32) -> dict[str, np.ndarray]:
+    inputs = prepared.inputs
+    history = inputs.history.reshape(HISTORY, 4, *inputs.history.shape[1:])
+    colour = np.concatenate([inputs.warped[3:], *history[:, :3]])
+    modulation = prepared.modulation
+    if modulation is None:
+        modulation = np.ones_like(truth)
+    return {
+        "colour": colour.astype(np.float16),
+        "mask": history[:, 3].astype(np.uint8),
+        "features": inputs.features.astype(np.float16),
+        "modulation": _half(modulation),
+        "target": _half(truth),
+    }
+
+
+def _half(linear: Float32) -> np.ndarray:
+    clean = np.nan_to_num(linear, nan=0.0, posinf=HIGHEST, neginf=-HIGHEST)
+    return np.clip(clean, -HIGHEST, HIGHEST).transpose(2, 0, 1).astype(np.float16)
+
+
+def _weight(interval: Interval, slot: int) -> Float32:
+    """How likely each pixel is to be the middle of a crop, float32 [H, W]."""
+    back = interval.back(slot)
+    motion = np.nan_to_num(np.hypot(back.field[..., 0], back.field[..., 1]))
+    mean = max(float(motion.mean()), 0.25)
+    weight = 1 + HOLE_WEIGHT * back.hole + MOTION_WEIGHT * np.minimum(motion / mean, 4)
+    return np.asarray(weight, np.float32)
+
+
+def _corner(weight: Float32, rng: np.random.Generator) -> tuple[int, int]:
+    """Draw the upper left corner (row, column) of a crop by the weight of its middle."""
+    height, width = weight.shape
+    total = np.cumsum(weight.ravel(), dtype=np.float64)
+    index = int(np.searchsorted(total, rng.random() * total[-1]))
+    y, x = divmod(min(index, weight.size - 1), width)
+    return (
+        int(np.clip(y - SIDE // 2, 0, height - SIDE)),
+        int(np.clip(x - SIDE // 2, 0, width - SIDE)),
+    )

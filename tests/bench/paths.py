@@ -1,0 +1,217 @@
+"""Quality of every method on rendered scenes, in both settings; E against W where E works.
+
+``python -m tests.bench.paths --data FOLDER``: needs the five benchmark scenes, which
+``make scenes`` renders. Each scene and setting is kept as it is done, so a broken run goes on.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import os
+import sys
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from exwarp_cli.domain.extrapolator import Extrapolator
+from exwarp_cli.domain.frame import Bool, Float32, GBuffer, KeyFrame
+from exwarp_cli.domain.results import FrameKind, Score
+from exwarp_cli.domain.timeline import FACTOR
+from exwarp_cli.io.dataset import find_scenes
+from exwarp_cli.io.models import load_extrapolator
+from exwarp_cli.kernels import jit
+from exwarp_cli.metrics.registry import METRICS, score
+from exwarp_cli.synthesis.interval import Interval
+from exwarp_cli.synthesis.methods import METHODS as ALL
+from exwarp_cli.training.footage import Footage
+
+SETTINGS = ("key", "slot")
+DROPPED = {
+    "full": (),
+    "diffuse": ("specular", "roughness", "metallic"),
+    "none": ("albedo", "specular", "roughness", "metallic"),
+}
+"""What of the surface is left out, by the name of what is there."""
+
+FIRST = 2
+"""Of the key frames that are judged: from here on all have two others before them."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """One scene in one setting."""
+
+    data: Path
+    scene: str
+    setting: str
+    model: Path | None
+    surface: str
+    every: int
+    methods: tuple[str, ...]
+    out: Path
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    options = _options(arguments)
+    options.out.mkdir(parents=True, exist_ok=True)
+    found = find_scenes(options.data, None if options.scenes else "benchmark", options.scenes)
+    tasks = [
+        Task(
+            options.data, scene.name, setting, options.model, options.surface, options.every,
+            tuple(options.methods), options.out,
+        )
+        for scene in found
+        for setting in options.settings
+    ]  # fmt: skip
+    with ProcessPoolExecutor(options.jobs) as pool:
+        rows = list(pool.map(_judge, tasks))
+    (options.out / "paths.json").write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+    print(table(rows))
+    return 0
+
+
+def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser("python -m tests.bench.paths", description=__doc__)
+    parser.add_argument("--data", type=Path, default=Path("~/.cache/exwarp/scenes").expanduser())
+    parser.add_argument("--scenes", nargs="*", default=[])
+    parser.add_argument("--settings", nargs="*", default=SETTINGS, choices=SETTINGS)
+    parser.add_argument("--methods", nargs="*", default=list(ALL), choices=list(ALL))
+    parser.add_argument("--model", type=Path, help="default: the one that comes with ExWarp")
+    parser.add_argument("--surface", choices=DROPPED, default="full", help="AOVs that are there")
+    parser.add_argument("--every", type=int, default=1, help="judge every so many key intervals")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count())
+    parser.add_argument("--out", type=Path, required=True, help="folder for what was measured")
+    return parser.parse_args(arguments)
+
+
+def _judge(task: Task) -> dict[str, Any]:
+    """Score one scene in one setting, or take what an earlier run found."""
+    model = "shipped" if task.model is None else _digest(task.model)
+    token = f"{task.scene}-{task.setting}-{model}-{task.surface}-{task.every}"
+    token += f"-{hashlib.sha256(','.join(task.methods).encode()).hexdigest()[:6]}"
+    kept = task.out / f"{token}.json"
+    if kept.exists():
+        found: dict[str, Any] = json.loads(kept.read_text(encoding="utf-8"))
+        return found
+    jit.set_threads(1)
+    network = load_extrapolator(task.model, 1, "cpu")
+    (scene,) = find_scenes(task.data, names=[task.scene])
+    footage = Footage(scene)
+    sums: dict[str, dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
+    for k in range(FIRST, len(footage.intervals), task.every):
+        for name, values in _interval(footage, k, task, network):
+            for key, value in values.items():
+                sums[name][key].append(value)
+    row = {
+        "scene": task.scene, "setting": task.setting, "surface": task.surface, "every": task.every,
+        "checksum": network.checksum, "methods": {n: _means(v) for n, v in sums.items()},
+    }  # fmt: skip
+    kept.write_text(json.dumps(row, indent=1) + "\n", encoding="utf-8")
+    print(f"{task.scene} {task.setting} done", file=sys.stderr, flush=True)
+    return row
+
+
+def _interval(
+    footage: Footage, k: int, task: Task, network: Extrapolator
+) -> Iterator[tuple[str, dict[str, float]]]:
+    """Yield method, or method and slot, with the scores of one frame."""
+    causal, ahead = footage.causal(k, task.setting), footage.interval(k, task.setting)
+    full = _without(causal, DROPPED[task.surface])
+    interval = replace(full, following=ahead.following, extrapolator=network)
+    known: dict[bytes, tuple[Score, Score | None]] = {}
+    for slot in range(1, FACTOR):
+        truth = footage.truth(k, slot).pixels
+        mask = interval.hole_mask(slot)
+        for name in task.methods:
+            made = ALL[name].predict(interval, slot)
+            scores = _scored(truth, made.pixels, mask, known)
+            values = _flat(*scores) | {"new": float(made.kind is not FrameKind.DROPPED)}
+            yield name, values
+            yield f"{name}@{slot}", values
+
+
+def _scored(
+    truth: Float32, made: Float32, mask: Bool | None, known: dict[bytes, Any]
+) -> tuple[Score, Score | None]:
+    """Score a frame, once for all the methods that show it."""
+    token = hashlib.sha1(truth.tobytes() + made.tobytes()).digest()
+    if token not in known:
+        known[token] = score(truth, made, mask)
+    found: tuple[Score, Score | None] = known[token]
+    return found
+
+
+def _flat(everywhere: Score, holes: Score | None) -> dict[str, float]:
+    out = {name: value for name, value in asdict(everywhere).items() if name in METRICS}
+    if holes is not None:
+        out |= {f"holes_{name}": value for name, value in asdict(holes).items() if name in METRICS}
+    return out
+
+
+def _means(values: dict[str, list[float]]) -> dict[str, float]:
+    return {key: float(np.mean(found)) for key, found in values.items()} | {
+        "frames": len(values["psnr_db"])
+    }
+
+
+def _without(interval: Interval, parts: tuple[str, ...]) -> Interval:
+    """Leave parts of the surface out everywhere."""
+
+    def strip(gbuffer: GBuffer) -> GBuffer:
+        return replace(gbuffer, **dict.fromkeys(parts))
+
+    def stripped(frame: KeyFrame) -> KeyFrame:
+        return frame if frame.gbuffer is None else replace(frame, gbuffer=strip(frame.gbuffer))
+
+    past = tuple(replace(step, frame=stripped(step.frame)) for step in interval.past)
+    slots = tuple(strip(gbuffer) for gbuffer in interval.slots)
+    return Interval(stripped(interval.key), interval.following, slots, past)
+
+
+def _digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()[:12]
+
+
+def table(rows: Sequence[dict[str, Any]]) -> str:
+    """Return E against W at slots 2 and 3, then every method, as Markdown."""
+    lines = [
+        "| scene | setting | W dB | E dB | gain | W holes | E holes | gain | SSIM W | SSIM E |",
+        "|---|---|---|---|---|---|---|---|---|---|",
+    ]
+    for row in rows:
+        found = row["methods"]
+        w, e = (
+            {
+                key: np.mean([found[f"{name}@{slot}"].get(key, np.nan) for slot in (2, 3)])
+                for key in ("psnr_db", "holes_psnr_db", "ssim")
+            }
+            for name in ("s6", "s3")
+        )
+        lines.append(
+            f"| {row['scene']} | {row['setting']} | {w['psnr_db']:.2f} | {e['psnr_db']:.2f} | "
+            f"{e['psnr_db'] - w['psnr_db']:+.2f} | {w['holes_psnr_db']:.2f} | "
+            f"{e['holes_psnr_db']:.2f} | {e['holes_psnr_db'] - w['holes_psnr_db']:+.2f} | "
+            f"{w['ssim']:.4f} | {e['ssim']:.4f} |"
+        )
+    lines += ["", "| scene | setting | method | dB | SSIM | FLIP | holes dB | x fps |"]
+    lines.append("|---|---|---|---|---|---|---|---|")
+    for row in rows:
+        for name, m in row["methods"].items():
+            if "@" not in name:
+                lines.append(
+                    f"| {row['scene']} | {row['setting']} | {name} | {m['psnr_db']:.2f} | "
+                    f"{m['ssim']:.4f} | {m['flip']:.4f} | {m.get('holes_psnr_db', np.nan):.2f} | "
+                    f"{1 + (FACTOR - 1) * m['new']:.0f} |"
+                )
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,119 @@
+"""A slot's surfaces and where they were, against a scene whose content is known exactly."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from exwarp_cli.io.dataset import open_scene
+from exwarp_cli.synthesis.interval import Interval
+from exwarp_cli.training.footage import Footage
+from tests.unit.analytic_scene import STEP, surface, write_scene
+from tests.unit.scenes import SKY, View, town
+
+K = 3
+SETTINGS = ("key", "slot")
+SLOTS = (1, 2, 3)
+
+
+@pytest.fixture(scope="module")
+def footage(tmp_path_factory) -> Footage:
+    folder: Path = write_scene(tmp_path_factory.mktemp("data") / "analytic")
+    return Footage(open_scene(folder))
+
+
+@pytest.fixture(scope="module", params=SETTINGS)
+def interval(request, footage) -> Interval:
+    return footage.causal(K, request.param)
+
+
+def view(k: int, slot: int = 0) -> View:
+    return town().view(STEP * (4 * k + slot))
+
+
+def seen_in(here: View, there: View) -> np.ndarray:
+    """bool [H, W]: the other view shows this one's surface point, well inside the frame."""
+    shown = (here.source_surface(there) == here.surface) & here.inside(3)
+    return np.asarray(shown & np.isfinite(here.motion_to(there.time)).all(axis=-1))
+
+
+@pytest.mark.parametrize("slot", SLOTS)
+def test_the_past_is_where_the_scene_says(interval, slot):
+    found, here = interval.look_back(slot), view(K, slot)
+    assert len(found.fields) == len(found.hidden) == 2
+    for count, (field, hidden) in enumerate(zip(found.fields, found.hidden, strict=True), 1):
+        there = view(K - count)
+        through_key = seen_in(here, view(K)) & seen_in(here, view(K - 1))
+        told = seen_in(here, there) & through_key & ~hidden
+        assert told.mean() > 0.5
+        gap = np.linalg.norm(field - here.motion_to(there.time), axis=-1)[told]
+        assert np.percentile(gap, 99) < 0.3
+        truly = seen_in(here, there)
+        assert (hidden & truly & through_key).mean() < 0.03
+        elsewhere = here.inside(3) & (here.source_surface(there) != here.surface)
+        assert (hidden & elsewhere).sum() > 0.7 * elsewhere.sum()
+
+
+@pytest.mark.parametrize("slot", SLOTS)
+def test_the_surfaces_are_those_of_the_slot(interval, slot):
+    found, here = interval.look_back(slot), view(K, slot)
+    assert found.unknown.mean() < 0.1
+    known = ~found.unknown & here.inside(2)
+    same = (found.surface.stencil == here.gbuffer().stencil) & known
+    assert same.sum() > 0.97 * known.sum()
+    solid = same & (here.surface != SKY) & np.isfinite(found.surface.depth)
+    # Key G-buffers tell the depth that a surface had at the key frame.
+    np.testing.assert_allclose(found.surface.depth[solid], here.depth[solid], rtol=0.35)
+    for name, plane in surface(here).items():
+        made = getattr(found.surface, name)
+        assert np.mean(np.abs(made - plane)[solid]) < 0.02, name
+
+
+def test_holes_are_looked_for_in_the_frame_before(footage):
+    with_past = footage.causal(K, "key")
+    without = replace(with_past, past=())
+    slot = 3
+    before, after = without.look_back(slot), with_past.look_back(slot)
+    gained = before.unknown & ~after.unknown
+    assert gained.sum() > 20
+    here = view(K, slot)
+    right = after.surface.stencil == here.gbuffer().stencil
+    assert right[gained].mean() > 0.7
+    assert not after.hidden[0][gained].any()
+
+
+@pytest.mark.parametrize("setting", SETTINGS)
+def test_history_ends_where_the_render_begins(footage, setting):
+    for k, older in ((0, 0), (1, 1), (2, 2), (3, 2)):
+        found = footage.causal(k, setting).look_back(2)
+        assert len(found.fields) == len(found.hidden) == older
+
+
+@pytest.mark.parametrize("setting", SETTINGS)
+def test_history_ends_at_a_frame_without_geometry(footage, setting):
+    interval = footage.causal(K, setting)
+    newer, older = interval.past
+    blind = replace(older, frame=replace(older.frame, gbuffer=None))
+    found = replace(interval, past=(newer, blind)).look_back(2)
+    assert len(found.fields) == 1
+
+
+@pytest.mark.parametrize("slot", [2, 3])
+def test_the_slot_before_is_where_the_scene_says(interval, slot):
+    here, there = view(K, slot), view(K, slot - 1)
+    found = interval.between(slot, slot - 1)
+    shown = seen_in(here, there) & seen_in(here, view(K)) & ~found.hole
+    gap = np.linalg.norm(found.field - here.motion_to(there.time), axis=-1)[shown]
+    assert shown.mean() > 0.6
+    assert np.percentile(gap, 99) < 0.3
+    elsewhere = here.inside(3) & (here.source_surface(there) != here.surface)
+    assert found.hole[elsewhere].mean() > 0.7
+
+
+@pytest.mark.parametrize(("slot", "earlier"), [(1, 0), (3, 1), (2, 2)])
+def test_only_neighbouring_slots_are_led_between(interval, slot, earlier):
+    with pytest.raises(ValueError, match="not the one before"):
+        interval.between(slot, earlier)
