@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
+from exwarp_cli.domain.settings import DEVICES, SourceSettings, UpsampleSettings
 from exwarp_cli.pipeline.progress import KINDS
 
 if TYPE_CHECKING:
@@ -45,8 +45,8 @@ class FrameRate(click.ParamType[Fraction]):
     default=UpsampleSettings.method,
     show_default=True,
     metavar="NAME",
-    help="s6: warp the last key frame; softsplat: warp both neighbours and blend by depth; "
-    "blend: cross-fade; hold: repeat.",
+    help="softsplat: warp both neighbours and blend by depth; s6: warp the last key frame; s1 to "
+    "s5: the paper's other paths, which extrapolate by a network; blend: cross-fade; hold: repeat.",
 )
 @click.option("--frames", metavar="RANGE", help="Key frames to do, by number: 1001-1100x2, 1-10:2.")
 @click.option("--gbuffers", metavar="SEQ", help="G-buffers rendered at the output rate.")
@@ -55,6 +55,18 @@ class FrameRate(click.ParamType[Fraction]):
     metavar="CONVENTION",
     help="Read vectors so, and measure nothing: a "
     "preset (blender, unreal, forward, backward) or e.g. 'previous=X,-Y next=-Z,W'.",
+)
+@click.option(
+    "--extrapolator",
+    metavar="FILE",
+    help="ONNX network for s1 to s5; else the one that comes with ExWarp.",
+)
+@click.option(
+    "--device",
+    type=click.Choice(DEVICES),
+    default=UpsampleSettings.device,
+    show_default=True,
+    help="What the network runs on.",
 )
 @click.option("--fps", type=FrameRate(), help="Rate of the input; else the header's, else 30.")
 @click.option("--start-frame", type=int, help="Number of the first output frame.")

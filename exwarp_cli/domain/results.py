@@ -117,6 +117,25 @@ class InputSummary:
 
 
 @dataclass(frozen=True)
+class NetworkSummary:
+    """The network that extrapolated.
+
+    Attributes
+    ----------
+    file
+        Path of the model.
+    sha256
+        Of the model's file, hexadecimal.
+    device
+        "cpu" or "cuda".
+    """
+
+    file: str
+    sha256: str
+    device: str
+
+
+@dataclass(frozen=True)
 class RunSummary:
     """A whole `upsample` run.
 
@@ -139,6 +158,8 @@ class RunSummary:
         One record a written frame, ascending.
     path
         Decision path S1 to S6 that the method stands for; None outside the paper's paths.
+    extrapolator
+        None for methods that do not extrapolate.
     """
 
     method: str
@@ -150,3 +171,4 @@ class RunSummary:
     wall_seconds: float
     frames: tuple[FrameRecord, ...]
     path: str | None = None
+    extrapolator: NetworkSummary | None = None

@@ -64,7 +64,11 @@ class UpsampleSettings:
     write_holes
         Folder or pattern for hole masks.
     threads
-        For encoding and the kernels; None for all cores.
+        For encoding, the kernels and the network; None for all cores.
+    extrapolator
+        ONNX file of the network that extrapolates; None for the one that comes with ExWarp.
+    device
+        Out of `DEVICES`: what the network runs on.
     """
 
     source: SourceSettings
@@ -79,7 +83,12 @@ class UpsampleSettings:
     exposure: float = 0.0
     write_holes: str | None = None
     threads: int | None = None
+    extrapolator: str | None = None
+    device: str = "cpu"
 
+
+DEVICES = ("cpu", "cuda")
+"""What networks run on."""
 
 DEFAULT_FPS = Fraction(30)
 """Base rate where neither the user nor the header tells one."""

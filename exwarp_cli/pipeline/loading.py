@@ -8,17 +8,41 @@ import time
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import takewhile
 
 from exwarp_cli import __version__
+from exwarp_cli.domain.extrapolator import HISTORY
 from exwarp_cli.domain.frame import GBuffer, Image, KeyFrame
+from exwarp_cli.domain.results import NetworkSummary
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR, Slot
 from exwarp_cli.io.channels import Role
-from exwarp_cli.io.frames import GEOMETRY, Shot, read_image, read_raw
+from exwarp_cli.io.frames import GEOMETRY, SURFACE, Shot, read_image, read_raw
 from exwarp_cli.io.output import Template, file_digest, read_template
 from exwarp_cli.io.sequence import Sequence
 from exwarp_cli.pipeline.source import FrameOf, Source
 from exwarp_cli.synthesis.methods import Method
+
+DIGESTS = 32
+"""Files' digests that are kept: more than the frames that one interval depends on."""
+
+
+@dataclass(frozen=True)
+class Older:
+    """A key frame before the interval's own.
+
+    Attributes
+    ----------
+    frame
+        As read.
+    instants
+        With slot G-buffers those on the way to it, without surface: the key frame after it, the
+        slots between from the last to the first, and this key frame; motion reaches over one slot.
+        Empty in the key setting.
+    """
+
+    frame: KeyFrame
+    instants: tuple[GBuffer, ...]
 
 
 @dataclass(frozen=True)
@@ -34,6 +58,9 @@ class Loaded:
         slot of the interval was found written, and nothing has to be computed.
     slots
         G-buffers of slots 1 to 3, empty in the key setting.
+    past
+        The key frames before, the newest first, as far as motion leads back to them; only for
+        methods that extrapolate.
     truth
         Ground truth by slot, where there is some.
     template
@@ -48,6 +75,7 @@ class Loaded:
     frame: KeyFrame | None
     following: KeyFrame | None
     slots: tuple[GBuffer, ...]
+    past: tuple[Older, ...]
     truth: dict[int, Image]
     template: Template
     recipes: dict[int, str]
@@ -55,7 +83,7 @@ class Loaded:
 
 
 class IntervalLoader:
-    """Reads intervals in order; the frame that two intervals share is read once."""
+    """Reads intervals in order; what several intervals share is read once."""
 
     def __init__(
         self,
@@ -63,12 +91,15 @@ class IntervalLoader:
         method: Method,
         settings: UpsampleSettings,
         truth: tuple[Sequence, FrameOf] | None,
+        network: NetworkSummary | None = None,
     ) -> None:
         self._source = source
         self._method = method
         self._settings = settings
         self._truth = truth
-        self._frames: OrderedDict[int, KeyFrame] = OrderedDict()
+        self._network = network
+        self._frames: dict[int, KeyFrame] = {}
+        self._instants: dict[Slot, GBuffer] = {}
         self._digests: OrderedDict[tuple[int, int], str] = OrderedDict()
 
     def load(self, key: int, needed: Callable[[int, dict[int, str]], bool]) -> Loaded:
@@ -87,28 +118,37 @@ class IntervalLoader:
         number = source.timeline.numbers[key]
         last = key + 1 == len(source.timeline.numbers)
         lookahead = self._method.lookahead and not last
-        slots = self._slot_numbers(key)
-        recipes = self._recipes(key, lookahead, slots)
+        recipes = self._recipes(key, lookahead)
         template = read_template(
             source.keys.sequence.files[number], source.keys.layout.roles[Role.COLOUR]
         )
         if not needed(key, recipes):
             elapsed = 1e3 * (time.perf_counter() - begin)
-            return Loaded(key, None, None, (), {}, template, recipes, elapsed)
+            return Loaded(key, None, None, (), (), {}, template, recipes, elapsed)
         frame = self._key_frame(key)
         following = self._key_frame(key + 1) if lookahead else None
-        gbuffers = tuple(self._slot_gbuffer(n) for n in slots)
+        gbuffers = tuple(self._slot_gbuffer(slot) for slot in self._slots(key))
+        past = tuple(Older(self._key_frame(i), self._way_back(i)) for i in self._history(key))
         truth = self._read_truth(key)
+        self._forget(key)
         elapsed = 1e3 * (time.perf_counter() - begin)
-        return Loaded(key, frame, following, gbuffers, truth, template, recipes, elapsed)
+        return Loaded(key, frame, following, gbuffers, past, truth, template, recipes, elapsed)
 
-    def _slot_numbers(self, key: int) -> tuple[int, ...]:
-        """Numbers of the slot G-buffers of an interval; empty when not all are there."""
-        numbers = [self._source.slot_number(Slot(key, i)) for i in range(1, FACTOR)]
-        return tuple(n for n in numbers if n is not None) if None not in numbers else ()
+    def _slots(self, key: int) -> tuple[Slot, ...]:
+        """Return the slots of an interval that have G-buffers: all three, or none."""
+        slots = tuple(Slot(key, i) for i in range(1, FACTOR))
+        known = all(self._source.slot_number(slot) is not None for slot in slots)
+        return slots if known else ()
+
+    def _history(self, key: int) -> tuple[int, ...]:
+        """Return the indices of the key frames that lead back from one, the newest first."""
+        if not self._method.extrapolates:
+            return ()
+        older = tuple(range(key - 1, max(key - HISTORY, -1), -1))
+        return older if self._source.slots is None else tuple(takewhile(self._slots, older))
 
     def _key_frame(self, key: int) -> KeyFrame:
-        """Read a key frame, or take it from the last two read."""
+        """Read a key frame, unless it is at hand."""
         if key not in self._frames:
             source = self._source
             number = source.timeline.numbers[key]
@@ -117,13 +157,9 @@ class IntervalLoader:
                 frame = read_raw(source.keys, number, self._key_roles).key(convention)
             else:
                 frame = read_raw(source.keys, number, (Role.COLOUR,)).key(None)
-                slot = source.slot_number(Slot(key, 0))
-                assert slot is not None
-                gbuffer = _stretched(self._slot_gbuffer(slot))
+                gbuffer = _stretched(self._slot_gbuffer(Slot(key, 0)))
                 frame = replace(frame, gbuffer=gbuffer.on(frame.image.data_window))
             self._frames[key] = frame
-            while len(self._frames) > 2:
-                self._frames.popitem(last=False)
         return self._frames[key]
 
     @property
@@ -131,19 +167,43 @@ class IntervalLoader:
         """What is read of a key frame in the key setting.
 
         Methods without motion still report holes by the geometry. Normals tell nothing there but
-        Unreal's background, in sets of one file per AOV.
+        Unreal's background, in sets of one file per AOV; networks want them, and the surface.
         """
         if self._source.finding is None:
             return (Role.COLOUR,)
+        if self._method.extrapolates:
+            return (Role.COLOUR, *GEOMETRY, *SURFACE)
         if self._source.keys.aovs:
             return (Role.COLOUR, *GEOMETRY)
         return (Role.COLOUR, *(role for role in GEOMETRY if role is not Role.NORMAL))
 
-    def _slot_gbuffer(self, number: int) -> GBuffer:
+    def _slot_gbuffer(self, slot: Slot) -> GBuffer:
+        """Read the G-buffer of a slot; what leads through it stays at hand."""
         source = self._source
-        assert source.slots is not None
+        number = source.slot_number(slot)
+        assert source.slots is not None and number is not None
         convention = None if source.finding is None else source.finding.convention
-        return read_raw(source.slots, number, GEOMETRY).settle(convention)
+        roles = (*GEOMETRY, *SURFACE) if self._method.extrapolates else GEOMETRY
+        gbuffer = read_raw(source.slots, number, roles).settle(convention)
+        if self._method.extrapolates:
+            self._instants[slot] = without_surface(gbuffer)
+        return gbuffer
+
+    def _way_back(self, key: int) -> tuple[GBuffer, ...]:
+        """Return the instants from the key frame after this one back to it."""
+        if self._source.slots is None:
+            return ()
+        way = between(key)
+        for slot in way:
+            if slot not in self._instants:
+                self._slot_gbuffer(slot)
+        return tuple(self._instants[slot] for slot in way)
+
+    def _forget(self, key: int) -> None:
+        """Drop what no interval after this one needs."""
+        oldest = key + 1 - (HISTORY - 1 if self._method.extrapolates else 0)
+        self._frames = {i: frame for i, frame in self._frames.items() if i >= oldest}
+        self._instants = {s: buffer for s, buffer in self._instants.items() if s.key >= oldest}
 
     def _read_truth(self, key: int) -> dict[int, Image]:
         if self._truth is None:
@@ -156,18 +216,17 @@ class IntervalLoader:
                 found[slot.index] = read_image(sequence.files[number])
         return found
 
-    def _recipes(self, key: int, lookahead: bool, slots: tuple[int, ...]) -> dict[int, str]:
-        """Digest what each slot's frame depends on: sources, settings and version."""
+    def _recipes(self, key: int, lookahead: bool) -> dict[int, str]:
+        """Digest what each slot's frame depends on: sources, settings, version and network."""
         source, settings = self._source, self._settings
-        numbers = source.timeline.numbers
-        files = [self._digest(source.keys, numbers[key])]
-        if lookahead:
-            files.append(self._digest(source.keys, numbers[key + 1]))
+        history = self._history(key)
+        keys = (key, *((key + 1,) if lookahead else ()), *history)
+        files = [self._digest(source.keys, source.timeline.numbers[i]) for i in keys]
         if source.slots is not None:
-            keys = [source.slot_number(Slot(key, 0))]
-            if lookahead:
-                keys.append(source.slot_number(Slot(key + 1, 0)))
-            files += [self._digest(source.slots, n) for n in (*keys, *slots) if n is not None]
+            instants = [*(Slot(i, 0) for i in keys), *self._slots(key)]
+            instants += [slot for i in history for slot in self._slots(i)]
+            numbers = [source.slot_number(slot) for slot in instants]
+            files += [self._digest(source.slots, n) for n in numbers if n is not None]
         common = {
             "version": __version__,
             "method": self._method.name,
@@ -177,6 +236,8 @@ class IntervalLoader:
             "fps": str(source.fps),
             "files": files,
         }
+        if self._network is not None:
+            common["network"] = [self._network.sha256, self._network.device]
         return {
             slot.index: hashlib.sha256(
                 json.dumps(common | {"slot": slot.index}, sort_keys=True).encode()
@@ -190,9 +251,19 @@ class IntervalLoader:
         if token not in self._digests:
             digests = {aov: file_digest(path) for aov, path in shot.files(number).items()}
             self._digests[token] = json.dumps(digests, sort_keys=True)
-            while len(self._digests) > 16:
+            while len(self._digests) > DIGESTS:
                 self._digests.popitem(last=False)
         return self._digests[token]
+
+
+def without_surface(gbuffer: GBuffer) -> GBuffer:
+    """Return what motion is found by: a third of the memory, where frames are kept for later."""
+    return replace(gbuffer, normal=None, albedo=None, specular=None, roughness=None, metallic=None)
+
+
+def between(key: int) -> tuple[Slot, ...]:
+    """Return the instants from the key frame after one back to it."""
+    return (Slot(key + 1, 0), *(Slot(key, i) for i in range(FACTOR - 1, -1, -1)))
 
 
 def _stretched(gbuffer: GBuffer) -> GBuffer:

@@ -13,15 +13,7 @@ from typing import Any
 import numpy as np
 
 from exwarp_cli import __version__
-from exwarp_cli.domain.frame import (
-    Bool,
-    Float32,
-    Image,
-    KeyFrame,
-    Window,
-    broken_pixels,
-    place,
-)
+from exwarp_cli.domain.frame import Bool, Float32, Image, broken_pixels, place
 from exwarp_cli.domain.results import FrameKind, FrameRecord
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR, Slot
@@ -39,12 +31,12 @@ from exwarp_cli.io.output import (
 )
 from exwarp_cli.io.video import VideoWriter, to_display
 from exwarp_cli.metrics.registry import score
+from exwarp_cli.pipeline.geometry import Staging
 from exwarp_cli.pipeline.loading import IntervalLoader, Loaded
 from exwarp_cli.pipeline.progress import Progress
 from exwarp_cli.pipeline.schedule import WriteBehind, read_ahead
 from exwarp_cli.pipeline.source import Source
 from exwarp_cli.pipeline.targets import Targets, key_is_there, slot_is_there
-from exwarp_cli.synthesis.geometry import settle_motion
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import Method
 
@@ -61,9 +53,9 @@ class Run:
     method: Method
     targets: Targets
     progress: Progress
+    staging: Staging
     records: list[FrameRecord] = field(default_factory=list)
     _write_ms: dict[int, float] = field(default_factory=dict)
-    _settled: dict[tuple[int, Window], KeyFrame] = field(default_factory=dict)
 
     def write_all(self, loader: IntervalLoader, keys: tuple[int, ...]) -> tuple[FrameRecord, ...]:
         """Work through the intervals: reading ahead, computing here, writing behind."""
@@ -109,7 +101,7 @@ class Run:
         number = self.source.timeline.numbers[loaded.key]
         self._pass_key(loaded, number, writer, video)
         begin = time.perf_counter()
-        interval = self._geometry(loaded)
+        interval = None if loaded.frame is None else self.staging.interval(loaded)
         geometry_ms = 1e3 * (time.perf_counter() - begin)
         slots = self.source.timeline.slots_of(loaded.key)[1:]
         for slot in slots:
@@ -146,30 +138,6 @@ class Run:
             video.write(self._display(image))
         self.progress.advance(output, "key")
 
-    def _geometry(self, loaded: Loaded) -> Interval | None:
-        """Bring an interval's frames onto one window and settle their motion."""
-        if loaded.frame is None:
-            return None
-        canvas = self.source.keys.display.union(loaded.frame.image.data_window)
-        if loaded.following is not None:
-            canvas = canvas.union(loaded.following.image.data_window)
-        slots = tuple(settle_motion(gbuffer.on(canvas)) for gbuffer in loaded.slots)
-        frames = [
-            None if frame is None else self._settle(frame, canvas)
-            for frame in (loaded.frame, loaded.following)
-        ]
-        self._settled = {(f.number, canvas): f for f in frames if f is not None}
-        assert frames[0] is not None
-        return Interval(frames[0], frames[1], slots)
-
-    def _settle(self, frame: KeyFrame, canvas: Window) -> KeyFrame:
-        known = self._settled.get((frame.number, canvas))
-        if known is not None:
-            return known
-        placed = frame.extended(canvas)
-        gbuffer = None if placed.gbuffer is None else settle_motion(placed.gbuffer)
-        return replace(placed, gbuffer=gbuffer)
-
     def _make(
         self, slot: Slot, interval: Interval, loaded: Loaded, writer: WriteBehind
     ) -> tuple[FrameRecord, Image]:
@@ -192,7 +160,7 @@ class Run:
             sources=predicted.sources,
             hole_fraction=_fraction(mask),
             nonfinite_pixels=_nonfinite(loaded, predicted.sources),
-            timing_ms={"warp" if predicted.method != "hold" else "hold": elapsed},
+            timing_ms={predicted.made_by: elapsed},
         )
         attributes = self._attributes(record, loaded.recipes[slot.index])
         target = self.targets.frames.path(record.number)
@@ -302,9 +270,8 @@ def _fraction(mask: Bool | None) -> float | None:
 
 def _nonfinite(loaded: Loaded, sources: tuple[int, ...]) -> int:
     """How many pixels of the source frames are NaN or infinite."""
+    frames = (loaded.frame, loaded.following, *(older.frame for older in loaded.past))
     pixels: list[Float32] = [
-        frame.image.pixels
-        for frame in (loaded.frame, loaded.following)
-        if frame is not None and frame.number in sources
+        frame.image.pixels for frame in frames if frame is not None and frame.number in sources
     ]
     return int(sum(broken_pixels(p).sum() for p in pixels))

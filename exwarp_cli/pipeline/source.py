@@ -101,6 +101,11 @@ def open_source(settings: SourceSettings, motion_needed: bool = True) -> Source:
             f"{shot.sequence.pattern} has no motion vectors that are recognised; render the motion "
             "pass, or use --method hold or blend"
         )
+    if slots is not None and (finding is None or finding.convention.to_previous is None):
+        raise LayoutError(
+            f"--gbuffers {slots.sequence.pattern} has no readable vectors to the previous slot, "
+            "along which colour is moved; render them, or leave --gbuffers out"
+        )
     fps, fps_source = rate_of(keys, settings.fps)
     return Source(keys, slots, slot_number, timeline, finding, fps, fps_source)
 

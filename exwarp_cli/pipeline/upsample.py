@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import time
+from pathlib import Path
 
-from exwarp_cli.domain.results import InputSummary, RunSummary
+from exwarp_cli.domain.results import InputSummary, NetworkSummary, RunSummary
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.errors import LayoutError, UsageError
 from exwarp_cli.io import exr
+from exwarp_cli.io.models import OnnxExtrapolator, load_extrapolator
 from exwarp_cli.io.output import compression_of
 from exwarp_cli.io.sequence import Sequence, find_sequence
 from exwarp_cli.kernels import jit
+from exwarp_cli.pipeline.geometry import Staging
 from exwarp_cli.pipeline.loading import IntervalLoader
 from exwarp_cli.pipeline.progress import NoProgress, Progress
 from exwarp_cli.pipeline.run import Run
@@ -44,6 +47,8 @@ def upsample(settings: UpsampleSettings, progress: Progress | None = None) -> Ru
     compression_of(settings.compression)
     jit.set_threads(settings.threads)
     exr.set_threads(settings.threads)
+    network = find_network(settings, method)
+    told = None if network is None else _network_summary(network)
     source = open_source(settings.source, method.needs_motion)
     keys = source.timeline.select(settings.frames)
     slots = [slot for key in keys for slot in source.timeline.slots_of(key)]
@@ -51,10 +56,15 @@ def upsample(settings: UpsampleSettings, progress: Progress | None = None) -> Ru
     truth = None if settings.ground_truth is None else _find_truth(settings.ground_truth, source)
     targets.prepare(settings, source.timeline, slots)
     _announce(progress, source, method, keys)
-    loader = IntervalLoader(source, method, settings, truth)
+    if told is not None:
+        progress.message(
+            f"extrapolation by {Path(told.file).name} (sha256 {told.sha256[:8]}) on {told.device}"
+        )
+    loader = IntervalLoader(source, method, settings, truth, told)
     begin = time.perf_counter()
     progress.start(len(slots))
-    run = Run(settings, source, method, targets, progress)
+    staging = Staging(source.keys.display, network)
+    run = Run(settings, source, method, targets, progress, staging)
     try:
         records = run.write_all(loader, keys)
     finally:
@@ -69,6 +79,7 @@ def upsample(settings: UpsampleSettings, progress: Progress | None = None) -> Ru
         wall_seconds=time.perf_counter() - begin,
         frames=records,
         path=method.path,
+        extrapolator=told,
     )
 
 
@@ -77,6 +88,40 @@ def find_method(name: str) -> Method:
     if name not in METHODS:
         raise UsageError(f"--method {name} is not one of {', '.join(METHODS)}")
     return METHODS[name]
+
+
+def find_network(settings: UpsampleSettings, method: Method) -> OnnxExtrapolator | None:
+    """Load the network that a method needs; None for methods that do not extrapolate.
+
+    Raises
+    ------
+    UsageError
+        When options ask for a network that the method would not use.
+    InputError, MissingExtraError
+        When the network cannot be used.
+    """
+    if not method.extrapolates:
+        _refuse_network_options(settings, method)
+        return None
+    path = None if settings.extrapolator is None else Path(settings.extrapolator)
+    return load_extrapolator(path, settings.threads, settings.device)
+
+
+def _refuse_network_options(settings: UpsampleSettings, method: Method) -> None:
+    given = {
+        "--extrapolator": settings.extrapolator is not None,
+        "--device": settings.device != UpsampleSettings.device,
+    }
+    if vain := [option for option, is_given in given.items() if is_given]:
+        names = [other.name for other in METHODS.values() if other.extrapolates]
+        raise UsageError(
+            f"{vain[0]} is for methods that extrapolate, and --method {method.name} does not; "
+            f"leave it out, or use one of {', '.join(names)}"
+        )
+
+
+def _network_summary(network: OnnxExtrapolator) -> NetworkSummary:
+    return NetworkSummary(str(network.path), network.checksum, network.device)
 
 
 def _find_truth(spec: str, source: Source) -> tuple[Sequence, FrameOf]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -43,6 +44,7 @@ def report(run: RunSummary) -> dict[str, Any]:
         "decisions": decisions(run.path, len(complete_intervals(run.frames))),
         "quality": _quality(run.path, shown),
         "timing_ms": _timing(run.frames),
+        "extrapolator": None if run.extrapolator is None else asdict(run.extrapolator),
     }
     plain: dict[str, Any] = finite(found)
     return plain

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
+from exwarp_cli.domain.decision import EXTRAPOLATE, HOLD, PATHS, WARP
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.domain.results import FrameKind
 from exwarp_cli.domain.timeline import FACTOR
@@ -29,13 +31,16 @@ class Predicted:
         Name of the method that made it, which differs from the one asked for after the last key
         frame.
     sources
-        Numbers of the key frames that colour came from.
+        Numbers of the key frames that colour came from, ascending.
+    made_by
+        WARP (blends count as it), EXTRAPOLATE or HOLD: the step that its time is booked on.
     """
 
     pixels: Float32
     kind: FrameKind
     method: str
     sources: tuple[int, ...]
+    made_by: str
 
 
 @dataclass(frozen=True)
@@ -62,22 +67,48 @@ class Method:
     needs_motion: bool
     path: str | None = None
 
+    @property
+    def extrapolates(self) -> bool:
+        """Whether it needs a network, and the key frames before the last one."""
+        return self.path is not None and EXTRAPOLATE in PATHS[self.path].made_by
+
 
 def _hold(interval: Interval, slot: int) -> Predicted:
     """Repeat the key frame."""
     pixels = repair(interval.key.image.pixels)
-    return Predicted(pixels, FrameKind.DROPPED, "hold", (interval.key.number,))
+    return Predicted(pixels, FrameKind.DROPPED, "hold", (interval.key.number,), HOLD)
 
 
-def _s6(interval: Interval, slot: int) -> Predicted:
-    """Warp the key frame to the slot; colour is sampled once, through the whole motion."""
-    pixels = fill_background(warp(interval.key.image.pixels, interval.back(slot)))
-    return Predicted(pixels, FrameKind.GENERATED, "s6", (interval.key.number,))
+def _take(path: str, interval: Interval, slot: int) -> Predicted:
+    """Make the frame of a slot as one of the paper's paths has it.
+
+    Whatever is warped is sampled once, through the whole motion from the last frame that was
+    rendered or extrapolated.
+    """
+    made_by, name = PATHS[path].made_by, path.lower()
+    maker = made_by[slot - 1]
+    if maker == HOLD:
+        shown = _hold(interval, slot) if slot == 1 else _take(path, interval, slot - 1)
+        return replace(shown, kind=FrameKind.DROPPED, method=name, made_by=HOLD)
+    sources: tuple[int, ...] = (interval.key.number,)
+    if maker == EXTRAPOLATE:
+        pixels, sources = interval.extrapolated(slot), _seen(interval)
+    elif slot == 3 and made_by[1] == EXTRAPOLATE:
+        moved = warp(interval.extrapolated(2), interval.between(3, 2))
+        pixels, sources = fill_background(moved), _seen(interval)
+    else:
+        pixels = fill_background(warp(interval.key.image.pixels, interval.back(slot)))
+    return Predicted(pixels, FrameKind.GENERATED, name, sources, maker)
+
+
+def _seen(interval: Interval) -> tuple[int, ...]:
+    """Numbers of the key frames that the network sees."""
+    return tuple(sorted((interval.key.number, *(past.frame.number for past in interval.past))))
 
 
 def _causal(interval: Interval, slot: int) -> Predicted:
     """Do what can be done without a next key frame."""
-    return _s6(interval, slot) if interval.has_motion else _hold(interval, slot)
+    return _take("S6", interval, slot) if interval.has_motion else _hold(interval, slot)
 
 
 def _blend(interval: Interval, slot: int) -> Predicted:
@@ -88,7 +119,7 @@ def _blend(interval: Interval, slot: int) -> Predicted:
     before, after = repair(interval.key.image.pixels), repair(interval.following.image.pixels)
     pixels = (before + share * (after - before)).astype(np.float32)
     sources = (interval.key.number, interval.following.number)
-    return Predicted(pixels, FrameKind.GENERATED, "blend", sources)
+    return Predicted(pixels, FrameKind.GENERATED, "blend", sources, WARP)
 
 
 def _softsplat(interval: Interval, slot: int) -> Predicted:
@@ -99,13 +130,18 @@ def _softsplat(interval: Interval, slot: int) -> Predicted:
     after = warp(interval.following.image.pixels, interval.forward(slot))
     pixels = blend_by_depth(before, after, slot / FACTOR)
     sources = (interval.key.number, interval.following.number)
-    return Predicted(pixels, FrameKind.GENERATED, "softsplat", sources)
+    return Predicted(pixels, FrameKind.GENERATED, "softsplat", sources, WARP)
+
+
+def _fixed(path: str) -> Method:
+    """Return the method that takes one path in every key interval."""
+    return Method(path.lower(), partial(_take, path), lookahead=False, needs_motion=True, path=path)
 
 
 METHODS: Mapping[str, Method] = {
     method.name: method
     for method in (
-        Method("s6", _s6, lookahead=False, needs_motion=True, path="S6"),
+        *map(_fixed, PATHS),
         Method("softsplat", _softsplat, lookahead=True, needs_motion=True),
         Method("blend", _blend, lookahead=True, needs_motion=False),
         Method("hold", _hold, lookahead=False, needs_motion=False),

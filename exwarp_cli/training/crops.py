@@ -22,6 +22,10 @@ EXPOSURE = 1.0
 """Stops by which exposure is varied, up and down."""
 
 
+Patch = tuple[slice, slice]
+"""Rows and columns of a crop."""
+
+
 @dataclass(frozen=True)
 class Batch:
     """Crops as the network and the loss take them; float32 [N, channels, S, S].
@@ -70,15 +74,27 @@ class Crops:
         counts = [len(files["time"]) for files in self._files]
         self._places = [(f, i) for f, count in enumerate(counts) for i in range(count)]
 
+    @property
+    def side(self) -> int:
+        """Height and width of the crops, pixels."""
+        return int(self._files[0]["mask"].shape[-1])
+
     def __len__(self) -> int:
         return len(self._places)
 
-    def batch(self, indices: Sequence[int], device: str = "cpu") -> Batch:
-        """Return crops as they are kept."""
-        parts = {
-            plane: np.stack([self._files[f][plane][i] for f, i in map(self._place, indices)])
-            for plane in PLANES
-        }
+    def batch(
+        self, indices: Sequence[int], device: str = "cpu", patches: Sequence[Patch] | None = None
+    ) -> Batch:
+        """Return crops as they are kept, or a patch of each."""
+        cuts = patches or [(slice(None), slice(None))] * len(indices)
+        places = [self._places[index] for index in indices]
+        parts = {}
+        for plane in PLANES:
+            cut = [
+                self._files[f][plane][(i, slice(None), *where) if plane != "time" else i]
+                for (f, i), where in zip(places, cuts, strict=True)
+            ]
+            parts[plane] = np.stack(cut)
         tensors = {plane: torch.from_numpy(array).to(device) for plane, array in parts.items()}
         colour, mask = tensors["colour"].float(), tensors["mask"].float()
         seen = mask[:, :1]
@@ -99,17 +115,17 @@ class Crops:
             target=tensors["target"].float(),
         )
 
-    def drawn(self, step: int, size: int, seed: int, device: str = "cpu") -> Batch:
-        """Return the batch of a step of training, varied.
+    def drawn(self, step: int, size: int, side: int, seed: int, device: str = "cpu") -> Batch:
+        """Return the batch of a step of training: patches of crops, varied.
 
         The order is a new permutation each time that all crops were seen.
         """
-        first = step * size
-        indices = [self._nth(first + i, seed) for i in range(size)]
-        return varied(self.batch(indices, device), np.random.default_rng((seed, step)))
-
-    def _place(self, index: int) -> tuple[int, int]:
-        return self._places[index]
+        rng = np.random.default_rng((seed, step))
+        indices = [self._nth(step * size + i, seed) for i in range(size)]
+        room = self.side - side
+        corners = rng.integers(0, room + 1, (size, 2)).tolist()
+        patches = [(slice(y, y + side), slice(x, x + side)) for y, x in corners]
+        return varied(self.batch(indices, device, patches), rng)
 
     def _nth(self, n: int, seed: int) -> int:
         epoch, offset = divmod(n, len(self))

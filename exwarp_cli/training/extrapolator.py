@@ -23,7 +23,7 @@ from exwarp_cli.training.crops import Batch, Crops
 from exwarp_cli.training.export import export_extrapolator
 from exwarp_cli.training.losses import decibels, loss_of
 from exwarp_cli.training.networks import STRIDE, ExtrapolationNetwork, build
-from exwarp_cli.training.samples import crops_folder, is_whole, write_crops
+from exwarp_cli.training.samples import CropSettings, crops_folder, is_whole, write_crops
 
 CHECKPOINT = "checkpoint.pt"
 CURVE = "curve.csv"
@@ -46,7 +46,7 @@ VALIDATED = 192
 """Crops, at most, that validation looks at, and how many at a time."""
 TOGETHER = 16
 
-CLIPPED = 1.0
+CLIPPED = 0.3
 """Largest norm of a gradient."""
 
 COLUMNS = ("step", "seconds", "loss", "rate", "gain_db", "gain_holes_db")
@@ -66,12 +66,15 @@ class TrainingSettings:
         Channels at half resolution; None for the architecture's own.
     steps
         Batches to train on.
-    batch
-        Crops in a batch.
+    batch, patch
+        Crops in a batch, and how large a part of each is learnt from: height and width in pixels,
+        a multiple of `networks.STRIDE`. Many small ones vary more than a few whole ones.
     rate
         Highest learning rate.
     frames
         Frames of each scene that crops are taken of.
+    side
+        Of a crop, pixels; a multiple of `networks.STRIDE`, and `patch` at least.
     seed
         Of weights, crops and their order.
     scenes
@@ -81,9 +84,11 @@ class TrainingSettings:
     architecture: str = "kernels"
     width: int | None = None
     steps: int = 20000
-    batch: int = 8
+    batch: int = 24
+    patch: int = 64
     rate: float = 2e-3
     frames: int = 30
+    side: int = 128
     seed: int = 0
     scenes: dict[str, list[str]] = field(default_factory=dict)
 
@@ -159,6 +164,9 @@ class Training:
             pairs = zip(self.average.parameters(), self.network.parameters(), strict=True)
             for kept, new in pairs:
                 kept.lerp_(new, forget)
+            buffers = zip(self.average.buffers(), self.network.buffers(), strict=True)
+            for statistic, newest in buffers:
+                statistic.copy_(newest)
         return float(loss.detach())
 
     def _rate(self) -> float:
@@ -291,11 +299,12 @@ def _fast_halves(device: str) -> bool:
 def _prepare(
     scenes: Sequence[RenderedScene], settings: TrainingSettings, cache: Path, say: Say
 ) -> Iterator[Path]:
+    wanted = CropSettings(settings.frames, settings.side, settings.seed)
     for count, scene in enumerate(scenes, start=1):
-        folder = crops_folder(scene, settings.frames, settings.seed, cache)
+        folder = crops_folder(scene, wanted, cache)
         if not is_whole(folder):
             say(f"preparing {scene.name}, {count} of {len(scenes)}")
-            write_crops(scene, settings.frames, settings.seed, folder)
+            write_crops(scene, wanted, folder)
         yield folder
 
 
@@ -303,7 +312,7 @@ def _ahead(crops: Crops, first: int, settings: TrainingSettings, device: str) ->
     """Yield the batches of the steps that are left; the next one is read while one is learnt."""
 
     def draw(step: int) -> Batch:
-        return crops.drawn(step, settings.batch, settings.seed, device)
+        return crops.drawn(step, settings.batch, settings.patch, settings.seed, device)
 
     with ThreadPoolExecutor(1) as pool:
         steps = range(first, settings.steps)

@@ -70,19 +70,20 @@ ARCHITECTURES: Mapping[str, Architecture] = {
 
 
 class Gated(nn.Module):
-    """A convolution and a single-channel gate on it, as in ExtraNet, in one convolution."""
+    """A convolution and a single-channel gate on it, as in ExtraNet, in one convolution.
+
+    Both are normalised over the batch, as ExtraNet's are: without it single batches with bright
+    pixels shut gates for good. Exported models have it folded into the convolution.
+    """
 
     def __init__(self, given: int, made: int, stride: int = 1) -> None:
         super().__init__()
-        self.both = nn.Conv2d(given, made + 1, 3, stride, padding=1)
-        with torch.no_grad():
-            # The gate halves what passes; without this a signal is gone after some layers.
-            nn.init.kaiming_normal_(self.both.weight[:-1], LEAK).mul_(2.0)
-            self.both.weight[-1:].mul_(0.5)
+        self.both = nn.Conv2d(given, made + 1, 3, stride, padding=1, bias=False)
+        self.norm = nn.BatchNorm2d(made + 1)
 
     def forward(self, x: Tensor) -> Tensor:
         """Return float [N, made, H / stride, W / stride]."""
-        both = self.both(x)
+        both = self.norm(self.both(x))
         return functional.leaky_relu(both[:, :-1], LEAK) * torch.sigmoid(both[:, -1:])
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from exwarp_cli.domain.extrapolator import HISTORY
 from exwarp_cli.domain.frame import Float32, GBuffer, KeyFrame
 from exwarp_cli.domain.timeline import FACTOR
+from exwarp_cli.errors import InputError
 from exwarp_cli.io.dataset import RenderedScene
 from exwarp_cli.synthesis.extrapolate import Prepared
 from exwarp_cli.synthesis.interval import Interval
@@ -25,9 +26,8 @@ VERSION = 1
 DONE = "done"
 """File that is written last."""
 
-SIDE = 128
 CROPS = 2
-"""Crops of each frame."""
+"""Of each frame."""
 
 HOLE_WEIGHT = 8.0
 MOTION_WEIGHT = 1.0
@@ -94,7 +94,26 @@ def choices(count: int, frames: int, seed: int) -> list[Choice]:
     return sorted(set(found), key=lambda c: (order[c.variant], c.k, c.setting, c.slot, c.bare))
 
 
-def crops_of(scene: RenderedScene, frames: int, seed: int) -> dict[str, np.ndarray]:
+@dataclass(frozen=True)
+class CropSettings:
+    """Which crops are made of a scene.
+
+    Attributes
+    ----------
+    frames
+        How many frames of it are prepared.
+    side
+        Height and width of a crop, pixels: S below.
+    seed
+        Of what is chosen.
+    """
+
+    frames: int
+    side: int
+    seed: int
+
+
+def crops_of(scene: RenderedScene, settings: CropSettings) -> dict[str, np.ndarray]:
     """Prepare frames of a scene as a user's run would, and cut crops out of them.
 
     Returns
@@ -104,10 +123,22 @@ def crops_of(scene: RenderedScene, frames: int, seed: int) -> dict[str, np.ndarr
         the network sees them), ``mask`` uint8 [N, 3, S, S] (of the last three), ``features``
         float16 [N, 6, S, S], ``modulation`` and ``target`` float16 [N, 3, S, S] (linear), ``time``
         float32 [N].
+
+    Raises
+    ------
+    InputError
+        When the scene is smaller than a crop.
     """
-    rng = np.random.default_rng(seed)
+    manifest, side = scene.manifest, settings.side
+    if min(manifest.width, manifest.height) < side:
+        raise InputError(
+            f"{scene.folder} is {manifest.width}x{manifest.height}, smaller than crops of {side} "
+            "pixels; leave it out, or take smaller crops"
+        )
+    rng = np.random.default_rng(settings.seed)
     parts: dict[str, list[np.ndarray]] = {}
-    for footage, choice in _by_variant(scene, choices(scene.manifest.instants.count, frames, seed)):
+    chosen = choices(manifest.instants.count, settings.frames, settings.seed)
+    for footage, choice in _by_variant(scene, chosen):
         interval = footage.causal(choice.k, choice.setting)
         if choice.bare:
             interval = _bare(interval)
@@ -116,18 +147,18 @@ def crops_of(scene: RenderedScene, frames: int, seed: int) -> dict[str, np.ndarr
         planes = _planes(prepared, truth)
         weight = _weight(interval, choice.slot)
         for _ in range(CROPS):
-            y, x = _corner(weight, rng)
+            y, x = _corner(weight, side, rng)
             for name, array in planes.items():
-                cut = array[:, y : y + SIDE, x : x + SIDE]
+                cut = array[:, y : y + side, x : x + side]
                 parts.setdefault(name, []).append(cut.copy())
             parts.setdefault("time", []).append(np.array(choice.slot / FACTOR, np.float32))
     return {name: np.stack(arrays) for name, arrays in parts.items()}
 
 
-def crops_folder(scene: RenderedScene, frames: int, seed: int, cache: Path) -> Path:
+def crops_folder(scene: RenderedScene, settings: CropSettings, cache: Path) -> Path:
     """Return where in a cache a scene's crops lie; those of other settings lie beside them."""
     token = {
-        "version": VERSION, "side": SIDE, "crops": CROPS, "frames": frames, "seed": seed,
+        "version": VERSION, "crops": CROPS, "settings": asdict(settings),
         "manifest": asdict(scene.manifest),
     }  # fmt: skip
     digest = hashlib.sha256(json.dumps(token, sort_keys=True, default=str).encode()).hexdigest()
@@ -139,10 +170,10 @@ def is_whole(folder: Path) -> bool:
     return (folder / DONE).exists()
 
 
-def write_crops(scene: RenderedScene, frames: int, seed: int, folder: Path) -> None:
+def write_crops(scene: RenderedScene, settings: CropSettings, folder: Path) -> None:
     """Make a scene's crops (:func:`crops_of`) and write them, one ``.npy`` a plane."""
     folder.mkdir(parents=True, exist_ok=True)
-    for name, array in crops_of(scene, frames, seed).items():
+    for name, array in crops_of(scene, settings).items():
         np.save(folder / f"{name}.npy", array)
     (folder / DONE).touch()
 
@@ -200,13 +231,13 @@ def _weight(interval: Interval, slot: int) -> Float32:
     return np.asarray(weight, np.float32)
 
 
-def _corner(weight: Float32, rng: np.random.Generator) -> tuple[int, int]:
+def _corner(weight: Float32, side: int, rng: np.random.Generator) -> tuple[int, int]:
     """Draw the upper left corner (row, column) of a crop by the weight of its middle."""
     height, width = weight.shape
     total = np.cumsum(weight.ravel(), dtype=np.float64)
     index = int(np.searchsorted(total, rng.random() * total[-1]))
     y, x = divmod(min(index, weight.size - 1), width)
     return (
-        int(np.clip(y - SIDE // 2, 0, height - SIDE)),
-        int(np.clip(x - SIDE // 2, 0, width - SIDE)),
+        int(np.clip(y - side // 2, 0, height - side)),
+        int(np.clip(x - side // 2, 0, width - side)),
     )

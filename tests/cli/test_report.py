@@ -16,6 +16,7 @@ import pytest
 from exwarp_cli import cli
 from tests.cli import shots
 from tests.cli.street import Street
+from tests.unit.tiny_models import convolution, save
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "market"
 FORWARD = ("--motion", "next=u,-v")
@@ -265,18 +266,19 @@ class TestHelp:
 @pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="resource is POSIX")
 class TestMemory:
-    def peak(self, keys: Path, out: Path) -> float:
+    def peak(self, keys: Path, out: Path, *method: str) -> float:
         """Largest memory of a run, MiB."""
         code = (
             "import resource, sys; from exwarp_cli import cli; assert cli.run(sys.argv[1:]) == 0; "
             "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
         )
-        options = ["-m", "softsplat", *FORWARD, "--progress", "none", "--threads", "1"]
+        options = [*method, *FORWARD, "--progress", "none", "--threads", "1"]
         command = [sys.executable, "-c", code, "upsample", str(keys), "-o", str(out), *options]
         done = subprocess.run(command, capture_output=True, text=True, check=True)
         return int(done.stdout.splitlines()[-1]) / 1024
 
-    def test_it_does_not_grow_with_the_sequence(self, tmp_path):
+    @pytest.mark.parametrize("method", ["softsplat", "s3"])
+    def test_it_does_not_grow_with_the_sequence(self, tmp_path, method):
         """A frame of 128x72 is 0.3 MiB of passes, so 180 more that were kept would be 50."""
         street = Street(128, 72)
         short = shots.sequence(tmp_path / "short", shots.plain, range(1, 21), street, 0.1)
@@ -284,5 +286,10 @@ class TestMemory:
         for number in range(21, 201):
             source = long / f"shot.{number - 20:04d}.exr"
             (long / f"shot.{number:04d}.exr").write_bytes(source.read_bytes())
-        few, many = (self.peak(keys, tmp_path / f"o-{keys.name}") for keys in (short, long))
+        options = ["-m", method]
+        if method == "s3":
+            options += ["--extrapolator", str(save(tmp_path / "n.onnx", convolution()))]
+        few, many = (
+            self.peak(keys, tmp_path / f"o-{keys.name}", *options) for keys in (short, long)
+        )
         assert many < few + 15

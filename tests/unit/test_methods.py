@@ -19,6 +19,8 @@ from exwarp_cli.synthesis.warp import Warped, fill_background, repair
 from tests.unit.scenes import View, town
 
 SLOTS = (1, 2, 3)
+ALONE = [method.name for method in METHODS.values() if not method.extrapolates]
+"""Methods that need no network; `test_paths` has the others."""
 
 
 @functools.cache
@@ -55,13 +57,14 @@ class TestRegistry:
     def test_names_and_needs(self):
         table = {m.name: (m.lookahead, m.needs_motion, m.path) for m in METHODS.values()}
         assert table == {
+            **{f"s{i}": (False, True, f"S{i}") for i in range(1, 6)},
             "s6": (False, True, "S6"),
             "softsplat": (True, True, None),
             "blend": (True, False, None),
             "hold": (False, False, None),
         }
 
-    @pytest.mark.parametrize("name", METHODS)
+    @pytest.mark.parametrize("name", ALONE)
     @pytest.mark.parametrize("slot", SLOTS)
     def test_every_frame_is_whole(self, name, slot):
         given = interval(METHODS[name].lookahead)
@@ -72,7 +75,7 @@ class TestRegistry:
         assert found.kind is (FrameKind.DROPPED if name == "hold" else FrameKind.GENERATED)
         assert found.sources == ((1001, 1002) if METHODS[name].lookahead else (1001,))
 
-    @pytest.mark.parametrize("name", METHODS)
+    @pytest.mark.parametrize("name", ALONE)
     def test_key_frames_are_not_touched(self, name):
         before = [key(i).image.pixels.copy() for i in (0, 1)]
         for slot in SLOTS:
@@ -122,7 +125,7 @@ class TestQuality:
 
 
 class TestValues:
-    @pytest.mark.parametrize("name", METHODS)
+    @pytest.mark.parametrize("name", ALONE)
     def test_alpha_high_and_negative_values_survive(self, name):
         truth = view(0.5).colour
         assert truth.max() > 3 and truth.min() < -0.1  # the scene has such
@@ -131,7 +134,7 @@ class TestValues:
         assert found[2, 2, 3] == pytest.approx(0.5, abs=1e-3)  # sky
         assert found[-3, 60, 3] == pytest.approx(1.0, abs=1e-3)  # floor
 
-    @pytest.mark.parametrize("name", METHODS)
+    @pytest.mark.parametrize("name", ALONE)
     def test_scale_carries_over(self, name):
         scale = np.float32(4096)
         bright = [with_pixels(key(i), key(i).image.pixels * scale) for i in (0, 1)]
@@ -139,7 +142,7 @@ class TestValues:
         plain = predict(name, interval(), 2).pixels
         np.testing.assert_array_equal(found, plain * scale)
 
-    @pytest.mark.parametrize("name", METHODS)
+    @pytest.mark.parametrize("name", ALONE)
     def test_without_alpha(self, name):
         plain = [with_pixels(key(i), key(i).image.pixels[..., :3].copy()) for i in (0, 1)]
         found = predict(name, Interval(*plain), 2).pixels
@@ -147,7 +150,7 @@ class TestValues:
             found, predict(name, interval(), 2).pixels[..., :3], rtol=0, atol=1e-6
         )
 
-    @pytest.mark.parametrize("name", METHODS)
+    @pytest.mark.parametrize("name", ALONE)
     @pytest.mark.parametrize("bad", [np.nan, np.inf])
     def test_broken_pixels_are_mended_and_do_not_spread(self, name, bad):
         pixels = key(0).image.pixels.copy()

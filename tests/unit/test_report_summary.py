@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from exwarp_cli import __version__
-from exwarp_cli.domain.results import FrameKind, RunSummary, Score
+from exwarp_cli.domain.results import FrameKind, NetworkSummary, RunSummary, Score
 from exwarp_cli.report.summary import finite, report, to_json
 from tests.unit.sample_runs import interval, path_run, record, run
 
@@ -43,6 +43,7 @@ CONTRACT: dict[str, Any] = {
     "timing_ms": dict.fromkeys(
         ("read", "features", "decide", "warp", "holes", "extrapolate", "write")
     ),
+    "extrapolator": None,
 }
 
 
@@ -67,6 +68,12 @@ def test_what_was_not_measured_is_null() -> None:
     assert set(found["timing_ms"].values()) == {None}
     assert found["fps"]["throughput"] is None
     assert keys_of(found["decisions"]) == found["decisions"], "nothing but null"
+
+
+def test_the_network_is_named() -> None:
+    network = NetworkSummary("/models/a.onnx", "0" * 64, "cuda")
+    found = report(run(interval(1001, "ggg", 1001), extrapolator=network))
+    assert found["extrapolator"] == {"file": "/models/a.onnx", "sha256": "0" * 64, "device": "cuda"}
 
 
 def test_an_empty_run_is_reported() -> None:

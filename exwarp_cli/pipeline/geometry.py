@@ -1,0 +1,91 @@
+"""From what was read of an interval to what synthesis works on: one window, settled motion."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from exwarp_cli.domain.extrapolator import HISTORY, Extrapolator
+from exwarp_cli.domain.frame import Float32, GBuffer, KeyFrame, Window
+from exwarp_cli.domain.timeline import Slot
+from exwarp_cli.pipeline.loading import Loaded, Older, between, without_surface
+from exwarp_cli.synthesis.geometry import settle_motion
+from exwarp_cli.synthesis.history import Past
+from exwarp_cli.synthesis.interval import Interval
+from exwarp_cli.synthesis.span import span_motion
+from exwarp_cli.synthesis.trajectory import displacement
+
+
+class Staging:
+    """Makes intervals in order; what several of them share is settled once.
+
+    Data windows may differ from frame to frame, so what is shared goes by the window too.
+
+    Parameters
+    ----------
+    display
+        The display window of all frames.
+    network
+        For methods that extrapolate.
+    """
+
+    def __init__(self, display: Window, network: Extrapolator | None = None) -> None:
+        self._display = display
+        self._network = network
+        self._frames: dict[tuple[int, Window], KeyFrame] = {}
+        self._instants: dict[tuple[Slot, Window], GBuffer] = {}
+        self._motions: dict[tuple[int, Window], Float32] = {}
+
+    def interval(self, loaded: Loaded) -> Interval:
+        """Bring what was read onto one window: the display's and the data of the frames around."""
+        assert loaded.frame is not None
+        canvas = self._display.union(loaded.frame.image.data_window)
+        following = None
+        if loaded.following is not None:
+            canvas = canvas.union(loaded.following.image.data_window)
+            following = self._frame(loaded.key + 1, loaded.following, canvas)
+        key = self._frame(loaded.key, loaded.frame, canvas)
+        slots = tuple(settle_motion(gbuffer.on(canvas)) for gbuffer in loaded.slots)
+        past = self._past(loaded, key, canvas)
+        self._keep(loaded.key, slots, canvas)
+        return Interval(key, following, slots, past, self._network)
+
+    def _frame(self, index: int, frame: KeyFrame, canvas: Window) -> KeyFrame:
+        if (index, canvas) not in self._frames:
+            placed = frame.extended(canvas)
+            gbuffer = None if placed.gbuffer is None else settle_motion(placed.gbuffer)
+            self._frames[index, canvas] = replace(placed, gbuffer=gbuffer)
+        return self._frames[index, canvas]
+
+    def _past(self, loaded: Loaded, key: KeyFrame, canvas: Window) -> tuple[Past, ...]:
+        found: list[Past] = []
+        newer = key
+        for index, older in zip(range(loaded.key - 1, -1, -1), loaded.past, strict=False):
+            if (index, canvas) not in self._motions:
+                self._motions[index, canvas] = self._motion(index, older, newer, canvas)
+            newer = self._frame(index, older.frame, canvas)
+            found.append(Past(newer, self._motions[index, canvas]))
+        return tuple(found)
+
+    def _motion(self, index: int, older: Older, newer: KeyFrame, canvas: Window) -> Float32:
+        """Return the motion, float32 [H, W, 2], from a key frame to the one before it."""
+        if not older.instants:
+            assert newer.gbuffer is not None
+            return displacement(newer.gbuffer, -1)
+        *way, end = zip(between(index), older.instants, strict=True)
+        instants = [self._instant(slot, gbuffer, canvas) for slot, gbuffer in way]
+        return span_motion([*instants, end[1].on(canvas)], -1)
+
+    def _instant(self, slot: Slot, gbuffer: GBuffer, canvas: Window) -> GBuffer:
+        known = self._instants.get((slot, canvas))
+        return settle_motion(gbuffer.on(canvas)) if known is None else known
+
+    def _keep(self, key: int, slots: tuple[GBuffer, ...], canvas: Window) -> None:
+        """Drop what no later interval needs."""
+        oldest = key + 1 - (HISTORY - 1 if self._network is not None else 0)
+        self._frames = {place: f for place, f in self._frames.items() if place[0] >= oldest}
+        self._motions = {place: m for place, m in self._motions.items() if place[0] >= oldest}
+        if self._network is not None:
+            self._instants = {
+                (Slot(key, i), canvas): without_surface(gbuffer)
+                for i, gbuffer in enumerate(slots, start=1)
+            }

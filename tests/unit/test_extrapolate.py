@@ -1,0 +1,175 @@
+"""What an extrapolation network is given, and what becomes of its answer."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+
+from exwarp_cli.domain.extrapolator import INPUTS, NetworkInputs
+from exwarp_cli.domain.frame import Float32, GBuffer, Window
+from exwarp_cli.io.dataset import open_scene
+from exwarp_cli.synthesis.interval import Interval
+from exwarp_cli.synthesis.modulation import DARKEST, decode, encode, modulation_of
+from exwarp_cli.synthesis.warp import fill_background, warp
+from exwarp_cli.training.footage import Footage
+from tests.unit.analytic_scene import STEP, write_scene
+from tests.unit.scenes import SKY, town
+
+K = 3
+SETTINGS = ("key", "slot")
+
+
+class Filled:
+    """A network that answers with the filled warp."""
+
+    checksum = "0" * 64
+
+    def __call__(self, inputs: NetworkInputs) -> Float32:
+        return inputs.warped[3:]
+
+
+@pytest.fixture(scope="module")
+def footage(tmp_path_factory) -> Footage:
+    folder: Path = write_scene(tmp_path_factory.mktemp("data") / "analytic")
+    return Footage(open_scene(folder))
+
+
+@pytest.fixture(scope="module", params=SETTINGS)
+def interval(request, footage) -> Interval:
+    return replace(footage.causal(K, request.param), extrapolator=Filled())
+
+
+def without(interval: Interval, *parts: str) -> Interval:
+    """Leave parts of every G-buffer out."""
+
+    def strip(gbuffer: GBuffer) -> GBuffer:
+        return replace(gbuffer, **dict.fromkeys(parts))
+
+    frames = [replace(f, gbuffer=strip(f.gbuffer)) for f in (interval.key, *past(interval))]
+    older = [replace(p, frame=f) for p, f in zip(interval.past, frames[1:], strict=True)]
+    slots = tuple(strip(gbuffer) for gbuffer in interval.slots)
+    return replace(interval, key=frames[0], past=tuple(older), slots=slots)
+
+
+def past(interval: Interval) -> list:
+    return [step.frame for step in interval.past]
+
+
+@given(
+    arrays.arrays(np.float32, (7,), elements=st.floats(-60000, 60000, width=32)),
+)
+def test_colour_survives_being_coded(linear):
+    np.testing.assert_allclose(decode(encode(linear)), linear, rtol=2e-5, atol=1e-6)
+
+
+def test_surface_colour_is_diffuse_and_glossy_together():
+    window = Window(0, 0, 4, 1)
+    albedo = np.array([[[0.5] * 3, [0] * 3, [0] * 3, [np.nan] * 3]], np.float32)
+    metal = np.array([[[0.1] * 3, [0.9] * 3, [0] * 3, [0.5] * 3]], np.float32)
+    found = modulation_of(GBuffer(window, albedo=albedo, specular=metal))
+    np.testing.assert_allclose(found[0, :, 0], [0.6, 0.9, DARKEST, 1.0], rtol=1e-6)
+    assert modulation_of(GBuffer(window, albedo=albedo)) is None
+    assert modulation_of(GBuffer(window, specular=metal)) is None
+
+
+@pytest.mark.parametrize("slot", [1, 2, 3])
+def test_inputs_have_their_shapes_and_ranges(interval, slot):
+    inputs = interval.prepared(slot).inputs
+    height, width = interval.key.image.data_window.shape
+    for name, plane in inputs.pictures.items():
+        assert plane.shape == (INPUTS[name], height, width), name
+        assert plane.dtype == np.float32, name
+        assert np.isfinite(plane).all(), name
+    assert inputs.time == slot / 4
+    hole = interval.back(slot).hole
+    assert (inputs.mask[0][hole] == 0).all()
+    assert (inputs.warped[:3, hole] == 0).all()
+    visible = inputs.mask[0] == 1
+    np.testing.assert_array_equal(inputs.warped[:3, visible], inputs.warped[3:, visible])
+    np.testing.assert_array_equal(inputs.history[:3, visible], inputs.warped[:3, visible])
+    assert 0 <= inputs.features[3:].min() <= inputs.features[3:].max() <= 1
+
+
+@pytest.mark.parametrize("slot", [2, 3])
+def test_every_frame_of_the_history_shows_the_slot(interval, slot):
+    """Where three frames show a point that nothing lights differently, they agree."""
+    prepared = interval.prepared(slot)
+    truth = town().view(STEP * (4 * K + slot))
+    frames = prepared.inputs.history.reshape(3, 4, *truth.surface.shape)
+    for frame in frames:
+        seen = (frame[3] > 0) & (truth.surface != SKY) & truth.inside(3)
+        assert seen.mean() > 0.3
+        colour = prepared.finish(frame[:3])[..., :3]
+        assert np.median(np.abs(colour - truth.colour[..., :3])[seen]) < 0.02
+
+
+def test_a_network_that_answers_with_the_warp_makes_the_warp(interval):
+    plain = without(interval, "albedo", "specular")
+    made = plain.extrapolated(3)
+    expected = fill_background(warp(plain.key.image.pixels, plain.back(3)))
+    np.testing.assert_allclose(made, expected, rtol=1e-5, atol=1e-6)
+    assert plain.extrapolated(3) is made
+
+
+def test_surface_colour_is_put_back(interval):
+    """Shading is warped; the slot's own surface colour is put on it."""
+    made, plain = interval.extrapolated(2), without(interval, "albedo", "specular").extrapolated(2)
+    truth = town().view(STEP * (4 * K + 2))
+    seen = (interval.prepared(2).inputs.mask[0] > 0) & (truth.surface != SKY) & truth.inside(3)
+    assert np.median(np.abs(made - plain)[seen]) < 0.02
+
+
+def test_what_is_missing_has_stated_defaults(interval):
+    bare = without(interval, "albedo", "specular", "roughness", "metallic", "normal")
+    prepared = bare.prepared(2)
+    assert prepared.modulation is None
+    features = prepared.inputs.features
+    assert (features[:3] == 0).all()
+    assert (features[4] == 0.5).all()
+    assert (features[5] == 0).all()
+
+
+def test_diffuse_colour_alone_is_not_divided_by(interval):
+    assert without(interval, "specular").prepared(2).modulation is None
+
+
+def test_high_dynamic_range_and_alpha_come_through(interval):
+    pixels = interval.key.image.pixels
+    alpha = np.linspace(0, 1, pixels.shape[1], dtype=np.float32)
+    bright = np.concatenate(
+        [1000 * pixels[..., :3] - 5, np.broadcast_to(alpha[:, None], (*pixels.shape[:2], 1))], -1
+    ).astype(np.float32)
+    image = replace(interval.key.image, pixels=bright)
+    given_alpha = replace(interval, key=replace(interval.key, image=image))
+    expected = fill_background(warp(bright, interval.back(2)))
+    plain = without(given_alpha, "albedo", "specular")
+    np.testing.assert_allclose(plain.extrapolated(2), expected, rtol=1e-4, atol=1e-3)
+    assert given_alpha.extrapolated(2).shape == bright.shape
+
+
+def test_broken_pixels_do_not_reach_the_network(interval):
+    pixels = interval.key.image.pixels.copy()
+    pixels[20:24, 30:60] = np.nan
+    pixels[40, 40] = np.inf
+    image = replace(interval.key.image, pixels=pixels)
+    damaged = replace(interval, key=replace(interval.key, image=image))
+    for plane in damaged.prepared(2).inputs.pictures.values():
+        assert np.isfinite(plane).all()
+    assert np.isfinite(damaged.extrapolated(2)).all()
+
+
+@pytest.mark.parametrize(("k", "older"), [(0, 0), (1, 1), (2, 2)])
+@pytest.mark.parametrize("setting", SETTINGS)
+def test_the_oldest_frame_is_repeated(footage, setting, k, older):
+    inputs = footage.causal(k, setting).prepared(1).inputs
+    frames = inputs.history.reshape(3, 4, *inputs.mask.shape[1:])
+    for index in range(older + 1, 3):
+        np.testing.assert_array_equal(frames[index], frames[older])
+    for index in range(1, older + 1):
+        assert (frames[index] != frames[index - 1]).any()

@@ -1,0 +1,181 @@
+"""Intervals made of what was read, on a scene whose motion is known between all instants."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from exwarp_cli.domain.extrapolator import NetworkInputs
+from exwarp_cli.domain.frame import Float32, GBuffer, KeyFrame, Window
+from exwarp_cli.pipeline import geometry
+from exwarp_cli.pipeline.geometry import Staging
+from exwarp_cli.pipeline.loading import Loaded, Older, without_surface
+from exwarp_cli.synthesis.interval import Interval
+from tests.unit.scenes import View, town
+
+DISPLAY = Window(0, 0, 128, 80)
+
+
+class Network:
+    checksum = "0" * 64
+
+    def __call__(self, inputs: NetworkInputs) -> Float32:
+        return inputs.warped[3:]
+
+
+@functools.cache
+def view(time: float) -> View:
+    return town().view(time)
+
+
+def raw_key(index: int, setting: str = "key") -> KeyFrame:
+    """A key frame as the loader reads it; with slot G-buffers its vectors are stretched."""
+    frame = view(float(index)).key(1001 + index)
+    if setting == "key":
+        return frame
+    gbuffer = slot(index, 0)
+    stretched = replace(gbuffer, to_next=4 * gbuffer.to_next, to_previous=None)
+    return replace(frame, gbuffer=stretched)
+
+
+def slot(index: int, i: int) -> GBuffer:
+    return view(index + i / 4).gbuffer(step=0.25)
+
+
+def way_back(index: int) -> tuple[GBuffer, ...]:
+    instants = (slot(index + 1, 0), *(slot(index, i) for i in (3, 2, 1, 0)))
+    return tuple(without_surface(gbuffer) for gbuffer in instants)
+
+
+def loaded(index: int, setting: str, **changes: Any) -> Loaded:
+    slots = tuple(slot(index, i) for i in (1, 2, 3)) if setting == "slot" else ()
+    past = tuple(
+        Older(raw_key(j, setting), way_back(j) if setting == "slot" else ())
+        for j in range(index - 1, max(index - 3, -1), -1)
+    )
+    template: Any = None
+    made = Loaded(index, raw_key(index, setting), None, slots, past, {}, template, {}, 0.0)
+    return replace(made, **changes)
+
+
+def staged(*indices: int, setting: str = "key") -> Interval:
+    """The last of some intervals made in order."""
+    staging = Staging(DISPLAY, Network())
+    found = [staging.interval(loaded(index, setting)) for index in indices]
+    return found[-1]
+
+
+@pytest.fixture
+def settled(monkeypatch) -> list[GBuffer]:
+    """Every G-buffer whose motion was settled."""
+    seen: list[GBuffer] = []
+    true = geometry.settle_motion
+
+    def settle(gbuffer: GBuffer) -> GBuffer:
+        seen.append(gbuffer)
+        return true(gbuffer)
+
+    monkeypatch.setattr(geometry, "settle_motion", settle)
+    return seen
+
+
+@pytest.mark.parametrize("setting", ["key", "slot"])
+def test_motion_leads_to_the_key_frame_before(setting):
+    found = staged(2, setting=setting)
+    assert [past.frame.number for past in found.past] == [1002, 1001]
+    for newer, past in ((2, found.past[0]), (1, found.past[1])):
+        seen = view(float(newer))
+        inside = seen.inside(4) & (seen.source_surface(view(newer - 1.0)) == seen.surface)
+        assert inside.mean() > 0.3
+        error = np.abs(past.motion - seen.motion_to(newer - 1.0)).max(axis=-1)
+        assert np.percentile(error[inside], 99) < 0.1
+        assert np.abs(past.motion[inside]).max() > 3  # the scene moves
+
+
+@pytest.mark.parametrize("setting", ["key", "slot"])
+@pytest.mark.parametrize("before", [(2,), (0, 1, 2)])
+def test_what_is_shared_is_what_is_made_afresh(setting, before):
+    kept, fresh = staged(*before, 3, setting=setting), staged(3, setting=setting)
+    np.testing.assert_array_equal(kept.key.image.pixels, fresh.key.image.pixels)
+    for a, b in zip(kept.past, fresh.past, strict=True):
+        assert a.frame.number == b.frame.number
+        np.testing.assert_array_equal(a.motion, b.motion)
+        assert a.frame.gbuffer is not None and b.frame.gbuffer is not None
+        for name in ("to_previous", "to_next"):
+            x, y = getattr(a.frame.gbuffer, name), getattr(b.frame.gbuffer, name)
+            assert (x is None) == (y is None)
+            assert x is None or np.array_equal(x, y, equal_nan=True)
+
+
+@pytest.mark.parametrize(("setting", "each"), [("key", 1), ("slot", 5)])
+def test_in_a_row_nothing_is_settled_twice(settled, setting, each):
+    """With slot G-buffers, a key frame is settled for its interval and for the slot before."""
+    staging = Staging(DISPLAY, Network())
+    counts = []
+    for index in range(4):
+        before = len(settled)
+        staging.interval(loaded(index, setting))
+        counts.append(len(settled) - before)
+    assert counts[2:] == [each] * 2
+
+
+@pytest.mark.parametrize("setting", ["key", "slot"])
+def test_it_keeps_no_more_in_a_long_run(setting):
+    staging = Staging(DISPLAY, Network())
+    sizes = []
+    for index in range(4):
+        staging.interval(loaded(index, setting))
+        kept = (staging._frames, staging._instants, staging._motions)
+        sizes.append(tuple(len(part) for part in kept))
+    assert sizes[1:] == [sizes[1]] * 3
+    assert sizes[1] == (2, 3 if setting == "slot" else 0, 1)
+
+
+def test_methods_without_a_network_keep_nothing_of_the_past():
+    staging = Staging(DISPLAY)
+    for index in range(3):
+        found = staging.interval(loaded(index, "slot", past=()))
+        assert found.past == () and found.extrapolator is None
+    assert not (staging._frames or staging._instants or staging._motions)
+
+
+def test_a_following_frame_is_kept_for_its_own_interval(settled):
+    staging = Staging(DISPLAY)
+    for index in range(3):
+        staging.interval(loaded(index, "key", past=(), following=raw_key(index + 1)))
+    assert len(settled) == 4
+
+
+def test_every_part_lies_on_the_key_frame_s_window():
+    """The data windows of older frames may be larger or smaller."""
+
+    def cropped(frame: KeyFrame, window: Window) -> KeyFrame:
+        return frame.on(window)
+
+    small, large = Window(10, 5, 70, 60), Window(-8, -4, 150, 90)
+    given = loaded(2, "key")
+    assert given.frame is not None
+    newer, older = given.past
+    staging = Staging(DISPLAY, Network())
+    found = staging.interval(
+        replace(
+            given,
+            frame=cropped(given.frame, small),
+            past=(
+                replace(newer, frame=cropped(newer.frame, large)),
+                replace(older, frame=cropped(older.frame, small)),
+            ),
+        )
+    )
+    assert found.key.image.data_window == DISPLAY
+    for past in found.past:
+        assert past.frame.image.data_window == DISPLAY
+        assert past.motion.shape == (80, 128, 2)
+        assert past.frame.gbuffer is not None and past.frame.gbuffer.window == DISPLAY
+    # on another window nothing is shared
+    again = staging.interval(replace(loaded(3, "key"), frame=cropped(raw_key(3), large)))
+    assert again.past[0].motion.shape == (90, 150, 2)

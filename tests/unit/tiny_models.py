@@ -1,0 +1,114 @@
+"""Small ONNX networks for tests, built by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import onnx
+from onnx import TensorProto, helper, numpy_helper
+
+from exwarp_cli.domain.extrapolator import INPUTS, OUTPUT, TIME
+
+Shape = Sequence[int | str]
+OPSET = 17
+IR = 8
+
+
+def picture(name: str, channels: int | str, kind: int = TensorProto.FLOAT) -> onnx.ValueInfoProto:
+    """A picture input or output of any height and width."""
+    return helper.make_tensor_value_info(name, kind, [1, channels, "H", "W"])
+
+
+def inputs(names: Sequence[str]) -> list[onnx.ValueInfoProto]:
+    """The inputs of these names as the interface has them."""
+    time = helper.make_tensor_value_info(TIME, TensorProto.FLOAT, [1])
+    return [time if name == TIME else picture(name, INPUTS[name]) for name in names]
+
+
+def model(
+    nodes: Sequence[onnx.NodeProto],
+    takes: Sequence[onnx.ValueInfoProto],
+    gives: Sequence[onnx.ValueInfoProto] | None = None,
+    weights: Mapping[str, np.ndarray] | None = None,
+    metadata: Mapping[str, str] | None = None,
+) -> onnx.ModelProto:
+    """Put a graph together."""
+    constants = [numpy_helper.from_array(array, name) for name, array in (weights or {}).items()]
+    graph = helper.make_graph(nodes, "tiny", takes, gives or [picture(OUTPUT, 3)], constants)
+    made = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR)
+    helper.set_model_props(made, dict(metadata or {}))
+    return made
+
+
+def save(path: Path, made: onnx.ModelProto) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    onnx.save(made, str(path))
+    return path
+
+
+def filled_warp(gain: float = 1.0, **metadata: str) -> onnx.ModelProto:
+    """Give the filled warp back, times `gain`."""
+    weights = {
+        "start": np.array([3], np.int64),
+        "end": np.array([6], np.int64),
+        "axis": np.array([1], np.int64),
+        "gain": np.array(gain, np.float32),
+    }
+    nodes = [
+        helper.make_node("Slice", ["warped", "start", "end", "axis"], ["filled"]),
+        helper.make_node("Mul", ["filled", "gain"], [OUTPUT]),
+    ]
+    stated = {key.replace("__", "."): value for key, value in metadata.items()}
+    return model(nodes, inputs(["warped", "mask"]), weights=weights, metadata=stated)
+
+
+def convolution(
+    channels: int = 18, seed: int = 0, time: bool = True, scale: int = 1, **metadata: str
+) -> onnx.ModelProto:
+    """Sum the filled warp and two convolutions of everything there is, the coarse one doubled back.
+
+    Parameters
+    ----------
+    channels
+        Of the hidden layer. Those that are no multiple of 4 take onnxruntime's general path.
+    seed
+        Of the weights.
+    time
+        Whether the slot's time brightens the picture.
+    scale
+        Factor between the picture and the hidden layer, 1 or 2.
+    """
+    rng = np.random.default_rng(seed)
+
+    def kernel(out: int, into: int) -> np.ndarray:
+        return (rng.standard_normal((out, into, 3, 3)) / (10 * into**0.5)).astype(np.float32)
+
+    weights = {
+        "start": np.array([3], np.int64),
+        "end": np.array([6], np.int64),
+        "axis": np.array([1], np.int64),
+        "first": kernel(channels, sum(INPUTS.values())),
+        "second": kernel(channels, channels),
+        "third": kernel(3, channels),
+        "scales": np.array([1, 1, scale, scale], np.float32),
+    }
+    same = {"kernel_shape": [3, 3], "pads": [1, 1, 1, 1]}
+    nodes = [
+        helper.make_node("Concat", list(INPUTS), ["all"], axis=1),
+        helper.make_node("Conv", ["all", "first"], ["a"], strides=[scale, scale], **same),
+        helper.make_node("Relu", ["a"], ["b"]),
+        helper.make_node("Conv", ["b", "second"], ["c"], **same),
+        helper.make_node("Resize", ["c", "", "scales"], ["d"], mode="nearest"),
+        helper.make_node("Conv", ["d", "third"], ["e"], **same),
+        helper.make_node("Slice", ["warped", "start", "end", "axis"], ["filled"]),
+        helper.make_node("Add", ["e", "filled"], ["f" if time else OUTPUT]),
+    ]
+    names = [*INPUTS, TIME] if time else list(INPUTS)
+    if time:
+        weights["hundredth"] = np.array(0.01, np.float32)
+        nodes.append(helper.make_node("Mul", [TIME, "hundredth"], ["g"]))
+        nodes.append(helper.make_node("Add", ["f", "g"], [OUTPUT]))
+    stated = {key.replace("__", "."): value for key, value in metadata.items()}
+    return model(nodes, inputs(names), weights=weights, metadata=stated)
