@@ -147,29 +147,38 @@ def sample(depth: Float32, stencil: Int32 | None = None) -> npt.NDArray[np.intp]
     return index[:: max(1, len(index) // MAX_SAMPLES)]
 
 
-def rigid_motion(scene: Scene, vectors: Float32, stencil: Int32 | None) -> Float32 | None:
-    """Return the motion that static points and the sky have, from the camera that `vectors` imply.
+def camera_after(scene: Scene, vectors: Float32, stencil: Int32 | None) -> Camera | None:
+    """Return the camera of another instant, which the motion to it implies.
 
     Parameters
     ----------
     scene
         The frame's points.
     vectors
-        float32 [H, W, 2], pixels, displacement to the other frame as rendered.
+        float32 [H, W, 2], pixels, displacement to the other frame.
     stencil
         int32 [H, W], 0 static; None when unknown. Used to find points for the fit.
+
+    Returns
+    -------
+    Camera or None
+        In the scene's own world; None when none can be found.
+    """
+    index = sample(scene.depth, stencil)
+    seen_at = pixels_at(index, scene.depth.shape[1]) + vectors.reshape(-1, 2)[index]
+    return fit(scene.points(index), seen_at, movers=stencil is None)
+
+
+def rigid_motion(scene: Scene, vectors: Float32, stencil: Int32 | None) -> Float32 | None:
+    """Return the motion that static points and the sky have, by the camera of `camera_after`.
 
     Returns
     -------
     float32 [H, W, 2] or None
         NaN where unknown. None when no camera can be found.
     """
-    index = sample(scene.depth, stencil)
-    seen_at = pixels_at(index, scene.depth.shape[1]) + vectors.reshape(-1, 2)[index]
-    camera = fit(scene.points(index), seen_at, movers=stencil is None)
-    if camera is None:
-        return None
-    return seen_by(scene, camera)
+    camera = camera_after(scene, vectors, stencil)
+    return None if camera is None else seen_by(scene, camera)
 
 
 def seen_by(scene: Scene, camera: Camera) -> Float32:

@@ -96,8 +96,20 @@ def reproject(gbuffer: GBuffer, time: float) -> SlotField:
     time
         Of the slot, in key intervals from this key frame; negative is earlier.
     """
+    return moved_on(gbuffer, displacement(gbuffer, time))
+
+
+def moved_on(gbuffer: GBuffer, motion: Float32) -> SlotField:
+    """Return the motion field back from where a frame's surfaces come to lie.
+
+    Parameters
+    ----------
+    gbuffer
+        Of the frame.
+    motion
+        float32 [H, W, 2], pixels: where each of its pixels moves; NaN for nowhere.
+    """
     depth = depth_of(gbuffer)
-    motion = displacement(gbuffer, time)
     field, near = np.empty_like(motion), np.empty_like(depth)
     reach = np.empty((depth.shape[0], 2), np.float32)
     splat.row_reach(motion, reach)

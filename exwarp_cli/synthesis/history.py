@@ -10,8 +10,15 @@ import numpy as np
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, KeyFrame
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.kernels.follow import follow
-from exwarp_cli.synthesis.camera import Scene, scene_of, seen_by
-from exwarp_cli.synthesis.geometry import SlotField, matched, reproject
+from exwarp_cli.synthesis.camera import (
+    Camera,
+    Scene,
+    camera_after,
+    rigid_motion,
+    scene_of,
+    seen_by,
+)
+from exwarp_cli.synthesis.geometry import STATIC_TOLERANCE, SlotField, matched, moved_on
 from exwarp_cli.synthesis.surface import lookup, reprojected
 from exwarp_cli.synthesis.trajectory import displacement, stencil_of
 
@@ -111,32 +118,70 @@ def _reprojected(slot: int, back: SlotField, key: GBuffer, past: Sequence[Past])
     """Look back from key G-buffers alone.
 
     The key frame's surfaces are moved to the slot, and followed back from the key frame. What it
-    does not show comes from the one before, moved on as its own vectors foretell: less exact, but
-    the only rendered picture of what has just been disoccluded.
+    does not show comes from the ones before, moved on to the slot: the only rendered pictures of
+    what has just been disoccluded.
     """
-    newer, moved = key, back.field.copy()
+    time, newer, moved = slot / FACTOR, key, back.field.copy()
+    camera = _camera_at(key, time)
     sources = [(newer, moved.copy())]
     fields: list[Float32] = []
     hidden: list[Bool] = []
     lost = np.isnan(moved[..., 0])
-    for step in past:
+    for count, step in enumerate(past, start=1):
         older = step.frame.gbuffer
         if older is None:
             break
         gone = matched(newer, older, step.motion, FACTOR).hole
         lost = lost | lookup(gone, moved, True)
         follow(step.motion, stencil_of(newer), _ids(newer, moved), _unforeseen(moved), moved)
-        if not fields and older.has_motion:
-            foretold = reproject(older, 1 + slot / FACTOR)
-            new = np.isnan(moved[..., 0]) & ~np.isnan(foretold.field[..., 0])
-            moved[new] = foretold.field[new]
+        if older.has_motion:
+            foretold = moved_on(older, _foretold(older, count + time, camera, count > 1)).field
+            new = np.isnan(moved[..., 0]) & ~np.isnan(foretold[..., 0])
+            moved[new] = foretold[new]
             lost[new] = False
-            sources.append((older, foretold.field))
+            sources.append((older, foretold))
         fields.append(moved.copy())
         hidden.append(lost)
         newer = older
     surface, unknown = reprojected(sources)
     return LookBack(surface, tuple(fields), tuple(hidden), unknown)
+
+
+def _camera_at(key: GBuffer, time: float) -> Camera | None:
+    """Return the camera of a slot, as the key frame's motion foretells it, in world space."""
+    scene = scene_of(key)
+    if scene is None or scene.camera is None:
+        return None
+    return camera_after(scene, displacement(key, time), key.stencil)
+
+
+def _foretold(gbuffer: GBuffer, time: float, camera: Camera | None, still: bool) -> Float32:
+    """Return where an older key frame's pixels move to, float32 [H, W, 2].
+
+    Parameters
+    ----------
+    gbuffer
+        Of the older key frame.
+    time
+        How far, in key intervals.
+    camera
+        Of the slot; what stands still is placed by it, beside what the key frame shows. Without
+        one all goes on by its own vectors.
+    still
+        Whether what moves by itself is left out (NaN), as too far ago.
+    """
+    motion = displacement(gbuffer, time)
+    step = gbuffer.to_next if gbuffer.to_next is not None else gbuffer.to_previous
+    scene = scene_of(gbuffer)
+    if camera is None or step is None or scene is None or scene.camera is None:
+        return np.full_like(motion, np.nan) if still else motion
+    rigid = rigid_motion(scene, step, gbuffer.stencil)
+    if rigid is None:
+        return np.full_like(motion, np.nan) if still else motion
+    with np.errstate(invalid="ignore"):
+        stands = np.abs(step - rigid).max(axis=-1) <= STATIC_TOLERANCE
+    others = np.float32(np.nan) if still else motion
+    return np.where(stands[..., None], seen_by(scene, camera), others)
 
 
 def _ids(gbuffer: GBuffer, field: Float32) -> np.ndarray:

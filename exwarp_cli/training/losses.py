@@ -11,6 +11,9 @@ HARDEST = 0.1
 FEW = 0.005
 """Share of holes below which they count for less: a few pixels tell little."""
 
+SQUARED = 0.1
+"""Weight of the squared error."""
+
 DOUBT = 0.01
 """What is added to a picture's error before it is divided by: about the renders' own noise."""
 
@@ -30,6 +33,10 @@ def shown(linear: Tensor) -> Tensor:
 def loss_of(made: Tensor, truth: Tensor, plain: Tensor, mask: Tensor) -> Tensor:
     """Return L1 + L1 over holes + L1 over the hardest tenth, all of colour as it is shown.
 
+    To ExtraNet's three terms comes the squared error as a share of the filled warp's, overall and
+    in holes: that is what PSNR counts, and in holes, where much is possible, L1 alone wants the
+    median of it, whose squared error is larger than the mean's.
+
     Parameters
     ----------
     made, truth
@@ -47,7 +54,11 @@ def loss_of(made: Tensor, truth: Tensor, plain: Tensor, mask: Tensor) -> Tensor:
     hardest = error.topk(int(HARDEST * error.shape[1]), dim=1).values.mean(1)
     worth = 1 / ((shown(plain) - wanted).abs().mean((1, 2, 3)) + DOUBT)
     total = (error.mean(1) + in_holes + hardest) * worth
-    return total.sum() / worth.sum()
+    squares = [(shown(x) - wanted).square().mean(1).flatten(1) for x in (made, plain)]
+    shares = squares[0].mean(1) / (squares[1].mean(1) + DOUBT**2)
+    few = FEW * hole.shape[1] * DOUBT
+    hole_shares = (squares[0] * hole).sum(1) / ((squares[1] * hole).sum(1) + few)
+    return total.sum() / worth.sum() + SQUARED * (shares + 0.5 * hole_shares).mean()
 
 
 def decibels(made: Tensor, truth: Tensor, where: Tensor | None = None) -> Tensor:

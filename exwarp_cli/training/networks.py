@@ -49,6 +49,10 @@ class Architecture:
         Number of candidates that are the filled warp, sampled where the network says.
     residual
         Whether the network adds colour of its own.
+    patched
+        Whether it does so in holes, beside weighing candidates.
+    detail
+        Channels of a last layer at full resolution that sees the inputs again; 0 for none.
     """
 
     width: int = 32
@@ -58,6 +62,8 @@ class Architecture:
     continued: bool = True
     flow: int = 0
     residual: bool = False
+    patched: bool = False
+    detail: int = 0
 
 
 ARCHITECTURES: Mapping[str, Architecture] = {
@@ -66,6 +72,9 @@ ARCHITECTURES: Mapping[str, Architecture] = {
     "kernels": Architecture(taps=(1, 1, 0)),
     "kernels-residual": Architecture(taps=(1, 1, 0), residual=True),
     "kernels-flow": Architecture(taps=(1, 1, 0), flow=2),
+    "kernels-detail": Architecture(taps=(1, 1, 0), detail=16),
+    "blend-detail": Architecture(detail=16),
+    "kernels-patched": Architecture(taps=(1, 1, 0), detail=16, patched=True),
 }
 
 
@@ -126,15 +135,17 @@ class ExtrapolationNetwork(nn.Module):
         super().__init__()
         self.architecture = architecture
         count = self._count()
-        made = count + 2 * architecture.flow + 3 * architecture.residual
-        self.net = UNet(PLANES + 1, made, architecture.width)
-        with torch.no_grad():
-            self.net.last.weight.mul_(0.03)
-            bias = torch.zeros(made, 4)
-            if count:
-                bias[0] = CERTAIN
-            assert self.net.last.bias is not None
-            self.net.last.bias.copy_(bias.reshape(-1))
+        made = count + 2 * architecture.flow
+        made += 3 * (architecture.residual or architecture.patched)
+        self.net = UNet(PLANES + 1, architecture.detail or made, architecture.width)
+        self.detail: nn.Sequential | None = None
+        if architecture.detail:
+            size = architecture.detail
+            self.detail = nn.Sequential(
+                Gated(size + PLANES + 1, size), nn.Conv2d(size, made, 3, padding=1)
+            )
+        last = self.net.last if self.detail is None else self.detail[1]
+        _begin_with_the_warp(last, made, count > 0)
 
     def forward(
         self, warped: Tensor, mask: Tensor, features: Tensor, history: Tensor, time: Tensor
@@ -143,7 +154,10 @@ class ExtrapolationNetwork(nn.Module):
         filled = warped[:, 3:]
         when = time.reshape(-1, 1, 1, 1)
         plane = torch.zeros_like(mask) + when
-        answer = self.net(torch.cat([warped, mask, features, history, plane], 1))
+        given = torch.cat([warped, mask, features, history, plane], 1)
+        answer = self.net(given)
+        if self.detail is not None:
+            answer = self.detail(torch.cat([answer, given], 1))
         if not self.architecture.candidates:
             return torch.add(filled, answer)
         count = self._count()
@@ -153,7 +167,9 @@ class ExtrapolationNetwork(nn.Module):
         candidates = self._candidates(filled, history, when, flow)
         for index, candidate in enumerate(candidates):
             out = out + weights[:, index : index + 1] * candidate
-        if self.architecture.residual:
+        if self.architecture.patched:
+            out = out + (1 - mask) * answer[:, -3:]
+        elif self.architecture.residual:
             out = out + answer[:, -3:]
         return out
 
@@ -182,6 +198,16 @@ class ExtrapolationNetwork(nn.Module):
         for index in range(a.flow):
             out.append(_moved(filled, flow[:, 2 * index : 2 * index + 2]))
         return out
+
+
+def _begin_with_the_warp(last: nn.Module, made: int, weighed: bool) -> None:
+    """Let the last layer answer with hardly more than the filled warp before any training."""
+    assert isinstance(last, nn.Conv2d) and last.bias is not None
+    with torch.no_grad():
+        last.weight.mul_(0.03)
+        last.bias.zero_()
+        if weighed:
+            last.bias.view(made, -1)[0] = CERTAIN
 
 
 def _neighbours(frame: Tensor, radius: int) -> list[Tensor]:

@@ -20,7 +20,7 @@ from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.training.footage import Footage
 from exwarp_cli.training.variant import Variant
 
-VERSION = 1
+VERSION = 2
 """Of what is kept; crops of another version are made again."""
 
 DONE = "done"
