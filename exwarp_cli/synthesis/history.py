@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -41,6 +42,24 @@ class Past:
 
     frame: KeyFrame
     motion: Float32
+
+    @cached_property
+    def scene(self) -> Scene | None:
+        """The frame's points."""
+        return None if self.frame.gbuffer is None else scene_of(self.frame.gbuffer)
+
+    @cached_property
+    def stands(self) -> Bool | None:
+        """bool [H, W]: what stands still in the world; None where no camera tells."""
+        gbuffer, scene = self.frame.gbuffer, self.scene
+        if gbuffer is None or scene is None or scene.camera is None:
+            return None
+        step = gbuffer.to_next if gbuffer.to_next is not None else gbuffer.to_previous
+        rigid = None if step is None else rigid_motion(scene, step, gbuffer.stencil)
+        if step is None or rigid is None:
+            return None
+        with np.errstate(invalid="ignore"):
+            return np.asarray(np.abs(step - rigid).max(axis=-1) <= STATIC_TOLERANCE)
 
 
 @dataclass(frozen=True)
@@ -135,7 +154,7 @@ def _reprojected(slot: int, back: SlotField, key: GBuffer, past: Sequence[Past])
         lost = lost | lookup(gone, moved, True)
         follow(step.motion, stencil_of(newer), _ids(newer, moved), _unforeseen(moved), moved)
         if older.has_motion:
-            foretold = moved_on(older, _foretold(older, count + time, camera, count > 1)).field
+            foretold = moved_on(older, _foretold(step, count + time, camera, count > 1)).field
             new = np.isnan(moved[..., 0]) & ~np.isnan(foretold[..., 0])
             moved[new] = foretold[new]
             lost[new] = False
@@ -155,13 +174,13 @@ def _camera_at(key: GBuffer, time: float) -> Camera | None:
     return camera_after(scene, displacement(key, time), key.stencil)
 
 
-def _foretold(gbuffer: GBuffer, time: float, camera: Camera | None, still: bool) -> Float32:
+def _foretold(past: Past, time: float, camera: Camera | None, still: bool) -> Float32:
     """Return where an older key frame's pixels move to, float32 [H, W, 2].
 
     Parameters
     ----------
-    gbuffer
-        Of the older key frame.
+    past
+        The older key frame.
     time
         How far, in key intervals.
     camera
@@ -170,18 +189,12 @@ def _foretold(gbuffer: GBuffer, time: float, camera: Camera | None, still: bool)
     still
         Whether what moves by itself is left out (NaN), as too far ago.
     """
-    motion = displacement(gbuffer, time)
-    step = gbuffer.to_next if gbuffer.to_next is not None else gbuffer.to_previous
-    scene = scene_of(gbuffer)
-    if camera is None or step is None or scene is None or scene.camera is None:
-        return np.full_like(motion, np.nan) if still else motion
-    rigid = rigid_motion(scene, step, gbuffer.stencil)
-    if rigid is None:
-        return np.full_like(motion, np.nan) if still else motion
-    with np.errstate(invalid="ignore"):
-        stands = np.abs(step - rigid).max(axis=-1) <= STATIC_TOLERANCE
-    others = np.float32(np.nan) if still else motion
-    return np.where(stands[..., None], seen_by(scene, camera), others)
+    assert past.frame.gbuffer is not None
+    motion = displacement(past.frame.gbuffer, time)
+    others = np.full_like(motion, np.nan) if still else motion
+    if camera is None or past.scene is None or past.stands is None:
+        return others
+    return np.where(past.stands[..., None], seen_by(past.scene, camera), others)
 
 
 def _ids(gbuffer: GBuffer, field: Float32) -> np.ndarray:
@@ -207,7 +220,7 @@ def _rendered(
         steps = slot + FACTOR * count
         foreseen = displacement(surface, -steps) - displacement(surface, FACTOR - steps)
         follow(step.motion, stencil_of(newer), stencil_of(surface), foreseen, moved)
-        placed = _placed(moved, here, older, surface)
+        placed = _placed(moved, here, step, surface)
         fields.append(placed)
         hidden.append(matched(surface, older, placed, steps).hole)
         newer = older
@@ -215,9 +228,9 @@ def _rendered(
     return LookBack(surface, tuple(fields), tuple(hidden), known)
 
 
-def _placed(moved: Float32, here: Scene | None, older: GBuffer, surface: GBuffer) -> Float32:
+def _placed(moved: Float32, here: Scene | None, past: Past, surface: GBuffer) -> Float32:
     """Place what stands still by the cameras, where world positions are known."""
-    there = None if here is None else scene_of(older)
+    there = past.scene
     if here is None or there is None or there.camera is None or surface.stencil is None:
         return moved.copy()
     still = surface.stencil == 0

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import fields, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer
 from exwarp_cli.kernels import gather
@@ -13,6 +14,8 @@ from exwarp_cli.synthesis.geometry import depth_of
 
 SMOOTH = ("albedo", "specular")
 """Sampled bilinearly, as colour is, so that they cancel where colour is divided by them."""
+
+Index = npt.NDArray[np.intp]
 
 LEFT_OUT = ("window", "to_previous", "to_next")
 
@@ -34,25 +37,23 @@ def reprojected(sources: Sequence[tuple[GBuffer, Float32]]) -> tuple[GBuffer, Bo
     bool [H, W]
         Where that is so.
     """
-    first = sources[0][0]
-    out = {}
+    first = replace(sources[0][0], depth=depth_of(sources[0][0]))
+    made = {
+        part.name: np.full(array.shape, np.nan if part.name == "depth" else 0, array.dtype)
+        for part in fields(GBuffer)
+        if part.name not in LEFT_OUT and (array := getattr(first, part.name)) is not None
+    }
     unknown = np.ones(first.window.shape, np.bool_)
-    sources = [(replace(gbuffer, depth=depth_of(gbuffer)), field) for gbuffer, field in sources]
-    for part in fields(GBuffer):
-        array = getattr(sources[0][0], part.name)
-        if part.name in LEFT_OUT or array is None:
-            continue
-        made = np.full(array.shape, np.nan if part.name == "depth" else 0, array.dtype)
-        missing = np.ones(array.shape[:2], np.bool_)
-        for gbuffer, field in sources:
-            other = getattr(gbuffer, part.name)
-            if other is not None and missing.any():
-                take = _sample if part.name in SMOOTH else _nearest
-                missing &= ~take(other, field, missing, made)
-        out[part.name] = made
-        if part.name == "depth":
-            unknown = missing
-    return GBuffer(first.window, **out), unknown
+    for gbuffer, field in sources:
+        pixels, ends = _ends(field, unknown)
+        unknown.reshape(-1)[pixels] = False
+        for name, out in made.items():
+            array = depth_of(gbuffer) if name == "depth" else getattr(gbuffer, name)
+            if array is not None and name in SMOOTH:
+                _flat(out)[pixels] = _flat(_sampled(array, field))[pixels]
+            elif array is not None:
+                _flat(out)[pixels] = _flat(array)[ends]
+    return GBuffer(first.window, **made), unknown
 
 
 def lookup(array: np.ndarray, field: Float32, default: object) -> np.ndarray:
@@ -68,28 +69,32 @@ def lookup(array: np.ndarray, field: Float32, default: object) -> np.ndarray:
         For pixels without an end inside the frame.
     """
     out = np.full_like(array, default)
-    _nearest(array, field, np.ones(array.shape[:2], np.bool_), out)
+    pixels, ends = _ends(field, np.ones(array.shape[:2], np.bool_))
+    _flat(out)[pixels] = _flat(array)[ends]
     return out
 
 
-def _nearest(array: np.ndarray, field: Float32, wanted: Bool, out: np.ndarray) -> Bool:
-    """Copy the nearest pixel at the end of a field to wanted pixels; return where there is one."""
+def _flat(array: np.ndarray) -> np.ndarray:
+    """Return [H, W, ...] as [H W, ...]; a view where the array is contiguous."""
+    return array.reshape(-1, *array.shape[2:])
+
+
+def _ends(field: Float32, wanted: Bool) -> tuple[Index, Index]:
+    """Return which wanted pixels a field leads from, and the nearest pixels it leads to, flat."""
     height, width = wanted.shape
+    pixels = np.flatnonzero(wanted)
+    row, column = np.divmod(pixels, width)
+    move = _flat(field)[pixels]
+    x, y = column + move[:, 0] + 0.5, row + move[:, 1] + 0.5
     with np.errstate(invalid="ignore"):
-        x = np.arange(width, dtype=np.float32) + field[..., 0]
-        y = np.arange(height, dtype=np.float32)[:, None] + field[..., 1]
-        inside = (x >= -0.5) & (y >= -0.5) & (x <= width - 0.5) & (y <= height - 0.5)
-    took: Bool = inside & wanted
-    column = np.clip(np.floor(x[took] + 0.5).astype(np.intp), 0, width - 1)
-    row = np.clip(np.floor(y[took] + 0.5).astype(np.intp), 0, height - 1)
-    out[took] = array[row, column]
-    return took
+        inside = (x >= 0) & (y >= 0) & (x <= width) & (y <= height)
+    left = np.minimum(x[inside].astype(np.intp), width - 1)
+    top = np.minimum(y[inside].astype(np.intp), height - 1)
+    return pixels[inside], top * width + left
 
 
-def _sample(array: np.ndarray, field: Float32, wanted: Bool, out: np.ndarray) -> Bool:
-    """Do the same bilinearly."""
-    sampled, unseen = np.empty_like(out), np.empty(wanted.shape, np.bool_)
-    gather.gather_bilinear(array, field, sampled, unseen)
-    took: Bool = wanted & ~unseen
-    out[took] = sampled[took]
-    return took
+def _sampled(array: Float32, field: Float32) -> Float32:
+    """Return what lies at the end of a field, bilinearly; 0 where nothing does."""
+    out, unseen = np.empty_like(array), np.empty(array.shape[:2], np.bool_)
+    gather.gather_bilinear(array, field, out, unseen)
+    return out
