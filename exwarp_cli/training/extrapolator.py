@@ -9,14 +9,14 @@ import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
-from exwarp_cli.errors import InputError, UsageError
+from exwarp_cli.errors import UsageError
 from exwarp_cli.io.atomic import atomic_path, atomic_write_text, make_folder
 from exwarp_cli.io.dataset import RenderedScene
 from exwarp_cli.training.crops import Batch, Crops
@@ -24,6 +24,8 @@ from exwarp_cli.training.export import export_extrapolator
 from exwarp_cli.training.losses import decibels, loss_of
 from exwarp_cli.training.networks import STRIDE, ExtrapolationNetwork, build
 from exwarp_cli.training.samples import CropSettings, crops_folder, is_whole, write_crops
+from exwarp_cli.training.selection import split
+from exwarp_cli.training.settings import TrainingSettings, require_sane
 
 CHECKPOINT = "checkpoint.pt"
 CURVE = "curve.csv"
@@ -39,9 +41,6 @@ LEAST_RATE = 0.02
 AVERAGED = 0.998
 """The network that is kept is a running average of the weights; it forgets that much a step."""
 
-EVERY = 12
-"""One scene in so many is left out of training, to validate on."""
-
 VALIDATED = 192
 """Crops, at most, that validation looks at, and how many at a time."""
 TOGETHER = 16
@@ -52,57 +51,6 @@ CLIPPED = 0.3
 COLUMNS = ("step", "seconds", "loss", "rate", "gain_db", "gain_holes_db")
 
 Say = Callable[[str], None]
-
-
-@dataclass(frozen=True)
-class TrainingSettings:
-    """What decides the outcome of a training.
-
-    Attributes
-    ----------
-    architecture
-        Name in `networks.ARCHITECTURES`.
-    width
-        Channels at half resolution; None for the architecture's own.
-    steps
-        Batches to train on.
-    batch, patch
-        Crops in a batch, and how large a part of each is learnt from: height and width in pixels,
-        a multiple of `networks.STRIDE`. Many small ones vary more than a few whole ones.
-    rate
-        Highest learning rate.
-    frames
-        Frames of each scene that crops are taken of.
-    side
-        Of a crop, pixels; a multiple of `networks.STRIDE`, and `patch` at least.
-    seed
-        Of weights, crops and their order.
-    scenes
-        Names of the scenes that are trained on, and of those that are validated on.
-    """
-
-    architecture: str = "kernels"
-    width: int | None = None
-    steps: int = 20000
-    batch: int = 24
-    patch: int = 64
-    rate: float = 2e-3
-    frames: int = 30
-    side: int = 128
-    seed: int = 0
-    scenes: dict[str, list[str]] = field(default_factory=dict)
-
-
-def split(scenes: Sequence[RenderedScene]) -> tuple[list[RenderedScene], list[RenderedScene]]:
-    """Return scenes to train on and to validate on: every twelfth by name, at least one."""
-    ordered = sorted(scenes, key=lambda s: s.name)
-    if len(ordered) < 2:
-        raise InputError(
-            f"there is {len(ordered)} scene to train on, and one more is needed to validate on; "
-            "render more with examples/scenes/variety.py"
-        )
-    held = ordered[EVERY // 2 :: EVERY] or ordered[-1:]
-    return [s for s in ordered if s not in held], held
 
 
 class Training:
@@ -264,7 +212,7 @@ def train_extrapolator(
     cache
         For prepared crops, which later trainings share.
     settings
-        Of the training; `scenes` in it is filled in here.
+        Of the training; `scenes` in it is filled in here. See :func:`require_sane`.
     every
         Steps between two checkpoints.
     threads
@@ -272,6 +220,7 @@ def train_extrapolator(
     say
         Told what happens, in lines.
     """
+    require_sane(settings)
     torch.set_num_threads(threads or os.cpu_count() or 1)
     parts = dict(zip(("training", "validation"), split(scenes), strict=True))
     names = {part: [s.name for s in chosen] for part, chosen in parts.items()}

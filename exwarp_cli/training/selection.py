@@ -10,6 +10,9 @@ from exwarp_cli.domain.dataset import TRAINING
 from exwarp_cli.errors import InputError, MissingFrameError
 from exwarp_cli.io.dataset import RenderedScene, find_scenes
 
+EVERY = 12
+"""One scene in so many is left out of training, to validate on."""
+
 
 def select(
     data: Path, wanted: Sequence[str], unwanted: Sequence[str], say: Callable[[str], None]
@@ -54,3 +57,15 @@ def select(
 
 def _matches(name: str, patterns: Sequence[str]) -> bool:
     return any(fnmatchcase(name, pattern) for pattern in patterns)
+
+
+def split(scenes: Sequence[RenderedScene]) -> tuple[list[RenderedScene], list[RenderedScene]]:
+    """Return scenes to train on and to validate on: every twelfth by name, at least one."""
+    ordered = sorted(scenes, key=lambda s: s.name)
+    if len(ordered) < 2:
+        raise InputError(
+            f"there is {len(ordered)} scene to train on, and one more is needed to validate on; "
+            "render more with examples/scenes/variety.py"
+        )
+    held = ordered[EVERY // 2 :: EVERY] or ordered[-1:]
+    return [s for s in ordered if s not in held], held

@@ -21,14 +21,13 @@ from exwarp_cli.training.extrapolator import (
     COLUMNS,
     CURVE,
     Training,
-    TrainingSettings,
-    split,
     train_extrapolator,
 )
 from exwarp_cli.training.losses import FEW, SQUARED, decibels, loss_of, shown
 from exwarp_cli.training.networks import ARCHITECTURES, STRIDE, Architecture, build
 from exwarp_cli.training.samples import CropSettings, choices, crops_of, write_crops
-from exwarp_cli.training.selection import select
+from exwarp_cli.training.selection import select, split
+from exwarp_cli.training.settings import TrainingSettings
 from tests.unit.analytic_scene import INSTANTS, write_scene
 
 SIDE = 64

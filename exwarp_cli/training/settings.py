@@ -1,0 +1,71 @@
+"""What decides the outcome of a training."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from exwarp_cli.errors import UsageError
+from exwarp_cli.training.networks import ARCHITECTURES, STRIDE
+
+
+@dataclass(frozen=True)
+class TrainingSettings:
+    """What decides the outcome of a training.
+
+    Attributes
+    ----------
+    architecture
+        Name in `networks.ARCHITECTURES`.
+    width
+        Channels at half resolution; None for the architecture's own.
+    steps
+        Batches to train on.
+    batch, patch
+        Crops in a batch, and how large a part of each is learnt from: height and width in pixels,
+        a multiple of `networks.STRIDE`. Many small ones vary more than a few whole ones.
+    rate
+        Highest learning rate.
+    frames
+        Frames of each scene that crops are taken of.
+    side
+        Of a crop, pixels; a multiple of `networks.STRIDE`, and `patch` at least.
+    seed
+        Of weights, crops and their order.
+    scenes
+        Names of the scenes that are trained on, and of those that are validated on.
+    """
+
+    architecture: str = "kernels"
+    width: int | None = None
+    steps: int = 20000
+    batch: int = 24
+    patch: int = 64
+    rate: float = 2e-3
+    frames: int = 30
+    side: int = 128
+    seed: int = 0
+    scenes: dict[str, list[str]] = field(default_factory=dict)
+
+
+def require_sane(settings: TrainingSettings) -> None:
+    """Refuse settings that no training can begin with.
+
+    Raises
+    ------
+    UsageError
+        For an unknown architecture, and patches that do not fit the network or the crops.
+    """
+    if settings.architecture not in ARCHITECTURES:
+        raise UsageError(
+            f"--architecture {settings.architecture} is not one of {', '.join(ARCHITECTURES)}"
+        )
+    if settings.patch % STRIDE:
+        raise UsageError(
+            f"--patch {settings.patch} is no multiple of {STRIDE}, which the network halves down to"
+        )
+    if settings.patch > settings.side:
+        raise UsageError(
+            f"--patch {settings.patch} is larger than --side {settings.side}; enlarge the latter"
+        )
+    if not settings.rate > 0:
+        raise UsageError(f"--rate {settings.rate:g} is not above 0; try 0.002")

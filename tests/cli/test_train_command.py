@@ -1,0 +1,88 @@
+"""`exwarp train` as a user runs it."""
+
+from __future__ import annotations
+
+import builtins
+from pathlib import Path
+
+import pytest
+
+from exwarp_cli.cli import run
+from tests.unit.analytic_scene import write_scene
+
+SMALL = ["--steps", "2", "--every", "1", "--batch", "2", "--patch", "32", "--side", "64"]
+SMALL += ["--width", "4", "--frames", "2", "--architecture", "blend", "--threads", "1"]
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("train") / "scenes"
+    for name in ("one", "two"):
+        write_scene(folder / name, scene=name, role="training")
+    write_scene(folder / "judged", scene="judged")
+    return folder
+
+
+def train(data: Path, output: Path, *more: str) -> int:
+    return run(["train", "extrapolator", "--data", str(data), "-o", str(output), *more])
+
+
+def test_a_network_is_trained_and_named(data, tmp_path, capsys):
+    assert train(data, tmp_path / "run", *SMALL) == 0
+    out, err = capsys.readouterr()
+    assert "extrapolator.onnx: give it to exwarp upsample" in out
+    assert "preparing one, 1 of 1" in err
+    assert "1 scenes, " in err
+    assert "step 2 of 2: loss" in err
+    assert "judged" not in err
+    files = {"checkpoint.pt", "curve.csv", "extrapolator.onnx", "settings.json"}
+    assert {p.name for p in (tmp_path / "run").iterdir()} == files
+    assert train(data, tmp_path / "run", *SMALL) == 0
+    assert "going on at step 2 of 2" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "sentence"),
+    [
+        (["--scenes", "three"], 3, "has no scene to learn from"),
+        (["--exclude", "one"], 3, "there is 1 scene to train on"),
+        (["--architecture", "huge"], 2, "--architecture huge is not one of residual, blend"),
+        (["--patch", "40"], 2, "--patch 40 is no multiple of 16"),
+        (["--patch", "128"], 2, "--patch 128 is larger than --side 64"),
+        (["--side", "96"], 3, "smaller than crops of 96"),
+        (["--rate", "0"], 2, "--rate"),
+    ],
+)
+def test_mistakes_are_one_sentence(data, tmp_path, capsys, options, code, sentence):
+    assert train(data, tmp_path / "run", *SMALL, *options) == code
+    error = capsys.readouterr().err.strip().splitlines()[-1]
+    assert error.startswith("exwarp: error: ")
+    assert sentence in error
+
+
+def test_data_that_is_not_there(tmp_path, capsys):
+    assert train(tmp_path / "none", tmp_path / "run") == 3
+    assert "is no folder" in capsys.readouterr().err
+
+
+def test_without_the_extra_one_sentence_tells_how_to_get_it(monkeypatch, data, tmp_path, capsys):
+    monkeypatch.setattr("exwarp_cli.training.extra.find_spec", lambda name: None)
+    assert train(data, tmp_path / "run") == 7
+    assert 'pip install "exwarp[train]"' in capsys.readouterr().err
+
+
+def test_the_command_alone_shows_its_help(capsys):
+    assert run(["train"]) == 0
+    assert "extrapolator" in capsys.readouterr().out
+
+
+def test_help_needs_no_torch(monkeypatch, capsys):
+    real = builtins.__import__
+
+    def guarded(name, *args, **kwargs):
+        assert not name.startswith(("torch", "onnx")), name
+        return real(name, *args, **kwargs)
+
+    monkeypatch.setattr(builtins, "__import__", guarded)
+    assert run(["train", "extrapolator", "--help"]) == 0
+    assert "--architecture" in capsys.readouterr().out
