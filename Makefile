@@ -4,6 +4,9 @@
 # make demo     upsample the example, score it against its ground truth, make a video
 # make scenes   render the benchmark scenes and the training shots with Blender's module (hours;
 #               goes on where it stopped); SCENES='lab town' for some, OPTIONS='--resolution 480p'
+# make train    train the extrapolation network on the training shots (hours; goes on where it
+#               stopped); DATA=folder of rendered scenes, OPTIONS='--steps 2000'
+# make judge    score every method, with the network of MODEL=file, on the benchmark scenes
 # make clean    remove all that make made
 
 PYTHON ?= python3
@@ -21,8 +24,11 @@ BLENDER ?= .blender
 BLENDER_PYTHON ?= python3.11
 SCENES ?= lab tropical village town slum variety
 OPTIONS ?=
+DATA ?= $(HOME)/.cache/exwarp/scenes
+TRAINING ?= build/training
+MODEL ?= models/extrapolator.onnx
 
-.PHONY: test check bench demo scenes blender clean
+.PHONY: test check bench demo scenes blender train judge clean
 
 test: check
 	$(BIN)/pytest
@@ -47,6 +53,12 @@ demo: $(STAMP)
 	@echo "frames  $(DEMO)/frames"
 	@echo "report  $(DEMO)/report/report.json"
 	@echo "video   $(DEMO)/$(EXAMPLE).mp4"
+
+train: $(STAMP)
+	$(BIN)/exwarp train extrapolator --data $(DATA) -o $(TRAINING) $(OPTIONS)
+
+judge: $(STAMP)
+	$(BIN)/python -m tests.bench.paths --data $(DATA) --model $(MODEL) --out build/judge $(OPTIONS)
 
 blender: $(BLENDER)/.installed
 

@@ -11,7 +11,10 @@ HARDEST = 0.1
 FEW = 0.005
 """Share of holes below which they count for less: a few pixels tell little."""
 
-SQUARED = 0.1
+HOLES = 2.0
+"""Weight of the error in holes."""
+
+SQUARED = 0.15
 """Weight of the squared error."""
 
 DOUBT = 0.01
@@ -53,12 +56,12 @@ def loss_of(made: Tensor, truth: Tensor, plain: Tensor, mask: Tensor) -> Tensor:
     in_holes = (error * hole).sum(1) / (hole.sum(1) + FEW * hole.shape[1])
     hardest = error.topk(int(HARDEST * error.shape[1]), dim=1).values.mean(1)
     worth = 1 / ((shown(plain) - wanted).abs().mean((1, 2, 3)) + DOUBT)
-    total = (error.mean(1) + in_holes + hardest) * worth
+    total = (error.mean(1) + HOLES * in_holes + hardest) * worth
     squares = [(shown(x) - wanted).square().mean(1).flatten(1) for x in (made, plain)]
     shares = squares[0].mean(1) / (squares[1].mean(1) + DOUBT**2)
     few = FEW * hole.shape[1] * DOUBT
     hole_shares = (squares[0] * hole).sum(1) / ((squares[1] * hole).sum(1) + few)
-    return total.sum() / worth.sum() + SQUARED * (shares + 0.5 * hole_shares).mean()
+    return total.sum() / worth.sum() + SQUARED * (shares + hole_shares).mean()
 
 
 def decibels(made: Tensor, truth: Tensor, where: Tensor | None = None) -> Tensor:

@@ -74,6 +74,7 @@ ARCHITECTURES: Mapping[str, Architecture] = {
     "kernels-flow": Architecture(taps=(1, 1, 0), flow=2),
     "kernels-detail": Architecture(taps=(1, 1, 0), detail=16),
     "blend-detail": Architecture(detail=16),
+    "blend-patched": Architecture(detail=16, patched=True),
     "kernels-patched": Architecture(taps=(1, 1, 0), detail=16, patched=True),
 }
 

@@ -70,8 +70,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for scene in found
         for setting in options.settings
     ]  # fmt: skip
-    with ProcessPoolExecutor(options.jobs) as pool:
-        rows = list(pool.map(_judge, tasks))
+    if options.jobs == 1:
+        rows = [_judge(task) for task in tasks]
+    else:
+        with ProcessPoolExecutor(options.jobs) as pool:
+            rows = list(pool.map(_judge, tasks))
     (options.out / "paths.json").write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
     print(table(rows))
     return 0

@@ -23,7 +23,7 @@ from exwarp_cli.training.extrapolator import (
     Training,
     train_extrapolator,
 )
-from exwarp_cli.training.losses import FEW, SQUARED, decibels, loss_of, shown
+from exwarp_cli.training.losses import FEW, HOLES, SQUARED, decibels, loss_of, shown
 from exwarp_cli.training.networks import ARCHITECTURES, STRIDE, Architecture, build
 from exwarp_cli.training.samples import CropSettings, choices, crops_of, write_crops
 from exwarp_cli.training.selection import select, split
@@ -170,7 +170,7 @@ def test_the_loss_counts_holes_and_the_hardest_tenth_again():
     assert seen == pytest.approx(0.1 + 1.0 + SQUARED * 0.1, abs=1e-4)
     mask[..., 0, :] = 0
     hole = 1 / (1 + 10 * FEW)
-    expected = 0.1 + hole + 1 + SQUARED * (0.1 + 0.5)
+    expected = 0.1 + HOLES * hole + 1 + SQUARED * (0.1 + 1)
     assert float(loss_of(made, truth, plain, mask)) == pytest.approx(expected, abs=1e-3)
 
 
