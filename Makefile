@@ -25,7 +25,7 @@ BLENDER_PYTHON ?= python3.11
 SCENES ?= lab tropical village town slum variety
 OPTIONS ?=
 DATA ?= $(HOME)/.cache/exwarp/scenes
-TRAINING ?= build/training
+TRAINING ?= $(HOME)/.cache/exwarp/training
 MODEL ?= models/extrapolator.onnx
 
 .PHONY: test check bench demo scenes blender train judge clean

@@ -32,7 +32,7 @@ def command(ctx: click.Context) -> None:
 @click.option("--rate", type=float, default=2e-3, show_default=True, help="Of learning.")
 @click.option("--frames", type=click.IntRange(1), default=30, show_default=True, help="Of a scene.")
 @click.option("--side", type=click.IntRange(16), default=128, show_default=True, help="Of a crop.")
-@click.option("--seed", type=int, default=0, show_default=True)
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
 @click.option("--every", type=click.IntRange(1), default=500, show_default=True, help="Checkpoint.")
 @click.option("--cache", type=FOLDER, help="For crops; default: in the data folder's parent.")
 @click.option("--threads", type=click.IntRange(1), help="Default: all cores.")

@@ -100,8 +100,8 @@ class GBuffer:
         float32 [H, W, 2], pixels, +x right, +y down: where this surface point is seen one frame
         earlier and later, minus where it is seen now. NaN where the renderer's value is unusable.
     albedo, specular
-        float32 [H, W, 3], scene-linear, 0 to 1: colour of diffuse and of glossy reflection. The
-        albedo of metals is black.
+        float32 [H, W, 3], scene-linear, 0 to 1, finite: colour of diffuse and of glossy
+        reflection. The albedo of metals is black.
     roughness, metallic
         float32 [H, W], 0 to 1.
     """

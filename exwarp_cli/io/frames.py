@@ -187,12 +187,19 @@ def read_raw(
         normal,
         stack(Role.POSITION, canvas, 0.0),
         stencil,
-        albedo=stack(Role.ALBEDO, canvas, 0.0),
-        specular=stack(Role.SPECULAR, canvas, 0.0),
-        roughness=_only(stack(Role.ROUGHNESS, canvas, 0.0)),
-        metallic=_only(stack(Role.METALLIC, canvas, 0.0)),
+        albedo=_finite(stack(Role.ALBEDO, canvas, 0.0)),
+        specular=_finite(stack(Role.SPECULAR, canvas, 0.0)),
+        roughness=_only(_finite(stack(Role.ROUGHNESS, canvas, 0.0))),
+        metallic=_only(_finite(stack(Role.METALLIC, canvas, 0.0))),
     )
     return RawFrame(number, path, image, gbuffer, stack(Role.MOTION, canvas, np.nan))
+
+
+def _finite(planes: Float32 | None) -> Float32 | None:
+    """Return surface colour with 0 where the renderer's value is unusable."""
+    if planes is None or np.isfinite(planes).all():
+        return planes
+    return np.where(np.isfinite(planes), planes, np.float32(0))
 
 
 def _only(planes: Float32 | None) -> Float32 | None:

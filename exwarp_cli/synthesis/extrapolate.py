@@ -35,17 +35,22 @@ class Prepared:
         float32 [H, W, 3] that its answer is multiplied with; None for an answer that is colour.
     alpha
         float32 [H, W, 1], warped and filled; [H, W, 0] without.
+    empty
+        bool [H, W]: the filled warp is 0 in colour and alpha; so is the frame, where it has alpha.
     """
 
     inputs: NetworkInputs
     modulation: Float32 | None
     alpha: Float32
+    empty: Bool
 
     def finish(self, answer: Float32) -> Float32:
         """Turn the network's answer, float32 [3, H, W], into scene-linear colour [H, W, C]."""
         colour = decode(answer.transpose(1, 2, 0))
         if self.modulation is not None:
             colour = colour * self.modulation
+        if self.alpha.size:
+            colour = np.where(self.empty[..., None], np.float32(0), colour)
         return np.concatenate([colour, self.alpha], axis=-1).astype(np.float32)
 
 
@@ -77,7 +82,8 @@ def prepare(
         history=np.concatenate(history),
         time=slot / FACTOR,
     )
-    return Prepared(inputs, _modulation(seen), filled[..., 3:])
+    empty = (filled == 0).all(axis=-1)
+    return Prepared(inputs, _modulation(seen), filled[..., 3:], empty)
 
 
 def _shading(frame: KeyFrame, demodulated: bool) -> Float32:
@@ -112,7 +118,7 @@ def _features(surface: GBuffer) -> Float32:
     shape = surface.window.shape
     normal = surface.normal if surface.normal is not None else np.zeros((*shape, 3), np.float32)
     planes = [
-        *np.nan_to_num(normal).transpose(2, 0, 1),
+        *np.clip(np.nan_to_num(normal, posinf=0, neginf=0), -1, 1).transpose(2, 0, 1),
         _relative_depth(surface),
         _plane(surface.roughness, shape, UNKNOWN_ROUGHNESS),
         _plane(surface.metallic, shape, UNKNOWN_METALLIC),

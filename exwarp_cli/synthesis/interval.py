@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -101,7 +102,8 @@ class Interval:
     def look_back(self, slot: int) -> LookBack:
         """What is known of the surfaces of a slot, 1 to 3, in this and the older key frames."""
         if slot not in self._looked:
-            key, back = _moving(self.key), self.back(slot)
+            back, key = self.back(slot), self.key.gbuffer
+            assert key is not None  # the motion came from it
             self._looked[slot] = look_back(slot, back, key, self.past, self.slots)
         return self._looked[slot]
 
@@ -119,6 +121,23 @@ class Interval:
             prepared = self.prepared(slot)
             self._extrapolated[slot] = prepared.finish(self.extrapolator(prepared.inputs))
         return self._extrapolated[slot]
+
+    def without(self, *parts: str) -> Interval:
+        """Return the interval as if its G-buffers lacked some parts; nothing is made yet."""
+
+        def strip(gbuffer: GBuffer) -> GBuffer:
+            missing: dict[str, Any] = dict.fromkeys(parts)
+            return replace(gbuffer, **missing)
+
+        def stripped(frame: KeyFrame) -> KeyFrame:
+            return frame if frame.gbuffer is None else replace(frame, gbuffer=strip(frame.gbuffer))
+
+        return replace(
+            self,
+            key=stripped(self.key),
+            slots=tuple(strip(gbuffer) for gbuffer in self.slots),
+            past=tuple(replace(step, frame=stripped(step.frame)) for step in self.past),
+        )
 
     def hole_mask(self, slot: int) -> np.ndarray | None:
         """bool [H, W]: what the warp from the key frame cannot see; None without motion."""

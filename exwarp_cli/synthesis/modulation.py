@@ -23,9 +23,8 @@ def modulation_of(gbuffer: GBuffer) -> Float32 | None:
     """
     if gbuffer.albedo is None or gbuffer.specular is None:
         return None
-    with np.errstate(invalid="ignore"):
-        total = np.clip(gbuffer.albedo + gbuffer.specular, DARKEST, 2)
-    return np.asarray(np.nan_to_num(total, nan=1.0), np.float32)
+    total = gbuffer.albedo + gbuffer.specular
+    return np.asarray(np.clip(total, np.float32(DARKEST), np.float32(2)))
 
 
 def encode(linear: Float32) -> Float32:

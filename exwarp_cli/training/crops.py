@@ -10,14 +10,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from exwarp_cli.synthesis.extrapolate import UNKNOWN_METALLIC, UNKNOWN_ROUGHNESS
+from exwarp_cli.synthesis.extrapolate import UNKNOWN_DEPTH, UNKNOWN_METALLIC, UNKNOWN_ROUGHNESS
 
 PLANES = ("colour", "mask", "features", "modulation", "target", "time")
 
 DROPPED = 0.3
-"""How often roughness and metallic are left out together, besides what has no surface colour."""
+"""How often roughness and metallic are left out together, beside frames without any surface."""
 
 NO_NORMAL = 0.1
+NO_DEPTH = 0.05
 EXPOSURE = 1.0
 """Stops by which exposure is varied, up and down."""
 
@@ -180,10 +181,12 @@ def varied(batch: Batch, rng: np.random.Generator) -> Batch:
 
 def _features(features: Tensor, rng: np.random.Generator) -> Tensor:
     axes, signs = rng.permutation(3).tolist(), rng.choice([-1.0, 1.0], 3)
-    normal = features[:, axes] * torch.tensor(signs, dtype=features.dtype).reshape(1, 3, 1, 1)
+    normal = features[:, axes] * features.new_tensor(signs).reshape(1, 3, 1, 1)
+    rest = features[:, 3:].clone()
     if rng.random() < NO_NORMAL:
         normal = torch.zeros_like(normal)
-    rest = features[:, 3:].clone()
+    if rng.random() < NO_DEPTH:
+        rest[:, 0] = UNKNOWN_DEPTH
     if rng.random() < DROPPED:
         rest[:, 1], rest[:, 2] = UNKNOWN_ROUGHNESS, UNKNOWN_METALLIC
     return torch.cat([normal, rest], 1)

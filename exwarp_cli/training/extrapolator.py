@@ -11,12 +11,11 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
 
-from exwarp_cli.errors import UsageError
+from exwarp_cli.errors import DamagedFileError, UsageError
 from exwarp_cli.io.atomic import atomic_path, atomic_write_text, make_folder
 from exwarp_cli.io.dataset import RenderedScene
 from exwarp_cli.training.crops import Batch, Crops
@@ -114,8 +113,15 @@ class Training:
                 kept.lerp_(new, forget)
             buffers = zip(self.average.buffers(), self.network.buffers(), strict=True)
             for statistic, newest in buffers:
-                statistic.copy_(newest)
-        return float(loss.detach())
+                if statistic.is_floating_point():
+                    statistic.lerp_(newest, forget)
+        found = float(loss.detach())
+        if not math.isfinite(found):
+            raise UsageError(
+                f"the loss was no number at step {self.step}; lower --rate, and train in another "
+                "folder"
+            )
+        return found
 
     def _rate(self) -> float:
         """Learning rate of this step: a straight rise, then half a cosine."""
@@ -144,24 +150,29 @@ class Training:
     def _open(self) -> None:
         """Begin in an empty folder, or go on where an earlier run with these settings stopped."""
         make_folder(self.folder)
-        path = self.folder / SETTINGS
+        path, checkpoint = self.folder / SETTINGS, self.folder / CHECKPOINT
         wanted = json.dumps(asdict(self.settings), indent=2, sort_keys=True)
-        if path.exists() and path.read_text(encoding="utf-8") != wanted:
-            raise UsageError(
-                f"{self.folder} holds a training with other settings, see {SETTINGS} there; "
-                "repeat those to go on with it, or choose another folder"
-            )
-        atomic_write_text(path, wanted)
-        checkpoint = self.folder / CHECKPOINT
         if checkpoint.exists():
-            self._restore(torch.load(checkpoint, map_location=self.device, weights_only=True))
+            if not path.exists() or path.read_bytes() != wanted.encode():
+                raise UsageError(
+                    f"{self.folder} holds a training with other settings, see {SETTINGS} there; "
+                    "repeat those to go on with it, or choose another folder"
+                )
+            self._restore(checkpoint)
             self.say(f"going on at step {self.step} of {self.settings.steps}")
+        atomic_write_text(path, wanted)
 
-    def _restore(self, kept: dict[str, Any]) -> None:
-        self.network.load_state_dict(kept["network"])
-        self.average.load_state_dict(kept["average"])
-        self.optimiser.load_state_dict(kept["optimiser"])
-        self.step, self.seconds = kept["step"], kept["seconds"]
+    def _restore(self, path: Path) -> None:
+        try:
+            kept = torch.load(path, map_location=self.device, weights_only=True)
+            self.network.load_state_dict(kept["network"])
+            self.average.load_state_dict(kept["average"])
+            self.optimiser.load_state_dict(kept["optimiser"])
+            self.step, self.seconds = kept["step"], kept["seconds"]
+        except Exception as error:  # damaged archives end in exceptions of every kind
+            raise DamagedFileError(
+                f"{path} is damaged; choose another folder, or remove this one to begin anew"
+            ) from error
 
     def _save(self) -> None:
         content = {

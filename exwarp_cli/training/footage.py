@@ -105,13 +105,21 @@ class Footage:
         setting
             "key", or "slot" for G-buffers of the slots.
         """
-        newest = newer = self.key(k)
+        newest = newer = self._causal_key(k, setting)
         past = []
-        for older in (self.key(k - j) for j in range(1, HISTORY) if k >= j):
+        for older in (self._causal_key(k - j, setting) for j in range(1, HISTORY) if k >= j):
             assert newer.gbuffer is not None
             past.append(Past(older, displacement(newer.gbuffer, -1)))
             newer = older
         return Interval(newest, None, self._slots(k, setting), tuple(past))
+
+    def _causal_key(self, k: int, setting: str) -> KeyFrame:
+        """Return key frame k; with slot G-buffers, with motion to the one before through those."""
+        if setting == "key":
+            return self.key(k)
+        index, way = self._order[FACTOR * k], 1 if self.variant.backwards else -1
+        motion = self._spanned(index, FACTOR * self.variant.speed, way)
+        return self._moving(index, (motion, None) if way < 0 else (None, motion))
 
     def _slots(self, k: int, setting: str) -> tuple[GBuffer, ...]:
         if setting == "key":

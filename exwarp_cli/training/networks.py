@@ -2,8 +2,8 @@
 
 ExtraNet (Guo et al., SIGGRAPH Asia 2021) predicts a residual on the warp with gated convolutions
 at full resolution. Here pixels are first folded two by two into channels, so that the same work
-costs a quarter, and the answer may be weights for candidate colours instead of colour: weights
-cannot invent what no rendered frame shows, which keeps them right on scenes never seen.
+costs a quarter, and the answer may be weights for candidate colours instead of colour: they come
+from rendered frames, which keeps them right on scenes never seen.
 """
 
 from __future__ import annotations
@@ -190,7 +190,8 @@ class ExtrapolationNetwork(nn.Module):
         for index, radius in enumerate(a.taps):
             frame, seen = history[:, 4 * index : 4 * index + 3], history[:, 4 * index + 3 :][:, :1]
             # What a frame does not show would be black: the filled warp stands in.
-            frame = torch.where((seen > 0) | (frame != 0), frame, filled)
+            there = (seen > 0) | (frame != 0).any(1, keepdim=True)
+            frame = torch.where(there, frame, filled)
             out += _neighbours(frame, radius)
         out += [_box(filled, size) for size in a.blurs]
         if a.continued:

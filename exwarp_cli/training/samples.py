@@ -5,26 +5,25 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
 from exwarp_cli.domain.extrapolator import HISTORY
-from exwarp_cli.domain.frame import Float32, GBuffer, KeyFrame
+from exwarp_cli.domain.frame import Float32
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import InputError
+from exwarp_cli.io.atomic import make_folder, output_error
 from exwarp_cli.io.dataset import RenderedScene
 from exwarp_cli.synthesis.extrapolate import Prepared
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.training.footage import Footage
 from exwarp_cli.training.variant import Variant
 
-VERSION = 2
+VERSION = 3
 """Of what is kept; crops of another version are made again."""
-
-DONE = "done"
-"""File that is written last."""
 
 CROPS = 2
 """Of each frame."""
@@ -37,8 +36,9 @@ to be the middle of a crop."""
 SHORT_HISTORY = 0.1
 """How likely a frame with fewer than three key frames behind it is chosen, against another one."""
 
+SURFACE = ("albedo", "specular", "roughness", "metallic")
 BARE = 0.3
-"""Share of frames that are prepared without surface colour, so not demodulated."""
+"""Share of frames that are prepared without any of the surface, so not demodulated."""
 
 HIGHEST = 6e4
 """Linear values are clipped there: half floats end at 65504."""
@@ -57,7 +57,7 @@ class Choice:
     setting
         "key" or "slot".
     bare
-        Whether surface colour is left out.
+        Whether the surface is left out.
     """
 
     variant: Variant
@@ -75,7 +75,7 @@ def choices(count: int, frames: int, seed: int) -> list[Choice]:
     count
         Instants that were rendered.
     frames
-        How many to choose.
+        How many to draw; those drawn twice count once.
     seed
         Of the choice.
     """
@@ -101,7 +101,7 @@ class CropSettings:
     Attributes
     ----------
     frames
-        How many frames of it are prepared.
+        How many frames of it are prepared, at most.
     side
         Height and width of a crop, pixels: S below.
     seed
@@ -141,7 +141,7 @@ def crops_of(scene: RenderedScene, settings: CropSettings) -> dict[str, np.ndarr
     for footage, choice in _by_variant(scene, chosen):
         interval = footage.causal(choice.k, choice.setting)
         if choice.bare:
-            interval = _bare(interval)
+            interval = interval.without(*SURFACE)
         prepared = interval.prepared(choice.slot)
         truth = footage.truth(choice.k, choice.slot).pixels[..., :3]
         planes = _planes(prepared, truth)
@@ -167,15 +167,32 @@ def crops_folder(scene: RenderedScene, settings: CropSettings, cache: Path) -> P
 
 def is_whole(folder: Path) -> bool:
     """Whether crops were written there to the end."""
-    return (folder / DONE).exists()
+    return folder.exists()
 
 
 def write_crops(scene: RenderedScene, settings: CropSettings, folder: Path) -> None:
-    """Make a scene's crops (:func:`crops_of`) and write them, one ``.npy`` a plane."""
-    folder.mkdir(parents=True, exist_ok=True)
-    for name, array in crops_of(scene, settings).items():
-        np.save(folder / f"{name}.npy", array)
-    (folder / DONE).touch()
+    """Make a scene's crops (:func:`crops_of`) and write them, one ``.npy`` a plane.
+
+    The folder appears when it is whole: trainings may share a cache.
+
+    Raises
+    ------
+    OutputError
+        When it cannot be written.
+    """
+    crops = crops_of(scene, settings)
+    make_folder(folder.parent)
+    try:
+        with TemporaryDirectory(prefix=f".{folder.name}-", dir=folder.parent) as temporary:
+            made = Path(temporary) / "crops"
+            made.mkdir()
+            for name, array in crops.items():
+                np.save(made / f"{name}.npy", array)
+            if not is_whole(folder):
+                made.rename(folder)
+    except OSError as error:
+        if not is_whole(folder):  # else another training was faster
+            raise output_error(folder, error) from error
 
 
 def _by_variant(scene: RenderedScene, chosen: list[Choice]) -> Iterator[tuple[Footage, Choice]]:
@@ -187,20 +204,6 @@ def _by_variant(scene: RenderedScene, chosen: list[Choice]) -> Iterator[tuple[Fo
         yield footage, choice
 
 
-def _bare(interval: Interval) -> Interval:
-    """Leave out surface colour everywhere."""
-
-    def strip(gbuffer: GBuffer) -> GBuffer:
-        return replace(gbuffer, albedo=None, specular=None)
-
-    def stripped(frame: KeyFrame) -> KeyFrame:
-        return frame if frame.gbuffer is None else replace(frame, gbuffer=strip(frame.gbuffer))
-
-    past = tuple(replace(step, frame=stripped(step.frame)) for step in interval.past)
-    slots = tuple(strip(gbuffer) for gbuffer in interval.slots)
-    return Interval(stripped(interval.key), None, slots, past)
-
-
 def _planes(prepared: Prepared, truth: Float32) -> dict[str, np.ndarray]:
     inputs = prepared.inputs
     history = inputs.history.reshape(HISTORY, 4, *inputs.history.shape[1:])
@@ -208,6 +211,8 @@ def _planes(prepared: Prepared, truth: Float32) -> dict[str, np.ndarray]:
     modulation = prepared.modulation
     if modulation is None:
         modulation = np.ones_like(truth)
+    # What was not rendered rightly is nothing to learn from.
+    truth = np.where(np.isfinite(truth), truth, prepared.finish(inputs.warped[3:])[..., :3])
     return {
         "colour": colour.astype(np.float16),
         "mask": history[:, 3].astype(np.uint8),
@@ -218,8 +223,7 @@ def _planes(prepared: Prepared, truth: Float32) -> dict[str, np.ndarray]:
 
 
 def _half(linear: Float32) -> np.ndarray:
-    clean = np.nan_to_num(linear, nan=0.0, posinf=HIGHEST, neginf=-HIGHEST)
-    return np.clip(clean, -HIGHEST, HIGHEST).transpose(2, 0, 1).astype(np.float16)
+    return np.clip(linear, -HIGHEST, HIGHEST).transpose(2, 0, 1).astype(np.float16)
 
 
 def _weight(interval: Interval, slot: int) -> Float32:

@@ -59,13 +59,16 @@ def require_sane(settings: TrainingSettings) -> None:
         raise UsageError(
             f"--architecture {settings.architecture} is not one of {', '.join(ARCHITECTURES)}"
         )
-    if settings.patch % STRIDE:
-        raise UsageError(
-            f"--patch {settings.patch} is no multiple of {STRIDE}, which the network halves down to"
-        )
+    for option, size in (("--patch", settings.patch), ("--side", settings.side)):
+        if size % STRIDE:
+            raise UsageError(
+                f"{option} {size} is no multiple of {STRIDE}, which the network halves down to"
+            )
     if settings.patch > settings.side:
         raise UsageError(
             f"--patch {settings.patch} is larger than --side {settings.side}; enlarge the latter"
         )
-    if not settings.rate > 0:
-        raise UsageError(f"--rate {settings.rate:g} is not above 0; try 0.002")
+    if settings.batch < 2:
+        raise UsageError(f"--batch {settings.batch} is too small to normalise over; give 2 or more")
+    if not 0 < settings.rate < 1:
+        raise UsageError(f"--rate {settings.rate:g} is not between 0 and 1; try 0.002")

@@ -21,14 +21,13 @@ from typing import Any
 import numpy as np
 
 from exwarp_cli.domain.extrapolator import Extrapolator
-from exwarp_cli.domain.frame import Bool, Float32, GBuffer, KeyFrame
+from exwarp_cli.domain.frame import Bool, Float32
 from exwarp_cli.domain.results import FrameKind, Score
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.io.dataset import find_scenes
 from exwarp_cli.io.models import load_extrapolator
 from exwarp_cli.kernels import jit
 from exwarp_cli.metrics.registry import METRICS, score
-from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import METHODS as ALL
 from exwarp_cli.training.footage import Footage
 
@@ -96,15 +95,14 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
 
 def _judge(task: Task) -> dict[str, Any]:
     """Score one scene in one setting, or take what an earlier run found."""
-    model = "shipped" if task.model is None else _digest(task.model)
-    token = f"{task.scene}-{task.setting}-{model}-{task.surface}-{task.every}"
+    network = load_extrapolator(task.model, 1, "cpu")
+    token = f"{task.scene}-{task.setting}-{network.checksum[:12]}-{task.surface}-{task.every}"
     token += f"-{hashlib.sha256(','.join(task.methods).encode()).hexdigest()[:6]}"
     kept = task.out / f"{token}.json"
     if kept.exists():
         found: dict[str, Any] = json.loads(kept.read_text(encoding="utf-8"))
         return found
     jit.set_threads(1)
-    network = load_extrapolator(task.model, 1, "cpu")
     (scene,) = find_scenes(task.data, names=[task.scene])
     footage = Footage(scene)
     sums: dict[str, dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
@@ -126,8 +124,9 @@ def _interval(
 ) -> Iterator[tuple[str, dict[str, float]]]:
     """Yield method, or method and slot, with the scores of one frame."""
     causal, ahead = footage.causal(k, task.setting), footage.interval(k, task.setting)
-    full = _without(causal, DROPPED[task.surface])
-    interval = replace(full, following=ahead.following, extrapolator=network)
+    interval = replace(
+        causal.without(*DROPPED[task.surface]), following=ahead.following, extrapolator=network
+    )
     known: dict[bytes, tuple[Score, Score | None]] = {}
     for slot in range(1, FACTOR):
         truth = footage.truth(k, slot).pixels
@@ -162,24 +161,6 @@ def _means(values: dict[str, list[float]]) -> dict[str, float]:
     return {key: float(np.mean(found)) for key, found in values.items()} | {
         "frames": len(values["psnr_db"])
     }
-
-
-def _without(interval: Interval, parts: tuple[str, ...]) -> Interval:
-    """Leave parts of the surface out everywhere."""
-
-    def strip(gbuffer: GBuffer) -> GBuffer:
-        return replace(gbuffer, **dict.fromkeys(parts))
-
-    def stripped(frame: KeyFrame) -> KeyFrame:
-        return frame if frame.gbuffer is None else replace(frame, gbuffer=strip(frame.gbuffer))
-
-    past = tuple(replace(step, frame=stripped(step.frame)) for step in interval.past)
-    slots = tuple(strip(gbuffer) for gbuffer in interval.slots)
-    return Interval(stripped(interval.key), interval.following, slots, past)
-
-
-def _digest(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()[:12]
 
 
 def table(rows: Sequence[dict[str, Any]]) -> str:
