@@ -33,6 +33,7 @@ def command(ctx: click.Context) -> None:
 @click.option("--frames", type=click.IntRange(1), default=30, show_default=True, help="Of a scene.")
 @click.option("--side", type=click.IntRange(16), default=128, show_default=True, help="Of a crop.")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
+@click.option("--start", type=FOLDER, metavar="FILE", help="Begin with this checkpoint's weights.")
 @click.option("--every", type=click.IntRange(1), default=500, show_default=True, help="Checkpoint.")
 @click.option("--cache", type=FOLDER, help="For crops; default: in the data folder's parent.")
 @click.option("--threads", type=click.IntRange(1), help="Default: all cores.")
@@ -44,6 +45,7 @@ def extrapolator(
     every: int,
     cache: Path | None,
     threads: int | None,
+    start: Path | None,
     **options: object,
 ) -> None:
     """Train the network that extrapolates, on a GPU where there is one.
@@ -61,7 +63,7 @@ def extrapolator(
     chosen = select(data, scenes, exclude, _say)
     settings = TrainingSettings(**options)  # type: ignore[arg-type]
     crops = cache or data.resolve().parent / "crops"
-    model = train_extrapolator(chosen, output, crops, settings, every, threads, _say)
+    model = train_extrapolator(chosen, output, crops, settings, every, threads, _say, start)
     click.echo(f"{model}: give it to exwarp upsample --extrapolator")
 
 

@@ -128,11 +128,14 @@ class NetworkSummary:
         Of the model's file, hexadecimal.
     device
         "cpu" or "cuda".
+    demodulated
+        Whether it was given shading that surface colour had been divided out of.
     """
 
     file: str
     sha256: str
     device: str
+    demodulated: bool
 
 
 @dataclass(frozen=True)

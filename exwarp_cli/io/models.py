@@ -1,8 +1,4 @@
-"""Networks in ONNX files: finding one, judging whether it fits, and running it with onnxruntime.
-
-A model's metadata may state `exwarp.interface`, the version of the inputs that it was made for, and
-`exwarp.stride`, the number that the height and width of what it takes must be multiples of.
-"""
+"""Networks in ONNX files: finding one, and running it with onnxruntime."""
 
 from __future__ import annotations
 
@@ -14,9 +10,16 @@ from typing import Any
 
 import numpy as np
 
-from exwarp_cli.domain.extrapolator import INPUTS, INTERFACE, OUTPUT, TIME, NetworkInputs
+from exwarp_cli.domain.extrapolator import INPUTS, OUTPUT, TIME, NetworkInputs
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, MissingExtraError
+from exwarp_cli.io.model_checks import (
+    STRIDE_KEY,
+    require_interface,
+    require_nodes,
+    stated_stride,
+    written_shape,
+)
 
 SHIPPED = "extrapolator.onnx"
 """Name of the network that comes with ExWarp."""
@@ -24,17 +27,11 @@ SHIPPED = "extrapolator.onnx"
 CHECKSUMS = "checksums.json"
 """Beside the shipped models: SHA-256 by file name."""
 
-STRIDE, INTERFACE_KEY = "exwarp.stride", "exwarp.interface"
-DEFAULT_STRIDE, MOST_STRIDE = 8, 256
-
-REQUIRED = ("warped", "mask")
-"""Inputs that a network must have; it may do without the others."""
-
 PIXELS_PER_THREAD = 256
 """Pixels of the coarsest scale that a thread must get. With 107 and less, onnxruntime was seen to
 split the sums of a convolution elsewhere, so that the rounding went by the number of threads."""
 
-HIGHEST = 80.0
+MOST_ENCODED = 80.0
 """Largest answer that is taken for colour: coded as log(1 + x), it is near float32's limit."""
 
 CUDA = "CUDAExecutionProvider"
@@ -104,7 +101,7 @@ class OnnxExtrapolator:
         self._inputs: dict[str, Any] = {node.name: node for node in session.get_inputs()}
         self._outputs: dict[str, Any] = {node.name: node for node in session.get_outputs()}
         self._metadata: dict[str, str] = session.get_modelmeta().custom_metadata_map
-        self._stride = self._stated_stride()
+        self._stride = stated_stride(self.path, self._metadata)
 
     @property
     def checksum(self) -> str:
@@ -127,68 +124,12 @@ class OnnxExtrapolator:
 
     def judge(self) -> None:
         """Refuse a network that does not fit, by what it declares and by running it once."""
-        stated = self._metadata.get(INTERFACE_KEY, INTERFACE)
-        if stated != INTERFACE:
-            raise LayoutError(
-                f"{self.path} was made for the interface {stated}, and this is {INTERFACE}; "
-                "use a model for this version of ExWarp"
-            )
-        self._judge_names()
-        for name, node in self._inputs.items():
-            if name == TIME:
-                self._judge_node(node, "input", (1,))
-            else:
-                self._judge_node(node, "input", (1, INPUTS[name], None, None))
-        self._judge_node(self._outputs[OUTPUT], "output", (1, 3, None, None))
+        require_interface(self.path, self._metadata)
+        require_nodes(self.path, self._inputs, self._outputs)
         # Odd multiples, so that a network which needs more than it states fails here.
         shape = (5 * self._stride, 7 * self._stride)
         blank = {name: np.zeros((count, *shape), np.float32) for name, count in INPUTS.items()}
         self(NetworkInputs(**blank, time=0.5))
-
-    def _judge_names(self) -> None:
-        known = (*INPUTS, TIME)
-        if foreign := [name for name in self._inputs if name not in known]:
-            raise LayoutError(
-                f"{self.path} has the input {foreign[0]!r}, which ExWarp does not give; export it "
-                f"with inputs out of {', '.join(known)}"
-            )
-        if missing := [name for name in REQUIRED if name not in self._inputs]:
-            raise LayoutError(
-                f"{self.path} lacks the input {missing[0]!r}; export it with inputs out of "
-                f"{', '.join(known)}"
-            )
-        if list(self._outputs) != [OUTPUT]:
-            raise LayoutError(
-                f"{self.path} has the output {', '.join(self._outputs)}; export it with one "
-                f"output named {OUTPUT}"
-            )
-
-    def _judge_node(self, node: Any, what: str, shape: tuple[int | None, ...]) -> None:
-        """Compare an input or output with a shape, in which None is a size that must be free.
-
-        An output's sizes and a batch may be left open: running the network shows what they are.
-        """
-        found = list(node.shape)
-        open_sizes = [what == "output" or axis == 0 for axis in range(len(shape))]
-        fits = len(found) == len(shape) and all(
-            not isinstance(have, int) if want is None else have == want or (free and have is None)
-            for have, want, free in zip(map(_size, found), shape, open_sizes, strict=True)
-        )
-        if node.type != "tensor(float)" or not fits:
-            raise LayoutError(
-                f"{self.path} has the {what} {node.name!r} as {node.type} {_written(found)} where "
-                f"ExWarp needs tensor(float) {_written(list(shape))} with any height and width; "
-                "export it so"
-            )
-
-    def _stated_stride(self) -> int:
-        text = self._metadata.get(STRIDE, str(DEFAULT_STRIDE))
-        if not text.isdecimal() or not 1 <= int(text) <= MOST_STRIDE:
-            raise LayoutError(
-                f"{self.path} states {STRIDE} = {text!r} in its metadata; state a whole number "
-                f"from 1 to {MOST_STRIDE}"
-            )
-        return int(text)
 
     def _run(self, feeds: dict[str, Float32], height: int, width: int) -> Float32:
         """Run the network on pictures of a size that is a multiple of its stride."""
@@ -202,14 +143,14 @@ class OnnxExtrapolator:
             raise LayoutError(
                 f"{self.path} fails on {width}x{height} pixels ({_reason(error)}); export it with "
                 f"any height and width that are multiples of {self._stride}, or state another "
-                f"{STRIDE} in its metadata"
+                f"{STRIDE_KEY} in its metadata"
             ) from error
         if out.shape != (1, 3, height, width):
             raise LayoutError(
-                f"{self.path} gives {_written(list(out.shape))} for {width}x{height} pixels; "
-                f"export it so that it gives {_written([1, 3, height, width])}"
+                f"{self.path} gives {written_shape(list(out.shape))} for {width}x{height} pixels; "
+                f"export it so that it gives {written_shape([1, 3, height, width])}"
             )
-        if not np.abs(out).max() <= HIGHEST:
+        if not np.abs(out).max() <= MOST_ENCODED:
             raise InputError(
                 f"{self.path} gives NaN, infinite or far too bright colour for {width}x{height} "
                 "pixels; use another model"
@@ -324,13 +265,3 @@ def _reason(error: Exception) -> str:
     line = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
     text = line.rsplit(" : ", 1)[-1].strip().rstrip(".")
     return text if len(text) <= 160 else text[:157] + "..."
-
-
-def _size(value: object) -> int | None:
-    """Return a declared size; None for a free one."""
-    return value if isinstance(value, int) else None
-
-
-def _written(shape: list[Any]) -> str:
-    """Write a shape; free sizes by their name or as ``?``."""
-    return f"[{', '.join('?' if size is None else str(size) for size in shape)}]"

@@ -22,7 +22,9 @@ def parabola_text(before: F32, after: F32, time: np.float32, out: F32) -> None:
         float32 [H, W, 2], pixels, displacement to the previous and to the next key frame; NaN
         where unknown: then t n or -t p alone, constant velocity.
     time
-        t, in key intervals, -1 <= t <= 1.
+        t, in steps of the vectors, either sign. Between -1 and 1 points are led between places that
+        are known; beyond, what an older frame showed is foretold (up to 2.75 key intervals), and
+        half the sum of both vectors counts t² times.
     out
         float32 [H, W, 2], written; NaN where both are unknown.
     """

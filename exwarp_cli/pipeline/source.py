@@ -33,7 +33,7 @@ class Source:
     keys
         The key frames.
     slots
-        G-buffers at the output rate; None in the key setting.
+        G-buffers at the output rate; None in the key setting, and where they were left out.
     slot_number
         The number of a slot's frame in `slots`; None where it has none.
     timeline
@@ -67,8 +67,8 @@ def open_source(settings: SourceSettings, motion_needed: bool = True) -> Source:
     settings
         What the user said.
     motion_needed
-        Whether the method uses motion vectors; without, a convention that cannot be settled is no
-        error.
+        Whether the method uses motion vectors. Without, a convention that cannot be settled is no
+        error, and G-buffers at the output rate without vectors to the previous slot are left out.
 
     Raises
     ------
@@ -85,7 +85,7 @@ def open_source(settings: SourceSettings, motion_needed: bool = True) -> Source:
         )
     timeline = Timeline.of(keys.sequence.numbers, settings.start_frame, settings.tail)
     slots = None if settings.gbuffers is None else open_shot(settings.gbuffers)
-    slot_number: FrameOf = lambda slot: None  # noqa: E731
+    slot_number: FrameOf = _no_number
     if slots is not None:
         slot_number = align(timeline, slots.sequence, "--gbuffers")
         _enough(timeline, slots, slot_number)
@@ -102,10 +102,12 @@ def open_source(settings: SourceSettings, motion_needed: bool = True) -> Source:
             "pass, or use --method hold or blend"
         )
     if slots is not None and (finding is None or finding.convention.to_previous is None):
-        raise LayoutError(
-            f"--gbuffers {slots.sequence.pattern} has no readable vectors to the previous slot, "
-            "along which colour is moved; render them, or leave --gbuffers out"
-        )
+        if motion_needed:
+            raise LayoutError(
+                f"--gbuffers {slots.sequence.pattern} has no readable vectors to the previous "
+                "slot, along which colour is moved; render them, or leave --gbuffers out"
+            )
+        slots, slot_number, finding = None, _no_number, None
     fps, fps_source = rate_of(keys, settings.fps)
     return Source(keys, slots, slot_number, timeline, finding, fps, fps_source)
 
@@ -206,6 +208,10 @@ def align(timeline: Timeline, sequence: Sequence, what: str) -> FrameOf:
             "times their rate; check the path"
         )
     return frame_of
+
+
+def _no_number(_slot: Slot) -> int | None:
+    return None
 
 
 def _enough(timeline: Timeline, slots: Shot, frame_of: FrameOf) -> None:

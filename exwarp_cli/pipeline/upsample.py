@@ -9,6 +9,7 @@ from exwarp_cli.domain.results import InputSummary, NetworkSummary, RunSummary
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.errors import LayoutError, UsageError
 from exwarp_cli.io import exr
+from exwarp_cli.io.channels import Role
 from exwarp_cli.io.models import OnnxExtrapolator, load_extrapolator
 from exwarp_cli.io.output import compression_of
 from exwarp_cli.io.sequence import Sequence, find_sequence
@@ -20,6 +21,9 @@ from exwarp_cli.pipeline.run import Run
 from exwarp_cli.pipeline.source import FrameOf, Source, align, open_source
 from exwarp_cli.pipeline.targets import Targets
 from exwarp_cli.synthesis.methods import METHODS, Method
+
+SURFACE_COLOURS = {Role.ALBEDO: "diffuse", Role.SPECULAR: "glossy"}
+"""What `synthesis.modulation` divides by, both together, as the user knows it."""
 
 
 def upsample(settings: UpsampleSettings, progress: Progress | None = None) -> RunSummary:
@@ -48,18 +52,16 @@ def upsample(settings: UpsampleSettings, progress: Progress | None = None) -> Ru
     jit.set_threads(settings.threads)
     exr.set_threads(settings.threads)
     network = find_network(settings, method)
-    told = None if network is None else _network_summary(network)
     source = open_source(settings.source, method.needs_motion)
+    told = None if network is None else _network_summary(network, source)
     keys = source.timeline.select(settings.frames)
     slots = [slot for key in keys for slot in source.timeline.slots_of(key)]
     targets = Targets.of(settings, source.keys.sequence)
     truth = None if settings.ground_truth is None else _find_truth(settings.ground_truth, source)
     targets.prepare(settings, source.timeline, slots)
-    _announce(progress, source, method, keys)
+    _announce(progress, settings, source, method, keys)
     if told is not None:
-        progress.message(
-            f"extrapolation by {Path(told.file).name} (sha256 {told.sha256[:8]}) on {told.device}"
-        )
+        _announce_network(progress, told, source)
     loader = IntervalLoader(source, method, settings, truth, told)
     begin = time.perf_counter()
     progress.start(len(slots))
@@ -120,8 +122,26 @@ def _refuse_network_options(settings: UpsampleSettings, method: Method) -> None:
         )
 
 
-def _network_summary(network: OnnxExtrapolator) -> NetworkSummary:
-    return NetworkSummary(str(network.path), network.checksum, network.device)
+def _network_summary(network: OnnxExtrapolator, source: Source) -> NetworkSummary:
+    demodulated = not _missing_colours(source)
+    return NetworkSummary(str(network.path), network.checksum, network.device, demodulated)
+
+
+def _missing_colours(source: Source) -> list[str]:
+    """Name the surface colours that shading would have to be divided by, and that are not there."""
+    layout = (source.slots or source.keys).layout
+    return [name for role, name in SURFACE_COLOURS.items() if role not in layout]
+
+
+def _announce_network(progress: Progress, told: NetworkSummary, source: Source) -> None:
+    progress.message(
+        f"extrapolation by {Path(told.file).name} (sha256 {told.sha256[:8]}) on {told.device}"
+    )
+    if missing := _missing_colours(source):
+        progress.message(
+            f"no {' and no '.join(missing)} colour: shading is extrapolated together with surface "
+            "colour"
+        )
 
 
 def _find_truth(spec: str, source: Source) -> tuple[Sequence, FrameOf]:
@@ -138,7 +158,13 @@ def _find_truth(spec: str, source: Source) -> tuple[Sequence, FrameOf]:
     return sequence, frame_of
 
 
-def _announce(progress: Progress, source: Source, method: Method, keys: tuple[int, ...]) -> None:
+def _announce(
+    progress: Progress,
+    settings: UpsampleSettings,
+    source: Source,
+    method: Method,
+    keys: tuple[int, ...],
+) -> None:
     """Say what was found and what is going to happen."""
     count = len(source.timeline.numbers)
     progress.message(
@@ -146,6 +172,11 @@ def _announce(progress: Progress, source: Source, method: Method, keys: tuple[in
         f"{float(source.fps):g} fps ({source.fps_source}), G-buffers for "
         f"{'every slot' if source.slots is not None else 'the key frames'}"
     )
+    if settings.source.gbuffers is not None and source.slots is None:
+        progress.message(
+            "--gbuffers is left out: it has no readable vectors to the previous slot, and "
+            f"{method.name} does without"
+        )
     if source.finding is not None:
         progress.message(f"motion {source.finding.source}: {source.finding.evidence}")
     last = count - 1

@@ -188,6 +188,13 @@ def _fringe(field: Float32, near: Float32, depth: Float32) -> Bool:
 def matched(slot: GBuffer, key: GBuffer, field: Float32, count: int) -> SlotField:
     """Test the motion field between two instants, `count` slots apart, for holes and outlines."""
     depth = depth_of(slot)
+    hole = unmatched(slot, key, field, count)
+    return SlotField(field, depth, hole, _fringe(field, depth, depth_of(key)))
+
+
+def unmatched(slot: GBuffer, key: GBuffer, field: Float32, count: int) -> Bool:
+    """Find holes, bool [H, W], of a motion field between two instants, `count` slots apart."""
+    depth = depth_of(slot)
     stencils = (
         (stencil_of(slot), stencil_of(key))
         if slot.stencil is not None and key.stencil is not None
@@ -204,4 +211,4 @@ def matched(slot: GBuffer, key: GBuffer, field: Float32, count: int) -> SlotFiel
     hole = np.empty(depth.shape, np.bool_)
     cosine = np.float32(math.cos(count * TURN_PER_SLOT))
     holes.mark(field, (depth, depth_of(key)), stencils, positions, normals, cosine, hole)
-    return SlotField(field, depth, hole, _fringe(field, depth, depth_of(key)))
+    return hole

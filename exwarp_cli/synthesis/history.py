@@ -19,7 +19,7 @@ from exwarp_cli.synthesis.camera import (
     scene_of,
     seen_by,
 )
-from exwarp_cli.synthesis.geometry import STATIC_TOLERANCE, SlotField, matched, moved_on
+from exwarp_cli.synthesis.geometry import STATIC_TOLERANCE, SlotField, moved_on, unmatched
 from exwarp_cli.synthesis.surface import lookup, reprojected
 from exwarp_cli.synthesis.trajectory import displacement, stencil_of
 
@@ -69,7 +69,7 @@ class LookBack:
     Attributes
     ----------
     surface
-        The slot's G-buffer.
+        The slot's G-buffer; from key G-buffers alone without ids, positions and motion.
     fields
         For F_k-1 and F_k-2, as far as they are there, float32 [H, W, 2]: motion from the slot to
         them, NaN where unknown.
@@ -150,7 +150,7 @@ def _reprojected(slot: int, back: SlotField, key: GBuffer, past: Sequence[Past])
         older = step.frame.gbuffer
         if older is None:
             break
-        gone = matched(newer, older, step.motion, FACTOR).hole
+        gone = unmatched(newer, older, step.motion, FACTOR)
         lost = lost | lookup(gone, moved, True)
         follow(step.motion, stencil_of(newer), _ids(newer, moved), _unforeseen(moved), moved)
         if older.has_motion:
@@ -222,7 +222,7 @@ def _rendered(
         follow(step.motion, stencil_of(newer), stencil_of(surface), _unforeseen(moved), moved)
         placed = _placed(moved, here, step, surface)
         fields.append(placed)
-        hidden.append(matched(surface, older, placed, slot + FACTOR * count).hole)
+        hidden.append(unmatched(surface, older, placed, slot + FACTOR * count))
         newer = older
     nothing = np.zeros(surface.window.shape, np.bool_)
     return LookBack(surface, tuple(fields), tuple(hidden), unknown=nothing)

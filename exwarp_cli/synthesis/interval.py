@@ -63,10 +63,11 @@ class Interval:
         Raises
         ------
         LayoutError
-            Without motion vectors.
+            Without motion vectors, or where slots have G-buffers without those to the previous one.
         """
         if slot not in self._back:
             if self.slots and self.key.gbuffer is not None:
+                _require_steps(self.slots, self.key)
                 self._back = dict(enumerate(compose_back(self.slots, self.key.gbuffer), start=1))
             else:
                 self._back[slot] = reproject(_moving(self.key), slot / FACTOR)
@@ -88,16 +89,16 @@ class Interval:
                 self._forward[slot] = reproject(_moving(self.following), slot / FACTOR - 1)
         return self._forward[slot]
 
-    def between(self, slot: int, earlier: int) -> SlotField:
+    def step_back(self, slot: int) -> SlotField:
         """Motion field from a slot, 2 or 3, to the slot before it."""
-        if earlier != slot - 1 or earlier < 1:
-            raise ValueError(f"slot {earlier} is not the one before slot {slot}")
+        if slot not in range(2, FACTOR):
+            raise ValueError(f"before slot {slot} there is no slot of this interval")
         if self.slots:
-            here, before = self.slots[slot - 1], self.slots[earlier - 1]
+            here, before = self.slots[slot - 1], self.slots[slot - 2]
             assert here.to_previous is not None
             return matched(here, before, here.to_previous, 1)
-        there = displacement(_moving(self.key), earlier / FACTOR)
-        return step_back(self.back(slot), there, self.back(earlier))
+        there = displacement(_moving(self.key), (slot - 1) / FACTOR)
+        return step_back(self.back(slot), there, self.back(slot - 1))
 
     def look_back(self, slot: int) -> LookBack:
         """What is known of the surfaces of a slot, 1 to 3, in this and the older key frames."""
@@ -142,6 +143,15 @@ class Interval:
     def hole_mask(self, slot: int) -> np.ndarray | None:
         """bool [H, W]: what the warp from the key frame cannot see; None without motion."""
         return self.back(slot).hole if self.has_motion else None
+
+
+def _require_steps(slots: tuple[GBuffer, ...], key: KeyFrame) -> None:
+    """Refuse G-buffers of slots that colour cannot be led along."""
+    if any(slot.to_previous is None for slot in slots):
+        raise LayoutError(
+            f"the G-buffers of the slots after frame {key.number} have no vectors to the previous "
+            "slot; render them, or leave those G-buffers out"
+        )
 
 
 def _moving(frame: KeyFrame) -> GBuffer:

@@ -94,7 +94,7 @@ def _take(path: str, interval: Interval, slot: int) -> Predicted:
     if maker == EXTRAPOLATE:
         pixels, sources = interval.extrapolated(slot), _seen(interval)
     elif slot == 3 and made_by[1] == EXTRAPOLATE:
-        moved = warp(interval.extrapolated(2), interval.between(3, 2))
+        moved = warp(interval.extrapolated(2), interval.step_back(3))
         pixels, sources = fill_background(moved), _seen(interval)
     else:
         pixels = fill_background(warp(interval.key.image.pixels, interval.back(slot)))

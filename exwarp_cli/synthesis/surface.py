@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +17,8 @@ SMOOTH = ("albedo", "specular")
 
 Index = npt.NDArray[np.intp]
 
-LEFT_OUT = ("window", "to_previous", "to_next")
+SHOWN = ("depth", "normal", "albedo", "specular", "roughness", "metallic")
+"""What is taken over: what networks are told of a surface, and depth to fill holes by."""
 
 
 def reprojected(sources: Sequence[tuple[GBuffer, Float32]]) -> tuple[GBuffer, Bool]:
@@ -32,16 +33,16 @@ def reprojected(sources: Sequence[tuple[GBuffer, Float32]]) -> tuple[GBuffer, Bo
     Returns
     -------
     GBuffer
-        The parts that the first source has, without motion, and a depth in any case: NaN where
+        Those parts out of SHOWN that the first source has, and a depth in any case: NaN where
         nothing shows what is there, as all else is 0.
     bool [H, W]
         Where that is so.
     """
     first = replace(sources[0][0], depth=depth_of(sources[0][0]))
     made = {
-        part.name: np.full(array.shape, np.nan if part.name == "depth" else 0, array.dtype)
-        for part in fields(GBuffer)
-        if part.name not in LEFT_OUT and (array := getattr(first, part.name)) is not None
+        name: np.full(array.shape, np.nan if name == "depth" else 0, array.dtype)
+        for name in SHOWN
+        if (array := getattr(first, name)) is not None
     }
     unknown = np.ones(first.window.shape, np.bool_)
     for gbuffer, field in sources:

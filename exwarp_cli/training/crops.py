@@ -12,7 +12,8 @@ from torch import Tensor
 
 from exwarp_cli.synthesis.extrapolate import UNKNOWN_DEPTH, UNKNOWN_METALLIC, UNKNOWN_ROUGHNESS
 
-PLANES = ("colour", "mask", "features", "modulation", "target", "time")
+STORED = ("colour", "mask", "features", "modulation", "target", "time")
+"""Names of what is kept of crops, one ``.npy`` each."""
 
 DROPPED = 0.3
 """How often roughness and metallic are left out together, beside frames without any surface."""
@@ -69,7 +70,7 @@ class Crops:
 
     def __init__(self, folders: Sequence[Path]) -> None:
         self._files = [
-            {plane: np.load(folder / f"{plane}.npy", mmap_mode="r") for plane in PLANES}
+            {name: np.load(folder / f"{name}.npy", mmap_mode="r") for name in STORED}
             for folder in folders
         ]
         counts = [len(files["time"]) for files in self._files]
@@ -90,13 +91,13 @@ class Crops:
         cuts = patches or [(slice(None), slice(None))] * len(indices)
         places = [self._places[index] for index in indices]
         parts = {}
-        for plane in PLANES:
+        for name in STORED:
             cut = [
-                self._files[f][plane][(i, slice(None), *where) if plane != "time" else i]
+                self._files[f][name][(i, slice(None), *where) if name != "time" else i]
                 for (f, i), where in zip(places, cuts, strict=True)
             ]
-            parts[plane] = np.stack(cut)
-        tensors = {plane: torch.from_numpy(array).to(device) for plane, array in parts.items()}
+            parts[name] = np.stack(cut)
+        tensors = {name: torch.from_numpy(array).to(device) for name, array in parts.items()}
         colour, mask = tensors["colour"].float(), tensors["mask"].float()
         seen = mask[:, :1]
         history = torch.cat(

@@ -18,7 +18,7 @@ from torch import Tensor, nn
 from exwarp_cli import __version__
 from exwarp_cli.domain.extrapolator import INPUTS, INTERFACE, OUTPUT, TIME
 from exwarp_cli.io.atomic import atomic_write_bytes
-from exwarp_cli.io.models import INTERFACE_KEY, REQUIRED, STRIDE
+from exwarp_cli.io.model_checks import INTERFACE_KEY, REQUIRED, STRIDE_KEY
 
 OPSET = 18
 """The exporter's own, so that nothing is converted; onnxruntime runs it since 1.14."""
@@ -66,7 +66,7 @@ def export_extrapolator(module: nn.Module, path: Path, *, stride: int, about: st
         _check_answer(module(**example), example)
         model = _trace(module, example, stride)
     _tidy(model)
-    facts = {INTERFACE_KEY: INTERFACE, STRIDE: str(stride), ABOUT: about}
+    facts = {INTERFACE_KEY: INTERFACE, STRIDE_KEY: str(stride), ABOUT: about}
     onnx.helper.set_model_props(model, facts)
     onnx.checker.check_model(model)
     atomic_write_bytes(path, model.SerializeToString(deterministic=True))

@@ -11,13 +11,15 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 
-from exwarp_cli.errors import DamagedFileError, UsageError
+from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, UsageError
 from exwarp_cli.io.atomic import atomic_path, atomic_write_text, make_folder
 from exwarp_cli.io.dataset import RenderedScene
+from exwarp_cli.io.output import file_digest
 from exwarp_cli.training.crops import Batch, Crops
 from exwarp_cli.training.export import export_extrapolator
 from exwarp_cli.training.losses import decibels, loss_of
@@ -66,6 +68,26 @@ class Training:
         self._halved = _fast_halves(self.device)
         self._open()
 
+    def begin_with(self, path: Path) -> None:
+        """Take the weights of another training's checkpoint, unless this one is under way.
+
+        Raises
+        ------
+        InputError
+            When there is no such checkpoint, or its network is of another architecture.
+        """
+        if self.step:
+            return
+        kept = _read_checkpoint(path, self.device)
+        try:
+            self.network.load_state_dict(kept["average"])
+        except (KeyError, RuntimeError) as error:
+            raise LayoutError(
+                f"{path} holds another network than {self.settings.architecture}; give its "
+                "--architecture and --width, or another --start"
+            ) from error
+        self.average.load_state_dict(self.network.state_dict())
+
     def run(self, crops: Crops, held: Crops, every: int) -> None:
         """Train to the end; a checkpoint and a line of the curve every so many steps."""
         begin = time.monotonic() - self.seconds
@@ -104,7 +126,13 @@ class Training:
         loss = loss_of(made, batch.target, batch.plain, batch.mask)
         self.optimiser.zero_grad(set_to_none=True)
         loss.backward()  # type: ignore[no-untyped-call]
-        torch.nn.utils.clip_grad_norm_(self.network.parameters(), CLIPPED)
+        found = float(loss.detach())
+        norm = torch.nn.utils.clip_grad_norm_(self.network.parameters(), CLIPPED)
+        if not (math.isfinite(found) and math.isfinite(float(norm))):
+            raise UsageError(
+                f"the loss was no number at step {self.step}; lower --rate, and train in another "
+                "folder"
+            )
         self.optimiser.step()
         forget = 1 - min(AVERAGED, (1 + self.step) / (10 + self.step))
         with torch.no_grad():
@@ -115,12 +143,6 @@ class Training:
             for statistic, newest in buffers:
                 if statistic.is_floating_point():
                     statistic.lerp_(newest, forget)
-        found = float(loss.detach())
-        if not math.isfinite(found):
-            raise UsageError(
-                f"the loss was no number at step {self.step}; lower --rate, and train in another "
-                "folder"
-            )
         return found
 
     def _rate(self) -> float:
@@ -163,16 +185,14 @@ class Training:
         atomic_write_text(path, wanted)
 
     def _restore(self, path: Path) -> None:
+        kept = _read_checkpoint(path, self.device)
         try:
-            kept = torch.load(path, map_location=self.device, weights_only=True)
             self.network.load_state_dict(kept["network"])
             self.average.load_state_dict(kept["average"])
             self.optimiser.load_state_dict(kept["optimiser"])
             self.step, self.seconds = kept["step"], kept["seconds"]
-        except Exception as error:  # damaged archives end in exceptions of every kind
-            raise DamagedFileError(
-                f"{path} is damaged; choose another folder, or remove this one to begin anew"
-            ) from error
+        except (KeyError, RuntimeError, ValueError) as error:
+            raise _damaged(path) from error
 
     def _save(self) -> None:
         content = {
@@ -211,6 +231,7 @@ def train_extrapolator(
     every: int,
     threads: int | None,
     say: Say,
+    start: Path | None = None,
 ) -> Path:
     """Train a network and export it; return the model's path.
 
@@ -230,13 +251,18 @@ def train_extrapolator(
         For torch; None for all cores.
     say
         Told what happens, in lines.
+    start
+        Another training's checkpoint, to begin with its weights; None for random ones.
     """
     require_sane(settings)
     torch.set_num_threads(threads or os.cpu_count() or 1)
     parts = dict(zip(("training", "validation"), split(scenes), strict=True))
     names = {part: [s.name for s in chosen] for part, chosen in parts.items()}
-    settings = TrainingSettings(**(asdict(settings) | {"scenes": names}))
+    digest = None if start is None else file_digest(start)
+    settings = TrainingSettings(**(asdict(settings) | {"scenes": names, "start": digest}))
     training = Training(folder, settings, say)
+    if start is not None:
+        training.begin_with(start)
     crops = {
         part: Crops(list(_prepare(chosen, settings, cache, say))) for part, chosen in parts.items()
     }
@@ -247,6 +273,28 @@ def train_extrapolator(
     )
     training.run(crops["training"], crops["validation"], every)
     return training.export()
+
+
+def _read_checkpoint(path: Path, device: str) -> dict[str, Any]:
+    try:
+        with path.open("rb") as file:
+            kept: Any = torch.load(file, map_location=device, weights_only=True)
+    except OSError as error:
+        raise InputError(
+            f"cannot read {path}: {error.strerror or error}; check the path"
+        ) from error
+    except Exception as error:  # damaged archives end in exceptions of every kind
+        raise _damaged(path) from error
+    if not isinstance(kept, dict):
+        raise _damaged(path)
+    return kept
+
+
+def _damaged(path: Path) -> DamagedFileError:
+    return DamagedFileError(
+        f"{path} is damaged, or no checkpoint of this version; choose another folder, or remove "
+        "this one to begin anew"
+    )
 
 
 def _fast_halves(device: str) -> bool:

@@ -16,11 +16,13 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from exwarp_cli.domain.extrapolator import INPUTS
+
 STRIDE = 16
 """Height and width have to be multiples of it."""
 
-PLANES = 25
-"""Channels of all picture inputs together."""
+GIVEN = sum(INPUTS.values()) + 1
+"""Channels that the network sees at each pixel: all picture inputs, and the time."""
 
 LEAK = 0.1
 """Slope of the activation below zero."""
@@ -138,12 +140,12 @@ class ExtrapolationNetwork(nn.Module):
         count = self._count()
         made = count + 2 * architecture.flow
         made += 3 * (architecture.residual or architecture.patched)
-        self.net = UNet(PLANES + 1, architecture.detail or made, architecture.width)
+        self.net = UNet(GIVEN, architecture.detail or made, architecture.width)
         self.detail: nn.Sequential | None = None
         if architecture.detail:
             size = architecture.detail
             self.detail = nn.Sequential(
-                Gated(size + PLANES + 1, size), nn.Conv2d(size, made, 3, padding=1)
+                Gated(size + GIVEN, size), nn.Conv2d(size, made, 3, padding=1)
             )
         last = self.net.last if self.detail is None else self.detail[1]
         _begin_with_the_warp(last, made, count > 0)

@@ -40,7 +40,7 @@ SURFACE = ("albedo", "specular", "roughness", "metallic")
 BARE = 0.3
 """Share of frames that are prepared without any of the surface, so not demodulated."""
 
-HIGHEST = 6e4
+MOST_LINEAR = 6e4
 """Linear values are clipped there: half floats end at 65504."""
 
 
@@ -223,7 +223,7 @@ def _planes(prepared: Prepared, truth: Float32) -> dict[str, np.ndarray]:
 
 
 def _half(linear: Float32) -> np.ndarray:
-    return np.clip(linear, -HIGHEST, HIGHEST).transpose(2, 0, 1).astype(np.float16)
+    return np.clip(linear, -MOST_LINEAR, MOST_LINEAR).transpose(2, 0, 1).astype(np.float16)
 
 
 def _weight(interval: Interval, slot: int) -> Float32:

@@ -31,6 +31,8 @@ class TrainingSettings:
         Of a crop, pixels; a multiple of `networks.STRIDE`, and `patch` at least.
     seed
         Of weights, crops and their order.
+    start
+        SHA-256 of the checkpoint whose weights it begins with; None for random ones.
     scenes
         Names of the scenes that are trained on, and of those that are validated on.
     """
@@ -44,6 +46,7 @@ class TrainingSettings:
     frames: int = 30
     side: int = 128
     seed: int = 0
+    start: str | None = None
     scenes: dict[str, list[str]] = field(default_factory=dict)
 
 

@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from exwarp_cli import cli
 from tests.cli import shots
+from tests.cli.shots import FORWARD, KEYS, SMALL, VECTORS
+from tests.unit.tiny_models import convolution, save
 
 
 @dataclass(frozen=True)
@@ -75,3 +78,35 @@ def plain_shot(tmp_path_factory) -> Path:
 def plain_truth(tmp_path_factory) -> Path:
     """The truth of `plain_shot`, frames 1 to 9; read only."""
     return shots.truth(tmp_path_factory.mktemp("truth") / "truth")
+
+
+@pytest.fixture(scope="session")
+def network(tmp_path_factory) -> Path:
+    """An ONNX file, read only."""
+    return save(tmp_path_factory.mktemp("network") / "tiny.onnx", convolution())
+
+
+@pytest.fixture(scope="session")
+def shot(tmp_path_factory) -> dict[str, tuple[object, ...]]:
+    """Arguments that name the input, by setting: five key frames, and slots up to the last."""
+    root = tmp_path_factory.mktemp("shot")
+    keys = shots.sequence(root / "keys", shots.plain, range(1, KEYS + 1), SMALL)
+    colour = shots.sequence(root / "colour", shots.colour_only, range(1, KEYS + 1), SMALL)
+    slots = shots.sequence(
+        root / "slots", shots.slot_gbuffer, range(1, 4 * KEYS - 2), SMALL, step=0.25
+    )
+    return {"key": (keys, *FORWARD), "slot": (colour, "--gbuffers", slots, *VECTORS)}
+
+
+@pytest.fixture
+def make(upsample, shot, network, tmp_path) -> Callable[..., Path]:
+    """Run a method on the shot into a folder of its own; return the folder."""
+
+    def run(name: str, method: str, *options: object, setting: str = "key", **more: Any) -> Path:
+        keys, *rest = more.get("shot", shot[setting])
+        out = tmp_path / name
+        model = ("--extrapolator", more.get("network", network))
+        upsample(keys, out, "-m", method, *rest, *model, *options)
+        return out
+
+    return run

@@ -21,6 +21,12 @@ from tests.blender_layers import (
 )
 from tests.cli.street import Street
 
+SMALL = Street(48, 27)
+FORWARD = ("--motion", "next=u,-v")
+VECTORS = ("--motion", "previous=X,-Y next=-Z,W")
+KEYS = 5
+"""Key frames of the shot that extrapolation is tried on."""
+
 HEADER: dict[str, Any] = {
     "compression": OpenEXR.ZIP_COMPRESSION,
     "type": OpenEXR.scanlineimage,
@@ -127,21 +133,28 @@ def unreal(folder: Path, street: Street, time: float, number: int, rate: float =
         write(folder / f"P_{name}.{number:04d}.exr", {"": layer("", letters, image, kind)})
 
 
-def slot_gbuffer(path: Path, street: Street, time: float) -> None:
+def slot_planes(street: Street, time: float) -> Planes:
     """G-buffers of one slot, without colour: vectors to the neighbouring slots."""
     g = street.geometry(time)
-    planes = {
+    return {
         **layer("Depth", "Z", blender_depth(g["depth"])),
         **layer("Vector", "XYZW", blender_vector(g["slot_previous"], g["slot_following"])),
         **layer("Normal", "XYZ", g["normal"]),
         **layer("Position", "XYZ", g["position"]),
         **layer("IndexOB", "X", g["id"]),
     }
-    write(path, {"": planes})
+
+
+def slot_gbuffer(path: Path, street: Street, time: float) -> None:
+    write(path, {"": slot_planes(street, time)})
+
+
+def colour_planes(street: Street, time: float) -> Planes:
+    return layer("", "RGBA", street.colour(time), HALF)
 
 
 def colour_only(path: Path, street: Street, time: float) -> None:
-    write(path, {"": layer("", "RGBA", street.colour(time), HALF)})
+    write(path, {"": colour_planes(street, time)})
 
 
 FrameWriter = Callable[[Path, Street, float], None]

@@ -1,4 +1,4 @@
-"""The paper's paths S1 to S5 on files: frames, report, history, chunks, resuming, bad networks."""
+"""The paper's paths S1 to S5 on files: frames, report, and what is read."""
 
 from __future__ import annotations
 
@@ -19,15 +19,13 @@ import pytest
 
 from exwarp_cli.io.channels import Role
 from exwarp_cli.pipeline import loading
+from tests.blender_layers import Planes, layer
 from tests.cli import shots
+from tests.cli.shots import FORWARD, KEYS, SMALL, VECTORS
 from tests.cli.street import Street
-from tests.unit.tiny_models import convolution, filled_warp, save
+from tests.unit.tiny_models import blur, filled_warp, save
 
-SMALL = Street(48, 27)
-FORWARD = ("--motion", "next=u,-v")
-VECTORS = ("--motion", "previous=X,-Y next=-Z,W")
 SETTINGS = ("key", "slot")
-KEYS = 5
 
 D, G = "dropped", "generated"
 PATHS = {
@@ -37,57 +35,12 @@ PATHS = {
 """Kinds of slots 1 to 3; whether F alone or the network is behind each; effective fps."""
 
 
-@pytest.fixture(scope="module")
-def network(tmp_path_factory) -> Path:
-    """An ONNX file, read only."""
-    return save(tmp_path_factory.mktemp("network") / "tiny.onnx", convolution())
-
-
-@pytest.fixture(scope="module")
-def shot(tmp_path_factory) -> dict[str, tuple[object, ...]]:
-    """Arguments that name the input, by setting: five key frames, and slots up to the last."""
-    root = tmp_path_factory.mktemp("shot")
-    keys = shots.sequence(root / "keys", shots.plain, range(1, KEYS + 1), SMALL)
-    colour = shots.sequence(root / "colour", shots.colour_only, range(1, KEYS + 1), SMALL)
-    slots = shots.sequence(
-        root / "slots", shots.slot_gbuffer, range(1, 4 * KEYS - 2), SMALL, step=0.25
-    )
-    return {"key": (keys, *FORWARD), "slot": (colour, "--gbuffers", slots, *VECTORS)}
-
-
-@pytest.fixture
-def make(upsample, shot, network, tmp_path) -> Callable[..., Path]:
-    """Run a method on the shot into a folder of its own; return the folder."""
-
-    def run(name: str, method: str, *options: object, setting: str = "key", **more: Any) -> Path:
-        keys, *rest = more.get("shot", shot[setting])
-        out = tmp_path / name
-        model = ("--extrapolator", more.get("network", network))
-        upsample(keys, out, "-m", method, *rest, *model, *options)
-        return out
-
-    return run
-
-
 def rows(report: Path) -> list[dict[str, str]]:
     return list(csv.DictReader((report / "frames.csv").read_text().splitlines()))
 
 
 def load(report: Path) -> dict[str, Any]:
     return json.loads((report / "report.json").read_text())
-
-
-def changed_by(run: Callable[[], object], folder: Path) -> set[int]:
-    """Numbers of the frames that were written anew."""
-    before = {name: (folder / name).stat().st_mtime_ns for name in shots.names(folder)}
-    run()
-    now = {name: (folder / name).stat().st_mtime_ns for name in shots.names(folder)}
-    return {int(name.split(".")[1]) for name, time in now.items() if before.get(name) != time}
-
-
-def generated(*keys: int) -> set[int]:
-    """Numbers of slots 1 to 3 of these key frames."""
-    return {4 * (key - 1) + 1 + i for key in keys for i in (1, 2, 3)}
 
 
 class TestFrames:
@@ -164,6 +117,62 @@ class TestFrames:
                 assert np.median(a / b) > 1.8
 
 
+class TestElement:
+    """An object rendered alone, on nothing."""
+
+    @pytest.mark.parametrize("setting", SETTINGS)
+    def test_a_network_that_spreads_colour_leaves_what_is_empty_empty(
+        self, make, upsample, tmp_path, setting
+    ):
+        keys, *rest = element(tmp_path, setting)
+        blurred = save(tmp_path / "blur.onnx", blur())
+        out = make("out", "s3", shot=(keys, *rest), network=blurred)
+        upsample(keys, tmp_path / "s6", "-m", "s6", *rest)
+        for order in range(1, 4 * KEYS + 1):
+            name = f"shot.{order:04d}.exr"
+            made, warped = (shots.read(folder / name) for folder in (out, tmp_path / "s6"))
+            (left, top), (right, bottom) = (np.asarray(c) for c in made[0]["dataWindow"])
+            (x, y), (to_x, to_y) = (np.asarray(c) for c in warped[0]["dataWindow"])
+            assert x <= left and y <= top and right <= to_x and bottom <= to_y
+            clear = made[1]["A"] == 0
+            if order % 4 in (2, 3, 0) and clear.any():
+                assert (shots.colour_of(out / name)[clear] == 0).all()
+
+
+def element(folder: Path, setting: str) -> tuple[object, ...]:
+    """Arguments for the moving box alone: no colour around it, and data windows that fit it."""
+
+    def alone(planes_of: Callable[[Street, float], Planes]) -> shots.FrameWriter:
+        def frame(path: Path, street: Street, time: float) -> None:
+            inside = street.geometry(time)["id"] == 1
+            planes = planes_of(street, time)
+            for letter in "RGBA":
+                if letter in planes:
+                    planes[letter] = np.where(inside, planes[letter], 0).astype(np.float16)
+            rows, columns = (np.flatnonzero(inside.any(axis=axis)) for axis in (1, 0))
+            place = shots.window(
+                columns[0], rows[0], columns[-1] - columns[0] + 1, rows[-1] - rows[0] + 1
+            )
+            display = shots.window(0, 0, street.width, street.height)
+            cut = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+            head = shots.header(dataWindow=place, displayWindow=display)
+            shots.write(path, {"": {name: v[cut].copy() for name, v in planes.items()}}, head)
+
+        return frame
+
+    keys = folder / "keys"
+    if setting == "key":
+        return (
+            shots.sequence(keys, alone(shots.plain_planes), range(1, KEYS + 1), SMALL),
+            *FORWARD,
+        )
+    shots.sequence(keys, alone(shots.colour_planes), range(1, KEYS + 1), SMALL)
+    slots = shots.sequence(
+        folder / "slots", alone(shots.slot_planes), range(1, 4 * KEYS - 2), SMALL, 0.25
+    )
+    return (keys, "--gbuffers", slots, *VECTORS)
+
+
 class TestReport:
     def test_numbers(self, make, tmp_path, network):
         truth = shots.truth(tmp_path / "truth", KEYS, street=SMALL)
@@ -177,6 +186,7 @@ class TestReport:
             "file": str(network),
             "sha256": hashlib.sha256(network.read_bytes()).hexdigest(),
             "device": "cpu",
+            "demodulated": False,
         }
         assert s1["extrapolator"] == s4["extrapolator"] == told
         scored = KEYS - 1
@@ -208,6 +218,44 @@ class TestReport:
         digits = hashlib.sha256(network.read_bytes()).hexdigest()[:8]
         assert f"exwarp: extrapolation by tiny.onnx (sha256 {digits}) on cpu\n" in result.err
         assert all(line.startswith("exwarp: ") for line in result.err.splitlines())
+
+    @pytest.mark.parametrize(
+        ("passes", "told"),
+        [
+            (("Diffuse Color", "Glossy Color"), None),
+            (("Diffuse Color",), "no glossy colour"),
+            (("Glossy Color",), "no diffuse colour"),
+            ((), "no diffuse and no glossy colour"),
+        ],
+    )
+    @pytest.mark.parametrize("setting", SETTINGS)
+    def test_whether_surface_colour_is_divided_out_is_told(
+        self, exwarp, network, tmp_path, setting, passes, told
+    ):
+        def with_passes(planes_of: Callable[[Street, float], Planes]) -> shots.FrameWriter:
+            def frame(path: Path, street: Street, time: float) -> None:
+                planes = planes_of(street, time)
+                for name in passes:
+                    planes |= layer(name, "RGB", street.colour(time)[..., :3])
+                shots.write(path, {"": planes})
+
+            return frame
+
+        first = with_passes(shots.plain_planes) if setting == "key" else shots.colour_only
+        keys = shots.sequence(tmp_path / "keys", first, (1, 2), SMALL)
+        rest: tuple[object, ...] = FORWARD
+        if setting == "slot":
+            writer = with_passes(shots.slot_planes)
+            slots = shots.sequence(tmp_path / "slots", writer, range(1, 6), SMALL, 0.25)
+            rest = ("--gbuffers", slots, *VECTORS)
+        options = ("-m", "s3", *rest, "--extrapolator", network, "--report", tmp_path / "report")
+        options += ("--threads", 1, "--progress", "none", "--frames", "1")
+        result = exwarp("upsample", keys, "-o", tmp_path / "out", *options)
+        assert result.code == 0, result.err
+        assert load(tmp_path / "report")["extrapolator"]["demodulated"] is (told is None)
+        sentence = f"exwarp: {told}: shading is extrapolated together with surface colour\n"
+        assert (sentence in result.err) == (told is not None)
+        assert ("surface colour" in result.err) == (told is not None)
 
 
 class TestHistory:
@@ -260,143 +308,6 @@ class TestHistory:
         upsample(keys, tmp_path / "out", "-m", "s6", *VECTORS)
         geometry = (Role.DEPTH, Role.POSITION, Role.STENCIL, Role.MOTION)
         assert asked == {(Role.COLOUR, *geometry)}
-
-
-class TestSameBytes:
-    @pytest.mark.parametrize("setting", SETTINGS)
-    def test_any_split_gives_the_whole(self, make, tmp_path, setting):
-        masks = ("--write-holes", tmp_path / "masks")
-        whole = make("whole", "s3", *masks, setting=setting)
-        for chunk in ("4-5", "1", "2-3"):
-            options = ("--write-holes", tmp_path / "part-masks", "--frames", chunk)
-            parts = make("parts", "s3", *options, setting=setting)
-        assert len(shots.names(whole)) == 4 * KEYS
-        assert shots.contents(parts) == shots.contents(whole)
-        assert shots.contents(tmp_path / "part-masks") == shots.contents(tmp_path / "masks")
-
-    def test_windows_that_change_too(self, make, tmp_path):
-        def frame(path: Path, street: Street, time: float) -> None:
-            x, y = 2 * int(time) % 5, int(time) % 3
-            planes = {k: v[y:25, x:44].copy() for k, v in shots.plain_planes(street, time).items()}
-            place = shots.window(x - 4, y - 2, 44 - x, 25 - y)
-            head = shots.header(dataWindow=place, displayWindow=shots.window(0, 0, 36, 20))
-            shots.write(path, {"": planes}, head)
-
-        keys = shots.sequence(tmp_path / "keys", frame, range(1, 6), SMALL)
-        whole = make("whole", "s3", shot=(keys, *FORWARD))
-        for chunk in ("3-5", "2", "1"):
-            parts = make("parts", "s3", "--frames", chunk, shot=(keys, *FORWARD))
-        assert shots.contents(parts) == shots.contents(whole)
-
-    @pytest.mark.parametrize("channels", [18, 24])
-    def test_threads_change_nothing(self, make, tmp_path, channels):
-        network = save(tmp_path / "n.onnx", convolution(channels, scale=2, exwarp__stride="2"))
-        made = [make(str(n), "s3", "--threads", n, network=network) for n in (1, 2, 5)]
-        assert shots.contents(made[0]) == shots.contents(made[1]) == shots.contents(made[2])
-
-    @pytest.mark.parametrize("setting", SETTINGS)
-    @pytest.mark.parametrize("method", ["s1", "s2", "s3"])
-    def test_an_interrupted_run_goes_on(self, make, method, setting):
-        whole = shots.contents(make("whole", method, setting=setting))
-        out = make("out", method, setting=setting)
-        for number in (3, 8, 9, 12, 14, 15, 16):
-            (out / f"shot.{number:04d}.exr").unlink()
-        (out / "shot.0010.exr").write_bytes(whole["shot.0010.exr"][:900])
-
-        def resume() -> None:
-            make("out", method, "--skip-existing", setting=setting)
-
-        assert changed_by(resume, out) == {3, 8, 9, 10, 12, 14, 15, 16}
-        assert shots.contents(out) == whole
-        assert changed_by(resume, out) == set()
-
-    def test_another_network_counts(self, make, tmp_path):
-        out = make("out", "s3")
-        other = save(tmp_path / "other.onnx", convolution(seed=1))
-        again = changed_by(lambda: make("out", "s3", "--skip-existing", network=other), out)
-        assert again == generated(1, 2, 3, 4, 5)
-        assert shots.contents(out) == shots.contents(make("fresh", "s3", network=other))
-
-    def test_the_same_network_under_another_name_does_not(self, make, network, tmp_path):
-        out = make("out", "s3")
-        copy = Path(shutil.copy(network, tmp_path / "copy.onnx"))
-        assert changed_by(lambda: make("out", "s3", "--skip-existing", network=copy), out) == set()
-
-    def test_a_changed_key_frame_counts_where_it_is_history(self, make, shot, tmp_path):
-        keys, *rest = shot["key"]
-        keys = Path(shutil.copytree(keys, tmp_path / "keys"))
-        out = make("out", "s3", shot=(keys, *rest))
-        shots.plain(keys / "shot.0002.exr", SMALL, 1.1)
-        again = changed_by(lambda: make("out", "s3", "--skip-existing", shot=(keys, *rest)), out)
-        assert again == {5} | generated(2, 3, 4)
-
-    def test_so_does_a_g_buffer_on_the_way_to_it(self, make, shot, tmp_path):
-        colour, option, slots, *rest = shot["slot"]
-        slots = Path(shutil.copytree(slots, tmp_path / "slots"))
-        given = (colour, option, slots, *rest)
-        out = make("out", "s3", shot=given)
-        shots.slot_gbuffer(slots / "shot.0006.exr", SMALL, 1.3)  # slot 1 of key frame 2
-        again = changed_by(lambda: make("out", "s3", "--skip-existing", shot=given), out)
-        assert again == generated(2, 3, 4)
-
-
-class TestRefusals:
-    def refused(
-        self,
-        exwarp: Any,
-        shot: Any,
-        tmp_path: Path,
-        code: int,
-        words: tuple[str, ...],
-        *options: Any,
-    ) -> None:
-        keys, *rest = shot["key"]
-        out = tmp_path / "out"
-        given = ("--progress", "none", *rest, *options)
-        exwarp("upsample", keys, "-o", out, *given).refused(code, *words)
-        assert not out.exists()
-
-    @pytest.mark.parametrize(
-        ("spoil", "words"),
-        [
-            (lambda path: path.unlink(), ("there is no model", "check the path")),
-            (lambda path: path.write_bytes(b"text" * 99), ("no ONNX model", "export it again")),
-            (lambda path: save(path, filled_warp(exwarp__stride="no")), ("exwarp.stride",)),
-            (lambda path: save(path, filled_warp(exwarp__interface="x/2")), ("x/2", "interface")),
-        ],
-    )
-    def test_a_bad_network(self, exwarp, shot, tmp_path, spoil, words):
-        path = save(tmp_path / "bad.onnx", filled_warp())
-        spoil(path)
-        options = ("-m", "s3", "--extrapolator", path)
-        self.refused(exwarp, shot, tmp_path, 3, ("bad.onnx", *words), *options)
-
-    def test_cuda_that_is_not_there(self, exwarp, shot, tmp_path, network):
-        options = ("-m", "s3", "--extrapolator", network, "--device", "cuda")
-        self.refused(exwarp, shot, tmp_path, 7, ("--device cuda", "onnxruntime-gpu"), *options)
-
-    @pytest.mark.parametrize("options", [("--extrapolator", "x.onnx"), ("--device", "cuda")])
-    def test_options_of_a_network_for_a_method_without(self, exwarp, shot, tmp_path, options):
-        words = (options[0], "--method s6", "s1, s2, s3, s4, s5")
-        self.refused(exwarp, shot, tmp_path, 2, words, "-m", "s6", *options)
-
-    def test_another_device(self, exwarp, shot, tmp_path, network):
-        self.refused(exwarp, shot, tmp_path, 2, ("--device", "cpu"), "-m", "s3", "--device", "tpu")
-
-    def test_no_motion(self, exwarp, tmp_path, network):
-        keys = shots.sequence(tmp_path / "keys", shots.colour_only, street=SMALL)
-        options = ("-m", "s3", "--extrapolator", network, "--progress", "none")
-        result = exwarp("upsample", keys, "-o", tmp_path / "out", *options)
-        result.refused(3, "no motion vectors", "hold or blend")
-
-    @pytest.mark.parametrize("method", ["s3", "s6", "softsplat", "hold"])
-    def test_slot_g_buffers_that_lead_only_forward(self, exwarp, shot, tmp_path, network, method):
-        colour, option, slots, *_ = shot["slot"]
-        model = ("--extrapolator", network) if method == "s3" else ()
-        options = ("-m", method, *model, "--motion", "next=-Z,W", "--progress", "none")
-        result = exwarp("upsample", colour, "-o", tmp_path / "out", option, slots, *options)
-        result.refused(3, "--gbuffers", "previous slot")
-        assert not (tmp_path / "out").exists()
 
 
 def test_methods_without_a_network_do_not_import_onnxruntime(shot, tmp_path):

@@ -196,6 +196,20 @@ class TestSlotGBuffers:
         upsample(colour_keys, tmp_path / "out", "-m", method, "--gbuffers", tmp_path / "slots")
         assert mean_psnr(tmp_path / "out", "shot.", 1) > least
 
+    @pytest.mark.parametrize("method", ["hold", "blend"])
+    def test_those_that_lead_only_forward_are_left_out_where_nothing_is_moved(
+        self, colour_keys, exwarp, upsample, tmp_path, method
+    ):
+        slots = shots.sequence(tmp_path / "slots", shots.slot_gbuffer, range(1, 10), step=0.25)
+        given = ("--gbuffers", slots, "--motion", "next=-Z,W", "--report", tmp_path / "report")
+        options = ("-m", method, "--progress", "none", "--threads", 1, *given)
+        result = exwarp("upsample", colour_keys, "-o", tmp_path / "out", *options)
+        assert result.code == 0, result.err
+        assert "exwarp: --gbuffers is left out: it has no readable vectors" in result.err
+        assert json.loads((tmp_path / "report" / "report.json").read_text())["setting"] == "key"
+        upsample(colour_keys, tmp_path / "without", "-m", method)
+        assert_same_pixels(tmp_path / "out", tmp_path / "without")
+
     def test_too_few_are_refused(self, colour_keys, exwarp, tmp_path):
         slots = shots.sequence(tmp_path / "slots", shots.slot_gbuffer, range(1, 7), step=0.25)
         result = exwarp("upsample", colour_keys, "-o", tmp_path / "out", "--gbuffers", slots)

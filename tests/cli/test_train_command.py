@@ -50,7 +50,12 @@ def test_a_network_is_trained_and_named(data, tmp_path, capsys):
         (["--patch", "40"], 2, "--patch 40 is no multiple of 16"),
         (["--patch", "128"], 2, "--patch 128 is larger than --side 64"),
         (["--side", "96"], 3, "smaller than crops of 96"),
-        (["--rate", "0"], 2, "--rate"),
+        (["--rate", "0"], 2, "--rate 0 is not between 0 and 1"),
+        (["--rate", "2"], 2, "--rate 2 is not between 0 and 1"),
+        (["--rate", "nan"], 2, "--rate nan is not between 0 and 1"),
+        (["--side", "72"], 2, "--side 72 is no multiple of 16"),
+        (["--batch", "1"], 2, "--batch 1 is too small to normalise over"),
+        (["--seed", "-1"], 2, "--seed"),
     ],
 )
 def test_mistakes_are_one_sentence(data, tmp_path, capsys, options, code, sentence):
@@ -58,6 +63,24 @@ def test_mistakes_are_one_sentence(data, tmp_path, capsys, options, code, senten
     error = capsys.readouterr().err.strip().splitlines()[-1]
     assert error.startswith("exwarp: error: ")
     assert sentence in error
+
+
+def test_a_cache_that_cannot_be_made_is_one_sentence(data, tmp_path, capsys):
+    (tmp_path / "file").write_text("in the way")
+    cache = tmp_path / "file" / "crops"
+    assert train(data, tmp_path / "run", *SMALL, "--cache", str(cache)) == 5
+    error = capsys.readouterr().err.strip().splitlines()[-1]
+    assert error.startswith(f"exwarp: error: cannot write {cache}: ")
+    assert "; " in error
+
+
+def test_a_damaged_checkpoint_is_one_sentence(data, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("exwarp_cli.training.extrapolator.Training.export", lambda self: "model")
+    assert train(data, tmp_path / "run", *SMALL) == 0
+    (tmp_path / "run" / "checkpoint.pt").write_bytes(b"PK and nothing else")
+    assert train(data, tmp_path / "run", *SMALL) == 3
+    error = capsys.readouterr().err.strip().splitlines()[-1]
+    assert error.startswith(f"exwarp: error: {tmp_path / 'run' / 'checkpoint.pt'} is damaged")
 
 
 def test_data_that_is_not_there(tmp_path, capsys):

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from exwarp_cli.domain.extrapolator import INPUTS, NetworkInputs
-from exwarp_cli.domain.frame import Float32, GBuffer, Window
+from exwarp_cli.domain.frame import Float32, GBuffer, KeyFrame, Window
+from exwarp_cli.errors import LayoutError
 from exwarp_cli.io.dataset import open_scene
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.modulation import DARKEST, decode, encode, modulation_of
@@ -32,6 +33,13 @@ class Filled:
 
     def __call__(self, inputs: NetworkInputs) -> Float32:
         return inputs.warped[3:]
+
+
+class Bright(Filled):
+    """A network that makes everything brighter, what is black too."""
+
+    def __call__(self, inputs: NetworkInputs) -> Float32:
+        return np.abs(inputs.warped[3:]) + 1
 
 
 @pytest.fixture(scope="module")
@@ -135,6 +143,67 @@ def test_high_dynamic_range_and_alpha_come_through(interval):
     plain = given_alpha.without("albedo", "specular")
     np.testing.assert_allclose(plain.extrapolated(2), expected, rtol=1e-4, atol=1e-3)
     assert given_alpha.extrapolated(2).shape == bright.shape
+
+
+def seen_as(interval: Interval, pixels: Float32) -> Interval:
+    """The interval with other colour in its key frame, and as many channels in the past."""
+
+    def with_pixels(frame: KeyFrame, pixels: Float32) -> KeyFrame:
+        return replace(frame, image=replace(frame.image, pixels=pixels))
+
+    past = tuple(
+        replace(p, frame=with_pixels(p.frame, p.frame.image.pixels[..., : pixels.shape[-1]]))
+        for p in interval.past
+    )
+    return replace(interval, key=with_pixels(interval.key, pixels), past=past)
+
+
+@pytest.mark.parametrize("slot", [2, 3])
+def test_an_element_stays_empty_around_its_object(interval, slot):
+    """A network that lights all of it up makes no colour where the warp has none."""
+    pixels = interval.key.image.pixels.copy()
+    pixels[interval.key.gbuffer.stencil != 3] = 0
+    bright = replace(interval, extrapolator=Bright())
+    made = seen_as(bright, pixels).extrapolated(slot)
+    filled = fill_background(warp(pixels, interval.back(slot)))
+    empty = (filled == 0).all(axis=-1)
+    assert 0.3 < empty.mean() < 0.99
+    assert (made[empty] == 0).all()
+    assert (made[~empty, :3] > 0).all()
+    np.testing.assert_array_equal(made[..., 3], filled[..., 3])
+    without_alpha = seen_as(bright, pixels[..., :3]).extrapolated(slot)
+    assert (without_alpha > 0).all(), "black is a colour where there is no alpha"
+
+
+PARTS = ("depth", "position", "stencil", "normal", "to_next", "to_previous")
+PAIRS = [("depth", "position"), ("stencil", "normal"), ("depth", "to_next"),
+         ("position", "stencil"), ("stencil", "to_next"), ("normal", "depth")]  # fmt: skip
+
+
+@pytest.mark.parametrize("parts", [*((part,) for part in PARTS), *PAIRS], ids="+".join)
+def test_whatever_is_not_rendered_is_done_without(interval, parts):
+    bare = interval.without(*parts)
+    if bare.slots and "to_previous" in parts:
+        with pytest.raises(LayoutError, match="no vectors to the previous slot; render them"):
+            bare.prepared(2)
+        return
+    prepared = bare.prepared(2)
+    height, width = interval.key.image.data_window.shape
+    for name, plane in prepared.inputs.pictures.items():
+        assert plane.shape == (INPUTS[name], height, width), name
+        assert np.isfinite(plane).all(), name
+    assert 0 <= prepared.inputs.features[3:].min() <= prepared.inputs.features[3:].max() <= 1
+    frame = bare.extrapolated(2)
+    assert np.isfinite(frame).all()
+    truth = town().view(STEP * (4 * K + 2))
+    seen = (prepared.inputs.mask[0] > 0) & (truth.surface != SKY) & truth.inside(3)
+    assert seen.mean() > 0.3
+    assert np.median(np.abs(frame - truth.colour)[seen]) < 0.03
+
+
+def test_without_any_motion_it_is_said(interval):
+    with pytest.raises(LayoutError, match=r"no (motion )?vectors"):
+        interval.without("to_previous", "to_next").prepared(2)
 
 
 def test_broken_pixels_do_not_reach_the_network(interval):

@@ -15,6 +15,7 @@ from onnx import TensorProto, helper
 from exwarp_cli.domain.extrapolator import INPUTS, INTERFACE, OUTPUT, TIME, NetworkInputs
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, MissingExtraError
 from exwarp_cli.io import models
+from exwarp_cli.io.model_checks import STRIDE_KEY
 from exwarp_cli.io.models import CHECKSUMS, CUDA, SHIPPED, load_extrapolator, shipped_folder
 from tests.unit import tiny_models
 from tests.unit.tiny_models import convolution, filled_warp, inputs, model, picture, save
@@ -307,5 +308,5 @@ class TestShipped:
 def test_tiny_models_are_sound():
     for made in (filled_warp(), convolution(), convolution(scale=2, time=False)):
         onnx.checker.check_model(made, full_check=True)
-    assert [m.key for m in filled_warp(exwarp__stride="4").metadata_props] == [models.STRIDE]
+    assert [m.key for m in filled_warp(exwarp__stride="4").metadata_props] == [STRIDE_KEY]
     assert tiny_models.OPSET == 17

@@ -71,9 +71,10 @@ def test_what_was_not_measured_is_null() -> None:
 
 
 def test_the_network_is_named() -> None:
-    network = NetworkSummary("/models/a.onnx", "0" * 64, "cuda")
+    network = NetworkSummary("/models/a.onnx", "0" * 64, "cuda", demodulated=True)
     found = report(run(interval(1001, "ggg", 1001), extrapolator=network))
-    assert found["extrapolator"] == {"file": "/models/a.onnx", "sha256": "0" * 64, "device": "cuda"}
+    told = {"file": "/models/a.onnx", "sha256": "0" * 64, "device": "cuda", "demodulated": True}
+    assert found["extrapolator"] == told
 
 
 def test_an_empty_run_is_reported() -> None:

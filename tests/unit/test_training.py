@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 import torch
 
-from exwarp_cli.domain.extrapolator import INPUTS, TIME, NetworkInputs
+from exwarp_cli.domain.extrapolator import TIME, NetworkInputs
 from exwarp_cli.errors import InputError, UsageError
 from exwarp_cli.io.dataset import RenderedScene, open_scene
 from exwarp_cli.io.models import load_extrapolator
 from exwarp_cli.metrics.registry import score
 from exwarp_cli.training import crops as batches
-from exwarp_cli.training.crops import Crops, varied
+from exwarp_cli.training.crops import Batch, Crops, varied
 from exwarp_cli.training.extrapolator import (
     CHECKPOINT,
     COLUMNS,
@@ -24,11 +24,12 @@ from exwarp_cli.training.extrapolator import (
     train_extrapolator,
 )
 from exwarp_cli.training.losses import FEW, HOLES, SQUARED, decibels, loss_of, shown
-from exwarp_cli.training.networks import ARCHITECTURES, STRIDE, Architecture, build
+from exwarp_cli.training.networks import ARCHITECTURES, build
 from exwarp_cli.training.samples import CropSettings, choices, crops_of, write_crops
 from exwarp_cli.training.selection import select, split
 from exwarp_cli.training.settings import TrainingSettings
 from tests.unit.analytic_scene import INSTANTS, write_scene
+from tests.unit.network_inputs import example
 
 SIDE = 64
 MADE = CropSettings(frames=6, side=SIDE, seed=1)
@@ -135,6 +136,21 @@ def test_variation_keeps_pictures_and_truth_together(crops, seed):
     assert ((length < 1.01) & ((length > 0.9) | (length < 0.01))).float().mean() > 0.95
 
 
+def test_nothing_of_a_step_changes_the_device(crops):
+    """On the meta device arithmetic with a tensor of any other device is an error."""
+    batch = crops.batch(range(4))
+    meta = Batch(**{name: plane.to("meta") for name, plane in vars(batch).items()})
+    for seed in range(12):  # all that is left out or turned by chance
+        found = varied(meta, np.random.default_rng(seed))
+        assert {plane.device.type for plane in vars(found).values()} == {"meta"}
+    for name in ARCHITECTURES:
+        network = build(name, 8).to("meta")
+        made = found.finish(network(*found.inputs))
+        loss = loss_of(made, found.target, found.plain, found.mask)
+        assert loss.device.type == made.device.type == "meta"
+        assert decibels(made, found.target, 1 - found.mask).device.type == "meta"
+
+
 def encoded(linear: torch.Tensor) -> torch.Tensor:
     return batches.encode(linear)
 
@@ -195,79 +211,6 @@ def test_shown_is_the_srgb_curve_and_goes_on_above_white():
     linear.requires_grad_(True)
     shown(linear).sum().backward()
     assert torch.isfinite(linear.grad).all()
-
-
-@pytest.fixture(params=ARCHITECTURES)
-def network(request):
-    torch.manual_seed(0)
-    return build(request.param, 8).eval()
-
-
-def example(height: int, width: int, seed: int = 0) -> dict[str, torch.Tensor]:
-    rng = torch.Generator().manual_seed(seed)
-    pictures = {
-        name: torch.rand(1, channels, height, width, generator=rng)
-        for name, channels in INPUTS.items()
-    }
-    pictures["mask"] = (pictures["mask"] > 0.2).float()
-    return pictures | {TIME: torch.tensor([0.5])}
-
-
-@pytest.mark.parametrize("size", [(STRIDE, 2 * STRIDE), (48, 80)])
-def test_networks_answer_at_any_multiple_of_the_stride(network, size):
-    answer = network(**example(*size))
-    assert answer.shape == (1, 3, *size)
-    assert torch.isfinite(answer).all()
-
-
-@pytest.mark.parametrize(
-    "name", [n for n, a in ARCHITECTURES.items() if not (a.residual or a.patched)]
-)
-def test_weights_invent_nothing(name):
-    """Where all candidates are of one colour, so is the answer."""
-    torch.manual_seed(1)
-    network = build(name, 8).eval()
-    with torch.no_grad():
-        for parameter in network.parameters():
-            parameter.add_(0.1 * torch.randn_like(parameter))
-    given = example(32, 48)
-    given["warped"][:, 3:] = 0.7
-    for index in range(3):
-        given["history"][:, 4 * index : 4 * index + 3] = 0.7
-    np.testing.assert_allclose(network(**given).detach().numpy(), 0.7, rtol=1e-5)
-
-
-def test_an_unknown_past_is_replaced_by_the_filled_warp():
-    network = build("kernels", 8).eval()
-    given = example(32, 32)
-    given["warped"][:, 3:] = 0.7
-    given["history"].zero_()
-    np.testing.assert_allclose(network(**given).detach().numpy(), 0.7, rtol=1e-5)
-
-
-def test_candidates_are_counted_right():
-    for name, architecture in ARCHITECTURES.items():
-        network = build(name, 8)
-        given = example(32, 32)
-        flow = torch.zeros(1, 2 * architecture.flow, 32, 32)
-        made = network._candidates(
-            given["warped"][:, 3:], given["history"], given[TIME].reshape(-1, 1, 1, 1), flow
-        )
-        assert not architecture.candidates or len(made) == network._count()
-
-
-def test_a_candidate_can_be_moved():
-    from exwarp_cli.training.networks import _moved
-
-    frame = torch.arange(12.0).reshape(1, 1, 3, 4).repeat(1, 3, 1, 1)
-    flow = torch.zeros(1, 2, 3, 4)
-    flow[:, 0] = 1
-    np.testing.assert_allclose(_moved(frame, flow)[0, 0, :, :3], frame[0, 0, :, 1:], atol=1e-5)
-
-
-def test_architectures_differ():
-    assert len(set(ARCHITECTURES.values())) == len(ARCHITECTURES) >= 4
-    assert Architecture() == ARCHITECTURES["blend"]
 
 
 def test_training_gets_better_and_is_exported(scenes, cache, tmp_path):

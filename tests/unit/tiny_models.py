@@ -64,6 +64,21 @@ def filled_warp(gain: float = 1.0, **metadata: str) -> onnx.ModelProto:
     return model(nodes, inputs(["warped", "mask"]), weights=weights, metadata=stated)
 
 
+def blur(side: int = 9) -> onnx.ModelProto:
+    """Blur the filled warp by a box, which spreads colour over what is empty beside it."""
+    weights = {
+        "start": np.array([3], np.int64),
+        "end": np.array([6], np.int64),
+        "axis": np.array([1], np.int64),
+    }
+    box = {"kernel_shape": [side, side], "pads": [side // 2] * 4}
+    nodes = [
+        helper.make_node("Slice", ["warped", "start", "end", "axis"], ["filled"]),
+        helper.make_node("AveragePool", ["filled"], [OUTPUT], **box),
+    ]
+    return model(nodes, inputs(["warped", "mask"]), weights=weights)
+
+
 def convolution(
     channels: int = 18, seed: int = 0, time: bool = True, scale: int = 1, **metadata: str
 ) -> onnx.ModelProto:

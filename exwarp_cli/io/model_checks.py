@@ -1,0 +1,110 @@
+"""Whether a network in an ONNX file fits, by what the file declares.
+
+A model's metadata may state `exwarp.interface`, the version of the inputs that it was made for, and
+`exwarp.stride`, the number that the height and width of what it takes must be multiples of.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from exwarp_cli.domain.extrapolator import INPUTS, INTERFACE, OUTPUT, TIME
+from exwarp_cli.errors import LayoutError
+
+STRIDE_KEY, INTERFACE_KEY = "exwarp.stride", "exwarp.interface"
+DEFAULT_STRIDE, MOST_STRIDE = 8, 256
+
+REQUIRED = ("warped", "mask")
+"""Inputs that a network must have; it may do without the others."""
+
+
+def require_interface(path: Path, metadata: Mapping[str, str]) -> None:
+    """Refuse a network that states another interface than this one."""
+    stated = metadata.get(INTERFACE_KEY, INTERFACE)
+    if stated != INTERFACE:
+        raise LayoutError(
+            f"{path} was made for the interface {stated}, and this is {INTERFACE}; "
+            "use a model for this version of ExWarp"
+        )
+
+
+def stated_stride(path: Path, metadata: Mapping[str, str]) -> int:
+    """Return what height and width have to be multiples of; LayoutError for no such number."""
+    text = metadata.get(STRIDE_KEY, str(DEFAULT_STRIDE))
+    if not text.isdecimal() or not 1 <= int(text) <= MOST_STRIDE:
+        raise LayoutError(
+            f"{path} states {STRIDE_KEY} = {text!r} in its metadata; state a whole number "
+            f"from 1 to {MOST_STRIDE}"
+        )
+    return int(text)
+
+
+def require_nodes(path: Path, inputs: Mapping[str, Any], outputs: Mapping[str, Any]) -> None:
+    """Refuse a network whose inputs and outputs are not those of `domain.extrapolator`.
+
+    Parameters
+    ----------
+    path
+        Of the file.
+    inputs, outputs
+        By name, each with `name`, `type` and `shape` as onnxruntime tells them.
+
+    Raises
+    ------
+    LayoutError
+        Which tells the first thing that does not fit.
+    """
+    _require_names(path, inputs, outputs)
+    for name, node in inputs.items():
+        shape = (1,) if name == TIME else (1, INPUTS[name], None, None)
+        _require_shape(path, node, "input", shape)
+    _require_shape(path, outputs[OUTPUT], "output", (1, 3, None, None))
+
+
+def written_shape(shape: Sequence[Any]) -> str:
+    """Write a shape; free sizes by their name or as ``?``."""
+    return f"[{', '.join('?' if size is None else str(size) for size in shape)}]"
+
+
+def _require_names(path: Path, inputs: Mapping[str, Any], outputs: Mapping[str, Any]) -> None:
+    known = (*INPUTS, TIME)
+    if foreign := [name for name in inputs if name not in known]:
+        raise LayoutError(
+            f"{path} has the input {foreign[0]!r}, which ExWarp does not give; export it "
+            f"with inputs out of {', '.join(known)}"
+        )
+    if missing := [name for name in REQUIRED if name not in inputs]:
+        raise LayoutError(
+            f"{path} lacks the input {missing[0]!r}; export it with inputs out of "
+            f"{', '.join(known)}"
+        )
+    if list(outputs) != [OUTPUT]:
+        raise LayoutError(
+            f"{path} has the output {', '.join(outputs)}; export it with one output named {OUTPUT}"
+        )
+
+
+def _require_shape(path: Path, node: Any, what: str, shape: tuple[int | None, ...]) -> None:
+    """Compare an input or output with a shape, in which None is a size that must be free.
+
+    An output's sizes and a batch may be left open: running the network shows what they are.
+    """
+    found = list(node.shape)
+    open_sizes = [what == "output" or axis == 0 for axis in range(len(shape))]
+    fits = len(found) == len(shape) and all(
+        not isinstance(have, int) if want is None else have == want or (free and have is None)
+        for have, want, free in zip(map(_size, found), shape, open_sizes, strict=True)
+    )
+    if node.type != "tensor(float)" or not fits:
+        raise LayoutError(
+            f"{path} has the {what} {node.name!r} as {node.type} {written_shape(found)} where "
+            f"ExWarp needs tensor(float) {written_shape(shape)} with any height and width; "
+            "export it so"
+        )
+
+
+def _size(value: object) -> int | None:
+    """Return a declared size; None for a free one."""
+    return value if isinstance(value, int) else None

@@ -1,0 +1,126 @@
+"""Extrapolated frames are the same bytes however they are made; what is made anew, and when."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from tests.blender_layers import Planes
+from tests.cli import shots
+from tests.cli.shots import FORWARD, KEYS, SMALL, VECTORS
+from tests.cli.street import Street
+from tests.unit.tiny_models import convolution, save
+
+SETTINGS = ("key", "slot")
+
+
+def changed_by(run: Callable[[], object], folder: Path) -> set[int]:
+    """Numbers of the frames that were written anew."""
+    before = {name: (folder / name).stat().st_mtime_ns for name in shots.names(folder)}
+    run()
+    now = {name: (folder / name).stat().st_mtime_ns for name in shots.names(folder)}
+    return {int(name.split(".")[1]) for name, time in now.items() if before.get(name) != time}
+
+
+def generated(*keys: int) -> set[int]:
+    """Numbers of slots 1 to 3 of these key frames."""
+    return {4 * (key - 1) + 1 + i for key in keys for i in (1, 2, 3)}
+
+
+def cut(planes_of: Callable[[Street, float], Planes]) -> shots.FrameWriter:
+    """A writer of frames whose data windows change from one to the next."""
+
+    def frame(path: Path, street: Street, time: float) -> None:
+        x, y = int(2 * time) % 5, int(time) % 3
+        planes = {name: v[y:25, x:44].copy() for name, v in planes_of(street, time).items()}
+        place = shots.window(x - 4, y - 2, 44 - x, 25 - y)
+        head = shots.header(dataWindow=place, displayWindow=shots.window(0, 0, 36, 20))
+        shots.write(path, {"": planes}, head)
+
+    return frame
+
+
+class TestSameBytes:
+    @pytest.mark.parametrize("setting", SETTINGS)
+    def test_any_split_gives_the_whole(self, make, tmp_path, setting):
+        masks = ("--write-holes", tmp_path / "masks")
+        whole = make("whole", "s3", *masks, setting=setting)
+        for chunk in ("4-5", "1", "2-3"):
+            options = ("--write-holes", tmp_path / "part-masks", "--frames", chunk)
+            parts = make("parts", "s3", *options, setting=setting)
+        assert len(shots.names(whole)) == 4 * KEYS
+        assert shots.contents(parts) == shots.contents(whole)
+        assert shots.contents(tmp_path / "part-masks") == shots.contents(tmp_path / "masks")
+
+    @pytest.mark.parametrize("setting", SETTINGS)
+    def test_windows_that_change_too(self, make, tmp_path, setting):
+        numbers = range(1, KEYS + 1)
+        if setting == "key":
+            keys = shots.sequence(tmp_path / "keys", cut(shots.plain_planes), numbers, SMALL)
+            given = (keys, *FORWARD)
+        else:
+            keys = shots.sequence(tmp_path / "keys", cut(shots.colour_planes), numbers, SMALL)
+            slots = shots.sequence(
+                tmp_path / "slots", cut(shots.slot_planes), range(1, 4 * KEYS - 2), SMALL, 0.25
+            )
+            given = (keys, "--gbuffers", slots, *VECTORS)
+        whole = make("whole", "s3", shot=given)
+        for chunk in ("3-5", "2", "1"):
+            parts = make("parts", "s3", "--frames", chunk, shot=given)
+        assert shots.contents(parts) == shots.contents(whole)
+        places = {str(shots.read(path)[0]["dataWindow"]) for path in whole.iterdir()}
+        assert len(places) > 3
+
+    @pytest.mark.parametrize("channels", [18, 24])
+    def test_threads_change_nothing(self, make, tmp_path, channels):
+        network = save(tmp_path / "n.onnx", convolution(channels, scale=2, exwarp__stride="2"))
+        made = [make(str(n), "s3", "--threads", n, network=network) for n in (1, 2, 5)]
+        assert shots.contents(made[0]) == shots.contents(made[1]) == shots.contents(made[2])
+
+    @pytest.mark.parametrize("setting", SETTINGS)
+    @pytest.mark.parametrize("method", ["s1", "s2", "s3"])
+    def test_an_interrupted_run_goes_on(self, make, method, setting):
+        whole = shots.contents(make("whole", method, setting=setting))
+        out = make("out", method, setting=setting)
+        for number in (3, 8, 9, 12, 14, 15, 16):
+            (out / f"shot.{number:04d}.exr").unlink()
+        (out / "shot.0010.exr").write_bytes(whole["shot.0010.exr"][:900])
+
+        def resume() -> None:
+            make("out", method, "--skip-existing", setting=setting)
+
+        assert changed_by(resume, out) == {3, 8, 9, 10, 12, 14, 15, 16}
+        assert shots.contents(out) == whole
+        assert changed_by(resume, out) == set()
+
+    def test_another_network_counts(self, make, tmp_path):
+        out = make("out", "s3")
+        other = save(tmp_path / "other.onnx", convolution(seed=1))
+        again = changed_by(lambda: make("out", "s3", "--skip-existing", network=other), out)
+        assert again == generated(1, 2, 3, 4, 5)
+        assert shots.contents(out) == shots.contents(make("fresh", "s3", network=other))
+
+    def test_the_same_network_under_another_name_does_not(self, make, network, tmp_path):
+        out = make("out", "s3")
+        copy = Path(shutil.copy(network, tmp_path / "copy.onnx"))
+        assert changed_by(lambda: make("out", "s3", "--skip-existing", network=copy), out) == set()
+
+    def test_a_changed_key_frame_counts_where_it_is_history(self, make, shot, tmp_path):
+        keys, *rest = shot["key"]
+        keys = Path(shutil.copytree(keys, tmp_path / "keys"))
+        out = make("out", "s3", shot=(keys, *rest))
+        shots.plain(keys / "shot.0002.exr", SMALL, 1.1)
+        again = changed_by(lambda: make("out", "s3", "--skip-existing", shot=(keys, *rest)), out)
+        assert again == {5} | generated(2, 3, 4)
+
+    def test_so_does_a_g_buffer_on_the_way_to_it(self, make, shot, tmp_path):
+        colour, option, slots, *rest = shot["slot"]
+        slots = Path(shutil.copytree(slots, tmp_path / "slots"))
+        given = (colour, option, slots, *rest)
+        out = make("out", "s3", shot=given)
+        shots.slot_gbuffer(slots / "shot.0006.exr", SMALL, 1.3)  # slot 1 of key frame 2
+        again = changed_by(lambda: make("out", "s3", "--skip-existing", shot=given), out)
+        assert again == generated(2, 3, 4)

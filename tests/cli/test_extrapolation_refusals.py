@@ -1,0 +1,71 @@
+"""Networks, devices and inputs that extrapolation refuses, each in one sentence."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.cli import shots
+from tests.cli.shots import SMALL
+from tests.unit.tiny_models import filled_warp, save
+
+
+class TestRefusals:
+    def refused(
+        self,
+        exwarp: Any,
+        shot: Any,
+        tmp_path: Path,
+        code: int,
+        words: tuple[str, ...],
+        *options: Any,
+    ) -> None:
+        keys, *rest = shot["key"]
+        out = tmp_path / "out"
+        given = ("--progress", "none", *rest, *options)
+        exwarp("upsample", keys, "-o", out, *given).refused(code, *words)
+        assert not out.exists()
+
+    @pytest.mark.parametrize(
+        ("spoil", "words"),
+        [
+            (lambda path: path.unlink(), ("there is no model", "check the path")),
+            (lambda path: path.write_bytes(b"text" * 99), ("no ONNX model", "export it again")),
+            (lambda path: save(path, filled_warp(exwarp__stride="no")), ("exwarp.stride",)),
+            (lambda path: save(path, filled_warp(exwarp__interface="x/2")), ("x/2", "interface")),
+        ],
+    )
+    def test_a_bad_network(self, exwarp, shot, tmp_path, spoil, words):
+        path = save(tmp_path / "bad.onnx", filled_warp())
+        spoil(path)
+        options = ("-m", "s3", "--extrapolator", path)
+        self.refused(exwarp, shot, tmp_path, 3, ("bad.onnx", *words), *options)
+
+    def test_cuda_that_is_not_there(self, exwarp, shot, tmp_path, network):
+        options = ("-m", "s3", "--extrapolator", network, "--device", "cuda")
+        self.refused(exwarp, shot, tmp_path, 7, ("--device cuda", "onnxruntime-gpu"), *options)
+
+    @pytest.mark.parametrize("options", [("--extrapolator", "x.onnx"), ("--device", "cuda")])
+    def test_options_of_a_network_for_a_method_without(self, exwarp, shot, tmp_path, options):
+        words = (options[0], "--method s6", "s1, s2, s3, s4, s5")
+        self.refused(exwarp, shot, tmp_path, 2, words, "-m", "s6", *options)
+
+    def test_another_device(self, exwarp, shot, tmp_path, network):
+        self.refused(exwarp, shot, tmp_path, 2, ("--device", "cpu"), "-m", "s3", "--device", "tpu")
+
+    def test_no_motion(self, exwarp, tmp_path, network):
+        keys = shots.sequence(tmp_path / "keys", shots.colour_only, street=SMALL)
+        options = ("-m", "s3", "--extrapolator", network, "--progress", "none")
+        result = exwarp("upsample", keys, "-o", tmp_path / "out", *options)
+        result.refused(3, "no motion vectors", "hold or blend")
+
+    @pytest.mark.parametrize("method", ["s3", "s6", "softsplat"])
+    def test_slot_g_buffers_that_lead_only_forward(self, exwarp, shot, tmp_path, network, method):
+        colour, option, slots, *_ = shot["slot"]
+        model = ("--extrapolator", network) if method == "s3" else ()
+        options = ("-m", method, *model, "--motion", "next=-Z,W", "--progress", "none")
+        result = exwarp("upsample", colour, "-o", tmp_path / "out", option, slots, *options)
+        result.refused(3, "--gbuffers", "previous slot")
+        assert not (tmp_path / "out").exists()

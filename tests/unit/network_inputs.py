@@ -1,0 +1,17 @@
+"""Inputs of extrapolation networks as tensors."""
+
+from __future__ import annotations
+
+import torch
+
+from exwarp_cli.domain.extrapolator import INPUTS, TIME
+
+
+def example(height: int, width: int, seed: int = 0) -> dict[str, torch.Tensor]:
+    rng = torch.Generator().manual_seed(seed)
+    pictures = {
+        name: torch.rand(1, channels, height, width, generator=rng)
+        for name, channels in INPUTS.items()
+    }
+    pictures["mask"] = (pictures["mask"] > 0.2).float()
+    return pictures | {TIME: torch.tensor([0.5])}

@@ -1,0 +1,122 @@
+"""Extrapolation networks: what they answer, in torch and as exported models."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from exwarp_cli.domain.extrapolator import TIME, NetworkInputs
+from exwarp_cli.io.models import load_extrapolator
+from exwarp_cli.training.export import export_extrapolator
+from exwarp_cli.training.networks import (
+    ARCHITECTURES,
+    STRIDE,
+    Architecture,
+    ExtrapolationNetwork,
+    _moved,
+    build,
+)
+from tests.unit.network_inputs import example
+
+
+@pytest.fixture(params=ARCHITECTURES)
+def network(request):
+    torch.manual_seed(0)
+    return build(request.param, 8).eval()
+
+
+@pytest.mark.parametrize("size", [(STRIDE, 2 * STRIDE), (48, 80)])
+def test_networks_answer_at_any_multiple_of_the_stride(network, size):
+    answer = network(**example(*size))
+    assert answer.shape == (1, 3, *size)
+    assert torch.isfinite(answer).all()
+
+
+@pytest.mark.parametrize(
+    "name", [n for n, a in ARCHITECTURES.items() if not (a.residual or a.patched)]
+)
+def test_weights_invent_nothing(name):
+    """Where all candidates are of one colour, so is the answer."""
+    torch.manual_seed(1)
+    network = build(name, 8).eval()
+    with torch.no_grad():
+        for parameter in network.parameters():
+            parameter.add_(0.1 * torch.randn_like(parameter))
+    given = example(32, 48)
+    given["warped"][:, 3:] = 0.7
+    for index in range(3):
+        given["history"][:, 4 * index : 4 * index + 3] = 0.7
+    np.testing.assert_allclose(network(**given).detach().numpy(), 0.7, rtol=1e-5)
+
+
+def test_an_unknown_past_is_replaced_by_the_filled_warp():
+    network = build("kernels", 8).eval()
+    given = example(32, 32)
+    given["warped"][:, 3:] = 0.7
+    given["history"].zero_()
+    np.testing.assert_allclose(network(**given).detach().numpy(), 0.7, rtol=1e-5)
+
+
+def test_candidates_are_counted_right():
+    for name, architecture in ARCHITECTURES.items():
+        network = build(name, 8)
+        given = example(32, 32)
+        flow = torch.zeros(1, 2 * architecture.flow, 32, 32)
+        made = network._candidates(
+            given["warped"][:, 3:], given["history"], given[TIME].reshape(-1, 1, 1, 1), flow
+        )
+        assert not architecture.candidates or len(made) == network._count()
+
+
+def test_a_candidate_can_be_moved():
+    frame = torch.arange(12.0).reshape(1, 1, 3, 4).repeat(1, 3, 1, 1)
+    flow = torch.zeros(1, 2, 3, 4)
+    flow[:, 0] = 1
+    np.testing.assert_allclose(_moved(frame, flow)[0, 0, :, :3], frame[0, 0, :, 1:], atol=1e-5)
+
+
+def test_architectures_differ():
+    assert len(set(ARCHITECTURES.values())) == len(ARCHITECTURES) >= 4
+    assert Architecture() == ARCHITECTURES["blend"]
+
+
+@pytest.fixture(scope="module")
+def patched(tmp_path_factory) -> tuple[ExtrapolationNetwork, Path]:
+    """A network of the architecture that is shipped, small and with weights that all matter."""
+    torch.manual_seed(3)
+    network = build("kernels-patched", 12)
+    with torch.no_grad():
+        for parameter in network.parameters():
+            parameter.add_(0.05 * torch.randn_like(parameter))
+    path = tmp_path_factory.mktemp("patched") / "patched.onnx"
+    export_extrapolator(network, path, stride=STRIDE, about="random weights")
+    return network.eval(), path
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("size", [(240, 427), (360, 640)])
+def test_threads_and_the_runtime_change_nothing(patched, size):
+    network, path = patched
+    height, width = (n + -n % STRIDE for n in size)
+    given = example(height, width)
+    pictures = {name: p[0].numpy() for name, p in given.items() if name != TIME}
+    cut = {name: p[:, : size[0], : size[1]] for name, p in pictures.items()}
+    # Rows and columns up to the next multiple repeat the edge, as the model's runner does it.
+    whole = {
+        name: np.pad(p, ((0, 0), (0, height - size[0]), (0, width - size[1])), mode="edge")
+        for name, p in cut.items()
+    }
+    with torch.no_grad():
+        tensors = {name: torch.from_numpy(p)[None] for name, p in whole.items()}
+        expected = network(**tensors, time=given[TIME])[0, :, : size[0], : size[1]].numpy()
+    answers = [
+        load_extrapolator(path, threads, "cpu")(NetworkInputs(**cut, time=0.5))
+        for threads in (1, 2, 3)
+    ]
+    for other in answers[1:]:
+        np.testing.assert_array_equal(other, answers[0])
+    np.testing.assert_allclose(answers[0], expected, atol=1e-4)
+    assert np.abs(expected - cut["warped"][3:]).mean() > 0.01, "the network does something"
