@@ -1,0 +1,46 @@
+"""The network that comes with ExWarp, on a shot that it never saw."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from exwarp_cli.domain.extrapolator import Extrapolator
+from exwarp_cli.io.dataset import open_scene
+from exwarp_cli.io.models import load_extrapolator
+from exwarp_cli.metrics.registry import score
+from exwarp_cli.synthesis.methods import METHODS
+from exwarp_cli.training.footage import Footage
+
+SHOT = Path(__file__).parents[1] / "data" / "miniature" / "variety-0074"
+LEFT_OUT = {
+    "nothing": (),
+    "specular": ("specular", "roughness", "metallic"),
+    "surface": ("albedo", "specular", "roughness", "metallic"),
+    "normals and ids": ("normal", "stencil"),
+}
+
+
+@pytest.fixture(scope="module")
+def network() -> Extrapolator:
+    return load_extrapolator(None, 1, "cpu")
+
+
+@pytest.mark.parametrize("left_out", LEFT_OUT)
+@pytest.mark.parametrize("setting", ["key", "slot"])
+def test_it_is_better_than_the_warp(network, setting, left_out):
+    footage = Footage(open_scene(SHOT))
+    interval = footage.causal(2, setting).without(*LEFT_OUT[left_out])
+    interval = replace(interval, extrapolator=network)
+    gains = []
+    for slot in (2, 3):
+        truth = footage.truth(2, slot).pixels
+        scores = [
+            score(truth, METHODS[name].predict(interval, slot).pixels, None)[0]
+            for name in ("s3", "s6")
+        ]
+        gains.append(scores[0].psnr_db - scores[1].psnr_db)
+    assert np.mean(gains) > 0.1
