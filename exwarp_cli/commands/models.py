@@ -6,15 +6,14 @@ from pathlib import Path
 
 import click
 
+from exwarp_cli.commands.group import HelpfulGroup
+
 FILE = click.Path(path_type=Path)
 
 
-@click.group("models", invoke_without_command=True)
-@click.pass_context
-def command(ctx: click.Context) -> None:
+@click.group("models", cls=HelpfulGroup)
+def command() -> None:
     """Make models for exwarp upsample --extrapolator."""
-    if ctx.invoked_subcommand is None:
-        click.echo(ctx.get_help())
 
 
 @command.command("import-extranet", short_help="Take over ExtraNet's released network.")

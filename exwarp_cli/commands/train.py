@@ -6,15 +6,14 @@ from pathlib import Path
 
 import click
 
+from exwarp_cli.commands.group import HelpfulGroup
+
 FOLDER = click.Path(path_type=Path)
 
 
-@click.group("train", invoke_without_command=True)
-@click.pass_context
-def command(ctx: click.Context) -> None:
+@click.group("train", cls=HelpfulGroup)
+def command() -> None:
     """Train ExWarp's networks on rendered scenes."""
-    if ctx.invoked_subcommand is None:
-        click.echo(ctx.get_help())
 
 
 @command.command("extrapolator")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -80,6 +81,10 @@ class Image:
         )
 
 
+SURFACE_PARTS = ("albedo", "specular", "roughness", "metallic")
+"""What a G-buffer tells of materials."""
+
+
 @dataclass(frozen=True)
 class GBuffer:
     """Geometry of one instant, all arrays on one window; what a renderer did not write is None.
@@ -122,6 +127,11 @@ class GBuffer:
     def has_motion(self) -> bool:
         """Whether any motion vectors are there."""
         return self.to_previous is not None or self.to_next is not None
+
+    def without(self, *parts: str) -> GBuffer:
+        """Return the geometry without some parts."""
+        missing: dict[str, Any] = dict.fromkeys(parts)
+        return replace(self, **missing)
 
     def on(self, canvas: Window) -> GBuffer:
         """Return the geometry on another window; what is new there is background."""

@@ -12,7 +12,7 @@ from itertools import takewhile
 
 from exwarp_cli import __version__
 from exwarp_cli.domain.extrapolator import HISTORY
-from exwarp_cli.domain.frame import GBuffer, Image, KeyFrame
+from exwarp_cli.domain.frame import SURFACE_PARTS, GBuffer, Image, KeyFrame
 from exwarp_cli.domain.results import NetworkSummary
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR, Slot
@@ -258,7 +258,7 @@ class IntervalLoader:
 
 def without_surface(gbuffer: GBuffer) -> GBuffer:
     """Return what motion is found by: a third of the memory, where frames are kept for later."""
-    return replace(gbuffer, normal=None, albedo=None, specular=None, roughness=None, metallic=None)
+    return gbuffer.without("normal", *SURFACE_PARTS)
 
 
 def between(key: int) -> tuple[Slot, ...]:

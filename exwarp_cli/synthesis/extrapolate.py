@@ -10,11 +10,10 @@ import numpy as np
 from exwarp_cli.domain.extrapolator import HISTORY, NetworkInputs
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, KeyFrame
 from exwarp_cli.domain.timeline import FACTOR
-from exwarp_cli.kernels import gather
 from exwarp_cli.synthesis.geometry import SlotField
 from exwarp_cli.synthesis.history import LookBack, Past
 from exwarp_cli.synthesis.modulation import decode, encode, modulation_of
-from exwarp_cli.synthesis.warp import Warped, fill_background, warp
+from exwarp_cli.synthesis.warp import Warped, fill_background, sampled, warp
 
 UNKNOWN_DEPTH = 0.5
 UNKNOWN_ROUGHNESS = 0.5
@@ -68,7 +67,8 @@ def prepare(
     key, past
         F_k, and F_k-1 and F_k-2 as far as they are there.
     """
-    demodulated = modulation_of(seen.surface) is not None
+    modulation = _modulation(seen)
+    demodulated = modulation is not None
     last = warp(_shading(key, demodulated), back)
     filled, visible = fill_background(last), ~last.hole
     history = [_picture(last.pixels, visible)]
@@ -83,7 +83,7 @@ def prepare(
         time=slot / FACTOR,
     )
     empty = (filled == 0).all(axis=-1)
-    return Prepared(inputs, _modulation(seen), filled[..., 3:], empty)
+    return Prepared(inputs, modulation, filled[..., 3:], empty)
 
 
 def _shading(frame: KeyFrame, demodulated: bool) -> Float32:
@@ -99,8 +99,7 @@ def _shading(frame: KeyFrame, demodulated: bool) -> Float32:
 
 def _moved(pixels: Float32, field: Float32, hidden: Bool) -> Float32:
     """Move an older frame to the slot; return colour and mask, float32 [4, H, W]."""
-    out, unseen = np.empty_like(pixels), np.empty(hidden.shape, np.bool_)
-    gather.gather_bilinear(pixels, field, out, unseen)
+    out, unseen = sampled(pixels, field)
     return _picture(out, ~(unseen | hidden))
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
@@ -60,6 +61,21 @@ class Past:
             return None
         with np.errstate(invalid="ignore"):
             return np.asarray(np.abs(step - rigid).max(axis=-1) <= STATIC_TOLERANCE)
+
+
+def past_of(keys: Sequence[KeyFrame]) -> tuple[Past, ...]:
+    """Return the past of the first of some key frames, by their own vectors.
+
+    Parameters
+    ----------
+    keys
+        Successive ones, the newest first, on one window, with settled motion between key frames.
+    """
+    past = []
+    for newer, older in pairwise(keys):
+        assert newer.gbuffer is not None
+        past.append(Past(older, displacement(newer.gbuffer, -1)))
+    return tuple(past)
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
@@ -126,17 +125,14 @@ class Interval:
     def without(self, *parts: str) -> Interval:
         """Return the interval as if its G-buffers lacked some parts; nothing is made yet."""
 
-        def strip(gbuffer: GBuffer) -> GBuffer:
-            missing: dict[str, Any] = dict.fromkeys(parts)
-            return replace(gbuffer, **missing)
-
         def stripped(frame: KeyFrame) -> KeyFrame:
-            return frame if frame.gbuffer is None else replace(frame, gbuffer=strip(frame.gbuffer))
+            gbuffer = frame.gbuffer
+            return frame if gbuffer is None else replace(frame, gbuffer=gbuffer.without(*parts))
 
         return replace(
             self,
             key=stripped(self.key),
-            slots=tuple(strip(gbuffer) for gbuffer in self.slots),
+            slots=tuple(gbuffer.without(*parts) for gbuffer in self.slots),
             past=tuple(replace(step, frame=stripped(step.frame)) for step in self.past),
         )
 

@@ -8,16 +8,16 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.domain.frame import Bool, Float32, GBuffer
-from exwarp_cli.kernels import gather
+from exwarp_cli.domain.frame import SURFACE_PARTS, Bool, Float32, GBuffer
 from exwarp_cli.synthesis.geometry import depth_of
+from exwarp_cli.synthesis.warp import sampled
 
 SMOOTH = ("albedo", "specular")
 """Sampled bilinearly, as colour is, so that they cancel where colour is divided by them."""
 
 Index = npt.NDArray[np.intp]
 
-SHOWN = ("depth", "normal", "albedo", "specular", "roughness", "metallic")
+SHOWN = ("depth", "normal", *SURFACE_PARTS)
 """What is taken over: what networks are told of a surface, and depth to fill holes by."""
 
 
@@ -51,7 +51,7 @@ def reprojected(sources: Sequence[tuple[GBuffer, Float32]]) -> tuple[GBuffer, Bo
         for name, out in made.items():
             array = depth_of(gbuffer) if name == "depth" else getattr(gbuffer, name)
             if array is not None and name in SMOOTH:
-                _flat(out)[pixels] = _flat(_sampled(array, field))[pixels]
+                _flat(out)[pixels] = _flat(sampled(array, field)[0])[pixels]
             elif array is not None:
                 _flat(out)[pixels] = _flat(array)[ends]
     return GBuffer(first.window, **made), unknown
@@ -92,10 +92,3 @@ def _ends(field: Float32, wanted: Bool) -> tuple[Index, Index]:
     left = np.minimum(x[inside].astype(np.intp), width - 1)
     top = np.minimum(y[inside].astype(np.intp), height - 1)
     return pixels[inside], top * width + left
-
-
-def _sampled(array: Float32, field: Float32) -> Float32:
-    """Return what lies at the end of a field, bilinearly; 0 where nothing does."""
-    out, unseen = np.empty_like(array), np.empty(array.shape[:2], np.bool_)
-    gather.gather_bilinear(array, field, out, unseen)
-    return out

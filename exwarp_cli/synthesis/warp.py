@@ -49,10 +49,30 @@ def warp(pixels: Float32, source: SlotField) -> Warped:
     source
         Where the slot's pixels come from.
     """
-    out = np.empty_like(pixels)
-    unseen = np.empty(pixels.shape[:2], np.bool_)
-    gather.gather_bilinear(pixels, source.field, out, unseen)
+    out, unseen = sampled(pixels, source.field)
     return Warped(out, source.depth, unseen | source.hole, source.fringe)
+
+
+def sampled(pixels: Float32, field: Float32) -> tuple[Float32, Bool]:
+    """Return what lies at the end of a motion field, bilinearly.
+
+    Parameters
+    ----------
+    pixels
+        float32 [H, W, C].
+    field
+        float32 [H, W, 2], pixels; NaN where there is no end.
+
+    Returns
+    -------
+    out
+        float32 [H, W, C]; 0 where nothing finite lies there, the edge's colour outside the frame.
+    unseen
+        bool [H, W]: both of these.
+    """
+    out, unseen = np.empty_like(pixels), np.empty(pixels.shape[:2], np.bool_)
+    gather.gather_bilinear(pixels, field, out, unseen)
+    return out, unseen
 
 
 def repair(pixels: Float32) -> Float32:

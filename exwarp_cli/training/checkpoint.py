@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
-from io import BytesIO
 from pathlib import Path
 
 import torch
@@ -11,7 +9,6 @@ from torch import Tensor
 
 from exwarp_cli.errors import (
     DamagedFileError,
-    InputError,
     LayoutError,
     OutputExistsError,
     UsageError,
@@ -19,6 +16,7 @@ from exwarp_cli.errors import (
 from exwarp_cli.io.atomic import make_folder
 from exwarp_cli.training.export import export_extrapolator
 from exwarp_cli.training.extranet import STRIDE, ExtraNet, ExtraNetAdapter
+from exwarp_cli.training.tensors import read_tensors
 
 WRAPPED = "module."
 """Before every name where the network was trained on several devices."""
@@ -68,30 +66,15 @@ def read_extranet(path: Path) -> ExtraNet:
     LayoutError
         When its tensors are not those of ExtraNet.
     """
+    damaged = DamagedFileError(
+        f"{path} is damaged, is no PyTorch checkpoint, or holds more than tensors, which is "
+        "not read because it could run code; give the file of ExtraNet's release"
+    )
     network = ExtraNet()
-    tensors = _tensors(path, _load(path))
+    tensors = _tensors(path, read_tensors(path, "cpu", damaged))
     _check(path, tensors, network.state_dict())
     network.load_state_dict(tensors)
     return network.eval()
-
-
-def _load(path: Path) -> object:
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(
-            f"cannot read {path}: {error.strerror or error}; check the path and its rights"
-        ) from error
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # old checkpoints warn of torch's own past
-            content: object = torch.load(BytesIO(data), map_location="cpu", weights_only=True)
-    except Exception as error:  # damaged pickles and archives end in exceptions of every kind
-        raise DamagedFileError(
-            f"{path} is damaged, is no PyTorch checkpoint, or holds more than tensors, which is "
-            "not read because it could run code; give the file of ExtraNet's release"
-        ) from error
-    return content
 
 
 def _tensors(path: Path, content: object) -> dict[str, Tensor]:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor
 
@@ -131,10 +133,12 @@ class Crops:
 
     def _nth(self, n: int, seed: int) -> int:
         epoch, offset = divmod(n, len(self))
-        if getattr(self, "_epoch", None) != (epoch, seed):
-            self._epoch = (epoch, seed)
-            self._order = np.random.default_rng((seed, epoch, 1)).permutation(len(self))
-        return int(self._order[offset])
+        return int(_order(len(self), seed, epoch)[offset])
+
+
+@lru_cache(maxsize=2)  # a batch may reach into the next epoch
+def _order(count: int, seed: int, epoch: int) -> npt.NDArray[np.int64]:
+    return np.random.default_rng((seed, epoch, 1)).permutation(count)
 
 
 def encode(linear: Tensor) -> Tensor:

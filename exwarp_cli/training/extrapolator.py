@@ -8,18 +8,19 @@ import math
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
-from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, UsageError
+from exwarp_cli.errors import DamagedFileError, LayoutError, UsageError
 from exwarp_cli.io.atomic import atomic_path, atomic_write_text, make_folder
 from exwarp_cli.io.dataset import RenderedScene
 from exwarp_cli.io.output import file_digest
+from exwarp_cli.pipeline.schedule import read_ahead
 from exwarp_cli.training.crops import Batch, Crops
 from exwarp_cli.training.export import export_extrapolator
 from exwarp_cli.training.losses import decibels, loss_of
@@ -27,6 +28,7 @@ from exwarp_cli.training.networks import STRIDE, ExtrapolationNetwork, build
 from exwarp_cli.training.samples import CropSettings, crops_folder, is_whole, write_crops
 from exwarp_cli.training.selection import split
 from exwarp_cli.training.settings import TrainingSettings, require_sane
+from exwarp_cli.training.tensors import read_tensors
 
 CHECKPOINT = "checkpoint.pt"
 CURVE = "curve.csv"
@@ -276,15 +278,7 @@ def train_extrapolator(
 
 
 def _read_checkpoint(path: Path, device: str) -> dict[str, Any]:
-    try:
-        with path.open("rb") as file:
-            kept: Any = torch.load(file, map_location=device, weights_only=True)
-    except OSError as error:
-        raise InputError(
-            f"cannot read {path}: {error.strerror or error}; check the path"
-        ) from error
-    except Exception as error:  # damaged archives end in exceptions of every kind
-        raise _damaged(path) from error
+    kept = read_tensors(path, device, _damaged(path))
     if not isinstance(kept, dict):
         raise _damaged(path)
     return kept
@@ -317,16 +311,9 @@ def _prepare(
 
 
 def _ahead(crops: Crops, first: int, settings: TrainingSettings, device: str) -> Iterator[Batch]:
-    """Yield the batches of the steps that are left; the next one is read while one is learnt."""
+    """Return the batches of the steps that are left; the next one is read while one is learnt."""
 
     def draw(step: int) -> Batch:
         return crops.drawn(step, settings.batch, settings.patch, settings.seed, device)
 
-    with ThreadPoolExecutor(1) as pool:
-        steps = range(first, settings.steps)
-        coming = pool.submit(draw, first) if steps else None
-        for step in steps:
-            assert coming is not None
-            batch = coming.result()
-            coming = pool.submit(draw, step + 1)
-            yield batch
+    return read_ahead((partial(draw, step) for step in range(first, settings.steps)), 1)

@@ -15,10 +15,9 @@ from exwarp_cli.io.dataset import RenderedScene
 from exwarp_cli.io.frames import GEOMETRY, SURFACE, Shot, read_raw
 from exwarp_cli.pipeline.source import motion_names, parse_motion
 from exwarp_cli.synthesis.geometry import settle_motion
-from exwarp_cli.synthesis.history import Past
+from exwarp_cli.synthesis.history import past_of
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.span import span_motion
-from exwarp_cli.synthesis.trajectory import displacement
 from exwarp_cli.training.variant import Variant, backwards, mirrored
 
 KEPT = 24
@@ -105,13 +104,8 @@ class Footage:
         setting
             "key", or "slot" for G-buffers of the slots.
         """
-        newest = newer = self._causal_key(k, setting)
-        past = []
-        for older in (self._causal_key(k - j, setting) for j in range(1, HISTORY) if k >= j):
-            assert newer.gbuffer is not None
-            past.append(Past(older, displacement(newer.gbuffer, -1)))
-            newer = older
-        return Interval(newest, None, self._slots(k, setting), tuple(past))
+        keys = [self._causal_key(k - j, setting) for j in range(HISTORY) if k >= j]
+        return Interval(keys[0], None, self._slots(k, setting), past_of(keys))
 
     def _causal_key(self, k: int, setting: str) -> KeyFrame:
         """Return key frame k; with slot G-buffers, with motion to the one before through those."""

@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from exwarp_cli.domain.extrapolator import HISTORY
-from exwarp_cli.domain.frame import Float32
+from exwarp_cli.domain.frame import SURFACE_PARTS, Float32
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import InputError
 from exwarp_cli.io.atomic import make_folder, output_error
@@ -36,7 +36,6 @@ to be the middle of a crop."""
 SHORT_HISTORY = 0.1
 """How likely a frame with fewer than three key frames behind it is chosen, against another one."""
 
-SURFACE = ("albedo", "specular", "roughness", "metallic")
 BARE = 0.3
 """Share of frames that are prepared without any of the surface, so not demodulated."""
 
@@ -141,7 +140,7 @@ def crops_of(scene: RenderedScene, settings: CropSettings) -> dict[str, np.ndarr
     for footage, choice in _by_variant(scene, chosen):
         interval = footage.causal(choice.k, choice.setting)
         if choice.bare:
-            interval = interval.without(*SURFACE)
+            interval = interval.without(*SURFACE_PARTS)
         prepared = interval.prepared(choice.slot)
         truth = footage.truth(choice.k, choice.slot).pixels[..., :3]
         planes = _planes(prepared, truth)

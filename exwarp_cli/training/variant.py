@@ -7,7 +7,7 @@ from itertools import product
 
 import numpy as np
 
-from exwarp_cli.domain.frame import Float32, GBuffer, Image, KeyFrame
+from exwarp_cli.domain.frame import SURFACE_PARTS, Float32, GBuffer, Image, KeyFrame
 from exwarp_cli.domain.timeline import FACTOR
 
 SPEEDS = (1, 2)
@@ -81,7 +81,7 @@ def mirrored(frame: KeyFrame) -> KeyFrame:
 
 
 def _mirrored_gbuffer(gbuffer: GBuffer) -> GBuffer:
-    plain = ("depth", "stencil", "albedo", "specular", "roughness", "metallic")
+    plain = ("depth", "stencil", *SURFACE_PARTS)
     signed = ("normal", "position", "to_previous", "to_next")
     changed = {name: getattr(gbuffer, name) for name in (*plain, *signed)}
     for name, array in changed.items():

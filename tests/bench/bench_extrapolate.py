@@ -11,16 +11,14 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 
 from exwarp_cli.domain.frame import GBuffer, KeyFrame
 from exwarp_cli.io.models import load_extrapolator
 from exwarp_cli.kernels import jit
 from exwarp_cli.synthesis.geometry import settle_motion
-from exwarp_cli.synthesis.history import Past
+from exwarp_cli.synthesis.history import past_of
 from exwarp_cli.synthesis.interval import Interval
-from exwarp_cli.synthesis.trajectory import displacement
 from tests.unit.analytic_scene import STEP, surface
 from tests.unit.scenes import town
 
@@ -69,9 +67,8 @@ def _timed(times: list[float], work: Callable):
 
 def _interval(setting: str) -> Interval:
     keys = [_key(K - j) for j in range(3)]
-    past = tuple(Past(older, displacement(newer.gbuffer, -1)) for newer, older in pairwise(keys))
     slots = tuple(_slot(K, i) for i in (1, 2, 3)) if setting == "slot" else ()
-    return Interval(keys[0], None, slots, past)
+    return Interval(keys[0], None, slots, past_of(keys))
 
 
 _KNOWN: dict[float, KeyFrame] = {}

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from exwarp_cli.domain.extrapolator import Extrapolator
-from exwarp_cli.domain.frame import Bool, Float32
+from exwarp_cli.domain.frame import SURFACE_PARTS, Bool, Float32
 from exwarp_cli.domain.results import FrameKind, Score
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.io.dataset import find_scenes
@@ -34,8 +34,8 @@ from exwarp_cli.training.footage import Footage
 SETTINGS = ("key", "slot")
 DROPPED = {
     "full": (),
-    "diffuse": ("specular", "roughness", "metallic"),
-    "none": ("albedo", "specular", "roughness", "metallic"),
+    "diffuse": SURFACE_PARTS[1:],
+    "none": SURFACE_PARTS,
 }
 """What of the surface is left out, by the name of what is there."""
 

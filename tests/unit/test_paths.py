@@ -13,11 +13,10 @@ from exwarp_cli.domain.extrapolator import NetworkInputs
 from exwarp_cli.domain.frame import Float32, KeyFrame
 from exwarp_cli.domain.results import FrameKind
 from exwarp_cli.synthesis.geometry import settle_motion
-from exwarp_cli.synthesis.history import Past
+from exwarp_cli.synthesis.history import past_of
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import METHODS, Predicted
 from exwarp_cli.synthesis.modulation import encode
-from exwarp_cli.synthesis.trajectory import displacement
 from tests.unit.scenes import town
 
 SLOTS = (1, 2, 3)
@@ -56,12 +55,8 @@ def key(index: int) -> KeyFrame:
 
 def interval(older: int = 2) -> Interval:
     """Key frame 1003 with so many key frames before it."""
-    past = []
-    for index in range(1, 1 - older, -1):
-        newer = key(index + 1).gbuffer
-        assert newer is not None
-        past.append(Past(key(index), displacement(newer, -1)))
-    return Interval(key(2), None, (), tuple(past), Painter())
+    keys = [key(index) for index in range(2, 1 - older, -1)]
+    return Interval(keys[0], None, (), past_of(keys), Painter())
 
 
 def shown(name: str, given: Interval) -> list[Predicted]:
