@@ -26,6 +26,10 @@ EXPOSURE = 1.0
 """Stops by which exposure is varied, up and down."""
 
 
+OVERHANG = 0.5
+"""How far patches are drawn beyond a crop's edge before they are moved inside, as a share of
+their size: else the frame's own edge, where much is hidden, is hardly ever at that of a patch."""
+
 Patch = tuple[slice, slice]
 """Rows and columns of a crop."""
 
@@ -126,8 +130,8 @@ class Crops:
         """
         rng = np.random.default_rng((seed, step))
         indices = [self._nth(step * size + i, seed) for i in range(size)]
-        room = self.side - side
-        corners = rng.integers(0, room + 1, (size, 2)).tolist()
+        room, over = self.side - side, int(OVERHANG * side)
+        corners = rng.integers(-over, room + over + 1, (size, 2)).clip(0, room).tolist()
         patches = [(slice(y, y + side), slice(x, x + side)) for y, x in corners]
         return varied(self.batch(indices, device, patches), rng)
 

@@ -15,7 +15,8 @@ HOLES = 2.0
 """Weight of the error in holes."""
 
 SQUARED = 0.15
-"""Weight of the squared error."""
+SQUARED_HOLES = 0.6
+"""Weights of the squared error, overall and in holes."""
 
 DOUBT = 0.01
 """What is added to a picture's error before it is divided by: about the renders' own noise."""
@@ -61,7 +62,7 @@ def loss_of(made: Tensor, truth: Tensor, plain: Tensor, mask: Tensor) -> Tensor:
     shares = squares[0].mean(1) / (squares[1].mean(1) + DOUBT**2)
     few = FEW * hole.shape[1] * DOUBT
     hole_shares = (squares[0] * hole).sum(1) / ((squares[1] * hole).sum(1) + few)
-    return total.sum() / worth.sum() + SQUARED * (shares + hole_shares).mean()
+    return total.sum() / worth.sum() + (SQUARED * shares + SQUARED_HOLES * hole_shares).mean()
 
 
 def decibels(made: Tensor, truth: Tensor, where: Tensor | None = None) -> Tensor:

@@ -38,7 +38,9 @@ class Architecture:
     Attributes
     ----------
     width
-        Channels at half resolution; 1.5, 2 and 2 times as many at each of the next three halvings.
+        Channels at half resolution.
+    growth
+        How many times as many there are after each of the next three halvings.
     taps
         Radius of the kernels over F_k, F_k-1, F_k-2: 0 for the pixel alone, 1 for 3x3.
     blurs
@@ -58,6 +60,7 @@ class Architecture:
     """
 
     width: int = 32
+    growth: tuple[float, float, float] = (1.5, 2, 2)
     taps: tuple[int, int, int] = (0, 0, 0)
     blurs: tuple[int, ...] = (3, 5, 9)
     candidates: bool = True
@@ -78,6 +81,7 @@ ARCHITECTURES: Mapping[str, Architecture] = {
     "blend-detail": Architecture(detail=16),
     "blend-patched": Architecture(detail=16, patched=True),
     "kernels-patched": Architecture(taps=(1, 1, 0), detail=16, patched=True),
+    "kernels-deep": Architecture(taps=(1, 1, 0), detail=16, patched=True, growth=(2, 3, 4)),
 }
 
 
@@ -102,9 +106,11 @@ class Gated(nn.Module):
 class UNet(nn.Module):
     """Half resolution down to a sixteenth and back; [N, given, H, W] to [N, made, H, W]."""
 
-    def __init__(self, given: int, made: int, width: int) -> None:
+    def __init__(
+        self, given: int, made: int, width: int, growth: tuple[float, float, float]
+    ) -> None:
         super().__init__()
-        sizes = [width, width * 3 // 2, 2 * width, 2 * width]
+        sizes = [width, *(int(width * times) for times in growth)]
         self.fold = nn.PixelUnshuffle(2)
         self.stem = Gated(4 * given, width)
         self.first = Gated(width, width)
@@ -140,7 +146,7 @@ class ExtrapolationNetwork(nn.Module):
         count = self._count()
         made = count + 2 * architecture.flow
         made += 3 * (architecture.residual or architecture.patched)
-        self.net = UNet(GIVEN, architecture.detail or made, architecture.width)
+        self.net = UNet(GIVEN, architecture.detail or made, architecture.width, architecture.growth)
         self.detail: nn.Sequential | None = None
         if architecture.detail:
             size = architecture.detail

@@ -66,6 +66,15 @@ class Choice:
     bare: bool
 
 
+SHORT = 16
+"""Steps of a scene that as many frames are drawn from as the settings say."""
+
+
+def share(frames: int, count: int) -> int:
+    """Return how many frames to draw of so many instants: longer shots repeat themselves."""
+    return round(frames * max((count - 1) / SHORT, 1) ** 0.5)
+
+
 def choices(count: int, frames: int, seed: int) -> list[Choice]:
     """Choose frames of a scene, always the same ones for the same seed.
 
@@ -100,7 +109,8 @@ class CropSettings:
     Attributes
     ----------
     frames
-        How many frames of it are prepared, at most.
+        How many frames are prepared of SHORT steps, at most; of longer scenes more, by the square
+        root of their length.
     side
         Height and width of a crop, pixels: S below.
     seed
@@ -136,7 +146,8 @@ def crops_of(scene: RenderedScene, settings: CropSettings) -> dict[str, np.ndarr
         )
     rng = np.random.default_rng(settings.seed)
     parts: dict[str, list[np.ndarray]] = {}
-    chosen = choices(manifest.instants.count, settings.frames, settings.seed)
+    count = manifest.instants.count
+    chosen = choices(count, share(settings.frames, count), settings.seed)
     for footage, choice in _by_variant(scene, chosen):
         interval = footage.causal(choice.k, choice.setting)
         if choice.bare:

@@ -30,6 +30,7 @@ from exwarp_cli.kernels import jit
 from exwarp_cli.metrics.registry import METRICS, score
 from exwarp_cli.synthesis.methods import METHODS as ALL
 from exwarp_cli.training.footage import Footage
+from tests.bench.card import table
 
 SETTINGS = ("key", "slot")
 DROPPED = {
@@ -161,40 +162,6 @@ def _means(values: dict[str, list[float]]) -> dict[str, float]:
     return {key: float(np.mean(found)) for key, found in values.items()} | {
         "frames": len(values["psnr_db"])
     }
-
-
-def table(rows: Sequence[dict[str, Any]]) -> str:
-    """Return E against W at slots 2 and 3, then every method, as Markdown."""
-    lines = [
-        "| scene | setting | W dB | E dB | gain | W holes | E holes | gain | SSIM W | SSIM E |",
-        "|---|---|---|---|---|---|---|---|---|---|",
-    ]
-    for row in rows:
-        found = row["methods"]
-        w, e = (
-            {
-                key: np.mean([found[f"{name}@{slot}"].get(key, np.nan) for slot in (2, 3)])
-                for key in ("psnr_db", "holes_psnr_db", "ssim")
-            }
-            for name in ("s6", "s3")
-        )
-        lines.append(
-            f"| {row['scene']} | {row['setting']} | {w['psnr_db']:.2f} | {e['psnr_db']:.2f} | "
-            f"{e['psnr_db'] - w['psnr_db']:+.2f} | {w['holes_psnr_db']:.2f} | "
-            f"{e['holes_psnr_db']:.2f} | {e['holes_psnr_db'] - w['holes_psnr_db']:+.2f} | "
-            f"{w['ssim']:.4f} | {e['ssim']:.4f} |"
-        )
-    lines += ["", "| scene | setting | method | dB | SSIM | FLIP | holes dB | x fps |"]
-    lines.append("|---|---|---|---|---|---|---|---|")
-    for row in rows:
-        for name, m in row["methods"].items():
-            if "@" not in name:
-                lines.append(
-                    f"| {row['scene']} | {row['setting']} | {name} | {m['psnr_db']:.2f} | "
-                    f"{m['ssim']:.4f} | {m['flip']:.4f} | {m.get('holes_psnr_db', np.nan):.2f} | "
-                    f"{1 + (FACTOR - 1) * m['new']:.0f} |"
-                )
-    return "\n".join(lines)
 
 
 if __name__ == "__main__":

@@ -20,19 +20,11 @@ from exwarp_cli.synthesis.modulation import DARKEST, decode, encode, modulation_
 from exwarp_cli.synthesis.warp import fill_background, warp
 from exwarp_cli.training.footage import Footage
 from tests.unit.analytic_scene import STEP, write_scene
+from tests.unit.filled import Filled
 from tests.unit.scenes import SKY, town
 
 K = 3
 SETTINGS = ("key", "slot")
-
-
-class Filled:
-    """A network that answers with the filled warp."""
-
-    checksum = "0" * 64
-
-    def __call__(self, inputs: NetworkInputs) -> Float32:
-        return inputs.warped[3:]
 
 
 class Bright(Filled):

@@ -9,22 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from exwarp_cli.domain.extrapolator import NetworkInputs
-from exwarp_cli.domain.frame import Float32, GBuffer, KeyFrame, Window
+from exwarp_cli.domain.frame import GBuffer, KeyFrame, Window
 from exwarp_cli.pipeline import geometry
 from exwarp_cli.pipeline.geometry import Staging
 from exwarp_cli.pipeline.loading import Loaded, Older, without_surface
 from exwarp_cli.synthesis.interval import Interval
+from tests.unit.filled import Filled
 from tests.unit.scenes import View, town
 
 DISPLAY = Window(0, 0, 128, 80)
-
-
-class Network:
-    checksum = "0" * 64
-
-    def __call__(self, inputs: NetworkInputs) -> Float32:
-        return inputs.warped[3:]
 
 
 @functools.cache
@@ -64,7 +57,7 @@ def loaded(index: int, setting: str, **changes: Any) -> Loaded:
 
 def staged(*indices: int, setting: str = "key") -> Interval:
     """The last of some intervals made in order."""
-    staging = Staging(DISPLAY, Network())
+    staging = Staging(DISPLAY, Filled())
     found = [staging.interval(loaded(index, setting)) for index in indices]
     return found[-1]
 
@@ -114,7 +107,7 @@ def test_what_is_shared_is_what_is_made_afresh(setting, before):
 @pytest.mark.parametrize(("setting", "each"), [("key", 1), ("slot", 5)])
 def test_in_a_row_nothing_is_settled_twice(settled, setting, each):
     """With slot G-buffers, a key frame is settled for its interval and for the slot before."""
-    staging = Staging(DISPLAY, Network())
+    staging = Staging(DISPLAY, Filled())
     counts = []
     for index in range(4):
         before = len(settled)
@@ -125,7 +118,7 @@ def test_in_a_row_nothing_is_settled_twice(settled, setting, each):
 
 @pytest.mark.parametrize("setting", ["key", "slot"])
 def test_it_keeps_no_more_in_a_long_run(setting):
-    staging = Staging(DISPLAY, Network())
+    staging = Staging(DISPLAY, Filled())
     sizes = []
     for index in range(4):
         staging.interval(loaded(index, setting))
@@ -160,7 +153,7 @@ def test_every_part_lies_on_the_key_frame_s_window():
     given = loaded(2, "key")
     assert given.frame is not None
     newer, older = given.past
-    staging = Staging(DISPLAY, Network())
+    staging = Staging(DISPLAY, Filled())
     found = staging.interval(
         replace(
             given,

@@ -23,9 +23,17 @@ from exwarp_cli.training.extrapolator import (
     Training,
     train_extrapolator,
 )
-from exwarp_cli.training.losses import FEW, HOLES, SQUARED, decibels, loss_of, shown
+from exwarp_cli.training.losses import (
+    FEW,
+    HOLES,
+    SQUARED,
+    SQUARED_HOLES,
+    decibels,
+    loss_of,
+    shown,
+)
 from exwarp_cli.training.networks import ARCHITECTURES, build
-from exwarp_cli.training.samples import CropSettings, choices, crops_of, write_crops
+from exwarp_cli.training.samples import SHORT, CropSettings, choices, crops_of, share, write_crops
 from exwarp_cli.training.selection import select, split
 from exwarp_cli.training.settings import TrainingSettings
 from tests.unit.analytic_scene import INSTANTS, write_scene
@@ -95,6 +103,11 @@ def test_frames_are_chosen_by_the_seed_and_mostly_with_history():
     assert np.mean([c.k >= 2 for c in few]) > 0.7
 
 
+def test_longer_scenes_give_more_frames():
+    assert share(30, 2) == share(30, SHORT + 1) == 30
+    assert share(30, 4 * SHORT + 1) == 60
+
+
 def test_crops_are_parts_of_what_was_rendered(scenes, crops):
     again = crops_of(scenes[0], MADE)
     batch = crops.batch(range(len(crops)))
@@ -120,6 +133,21 @@ def test_batches_follow_from_seed_and_step(crops):
     order = [crops._nth(n, 7) for n in range(2 * len(crops))]
     assert sorted(order[: len(crops)]) == sorted(order[len(crops) :]) == list(range(len(crops)))
     assert order[: len(crops)] != order[len(crops) :]
+
+
+def test_the_edges_of_crops_are_often_those_of_patches(crops, monkeypatch):
+    """What lies there is hidden like nothing else, and has to be learnt."""
+    corners = []
+    monkeypatch.setattr(
+        Crops, "batch", lambda self, indices, device, patches: corners.extend(patches)
+    )
+    monkeypatch.setattr(batches, "varied", lambda batch, rng: batch)
+    for step in range(100):
+        crops.drawn(step, 4, 32, 0)
+    rows = np.array([rows.start for rows, _ in corners])
+    assert rows.min() == 0 and rows.max() == SIDE - 32
+    for edge in (0, SIDE - 32):
+        assert 0.15 < np.mean(rows == edge) < 0.35
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -186,7 +214,7 @@ def test_the_loss_counts_holes_and_the_hardest_tenth_again():
     assert seen == pytest.approx(0.1 + 1.0 + SQUARED * 0.1, abs=1e-4)
     mask[..., 0, :] = 0
     hole = 1 / (1 + 10 * FEW)
-    expected = 0.1 + HOLES * hole + 1 + SQUARED * (0.1 + 1)
+    expected = 0.1 + HOLES * hole + 1 + SQUARED * 0.1 + SQUARED_HOLES
     assert float(loss_of(made, truth, plain, mask)) == pytest.approx(expected, abs=1e-3)
 
 

@@ -16,6 +16,7 @@ from exwarp_cli.io.frames import SURFACE, Shot, read_raw
 from exwarp_cli.synthesis.extrapolate import Prepared
 from exwarp_cli.training.footage import Footage
 from tests.unit.analytic_scene import write_scene
+from tests.unit.filled import Filled
 from tests.unit.reading import changed_planes
 
 K, SLOT = 3, 2
@@ -33,15 +34,6 @@ REACH = 14
 
 FEW = 0.003
 """Share of the other pixels that may change nevertheless: ids decide who hides whom."""
-
-
-class Filled:
-    """A network that answers with the filled warp."""
-
-    checksum = "0" * 64
-
-    def __call__(self, inputs: NetworkInputs) -> Float32:
-        return inputs.warped[3:]
 
 
 @pytest.fixture(scope="module")
