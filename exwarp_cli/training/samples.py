@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -72,7 +73,7 @@ SHORT = 16
 
 def share(frames: int, count: int) -> int:
     """Return how many frames to draw of so many instants: longer shots repeat themselves."""
-    return round(frames * max((count - 1) / SHORT, 1) ** 0.5)
+    return round(frames * math.sqrt(max((count - 1) / SHORT, 1)))
 
 
 def choices(count: int, frames: int, seed: int) -> list[Choice]:
