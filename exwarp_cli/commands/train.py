@@ -29,10 +29,15 @@ def command() -> None:
 @click.option("--batch", type=click.IntRange(1), default=24, show_default=True, help="In crops.")
 @click.option("--patch", type=click.IntRange(16), default=64, show_default=True, help="Of a crop.")
 @click.option("--rate", type=float, default=2e-3, show_default=True, help="Of learning.")
-@click.option("--frames", type=click.IntRange(1), default=30, show_default=True, help="Of a scene.")
+@click.option("--frames", type=click.IntRange(1), default=40, show_default=True, help="Of a scene.")
 @click.option("--side", type=click.IntRange(16), default=128, show_default=True, help="Of a crop.")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
-@click.option("--start", type=FOLDER, metavar="FILE", help="Begin with this checkpoint's weights.")
+@click.option(
+    "--start",
+    type=FOLDER,
+    metavar="FILE",
+    help="Begin with this one's weights, which may be smaller.",
+)
 @click.option("--every", type=click.IntRange(1), default=500, show_default=True, help="Checkpoint.")
 @click.option("--cache", type=FOLDER, help="For crops; default: in the data folder's parent.")
 @click.option("--threads", type=click.IntRange(1), help="Default: all cores.")

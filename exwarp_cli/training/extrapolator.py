@@ -23,6 +23,7 @@ from exwarp_cli.io.output import file_digest
 from exwarp_cli.pipeline.schedule import read_ahead
 from exwarp_cli.training.crops import Batch, Crops
 from exwarp_cli.training.export import export_extrapolator
+from exwarp_cli.training.growth import grown
 from exwarp_cli.training.losses import decibels, loss_of
 from exwarp_cli.training.networks import STRIDE, ExtrapolationNetwork, build
 from exwarp_cli.training.samples import CropSettings, crops_folder, is_whole, write_crops
@@ -73,6 +74,8 @@ class Training:
     def begin_with(self, path: Path) -> None:
         """Take the weights of another training's checkpoint, unless this one is under way.
 
+        Its network may have fewer channels; see :mod:`growth`.
+
         Raises
         ------
         InputError
@@ -82,11 +85,11 @@ class Training:
             return
         kept = _read_checkpoint(path, self.device)
         try:
-            self.network.load_state_dict(kept["average"])
-        except (KeyError, RuntimeError) as error:
+            self.network.load_state_dict(grown(kept["average"], self.network))
+        except (KeyError, ValueError) as error:
             raise LayoutError(
-                f"{path} holds another network than {self.settings.architecture}; give its "
-                "--architecture and --width, or another --start"
+                f"{path} holds another network than {self.settings.architecture} or a smaller one; "
+                "give its --architecture and --width, or another --start"
             ) from error
         self.average.load_state_dict(self.network.state_dict())
 

@@ -27,6 +27,9 @@ GIVEN = sum(INPUTS.values()) + 1
 LEAK = 0.1
 """Slope of the activation below zero."""
 
+SIDES = ((1, 0), (-1, 0), (0, 1), (0, -1))
+"""Ways that holes look, as columns and rows that what is visible there is moved by."""
+
 CERTAIN = 3.0
 """How far the filled warp's weight lies above the others', as a logit, before any training."""
 
@@ -55,6 +58,9 @@ class Architecture:
         Whether the network adds colour of its own.
     patched
         Whether it does so in holes, beside weighing candidates.
+    reach
+        How far, in pixels, a hole looks left, right, up and down for what is visible: these four
+        colours and their distances are inputs too, and the colours candidates. 0 for not at all.
     detail
         Channels of a last layer at full resolution that sees the inputs again; 0 for none.
     """
@@ -68,6 +74,7 @@ class Architecture:
     flow: int = 0
     residual: bool = False
     patched: bool = False
+    reach: int = 0
     detail: int = 0
 
 
@@ -81,6 +88,7 @@ ARCHITECTURES: Mapping[str, Architecture] = {
     "blend-detail": Architecture(detail=16),
     "blend-patched": Architecture(detail=16, patched=True),
     "kernels-patched": Architecture(taps=(1, 1, 0), detail=16, patched=True),
+    "kernels-sided": Architecture(taps=(1, 1, 0), detail=16, patched=True, reach=63),
     "kernels-deep": Architecture(taps=(1, 1, 0), detail=16, patched=True, growth=(2, 3, 4)),
 }
 
@@ -100,7 +108,9 @@ class Gated(nn.Module):
     def forward(self, x: Tensor) -> Tensor:
         """Return float [N, made, H / stride, W / stride]."""
         both = self.norm(self.both(x))
-        return functional.leaky_relu(both[:, :-1], LEAK) * torch.sigmoid(both[:, -1:])
+        # Split, not sliced: the gradient of a slice is a whole tensor of zeros.
+        made, gate = torch.split(both, [both.shape[1] - 1, 1], 1)
+        return functional.leaky_relu(made, LEAK) * torch.sigmoid(gate)
 
 
 class UNet(nn.Module):
@@ -144,9 +154,10 @@ class ExtrapolationNetwork(nn.Module):
         super().__init__()
         self.architecture = architecture
         count = self._count()
+        given = GIVEN + (4 * len(SIDES) if architecture.reach else 0)
         made = count + 2 * architecture.flow
         made += 3 * (architecture.residual or architecture.patched)
-        self.net = UNet(GIVEN, architecture.detail or made, architecture.width, architecture.growth)
+        self.net = UNet(given, architecture.detail or made, architecture.width, architecture.growth)
         self.detail: nn.Sequential | None = None
         if architecture.detail:
             size = architecture.detail
@@ -164,22 +175,25 @@ class ExtrapolationNetwork(nn.Module):
         when = time.reshape(-1, 1, 1, 1)
         plane = torch.zeros_like(mask) + when
         given = torch.cat([warped, mask, features, history, plane], 1)
-        answer = self.net(given)
+        sides = self._sides(filled, mask)
+        answer = self.net(torch.cat([given, *sides], 1))
         if self.detail is not None:
             answer = self.detail(torch.cat([answer, given], 1))
         if not self.architecture.candidates:
             return torch.add(filled, answer)
-        count = self._count()
-        weights = torch.softmax(answer[:, :count].float(), 1)
+        own = answer.shape[1] - self._count() - 2 * self.architecture.flow
+        logits, flow, colour = torch.split(
+            answer, [self._count(), 2 * self.architecture.flow, own], 1
+        )
+        weights = torch.split(torch.softmax(logits.float(), 1), 1, 1)
         out = torch.zeros_like(filled)
-        flow = answer[:, count : count + 2 * self.architecture.flow].float()
-        candidates = self._candidates(filled, history, when, flow)
-        for index, candidate in enumerate(candidates):
-            out = out + weights[:, index : index + 1] * candidate
+        candidates = self._candidates(filled, history, when, flow.float(), sides)
+        for weight, candidate in zip(weights, candidates, strict=True):
+            out = out + weight * candidate
         if self.architecture.patched:
-            out = out + (1 - mask) * answer[:, -3:]
+            out = out + (1 - mask) * colour
         elif self.architecture.residual:
-            out = out + answer[:, -3:]
+            out = out + colour
         return out
 
     def _count(self) -> int:
@@ -188,10 +202,14 @@ class ExtrapolationNetwork(nn.Module):
         if not a.candidates:
             return 0
         taps = sum((2 * r + 1) ** 2 for r in a.taps)
-        return 1 + taps + len(a.blurs) + a.continued + a.flow
+        return 1 + taps + len(a.blurs) + a.continued + a.flow + (len(SIDES) if a.reach else 0)
+
+    def _sides(self, filled: Tensor, mask: Tensor) -> list[Tensor]:
+        reach = self.architecture.reach
+        return [_first_seen(filled, mask, side, reach) for side in SIDES] if reach else []
 
     def _candidates(
-        self, filled: Tensor, history: Tensor, when: Tensor, flow: Tensor
+        self, filled: Tensor, history: Tensor, when: Tensor, flow: Tensor, sides: list[Tensor]
     ) -> list[Tensor]:
         a = self.architecture
         out = [filled]
@@ -207,7 +225,7 @@ class ExtrapolationNetwork(nn.Module):
             out.append(filled + when * both * (filled - history[:, 4:7]))
         for index in range(a.flow):
             out.append(_moved(filled, flow[:, 2 * index : 2 * index + 2]))
-        return out
+        return out + [side[:, :3] for side in sides]
 
 
 def _begin_with_the_warp(last: nn.Module, made: int, weighed: bool) -> None:
@@ -228,6 +246,44 @@ def _neighbours(frame: Tensor, radius: int) -> list[Tensor]:
     padded = functional.pad(frame, (radius,) * 4, mode="replicate")
     side = range(2 * radius + 1)
     return [padded[:, :, y : y + height, x : x + width] for y in side for x in side]
+
+
+def _first_seen(frame: Tensor, mask: Tensor, side: tuple[int, int], reach: int) -> Tensor:
+    """Return each pixel's nearest visible colour on a side, and how far that is.
+
+    Parameters
+    ----------
+    frame, mask
+        [N, 3, H, W] and [N, 1, H, W]; 0 in the mask is not visible.
+    side
+        One of SIDES.
+    reach
+        Where nothing is visible so far, pixels, it is the frame's own colour at the distance 1.
+
+    Returns
+    -------
+    Tensor
+        [N, 4, H, W]: colour, and the distance as a share of the reach.
+    """
+    found = torch.cat([frame, torch.zeros_like(mask)], 1)
+    seen, step = mask, 1
+    while step <= reach:  # each time as far again
+        x, y = side[0] * step, side[1] * step
+        beside = _shifted(found, x, y)
+        beside = beside + beside.new_tensor([0, 0, 0, step / reach]).reshape(1, 4, 1, 1)
+        beside_seen = _shifted(seen, x, y)
+        found = torch.where((seen == 0) & (beside_seen > 0), beside, found)
+        seen, step = torch.maximum(seen, beside_seen), 2 * step
+    colour = torch.where(seen > 0, found[:, :3], frame)
+    return torch.cat([colour, torch.where(seen > 0, found[:, 3:], torch.ones_like(seen))], 1)
+
+
+def _shifted(x: Tensor, right: int, down: int) -> Tensor:
+    """Return [N, C, H, W] moved by whole pixels, with zeros where nothing comes from."""
+    height, width = x.shape[2:]
+    x = functional.pad(x, (max(right, 0), max(-right, 0), max(down, 0), max(-down, 0)))
+    top, left = max(-down, 0), max(-right, 0)
+    return x[:, :, top : top + height, left : left + width]
 
 
 def _box(frame: Tensor, size: int) -> Tensor:

@@ -23,11 +23,17 @@ from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.training.footage import Footage
 from exwarp_cli.training.variant import Variant
 
-VERSION = 3
+VERSION = 4
 """Of what is kept; crops of another version are made again."""
 
-CROPS = 2
+CROPS = 4
 """Of each frame."""
+
+SLOTS = (0.2, 0.4, 0.4)
+"""How often slots 1 to 3 are chosen: no path of decisions extrapolates to the first."""
+
+SETTINGS = {"key": 0.6, "slot": 0.4}
+"""How often the settings are chosen: with key G-buffers alone, holes are harder."""
 
 HOLE_WEIGHT = 8.0
 MOTION_WEIGHT = 1.0
@@ -97,7 +103,8 @@ def choices(count: int, frames: int, seed: int) -> list[Choice]:
     found = []
     for index in rng.choice(len(places), frames, p=likely / likely.sum()):
         variant, k = places[int(index)]
-        slot, setting = int(rng.integers(1, FACTOR)), ("key", "slot")[int(rng.integers(2))]
+        slot = 1 + int(rng.choice(len(SLOTS), p=SLOTS))
+        setting = str(rng.choice(list(SETTINGS), p=list(SETTINGS.values())))
         found.append(Choice(variant, k, slot, setting, bool(rng.random() < BARE)))
     order = {variant: i for i, variant in enumerate(variants)}
     return sorted(set(found), key=lambda c: (order[c.variant], c.k, c.setting, c.slot, c.bare))

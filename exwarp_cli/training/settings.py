@@ -43,7 +43,7 @@ class TrainingSettings:
     batch: int = 24
     patch: int = 64
     rate: float = 2e-3
-    frames: int = 30
+    frames: int = 40
     side: int = 128
     seed: int = 0
     start: str | None = None

@@ -16,6 +16,7 @@ from exwarp_cli.training.networks import (
     STRIDE,
     Architecture,
     ExtrapolationNetwork,
+    _first_seen,
     _moved,
     build,
 )
@@ -64,10 +65,11 @@ def test_candidates_are_counted_right():
     for name, architecture in ARCHITECTURES.items():
         network = build(name, 8)
         given = example(32, 32)
+        filled = given["warped"][:, 3:]
         flow = torch.zeros(1, 2 * architecture.flow, 32, 32)
-        made = network._candidates(
-            given["warped"][:, 3:], given["history"], given[TIME].reshape(-1, 1, 1, 1), flow
-        )
+        sides = network._sides(filled, given["mask"])
+        when = given[TIME].reshape(-1, 1, 1, 1)
+        made = network._candidates(filled, given["history"], when, flow, sides)
         assert not architecture.candidates or len(made) == network._count()
 
 
@@ -76,6 +78,26 @@ def test_a_candidate_can_be_moved():
     flow = torch.zeros(1, 2, 3, 4)
     flow[:, 0] = 1
     np.testing.assert_allclose(_moved(frame, flow)[0, 0, :, :3], frame[0, 0, :, 1:], atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("side", "colours", "distances"),
+    [
+        ((1, 0), [0, 1, 1, 1, 1, 5, 6, 6], [3, 0, 1, 2, 3, 3, 0, 1]),
+        ((-1, 0), [1, 1, 2, 6, 6, 6, 6, 7], [1, 0, 3, 3, 2, 1, 0, 3]),
+    ],
+)
+@pytest.mark.parametrize("turned", [False, True])
+def test_holes_look_to_their_sides(side, colours, distances, turned):
+    """What is further than the reach is not found: the colour is the frame's own."""
+    frame = torch.arange(8.0).reshape(1, 1, 1, 8).repeat(1, 3, 1, 1)
+    mask = torch.zeros(1, 1, 1, 8)
+    mask[..., [1, 6]] = 1
+    if turned:
+        frame, mask, side = frame.mT, mask.mT, side[::-1]
+    found = _first_seen(frame, mask, side, 3).flatten(2)
+    assert found[0, 0].tolist() == colours
+    np.testing.assert_allclose(3 * found[0, 3], distances, rtol=1e-6)
 
 
 def test_architectures_differ():

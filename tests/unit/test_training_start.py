@@ -10,6 +10,7 @@ import torch
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError
 from exwarp_cli.training.extrapolator import CHECKPOINT, Training
 from exwarp_cli.training.settings import TrainingSettings
+from tests.unit.network_inputs import example
 
 TINY = TrainingSettings(architecture="blend", width=4, steps=4)
 
@@ -44,10 +45,20 @@ def test_one_that_is_under_way_goes_on(tmp_path):
     assert torch.equal(weights(made), before)
 
 
-def test_another_network_is_refused(tmp_path):
-    trained(tmp_path / "a")
+def test_it_may_be_larger(tmp_path):
+    other = trained(tmp_path / "a")
     made = Training(tmp_path / "b", replace(TINY, width=8), said)
-    with pytest.raises(LayoutError, match="holds another network than blend"):
+    made.begin_with(tmp_path / "a" / CHECKPOINT)
+    given = example(16, 16)
+    found, expected = (t.average.eval()(**given) for t in (made, other))
+    torch.testing.assert_close(found, expected, rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize("changed", [{"width": 8}, {"architecture": "blend-detail"}])
+def test_another_network_is_refused(tmp_path, changed):
+    trained(tmp_path / "a", replace(TINY, **changed))
+    made = Training(tmp_path / "b", TINY, said)
+    with pytest.raises(LayoutError, match="holds another network than blend or a smaller one"):
         made.begin_with(tmp_path / "a" / CHECKPOINT)
 
 
