@@ -23,12 +23,12 @@ def command() -> None:
     "--scenes", multiple=True, metavar="GLOB", help="Names to learn from; else all made for it."
 )
 @click.option("--exclude", multiple=True, metavar="GLOB", help="Names to leave out.")
-@click.option("--architecture", default="kernels", show_default=True, metavar="NAME")
+@click.option("--architecture", default="kernels-patched", show_default=True, metavar="NAME")
 @click.option("--width", type=click.IntRange(4), help="Channels at half resolution.")
 @click.option("--steps", type=click.IntRange(1), default=20000, show_default=True)
 @click.option("--batch", type=click.IntRange(1), default=24, show_default=True, help="In crops.")
 @click.option("--patch", type=click.IntRange(16), default=64, show_default=True, help="Of a crop.")
-@click.option("--rate", type=float, default=2e-3, show_default=True, help="Of learning.")
+@click.option("--rate", type=float, default=3e-3, show_default=True, help="Of learning.")
 @click.option("--frames", type=click.IntRange(1), default=40, show_default=True, help="Of a scene.")
 @click.option("--side", type=click.IntRange(16), default=128, show_default=True, help="Of a crop.")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
@@ -36,7 +36,7 @@ def command() -> None:
     "--start",
     type=FOLDER,
     metavar="FILE",
-    help="Begin with this one's weights, which may be smaller.",
+    help="Checkpoint to begin with; its network may be smaller.",
 )
 @click.option("--every", type=click.IntRange(1), default=500, show_default=True, help="Checkpoint.")
 @click.option("--cache", type=FOLDER, help="For crops; default: in the data folder's parent.")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import zlib
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -23,7 +24,7 @@ from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.training.footage import Footage
 from exwarp_cli.training.variant import Variant
 
-VERSION = 4
+VERSION = 5
 """Of what is kept; crops of another version are made again."""
 
 CROPS = 4
@@ -82,8 +83,8 @@ def share(frames: int, count: int) -> int:
     return round(frames * math.sqrt(max((count - 1) / SHORT, 1)))
 
 
-def choices(count: int, frames: int, seed: int) -> list[Choice]:
-    """Choose frames of a scene, always the same ones for the same seed.
+def choices(count: int, frames: int, seed: int, name: str = "") -> list[Choice]:
+    """Choose frames of a scene, always the same ones for the same seed and name.
 
     Parameters
     ----------
@@ -93,8 +94,10 @@ def choices(count: int, frames: int, seed: int) -> list[Choice]:
         How many to draw; those drawn twice count once.
     seed
         Of the choice.
+    name
+        Of the scene: of scenes equally long, others are chosen.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng((seed, zlib.crc32(name.encode())))
     variants = [Variant(p, backwards=b) for p in range(FACTOR) for b in (False, True)]
     places = [
         (variant, k) for variant in variants for k in range(len(variant.order(count)) // FACTOR)
@@ -155,7 +158,7 @@ def crops_of(scene: RenderedScene, settings: CropSettings) -> dict[str, np.ndarr
     rng = np.random.default_rng(settings.seed)
     parts: dict[str, list[np.ndarray]] = {}
     count = manifest.instants.count
-    chosen = choices(count, share(settings.frames, count), settings.seed)
+    chosen = choices(count, share(settings.frames, count), settings.seed, scene.name)
     for footage, choice in _by_variant(scene, chosen):
         interval = footage.causal(choice.k, choice.setting)
         if choice.bare:

@@ -37,12 +37,12 @@ class TrainingSettings:
         Names of the scenes that are trained on, and of those that are validated on.
     """
 
-    architecture: str = "kernels"
+    architecture: str = "kernels-patched"
     width: int | None = None
     steps: int = 20000
     batch: int = 24
     patch: int = 64
-    rate: float = 2e-3
+    rate: float = 3e-3
     frames: int = 40
     side: int = 128
     seed: int = 0

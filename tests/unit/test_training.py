@@ -99,6 +99,7 @@ def test_frames_are_chosen_by_the_seed_and_mostly_with_history():
     assert {c.setting for c in many} == {"key", "slot"}
     assert {c.bare for c in many} == {True, False}
     assert {c.variant.backwards for c in many} == {True, False}
+    assert choices(INSTANTS, 400, 0, "lab") != choices(INSTANTS, 400, 0, "town")
     few = choices(INSTANTS, 40, 0)
     assert np.mean([c.k >= 2 for c in few]) > 0.7
 
