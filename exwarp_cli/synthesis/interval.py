@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from exwarp_cli.domain.extrapolator import Extrapolator
-from exwarp_cli.domain.frame import Float32, GBuffer, KeyFrame
+from exwarp_cli.domain.frame import Float32, GBuffer, KeyFrame, Window, place
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import LayoutError
 from exwarp_cli.synthesis.extrapolate import Prepared, prepare
@@ -134,6 +134,27 @@ class Interval:
             key=stripped(self.key),
             slots=tuple(gbuffer.without(*parts) for gbuffer in self.slots),
             past=tuple(replace(step, frame=stripped(step.frame)) for step in self.past),
+        )
+
+    def on(self, window: Window) -> Interval:
+        """Return the interval as if only a part of its frames had been rendered.
+
+        Parameters
+        ----------
+        window
+            Inside that of the frames.
+        """
+
+        def part(step: Past) -> Past:
+            motion = place(step.motion, step.frame.image.data_window, window, np.nan)
+            return replace(step, frame=step.frame.on(window), motion=motion)
+
+        return replace(
+            self,
+            key=self.key.on(window),
+            following=None if self.following is None else self.following.on(window),
+            slots=tuple(gbuffer.on(window) for gbuffer in self.slots),
+            past=tuple(part(step) for step in self.past),
         )
 
     def hole_mask(self, slot: int) -> np.ndarray | None:

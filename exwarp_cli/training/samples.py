@@ -14,7 +14,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from exwarp_cli.domain.extrapolator import HISTORY
-from exwarp_cli.domain.frame import SURFACE_PARTS, Float32
+from exwarp_cli.domain.frame import SURFACE_PARTS, Float32, Window
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import InputError
 from exwarp_cli.io.atomic import make_folder, output_error
@@ -24,7 +24,7 @@ from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.training.footage import Footage
 from exwarp_cli.training.variant import Variant
 
-VERSION = 5
+VERSION = 6
 """Of what is kept; crops of another version are made again."""
 
 CROPS = 4
@@ -46,6 +46,12 @@ SHORT_HISTORY = 0.1
 
 BARE = 0.3
 """Share of frames that are prepared without any of the surface, so not demodulated."""
+
+PARTIAL = 0.5
+SMALLEST = 0.5
+"""Share of frames of which only a part is looked at, and how small its sides may be, as a share of
+the frame's: what lies beyond the edge of the frame is the hardest to foretell, and all that
+rendering says about it is at the edges of what was rendered."""
 
 MOST_LINEAR = 6e4
 """Linear values are clipped there: half floats end at 65504."""
@@ -97,7 +103,7 @@ def choices(count: int, frames: int, seed: int, name: str = "") -> list[Choice]:
     name
         Of the scene: of scenes equally long, others are chosen.
     """
-    rng = np.random.default_rng((seed, zlib.crc32(name.encode())))
+    rng = _generator(seed, name, 0)
     variants = [Variant(p, backwards=b) for p in range(FACTOR) for b in (False, True)]
     places = [
         (variant, k) for variant in variants for k in range(len(variant.order(count)) // FACTOR)
@@ -155,7 +161,7 @@ def crops_of(scene: RenderedScene, settings: CropSettings) -> dict[str, np.ndarr
             f"{scene.folder} is {manifest.width}x{manifest.height}, smaller than crops of {side} "
             "pixels; leave it out, or take smaller crops"
         )
-    rng = np.random.default_rng(settings.seed)
+    rng = _generator(settings.seed, scene.name, 1)
     parts: dict[str, list[np.ndarray]] = {}
     count = manifest.instants.count
     chosen = choices(count, share(settings.frames, count), settings.seed, scene.name)
@@ -163,9 +169,10 @@ def crops_of(scene: RenderedScene, settings: CropSettings) -> dict[str, np.ndarr
         interval = footage.causal(choice.k, choice.setting)
         if choice.bare:
             interval = interval.without(*SURFACE_PARTS)
-        prepared = interval.prepared(choice.slot)
-        truth = footage.truth(choice.k, choice.slot).pixels[..., :3]
-        planes = _planes(prepared, truth)
+        view = _view(interval.key.image.data_window, side, rng)
+        interval = interval.on(view)
+        truth = footage.truth(choice.k, choice.slot).on(view).pixels[..., :3]
+        planes = _planes(interval.prepared(choice.slot), truth)
         weight = _weight(interval, choice.slot)
         for _ in range(CROPS):
             y, x = _corner(weight, side, rng)
@@ -214,6 +221,22 @@ def write_crops(scene: RenderedScene, settings: CropSettings, folder: Path) -> N
     except OSError as error:
         if not is_whole(folder):  # else another training was faster
             raise output_error(folder, error) from error
+
+
+def _generator(seed: int, name: str, use: int) -> np.random.Generator:
+    """Return random numbers that are others for every scene and every use."""
+    return np.random.default_rng((seed, zlib.crc32(name.encode()), use))
+
+
+def _view(whole: Window, side: int, rng: np.random.Generator) -> Window:
+    """Choose what of a frame is looked at: all of it, or a part that crops fit in."""
+    if rng.random() >= PARTIAL:
+        return whole
+    width, height = (
+        max(side, round(size * rng.uniform(SMALLEST, 1))) for size in (whole.width, whole.height)
+    )
+    x, y = rng.integers(whole.width - width + 1), rng.integers(whole.height - height + 1)
+    return Window(whole.x + int(x), whole.y + int(y), width, height)
 
 
 def _by_variant(scene: RenderedScene, chosen: list[Choice]) -> Iterator[tuple[Footage, Choice]]:

@@ -218,3 +218,23 @@ def test_the_oldest_frame_is_repeated(footage, setting, k, older):
         np.testing.assert_array_equal(frames[index], frames[older])
     for index in range(1, older + 1):
         assert (frames[index] != frames[index - 1]).any()
+
+
+@pytest.mark.parametrize("slot", [2, 3])
+def test_a_part_of_a_frame_is_as_if_no_more_had_been_rendered(interval, slot):
+    whole = interval.key.image.data_window
+    part = Window(whole.x + 20, whole.y + 8, whole.width - 48, whole.height - 20)
+    rows, columns = slice(8, 8 + part.height), slice(20, 20 + part.width)
+    found, full = (i.prepared(slot).inputs for i in (interval.on(part), interval))
+    before, after = full.mask[0, rows, columns] > 0, found.mask[0] > 0
+    assert after.shape == part.shape
+    lost = before & ~after
+    assert not (after & ~before).any() and lost.any()
+    # What is lost lies beyond the part of the key frame.
+    back = interval.back(slot).field[rows, columns]
+    y, x = np.mgrid[: part.height, : part.width]
+    inside = (x + back[..., 0] >= 1) & (x + back[..., 0] <= part.width - 2)
+    inside &= (y + back[..., 1] >= 1) & (y + back[..., 1] <= part.height - 2)
+    assert (lost & inside).mean() < 0.002
+    same = np.abs(found.warped[3:] - full.warped[3:, rows, columns]).max(axis=0)
+    assert np.percentile(same[after & inside], 99) < 1e-3

@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from exwarp_cli.domain.extrapolator import TIME, NetworkInputs
+from exwarp_cli.domain.frame import Window
 from exwarp_cli.errors import InputError, UsageError
 from exwarp_cli.io.dataset import RenderedScene, open_scene
 from exwarp_cli.io.models import load_extrapolator
@@ -33,7 +34,15 @@ from exwarp_cli.training.losses import (
     shown,
 )
 from exwarp_cli.training.networks import ARCHITECTURES, build
-from exwarp_cli.training.samples import SHORT, CropSettings, choices, crops_of, share, write_crops
+from exwarp_cli.training.samples import (
+    SHORT,
+    CropSettings,
+    _view,
+    choices,
+    crops_of,
+    share,
+    write_crops,
+)
 from exwarp_cli.training.selection import select, split
 from exwarp_cli.training.settings import TrainingSettings
 from tests.unit.analytic_scene import INSTANTS, write_scene
@@ -107,6 +116,14 @@ def test_frames_are_chosen_by_the_seed_and_mostly_with_history():
 def test_longer_scenes_give_more_frames():
     assert share(30, 2) == share(30, SHORT + 1) == 30
     assert share(30, 4 * SHORT + 1) == 60
+
+
+def test_parts_of_frames_hold_a_crop_and_lie_inside():
+    whole, rng = Window(-3, 5, 128, 80), np.random.default_rng(0)
+    views = [_view(whole, SIDE, rng) for _ in range(400)]
+    assert all(whole.covers(v) and min(v.shape) >= SIDE for v in views)
+    assert 0.4 < np.mean([v == whole for v in views]) < 0.6
+    assert {v.corners for v in views} >= {whole.corners} and len(set(views)) > 150
 
 
 def test_crops_are_parts_of_what_was_rendered(scenes, crops):
