@@ -24,7 +24,7 @@ from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.training.footage import Footage
 from exwarp_cli.training.variant import Variant
 
-VERSION = 6
+VERSION = 7
 """Of what is kept; crops of another version are made again."""
 
 CROPS = 4
@@ -97,7 +97,7 @@ def choices(count: int, frames: int, seed: int, name: str = "") -> list[Choice]:
     count
         Instants that were rendered.
     frames
-        How many to draw; those drawn twice count once.
+        How many to draw; of one that is drawn twice other crops are taken.
     seed
         Of the choice.
     name
@@ -105,18 +105,30 @@ def choices(count: int, frames: int, seed: int, name: str = "") -> list[Choice]:
     """
     rng = _generator(seed, name, 0)
     variants = [Variant(p, backwards=b) for p in range(FACTOR) for b in (False, True)]
-    places = [
-        (variant, k) for variant in variants for k in range(len(variant.order(count)) // FACTOR)
-    ]
-    likely = np.array([1.0 if k >= HISTORY - 1 else SHORT_HISTORY for _, k in places])
+    places = {
+        setting: [(v, k) for v in variants for k in _intervals(v, count, setting)]
+        for setting in SETTINGS
+    }
     found = []
-    for index in rng.choice(len(places), frames, p=likely / likely.sum()):
-        variant, k = places[int(index)]
-        slot = 1 + int(rng.choice(len(SLOTS), p=SLOTS))
+    for _ in range(frames):
         setting = str(rng.choice(list(SETTINGS), p=list(SETTINGS.values())))
+        setting = setting if places[setting] else "slot"
+        likely = np.array([1.0 if k >= HISTORY - 1 else SHORT_HISTORY for _, k in places[setting]])
+        variant, k = places[setting][int(rng.choice(len(likely), p=likely / likely.sum()))]
+        slot = 1 + int(rng.choice(len(SLOTS), p=SLOTS))
         found.append(Choice(variant, k, slot, setting, bool(rng.random() < BARE)))
     order = {variant: i for i, variant in enumerate(variants)}
-    return sorted(set(found), key=lambda c: (order[c.variant], c.k, c.setting, c.slot, c.bare))
+    return sorted(found, key=lambda c: (order[c.variant], c.k, c.setting, c.slot, c.bare))
+
+
+def _intervals(variant: Variant, count: int, setting: str) -> range:
+    """Return the key intervals of a variant that are whole.
+
+    With key G-buffers alone the next key frame has to be rendered too: without vectors to it W is
+    some decibels worse, as it is for users at the last key frame only.
+    """
+    shown = len(variant.order(count))
+    return range((shown - 1 if setting == "key" else shown) // FACTOR)
 
 
 @dataclass(frozen=True)

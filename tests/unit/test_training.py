@@ -11,6 +11,7 @@ import torch
 
 from exwarp_cli.domain.extrapolator import TIME, NetworkInputs
 from exwarp_cli.domain.frame import Window
+from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import InputError, UsageError
 from exwarp_cli.io.dataset import RenderedScene, open_scene
 from exwarp_cli.io.models import load_extrapolator
@@ -109,6 +110,10 @@ def test_frames_are_chosen_by_the_seed_and_mostly_with_history():
     assert {c.bare for c in many} == {True, False}
     assert {c.variant.backwards for c in many} == {True, False}
     assert choices(INSTANTS, 400, 0, "lab") != choices(INSTANTS, 400, 0, "town")
+    for choice in many:
+        shown = len(choice.variant.order(INSTANTS))
+        last = FACTOR * choice.k + (FACTOR if choice.setting == "key" else choice.slot)
+        assert last < shown  # the next key frame is rendered, or the slot alone
     few = choices(INSTANTS, 40, 0)
     assert np.mean([c.k >= 2 for c in few]) > 0.7
 
