@@ -124,16 +124,11 @@ class Interval:
 
     def without(self, *parts: str) -> Interval:
         """Return the interval as if its G-buffers lacked some parts; nothing is made yet."""
-
-        def stripped(frame: KeyFrame) -> KeyFrame:
-            gbuffer = frame.gbuffer
-            return frame if gbuffer is None else replace(frame, gbuffer=gbuffer.without(*parts))
-
         return replace(
             self,
-            key=stripped(self.key),
+            key=self.key.without(*parts),
             slots=tuple(gbuffer.without(*parts) for gbuffer in self.slots),
-            past=tuple(replace(step, frame=stripped(step.frame)) for step in self.past),
+            past=tuple(replace(step, frame=step.frame.without(*parts)) for step in self.past),
         )
 
     def on(self, window: Window) -> Interval:

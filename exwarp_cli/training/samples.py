@@ -109,12 +109,16 @@ def choices(count: int, frames: int, seed: int, name: str = "") -> list[Choice]:
         setting: [(v, k) for v in variants for k in _intervals(v, count, setting)]
         for setting in SETTINGS
     }
+    likely = {
+        setting: np.array([1.0 if k >= HISTORY - 1 else SHORT_HISTORY for _, k in of_setting])
+        for setting, of_setting in places.items()
+    }
     found = []
     for _ in range(frames):
         setting = str(rng.choice(list(SETTINGS), p=list(SETTINGS.values())))
         setting = setting if places[setting] else "slot"
-        likely = np.array([1.0 if k >= HISTORY - 1 else SHORT_HISTORY for _, k in places[setting]])
-        variant, k = places[setting][int(rng.choice(len(likely), p=likely / likely.sum()))]
+        share_of = likely[setting] / likely[setting].sum()
+        variant, k = places[setting][int(rng.choice(len(share_of), p=share_of))]
         slot = 1 + int(rng.choice(len(SLOTS), p=SLOTS))
         found.append(Choice(variant, k, slot, setting, bool(rng.random() < BARE)))
     order = {variant: i for i, variant in enumerate(variants)}

@@ -40,7 +40,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if len(found) > 1:
         print("\n" + by_surface(found))
     if options.quality:
-        text = json.dumps(found, separators=(",", ":"), default=str)
+        text = json.dumps(found, separators=(",", ":"))
         options.quality.write_text(text + "\n", encoding="utf-8")
     return 0
 

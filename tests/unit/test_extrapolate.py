@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,12 +13,10 @@ from hypothesis.extra import numpy as arrays
 from exwarp_cli.domain.extrapolator import INPUTS, NetworkInputs
 from exwarp_cli.domain.frame import Float32, GBuffer, KeyFrame, Window
 from exwarp_cli.errors import LayoutError
-from exwarp_cli.io.dataset import open_scene
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.modulation import DARKEST, decode, encode, modulation_of
 from exwarp_cli.synthesis.warp import fill_background, warp
-from exwarp_cli.training.footage import Footage
-from tests.unit.analytic_scene import STEP, write_scene
+from tests.unit.analytic_scene import STEP
 from tests.unit.filled import Filled
 from tests.unit.scenes import SKY, town
 
@@ -32,12 +29,6 @@ class Bright(Filled):
 
     def __call__(self, inputs: NetworkInputs) -> Float32:
         return np.abs(inputs.warped[3:]) + 1
-
-
-@pytest.fixture(scope="module")
-def footage(tmp_path_factory) -> Footage:
-    folder: Path = write_scene(tmp_path_factory.mktemp("data") / "analytic")
-    return Footage(open_scene(folder))
 
 
 @pytest.fixture(scope="module", params=SETTINGS)

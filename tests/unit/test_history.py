@@ -3,31 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from exwarp_cli.io.channels import Role
-from exwarp_cli.io.dataset import open_scene
 from exwarp_cli.io.frames import Shot
 from exwarp_cli.synthesis.geometry import SlotField
 from exwarp_cli.synthesis.history import step_back
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.training.footage import Footage
-from tests.unit.analytic_scene import STEP, surface, write_scene
+from tests.unit.analytic_scene import STEP, surface
 from tests.unit.reading import changed_planes
 from tests.unit.scenes import SKY, View, town
 
 K = 3
 SETTINGS = ("key", "slot")
 SLOTS = (1, 2, 3)
-
-
-@pytest.fixture(scope="module")
-def footage(tmp_path_factory) -> Footage:
-    folder: Path = write_scene(tmp_path_factory.mktemp("data") / "analytic")
-    return Footage(open_scene(folder))
 
 
 @pytest.fixture(scope="module", params=SETTINGS)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from exwarp_cli.domain.extrapolator import Extrapolator
+from exwarp_cli.domain.frame import SURFACE_PARTS
 from exwarp_cli.io.dataset import open_scene
 from exwarp_cli.io.models import load_extrapolator
 from exwarp_cli.metrics.registry import score
@@ -18,8 +19,8 @@ from exwarp_cli.training.footage import Footage
 SHOT = Path(__file__).parents[1] / "data" / "miniature" / "variety-0074"
 LEFT_OUT = {
     "nothing": (),
-    "specular": ("specular", "roughness", "metallic"),
-    "surface": ("albedo", "specular", "roughness", "metallic"),
+    "specular": SURFACE_PARTS[1:],
+    "surface": SURFACE_PARTS,
     "normals and ids": ("normal", "stencil"),
 }
 
