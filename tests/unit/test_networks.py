@@ -81,18 +81,19 @@ def test_a_candidate_can_be_moved():
 
 
 @pytest.mark.parametrize(
-    ("side", "colours", "distances"),
+    ("seen", "side", "colours", "distances"),
     [
-        ((1, 0), [0, 1, 1, 1, 1, 5, 6, 6], [3, 0, 1, 2, 3, 3, 0, 1]),
-        ((-1, 0), [1, 1, 2, 6, 6, 6, 6, 7], [1, 0, 3, 3, 2, 1, 0, 3]),
+        ([1, 6], (1, 0), [0, 1, 1, 1, 1, 5, 6, 6], [3, 0, 1, 2, 3, 3, 0, 1]),
+        ([1, 6], (-1, 0), [1, 1, 2, 6, 6, 6, 6, 7], [1, 0, 3, 3, 2, 1, 0, 3]),
+        ([1, 2, 4], (1, 0), [0, 1, 2, 2, 4, 4, 4, 4], [3, 0, 0, 1, 0, 1, 2, 3]),
     ],
 )
 @pytest.mark.parametrize("turned", [False, True])
-def test_holes_look_to_their_sides(side, colours, distances, turned):
+def test_holes_look_to_their_sides(seen, side, colours, distances, turned):
     """What is further than the reach is not found: the colour is the frame's own."""
     frame = torch.arange(8.0).reshape(1, 1, 1, 8).repeat(1, 3, 1, 1)
     mask = torch.zeros(1, 1, 1, 8)
-    mask[..., [1, 6]] = 1
+    mask[..., seen] = 1
     if turned:
         frame, mask, side = frame.mT, mask.mT, side[::-1]
     found = _first_seen(frame, mask, side, 3).flatten(2)
