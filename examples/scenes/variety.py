@@ -67,7 +67,7 @@ def script(seed: int) -> Script:
     """Return the shot of a seed."""
     about = f"A random shot for training: {place_of(seed)}."
     name = f"variety-{seed:04d}"
-    return Script(name, about, build, INSTANTS, seed, role="training", pace=PACE)
+    return Script(name, about, build, INSTANTS, seed, "training", PACE, key_step=1)
 
 
 def main() -> None:

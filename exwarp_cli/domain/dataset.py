@@ -54,8 +54,7 @@ class SceneManifest:
     instants
         Colour and G-buffers of every instant; motion vectors reach to the neighbouring instants.
     keys
-        Every `keys.step`-th instant again, with motion vectors that reach to the neighbouring key
-        frames.
+        Every `keys.step`-th instant again, as a key frame: motion vectors reach over 1/`key_fps`.
     renderer
         Program, version and engine.
     samples, denoiser
@@ -83,3 +82,8 @@ class SceneManifest:
     seed: int
     motion: str
     dynamic: Mapping[int, str]
+
+    def has_key(self, index: int) -> bool:
+        """Whether an instant, counted from 0, was also rendered as a key frame."""
+        whole, beyond = divmod(index, self.keys.step)
+        return beyond == 0 and 0 <= whole < self.keys.count

@@ -136,9 +136,9 @@ class Footage:
 
     def _key_motion(self, index: int) -> tuple[Float32 | None, Float32 | None]:
         """Motion of an instant to the key frames before and after it, in rendered order."""
-        step = self.scene.manifest.keys.step
-        if self.variant.speed == 1 and index % step == 0 and step == FACTOR:
-            gbuffer = self._rendered_key(index // step)
+        manifest = self.scene.manifest
+        if self.variant.speed == 1 and manifest.has_key(index):
+            gbuffer = self._rendered_key(index // manifest.keys.step)
             return gbuffer.to_previous, gbuffer.to_next
         return self._motion(index, FACTOR * self.variant.speed)
 

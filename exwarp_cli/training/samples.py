@@ -13,6 +13,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from exwarp_cli.domain.dataset import SceneManifest
 from exwarp_cli.domain.extrapolator import HISTORY
 from exwarp_cli.domain.frame import SURFACE_PARTS, Float32, Window
 from exwarp_cli.domain.timeline import FACTOR
@@ -24,7 +25,7 @@ from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.training.footage import Footage
 from exwarp_cli.training.variant import Variant
 
-VERSION = 7
+VERSION = 8
 """Of what is kept; crops of another version are made again."""
 
 CROPS = 4
@@ -89,24 +90,22 @@ def share(frames: int, count: int) -> int:
     return round(frames * math.sqrt(max((count - 1) / SHORT, 1)))
 
 
-def choices(count: int, frames: int, seed: int, name: str = "") -> list[Choice]:
+def choices(manifest: SceneManifest, frames: int, seed: int) -> list[Choice]:
     """Choose frames of a scene, always the same ones for the same seed and name.
 
     Parameters
     ----------
-    count
-        Instants that were rendered.
+    manifest
+        Of the scene; of scenes alike but for the name, other frames are chosen.
     frames
         How many to draw; of one that is drawn twice other crops are taken.
     seed
         Of the choice.
-    name
-        Of the scene: of scenes equally long, others are chosen.
     """
-    rng = _generator(seed, name, 0)
+    rng = _generator(seed, manifest.scene, 0)
     variants = [Variant(p, backwards=b) for p in range(FACTOR) for b in (False, True)]
     places = {
-        setting: [(v, k) for v in variants for k in _intervals(v, count, setting)]
+        setting: [(v, k) for v in variants for k in _intervals(v, manifest, setting)]
         for setting in SETTINGS
     }
     likely = {
@@ -125,14 +124,18 @@ def choices(count: int, frames: int, seed: int, name: str = "") -> list[Choice]:
     return sorted(found, key=lambda c: (order[c.variant], c.k, c.setting, c.slot, c.bare))
 
 
-def _intervals(variant: Variant, count: int, setting: str) -> range:
+def _intervals(variant: Variant, manifest: SceneManifest, setting: str) -> list[int]:
     """Return the key intervals of a variant that are whole.
 
-    With key G-buffers alone the next key frame has to be rendered too: without vectors to it W is
+    With key G-buffers alone the motion to the next key frame has to be known too: without it W is
     some decibels worse, as it is for users at the last key frame only.
     """
-    shown = len(variant.order(count))
-    return range((shown - 1 if setting == "key" else shown) // FACTOR)
+    order = variant.order(manifest.instants.count)
+    return [
+        k
+        for k in range(len(order) // FACTOR)
+        if setting == "slot" or FACTOR * (k + 1) < len(order) or manifest.has_key(order[FACTOR * k])
+    ]
 
 
 @dataclass(frozen=True)
@@ -179,8 +182,7 @@ def crops_of(scene: RenderedScene, settings: CropSettings) -> dict[str, np.ndarr
         )
     rng = _generator(settings.seed, scene.name, 1)
     parts: dict[str, list[np.ndarray]] = {}
-    count = manifest.instants.count
-    chosen = choices(count, share(settings.frames, count), settings.seed, scene.name)
+    chosen = choices(manifest, share(settings.frames, manifest.instants.count), settings.seed)
     for footage, choice in _by_variant(scene, chosen):
         interval = footage.causal(choice.k, choice.setting)
         if choice.bare:

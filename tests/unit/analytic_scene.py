@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from exwarp_cli.domain.timeline import FACTOR
 from tests.blender_layers import HALF, Planes, blender_depth, blender_vector, layer, multipart
 from tests.unit.exr_files import write_parts
 from tests.unit.scenes import SKY, Rectangle, Scene, View, town, vec
@@ -18,7 +19,9 @@ MOTION = "previous=X,-Y next=-Z,W"
 MIRROR = vec(-1, 1, 1)
 
 
-def manifest(name: str = "analytic", count: int = INSTANTS, **changes: object) -> dict:
+def manifest(
+    name: str = "analytic", count: int = INSTANTS, key_step: int = FACTOR, **changes: object
+) -> dict:
     """A manifest as the scenes' scripts write it."""
     scene = town()
     content = {
@@ -40,24 +43,34 @@ def manifest(name: str = "analytic", count: int = INSTANTS, **changes: object) -
         "keys": {
             "pattern": f"keys/{name}.####.exr",
             "first": 1,
-            "count": (count - 1) // 4 + 1,
-            "step": 4,
+            "count": _keys(count, key_step),
+            "step": key_step,
         },
     }
     return content | changes
 
 
-def write_scene(folder: Path, instants: int = INSTANTS, **changes: object) -> Path:
+def write_scene(
+    folder: Path, instants: int = INSTANTS, key_step: int = FACTOR, **changes: object
+) -> Path:
     """Write a scene's folder; `changes` go to the manifest."""
     name = str(changes.get("scene", "analytic"))
-    for kind, count, step in (("instants", instants, STEP), ("keys", (instants - 1) // 4 + 1, 1.0)):
+    kinds = (
+        ("instants", instants, 1, STEP),
+        ("keys", _keys(instants, key_step), key_step, FACTOR * STEP),
+    )
+    for kind, count, step, reach in kinds:
         (folder / kind).mkdir(parents=True, exist_ok=True)
         for index in range(count):
             path = folder / kind / f"{name}.{index + 1:04d}.exr"
-            parts = multipart(_layers(town().view(index * step), step))
+            parts = multipart(_layers(town().view(index * step * STEP), reach))
             write_parts(path, {part: (planes, {}) for part, planes in parts.items()})
-    write_manifest(folder, manifest(name, instants, **changes))
+    write_manifest(folder, manifest(name, instants, key_step, **changes))
     return folder
+
+
+def _keys(instants: int, key_step: int) -> int:
+    return (instants - 1) // key_step + 1
 
 
 def write_manifest(folder: Path, content: object) -> Path:

@@ -141,6 +141,7 @@ def described(writer, **changes):
         "denoiser": "OpenImageDenoise",
         "seed": 3,
         "motion": writer.BLENDER_MOTION,
+        "key_step": 4,
         "dynamic": {"1": "arm"},
     }
     return writer.Manifest(**content | changes)
@@ -155,7 +156,15 @@ def test_what_the_scripts_write_is_what_is_read(writer, tmp_path):
         assert getattr(told, name) == getattr(described(writer), name)
     assert told.instants.numbers == range(1, 242) and told.keys.numbers == range(1, 62)
     assert told.keys.step == 4 and told.dynamic == {1: "arm"}
+    assert [i for i in range(250) if told.has_key(i)] == list(range(0, 241, 4))
     assert [path.name for path in tmp_path.iterdir()] == ["manifest.json"]
+
+
+def test_key_frames_may_be_written_for_every_instant(writer, tmp_path):
+    writer.write(tmp_path, described(writer, instants=13, key_step=1))
+    told = open_scene(tmp_path).manifest
+    assert told.keys.numbers == range(1, 14) and told.keys.step == 1
+    assert [i for i in range(20) if told.has_key(i)] == list(range(13))
 
 
 def test_the_scripts_do_not_mix_renderings(writer, tmp_path):

@@ -23,6 +23,12 @@ def folder(tmp_path_factory) -> Path:
     return write_scene(tmp_path_factory.mktemp("data") / "analytic")
 
 
+@pytest.fixture(scope="module")
+def everywhere(tmp_path_factory) -> Path:
+    """The same scene with every instant as a key frame too."""
+    return write_scene(tmp_path_factory.mktemp("data") / "analytic", key_step=1)
+
+
 @functools.cache
 def view(index: int, mirror: bool = False) -> View:
     scene = mirror_image(town()) if mirror else town()
@@ -176,6 +182,25 @@ def test_motion_beyond_the_render_is_unknown_unless_rendered(folder):
     turned = Footage(scene, Variant(phase=1, backwards=True))
     assert turned.key(0).gbuffer.to_previous is None
     assert turned.slot(0, 1).gbuffer.to_previous is not None
+
+
+@pytest.mark.parametrize("backwards", [False, True])
+@pytest.mark.parametrize("phase", range(4))
+def test_where_every_instant_is_a_key_frame_too_motion_is_that_of_the_render(
+    everywhere, phase, backwards
+):
+    """Also to key frames beyond the render, and of surfaces that are hidden in between."""
+    variant = Variant(phase, backwards=backwards)
+    footage = Footage(open_scene(everywhere), variant)
+    order = variant.order(INSTANTS)
+    way = -4 if backwards else 4
+    for k in (0, len(order) // 4 - 1):
+        here, gbuffer = view(order[4 * k]), footage.key(k).gbuffer
+        for found, there in ((gbuffer.to_next, way), (gbuffer.to_previous, -way)):
+            wanted = here.motion_to(STEP * (order[4 * k] + there))
+            gap = np.linalg.norm(found - wanted, axis=-1)
+            assert gap[here.surface < 3].max() < 0.02
+            assert gap.max() < 0.2
 
 
 @pytest.mark.parametrize("setting", ["key", "slot"])

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
+from exwarp_cli.domain.dataset import SceneManifest
 from exwarp_cli.domain.extrapolator import TIME, NetworkInputs
 from exwarp_cli.domain.frame import Window
 from exwarp_cli.domain.timeline import FACTOR
@@ -46,7 +48,7 @@ from exwarp_cli.training.samples import (
 )
 from exwarp_cli.training.selection import select, split
 from exwarp_cli.training.settings import TrainingSettings
-from tests.unit.analytic_scene import INSTANTS, write_scene
+from tests.unit.analytic_scene import INSTANTS, manifest, write_manifest, write_scene
 from tests.unit.network_inputs import example
 
 SIDE = 64
@@ -102,20 +104,39 @@ def same(a: dict[str, torch.Tensor], b: dict[str, torch.Tensor]) -> bool:
     return all(torch.equal(a[name], b[name]) for name in a)
 
 
-def test_frames_are_chosen_by_the_seed_and_mostly_with_history():
-    many = choices(INSTANTS, 400, 0)
-    assert choices(INSTANTS, 400, 0) == many != choices(INSTANTS, 400, 1)
+@pytest.fixture
+def told(tmp_path) -> Callable[..., SceneManifest]:
+    """The manifest of the analytic scene, with changes."""
+
+    def read(**changes: object) -> SceneManifest:
+        write_manifest(tmp_path, manifest(**changes))
+        return open_scene(tmp_path).manifest
+
+    return read
+
+
+def test_frames_are_chosen_by_the_seed_and_mostly_with_history(told):
+    many = choices(told(), 400, 0)
+    assert choices(told(), 400, 0) == many != choices(told(), 400, 1)
     assert {c.slot for c in many} == {1, 2, 3}
     assert {c.setting for c in many} == {"key", "slot"}
     assert {c.bare for c in many} == {True, False}
     assert {c.variant.backwards for c in many} == {True, False}
-    assert choices(INSTANTS, 400, 0, "lab") != choices(INSTANTS, 400, 0, "town")
+    assert choices(told(name="lab"), 400, 0) != choices(told(name="town"), 400, 0)
     for choice in many:
         shown = len(choice.variant.order(INSTANTS))
         last = FACTOR * choice.k + (FACTOR if choice.setting == "key" else choice.slot)
         assert last < shown  # the next key frame is rendered, or the slot alone
-    few = choices(INSTANTS, 40, 0)
+    few = choices(told(), 40, 0)
     assert np.mean([c.k >= 2 for c in few]) > 0.7
+
+
+def test_where_every_instant_is_a_key_frame_too_the_last_one_may_be_chosen(told):
+    chosen = [c for c in choices(told(key_step=1), 800, 0) if c.setting == "key"]
+    ends = {(c.variant.phase, FACTOR * (c.k + 1) - len(c.variant.order(INSTANTS))) for c in chosen}
+    assert {phase for phase, beyond in ends if beyond == 0} == {1}  # slot 3 is the last instant
+    assert max(beyond for _, beyond in ends) == 0
+    assert all(c.k < 3 or c.variant.phase < 2 for c in chosen)
 
 
 def test_longer_scenes_give_more_frames():

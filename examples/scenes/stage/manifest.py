@@ -45,6 +45,8 @@ class Manifest:
         Of the scene and of the noise.
     motion : str
         What the channels of the vectors mean, in the notation of `exwarp --motion`.
+    key_step : int
+        How far apart the instants are that were also rendered as key frames.
     dynamic : dict of str to str
         Object ids (as text, as JSON wants it) of what moves, and what each is.
     """
@@ -62,12 +64,13 @@ class Manifest:
     denoiser: str
     seed: int
     motion: str
+    key_step: int
     dynamic: dict[str, str]
 
     @property
     def keys(self) -> int:
-        """How many key frames lie within the instants."""
-        return (self.instants - 1) // INSTANTS_PER_KEY + 1
+        """How many instants were also rendered as key frames."""
+        return (self.instants - 1) // self.key_step + 1
 
     def as_json(self) -> str:
         """Write it down, with the sequences named."""
@@ -81,7 +84,7 @@ class Manifest:
             "pattern": f"keys/{self.scene}.####.exr",
             "first": 1,
             "count": self.keys,
-            "step": INSTANTS_PER_KEY,
+            "step": content.pop("key_step"),
         }
         return json.dumps(content, indent=2, ensure_ascii=False) + "\n"
 

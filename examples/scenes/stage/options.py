@@ -39,6 +39,12 @@ def options(parser: argparse.ArgumentParser) -> None:
     add("--samples", type=count, default=SAMPLES, help="per pixel (%(default)s)")
     add("--frames", type=ranges, default=frozenset(), help="instants, as in 1-49,97 (all)")
     add("--what", choices=(*KINDS, "all"), default="all")
+    add(
+        "--key-step",
+        type=count,
+        metavar="N",
+        help="every Nth instant is rendered as a key frame too (4; 1 for training shots)",
+    )
 
 
 def order(chosen: argparse.Namespace) -> Order:
@@ -50,6 +56,7 @@ def order(chosen: argparse.Namespace) -> Order:
         chosen.samples,
         chosen.frames,
         frozenset(what),
+        chosen.key_step,
     )
 
 

@@ -34,7 +34,7 @@ class Product:
     Attributes
     ----------
     step : int
-        How far apart they are, and how far their vectors reach, in instants.
+        How far their vectors reach, in instants.
     passes : tuple of str
         Data passes beside colour.
     shaded : bool
@@ -157,7 +157,7 @@ def render(instant: int, product: Product, target: Path, seed: int) -> None:
     Parameters
     ----------
     instant : int
-        From 0; a whole number of the product's steps.
+        From 0.
     product : Product
         What is rendered; the scene is configured for it.
     target : Path
@@ -168,7 +168,8 @@ def render(instant: int, product: Product, target: Path, seed: int) -> None:
     scene = bpy.context.scene
     with tempfile.TemporaryDirectory(dir=target.parent, prefix=".part-") as folder, _quiet():
         part = Path(folder, target.name)
-        scene.frame_set(instant // product.step)
+        frame, between = divmod(instant, product.step)
+        scene.frame_set(frame, subframe=between / product.step)
         scene.cycles.seed = seed + instant
         scene.render.filepath = str(part)
         bpy.ops.render.render(write_still=True)

@@ -1,10 +1,10 @@
 """Rendering a scene into a data set: instants at 120 fps, and true 30 fps key frames.
 
 A scene's folder gets `manifest.json`, `instants/NAME.####.exr` (colour and all G-buffers, vectors
-over 1/120 s) and `keys/NAME.####.exr` (every fourth instant again, vectors over 1/30 s). Benchmark
-scenes also get `floor/NAME.####.exr`: three instants with other noise, to tell from how many dB on
-scores mean nothing. Frames that are there and whole are kept, so that a run that was stopped goes
-on where it was.
+over 1/120 s) and `keys/NAME.####.exr` (every fourth instant again, or every one in shots to train
+with, vectors over 1/30 s). Benchmark scenes also get `floor/NAME.####.exr`: three instants with
+other noise, to tell from how many dB on scores mean nothing. Frames that are there and whole are
+kept, so that a run that was stopped goes on where it was.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from stage import files, manifest, render
@@ -57,6 +57,9 @@ class Script:
     pace : float
         Core-seconds for a megapixel at one sample, as measured: for the estimate before the
         first frame.
+    key_step : int
+        How far apart the instants are that are also rendered as key frames: 1 lets a key frame
+        begin anywhere.
     """
 
     name: str
@@ -66,6 +69,7 @@ class Script:
     seed: int = 1
     role: str = "benchmark"
     pace: float = 3.0
+    key_step: int = INSTANTS_PER_KEY
 
 
 @dataclass(frozen=True)
@@ -84,6 +88,8 @@ class Order:
         Numbers of the instants that are wanted, from 1; empty for all.
     what : frozenset of str
         Which of `KINDS`.
+    key_step : int or None
+        In place of the script's.
     """
 
     data: Path
@@ -91,6 +97,7 @@ class Order:
     samples: int
     frames: frozenset[int] = frozenset()
     what: frozenset[str] = frozenset(KINDS)
+    key_step: int | None = None
 
 
 def shoot(script: Script, order: Order) -> None:
@@ -101,6 +108,7 @@ def shoot(script: Script, order: Order) -> None:
     SystemExit
         With one sentence, when the folder holds another rendering, or the disk is too small.
     """
+    script = replace(script, key_step=order.key_step or script.key_step)
     folder = order.data / script.name
     _refuse_other(folder, _describe(script, order, {}), but=("dynamic",))
     wanted = _wanted(script, order)
@@ -143,14 +151,14 @@ def _wanted(script: Script, order: Order) -> list[tuple[str, int]]:
     if beyond := sorted(number for number in numbers if number > script.instants):
         sys.exit(f"--frames: {script.name} has frames 1 to {script.instants}, not {beyond[0]}.")
     instants = sorted(number - 1 for number in numbers)
-    keys = [instant for instant in instants if instant % INSTANTS_PER_KEY == 0]
+    keys = [instant for instant in instants if instant % script.key_step == 0]
     floor = {0, script.instants // 2, script.instants - 1} if script.role == "benchmark" else set()
     of = {"instants": instants, "floor": sorted(floor.intersection(instants)), "keys": keys}
     return [(what, instant) for what in KINDS if what in order.what for instant in of[what]]
 
 
 def _path(script: Script, folder: Path, what: str, instant: int) -> Path:
-    number = instant // INSTANTS_PER_KEY if what == "keys" else instant
+    number = instant // script.key_step if what == "keys" else instant
     return folder / what / f"{script.name}.{number + 1:04d}.exr"
 
 
@@ -214,6 +222,7 @@ def _describe(script: Script, order: Order, dynamic: dict[int, str]) -> Manifest
         denoiser="OpenImageDenoise",
         seed=script.seed,
         motion=manifest.BLENDER_MOTION,
+        key_step=script.key_step,
         dynamic={str(index): dynamic[index] for index in sorted(dynamic)},
     )
 
