@@ -15,6 +15,7 @@ import argparse
 import json
 import re
 import tempfile
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -187,11 +188,11 @@ def measure_training(shots: Sequence[RenderedScene]) -> dict[str, Any]:
         masks = (footage.interval(k, "slot").hole_mask(i) for k in footage.intervals for i in SLOTS)
         holes.append(float(np.mean([mask.mean() for mask in masks if mask is not None])))
     first = shots[0].manifest
+    sizes = Counter(f"{shot.manifest.width}x{shot.manifest.height}" for shot in shots)
     return {
         "shots": len(shots),
         "instants": first.instants.count,
-        "width": first.width,
-        "height": first.height,
+        "sizes": dict(sizes.most_common()),
         "samples": first.samples,
         "seconds_per_instant": round(
             float(np.mean([_seconds(shot, shot.manifest.instants) for shot in shots])), 2

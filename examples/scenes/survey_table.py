@@ -51,10 +51,11 @@ def lines(table: dict[str, Any]) -> list[str]:
 
 
 def _training_lines(row: dict[str, Any]) -> list[str]:
+    sizes = ", ".join(f"{count} at {size}" for size, count in row["sizes"].items())
     lines = [
         "",
-        f"Training shots: {row['shots']} of {row['instants']} instants at {row['width']}x"
-        f"{row['height']}, {row['samples']} samples, {row['seconds_per_instant']:.2f} s a frame, "
+        f"Training shots: {row['shots']} of {row['instants']} instants ({sizes}), "
+        f"{row['samples']} samples, {row['seconds_per_instant']:.2f} s a frame, "
         f"{row['megabytes'] / 1000:.1f} GB. How they differ:",
         "",
         "| per shot | least | 10 % | median | 90 % | most |",

@@ -35,8 +35,9 @@ def command() -> None:
 @click.option(
     "--start",
     type=FOLDER,
+    multiple=True,
     metavar="FILE",
-    help="Checkpoint to begin with; its network may be smaller.",
+    help="Checkpoint to begin with; its network may be smaller. Of several: their mean.",
 )
 @click.option("--every", type=click.IntRange(1), default=500, show_default=True, help="Checkpoint.")
 @click.option("--cache", type=FOLDER, help="For crops; default: in the data folder's parent.")
@@ -49,7 +50,7 @@ def extrapolator(
     every: int,
     cache: Path | None,
     threads: int | None,
-    start: Path | None,
+    start: tuple[Path, ...],
     **options: object,
 ) -> None:
     """Train the network that extrapolates, on a GPU where there is one.

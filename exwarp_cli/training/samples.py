@@ -25,7 +25,7 @@ from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.training.footage import Footage
 from exwarp_cli.training.variant import Variant
 
-VERSION = 8
+VERSION = 9
 """Of what is kept; crops of another version are made again."""
 
 CROPS = 4
@@ -34,13 +34,16 @@ CROPS = 4
 SLOTS = (0.2, 0.4, 0.4)
 """How often slots 1 to 3 are chosen: no path of decisions extrapolates to the first."""
 
-SETTINGS = {"key": 0.6, "slot": 0.4}
+SETTINGS = {"key": 0.75, "slot": 0.25}
 """How often the settings are chosen: with key G-buffers alone, holes are harder."""
 
-HOLE_WEIGHT = 8.0
+IN_HOLES = 0.5
+"""Share of crops whose middle lies in a hole, if the frame has any: few pixels of a slow shot do,
+but its holes count as much as those of a fast one."""
+
 MOTION_WEIGHT = 1.0
-"""How much more likely than still, visible ones holes, and pixels of the frame's mean motion, are
-to be the middle of a crop."""
+"""How much more likely than still pixels those of the frame's mean motion are to be the middle of
+the other crops."""
 
 SHORT_HISTORY = 0.1
 """How likely a frame with fewer than three key frames behind it is chosen, against another one."""
@@ -293,7 +296,10 @@ def _weight(interval: Interval, slot: int) -> Float32:
     back = interval.back(slot)
     motion = np.nan_to_num(np.hypot(back.field[..., 0], back.field[..., 1]))
     mean = max(float(motion.mean()), 0.25)
-    weight = 1 + HOLE_WEIGHT * back.hole + MOTION_WEIGHT * np.minimum(motion / mean, 4)
+    weight = 1 + MOTION_WEIGHT * np.minimum(motion / mean, 4)
+    weight /= weight.sum()
+    if back.hole.any():
+        weight += IN_HOLES / (1 - IN_HOLES) * back.hole / back.hole.sum()
     return np.asarray(weight, np.float32)
 
 

@@ -32,7 +32,7 @@ class TrainingSettings:
     seed
         Of weights, crops and their order.
     start
-        SHA-256 of the checkpoint whose weights it begins with; None for random ones.
+        SHA-256 of the checkpoints whose mean weights it begins with; empty for random ones.
     scenes
         Names of the scenes that are trained on, and of those that are validated on.
     """
@@ -46,7 +46,7 @@ class TrainingSettings:
     frames: int = 40
     side: int = 128
     seed: int = 0
-    start: str | None = None
+    start: tuple[str, ...] = ()
     scenes: dict[str, list[str]] = field(default_factory=dict)
 
 

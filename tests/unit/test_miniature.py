@@ -131,10 +131,10 @@ def test_the_survey_counts_training_shots(survey, tmp_path, capsys):
     out = str(tmp_path)
     survey.main(["--training", "--data", str(MINIATURE), "--out", out])
     row = json.loads((tmp_path / "statistics.json").read_text())["training"]
-    assert (row["shots"], row["instants"], row["width"]) == (1, 13, 64)
+    assert (row["shots"], row["instants"], row["sizes"]) == (1, 13, {"64x36": 1})
     assert row["motion_median_px"]["least"] == row["motion_median_px"]["most"] > 0
     assert 0.1 < row["hole_share"]["median"] < 0.4
-    assert "Training shots: 1 of 13 instants at 64x36" in capsys.readouterr().out
+    assert "Training shots: 1 of 13 instants (1 at 64x36)" in capsys.readouterr().out
 
 
 def test_the_survey_says_what_is_missing(survey, tmp_path):

@@ -27,6 +27,7 @@ from exwarp_cli.training.extrapolator import (
     Training,
     train_extrapolator,
 )
+from exwarp_cli.training.footage import Footage
 from exwarp_cli.training.losses import (
     FEW,
     HOLES,
@@ -38,9 +39,11 @@ from exwarp_cli.training.losses import (
 )
 from exwarp_cli.training.networks import ARCHITECTURES, build
 from exwarp_cli.training.samples import (
+    IN_HOLES,
     SHORT,
     CropSettings,
     _view,
+    _weight,
     choices,
     crops_of,
     share,
@@ -150,6 +153,15 @@ def test_parts_of_frames_hold_a_crop_and_lie_inside():
     assert all(whole.covers(v) and min(v.shape) >= SIDE for v in views)
     assert 0.4 < np.mean([v == whole for v in views]) < 0.6
     assert {v.corners for v in views} >= {whole.corners} and len(set(views)) > 150
+
+
+def test_half_of_the_crops_are_about_holes_however_small(scenes):
+    interval = Footage(scenes[0]).causal(1, "key")
+    hole = interval.back(3).hole
+    weight = _weight(interval, 3)
+    assert 0 < hole.mean() < 0.1
+    assert IN_HOLES < weight[hole].sum() / weight.sum() < IN_HOLES + hole.mean() * 3
+    assert weight.min() > 0
 
 
 def test_crops_are_parts_of_what_was_rendered(scenes, crops):
