@@ -16,7 +16,7 @@ HOLES = 2.0
 
 SQUARED = 0.15
 SQUARED_HOLES = 0.6
-"""Weights of the squared error, overall and in holes."""
+"""Weights of the squared error: as a share overall, as the share's logarithm in holes."""
 
 DOUBT = 0.01
 """What is added to a picture's error before it is divided by: about the renders' own noise."""
@@ -37,9 +37,9 @@ def shown(linear: Tensor) -> Tensor:
 def loss_of(made: Tensor, truth: Tensor, plain: Tensor, mask: Tensor) -> Tensor:
     """Return L1 + L1 over holes + L1 over the hardest tenth, all of colour as it is shown.
 
-    To ExtraNet's three terms comes the squared error as a share of the filled warp's, overall and
-    in holes: that is what PSNR counts, and in holes, where much is possible, L1 alone wants the
-    median of it, whose squared error is larger than the mean's.
+    To ExtraNet's three terms comes the squared error as a share of the filled warp's: that is what
+    PSNR counts. In holes, where much is possible, it is the share's logarithm, which is the gain in
+    decibels; L1 alone wants the median there, whose squared error is larger than the mean's.
 
     Parameters
     ----------
@@ -61,8 +61,9 @@ def loss_of(made: Tensor, truth: Tensor, plain: Tensor, mask: Tensor) -> Tensor:
     squares = [(shown(x) - wanted).square().mean(1).flatten(1) for x in (made, plain)]
     shares = squares[0].mean(1) / (squares[1].mean(1) + DOUBT**2)
     few = FEW * hole.shape[1] * DOUBT
-    hole_shares = (squares[0] * hole).sum(1) / ((squares[1] * hole).sum(1) + few)
-    return total.sum() / worth.sum() + (SQUARED * shares + SQUARED_HOLES * hole_shares).mean()
+    found, before = ((square * hole).sum(1) + few for square in squares)
+    gained = SQUARED * shares + SQUARED_HOLES * torch.log(found / before)
+    return total.sum() / worth.sum() + gained.mean()
 
 
 def decibels(made: Tensor, truth: Tensor, where: Tensor | None = None) -> Tensor:
