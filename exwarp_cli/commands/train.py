@@ -23,7 +23,7 @@ def command() -> None:
     "--scenes", multiple=True, metavar="GLOB", help="Names to learn from; else all made for it."
 )
 @click.option("--exclude", multiple=True, metavar="GLOB", help="Names to leave out.")
-@click.option("--architecture", default="kernels-patched", show_default=True, metavar="NAME")
+@click.option("--architecture", default="kernels-deep", show_default=True, metavar="NAME")
 @click.option("--width", type=click.IntRange(4), help="Channels at half resolution.")
 @click.option("--steps", type=click.IntRange(1), default=20000, show_default=True)
 @click.option("--batch", type=click.IntRange(1), default=24, show_default=True, help="In crops.")
@@ -35,9 +35,8 @@ def command() -> None:
 @click.option(
     "--start",
     type=FOLDER,
-    multiple=True,
     metavar="FILE",
-    help="Checkpoint to begin with; its network may be smaller. Of several: their mean.",
+    help="Checkpoint to begin with; its network may be smaller.",
 )
 @click.option("--every", type=click.IntRange(1), default=500, show_default=True, help="Checkpoint.")
 @click.option("--cache", type=FOLDER, help="For crops; default: in the data folder's parent.")
@@ -50,7 +49,7 @@ def extrapolator(
     every: int,
     cache: Path | None,
     threads: int | None,
-    start: tuple[Path, ...],
+    start: Path | None,
     **options: object,
 ) -> None:
     """Train the network that extrapolates, on a GPU where there is one.

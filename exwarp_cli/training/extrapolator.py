@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from exwarp_cli.errors import DamagedFileError, LayoutError, UsageError
 from exwarp_cli.io.atomic import atomic_path, atomic_write_text, make_folder
@@ -72,38 +71,27 @@ class Training:
         self._halved = _fast_halves(self.device)
         self._open()
 
-    def begin_with(self, paths: Sequence[Path]) -> None:
-        """Take the weights of other trainings' checkpoints, unless this one is under way.
+    def begin_with(self, path: Path) -> None:
+        """Take the weights of another training's checkpoint, unless this one is under way.
 
-        Their networks may have fewer channels; see :mod:`growth`. Of several the mean is taken,
-        which is better than each where they began alike (model soups, Wortsman et al. 2022).
+        Its network may have fewer channels; see :mod:`growth`.
 
         Raises
         ------
         InputError
-            When there is no such checkpoint.
-        LayoutError
-            When its network is of another architecture.
+            When there is no such checkpoint, or its network is of another architecture.
         """
-        if self.step or not paths:
+        if self.step:
             return
-        found = [self._weights_of(path) for path in paths]
-        for name, mean in found[0].items():
-            if mean.is_floating_point():
-                mean.copy_(torch.stack([weights[name] for weights in found]).mean(0))
-        self.network.load_state_dict(found[0])
-        self.average.load_state_dict(found[0])
-
-    def _weights_of(self, path: Path) -> dict[str, Tensor]:
-        """Return what a checkpoint holds, as weights for this network."""
         kept = _read_checkpoint(path, self.device)
         try:
-            return grown(kept["average"], self.network)
+            self.network.load_state_dict(grown(kept["average"], self.network))
         except (KeyError, ValueError) as error:
             raise LayoutError(
                 f"{path} holds another network than {self.settings.architecture} or a smaller one; "
                 "give its --architecture and --width, or another --start"
             ) from error
+        self.average.load_state_dict(self.network.state_dict())
 
     def run(self, crops: Crops, held: Crops, every: int) -> None:
         """Train to the end; a checkpoint and a line of the curve every so many steps."""
@@ -248,7 +236,7 @@ def train_extrapolator(
     every: int,
     threads: int | None,
     say: Say,
-    start: Sequence[Path] = (),
+    start: Path | None = None,
 ) -> Path:
     """Train a network and export it; return the model's path.
 
@@ -269,17 +257,17 @@ def train_extrapolator(
     say
         Told what happens, in lines.
     start
-        Checkpoints of other trainings, to begin with the mean of their weights; empty for random
-        ones.
+        Another training's checkpoint, to begin with its weights; None for random ones.
     """
     require_sane(settings)
     torch.set_num_threads(threads or os.cpu_count() or 1)
     parts = dict(zip(("training", "validation"), split(scenes), strict=True))
     names = {part: [s.name for s in chosen] for part, chosen in parts.items()}
-    digests = tuple(file_digest(path) for path in start)
-    settings = TrainingSettings(**(asdict(settings) | {"scenes": names, "start": digests}))
+    digest = None if start is None else file_digest(start)
+    settings = TrainingSettings(**(asdict(settings) | {"scenes": names, "start": digest}))
     training = Training(folder, settings, say)
-    training.begin_with(start)
+    if start is not None:
+        training.begin_with(start)
     crops = {
         part: Crops(list(_prepare(chosen, settings, cache, say))) for part, chosen in parts.items()
     }

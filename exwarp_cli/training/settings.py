@@ -32,12 +32,12 @@ class TrainingSettings:
     seed
         Of weights, crops and their order.
     start
-        SHA-256 of the checkpoints whose mean weights it begins with; empty for random ones.
+        SHA-256 of the checkpoint whose weights it begins with; None for random ones.
     scenes
         Names of the scenes that are trained on, and of those that are validated on.
     """
 
-    architecture: str = "kernels-patched"
+    architecture: str = "kernels-deep"
     width: int | None = None
     steps: int = 20000
     batch: int = 24
@@ -46,7 +46,7 @@ class TrainingSettings:
     frames: int = 40
     side: int = 128
     seed: int = 0
-    start: tuple[str, ...] = ()
+    start: str | None = None
     scenes: dict[str, list[str]] = field(default_factory=dict)
 
 

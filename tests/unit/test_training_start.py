@@ -32,32 +32,23 @@ def test_it_begins_with_the_average_of_the_other(tmp_path):
     other = trained(tmp_path / "a")
     made = Training(tmp_path / "b", replace(TINY, seed=5), said)
     assert not torch.equal(weights(made), weights(other))
-    made.begin_with([tmp_path / "a" / CHECKPOINT])
+    made.begin_with(tmp_path / "a" / CHECKPOINT)
     assert torch.equal(weights(made), weights(other))
     assert made.step == 0
-
-
-def test_of_several_it_begins_with_the_mean(tmp_path):
-    others = [trained(tmp_path / name, replace(TINY, seed=seed)) for seed, name in enumerate("ab")]
-    made = Training(tmp_path / "c", replace(TINY, seed=5), said)
-    made.begin_with([tmp_path / name / CHECKPOINT for name in "ab"])
-    torch.testing.assert_close(weights(made), sum(map(weights, others)) / 2)
-    both = (torch.cat([p.flatten() for p in n.parameters()]) for n in (made.network, made.average))
-    torch.testing.assert_close(*both)
 
 
 def test_one_that_is_under_way_goes_on(tmp_path):
     trained(tmp_path / "a")
     made = Training(tmp_path / "b", replace(TINY, seed=5), said)
     before, made.step = weights(made), 3
-    made.begin_with([tmp_path / "a" / CHECKPOINT])
+    made.begin_with(tmp_path / "a" / CHECKPOINT)
     assert torch.equal(weights(made), before)
 
 
 def test_it_may_be_larger(tmp_path):
     other = trained(tmp_path / "a")
     made = Training(tmp_path / "b", replace(TINY, width=8), said)
-    made.begin_with([tmp_path / "a" / CHECKPOINT])
+    made.begin_with(tmp_path / "a" / CHECKPOINT)
     given = example(16, 16)
     found, expected = (t.average.eval()(**given) for t in (made, other))
     torch.testing.assert_close(found, expected, rtol=1e-4, atol=1e-4)
@@ -68,7 +59,7 @@ def test_another_network_is_refused(tmp_path, changed):
     trained(tmp_path / "a", replace(TINY, **changed))
     made = Training(tmp_path / "b", TINY, said)
     with pytest.raises(LayoutError, match="holds another network than blend or a smaller one"):
-        made.begin_with([tmp_path / "a" / CHECKPOINT])
+        made.begin_with(tmp_path / "a" / CHECKPOINT)
 
 
 @pytest.mark.parametrize("content", [b"", b"PK junk", None])
@@ -80,6 +71,6 @@ def test_what_is_no_checkpoint_is_refused(tmp_path, content):
         path.write_bytes(content)
     made = Training(tmp_path / "b", TINY, said)
     with pytest.raises(DamagedFileError, match=r"wrong\.pt is damaged, or no checkpoint"):
-        made.begin_with([path])
+        made.begin_with(path)
     with pytest.raises(InputError, match=r"cannot read .*none\.pt"):
-        made.begin_with([tmp_path / "none.pt"])
+        made.begin_with(tmp_path / "none.pt")
