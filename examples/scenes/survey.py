@@ -107,6 +107,11 @@ def measure(scene: RenderedScene) -> dict[str, Any]:
 
 def run(scene: RenderedScene, method: str, setting: str) -> list[FrameRecord]:
     """Upsample a scene through files, as a user does, and return the generated frames' records."""
+    if (step := scene.manifest.keys.step) != FACTOR:
+        raise InputError(
+            f"{scene.folder} has key frames at every {step} instants, which make no sequence of "
+            f"the key frame rate; render it again with --key-step {FACTOR}"
+        )
     keys, instants = (
         str(scene.folder / frames.pattern)
         for frames in (scene.manifest.keys, scene.manifest.instants)

@@ -7,8 +7,10 @@ from pathlib import Path
 import click
 
 from exwarp_cli.commands.group import HelpfulGroup
+from exwarp_cli.training.settings import TrainingSettings
 
 FOLDER = click.Path(path_type=Path)
+DEFAULTS = TrainingSettings()
 
 
 @click.group("train", cls=HelpfulGroup)
@@ -16,29 +18,29 @@ def command() -> None:
     """Train ExWarp's networks on rendered scenes."""
 
 
-@command.command("extrapolator")
+@command.command("extrapolator", context_settings={"show_default": True})
 @click.option("--data", type=FOLDER, required=True, help="Folder of rendered scenes.")
 @click.option("-o", "--output", type=FOLDER, required=True, help="For checkpoints and the model.")
 @click.option(
     "--scenes", multiple=True, metavar="GLOB", help="Names to learn from; else all made for it."
 )
 @click.option("--exclude", multiple=True, metavar="GLOB", help="Names to leave out.")
-@click.option("--architecture", default="kernels-deep", show_default=True, metavar="NAME")
+@click.option("--architecture", default=DEFAULTS.architecture, metavar="NAME")
 @click.option("--width", type=click.IntRange(4), help="Channels at half resolution.")
-@click.option("--steps", type=click.IntRange(1), default=20000, show_default=True)
-@click.option("--batch", type=click.IntRange(1), default=24, show_default=True, help="In crops.")
-@click.option("--patch", type=click.IntRange(16), default=64, show_default=True, help="Of a crop.")
-@click.option("--rate", type=float, default=3e-3, show_default=True, help="Of learning.")
-@click.option("--frames", type=click.IntRange(1), default=40, show_default=True, help="Of a scene.")
-@click.option("--side", type=click.IntRange(16), default=128, show_default=True, help="Of a crop.")
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
+@click.option("--steps", type=click.IntRange(1), default=DEFAULTS.steps)
+@click.option("--batch", type=click.IntRange(1), default=DEFAULTS.batch, help="In crops.")
+@click.option("--patch", type=click.IntRange(16), default=DEFAULTS.patch, help="Of a crop.")
+@click.option("--rate", type=float, default=DEFAULTS.rate, help="Of learning.")
+@click.option("--frames", type=click.IntRange(1), default=DEFAULTS.frames, help="Of a scene.")
+@click.option("--side", type=click.IntRange(16), default=DEFAULTS.side, help="Of a crop.")
+@click.option("--seed", type=click.IntRange(0), default=DEFAULTS.seed)
 @click.option(
     "--start",
     type=FOLDER,
     metavar="FILE",
     help="Checkpoint to begin with; its network may be smaller.",
 )
-@click.option("--every", type=click.IntRange(1), default=500, show_default=True, help="Checkpoint.")
+@click.option("--every", type=click.IntRange(1), default=500, help="Checkpoint.")
 @click.option("--cache", type=FOLDER, help="For crops; default: in the data folder's parent.")
 @click.option("--threads", type=click.IntRange(1), help="Default: all cores.")
 def extrapolator(
@@ -62,7 +64,6 @@ def extrapolator(
     require_train()
     from exwarp_cli.training.extrapolator import train_extrapolator
     from exwarp_cli.training.selection import select
-    from exwarp_cli.training.settings import TrainingSettings
 
     chosen = select(data, scenes, exclude, _say)
     settings = TrainingSettings(**options)  # type: ignore[arg-type]

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from exwarp_cli.errors import UsageError
-from exwarp_cli.training.networks import ARCHITECTURES, STRIDE
 
 
 @dataclass(frozen=True)
@@ -58,6 +57,9 @@ def require_sane(settings: TrainingSettings) -> None:
     UsageError
         For an unknown architecture, and patches that do not fit the network or the crops.
     """
+    # Here, for it takes PyTorch, and `--help` shows the defaults above without it.
+    from exwarp_cli.training.networks import ARCHITECTURES, STRIDE
+
     if settings.architecture not in ARCHITECTURES:
         raise UsageError(
             f"--architecture {settings.architecture} is not one of {', '.join(ARCHITECTURES)}"

@@ -54,7 +54,7 @@ class TestEdges:
         expected = naive.find_edges(depth, stencil if with_ids else None, SAME_DEPTH)
         np.testing.assert_array_equal(found, expected)
 
-    @settings(derandomize=True, deadline=None, max_examples=200)
+    @settings(derandomize=True, max_examples=200)
     @given(st.floats(2.0**-120, 2.0**120, width=32), st.integers(-3, 3))
     def test_the_tolerance_ends_at_the_same_bit(self, near, steps):
         far = np.float32(near) / (np.float32(1) - SAME_DEPTH)  # on the verge of another surface

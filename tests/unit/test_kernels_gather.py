@@ -119,7 +119,7 @@ class TestGather:
         _, hole = gathered(image, uniform((6, 7), -0.51, 0))
         assert hole[:, 0].all() and not hole[:, 1:].any()
 
-    @settings(derandomize=True, deadline=None, max_examples=25)
+    @settings(derandomize=True, max_examples=25)
     @given(
         st.integers(0, 99),
         st.integers(1, 16),
@@ -133,7 +133,7 @@ class TestGather:
         np.testing.assert_allclose(found, image, rtol=5e-7)
         assert found.shape == image.shape and hole.dtype == np.bool_
 
-    @settings(derandomize=True, deadline=None, max_examples=25)
+    @settings(derandomize=True, max_examples=25)
     @given(st.integers(0, 99), st.floats(0, 6))
     def test_nothing_leaves_the_range_of_the_image(self, seed, spread):
         image = random_image((9, 10, 3), seed)

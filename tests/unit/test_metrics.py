@@ -52,7 +52,7 @@ def test_encode_replaces_what_is_not_finite_and_drops_alpha() -> None:
     assert np.isnan(pixels[0, 0, 0]), "the caller's pixels must stay as they are"
 
 
-@settings(derandomize=True, deadline=None, max_examples=30)
+@settings(derandomize=True, max_examples=30)
 @given(st.integers(0, 10_000), st.integers(1, 20), st.integers(1, 20))
 def test_psnr_equals_the_formula(seed: int, height: int, width: int) -> None:
     reference, test = (encode(pixels) for pixels in random_pair((height, width, 3), seed))
@@ -151,7 +151,7 @@ def test_registry_names_are_the_fields_of_a_score() -> None:
     assert list(METRICS) == list(vars(overall))
 
 
-@settings(derandomize=True, deadline=None, max_examples=30)
+@settings(derandomize=True, max_examples=30)
 @given(st.integers(0, 10_000), st.tuples(st.integers(1, 24), st.integers(1, 24)))
 def test_no_pixel_makes_a_score_nan(seed: int, size: tuple[int, int]) -> None:
     rng = np.random.default_rng(seed)

@@ -17,6 +17,7 @@ from exwarp_cli.io.frames import read_raw
 from exwarp_cli.pipeline.source import find_motion, motion_names, parse_motion
 from exwarp_cli.training.footage import Footage
 from exwarp_cli.training.variant import Variant, all_variants
+from tests.unit.analytic_scene import write_scene
 
 MINIATURE = Path(__file__).parents[1] / "data" / "miniature"
 SCRIPTS = Path(__file__).parents[2] / "examples" / "scenes"
@@ -135,6 +136,13 @@ def test_the_survey_counts_training_shots(survey, tmp_path, capsys):
     assert row["motion_median_px"]["least"] == row["motion_median_px"]["most"] > 0
     assert 0.1 < row["hole_share"]["median"] < 0.4
     assert "Training shots: 1 of 13 instants (1 at 64x36)" in capsys.readouterr().out
+
+
+def test_the_survey_refuses_a_benchmark_scene_with_other_key_frames(survey, tmp_path):
+    write_scene(tmp_path / "data" / "analytic", instants=9, key_step=2)
+    with pytest.raises(SystemExit, match=r"key frames at every 2 instants.*--key-step 4"):
+        survey.main(["--data", str(tmp_path / "data"), "--out", str(tmp_path)])
+    assert not (tmp_path / "statistics.json").exists()
 
 
 def test_the_survey_says_what_is_missing(survey, tmp_path):

@@ -207,7 +207,7 @@ class TestSeal:
                 broken[place] ^= bit
                 assert not output.is_intact(bytes(broken)), place
 
-    @settings(derandomize=True, deadline=None, max_examples=30)
+    @settings(derandomize=True, max_examples=30)
     @given(st.floats(0, 0.999))
     def test_any_truncation_shows(self, share):
         header = output.CHECKSUM.encode() + b"\0string\0" + (64).to_bytes(4, "little") + b"0" * 64

@@ -85,7 +85,7 @@ def test_views_are_taken() -> None:
     assert np.array_equal(ssim_map(reference[..., :3], test[..., :3]), plain)
 
 
-@settings(derandomize=True, deadline=None, max_examples=40)
+@settings(derandomize=True, max_examples=40)
 @given(
     st.tuples(st.integers(1, 30), st.integers(1, 30), st.integers(1, 4)),
     st.integers(0, 1000),
