@@ -128,6 +128,16 @@ class GBuffer:
         """Whether any motion vectors are there."""
         return self.to_previous is not None or self.to_next is not None
 
+    @property
+    def background(self) -> Bool:
+        """bool [H, W]: pixels that show no surface; none when nothing tells."""
+        if self.depth is not None:
+            return np.asarray(np.isinf(self.depth))
+        known = self.normal if self.position is None else self.position
+        if known is None:
+            return np.zeros(self.window.shape, np.bool_)
+        return np.asarray((known == 0).all(axis=-1))
+
     def without(self, *parts: str) -> GBuffer:
         """Return the geometry without some parts."""
         missing: dict[str, Any] = dict.fromkeys(parts)

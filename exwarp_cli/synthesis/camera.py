@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.domain.frame import Bool, Float32, GBuffer, Int32
+from exwarp_cli.domain.frame import Float32, GBuffer, Int32
 from exwarp_cli.kernels import project
 
 F64 = npt.NDArray[np.float64]
@@ -113,7 +113,7 @@ def scene_of(gbuffer: GBuffer) -> Scene | None:
     if gbuffer.position is not None:
         position = np.ascontiguousarray(gbuffer.position)
         if depth is None:
-            depth = np.where(background_of(gbuffer), np.inf, 1.0).astype(np.float32)
+            depth = np.where(gbuffer.background, np.inf, 1.0).astype(np.float32)
         index = sample(depth)
         scene = Scene(position, depth, np.eye(3))
         own = fit(scene.points(index), pixels_at(index, depth.shape[1]))
@@ -123,14 +123,6 @@ def scene_of(gbuffer: GBuffer) -> Scene | None:
     if gbuffer.depth is None:
         return None
     return Scene(np.zeros((0, 0, 3), np.float32), gbuffer.depth, np.eye(3))
-
-
-def background_of(gbuffer: GBuffer) -> Bool:
-    """bool [H, W]: pixels that show no surface."""
-    if gbuffer.depth is not None:
-        return np.asarray(np.isinf(gbuffer.depth))
-    assert gbuffer.position is not None
-    return np.asarray((gbuffer.position == 0).all(axis=-1))
 
 
 def sample(depth: Float32, stencil: Int32 | None = None) -> npt.NDArray[np.intp]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer
 from exwarp_cli.kernels import edges, holes, splat
-from exwarp_cli.synthesis.camera import Scene, background_of, rigid_motion, scene_of, seen_by
+from exwarp_cli.synthesis.camera import Scene, rigid_motion, scene_of, seen_by
 from exwarp_cli.synthesis.trajectory import displacement, followed, stencil_of
 
 TURN_PER_SLOT = math.acos(0.98)
@@ -54,7 +54,7 @@ def depth_of(gbuffer: GBuffer) -> Float32:
         return gbuffer.depth
     if gbuffer.position is None:
         return np.ones(gbuffer.window.shape, np.float32)
-    return np.where(background_of(gbuffer), np.inf, 1.0).astype(np.float32)
+    return np.where(gbuffer.background, np.inf, 1.0).astype(np.float32)
 
 
 def settle_motion(gbuffer: GBuffer) -> GBuffer:
@@ -84,6 +84,26 @@ def settle_motion(gbuffer: GBuffer) -> GBuffer:
     return replace(
         gbuffer, to_previous=settle(gbuffer.to_previous), to_next=settle(gbuffer.to_next)
     )
+
+
+def stands_still(gbuffer: GBuffer, scene: Scene | None) -> Bool | None:
+    """bool [H, W]: pixels that move as the camera's motion has it; None where no camera tells.
+
+    Parameters
+    ----------
+    gbuffer
+        With settled motion.
+    scene
+        Its points.
+    """
+    step = gbuffer.to_next if gbuffer.to_next is not None else gbuffer.to_previous
+    if step is None or scene is None:
+        return None
+    rigid = rigid_motion(scene, step, gbuffer.stencil)
+    if rigid is None:
+        return None
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.abs(step - rigid).max(axis=-1) <= STATIC_TOLERANCE)
 
 
 def reproject(gbuffer: GBuffer, time: float) -> SlotField:

@@ -16,11 +16,10 @@ from exwarp_cli.synthesis.camera import (
     Camera,
     Scene,
     camera_after,
-    rigid_motion,
     scene_of,
     seen_by,
 )
-from exwarp_cli.synthesis.geometry import STATIC_TOLERANCE, SlotField, moved_on, unmatched
+from exwarp_cli.synthesis.geometry import SlotField, moved_on, stands_still, unmatched
 from exwarp_cli.synthesis.surface import lookup, reprojected
 from exwarp_cli.synthesis.trajectory import displacement, stencil_of
 
@@ -55,12 +54,7 @@ class Past:
         gbuffer, scene = self.frame.gbuffer, self.scene
         if gbuffer is None or scene is None or scene.camera is None:
             return None
-        step = gbuffer.to_next if gbuffer.to_next is not None else gbuffer.to_previous
-        rigid = None if step is None else rigid_motion(scene, step, gbuffer.stencil)
-        if step is None or rigid is None:
-            return None
-        with np.errstate(invalid="ignore"):
-            return np.asarray(np.abs(step - rigid).max(axis=-1) <= STATIC_TOLERANCE)
+        return stands_still(gbuffer, scene)
 
 
 def past_of(keys: Sequence[KeyFrame]) -> tuple[Past, ...]:

@@ -4,13 +4,27 @@ from __future__ import annotations
 
 import numpy as np
 
-from exwarp_cli.kernels import blend, edges, fill, follow, gather, holes, parabola, project, splat
+from exwarp_cli.kernels import (
+    blend,
+    blocks,
+    edges,
+    emd,
+    fill,
+    follow,
+    gather,
+    holes,
+    labelling,
+    parabola,
+    project,
+    splat,
+)
 
 Arrays = tuple[np.ndarray, ...]
 Pair = tuple[np.ndarray, np.ndarray]
 Side = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 NO_IDS = np.zeros((0, 0), np.int32)
+NO_MASK = np.zeros((0, 0), np.bool_)
 NO_VECTORS = np.zeros((0, 0, 3), np.float32)
 
 
@@ -145,3 +159,34 @@ def projected(
     places = NO_VECTORS if position is None else position
     build(project, "rigid", serial)(places, depth, camera, at_infinity, out)
     return (out,)
+
+
+def averaged(
+    motion: np.ndarray, size: int, shown: np.ndarray = NO_MASK, serial: bool = False
+) -> Arrays:
+    height, width = motion.shape[:2]
+    out = np.zeros((-(-height // size), -(-width // size), 2))
+    build(blocks, "block_means", serial)(motion, shown, size, out)
+    return (out,)
+
+
+def extended(values: np.ndarray, shown: np.ndarray, serial: bool = False) -> Arrays:
+    ends = np.zeros((-(-values.shape[0] // emd.ROWS_PER_BAND), values.shape[2], 2), np.float32)
+    build(emd, "extents", serial)(values, shown, ends)
+    return (ends,)
+
+
+def counted(
+    values: np.ndarray, shown: np.ndarray, ranges: np.ndarray, serial: bool = False
+) -> Arrays:
+    bands = -(-values.shape[0] // emd.ROWS_PER_BAND)
+    counts = np.full((bands, values.shape[2], emd.BINS), -1, np.int64)
+    build(emd, "count", serial)(values, shown, ranges, counts)
+    return (counts,)
+
+
+def labelled(stencil: np.ndarray) -> Arrays:
+    labels = np.full(stencil.shape, -1, np.int32)
+    areas = np.full(labelling.label(stencil, labels) + 1, -1, np.int64)
+    labelling.measure_areas(labels, areas)
+    return labels, areas

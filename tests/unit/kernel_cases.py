@@ -109,6 +109,21 @@ def follow(serial: bool) -> calls.Arrays:
     return known + calls.followed(*fields, serial=serial)
 
 
+def shown(seed: int) -> np.ndarray:
+    return np.random.default_rng(seed).random(SHAPE) < 0.9
+
+
+def count(serial: bool) -> calls.Arrays:
+    """Values on the bins' edges among others, and a channel that is constant."""
+    values = np.nan_to_num(image(36))
+    values[..., 1] = np.round(values[..., 1])
+    values[..., 2] = 0.5
+    values[3, 4:8] = np.nan, np.inf, -np.inf, 0
+    ends = calls.extended(values, shown(37), serial)[0]
+    low, high = ends[..., 0].min(axis=0), ends[..., 1].max(axis=0)
+    return calls.counted(values, shown(37), np.stack([low, high], -1).astype(np.float64), serial)
+
+
 CASES: dict[str, Callable[[bool], calls.Arrays]] = {
     "gather_bilinear": lambda serial: calls.gathered(image(1), field(1), serial),
     "follow": follow,
@@ -125,13 +140,23 @@ CASES: dict[str, Callable[[bool], calls.Arrays]] = {
     "blend": lambda serial: calls.blended(side(20), side(21), 0.25, serial),
     "rigid": project,
     "find_fringe": lambda serial: calls.fringe_found(field(18), depth(18), depth(19), serial),
+    "block_means": lambda serial: calls.averaged(field(34), 8, shown(35), serial),
+    "extents": lambda serial: calls.extended(image(36), shown(37), serial),
+    "count": count,
 }
+
+ONE_BUILD: dict[str, Callable[[], calls.Arrays]] = {
+    "label": lambda: calls.labelled(ids(38) * ids(39)),
+}
+"""Kernels that are only serial: compiled and interpreted."""
 
 
 def run_all(serial: bool) -> dict[str, np.ndarray]:
     """Return every output of every case by name and position."""
+    found = {name: case(serial) for name, case in CASES.items()}
+    found |= {name: case() for name, case in ONE_BUILD.items()}
     return {
-        f"{name}.{i}": array for name, case in CASES.items() for i, array in enumerate(case(serial))
+        f"{name}.{i}": array for name, arrays in found.items() for i, array in enumerate(arrays)
     }
 
 

@@ -11,7 +11,6 @@ from exwarp_cli.domain.frame import GBuffer, Window
 from exwarp_cli.synthesis.camera import (
     MIN_SAMPLES,
     Camera,
-    background_of,
     fit,
     pixels_at,
     rigid_motion,
@@ -239,7 +238,7 @@ class TestScene:
         found = scene_of(buffer)
         assert found is not None
         np.testing.assert_array_equal(np.isinf(found.depth), seen.surface == SKY)
-        np.testing.assert_array_equal(background_of(buffer), seen.surface == SKY)
+        np.testing.assert_array_equal(buffer.background, seen.surface == SKY)
 
     def test_points_are_homogeneous(self):
         seen = view()

@@ -1,0 +1,126 @@
+"""Connected components of a stencil, by union and find.
+
+Serial, as a pixel's label comes from its neighbours above and to the left. Bands of rows could be
+labelled apart and joined at their seams, but forty objects in a 1080p stencil take 1.7 ms, while
+all features together take 60.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from exwarp_cli.kernels.jit import inlined, serial
+
+I32 = npt.NDArray[np.int32]
+I64 = npt.NDArray[np.int64]
+
+
+@inlined
+def same(stencil: I32, ident: np.int32, i: int, j: int) -> bool:
+    """Whether pixel (i, j) exists and has this id."""
+    return i >= 0 and 0 <= j < stencil.shape[1] and stencil[i, j] == ident
+
+
+@inlined
+def root_of(parent: I32, label: int) -> int:
+    """Return the first label of a set; on the way there, every other label skips one."""
+    while parent[label] != label:
+        parent[label] = parent[parent[label]]
+        label = int(parent[label])
+    return label
+
+
+@inlined
+def join(parent: I32, one: int, other: int) -> int:
+    """Make one set of two, under the lower root, and return that."""
+    one, other = root_of(parent, one), root_of(parent, other)
+    low, high = min(one, other), max(one, other)
+    parent[high] = low
+    return low
+
+
+@serial
+def label_provisionally(stencil: I32, labels: I32, parent: I32) -> int:
+    """Label pixels by what is above and to the left, note which labels meet; return how many."""
+    height, width = stencil.shape
+    count = 0
+    parent[0] = 0
+    for i in range(height):
+        for j in range(width):
+            ident = stencil[i, j]
+            if ident <= 0:
+                labels[i, j] = 0
+                continue
+            if same(stencil, ident, i - 1, j):
+                # It touches the other three, so they are of its set already.
+                labels[i, j] = labels[i - 1, j]
+                continue
+            label = 0
+            if same(stencil, ident, i, j - 1):
+                label = int(labels[i, j - 1])
+            elif same(stencil, ident, i - 1, j - 1):
+                label = int(labels[i - 1, j - 1])
+            if same(stencil, ident, i - 1, j + 1):
+                right = int(labels[i - 1, j + 1])
+                label = right if label == 0 else join(parent, label, right)
+            if label == 0:
+                count += 1
+                label = count
+                parent[label] = label
+            labels[i, j] = label
+    return count
+
+
+@serial
+def label(stencil: I32, labels: I32) -> int:
+    """Label the connected pixels of equal id.
+
+    Parameters
+    ----------
+    stencil
+        int32 [H, W], ids. 0 and below is background: static, or mixed.
+    labels
+        int32 [H, W], written: 0 background, else 1 and up, in the order in which the components'
+        first pixels come, row by row.
+
+    Returns
+    -------
+    int
+        How many components there are.
+
+    Notes
+    -----
+    A pixel's eight neighbours touch it. The root of a set is its lowest label, which was given to
+    its first pixel; so roots ascend in the order that is wanted.
+    """
+    parent = np.empty(stencil.size + 1, np.int32)
+    given = label_provisionally(stencil, labels, parent)
+    count = 0
+    for k in range(1, given + 1):
+        if parent[k] == k:
+            count += 1
+            parent[k] = count
+        else:  # its parent is lower, so that one's number is final
+            parent[k] = parent[parent[k]]
+    for i in range(labels.shape[0]):
+        for j in range(labels.shape[1]):
+            labels[i, j] = parent[labels[i, j]]
+    return count
+
+
+@serial
+def measure_areas(labels: I32, areas: I64) -> None:
+    """Count the pixels of each label.
+
+    Parameters
+    ----------
+    labels
+        int32 [H, W], 0 to N.
+    areas
+        int64 [N + 1], written.
+    """
+    areas[:] = 0
+    for i in range(labels.shape[0]):
+        for j in range(labels.shape[1]):
+            areas[labels[i, j]] += 1

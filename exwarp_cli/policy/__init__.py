@@ -1,0 +1,1 @@
+"""What decides between warping and extrapolating: features, states and policies."""

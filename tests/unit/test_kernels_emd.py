@@ -1,0 +1,192 @@
+"""Earth mover's distance: against numpy, scipy and the naive twin, and cases with known answers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+from scipy.stats import wasserstein_distance
+
+from exwarp_cli.kernels.emd import BINS, ROWS_PER_BAND, distances
+from exwarp_cli.kernels.jit import set_threads
+from tests.reference.features import distance
+from tests.unit.kernel_calls import counted, extended
+
+
+@pytest.fixture(autouse=True, scope="module")
+def one_thread() -> Iterator[None]:
+    """Waking threads takes longer than what most cases here compute."""
+    set_threads(1)
+    yield
+    set_threads(None)
+
+
+def everything(values: np.ndarray) -> np.ndarray:
+    return np.ones(values.shape[:2], bool)
+
+
+def apart(before: np.ndarray, after: np.ndarray) -> float:
+    """Distance between two lists of numbers."""
+    pair = [np.asarray(values, np.float32).reshape(1, -1, 1) for values in (before, after)]
+    return float(distances(*pair, *map(everything, pair))[0])
+
+
+def scene(seed: int, shift: float = 0.0) -> np.ndarray:
+    """Three channels of different ranges over several bands, one of them with few values."""
+    rng = np.random.default_rng(seed)
+    shape = (2 * ROWS_PER_BAND + 5, 31)
+    fine = rng.normal(shift, 1, shape)
+    far = rng.lognormal(3, 1, shape) + 100 * shift
+    few = rng.choice([-1.0, 0.0, 0.25, 1.0], shape)
+    return np.stack([fine, far, few], axis=-1).astype(np.float32)
+
+
+def by_bins(before: np.ndarray, after: np.ndarray) -> float:
+    """Return scipy's distance between the histograms of two lists."""
+    ends = (min(before.min(), after.min()), max(before.max(), after.max()))
+    weights = [np.histogram(one.astype(float), BINS, range=ends)[0] for one in (before, after)]
+    edges = np.linspace(*ends, BINS + 1)
+    centres = (edges[:-1] + edges[1:]) / 2
+    return float(wasserstein_distance(centres, centres, *weights))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_it_is_scipys_between_the_bins(seed):
+    before, after = scene(seed), scene(seed + 10, 0.3)
+    rng = np.random.default_rng(seed)
+    masks = [rng.random(before.shape[:2]) < share for share in (0.7, 0.4)]
+    found = distances(before, after, *masks)
+    for c in range(3):
+        one, other = before[..., c][masks[0]], after[..., c][masks[1]]
+        spread = max(one.max(), other.max()) - min(one.min(), other.min())
+        assert abs(found[c] - by_bins(one, other)) <= 1e-6 * spread
+        assert found[c] == pytest.approx(distance(one, other), rel=1e-12)
+        assert found[c] > 0.001 * spread
+
+
+def test_it_does_not_depend_on_threads():
+    before, after = scene(1), scene(2)
+    expected = distances(before, after, everything(before), everything(after))
+    try:
+        set_threads(None)
+        found = distances(before, after, everything(before), everything(after))
+    finally:
+        set_threads(1)
+    assert found.tobytes() == expected.tobytes()
+
+
+FLOATS = arrays.arrays(
+    np.float32,
+    st.integers(1, 60),
+    elements=st.one_of(
+        st.floats(-1000, 1000, width=32),
+        st.integers(-8, 8).map(float),
+        st.integers(-256, 256).map(lambda k: k * 3 / 256),
+        st.sampled_from([np.nan, np.inf, -np.inf]),
+    ),
+)
+
+
+@settings(derandomize=True, max_examples=150)
+@given(FLOATS)
+def test_counts_are_numpys(values):
+    known = values[np.isfinite(values)].astype(np.float64)
+    if not len(known) or known.min() == known.max():
+        return
+    block = values.reshape(-1, 1, 1)
+    (counts,) = counted(block, everything(block), np.array([[known.min(), known.max()]]), True)
+    np.testing.assert_array_equal(counts.sum(axis=0)[0], np.histogram(known, BINS)[0])
+
+
+@settings(derandomize=True, max_examples=100)
+@given(FLOATS, FLOATS)
+def test_it_is_a_distance_near_the_exact_one(before, after):
+    found = apart(before, after)
+    assert found == apart(after, before)
+    known = [values[np.isfinite(values)].astype(np.float64) for values in (before, after)]
+    if not all(map(len, known)):
+        assert found == 0
+        return
+    both = np.concatenate(known)
+    spread = both.max() - both.min()
+    assert found == pytest.approx(distance(before, after), abs=1e-9 * spread)
+    # Each value is moved by half a bin at most.
+    assert abs(found - wasserstein_distance(*known)) <= spread / BINS * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("shift", [0.02, 0.5, 3.0])
+def test_shifted_values_are_as_far_apart_as_the_shift(shift):
+    values = np.random.default_rng(3).uniform(-1, 1, 5000).astype(np.float32)
+    assert abs(apart(values, values + np.float32(shift)) - shift) < (2 + shift) / BINS
+
+
+def test_turned_normals_are_as_far_apart_as_they_turned():
+    """All normals lie in one plane; the distance of each component is its mean change."""
+    angles = np.linspace(0.2, 0.8, 4000)
+    before, after = (
+        np.stack([np.cos(a), np.zeros_like(a), np.sin(a)], axis=-1)[None].astype(np.float32)
+        for a in (angles, angles + 0.1)
+    )
+    found = distances(before, after, everything(before), everything(after))
+    expected = np.abs(after.astype(float) - before).mean(axis=(0, 1))
+    spread = np.ptp(np.concatenate([before, after]), axis=(0, 1))
+    assert found[1] == 0
+    assert (np.abs(found - expected)[[0, 2]] < spread[[0, 2]] / BINS).all()
+
+
+def test_equal_and_constant_buffers_are_not_apart():
+    values = np.random.default_rng(4).normal(size=300)
+    assert apart(values, values[::-1]) == 0
+    assert apart(np.full(9, 4.5), np.full(5, 4.5)) == 0
+
+
+def test_two_constants_are_as_far_apart_as_they_differ():
+    assert apart(np.zeros(5), np.full(9, 4.5)) == 4.5 * (BINS - 1) / BINS
+
+
+def test_what_is_empty_is_not_apart_and_leaves_other_channels_alone():
+    assert apart(np.array([np.nan, np.inf]), np.arange(5.0)) == 0
+    assert apart(np.arange(5.0), np.array([np.nan])) == 0
+    before, after = scene(5), scene(6, 1.0)
+    expected = distances(before, after, everything(before), everything(after))
+    before[..., 1] = np.nan
+    after[..., 2] = before[..., 2] = 7
+    found = distances(before, after, everything(before), everything(after))
+    np.testing.assert_array_equal(found, [expected[0], 0, 0])
+    nothing = distances(before, after, ~everything(before), everything(after))
+    np.testing.assert_array_equal(nothing, 0)
+
+
+def test_single_broken_values_and_hidden_ones_do_not_count():
+    before, after = scene(7), scene(8, 0.5)
+    expected = distances(before[1:], after[1:], everything(before[1:]), everything(after[1:]))
+    hidden = everything(before)
+    hidden[0] = False
+    after[0] = 1e30
+    before[0, ::2], before[0, 1::2] = np.nan, -np.inf
+    found = distances(before, after, everything(before), hidden)
+    np.testing.assert_array_equal(found, expected)
+
+
+def test_extents_are_of_what_counts():
+    values = scene(9)
+    values[40, 3] = np.nan, np.inf, -np.inf
+    values[2, 2] = 1e9
+    mask = everything(values)
+    mask[2, 2] = False
+    mask[ROWS_PER_BAND : 2 * ROWS_PER_BAND] = False
+    (ends,) = extended(values, mask)
+    np.testing.assert_array_equal(ends[1], np.tile([np.inf, -np.inf], (3, 1)))
+    first = values[:ROWS_PER_BAND][mask[:ROWS_PER_BAND]]
+    np.testing.assert_array_equal(ends[0], np.stack([first.min(0), first.max(0)], axis=-1))
+
+
+def test_the_largest_and_smallest_ranges_are_finite():
+    huge = np.array([-3e38, 3e38], np.float32)
+    assert apart(huge, huge[:1]) == pytest.approx(3e38, rel=0.01)
+    tiny = np.array([0, 1e-45], np.float32)
+    assert 0 < apart(tiny, tiny[:1]) < 1e-45
