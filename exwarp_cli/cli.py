@@ -24,9 +24,11 @@ from exwarp_cli.errors import INTERRUPTED, ExwarpError
 COMMANDS = {
     "upsample": "Write four frames for every rendered one.",
     "inspect": "Show what a sequence holds and how its motion is read.",
+    "features": "Print what the policy sees of a sequence, as CSV.",
     "compare": "Score a sequence against ground truth.",
     "train": "Train the networks on rendered scenes (extra: train).",
     "models": "Make models for upsample --extrapolator.",
+    "policy": "Look into the learned policy and its accelerator.",
 }
 """Every command by its module in `exwarp_cli.commands`, with what ``exwarp --help`` says of it."""
 

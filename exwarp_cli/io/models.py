@@ -62,9 +62,9 @@ def load_extrapolator(path: Path | None, threads: int | None, device: str) -> On
     """
     if path is None:
         path = shipped_folder() / SHIPPED
-        data = _read_shipped(path)
+        data = read_shipped(path)
     else:
-        data = _read(path)
+        data = read_model(path)
     network = OnnxExtrapolator(path, data, threads or os.cpu_count() or 1, device)
     network.judge()
     return network
@@ -164,7 +164,8 @@ class OnnxExtrapolator:
         return self._sessions[threads]
 
 
-def _read(path: Path) -> bytes:
+def read_model(path: Path) -> bytes:
+    """Read a file that the user named; raises InputError when it cannot be read."""
     try:
         return path.read_bytes()
     except FileNotFoundError as error:
@@ -175,20 +176,33 @@ def _read(path: Path) -> bytes:
         ) from error
 
 
-def _read_shipped(path: Path) -> bytes:
-    """Read a model that comes with ExWarp, and make sure that it is that one."""
+def read_shipped(path: Path, option: str = "--extrapolator") -> bytes:
+    """Read a model that comes with ExWarp, and make sure that it is that one.
+
+    Parameters
+    ----------
+    path
+        In `shipped_folder`.
+    option
+        By which the user may name another.
+
+    Raises
+    ------
+    InputError
+        When the file or its checksum is missing, or they differ.
+    """
     try:
         data = path.read_bytes()
         expected = json.loads((path.parent / CHECKSUMS).read_bytes())[path.name]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(
             f"the model {path}, which comes with ExWarp, is missing or has no checksum beside it; "
-            "install ExWarp again, or name a model with --extrapolator"
+            f"install ExWarp again, or name a model with {option}"
         ) from error
     if hashlib.sha256(data).hexdigest() != expected:
         raise DamagedFileError(
             f"the model {path} is not the one that came with ExWarp, its checksum differs; install "
-            "ExWarp again, or name this model with --extrapolator"
+            f"ExWarp again, or name this model with {option}"
         )
     return data
 

@@ -1,0 +1,95 @@
+"""Fixed-point numbers, and how they are rounded.
+
+A state is 32-bit fixed point with 16 fractional bits (Q16.16): the int32 `x` stands for
+`x / 65536`. Every rounding is to the nearest, and of two equally near to the larger ("half up"),
+which in hardware is one addition and one arithmetic shift.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+I32 = npt.NDArray[np.int32]
+I64 = npt.NDArray[np.int64]
+F64 = npt.NDArray[np.float64]
+
+FRACTION_BITS = 16
+"""Fractional bits of a state's numbers."""
+
+ONE = 1 << FRACTION_BITS
+"""1.0 in Q16.16."""
+
+MOST_SHIFT = 62
+"""Largest shift that requantisation takes.
+
+An int32 times a multiplier below 2^31 lies within +-2^62, and the rounding term is 2^61 at most, so
+that no sum leaves int64.
+"""
+
+MOST_MULTIPLIER = 2**31 - 1
+"""Largest multiplier of a requantisation; the least is 1."""
+
+MOST_ACTIVATION = 127
+"""Activations are int8 in 0 … 127: ReLU and the saturation are one clamp."""
+
+_INT32 = np.iinfo(np.int32)
+
+
+def to_fixed(values: npt.ArrayLike) -> I32:
+    """Convert numbers to Q16.16, rounding half up.
+
+    Parameters
+    ----------
+    values
+        float64 of any shape. What lies beyond +-32768 saturates, infinities included; NaN gives 0,
+        and whoever must not take it for a number asks before.
+
+    Returns
+    -------
+    int32, of the same shape
+    """
+    scaled = np.asarray(values, np.float64) * ONE
+    scaled = np.clip(np.where(np.isnan(scaled), 0.0, scaled), _INT32.min, _INT32.max)
+    # Adding a half first would itself round: the double just below 0.5 would become 1.
+    whole = np.floor(scaled)
+    rounded = whole + (scaled - whole >= 0.5)
+    return np.asarray(rounded).astype(np.int32)
+
+
+def from_fixed(values: I32) -> F64:
+    """Return what Q16.16 numbers stand for, exactly; float64 of the same shape."""
+    return np.asarray(values, np.float64) / ONE
+
+
+def requantise_half_up(
+    value: npt.ArrayLike, multiplier: npt.ArrayLike, shift: npt.ArrayLike
+) -> I64:
+    """Multiply by ``multiplier / 2**shift``, rounding half up.
+
+    The result is ``floor((value * multiplier + 2**(shift - 1)) / 2**shift)``, where the rounding
+    term is left out for shift 0; in int64: a 32x32 bit multiplication, an addition and an
+    arithmetic right shift. It is not saturated.
+
+    Parameters
+    ----------
+    value
+        int32.
+    multiplier
+        1 … `MOST_MULTIPLIER`.
+    shift
+        0 … `MOST_SHIFT`.
+
+    Returns
+    -------
+    int64, of the shape that the three broadcast to
+    """
+    product = np.asarray(value, np.int64) * np.asarray(multiplier, np.int64)
+    places = np.asarray(shift, np.int64)
+    half = (np.int64(1) << places) >> np.int64(1)
+    return np.asarray((product + half) >> places)
+
+
+def saturate(values: npt.ArrayLike, low: int, high: int) -> I64:
+    """Clamp to `low` … `high`; int64 of the same shape."""
+    return np.asarray(np.clip(np.asarray(values, np.int64), np.int64(low), np.int64(high)))

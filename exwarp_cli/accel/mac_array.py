@@ -1,0 +1,298 @@
+"""The accelerator's machine: how long an inference takes, and what its caches hold.
+
+The paper gives the parts (section IV-C, "Hardware Implementation of the Predictor"): four cores,
+each with ten 8-bit multiply-accumulate units, one adder, one multiplier, a pipeline of four stages
+and a private cache of 16 KB. How they work together is left open; this is the schedule taken here.
+
+Work. Inputs and neurons are dealt to the cores in turn: number i goes to core ``i % cores``. All
+cores take a layer together, and the next one begins when its activations are complete, as every
+neuron needs all of them.
+
+Input stage. Each multiplier starts one input a cycle, which the pipeline reads, multiplies, rounds
+and shifts, and writes to all cores: ``ceil(n / cores)`` cycles, and ``pipeline_stages - 1`` more
+until the last is through ("fill").
+
+Layer. A neuron of fan-in n takes ``ceil(n / macs)`` cycles, in each of which a core starts ten
+products; the pipeline reads their operands, multiplies, adds up, and adds to the core's
+accumulator. The fullest core has ``ceil(neurons / cores)`` neurons; after its last products the
+pipeline fills for ``pipeline_stages - 1`` cycles. A finished sum gets its bias from the adder in
+the next cycle and is requantised by the multiplier in the one after that, while the MACs go on
+with the next neuron. As neurons take at least a cycle each, neither unit is ever waited for; only
+the last neuron's two cycles show (one in the last layer, which is not requantised).
+
+Decision. Core 0's adder compares the two outputs: one cycle.
+
+Caches. A core keeps the weights, biases, multipliers and shifts of its own neurons and inputs (1,
+4, 4 and 1 bytes each), its own part of the state (4 bytes a number), and the activations that a
+layer reads and writes, of all neurons. What does not fit is fetched again for every inference:
+buffers stay, then parameters in the order of their use until the cache is full, and the rest is
+streamed past the cache. That is counted in bytes and not in cycles: the paper names no memory, and
+the schedule supposes one that keeps up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+BIAS_BYTES = 4
+SCALE_BYTES = 5
+"""Of a multiplier and a shift."""
+
+SUM_BYTES = 4
+"""Of a number of the state, or of an output."""
+
+COMPARE_CYCLES = 1
+"""Of the decision."""
+
+PAPER_LATENCY_NS = 6.2
+"""What the paper states under "Synthesis Results"."""
+
+
+@dataclass(frozen=True)
+class MacArray:
+    """The machine's parts; the defaults are the paper's.
+
+    Attributes
+    ----------
+    cores
+        At least 1.
+    macs
+        Multiply-accumulate units of a core, at least 1.
+    pipeline_stages
+        At least 1.
+    cache_bytes
+        Of each core, at least 1.
+
+    Raises
+    ------
+    ValueError
+        When a number is below 1.
+    """
+
+    cores: int = 4
+    macs: int = 10
+    pipeline_stages: int = 4
+    cache_bytes: int = 16384
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if value < 1:
+                raise ValueError(f"{name} is {value}, and 1 is the least")
+
+    def share(self, count: int, core: int) -> int:
+        """Return how many of `count` inputs or neurons a core gets."""
+        return len(range(core, count, self.cores))
+
+    def words(self, fan_in: int) -> int:
+        """Return the cycles that the products of one neuron take."""
+        return -(-fan_in // self.macs)
+
+
+@dataclass(frozen=True)
+class InputSchedule:
+    """The input stage.
+
+    Attributes
+    ----------
+    numbers
+        Of the state.
+    multiply_cycles, fill_cycles
+        Until the last input is started, and from there until it is through.
+    parameter_bytes, refill_bytes
+        Multipliers and shifts of the fullest core, and how many of them do not fit its cache.
+    """
+
+    numbers: int
+    multiply_cycles: int
+    fill_cycles: int
+    parameter_bytes: int
+    refill_bytes: int
+
+    @property
+    def cycles(self) -> int:
+        """All cycles of the stage."""
+        return self.multiply_cycles + self.fill_cycles
+
+
+@dataclass(frozen=True)
+class LayerSchedule:
+    """One layer.
+
+    Attributes
+    ----------
+    fan_in, neurons
+        Size of the layer.
+    mac_cycles
+        Cycles in which a MAC unit starts a product.
+    fill_cycles
+        Until the last products are through the pipeline.
+    requantise_cycles
+        Adder and multiplier after that, for the last neuron.
+    useful_macs
+        Products that the layer needs.
+    utilisation
+        Those over what all MAC units could start in the layer's cycles, 0 … 1.
+    weight_bytes, bias_bytes, scale_bytes
+        Of the fullest core, which is core 0; the last are multipliers and shifts.
+    refill_bytes
+        How much of that does not fit the core's cache.
+    """
+
+    fan_in: int
+    neurons: int
+    mac_cycles: int
+    fill_cycles: int
+    requantise_cycles: int
+    useful_macs: int
+    utilisation: float
+    weight_bytes: int
+    bias_bytes: int
+    scale_bytes: int
+    refill_bytes: int
+
+    @property
+    def cycles(self) -> int:
+        """All cycles of the layer."""
+        return self.mac_cycles + self.fill_cycles + self.requantise_cycles
+
+    @property
+    def parameter_bytes(self) -> int:
+        """All parameters of the fullest core."""
+        return self.weight_bytes + self.bias_bytes + self.scale_bytes
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """A whole inference.
+
+    Attributes
+    ----------
+    array
+        The machine.
+    sizes
+        Numbers into the network, and out of each layer.
+    inputs, layers
+        The stages, in the order of their work.
+    buffer_bytes
+        State and activations in the fullest core.
+    core_bytes, core_refill_bytes
+        Of each core: what it should hold, and what it fetches again for every inference.
+    """
+
+    array: MacArray
+    sizes: tuple[int, ...]
+    inputs: InputSchedule
+    layers: tuple[LayerSchedule, ...]
+    buffer_bytes: int
+    core_bytes: tuple[int, ...]
+    core_refill_bytes: tuple[int, ...]
+
+    @property
+    def mac_cycles(self) -> int:
+        """Cycles in which a MAC unit starts a product."""
+        return sum(layer.mac_cycles for layer in self.layers)
+
+    @property
+    def cycles(self) -> int:
+        """All cycles from the state to the decision."""
+        return self.inputs.cycles + sum(layer.cycles for layer in self.layers) + COMPARE_CYCLES
+
+    @property
+    def utilisation(self) -> float:
+        """Products needed over what the MAC units could start in all cycles, 0 … 1."""
+        useful = sum(layer.useful_macs for layer in self.layers)
+        return useful / (self.array.cores * self.array.macs * self.cycles)
+
+    @property
+    def refill_bytes(self) -> int:
+        """Bytes that all cores together fetch again for every inference."""
+        return sum(self.core_refill_bytes)
+
+    def latency_ns(self, clock_hz: float) -> float:
+        """Return the nanoseconds of an inference at a clock rate in hertz."""
+        return 1e9 * self.cycles / clock_hz
+
+
+def schedule(array: MacArray, sizes: Sequence[int]) -> Schedule:
+    """Lay out an inference on the machine, as the module describes it.
+
+    Parameters
+    ----------
+    array
+        The machine.
+    sizes
+        Numbers into the network, and out of each layer; each at least 1, two or more.
+
+    Raises
+    ------
+    ValueError
+        When sizes are missing, or a core's cache does not even hold the state and activations.
+    """
+    sizes = tuple(sizes)
+    if len(sizes) < 2 or min(sizes) < 1:
+        raise ValueError(f"sizes are two or more numbers from 1, not {list(sizes)}")
+    buffers = [_buffer_bytes(array, sizes, core) for core in range(array.cores)]
+    if max(buffers) > array.cache_bytes:
+        raise ValueError(
+            f"a cache of {array.cache_bytes} bytes does not hold the {max(buffers)} bytes of "
+            "state and activations"
+        )
+    held = [_parameter_bytes(array, sizes, core) for core in range(array.cores)]
+    refills = [
+        _refills([sum(stage) for stage in stages], array.cache_bytes - buffer)
+        for stages, buffer in zip(held, buffers, strict=True)
+    ]
+    fill = array.pipeline_stages - 1
+    inputs = InputSchedule(sizes[0], array.share(sizes[0], 0), fill, sum(held[0][0]), refills[0][0])
+    layers = tuple(
+        _layer(array, sizes, number, held[0][number], refills[0][number])
+        for number in range(1, len(sizes))
+    )
+    totals = [sum(map(sum, stages)) + buffer for stages, buffer in zip(held, buffers, strict=True)]
+    refill = tuple(sum(stages) for stages in refills)
+    return Schedule(array, sizes, inputs, layers, buffers[0], tuple(totals), refill)
+
+
+def _layer(
+    array: MacArray, sizes: tuple[int, ...], number: int, held: tuple[int, int, int], refill: int
+) -> LayerSchedule:
+    """Return the schedule of layer `number`, counted from 1."""
+    fan_in, neurons = sizes[number - 1 : number + 1]
+    macs = array.share(neurons, 0) * array.words(fan_in)
+    fill, after = array.pipeline_stages - 1, 1 if number == len(sizes) - 1 else 2
+    useful = fan_in * neurons
+    utilisation = useful / (array.cores * array.macs * (macs + fill + after))
+    return LayerSchedule(
+        fan_in, neurons, macs, fill, after, useful, utilisation, *held, refill_bytes=refill
+    )
+
+
+def _parameter_bytes(
+    array: MacArray, sizes: tuple[int, ...], core: int
+) -> list[tuple[int, int, int]]:
+    """Return a core's bytes of weights, biases and scales: of the input stage, then each layer."""
+    stages = [(0, 0, SCALE_BYTES * array.share(sizes[0], core))]
+    for number in range(1, len(sizes)):
+        own = array.share(sizes[number], core)
+        scales = 0 if number == len(sizes) - 1 else SCALE_BYTES * own
+        stages.append((own * sizes[number - 1], BIAS_BYTES * own, scales))
+    return stages
+
+
+def _buffer_bytes(array: MacArray, sizes: tuple[int, ...], core: int) -> int:
+    """Return a core's bytes of state and activations."""
+    hidden = [before + after for before, after in pairwise(sizes[:-1])]
+    last = sizes[-2] + SUM_BYTES * sizes[-1]
+    return SUM_BYTES * array.share(sizes[0], core) + max([*hidden, last])
+
+
+def _refills(stages: list[int], room: int) -> list[int]:
+    """Return how much of each stage's bytes does not fit the room, filled in order."""
+    missing = []
+    for needed in stages:
+        kept = min(needed, room)
+        room -= kept
+        missing.append(needed - kept)
+    return missing

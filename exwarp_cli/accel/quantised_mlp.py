@@ -1,0 +1,256 @@
+"""The predictor in integers: what it consists of, and its inference as plainly as it can be put.
+
+The arithmetic, which every faster form must repeat bit for bit:
+
+- The state is int32 [n] in Q16.16, meant for 0 … 1; any int32 gives a defined result.
+- Input stage: ``q_j = clamp(requantise_half_up(x_j, m_j, s_j), 0, 127)``. Each input has a
+  multiplier and a shift of its own, as the inputs' scales are folded into the first layer.
+- A layer: ``a_i = b_i + sum_j w_ij q_j`` in int32. No sum can wrap, in whichever order it is
+  formed; see `QuantisedLayer`.
+- A hidden layer goes on with ``q_i = clamp(requantise_half_up(a_i, m_i, s_i), 0, 127)``: the clamp
+  at 0 is the ReLU. Each neuron has a multiplier and a shift of its own.
+- The last layer's accumulators are the outputs: 0 is to warp, 1 to extrapolate. The larger one
+  wins, and a tie goes to output 0. This is how the paper's "2x1 output layer" is read.
+
+No floating point takes part.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from exwarp_cli.accel.fixed_point import (
+    I32,
+    MOST_ACTIVATION,
+    MOST_SHIFT,
+    requantise_half_up,
+    saturate,
+)
+
+I8 = npt.NDArray[np.int8]
+U8 = npt.NDArray[np.uint8]
+
+PAPER_SIZES = (44, 128, 256, 128, 2)
+"""Numbers into the paper's network, and out of each of its layers."""
+
+OUTPUTS = 2
+"""To warp and to extrapolate."""
+
+MOST_WEIGHT = 127
+"""Weights lie in -127 … 127, so that they are symmetric."""
+
+
+@dataclass(frozen=True, eq=False)
+class Requantisation:
+    """Factors ``multiplier / 2**shift``, one for every input or neuron.
+
+    Attributes
+    ----------
+    multipliers
+        int32 [n], 1 … 2^31 - 1.
+    shifts
+        uint8 [n], 0 … 62.
+
+    Raises
+    ------
+    ValueError
+        When types, shapes or ranges differ from these.
+    """
+
+    multipliers: I32
+    shifts: U8
+
+    def __post_init__(self) -> None:
+        _own(self, "multipliers", np.int32, 1)
+        _own(self, "shifts", np.uint8, 1)
+        if self.multipliers.shape != self.shifts.shape:
+            raise ValueError(
+                f"there are {self.multipliers.size} multipliers for {self.shifts.size} shifts"
+            )
+        if (self.multipliers < 1).any():
+            raise ValueError(f"a multiplier is {self.multipliers.min()}, and 1 is the least")
+        if (self.shifts > MOST_SHIFT).any():
+            raise ValueError(f"a shift is {self.shifts.max()}, and {MOST_SHIFT} is the most")
+
+    def __call__(self, values: I32) -> I8:
+        """Return activations: the values [..., n] times the factors, within 0 … 127."""
+        scaled = requantise_half_up(values, self.multipliers, self.shifts)
+        return saturate(scaled, 0, MOST_ACTIVATION).astype(np.int8)
+
+
+@dataclass(frozen=True, eq=False)
+class QuantisedLayer:
+    """A fully connected layer.
+
+    Attributes
+    ----------
+    weights
+        int8 [out, in], -127 … 127.
+    biases
+        int32 [out]. ``|b_i| + 127 * sum_j |w_ij|`` is below 2^31 for every neuron, so that no
+        partial sum wraps.
+    requantisation
+        Of the hidden layers' neurons; None in the last layer.
+
+    Raises
+    ------
+    ValueError
+        When types, shapes or ranges differ from these.
+    """
+
+    weights: I8
+    biases: I32
+    requantisation: Requantisation | None = None
+
+    def __post_init__(self) -> None:
+        _own(self, "weights", np.int8, 2)
+        _own(self, "biases", np.int32, 1)
+        if self.biases.size != self.neurons:
+            raise ValueError(f"there are {self.biases.size} biases for {self.neurons} neurons")
+        if self.requantisation is not None and self.requantisation.shifts.size != self.neurons:
+            raise ValueError(
+                f"there are {self.requantisation.shifts.size} multipliers for "
+                f"{self.neurons} neurons"
+            )
+        if (self.weights < -MOST_WEIGHT).any():
+            raise ValueError("a weight is -128, and -127 is the least")
+        sums = np.abs(self.weights.astype(np.int64)).sum(axis=1) * MOST_ACTIVATION
+        most = int((np.abs(self.biases.astype(np.int64)) + sums).max())
+        if most >= 2**31:
+            raise ValueError(f"a sum can reach {most}, which does not fit 32 bits")
+
+    @property
+    def neurons(self) -> int:
+        """How many numbers it gives."""
+        return int(self.weights.shape[0])
+
+    @property
+    def fan_in(self) -> int:
+        """How many numbers it takes."""
+        return int(self.weights.shape[1])
+
+    def accumulate(self, activations: I8) -> I32:
+        """Return biases plus weighted sums, int32 [..., out], of activations [..., in]."""
+        sums = activations.astype(np.int64) @ self.weights.T.astype(np.int64)
+        return np.asarray(sums + self.biases.astype(np.int64)).astype(np.int32)
+
+
+@dataclass(frozen=True, eq=False)
+class QuantisedMlp:
+    """The whole network.
+
+    Attributes
+    ----------
+    inputs
+        Requantisation of the state's numbers.
+    layers
+        All but the last with a requantisation; the last has `OUTPUTS` neurons.
+
+    Raises
+    ------
+    ValueError
+        When layers do not fit together.
+    """
+
+    inputs: Requantisation
+    layers: tuple[QuantisedLayer, ...]
+
+    def __post_init__(self) -> None:
+        if not self.layers:
+            raise ValueError("there are no layers")
+        before = self.inputs.shifts.size
+        for number, layer in enumerate(self.layers):
+            if layer.fan_in != before:
+                raise ValueError(f"layer {number} takes {layer.fan_in} numbers, and gets {before}")
+            last = layer is self.layers[-1]
+            if last != (layer.requantisation is None):
+                raise ValueError("all layers but the last must have multipliers and shifts")
+            before = layer.neurons
+        if before != OUTPUTS:
+            raise ValueError(f"the last layer gives {before} numbers, not {OUTPUTS}")
+
+    @property
+    def sizes(self) -> tuple[int, ...]:
+        """Numbers into the network, and out of each layer; `PAPER_SIZES` for the paper's."""
+        return (self.layers[0].fan_in, *(layer.neurons for layer in self.layers))
+
+
+@dataclass(frozen=True, eq=False)
+class Inference:
+    """Everything that one or more inferences computed; leading axes are those of the states.
+
+    Attributes
+    ----------
+    inputs
+        int8 [..., n]: the state after the input stage.
+    accumulators
+        int32 [..., out] of each layer, biases included.
+    activations
+        int8 [..., out] of each hidden layer.
+    choices
+        int8 [...]: 0 to warp, 1 to extrapolate.
+    """
+
+    inputs: I8
+    accumulators: tuple[I32, ...]
+    activations: tuple[I8, ...]
+    choices: I8
+
+    @property
+    def outputs(self) -> I32:
+        """int32 [..., 2]: the last layer's accumulators."""
+        return self.accumulators[-1]
+
+
+def infer_reference(network: QuantisedMlp, fixed_states: npt.ArrayLike) -> Inference:
+    """Run the network as this module defines it, and keep every number on the way.
+
+    Parameters
+    ----------
+    network
+        Any.
+    fixed_states
+        int32 [..., n] in Q16.16.
+
+    Raises
+    ------
+    ValueError
+        When the states are not int32, or not of the network's size.
+    """
+    states = checked_states(network, fixed_states)
+    activations = [network.inputs(states)]
+    accumulators = []
+    for layer in network.layers:
+        accumulators.append(layer.accumulate(activations[-1]))
+        if layer.requantisation is not None:
+            activations.append(layer.requantisation(accumulators[-1]))
+    outputs = accumulators[-1]
+    choices = np.asarray(outputs[..., 1] > outputs[..., 0]).astype(np.int8)
+    return Inference(activations[0], tuple(accumulators), tuple(activations[1:]), choices)
+
+
+def checked_states(network: QuantisedMlp, fixed_states: npt.ArrayLike) -> I32:
+    """Return the states as an array, int32 [..., n]; ValueError for anything else."""
+    states = np.asarray(fixed_states)
+    if states.dtype != np.int32 or states.shape[-1:] != network.sizes[:1]:
+        raise ValueError(
+            f"states are int32 [..., {network.sizes[0]}], not {states.dtype} {states.shape}"
+        )
+    return states
+
+
+def _own(holder: Any, name: str, dtype: type, axes: int) -> None:
+    """Replace an array by a copy that nobody can change, once its type and shape are right."""
+    array = np.asarray(getattr(holder, name))
+    if array.dtype != dtype or array.ndim != axes or array.size == 0:
+        raise ValueError(
+            f"{name} are {np.dtype(dtype)} with {axes} axes and not empty, "
+            f"not {array.dtype} {array.shape}"
+        )
+    copy = np.array(array, order="C")
+    copy.setflags(write=False)
+    object.__setattr__(holder, name, copy)

@@ -1,0 +1,95 @@
+"""``exwarp policy``: the learned policy and the accelerator that runs it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from exwarp_cli.commands.group import HelpfulGroup
+
+MOST = 4096
+"""Cores, or MAC units of a core: a slip of the pen must not fill the memory."""
+
+FILE = click.Path(path_type=Path)
+POLICY = click.option(
+    "--policy", type=FILE, metavar="FILE", help="Policy; default: the one that comes with ExWarp."
+)
+
+
+@click.group("policy", cls=HelpfulGroup)
+def command() -> None:
+    """Look into the learned policy and its accelerator."""
+
+
+@command.command("cycles", short_help="Cycles, utilisation and cache traffic of an inference.")
+@click.option("--clock", default="1GHz", show_default=True, metavar="RATE", help="As 500MHz, 1e9.")
+@click.option("--cores", type=click.IntRange(1, MOST), default=4, show_default=True)
+@click.option(
+    "--macs", type=click.IntRange(1, MOST), default=10, show_default=True, help="Of each core."
+)
+@click.option("--cache", default="16KB", show_default=True, metavar="SIZE", help="Of each core.")
+@click.option("--policy", type=FILE, metavar="FILE", help="Default: the paper's network.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON instead of a table.")
+def cycles(
+    clock: str, cores: int, macs: int, cache: str, policy: Path | None, as_json: bool
+) -> None:
+    """Show how long one inference takes on the paper's accelerator, or on one of other sizes."""
+    from rich.console import Console
+
+    from exwarp_cli.pipeline import accelerator
+    from exwarp_cli.report.accelerator import cycles_json, cycles_lines, cycles_table
+
+    rate = accelerator.clock_of(clock)
+    found = accelerator.cycles(policy, cores, macs, cache)
+    if as_json:
+        click.echo(cycles_json(found, rate))
+        return
+    Console(highlight=False, soft_wrap=True).print(cycles_table(found))
+    for line in cycles_lines(found, rate):
+        click.echo(line)
+
+
+@command.command("run", short_help="Decide the states of a table.")
+@click.argument("table", metavar="FEATURES.csv", type=FILE)
+@POLICY
+@click.option("--trace", is_flag=True, help="Show one inference layer by layer.")
+@click.option("--row", type=click.IntRange(1), help="Only this row; the header does not count.")
+def run(table: Path, policy: Path | None, trace: bool, row: int | None) -> None:
+    """Run the policy on every state of FEATURES.csv and print its outputs and decisions as CSV.
+
+    The states stand in the column 'inputs', as frames.csv of a report and exwarp features write
+    them: Q16.16 integers with spaces between. With --trace, the first of them, or that of --row.
+    """
+    from exwarp_cli.pipeline import accelerator
+    from exwarp_cli.report.accelerator import decisions_csv, trace_lines
+
+    if trace:
+        click.echo("\n".join(trace_lines(accelerator.trace_row(table, policy, row))))
+    else:
+        click.echo(decisions_csv(accelerator.decide_rows(table, policy, row)), nl=False)
+
+
+@command.command("export", short_help="Write hex files for a Verilog test bench.")
+@click.argument("folder", metavar="DIR", type=FILE)
+@POLICY
+@click.option(
+    "--vectors",
+    type=click.IntRange(1, 100_000),
+    default=32,
+    show_default=True,
+    help="To test with.",
+)
+@click.option(
+    "--seed", type=click.IntRange(0), default=0, show_default=True, help="Of the vectors."
+)
+@click.option("--overwrite", is_flag=True, help="Replace files of the same names.")
+def export(folder: Path, policy: Path | None, vectors: int, seed: int, overwrite: bool) -> None:
+    """Write weights, biases, multipliers, shifts and test vectors into DIR for $readmemh.
+
+    README.txt and manifest.json there say which core reads what, and where it lies.
+    """
+    from exwarp_cli.pipeline.hardware_export import export as write
+
+    files = write(folder, policy, vectors=vectors, seed=seed, overwrite=overwrite)
+    click.echo(f"{folder}: {len(files)} files, {vectors} test vectors; see README.txt")

@@ -1,0 +1,260 @@
+"""The predictor in a file: format ``exwarp.policy/1``.
+
+A .npz archive (zip of .npy files, nothing compressed, no pickles) with
+
+- ``metadata``: UTF-8 bytes of a JSON object, whose ``format`` is ``exwarp.policy/1``,
+- ``input_multipliers`` int32 [n] and ``input_shifts`` uint8 [n],
+- for layer k from 0: ``weights{k}`` int8 [out, in] and ``biases{k}`` int32 [out], and for all but
+  the last ``multipliers{k}`` int32 [out] and ``shifts{k}`` uint8 [out],
+- where it was kept, the network before quantisation: ``w{k}`` float32 [out, in] and ``b{k}``
+  float32 [out].
+
+Ranges and arithmetic are those of `exwarp_cli.accel.quantised_mlp`. The same network and metadata
+give the same bytes on every machine.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import struct
+import zipfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from exwarp_cli.accel.quantised_mlp import QuantisedLayer, QuantisedMlp, Requantisation
+from exwarp_cli.errors import DamagedFileError, LayoutError
+from exwarp_cli.io.atomic import atomic_write_bytes
+from exwarp_cli.io.models import read_model, read_shipped, shipped_folder
+
+FORMAT = "exwarp.policy/1"
+
+SHIPPED_POLICY = "policy.npz"
+"""Name of the policy that comes with ExWarp."""
+
+OPTION = "--policy"
+"""By which commands take another."""
+
+MOST_BYTES = 1 << 26
+"""Of one array; the paper's network has 32 KB in its largest."""
+
+F32 = npt.NDArray[np.float32]
+Floats = tuple[tuple[F32, F32], ...]
+"""Weights [out, in] and biases [out] of each layer, before quantisation."""
+
+_Array = npt.NDArray[Any]
+_UNREADABLE = (
+    *(zipfile.BadZipFile, ValueError, OSError, EOFError, MemoryError, struct.error),
+    *(NotImplementedError, RuntimeError, KeyError, SyntaxError, OverflowError, TypeError),
+)
+"""What zipfile and numpy raise on bytes that are no such archive."""
+
+
+@dataclass(frozen=True, eq=False)
+class PolicyFile:
+    """A policy as its file holds it.
+
+    Attributes
+    ----------
+    path
+        Where it was read.
+    checksum
+        SHA-256 of the file, hexadecimal.
+    network
+        In integers.
+    metadata
+        Whatever was saved with it, and ``format``.
+    floats
+        Before quantisation; empty where the file has none.
+    """
+
+    path: Path
+    checksum: str
+    network: QuantisedMlp
+    metadata: dict[str, Any]
+    floats: Floats
+
+
+def save_network(
+    path: Path,
+    network: QuantisedMlp,
+    metadata: Mapping[str, Any],
+    floats: Sequence[tuple[F32, F32]] = (),
+) -> None:
+    """Write a network, whole or not at all.
+
+    Parameters
+    ----------
+    path
+        The file; its folder exists.
+    network
+        In integers.
+    metadata
+        What JSON can hold; ``format`` is added.
+    floats
+        Weights and biases of each layer before quantisation, or nothing.
+
+    Raises
+    ------
+    ValueError
+        When the metadata hold NaN, or what JSON has not.
+    OutputError
+        When the file cannot be written.
+    """
+    text = json.dumps({**metadata, "format": FORMAT}, allow_nan=False, sort_keys=True)
+    arrays: dict[str, _Array] = {
+        "metadata": np.frombuffer(text.encode("utf-8"), np.uint8),
+        "input_multipliers": network.inputs.multipliers,
+        "input_shifts": network.inputs.shifts,
+    }
+    for k, layer in enumerate(network.layers):
+        arrays |= {f"weights{k}": layer.weights, f"biases{k}": layer.biases}
+        if layer.requantisation is not None:
+            arrays[f"multipliers{k}"] = layer.requantisation.multipliers
+            arrays[f"shifts{k}"] = layer.requantisation.shifts
+    for k, (weights, biases) in enumerate(floats):
+        arrays[f"w{k}"] = np.asarray(weights, np.float32)
+        arrays[f"b{k}"] = np.asarray(biases, np.float32)
+    atomic_write_bytes(path, _archive(arrays))
+
+
+def load_policy(path: Path | None) -> PolicyFile:
+    """Read a policy.
+
+    Parameters
+    ----------
+    path
+        The file; None for the one that comes with ExWarp, whose checksum is verified.
+
+    Raises
+    ------
+    InputError
+        When there is no such file, or it cannot be read.
+    DamagedFileError
+        When it is truncated, or no .npz archive.
+    LayoutError
+        When it holds something else than a policy, or numbers out of range.
+    """
+    if path is None:
+        path = shipped_folder() / SHIPPED_POLICY
+        data = read_shipped(path, OPTION)
+    else:
+        data = read_model(path)
+    try:
+        arrays = _arrays(data)
+    except _UNREADABLE as error:
+        raise DamagedFileError(
+            f"{path} is truncated, damaged or no policy file; check the path, or train the policy "
+            "again"
+        ) from error
+    metadata = _metadata(path, arrays)
+    checksum = hashlib.sha256(data).hexdigest()
+    return PolicyFile(path, checksum, _network(path, arrays), metadata, _floats(path, arrays))
+
+
+def load_network(path: Path | None) -> tuple[QuantisedMlp, dict[str, Any]]:
+    """Read a network and its metadata; as :func:`load_policy` does, with its errors."""
+    policy = load_policy(path)
+    return policy.network, policy.metadata
+
+
+def _metadata(place: Path, arrays: dict[str, _Array]) -> dict[str, Any]:
+    try:
+        metadata = json.loads(_array(place, arrays, "metadata", np.uint8).tobytes().decode("utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise _unfit(place, "its metadata are no JSON") from error
+    if not isinstance(metadata, dict):
+        raise _unfit(place, "its metadata are no JSON object")
+    if metadata.get("format") != FORMAT:
+        raise _unfit(place, f"its format is {metadata.get('format')!r}, not {FORMAT}")
+    return metadata
+
+
+def _floats(place: Path, arrays: dict[str, _Array]) -> Floats:
+    """Return the network before quantisation, where it was kept."""
+    pairs = []
+    for k in range(_count(arrays, "w")):
+        weights, biases = (_array(place, arrays, f"{name}{k}", np.float32) for name in "wb")
+        if weights.ndim != 2 or biases.shape != weights.shape[:1]:
+            raise _unfit(place, f"w{k} and b{k} do not fit together")
+        pairs.append((weights, biases))
+    return tuple(pairs)
+
+
+def _network(place: Path, arrays: dict[str, _Array]) -> QuantisedMlp:
+    """Build the network; its own checks find what is out of range."""
+
+    def scale(multipliers: str, shifts: str) -> Requantisation:
+        return Requantisation(
+            _array(place, arrays, multipliers, np.int32), _array(place, arrays, shifts, np.uint8)
+        )
+
+    def layer(k: int) -> QuantisedLayer:
+        weights = _array(place, arrays, f"weights{k}", np.int8)
+        biases = _array(place, arrays, f"biases{k}", np.int32)
+        hidden = f"multipliers{k}" in arrays
+        factors = scale(f"multipliers{k}", f"shifts{k}") if hidden else None
+        return QuantisedLayer(weights, biases, factors)
+
+    try:
+        layers = tuple(layer(k) for k in range(_count(arrays, "weights")))
+        return QuantisedMlp(scale("input_multipliers", "input_shifts"), layers)
+    except ValueError as error:
+        raise _unfit(place, str(error)) from error
+
+
+def _count(arrays: dict[str, _Array], name: str) -> int:
+    """Return how many arrays of a name there are, numbered from 0 without a gap."""
+    count = 0
+    while f"{name}{count}" in arrays:
+        count += 1
+    return count
+
+
+def _array(place: Path, arrays: dict[str, _Array], name: str, dtype: type) -> _Array:
+    """Return an array by its name, in the type that the format has."""
+    if name not in arrays:
+        raise _unfit(place, f"it lacks {name}")
+    if arrays[name].dtype != dtype:
+        raise _unfit(place, f"its {name} are {arrays[name].dtype}, not {np.dtype(dtype)}")
+    return arrays[name]
+
+
+def _unfit(place: Path, reason: str) -> LayoutError:
+    return LayoutError(
+        f"{place} is no policy that ExWarp can run: {reason}; check the path, or train the policy "
+        "again"
+    )
+
+
+def _archive(arrays: Mapping[str, _Array]) -> bytes:
+    """Pack arrays; nothing of the clock, the machine or a compressor's version gets in."""
+    whole = io.BytesIO()
+    with zipfile.ZipFile(whole, "w", zipfile.ZIP_STORED) as archive:
+        for name, array in arrays.items():
+            entry = zipfile.ZipInfo(f"{name}.npy", (1980, 1, 1, 0, 0, 0))
+            entry.create_system, entry.external_attr = 3, 0o644 << 16
+            data = io.BytesIO()
+            plain = np.ascontiguousarray(array, array.dtype.newbyteorder("<"))
+            np.lib.format.write_array(data, plain, (1, 0), allow_pickle=False)
+            archive.writestr(entry, data.getvalue())
+    return whole.getvalue()
+
+
+def _arrays(data: bytes) -> dict[str, _Array]:
+    """Unpack an archive; raises one of `_UNREADABLE` on damage."""
+    arrays = {}
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        for entry in archive.infolist():
+            if entry.file_size > MOST_BYTES:
+                raise ValueError(f"{entry.filename} is too large")
+            member = io.BytesIO(archive.read(entry))
+            array = np.lib.format.read_array(member, allow_pickle=False)
+            arrays[entry.filename.removesuffix(".npy")] = array
+    return arrays

@@ -1,0 +1,74 @@
+"""One decision of the integer predictor beside onnxruntime, and beside the network in numpy.
+
+``python -m tests.bench.bench_policy``
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import onnxruntime
+
+from exwarp_cli.accel.kernel import MlpKernel
+from exwarp_cli.accel.quantised_mlp import QuantisedMlp, infer_reference
+from exwarp_cli.training.policy_onnx import STATE, VALUES, export_float, export_integer
+from tests.bench.timing import ROUNDS, Work, compare, print_ratios
+from tests.unit.mlp_cases import network, states
+
+GOAL = "goal 0.333"
+MANY = 1000
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser("python -m tests.bench.bench_policy", description=__doc__)
+    parser.add_argument("--rounds", type=int, default=4 * ROUNDS)
+    options = parser.parse_args(arguments)
+    made, many = network(), states(MANY)
+    state, kernel = many[0].copy(), MlpKernel(made)
+    with tempfile.TemporaryDirectory() as folder:
+        integer, floating = Path(folder) / "integer.onnx", Path(folder) / "float.onnx"
+        export_integer(made, integer)
+        weights = [layer.weights.astype(np.float32) for layer in made.layers]
+        export_float(weights, [layer.biases.astype(np.float32) for layer in made.layers], floating)
+        base = _onnx(integer, state[None])
+        works: dict[str, tuple[Work, Work]] = {
+            "MlpKernel.decide": (lambda: kernel.decide(state), base),
+            "onnxruntime, float32": (_onnx(floating, state[None].astype(np.float32)), base),
+            "infer_reference": (lambda: infer_reference(made, state), base),
+        }
+        batch = _onnx(integer, many)
+        works[f"decide_many, {MANY} states"] = (lambda: kernel.decide_many(many), batch)
+        _agree(made, kernel, many, base())
+        ratios = compare(works, options.rounds)
+    print_ratios(
+        f"one decision, one thread, {options.rounds} rounds",
+        "onnxruntime, int8",
+        {name: (r, GOAL if name == "MlpKernel.decide" else "") for name, r in ratios.items()},
+    )
+    return 0
+
+
+def _onnx(path: Path, given: np.ndarray) -> Work:
+    """Return the work of running a model on one thread."""
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    session = onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
+    feeds = {STATE: given}
+    return lambda: session.run([VALUES], feeds)
+
+
+def _agree(made: QuantisedMlp, kernel: MlpKernel, many: np.ndarray, found: object) -> None:
+    """Make sure that what is timed computes the same."""
+    expected = infer_reference(made, many[0]).outputs
+    assert isinstance(found, list)
+    np.testing.assert_array_equal(found[0][0], expected)
+    np.testing.assert_array_equal(kernel.decide(many[0])[0], expected)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
