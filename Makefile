@@ -6,6 +6,7 @@
 #               goes on where it stopped); SCENES='lab town' for some, OPTIONS='--resolution 480p'
 # make train    train the extrapolation network on the training shots (hours; goes on where it
 #               stopped); DATA=folder of rendered scenes, OPTIONS='--steps 2000'
+# make policy   train the policy from the tables under models/ (15 minutes); OPTIONS='--seed 1'
 # make judge    score every method, with the network of MODEL=file, on the benchmark scenes
 # make clean    remove all that make made
 
@@ -26,9 +27,10 @@ SCENES ?= lab tropical village town slum variety
 OPTIONS ?=
 DATA ?= $(HOME)/.cache/exwarp/scenes
 TRAINING ?= $(HOME)/.cache/exwarp/training
+POLICY ?= build/policy
 MODEL ?= models/extrapolator.onnx
 
-.PHONY: test check bench demo scenes blender train judge clean
+.PHONY: test check bench demo scenes blender train policy judge clean
 
 test: check
 	$(BIN)/pytest
@@ -43,6 +45,7 @@ bench: $(STAMP)
 	$(BIN)/python -m tests.bench.quality
 	$(BIN)/python -m tests.bench.bench_kernels
 	$(BIN)/python -m tests.bench.bench_command
+	$(BIN)/python -m tests.bench.bench_policy
 
 demo: $(STAMP)
 	@test -n "$(EXAMPLE)" || { echo "make: no examples/*/keys folder; see examples/" >&2; exit 1; }
@@ -56,6 +59,9 @@ demo: $(STAMP)
 
 train: $(STAMP)
 	$(BIN)/exwarp train extrapolator --data $(DATA) -o $(TRAINING) $(OPTIONS)
+
+policy: $(STAMP)
+	$(BIN)/exwarp train policy -o $(POLICY) $(OPTIONS)
 
 judge: $(STAMP)
 	$(BIN)/python -m tests.bench.paths --data $(DATA) --model $(MODEL) --out build/judge $(OPTIONS)

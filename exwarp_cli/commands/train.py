@@ -7,10 +7,11 @@ from pathlib import Path
 import click
 
 from exwarp_cli.commands.group import HelpfulGroup
-from exwarp_cli.training.settings import TrainingSettings
+from exwarp_cli.training.settings import PolicySettings, TrainingSettings, require_sane_policy
 
 FOLDER = click.Path(path_type=Path)
 DEFAULTS = TrainingSettings()
+POLICY = PolicySettings()
 
 
 @click.group("train", cls=HelpfulGroup)
@@ -70,6 +71,50 @@ def extrapolator(
     crops = cache or data.resolve().parent / "crops"
     model = train_extrapolator(chosen, output, crops, settings, every, threads, _say, start)
     click.echo(f"{model}: give it to exwarp upsample --extrapolator")
+
+
+@command.command("policy", context_settings={"show_default": True})
+@click.option(
+    "--data",
+    type=FOLDER,
+    multiple=True,
+    help="Folder of rendered scenes to measure; several for several sizes.",
+)
+@click.option("--tables", type=FOLDER, help="Use these; default: those that come with ExWarp.")
+@click.option("-o", "--output", type=FOLDER, required=True, help="For the models and scores.")
+@click.option("--extrapolator", type=FOLDER, metavar="FILE", help="ONNX network for --data.")
+@click.option("--steps", type=click.IntRange(1), default=POLICY.steps)
+@click.option("--batch", type=click.IntRange(1), default=POLICY.batch, help="In states.")
+@click.option("--rate", type=float, default=POLICY.rate, help="Of learning.")
+@click.option("--seed", type=click.IntRange(0), default=POLICY.seed)
+@click.option("--cache", type=FOLDER, help="For --data; default: in the data folder's parent.")
+@click.option("--jobs", type=click.IntRange(1), help="Scenes at a time; default: all cores.")
+def policy(
+    data: tuple[Path, ...],
+    tables: Path | None,
+    output: Path,
+    extrapolator: Path | None,
+    cache: Path | None,
+    jobs: int | None,
+    **options: object,
+) -> None:
+    """Train the policy that chooses between warping and extrapolation.
+
+    With --data, both choices of every decision are tried on the benchmark scenes first, and kept
+    as tables in the output folder. Each scene is left out of one training and judged by it.
+    """
+    from exwarp_cli.training.extra import require_train
+
+    require_train()
+    from exwarp_cli.training.policy import train_policy
+    from exwarp_cli.training.policy_card import card
+    from exwarp_cli.training.policy_table import Survey, find_tables
+
+    settings = PolicySettings(**options)  # type: ignore[arg-type]
+    require_sane_policy(settings)
+    survey = Survey(data, extrapolator, cache, jobs)
+    found = find_tables(survey, tables, output, _say)
+    click.echo(card(train_policy(found, output, settings, _say)))
 
 
 def _say(line: str) -> None:

@@ -45,8 +45,9 @@ class FrameRate(click.ParamType[Fraction]):
     default=UpsampleSettings.method,
     show_default=True,
     metavar="NAME",
-    help="softsplat: warp both neighbours and blend by depth; s6: warp the last key frame; s1 to "
-    "s5: the paper's other paths, which extrapolate by a network; blend: cross-fade; hold: repeat.",
+    help="exwarp: the learned policy chooses between warping and the network; s1 to s6: the "
+    "paper's paths, s6 warps only; oracle, oracle-return: the best path by --ground-truth; "
+    "softsplat: warp both neighbours and blend by depth; blend: cross-fade; hold: repeat.",
 )
 @click.option("--frames", metavar="RANGE", help="Key frames to do, by number: 1001-1100x2, 1-10:2.")
 @click.option("--gbuffers", metavar="SEQ", help="G-buffers rendered at the output rate.")
@@ -59,7 +60,10 @@ class FrameRate(click.ParamType[Fraction]):
 @click.option(
     "--extrapolator",
     metavar="FILE",
-    help="ONNX network for s1 to s5; else the one that comes with ExWarp.",
+    help="ONNX network that extrapolates; else the one that comes with ExWarp.",
+)
+@click.option(
+    "--policy", metavar="FILE", help="Policy that decides; else the one that comes with ExWarp."
 )
 @click.option(
     "--device",
@@ -137,6 +141,11 @@ def _print(summary: RunSummary, output: str, report_folder: Path | None) -> None
     )
     effective = "" if fps["effective"] is None else f", effective {fps['effective']:g}"
     click.echo(f"{fps['base']:g} fps in, {FACTOR * fps['base']:g} out{effective}")
+    taken = {name: count for name, count in document["decisions"]["paths"].items() if count}
+    if taken:
+        listed = ", ".join(f"{name} {count}" for name, count in taken.items())
+        share = document["decisions"]["warp_share"]
+        click.echo(f"paths of the key intervals: {listed}; {share:.0%} of the decisions are warps")
     if document["holes"]["mean_fraction"] is not None:
         click.echo(f"holes {document['holes']['mean_fraction']:.1%} of the pixels on average")
     if quality["frames"]:

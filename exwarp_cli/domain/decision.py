@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+
+from exwarp_cli.domain.features import Features
 
 WARP = "warp"
 EXTRAPOLATE = "extrapolate"
@@ -10,9 +13,26 @@ HOLD = "hold"
 """What makes a frame: W, E, or the repetition of the frame before."""
 
 CHOICES = (WARP, EXTRAPOLATE)
-"""What a node chooses between."""
+"""What a node chooses between; also the order of the network's outputs."""
 
-NODES = ("d1", "d2", "d3", "d4", "d5")
+SLOTS = {"d1": 1, "d2": 2, "d3": 3, "d4": 3, "d5": 3}
+"""The slot that each node decides."""
+
+NODES = tuple(SLOTS)
+
+FIRST = "d1"
+"""The node that every key interval begins with."""
+
+DROPPING = {("d1", EXTRAPOLATE), ("d3", EXTRAPOLATE)}
+"""Choices that repeat the frame before, as the extrapolated one is not ready in time."""
+
+NEXT = {
+    ("d1", WARP): "d2",
+    ("d1", EXTRAPOLATE): "d3",
+    ("d2", WARP): "d5",
+    ("d2", EXTRAPOLATE): "d4",
+}
+"""The node after a choice; none after the third slot's."""
 
 
 @dataclass(frozen=True)
@@ -22,7 +42,7 @@ class DecisionPath:
     Attributes
     ----------
     choices
-        The choice at every node that the path passes.
+        The choice at every node that the path passes, in their order.
     made_by
         What makes the frame of slots 1, 2 and 3. Slot 2 is extrapolated without a node of its own
         when d1 chose to extrapolate.
@@ -30,6 +50,15 @@ class DecisionPath:
 
     choices: dict[str, str]
     made_by: tuple[str, str, str]
+
+    def node_of(self, slot: int) -> str | None:
+        """Return the node that decided a slot, 1 to 3; None for slot 2 after d1 = E."""
+        return next((node for node in self.choices if SLOTS[node] == slot), None)
+
+    @property
+    def generated(self) -> int:
+        """How many of the three frames are new."""
+        return sum(maker != HOLD for maker in self.made_by)
 
 
 PATHS = {
@@ -43,3 +72,67 @@ PATHS = {
     "S6": DecisionPath({"d1": WARP, "d2": WARP, "d5": WARP}, (WARP, WARP, WARP)),
 }
 """Every path by its name in the paper."""
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What was chosen at one node of a key interval, and by what.
+
+    Attributes
+    ----------
+    node, choice
+        Out of NODES and CHOICES.
+    features
+        Of the instant at which it was taken; None where none were looked at.
+    inputs
+        The network's inputs in Q16.16; empty where no network decided.
+    outputs
+        The network's two outputs in the order of CHOICES, or what an oracle found for them; None
+        where nothing was weighed.
+    """
+
+    node: str
+    choice: str
+    features: Features | None = None
+    inputs: tuple[int, ...] = ()
+    outputs: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is done in one key interval.
+
+    Attributes
+    ----------
+    path
+        S1 to S6.
+    decisions
+        Those that led to it, in their order.
+    """
+
+    path: str
+    decisions: tuple[Decision, ...]
+
+    @classmethod
+    def fixed(cls, path: str) -> Plan:
+        """Return the plan to take a path whatever is seen."""
+        steps = PATHS[path].choices.items()
+        return cls(path, tuple(Decision(node, choice) for node, choice in steps))
+
+    def decision_of(self, slot: int) -> Decision | None:
+        """Return what was decided of a slot, 1 to 3; None for slot 2 after d1 = E."""
+        return next((d for d in self.decisions if SLOTS[d.node] == slot), None)
+
+
+def path_of(choices: Mapping[str, str]) -> str:
+    """Return the name of the path that passes these nodes with these choices, and no others."""
+    return next(name for name, path in PATHS.items() if path.choices == dict(choices))
+
+
+def walk(choose: Callable[[str], str]) -> Iterator[tuple[str, str]]:
+    """Go through the tree from d1 on; yield every node with what `choose` takes there."""
+    node: str | None = FIRST
+    while node is not None:
+        choice = choose(node)
+        yield node, choice
+        node = NEXT.get((node, choice))

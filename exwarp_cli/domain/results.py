@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from enum import Enum
 
+from exwarp_cli.domain.decision import Decision
+
 
 class FrameKind(Enum):
     """Where a written frame came from."""
@@ -71,6 +73,12 @@ class FrameRecord:
         Whether an earlier run had written it and this one only checked it.
     timing_ms
         Milliseconds by step of the work.
+    made_by
+        "warp", "extrapolate" or "hold": what made the frame; None for a rendered one.
+    path
+        Decision path of its key interval, S1 to S6; None outside the paper's paths.
+    decision
+        What was decided of its slot; None where nothing was.
     """
 
     number: int
@@ -86,6 +94,9 @@ class FrameRecord:
     hole_score: Score | None = None
     resumed: bool = False
     timing_ms: dict[str, float] = field(default_factory=dict)
+    made_by: str | None = None
+    path: str | None = None
+    decision: Decision | None = None
 
 
 @dataclass(frozen=True)
@@ -139,6 +150,28 @@ class NetworkSummary:
 
 
 @dataclass(frozen=True)
+class PolicySummary:
+    """The policy that decided.
+
+    Attributes
+    ----------
+    file
+        Path of its network.
+    sha256
+        Of the network's file, hexadecimal.
+    objects_from
+        What told moving objects: "ids", or "motion" where there are none.
+    missing
+        Features that are 0 throughout, as the AOVs they come from are missing.
+    """
+
+    file: str
+    sha256: str
+    objects_from: str | None
+    missing: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class RunSummary:
     """A whole `upsample` run.
 
@@ -159,10 +192,12 @@ class RunSummary:
         Wall time of the streaming part.
     frames
         One record a written frame, ascending.
-    path
-        Decision path S1 to S6 that the method stands for; None outside the paper's paths.
+    decides
+        Whether frames were made by paths of the paper's decision tree.
     extrapolator
         None for methods that do not extrapolate.
+    policy
+        None where no learned policy decided.
     """
 
     method: str
@@ -173,5 +208,6 @@ class RunSummary:
     fps_source: str
     wall_seconds: float
     frames: tuple[FrameRecord, ...]
-    path: str | None = None
+    decides: bool = False
     extrapolator: NetworkSummary | None = None
+    policy: PolicySummary | None = None

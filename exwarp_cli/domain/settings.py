@@ -69,11 +69,13 @@ class UpsampleSettings:
         ONNX file of the network that extrapolates; None for the one that comes with ExWarp.
     device
         Out of `DEVICES`: what the network runs on.
+    policy
+        File of the policy that decides; None for the one that comes with ExWarp.
     """
 
     source: SourceSettings
     output: str
-    method: str = "softsplat"
+    method: str = "exwarp"
     frames: str | None = None
     ground_truth: str | None = None
     compression: str | None = None
@@ -85,6 +87,7 @@ class UpsampleSettings:
     threads: int | None = None
     extrapolator: str | None = None
     device: str = "cpu"
+    policy: str | None = None
 
 
 DEVICES = ("cpu", "cuda")

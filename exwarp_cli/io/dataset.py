@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -70,6 +70,43 @@ class RenderedScene:
                     f"{self.folder} lacks frames {ranges(list(absent))} of {frames.pattern}; "
                     "finish rendering it, which goes on where it stopped"
                 )
+
+    def as_far_as_rendered(self) -> RenderedScene:
+        """Return the scene as if only its first unbroken run of rendered key frames were meant.
+
+        Instants after the last key frame of a scene that is whole belong to it.
+
+        Raises
+        ------
+        MissingFrameError
+            When fewer than two successive key frames, with the instants between, are there.
+        """
+        manifest = self.manifest
+        step, first = manifest.keys.step, manifest.instants.first
+        absent = set(self.missing(manifest.instants)), set(self.missing(manifest.keys))
+        if not any(absent):
+            return self
+        there = set(manifest.instants.numbers) - absent[0]
+        keys = set(manifest.keys.numbers) - absent[1]
+        run: list[int] = []
+        for index in range(manifest.keys.count):
+            span = range(first + step * index - step * bool(run), first + step * index + 1)
+            if manifest.keys.first + index in keys and there.issuperset(span):
+                run.append(index)
+            elif len(run) > 1:
+                break
+            else:
+                run = [index] if manifest.keys.first + index in keys and span[-1] in there else []
+        if len(run) < 2:
+            raise MissingFrameError(
+                f"{self.folder} has no two successive key frames with all instants between; "
+                "render some, as with --frames 1-9"
+            )
+        instants = replace(
+            manifest.instants, first=first + step * run[0], count=step * (len(run) - 1) + 1
+        )
+        chosen = replace(manifest.keys, first=manifest.keys.first + run[0], count=len(run))
+        return replace(self, manifest=replace(manifest, instants=instants, keys=chosen))
 
     @cached_property
     def instants(self) -> Shot:

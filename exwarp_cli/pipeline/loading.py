@@ -21,7 +21,8 @@ from exwarp_cli.io.frames import GEOMETRY, SURFACE, Shot, read_image, read_raw
 from exwarp_cli.io.output import Template, file_digest, read_template
 from exwarp_cli.io.sequence import Sequence
 from exwarp_cli.pipeline.source import FrameOf, Source
-from exwarp_cli.synthesis.methods import Method
+from exwarp_cli.policy.state import KEYS_BACK
+from exwarp_cli.synthesis.methods import Judge, Method
 
 DIGESTS = 32
 """Files' digests that are kept: more than the frames that one interval depends on."""
@@ -46,6 +47,25 @@ class Older:
 
 
 @dataclass(frozen=True)
+class Observed:
+    """A key frame's instant whose features a policy wants; neither G-buffer has settled motion.
+
+    Attributes
+    ----------
+    key
+        Index of the key frame.
+    now
+        Its geometry; with slot G-buffers motion reaches over one slot.
+    before
+        Geometry of the instant before, a key interval or a slot earlier; None at the first.
+    """
+
+    key: int
+    now: GBuffer
+    before: GBuffer | None
+
+
+@dataclass(frozen=True)
 class Loaded:
     """One key interval as read: nothing computed yet.
 
@@ -61,6 +81,9 @@ class Loaded:
     past
         The key frames before, the newest first, as far as motion leads back to them; only for
         methods that extrapolate.
+    observed
+        The key frame's instant, and before it those of older key frames that no interval before
+        brought along; only for the policy.
     truth
         Ground truth by slot, where there is some.
     template
@@ -76,6 +99,7 @@ class Loaded:
     following: KeyFrame | None
     slots: tuple[GBuffer, ...]
     past: tuple[Older, ...]
+    observed: tuple[Observed, ...]
     truth: dict[int, Image]
     template: Template
     recipes: dict[int, str]
@@ -92,7 +116,9 @@ class IntervalLoader:
         settings: UpsampleSettings,
         truth: tuple[Sequence, FrameOf] | None,
         network: NetworkSummary | None = None,
+        policy: str | None = None,
     ) -> None:
+        self._policy = policy
         self._source = source
         self._method = method
         self._settings = settings
@@ -100,6 +126,8 @@ class IntervalLoader:
         self._network = network
         self._frames: dict[int, KeyFrame] = {}
         self._instants: dict[Slot, GBuffer] = {}
+        self._shapes: dict[Slot, GBuffer] = {}
+        self._told: set[int] = set()
         self._digests: OrderedDict[tuple[int, int], str] = OrderedDict()
 
     def load(self, key: int, needed: Callable[[int, dict[int, str]], bool]) -> Loaded:
@@ -124,15 +152,25 @@ class IntervalLoader:
         )
         if not needed(key, recipes):
             elapsed = 1e3 * (time.perf_counter() - begin)
-            return Loaded(key, None, None, (), (), {}, template, recipes, elapsed)
+            return Loaded(key, None, None, (), (), (), {}, template, recipes, elapsed)
         frame = self._key_frame(key)
         following = self._key_frame(key + 1) if lookahead else None
         gbuffers = tuple(self._slot_gbuffer(slot) for slot in self._slots(key))
         past = tuple(Older(self._key_frame(i), self._way_back(i)) for i in self._history(key))
+        observed = self._observed(key)
         truth = self._read_truth(key)
         self._forget(key)
         elapsed = 1e3 * (time.perf_counter() - begin)
-        return Loaded(key, frame, following, gbuffers, past, truth, template, recipes, elapsed)
+        return Loaded(
+            key, frame, following, gbuffers, past, observed, truth, template, recipes, elapsed
+        )
+
+    def look(self, key: int) -> tuple[tuple[Observed, ...], tuple[GBuffer, ...]]:
+        """Read only what features of an interval come from: see `Loaded.observed`, and slots."""
+        observed = self._observed(key)
+        slots = tuple(self._slot_gbuffer(slot) for slot in self._slots(key))
+        self._forget(key)
+        return observed, slots
 
     def _slots(self, key: int) -> tuple[Slot, ...]:
         """Return the slots of an interval that have G-buffers: all three, or none."""
@@ -187,6 +225,8 @@ class IntervalLoader:
         gbuffer = read_raw(source.slots, number, roles).settle(convention)
         if self._method.extrapolates:
             self._instants[slot] = without_surface(gbuffer)
+        if self._observes and slot.index in (0, FACTOR - 1):
+            self._shapes[slot] = gbuffer.without(*SURFACE_PARTS)
         return gbuffer
 
     def _way_back(self, key: int) -> tuple[GBuffer, ...]:
@@ -199,8 +239,49 @@ class IntervalLoader:
                 self._slot_gbuffer(slot)
         return tuple(self._instants[slot] for slot in way)
 
+    @property
+    def _observes(self) -> bool:
+        """Whether a policy looks at features."""
+        return self._method.judge is Judge.POLICY
+
+    def _starts(self, key: int) -> range:
+        """Return the indices of the key frames whose features a state at this one holds."""
+        return range(max(key - KEYS_BACK, 0), key + 1) if self._observes else range(0)
+
+    def _observed(self, key: int) -> tuple[Observed, ...]:
+        """Return the instants of key frames that no earlier interval brought along."""
+        found = []
+        for index in self._starts(key):
+            if index not in self._told:
+                before = self._shape(self._instant_before(index)) if index else None
+                found.append(Observed(index, self._shape(Slot(index, 0)), before))
+                self._told.add(index)
+        self._told = {index for index in self._told if index > key - KEYS_BACK}
+        return tuple(found)
+
+    def _instant_before(self, key: int) -> Slot:
+        """Return the instant that a key frame's is compared with."""
+        return Slot(key - 1, 0 if self._source.slots is None else FACTOR - 1)
+
+    def _shape(self, slot: Slot) -> GBuffer:
+        """Return the geometry of an instant, with normals."""
+        source = self._source
+        if slot not in self._shapes and source.slots is not None:
+            self._slot_gbuffer(slot)
+        elif slot not in self._shapes:
+            frame = self._frames.get(slot.key)
+            if frame is not None and frame.gbuffer is not None:
+                return frame.gbuffer
+            number = source.timeline.numbers[slot.key]
+            convention = None if source.finding is None else source.finding.convention
+            # With colour, whose window may be smaller, as in the key frames that are at hand.
+            roles = (Role.COLOUR, *GEOMETRY)
+            self._shapes[slot] = read_raw(source.keys, number, roles).settle(convention)
+        return self._shapes[slot]
+
     def _forget(self, key: int) -> None:
         """Drop what no interval after this one needs."""
+        self._shapes = {slot: shape for slot, shape in self._shapes.items() if slot.key >= key}
         oldest = key + 1 - (HISTORY - 1 if self._method.extrapolates else 0)
         self._frames = {i: frame for i, frame in self._frames.items() if i >= oldest}
         self._instants = {s: buffer for s, buffer in self._instants.items() if s.key >= oldest}
@@ -222,9 +303,13 @@ class IntervalLoader:
         history = self._history(key)
         keys = (key, *((key + 1,) if lookahead else ()), *history)
         files = [self._digest(source.keys, source.timeline.numbers[i]) for i in keys]
-        if source.slots is not None:
+        seen = self._seen(key)
+        if source.slots is None:
+            files += [self._digest(source.keys, source.timeline.numbers[s.key]) for s in seen]
+        else:
             instants = [*(Slot(i, 0) for i in keys), *self._slots(key)]
             instants += [slot for i in history for slot in self._slots(i)]
+            instants += seen
             numbers = [source.slot_number(slot) for slot in instants]
             files += [self._digest(source.slots, n) for n in numbers if n is not None]
         common = {
@@ -238,12 +323,33 @@ class IntervalLoader:
         }
         if self._network is not None:
             common["network"] = [self._network.sha256, self._network.device]
+        if self._policy is not None:
+            common["policy"] = self._policy
+        if self._method.judge in (Judge.PSNR, Judge.RETURN):
+            common["truth"] = self._truth_digests(key)
         return {
             slot.index: hashlib.sha256(
                 json.dumps(common | {"slot": slot.index}, sort_keys=True).encode()
             ).hexdigest()
             for slot in source.timeline.slots_of(key)[1:]
         }
+
+    def _seen(self, key: int) -> list[Slot]:
+        """Return the instants that the features of an interval's states come from."""
+        starts = self._starts(key)
+        return [
+            slot
+            for index in starts
+            for slot in (Slot(index, 0), *((self._instant_before(index),) if index else ()))
+        ]
+
+    def _truth_digests(self, key: int) -> list[str]:
+        """Digest the ground truth of an interval."""
+        if self._truth is None:
+            return []
+        sequence, frame_of = self._truth
+        numbers = [frame_of(slot) for slot in self._source.timeline.slots_of(key)[1:]]
+        return [file_digest(sequence.files[n]) for n in numbers if n is not None]
 
     def _digest(self, shot: Shot, number: int) -> str:
         """Digest all files of one frame; kept for the interval that shares it."""

@@ -13,12 +13,14 @@ from typing import Any
 import numpy as np
 
 from exwarp_cli import __version__
+from exwarp_cli.domain.decision import Plan
 from exwarp_cli.domain.frame import Bool, Float32, Image, broken_pixels, place
 from exwarp_cli.domain.results import FrameKind, FrameRecord
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR, Slot
 from exwarp_cli.errors import LayoutError
 from exwarp_cli.io.atomic import atomic_copy
+from exwarp_cli.io.decisions import decision_text, parse_decision
 from exwarp_cli.io.frames import read_image
 from exwarp_cli.io.output import (
     PREFIX,
@@ -31,6 +33,7 @@ from exwarp_cli.io.output import (
 )
 from exwarp_cli.io.video import VideoWriter, to_display
 from exwarp_cli.metrics.registry import score
+from exwarp_cli.pipeline.choosing import Chooser, Chosen
 from exwarp_cli.pipeline.geometry import Staging
 from exwarp_cli.pipeline.loading import IntervalLoader, Loaded
 from exwarp_cli.pipeline.progress import Progress
@@ -38,7 +41,7 @@ from exwarp_cli.pipeline.schedule import WriteBehind, read_ahead
 from exwarp_cli.pipeline.source import Source
 from exwarp_cli.pipeline.targets import Targets, key_is_there, slot_is_there
 from exwarp_cli.synthesis.interval import Interval
-from exwarp_cli.synthesis.methods import Method
+from exwarp_cli.synthesis.methods import Judge, Method, Predicted, take
 
 INTERVALS_AHEAD = 1
 FRAMES_BEHIND = 4
@@ -54,6 +57,7 @@ class Run:
     targets: Targets
     progress: Progress
     staging: Staging
+    chooser: Chooser | None
     records: list[FrameRecord] = field(default_factory=list)
     _write_ms: dict[int, float] = field(default_factory=dict)
 
@@ -104,20 +108,38 @@ class Run:
         interval = None if loaded.frame is None else self.staging.interval(loaded)
         geometry_ms = 1e3 * (time.perf_counter() - begin)
         slots = self.source.timeline.slots_of(loaded.key)[1:]
+        there = {slot for slot in slots if interval is None or self._is_there(slot, loaded.recipes)}
+        # A policy looks at every interval: the states of later ones hold what it saw.
+        looks = len(there) < len(slots) or self.method.judge is Judge.POLICY
+        chosen = self._choose(loaded, interval) if slots and looks else None
+        shares = {"geometry": geometry_ms / max(len(slots), 1)}
+        if chosen is not None:
+            shares |= {step: ms / len(slots) for step, ms in chosen.timing_ms.items()}
         for slot in slots:
-            if interval is None or self._is_there(slot, loaded.recipes):
+            if interval is None or slot in there:
                 record, shown = self._resume(slot, interval, loaded)
             else:
-                record, shown = self._make(slot, interval, loaded, writer)
-                record = replace(
-                    record,
-                    timing_ms={"geometry": geometry_ms / len(slots)} | record.timing_ms,
-                )
+                plan = None if chosen is None else chosen.plan
+                record, shown = self._make(slot, interval, loaded, writer, plan)
+                record = replace(record, timing_ms=shares | record.timing_ms)
             self.records.append(record)
             if video is not None:
                 image = shown or read_image(self.targets.frames.path(record.number))
                 video.write(self._display(image))
             self.progress.advance(record.number, record.method)
+
+    def _choose(self, loaded: Loaded, interval: Interval | None) -> Chosen | None:
+        """Have an interval's path decided; None for methods outside the decision tree."""
+        if self.chooser is None or interval is None:
+            return None
+        return self.chooser(loaded, interval)
+
+    def _predict(self, interval: Interval, slot: int, plan: Plan | None) -> Predicted:
+        """Make a slot's frame: by the interval's path, or by the method itself."""
+        if self.method.predict is not None:
+            return self.method.predict(interval, slot)
+        assert plan is not None
+        return replace(take(plan.path, interval, slot), method=self.method.name)
 
     def _pass_key(
         self, loaded: Loaded, number: int, writer: WriteBehind, video: VideoWriter | None
@@ -139,12 +161,17 @@ class Run:
         self.progress.advance(output, "key")
 
     def _make(
-        self, slot: Slot, interval: Interval, loaded: Loaded, writer: WriteBehind
+        self,
+        slot: Slot,
+        interval: Interval,
+        loaded: Loaded,
+        writer: WriteBehind,
+        plan: Plan | None,
     ) -> tuple[FrameRecord, Image]:
         """Make, write and score the frame of a slot."""
         assert loaded.frame is not None
         begin = time.perf_counter()
-        predicted = self.method.predict(interval, slot.index)
+        predicted = self._predict(interval, slot.index, plan)
         elapsed = 1e3 * (time.perf_counter() - begin)
         canvas, display = interval.key.image.data_window, self.source.keys.display
         image = Image(predicted.pixels, canvas, display)
@@ -161,6 +188,9 @@ class Run:
             hole_fraction=_fraction(mask),
             nonfinite_pixels=_nonfinite(loaded, predicted.sources),
             timing_ms={predicted.made_by: elapsed},
+            made_by=predicted.made_by,
+            path=None if plan is None else plan.path,
+            decision=None if plan is None else plan.decision_of(slot.index),
         )
         attributes = self._attributes(record, loaded.recipes[slot.index])
         target = self.targets.frames.path(record.number)
@@ -195,6 +225,9 @@ class Run:
             sources=tuple(int(n) for n in str(known["sources"]).split(",")),
             hole_fraction=None if holes is None else float(holes),
             resumed=True,
+            made_by=known.get("madeBy"),
+            path=known.get("path"),
+            decision=parse_decision(known.get("decision")),
         )
         if interval is None or slot.index not in loaded.truth:
             return record, None
@@ -241,6 +274,12 @@ class Run:
             f"{PREFIX}setting": self.source.setting,
             f"{PREFIX}recipe": recipe,
         }
+        if record.made_by is not None:
+            out[f"{PREFIX}madeBy"] = record.made_by
+        if record.path is not None:
+            out[f"{PREFIX}path"] = record.path
+        if record.decision is not None:
+            out[f"{PREFIX}decision"] = decision_text(record.decision)
         if record.hole_fraction is not None:
             out[f"{PREFIX}holeFraction"] = record.hole_fraction
         compression = compression_of(self.settings.compression)

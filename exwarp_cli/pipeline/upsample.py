@@ -5,22 +5,32 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
-from exwarp_cli.domain.results import InputSummary, NetworkSummary, RunSummary
+from exwarp_cli.domain.results import (
+    InputSummary,
+    NetworkSummary,
+    PolicySummary,
+    RunSummary,
+)
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.errors import LayoutError, UsageError
 from exwarp_cli.io import exr
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.models import OnnxExtrapolator, load_extrapolator
 from exwarp_cli.io.output import compression_of
+from exwarp_cli.io.policy_files import PolicyFile, load_policy
 from exwarp_cli.io.sequence import Sequence, find_sequence
 from exwarp_cli.kernels import jit
+from exwarp_cli.pipeline.choosing import Chooser, always, by_policy, by_truth
 from exwarp_cli.pipeline.geometry import Staging
 from exwarp_cli.pipeline.loading import IntervalLoader
+from exwarp_cli.pipeline.observing import Observer
 from exwarp_cli.pipeline.progress import NoProgress, Progress
 from exwarp_cli.pipeline.run import Run
 from exwarp_cli.pipeline.source import FrameOf, Source, align, open_source
 from exwarp_cli.pipeline.targets import Targets
-from exwarp_cli.synthesis.methods import METHODS, Method
+from exwarp_cli.policy.policies import LearnedPolicy
+from exwarp_cli.policy.state import INPUTS, STATE_VERSION
+from exwarp_cli.synthesis.methods import METHODS, Judge, Method
 
 SURFACE_COLOURS = {Role.ALBEDO: "diffuse", Role.SPECULAR: "glossy"}
 """What `synthesis.modulation` divides by, both together, as the user knows it."""
@@ -52,6 +62,8 @@ def upsample(settings: UpsampleSettings, progress: Progress | None = None) -> Ru
     jit.set_threads(settings.threads)
     exr.set_threads(settings.threads)
     network = find_network(settings, method)
+    policy = find_policy(settings, method)
+    _require_truth(settings, method)
     source = open_source(settings.source, method.needs_motion)
     told = None if network is None else _network_summary(network, source)
     keys = source.timeline.select(settings.frames)
@@ -62,11 +74,16 @@ def upsample(settings: UpsampleSettings, progress: Progress | None = None) -> Ru
     _announce(progress, settings, source, method, keys)
     if told is not None:
         _announce_network(progress, told, source)
-    loader = IntervalLoader(source, method, settings, truth, told)
+    decided = None if policy is None else _policy_summary(policy, source)
+    if decided is not None:
+        _announce_policy(progress, decided)
+    checksum = None if policy is None else policy.checksum
+    loader = IntervalLoader(source, method, settings, truth, told, checksum)
     begin = time.perf_counter()
     progress.start(len(slots))
     staging = Staging(source.keys.display, network)
-    run = Run(settings, source, method, targets, progress, staging)
+    chooser = make_chooser(method, source, policy)
+    run = Run(settings, source, method, targets, progress, staging, chooser)
     try:
         records = run.write_all(loader, keys)
     finally:
@@ -80,8 +97,9 @@ def upsample(settings: UpsampleSettings, progress: Progress | None = None) -> Ru
         fps_source=source.fps_source,
         wall_seconds=time.perf_counter() - begin,
         frames=records,
-        path=method.path,
+        decides=method.decides,
         extrapolator=told,
+        policy=decided,
     )
 
 
@@ -119,6 +137,82 @@ def _refuse_network_options(settings: UpsampleSettings, method: Method) -> None:
         raise UsageError(
             f"{vain[0]} is for methods that extrapolate, and --method {method.name} does not; "
             f"leave it out, or use one of {', '.join(names)}"
+        )
+
+
+def find_policy(settings: UpsampleSettings, method: Method) -> PolicyFile | None:
+    """Load the policy that a method asks; None for methods that ask none.
+
+    Raises
+    ------
+    UsageError
+        When options name a policy that the method would not ask.
+    InputError
+        When it cannot be used.
+    """
+    path = None if settings.policy is None else Path(settings.policy)
+    if method.judge is Judge.POLICY:
+        return require_state(load_policy(path))
+    if path is not None:
+        raise UsageError(
+            f"--policy is for --method exwarp, and --method {method.name} asks no policy; leave "
+            "it out"
+        )
+    return None
+
+
+def require_state(policy: PolicyFile) -> PolicyFile:
+    """Refuse a policy that was trained on other inputs than a state has."""
+    inputs, version = policy.network.sizes[0], policy.metadata.get("state")
+    if (inputs, version) != (INPUTS, STATE_VERSION):
+        raise LayoutError(
+            f"{policy.path} takes {inputs} inputs of version {version!r}, and a state has {INPUTS} "
+            f"of version {STATE_VERSION}; train the policy again"
+        )
+    return policy
+
+
+def _require_truth(settings: UpsampleSettings, method: Method) -> None:
+    """Refuse an oracle without ground truth."""
+    if method.judge in (Judge.PSNR, Judge.RETURN) and settings.ground_truth is None:
+        raise UsageError(
+            f"--method {method.name} decides by ground truth; give it with --ground-truth, or use "
+            "--method exwarp"
+        )
+
+
+def make_chooser(method: Method, source: Source, policy: PolicyFile | None) -> Chooser | None:
+    """Return who decides the path of each key interval; None outside the decision tree."""
+    if method.path is not None:
+        return always(method.path)
+    if policy is not None:
+        observer = Observer(source.keys.display, source.setting)
+        return by_policy(LearnedPolicy(policy.network), observer)
+    return None if method.judge is None else by_truth(method.judge, source.keys.display)
+
+
+def _policy_summary(policy: PolicyFile, source: Source) -> PolicySummary:
+    """Say what the policy sees of the input."""
+    layout = (source.slots or source.keys).layout
+    objects_from: str | None = "ids" if Role.STENCIL in layout else "motion"
+    if objects_from == "motion" and not (Role.POSITION in layout or Role.DEPTH in layout):
+        objects_from = None
+    needed = {"EMD_Wn": Role.NORMAL, "EMD_Wp": Role.POSITION}
+    missing = [name for name, role in needed.items() if role not in layout]
+    if objects_from is None:
+        missing.insert(0, "N_d")
+    return PolicySummary(str(policy.path), policy.checksum, objects_from, tuple(missing))
+
+
+def _announce_policy(progress: Progress, decided: PolicySummary) -> None:
+    progress.message(
+        f"decisions by {Path(decided.file).name} (sha256 {decided.sha256[:8]}), 8-bit integers"
+    )
+    if decided.objects_from == "motion":
+        progress.message("no object ids: what moves otherwise than the camera counts as an object")
+    if decided.missing:
+        progress.message(
+            f"the policy sees 0 for {', '.join(decided.missing)}, as the AOVs for it are missing"
         )
 
 

@@ -7,6 +7,8 @@ import io
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+from exwarp_cli.domain.decision import Decision
+from exwarp_cli.domain.features import FEATURES
 from exwarp_cli.domain.results import FrameRecord, Score
 from exwarp_cli.report.summary import finite, steps_of
 
@@ -14,6 +16,9 @@ COLUMNS = (
     *("frame", "file", "key", "slot", "kind", "method", "sources"),
     *("hole_fraction", "nonfinite_pixels", "psnr_db", "ssim", "flip"),
     *("psnr_db_holes", "ssim_holes", "flip_holes", "resumed"),
+    *("made_by", "path", "node", "choice", "output_warp", "output_extrapolate"),
+    *FEATURES,
+    "inputs",
 )
 """After these come the timed steps, each as ``<step>_ms``."""
 
@@ -21,7 +26,8 @@ COLUMNS = (
 def frames_csv(frames: tuple[FrameRecord, ...]) -> str:
     """Write the records as CSV text: a header line, then a row a frame in the given order.
 
-    An empty cell is what was not measured; `sources` are frame numbers with spaces between.
+    An empty cell is what was not measured or decided; `sources` are frame numbers with spaces
+    between, and so are `inputs`, what the policy's network saw in Q16.16.
     """
     steps = steps_of(frames)
     header = [*COLUMNS, *(f"{step}_ms" for step in steps)]
@@ -51,6 +57,18 @@ def score_cells(score: Score | None) -> tuple[float | None, float | None, float 
     return (None, None, None) if score is None else (score.psnr_db, score.ssim, score.flip)
 
 
+def decision_cells(decision: Decision | None) -> tuple[Any, ...]:
+    """Node, choice, both outputs, the features and the inputs; empty where nothing was decided."""
+    if decision is None:
+        return (None,) * (5 + len(FEATURES))
+    return (
+        *(decision.node, decision.choice),
+        *(decision.outputs or (None, None)),
+        *((None,) * len(FEATURES) if decision.features is None else decision.features.values),
+        " ".join(map(str, decision.inputs)) or None,
+    )
+
+
 def _row(frame: FrameRecord, steps: list[str]) -> list[Any]:
     return [
         *(frame.number, frame.file, frame.key, frame.slot, frame.kind.value, frame.method),
@@ -59,5 +77,7 @@ def _row(frame: FrameRecord, steps: list[str]) -> list[Any]:
         *score_cells(frame.score),
         *score_cells(frame.hole_score),
         frame.resumed,
+        *(frame.made_by, frame.path),
+        *decision_cells(frame.decision),
         *(frame.timing_ms.get(step) for step in steps),
     ]

@@ -41,10 +41,11 @@ def report(run: RunSummary) -> dict[str, Any]:
         "frames": _frames(run.frames),
         "fps": _fps(run),
         "holes": _holes(shown),
-        "decisions": decisions(run.path, len(complete_intervals(run.frames))),
-        "quality": _quality(run.path, shown),
+        "decisions": decisions(_paths(run)),
+        "quality": _quality(run.decides, shown),
         "timing_ms": _timing(run.frames),
         "extrapolator": None if run.extrapolator is None else asdict(run.extrapolator),
+        "policy": None if run.policy is None else asdict(run.policy),
     }
     plain: dict[str, Any] = finite(found)
     return plain
@@ -142,12 +143,19 @@ def _holes(shown: tuple[FrameRecord, ...]) -> dict[str, Any]:
     }
 
 
-def _quality(path: str | None, shown: tuple[FrameRecord, ...]) -> dict[str, Any]:
+def _paths(run: RunSummary) -> list[str] | None:
+    """Return the path of each complete interval whose path is known; None outside the tree."""
+    if not run.decides:
+        return None
+    return [group[-1].path for group in complete_intervals(run.frames) if group[-1].path]
+
+
+def _quality(decides: bool, shown: tuple[FrameRecord, ...]) -> dict[str, Any]:
     """Mean scores over the frames shown at slots 1 to 3, repeats included."""
     return {
         "all": quality(f.score for f in shown),
         "holes": quality(f.hole_score for f in shown),
-        "by_decision": quality_by_decision(path, shown),
+        "by_decision": quality_by_decision(decides, shown),
         "dropped": quality(f.score for f in shown if f.kind is FrameKind.DROPPED),
     }
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from enum import Enum
 from functools import partial
 
 import numpy as np
@@ -43,6 +44,19 @@ class Predicted:
     made_by: str
 
 
+class Judge(Enum):
+    """Who decides the path of a key interval, where it is not fixed."""
+
+    POLICY = "policy"
+    """The learned policy."""
+
+    PSNR = "psnr"
+    """Ground truth: the path whose slots 1 to 3 have the best mean PSNR."""
+
+    RETURN = "return"
+    """Ground truth: the path with the best sum of the paper's rewards."""
+
+
 @dataclass(frozen=True)
 class Method:
     """A way to make the frames of slots.
@@ -52,25 +66,35 @@ class Method:
     name
         As on the command line.
     predict
-        Called with an interval and a slot, 1 to 3.
+        Called with an interval and a slot, 1 to 3; None where each interval's path makes it.
     lookahead
         Whether it uses the next key frame.
     needs_motion
         Whether it cannot do without motion vectors.
     path
         The paper's decision path that it is, if any.
+    judge
+        Who decides the path of each interval; None where nothing is decided.
     """
 
     name: str
-    predict: Callable[[Interval, int], Predicted]
+    predict: Callable[[Interval, int], Predicted] | None
     lookahead: bool
     needs_motion: bool
     path: str | None = None
+    judge: Judge | None = None
+
+    @property
+    def decides(self) -> bool:
+        """Whether its frames are made by paths of the paper's decision tree."""
+        return self.path is not None or self.judge is not None
 
     @property
     def extrapolates(self) -> bool:
-        """Whether it needs a network, and the key frames before the last one."""
-        return self.path is not None and EXTRAPOLATE in PATHS[self.path].made_by
+        """Whether it may need a network, and the key frames before the last one."""
+        if self.path is None:
+            return self.judge is not None
+        return EXTRAPOLATE in PATHS[self.path].made_by
 
 
 def _hold(interval: Interval, slot: int) -> Predicted:
@@ -79,7 +103,7 @@ def _hold(interval: Interval, slot: int) -> Predicted:
     return Predicted(pixels, FrameKind.DROPPED, "hold", (interval.key.number,), HOLD)
 
 
-def _take(path: str, interval: Interval, slot: int) -> Predicted:
+def take(path: str, interval: Interval, slot: int) -> Predicted:
     """Make the frame of a slot as one of the paper's paths has it.
 
     Whatever is warped is sampled once, through the whole motion from the last frame that was
@@ -88,7 +112,7 @@ def _take(path: str, interval: Interval, slot: int) -> Predicted:
     made_by, name = PATHS[path].made_by, path.lower()
     maker = made_by[slot - 1]
     if maker == HOLD:
-        shown = _hold(interval, slot) if slot == 1 else _take(path, interval, slot - 1)
+        shown = _hold(interval, slot) if slot == 1 else take(path, interval, slot - 1)
         return replace(shown, kind=FrameKind.DROPPED, method=name, made_by=HOLD)
     sources: tuple[int, ...] = (interval.key.number,)
     if maker == EXTRAPOLATE:
@@ -108,7 +132,7 @@ def _seen(interval: Interval) -> tuple[int, ...]:
 
 def _causal(interval: Interval, slot: int) -> Predicted:
     """Do what can be done without a next key frame."""
-    return _take("S6", interval, slot) if interval.has_motion else _hold(interval, slot)
+    return take("S6", interval, slot) if interval.has_motion else _hold(interval, slot)
 
 
 def _blend(interval: Interval, slot: int) -> Predicted:
@@ -135,13 +159,21 @@ def _softsplat(interval: Interval, slot: int) -> Predicted:
 
 def _fixed(path: str) -> Method:
     """Return the method that takes one path in every key interval."""
-    return Method(path.lower(), partial(_take, path), lookahead=False, needs_motion=True, path=path)
+    return Method(path.lower(), partial(take, path), lookahead=False, needs_motion=True, path=path)
+
+
+def _judged(name: str, judge: Judge) -> Method:
+    """Return the method that decides the path of each interval."""
+    return Method(name, None, lookahead=False, needs_motion=True, judge=judge)
 
 
 METHODS: Mapping[str, Method] = {
     method.name: method
     for method in (
+        _judged("exwarp", Judge.POLICY),
         *map(_fixed, PATHS),
+        _judged("oracle", Judge.PSNR),
+        _judged("oracle-return", Judge.RETURN),
         Method("softsplat", _softsplat, lookahead=True, needs_motion=True),
         Method("blend", _blend, lookahead=True, needs_motion=False),
         Method("hold", _hold, lookahead=False, needs_motion=False),

@@ -49,6 +49,43 @@ class TrainingSettings:
     scenes: dict[str, list[str]] = field(default_factory=dict)
 
 
+@dataclass(frozen=True)
+class PolicySettings:
+    """How a policy is trained.
+
+    Attributes
+    ----------
+    steps
+        Of the optimiser.
+    batch
+        States a step.
+    rate
+        Of learning, falling to 0 along a cosine.
+    decay
+        Of the weights.
+    lag
+        Steps after which the target network is copied.
+    discount
+        Gamma.
+    seed
+        Of the weights and of the samples.
+    """
+
+    steps: int = 8000
+    batch: int = 256
+    rate: float = 1e-3
+    decay: float = 1e-4
+    lag: int = 200
+    discount: float = 0.95
+    seed: int = 0
+
+
+def require_sane_policy(settings: PolicySettings) -> None:
+    """Refuse settings that no training of a policy can begin with; raises UsageError."""
+    if not 0 < settings.rate < 1:
+        raise UsageError(f"--rate {settings.rate:g} is not between 0 and 1; try 0.001")
+
+
 def require_sane(settings: TrainingSettings) -> None:
     """Refuse settings that no training can begin with.
 

@@ -147,9 +147,12 @@ def _methods(keys: list[KeyFrame]) -> dict[str, tuple[Work, Work]]:
     base = _remap(keys[0].image.pixels, reproject(_gbuffer(keys[0]), TIME).field)
 
     def predict(name: str) -> Work:
-        return lambda: METHODS[name].predict(Interval(keys[0], keys[1]), SLOT)
+        made = METHODS[name].predict
+        assert made is not None
+        return lambda: made(Interval(keys[0], keys[1]), SLOT)
 
-    return {f"{name}, a whole slot": (predict(name), base) for name in METHODS}
+    alone = [method.name for method in METHODS.values() if not method.extrapolates]
+    return {f"{name}, a whole slot": (predict(name), base) for name in alone}
 
 
 def _ssim(reference: Float32, test: Float32) -> dict[str, tuple[Work, Work]]:

@@ -28,9 +28,12 @@ from exwarp_cli.io.dataset import find_scenes
 from exwarp_cli.io.models import load_extrapolator
 from exwarp_cli.kernels import jit
 from exwarp_cli.metrics.registry import METRICS, score
-from exwarp_cli.synthesis.methods import METHODS as ALL
+from exwarp_cli.synthesis.methods import METHODS
 from exwarp_cli.training.footage import Footage
 from tests.bench.card import table
+
+ALONE = {name: made.predict for name, made in METHODS.items() if made.predict is not None}
+"""How methods that no judge chooses paths for make a frame."""
 
 SETTINGS = ("key", "slot")
 DROPPED = {
@@ -85,7 +88,7 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--data", type=Path, default=Path("~/.cache/exwarp/scenes").expanduser())
     parser.add_argument("--scenes", nargs="*", default=[])
     parser.add_argument("--settings", nargs="*", default=SETTINGS, choices=SETTINGS)
-    parser.add_argument("--methods", nargs="*", default=list(ALL), choices=list(ALL))
+    parser.add_argument("--methods", nargs="*", default=list(ALONE), choices=list(ALONE))
     parser.add_argument("--model", type=Path, help="default: the one that comes with ExWarp")
     parser.add_argument("--surface", choices=DROPPED, default="full", help="AOVs that are there")
     parser.add_argument("--every", type=int, default=1, help="judge every so many key intervals")
@@ -133,7 +136,7 @@ def _interval(
         truth = footage.truth(k, slot).pixels
         mask = interval.hole_mask(slot)
         for name in task.methods:
-            made = ALL[name].predict(interval, slot)
+            made = ALONE[name](interval, slot)
             scores = _scored(truth, made.pixels, mask, known)
             values = _flat(*scores) | {"new": float(made.kind is not FrameKind.DROPPED)}
             yield name, values

@@ -24,7 +24,7 @@ from exwarp_cli.pipeline.upsample import upsample
 from exwarp_cli.synthesis.methods import METHODS
 from tests.bench.peers import Frames, dis_flow, minterpolate
 
-OWN = ("hold", "blend", "s6", "softsplat")
+OWN = ("hold", "blend", "s6", "exwarp", "softsplat")
 PEERS = {"ffmpeg minterpolate": minterpolate, "OpenCV DIS flow": dis_flow}
 KINDS = {True: "look-ahead", False: "causal"}
 

@@ -1,0 +1,42 @@
+"""``exwarp features``: what the policy sees."""
+
+from __future__ import annotations
+
+import click
+
+from exwarp_cli.pipeline.progress import KINDS
+
+
+@click.command("features")
+@click.argument("sequence")
+@click.option("--gbuffers", metavar="SEQ", help="G-buffers rendered at the output rate.")
+@click.option("--motion", metavar="CONVENTION", help="Read vectors so, and measure nothing.")
+@click.option("--frames", metavar="RANGE", help="Key frames, by number: 1001-1100x2, 1-10:2.")
+@click.option("--threads", type=click.IntRange(1), help="Default: all cores.")
+@click.option("--progress", type=click.Choice(KINDS), default=KINDS[0], show_default=True)
+def command(
+    sequence: str,
+    gbuffers: str | None,
+    motion: str | None,
+    frames: str | None,
+    threads: int | None,
+    progress: str,
+) -> None:
+    """Print the features of SEQUENCE as CSV, a row for every decision of every key interval.
+
+    N_d counts moving objects; EMD_Wn and EMD_Wp are distances of normals and positions from the
+    instant before, Var_x and Var_y variances of motion (square pixels), all per slot; R is pixels.
+    `inputs` is what the network is given: 44 numbers in Q16.16 (see exwarp policy run).
+    """
+    from exwarp_cli.domain.settings import SourceSettings
+    from exwarp_cli.kernels import jit
+    from exwarp_cli.pipeline.featuring import features
+    from exwarp_cli.pipeline.progress import make_progress
+    from exwarp_cli.report.features_csv import HEADER, row
+    from exwarp_cli.report.frames_csv import table
+
+    jit.set_threads(threads)
+    settings = SourceSettings(sequence, gbuffers, motion)
+    click.echo(table(HEADER, ()), nl=False)
+    for found in features(settings, frames, make_progress(progress)):
+        click.echo(table(row(found), ()), nl=False)

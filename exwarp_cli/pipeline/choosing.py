@@ -1,0 +1,90 @@
+"""Who decides the path of each key interval: nobody, the learned policy, or the truth."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from exwarp_cli.domain.decision import CHOICES, NODES, PATHS, Decision, Plan
+from exwarp_cli.domain.frame import Window
+from exwarp_cli.domain.timeline import FACTOR
+from exwarp_cli.pipeline.loading import Loaded
+from exwarp_cli.pipeline.observing import Observer
+from exwarp_cli.pipeline.oracle import outcomes_of
+from exwarp_cli.policy import outcomes
+from exwarp_cli.policy.policies import LearnedPolicy
+from exwarp_cli.synthesis.interval import Interval
+from exwarp_cli.synthesis.methods import Judge
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """A plan, and how long it took.
+
+    Attributes
+    ----------
+    plan
+        For one key interval.
+    timing_ms
+        Milliseconds by step of the work.
+    """
+
+    plan: Plan
+    timing_ms: Mapping[str, float] = field(default_factory=dict)
+
+
+Chooser = Callable[[Loaded, Interval], Chosen]
+
+
+def always(path: str) -> Chooser:
+    """Return who takes one path whatever is seen."""
+    chosen = Chosen(Plan.fixed(path))
+    return lambda loaded, interval: chosen
+
+
+def by_policy(policy: LearnedPolicy, observer: Observer) -> Chooser:
+    """Return who asks the learned policy."""
+
+    def choose(loaded: Loaded, interval: Interval) -> Chosen:
+        begin = time.perf_counter()
+        surroundings = observer.of(loaded, interval)
+        seen = time.perf_counter()
+        plan = policy.plan(surroundings)
+        end = time.perf_counter()
+        return Chosen(plan, {"features": 1e3 * (seen - begin), "decide": 1e3 * (end - seen)})
+
+    return choose
+
+
+def by_truth(judge: Judge, display: Window) -> Chooser:
+    """Return who looks at the ground truth: exact over the six paths of each interval.
+
+    Where a slot has no ground truth nothing can be told, and the interval is warped.
+    """
+    by_psnr = judge is Judge.PSNR
+    best = outcomes.best_psnr if by_psnr else outcomes.best_return
+
+    def choose(loaded: Loaded, interval: Interval) -> Chosen:
+        if set(loaded.truth) != set(range(1, FACTOR)):
+            return Chosen(Plan.fixed("S6"))
+        begin = time.perf_counter()
+        truth = {slot: image.on(display).pixels for slot, image in loaded.truth.items()}
+        found = outcomes_of(interval, truth, display)
+        path = tuple(PATHS)[int(best(found))]
+        told = found[..., 0] if by_psnr else outcomes.rewards(found)
+        decisions = tuple(
+            Decision(node, choice, outputs=_pair(told[NODES.index(node)]))
+            for node, choice in PATHS[path].choices.items()
+        )
+        return Chosen(Plan(path, decisions), {"decide": 1e3 * (time.perf_counter() - begin)})
+
+    return choose
+
+
+def _pair(told: np.ndarray) -> tuple[float, float]:
+    """Return what was told of the two choices."""
+    warp, extrapolate = (float(told[CHOICES.index(choice)]) for choice in CHOICES)
+    return warp, extrapolate

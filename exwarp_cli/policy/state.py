@@ -1,0 +1,131 @@
+"""The state that a decision is made in: the network's 44 inputs (paper, section IV-C).
+
+A state is S = (E, T): the six features of an instant, each scaled to 0 … 1, and the node as five
+numbers, one of them 1. The input is the current state and the last three, the newest first: the
+earlier nodes of this key interval, then node d1 of the key frames before. The oldest is repeated
+where there are fewer.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from exwarp_cli.domain.decision import FIRST, NODES, PATHS, SLOTS
+from exwarp_cli.domain.features import FEATURES, Features
+
+F64 = npt.NDArray[np.float64]
+
+STATES = 4
+"""The current one and three before."""
+
+STATE_SIZE = len(FEATURES) + len(NODES)
+INPUTS = STATES * STATE_SIZE
+"""44."""
+
+STATE_VERSION = 1
+"""Of the order and the scales below; a policy's metadata have it as ``state``."""
+
+KEYS_BACK = 3
+"""Key frames before F_k whose features are looked at: at d1 all of them."""
+
+
+PASSED = {
+    node: next(
+        tuple(path.choices)[: tuple(path.choices).index(node)]
+        for path in PATHS.values()
+        if node in path.choices
+    )
+    for node in NODES
+}
+"""The nodes that lead to each node; there is one way to each."""
+
+
+@dataclass(frozen=True)
+class Scale:
+    """How a feature becomes a number from 0 to 1: log(1 + v / unit), 1 at `top` and beyond.
+
+    Attributes
+    ----------
+    unit
+        Below it the scale is nearly linear.
+    top
+        Where it saturates.
+    """
+
+    unit: float
+    top: float
+
+    def __call__(self, value: float) -> float:
+        """Scale a value that is 0 or more."""
+        return min(math.log1p(value / self.unit) / math.log1p(self.top / self.unit), 1.0)
+
+
+SCALES = {
+    "N_d": Scale(1.0, 63.0),
+    "EMD_Wn": Scale(1e-3, 0.5),
+    "EMD_Wp": Scale(1e-3, 1.0),
+    "Var_x": Scale(1e-7, 1e-2),
+    "Var_y": Scale(1e-7, 1e-2),
+    "R": Scale(0.05, 33.2),
+}
+"""Of N_d; EMD_Wn; EMD_Wp in median distances from the camera; variances in squared frame widths; R
+in megapixels (saturating at 8K). Raw R alone would overflow Q16.16 at 480p.
+
+Units are where differences stop to matter: with a hundredth of them a shot calmer than all that
+were learned from looked like another world, and lost 0.06 dB."""
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """What the states of a key interval are made of.
+
+    Attributes
+    ----------
+    now
+        Features of the instants t, t + 1/4 and t + 1/2, at which slots 1, 2 and 3 are decided; with
+        G-buffers of key frames only, three times those of F_k.
+    before
+        Features of F_k-1, F_k-2 and F_k-3, the newer first, as far as they are there.
+    """
+
+    now: tuple[Features, Features, Features]
+    before: tuple[Features, ...]
+
+    def inputs(self, node: str, passed: Sequence[str]) -> F64:
+        """Return the network's inputs at a node, float64 [44], 0 to 1.
+
+        Parameters
+        ----------
+        node
+            The current one.
+        passed
+            The nodes of this interval before it, in their order.
+        """
+        here = [node, *reversed(passed)]
+        found = [(self.now[SLOTS[name] - 1], name) for name in here]
+        found += [(features, FIRST) for features in self.before]
+        found = (found + [found[-1]] * STATES)[:STATES]
+        return np.concatenate([state(features, name) for features, name in found])
+
+
+def state(features: Features, node: str) -> F64:
+    """Return one state, float64 [11], 0 to 1: scaled features and the node."""
+    return np.concatenate([scaled(features), np.array([name == node for name in NODES], float)])
+
+
+def scaled(features: Features) -> F64:
+    """Return the features scaled, float64 [6], 0 to 1, in the order of FEATURES."""
+    relative = {
+        "N_d": features.objects,
+        "EMD_Wn": features.emd_normal,
+        "EMD_Wp": features.emd_position / features.distance if features.distance > 0 else 0.0,
+        "Var_x": features.var_x / features.width**2,
+        "Var_y": features.var_y / features.width**2,
+        "R": features.resolution / 1e6,
+    }
+    return np.array([SCALES[name](relative[name]) for name in FEATURES])
