@@ -37,6 +37,7 @@ def command(
 
     jit.set_threads(threads)
     settings = SourceSettings(sequence, gbuffers, motion)
-    click.echo(table(HEADER, ()), nl=False)
-    for found in features(settings, frames, make_progress(progress)):
+    for number, found in enumerate(features(settings, frames, make_progress(progress))):
+        if not number:  # not before: a sequence that cannot be used gives no table
+            click.echo(table(HEADER, ()), nl=False)
         click.echo(table(row(found), ()), nl=False)

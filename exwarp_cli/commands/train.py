@@ -108,7 +108,7 @@ def policy(
     require_train()
     from exwarp_cli.training.policy import train_policy
     from exwarp_cli.training.policy_card import card
-    from exwarp_cli.training.policy_table import Survey, find_tables
+    from exwarp_cli.training.survey import Survey, find_tables
 
     settings = PolicySettings(**options)  # type: ignore[arg-type]
     require_sane_policy(settings)

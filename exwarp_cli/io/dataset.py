@@ -90,13 +90,13 @@ class RenderedScene:
         keys = set(manifest.keys.numbers) - absent[1]
         run: list[int] = []
         for index in range(manifest.keys.count):
-            span = range(first + step * index - step * bool(run), first + step * index + 1)
+            span = range(first + step * (index - 1), first + step * index + 1)
             if manifest.keys.first + index in keys and there.issuperset(span):
                 run.append(index)
             elif len(run) > 1:
                 break
             else:
-                run = [index] if manifest.keys.first + index in keys and span[-1] in there else []
+                run = [index] if manifest.keys.first + index in keys else []
         if len(run) < 2:
             raise MissingFrameError(
                 f"{self.folder} has no two successive key frames with all instants between; "

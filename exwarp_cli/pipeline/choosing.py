@@ -5,12 +5,14 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
 from exwarp_cli.domain.decision import CHOICES, NODES, PATHS, Decision, Plan
 from exwarp_cli.domain.frame import Window
 from exwarp_cli.domain.timeline import FACTOR
+from exwarp_cli.io.output import quantise
 from exwarp_cli.pipeline.loading import Loaded
 from exwarp_cli.pipeline.observing import Observer
 from exwarp_cli.pipeline.oracle import outcomes_of
@@ -72,7 +74,7 @@ def by_truth(judge: Judge, display: Window) -> Chooser:
             return Chosen(Plan.fixed("S6"))
         begin = time.perf_counter()
         truth = {slot: image.on(display).pixels for slot, image in loaded.truth.items()}
-        found = outcomes_of(interval, truth, display)
+        found = outcomes_of(interval, truth, display, partial(quantise, template=loaded.template))
         path = tuple(PATHS)[int(best(found))]
         told = found[..., 0] if by_psnr else outcomes.rewards(found)
         decisions = tuple(

@@ -15,7 +15,6 @@ from exwarp_cli.pipeline.observing import Observer
 from exwarp_cli.pipeline.progress import NoProgress, Progress
 from exwarp_cli.pipeline.source import open_source
 from exwarp_cli.policy.state import PASSED
-from exwarp_cli.synthesis.geometry import settle_motion
 from exwarp_cli.synthesis.methods import METHODS
 
 
@@ -70,15 +69,12 @@ def features(
     keys = source.timeline.select(frames)
     asked = UpsampleSettings(settings, "", "exwarp")
     loader = IntervalLoader(source, METHODS["exwarp"], asked, None)
-    display = source.keys.display
-    observer = Observer(display, source.setting)
+    observer = Observer(source.keys.display, source.setting)
     told.start(len(keys))
     try:
         for key in keys:
             observed, slots = loader.look(key)
-            canvas = display.union(observed[-1].now.window)
-            staged = [settle_motion(slot.on(canvas)) for slot in slots]
-            surroundings = observer.surroundings(key, observed, staged)
+            surroundings = observer.surroundings(key, observed, observer.settled(slots))
             number = source.timeline.numbers[key]
             for node in NODES:
                 yield NodeFeatures(

@@ -53,7 +53,8 @@ class Observer:
         observed
             Its instant, and those that were not seen before.
         slots
-            G-buffers of slots 1 to 3 with settled motion; empty where there are none.
+            G-buffers of slots 1 to 3 on the display window with settled motion; empty where there
+            are none.
         settled
             The key frame's on the display window with settled motion, where it is at hand.
         """
@@ -66,7 +67,7 @@ class Observer:
         start = self._starts[key]
         now_on = (start, start, start)
         if slots:
-            first, second = (with_ids(slot.on(self._display)) for slot in slots[:2])
+            first, second = (with_ids(slot) for slot in slots[:2])
             at_key = observed[-1].now.on(self._display)
             now_on = (start, observe(first, at_key, 1), observe(second, first, 1))
         older = range(key - 1, max(key - 1 - KEYS_BACK, -1), -1)
@@ -75,12 +76,22 @@ class Observer:
         return Surroundings(now_on, before_it)
 
     def of(self, loaded: Loaded, interval: Interval) -> Surroundings:
-        """Return what the states of an interval are made of that was read and staged."""
-        settled = None
+        """Return what the states of an interval are made of that was read and staged.
+
+        Motion settled on another window than the display's differs in its last digits, as other
+        points are looked at; so it is settled again then.
+        """
+        settled, slots = None, interval.slots
         whole = loaded.frame is not None and loaded.frame.image.data_window == self._display
         if self._span == FACTOR and whole and interval.key.image.data_window == self._display:
             settled = interval.key.gbuffer
-        return self.surroundings(loaded.key, loaded.observed, interval.slots, settled)
+        if interval.key.image.data_window != self._display:
+            slots = self.settled(loaded.slots)
+        return self.surroundings(loaded.key, loaded.observed, slots, settled)
+
+    def settled(self, slots: Sequence[GBuffer]) -> tuple[GBuffer, ...]:
+        """Return G-buffers of slots as `surroundings` takes them."""
+        return tuple(settle_motion(slot.on(self._display)) for slot in slots)
 
 
 def with_ids(gbuffer: GBuffer) -> GBuffer:

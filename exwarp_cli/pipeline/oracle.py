@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +20,10 @@ SAME = {("d4", WARP): ("d3", WARP), ("d5", EXTRAPOLATE): ("d4", EXTRAPOLATE)}
 
 
 def outcomes_of(
-    interval: Interval, truth: Mapping[int, Float32], display: Window | None = None
+    interval: Interval,
+    truth: Mapping[int, Float32],
+    display: Window | None = None,
+    as_written: Callable[[Float32], Float32] | None = None,
 ) -> npt.NDArray[np.float64]:
     """Make the frames of all choices of a key interval and measure them.
 
@@ -32,6 +35,8 @@ def outcomes_of(
         Ground truth of slots 1 to 3, float32 [H, W, 3] or more, scene-linear.
     display
         The window of the truth; None for the interval's own.
+    as_written
+        Rounds pixels to what a file keeps of them; None to measure them as they are made.
 
     Returns
     -------
@@ -48,6 +53,8 @@ def outcomes_of(
                 continue
             slot = SLOTS[node]
             pixels = take(_path_through(node, choice), interval, slot).pixels
+            if as_written is not None:
+                pixels = as_written(pixels)
             made = encode(place(pixels, canvas, display or canvas))
             found[node, choice] = [METRICS[name](encoded[slot], made).overall() for name in JUDGED]
     return np.array([[found[node, choice] for choice in CHOICES] for node in NODES])

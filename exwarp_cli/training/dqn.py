@@ -17,8 +17,9 @@ import torch
 from torch import Tensor, nn
 
 from exwarp_cli.domain.decision import CHOICES, NEXT, NODES
+from exwarp_cli.domain.features import FEATURES
 from exwarp_cli.policy.outcomes import rewards
-from exwarp_cli.policy.state import INPUTS
+from exwarp_cli.policy.state import INPUTS, STATES
 from exwarp_cli.training.policy_table import PolicyTable
 from exwarp_cli.training.settings import PolicySettings
 
@@ -34,6 +35,10 @@ AFTER = torch.tensor(
     [[NODES.index(NEXT[n, c]) if (n, c) in NEXT else -1 for c in CHOICES] for n in NODES]
 )
 """Index of the node after each choice, -1 at the end: [5, 2]."""
+
+
+FEATURE = torch.tensor(([1.0] * len(FEATURES) + [0.0] * len(NODES)) * STATES)
+"""Which inputs are features, and not the node: [44]."""
 
 
 def make_network() -> nn.Sequential:
@@ -53,6 +58,21 @@ def train(tables: Sequence[PolicyTable], settings: PolicySettings) -> Layers:
         Weights float64 [out, in] and biases [out] of each layer; the same for the same tables and
         settings on one kind of processor.
     """
+    # Batches are small: two threads took 3 times the processor's time, and no less time in all.
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        network = _trained(tables, settings)
+    finally:
+        torch.set_num_threads(threads)
+    linear = [layer for layer in network if isinstance(layer, nn.Linear)]
+    return tuple(
+        (layer.weight.detach().double().numpy(), layer.bias.detach().double().numpy())
+        for layer in linear
+    )
+
+
+def _trained(tables: Sequence[PolicyTable], settings: PolicySettings) -> nn.Sequential:
     torch.manual_seed(settings.seed)
     network, target = make_network(), make_network()
     target.load_state_dict(network.state_dict())
@@ -69,16 +89,13 @@ def train(tables: Sequence[PolicyTable], settings: PolicySettings) -> Layers:
         with torch.no_grad():
             ahead = expanded(target(following).amax(dim=-1)) * goes_on
             aim = compressed(reward + settings.discount * ahead)
+        state = state + settings.jitter * FEATURE * torch.randn_like(state)
         loss = (network(state) - aim).square().mean()
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
         schedule.step()
-    linear = [layer for layer in network if isinstance(layer, nn.Linear)]
-    return tuple(
-        (layer.weight.detach().double().numpy(), layer.bias.detach().double().numpy())
-        for layer in linear
-    )
+    return network
 
 
 def compressed(gain: Tensor) -> Tensor:

@@ -22,6 +22,7 @@ from exwarp_cli.io.atomic import atomic_write_bytes, make_folder
 from exwarp_cli.io.dataset import RenderedScene
 from exwarp_cli.io.models import OnnxExtrapolator, load_extrapolator
 from exwarp_cli.kernels import jit
+from exwarp_cli.pipeline.observing import with_ids
 from exwarp_cli.pipeline.oracle import outcomes_of
 from exwarp_cli.policy.features import observe
 from exwarp_cli.training.footage import Footage
@@ -163,7 +164,7 @@ def _features(footage: Footage, view: View, k: int) -> F64:
         before = None if first else footage.key(k - 1).gbuffer
         gbuffer = footage.key(k).gbuffer
         assert gbuffer is not None
-        return np.array([astuple(observe(gbuffer, before, FACTOR))] * 3, np.float64)
+        return np.array([astuple(observe(with_ids(gbuffer), before, FACTOR))] * 3, np.float64)
     orders = range(FACTOR * k - 1, FACTOR * k + 3)
     instants = [
         None if first and order < FACTOR * k else footage.slot(*divmod(order, FACTOR)).gbuffer
@@ -172,7 +173,7 @@ def _features(footage: Footage, view: View, k: int) -> F64:
     rows = []
     for before, gbuffer in pairwise(instants):
         assert gbuffer is not None
-        rows.append(astuple(observe(gbuffer, before, 1)))
+        rows.append(astuple(observe(with_ids(gbuffer), before, 1)))
     return np.array(rows, np.float64)
 
 

@@ -21,7 +21,7 @@ from exwarp_cli.accel.fixed_point import to_fixed
 from exwarp_cli.accel.kernel import MlpKernel
 from exwarp_cli.accel.quantised_mlp import QuantisedMlp
 from exwarp_cli.domain.decision import NODES, PATHS
-from exwarp_cli.errors import InputError
+from exwarp_cli.errors import DamagedFileError, InputError
 from exwarp_cli.io.atomic import atomic_write_text, make_folder
 from exwarp_cli.io.models import CHECKSUMS
 from exwarp_cli.io.policy_files import SHIPPED_POLICY, save_network
@@ -227,7 +227,12 @@ def _save(
 def _note_checksums(folder: Path, names: Sequence[str]) -> None:
     """Write the files' checksums beside those that are there."""
     path = folder / CHECKSUMS
-    known = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    try:
+        known = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    except ValueError as error:
+        raise DamagedFileError(
+            f"{path} is no JSON ({error}); remove it, or write to another folder with -o"
+        ) from error
     for name in names:
         known[name] = hashlib.sha256((folder / name).read_bytes()).hexdigest()
     atomic_write_text(path, json.dumps(known, indent=1, sort_keys=True) + "\n")

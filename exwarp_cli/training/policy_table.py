@@ -8,32 +8,25 @@ from __future__ import annotations
 
 import io
 import json
-import os
 import struct
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.domain.dataset import BENCHMARK
 from exwarp_cli.domain.decision import NODES
 from exwarp_cli.domain.features import Features
-from exwarp_cli.errors import DamagedFileError, InputError, UsageError
-from exwarp_cli.io.atomic import atomic_write_bytes, make_folder
-from exwarp_cli.io.dataset import RenderedScene, find_scenes
-from exwarp_cli.io.models import shipped_folder
+from exwarp_cli.errors import DamagedFileError, InputError
+from exwarp_cli.io.atomic import atomic_write_bytes
 from exwarp_cli.policy.state import INPUTS, KEYS_BACK, PASSED, Surroundings
-from exwarp_cli.training.measuring import VIEWS, Measured, View, fits, measure, network
+from exwarp_cli.training.measuring import Measured, View
 
 F64 = npt.NDArray[np.float64]
-Say = Callable[[str], None]
 
 SCHEMA = "exwarp.policy-table/1"
 
@@ -44,9 +37,6 @@ _UNREADABLE = (
     *(NotImplementedError, RuntimeError, KeyError, SyntaxError, OverflowError, TypeError),
 )
 """What zipfile, numpy and a wrong entry raise on what is no table."""
-
-TABLES = "tables"
-"""Folder of tables, beside the models."""
 
 
 @dataclass(frozen=True)
@@ -96,11 +86,6 @@ class PolicyTable:
             before = tuple(found[i][0] for i in older if self.group[i] == self.group[row])
             yield Surroundings((first, second, third), before)
 
-    def setting(self) -> npt.NDArray[np.bool_]:
-        """bool [N]: whether a row has G-buffers of every slot."""
-        slot = np.array([name.startswith("slot") for name in self.groups])
-        return np.asarray(slot[self.group])
-
 
 def joined(scene: str, parts: Sequence[tuple[str, View, Measured]], network: str) -> PolicyTable:
     """Return a scene's table from what was measured.
@@ -129,114 +114,6 @@ def joined(scene: str, parts: Sequence[tuple[str, View, Measured]], network: str
         np.concatenate([measured.outcomes for _, _, measured in parts]),
         network,
     )
-
-
-@dataclass(frozen=True)
-class Survey:
-    """How scenes are measured.
-
-    Attributes
-    ----------
-    data
-        Folders of rendered scenes: the same ones at several sizes. Of a scene that is not rendered
-        to the end, its first unbroken run of key frames counts.
-    model
-        E's ONNX file; None for the one that comes with ExWarp.
-    cache
-        Folder for what was measured; None for one beside the first data folder.
-    jobs
-        How many views are measured side by side; None for one a core.
-    """
-
-    data: tuple[Path, ...]
-    model: Path | None = None
-    cache: Path | None = None
-    jobs: int | None = None
-
-
-def find_tables(survey: Survey, tables: Path | None, output: Path, say: Say) -> list[PolicyTable]:
-    """Measure scenes and write their tables to the output, or read tables that are there.
-
-    Parameters
-    ----------
-    survey
-        Without data folders nothing is measured.
-    tables
-        Folder of tables; None for those that come with ExWarp.
-    output
-        Folder of the training; tables of measured scenes go to its folder `TABLES`.
-    say
-        Told of each view that is measured.
-
-    Raises
-    ------
-    UsageError
-        When both are given.
-    InputError
-        When there are none.
-    """
-    if not survey.data:
-        folder = tables or shipped_folder() / TABLES
-        found = [load_table(path) for path in sorted(folder.glob("*.npz"))]
-        if not found:
-            raise InputError(f"{folder} holds no policy table; make some with --data")
-        return found
-    if tables is not None:
-        raise UsageError("--data makes tables and --tables takes those that are there; give one")
-    made = build_tables(survey, say)
-    make_folder(output / TABLES)
-    paths = [output / TABLES / f"{table.scene}.npz" for table in made]
-    for path, table in zip(paths, made, strict=True):
-        save_table(path, table)
-    # Read back, so that a training from the files gives the same network.
-    return [load_table(path) for path in paths]
-
-
-def build_tables(survey: Survey, say: Say) -> list[PolicyTable]:
-    """Measure the benchmark scenes of some data sets; return a table a scene, by name.
-
-    Raises
-    ------
-    UsageError
-        When a scene is there twice at one size.
-    """
-    data, model = survey.data, survey.model
-    cache = survey.cache or data[0].resolve().parent / "policy"
-    jobs = survey.jobs or os.cpu_count() or 1
-    found = [scene for folder in data for scene in find_scenes(folder, BENCHMARK)]
-    scenes = [scene.as_far_as_rendered() for scene in found]
-    _require_different(scenes)
-    checksum = network(model).checksum
-    tasks = [(scene, view) for view in VIEWS for scene in scenes if fits(scene, view)]
-    parts: dict[str, list[tuple[str, View, Measured]]] = {}
-    with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:
-        work = [pool.submit(measure, scene, view, model, cache) for scene, view in tasks]
-        try:
-            for (scene, view), done in zip(tasks, work, strict=True):
-                count = len(done.result().outcomes)
-                parts.setdefault(scene.name, []).append((_size(scene), view, done.result()))
-                say(f"{scene.name} {_size(scene)} {view.name}: {count} key intervals")
-        except BaseException:
-            # Else all that is left would be measured before anybody hears of it.
-            pool.shutdown(cancel_futures=True)
-            raise
-    return [joined(name, parts[name], checksum) for name in sorted(parts)]
-
-
-def _size(scene: RenderedScene) -> str:
-    return f"{scene.manifest.width}x{scene.manifest.height}"
-
-
-def _require_different(scenes: Sequence[RenderedScene]) -> None:
-    """Refuse the same scene twice at one size: one would be measured, and count double."""
-    seen: dict[tuple[str, str], RenderedScene] = {}
-    for scene in scenes:
-        other = seen.setdefault((scene.name, _size(scene)), scene)
-        if other is not scene:
-            raise UsageError(
-                f"{other.folder} and {scene.folder} are the same scene at {_size(scene)}; "
-                "give --data one of them"
-            )
 
 
 def save_table(path: Path, table: PolicyTable) -> None:

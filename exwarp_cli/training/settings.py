@@ -63,6 +63,9 @@ class PolicySettings:
         Of learning, falling to 0 along a cosine.
     decay
         Of the weights.
+    jitter
+        Standard deviation of the noise that is added to the scaled features: what is learned of
+        four scenes must not hang on their very numbers.
     lag
         Steps after which the target network is copied.
     discount
@@ -71,10 +74,11 @@ class PolicySettings:
         Of the weights and of the samples.
     """
 
-    steps: int = 8000
+    steps: int = 3000
     batch: int = 256
     rate: float = 1e-3
     decay: float = 1e-4
+    jitter: float = 0.2
     lag: int = 200
     discount: float = 0.95
     seed: int = 0

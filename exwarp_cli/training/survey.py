@@ -1,0 +1,139 @@
+"""Trying both choices of every decision on rendered scenes: how policy tables are made."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+
+from exwarp_cli.domain.dataset import BENCHMARK
+from exwarp_cli.errors import InputError, UsageError
+from exwarp_cli.io.atomic import make_folder
+from exwarp_cli.io.dataset import RenderedScene, find_scenes
+from exwarp_cli.io.models import shipped_folder
+from exwarp_cli.training.measuring import VIEWS, Measured, View, fits, measure, network
+from exwarp_cli.training.policy_table import PolicyTable, joined, load_table, save_table
+
+Say = Callable[[str], None]
+
+TABLES = "tables"
+"""Folder of tables, beside the models."""
+
+
+@dataclass(frozen=True)
+class Survey:
+    """How scenes are measured.
+
+    Attributes
+    ----------
+    data
+        Folders of rendered scenes: the same ones at several sizes. Of a scene that is not rendered
+        to the end, its first unbroken run of key frames counts.
+    model
+        E's ONNX file; None for the one that comes with ExWarp.
+    cache
+        Folder for what was measured; None for one beside the first data folder.
+    jobs
+        How many views are measured side by side; None for one a core.
+    """
+
+    data: tuple[Path, ...]
+    model: Path | None = None
+    cache: Path | None = None
+    jobs: int | None = None
+
+
+def find_tables(survey: Survey, tables: Path | None, output: Path, say: Say) -> list[PolicyTable]:
+    """Measure scenes and write their tables to the output, or read tables that are there.
+
+    Parameters
+    ----------
+    survey
+        Without data folders nothing is measured.
+    tables
+        Folder of tables; None for those that come with ExWarp.
+    output
+        Folder of the training; tables of measured scenes go to its folder `TABLES`.
+    say
+        Told of each view that is measured.
+
+    Raises
+    ------
+    UsageError
+        When both are given, or options of the survey without data.
+    InputError
+        When there are none.
+    """
+    if not survey.data:
+        _refuse_vain(survey)
+        folder = tables or shipped_folder() / TABLES
+        found = [load_table(path) for path in sorted(folder.glob("*.npz"))]
+        if not found:
+            raise InputError(f"{folder} holds no policy table; make some with --data")
+        return found
+    if tables is not None:
+        raise UsageError("--data makes tables and --tables takes those that are there; give one")
+    made = build_tables(survey, say)
+    make_folder(output / TABLES)
+    paths = [output / TABLES / f"{table.scene}.npz" for table in made]
+    for path, table in zip(paths, made, strict=True):
+        save_table(path, table)
+    # Read back, so that a training from the files gives the same network.
+    return [load_table(path) for path in paths]
+
+
+def _refuse_vain(survey: Survey) -> None:
+    """Refuse options of a survey where nothing is surveyed."""
+    given = {"--extrapolator": survey.model, "--cache": survey.cache, "--jobs": survey.jobs}
+    if vain := [option for option, value in given.items() if value is not None]:
+        raise UsageError(f"{vain[0]} is for measuring scenes; give --data too, or leave it out")
+
+
+def build_tables(survey: Survey, say: Say) -> list[PolicyTable]:
+    """Measure the benchmark scenes of some data sets; return a table a scene, by name.
+
+    Raises
+    ------
+    UsageError
+        When a scene is there twice at one size.
+    """
+    data, model = survey.data, survey.model
+    cache = survey.cache or data[0].resolve().parent / "policy"
+    jobs = survey.jobs or os.cpu_count() or 1
+    found = [scene for folder in data for scene in find_scenes(folder, BENCHMARK)]
+    scenes = [scene.as_far_as_rendered() for scene in found]
+    _require_different(scenes)
+    checksum = network(model).checksum
+    tasks = [(scene, view) for view in VIEWS for scene in scenes if fits(scene, view)]
+    parts: dict[str, list[tuple[str, View, Measured]]] = {}
+    with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:
+        work = [pool.submit(measure, scene, view, model, cache) for scene, view in tasks]
+        try:
+            for (scene, view), done in zip(tasks, work, strict=True):
+                count = len(done.result().outcomes)
+                parts.setdefault(scene.name, []).append((_size(scene), view, done.result()))
+                say(f"{scene.name} {_size(scene)} {view.name}: {count} key intervals")
+        except BaseException:
+            # Else all that is left would be measured before anybody hears of it.
+            pool.shutdown(cancel_futures=True)
+            raise
+    return [joined(name, parts[name], checksum) for name in sorted(parts)]
+
+
+def _size(scene: RenderedScene) -> str:
+    return f"{scene.manifest.width}x{scene.manifest.height}"
+
+
+def _require_different(scenes: Sequence[RenderedScene]) -> None:
+    """Refuse the same scene twice at one size: one would be measured, and count double."""
+    seen: dict[tuple[str, str], RenderedScene] = {}
+    for scene in scenes:
+        other = seen.setdefault((scene.name, _size(scene)), scene)
+        if other is not scene:
+            raise UsageError(
+                f"{other.folder} and {scene.folder} are the same scene at {_size(scene)}; "
+                "give --data one of them"
+            )
