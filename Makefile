@@ -6,7 +6,7 @@
 #               goes on where it stopped); SCENES='lab town' for some, OPTIONS='--resolution 480p'
 # make train    train the extrapolation network on the training shots (hours; goes on where it
 #               stopped); DATA=folder of rendered scenes, OPTIONS='--steps 2000'
-# make policy   train the policy from the tables under models/ (15 minutes); OPTIONS='--seed 1'
+# make policy   train the policy from the tables under models/ (2 minutes); OPTIONS='--seed 1'
 # make judge    score every method, with the network of MODEL=file, on the benchmark scenes
 # make clean    remove all that make made
 

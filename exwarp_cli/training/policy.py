@@ -150,7 +150,7 @@ def train_policy(
         },
         "left_out": folds,
     }
-    atomic_write_text(output / REPORT, json.dumps(report, indent=1) + "\n")
+    atomic_write_text(output / REPORT, json.dumps(report, separators=(",", ":")) + "\n")
     _note_checksums(output, [SHIPPED_POLICY, FLOAT_MODEL, INTEGER_MODEL, *written])
     return report
 

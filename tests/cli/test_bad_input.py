@@ -79,7 +79,8 @@ class TestDamage:
     def test_upsample(self, keys, exwarp, tmp_path, damage, number):
         before = shots.contents(keys)[f"shot.000{3 - number}.exr"]
         damage(keys / f"shot.000{number}.exr")
-        result = exwarp("upsample", keys, "-o", tmp_path / "out", "--progress", "none")
+        options = ("-m", "softsplat", "--progress", "none")
+        result = exwarp("upsample", keys, "-o", tmp_path / "out", *options)
         result.refused(3, f"shot.000{number}.exr", "again")
         assert_only_whole_frames(tmp_path / "out", keys)
         assert shots.contents(keys)[f"shot.000{3 - number}.exr"] == before
@@ -110,7 +111,8 @@ class TestDamage:
         truth = shots.truth(tmp_path / "truth")
         truncate(truth / "shot.0003.exr")
         out = tmp_path / "out"
-        result = exwarp("upsample", keys, "-o", out, "--ground-truth", truth, "--progress", "none")
+        options = ("-m", "softsplat", "--ground-truth", truth, "--progress", "none")
+        result = exwarp("upsample", keys, "-o", out, *options)
         result.refused(3, "truth/shot.0003.exr")
         assert_only_whole_frames(out, keys)
 
@@ -118,7 +120,7 @@ class TestDamage:
 class TestSequences:
     def refused(self, exwarp, tmp_path, spec, *words, code=3, options=()):
         out = tmp_path / "out"
-        exwarp("upsample", spec, "-o", out, *options).refused(code, *words)
+        exwarp("upsample", spec, "-o", out, "-m", "softsplat", *options).refused(code, *words)
         assert not out.exists()
 
     def test_a_missing_frame(self, keys, exwarp, tmp_path):
@@ -166,7 +168,8 @@ class TestSequences:
 
     def test_ground_truth_of_another_size(self, keys, exwarp, tmp_path):
         truth = shots.truth(tmp_path / "truth", street=TINY)
-        result = exwarp("upsample", keys, "-o", tmp_path / "out", "--ground-truth", truth)
+        options = ("-m", "softsplat", "--ground-truth", truth)
+        result = exwarp("upsample", keys, "-o", tmp_path / "out", *options)
         result.refused(3, "--ground-truth", "16x9", "64x36")
         assert not (tmp_path / "out").exists()
 
@@ -223,6 +226,7 @@ class TestMotion:
         ],
     )
     def test_a_convention_that_does_not_parse(self, keys, exwarp, tmp_path, given, word):
-        result = exwarp("upsample", keys, "-o", tmp_path / "out", "--motion", given)
+        options = ("-m", "softsplat", "--motion", given)
+        result = exwarp("upsample", keys, "-o", tmp_path / "out", *options)
         result.refused(2, "--motion", word)
         assert not (tmp_path / "out").exists()

@@ -140,7 +140,7 @@ class TestErrors:
     @pytest.mark.parametrize(
         ("arguments", "told"),
         [
-            (["up"], "there is no command 'up'; the commands are upsample, inspect, compare"),
+            (["up"], "no command 'up'; the commands are upsample, inspect, features, compare"),
             (["--bogus"], "--bogus"),
         ],
     )

@@ -49,7 +49,11 @@ class TestRefusals:
 
     @pytest.mark.parametrize("options", [("--extrapolator", "x.onnx"), ("--device", "cuda")])
     def test_options_of_a_network_for_a_method_without(self, exwarp, shot, tmp_path, options):
-        words = (options[0], "--method s6", "s1, s2, s3, s4, s5")
+        words = (
+            options[0],
+            "--method s6",
+            "use one of exwarp, s1, s2, s3, s4, s5, oracle, oracle-return",
+        )
         self.refused(exwarp, shot, tmp_path, 2, words, "-m", "s6", *options)
 
     def test_another_device(self, exwarp, shot, tmp_path, network):

@@ -212,7 +212,8 @@ class TestSlotGBuffers:
 
     def test_too_few_are_refused(self, colour_keys, exwarp, tmp_path):
         slots = shots.sequence(tmp_path / "slots", shots.slot_gbuffer, range(1, 7), step=0.25)
-        result = exwarp("upsample", colour_keys, "-o", tmp_path / "out", "--gbuffers", slots)
+        options = ("-m", "softsplat", "--gbuffers", slots)
+        result = exwarp("upsample", colour_keys, "-o", tmp_path / "out", *options)
         result.refused(3, "--gbuffers", "9 slots")
         assert not (tmp_path / "out").exists()
 

@@ -183,7 +183,8 @@ class TestVideo:
     @pytest.mark.parametrize(("suffix", "fps"), [(".mp4", "30"), (".mov", "23.976")])
     def test_it_plays(self, plain_shot, upsample, tmp_path, suffix, fps):
         video = tmp_path / "new" / f"a b{suffix}"
-        upsample(plain_shot, tmp_path / "out", *FORWARD, "--video", video, "--fps", fps)
+        options = ("-m", "softsplat", *FORWARD, "--video", video, "--fps", fps)
+        upsample(plain_shot, tmp_path / "out", *options)
         count, seconds = imageio_ffmpeg.count_frames_and_secs(str(video))
         assert count == 12
         assert seconds == pytest.approx(12 / (4 * float(fps)), abs=0.02)
@@ -277,7 +278,7 @@ class TestMemory:
         done = subprocess.run(command, capture_output=True, text=True, check=True)
         return int(done.stdout.splitlines()[-1]) / 1024
 
-    @pytest.mark.parametrize("method", ["softsplat", "s3"])
+    @pytest.mark.parametrize("method", ["softsplat", "s3", "exwarp"])
     def test_it_does_not_grow_with_the_sequence(self, tmp_path, method):
         """A frame of 128x72 is 0.3 MiB of passes, so 180 more that were kept would be 50."""
         street = Street(128, 72)
@@ -287,7 +288,7 @@ class TestMemory:
             source = long / f"shot.{number - 20:04d}.exr"
             (long / f"shot.{number:04d}.exr").write_bytes(source.read_bytes())
         options = ["-m", method]
-        if method == "s3":
+        if method != "softsplat":
             options += ["--extrapolator", str(save(tmp_path / "n.onnx", convolution()))]
         few, many = (
             self.peak(keys, tmp_path / f"o-{keys.name}", *options) for keys in (short, long)

@@ -13,6 +13,9 @@ INPUT = InputSummary(
 
 # What stands at slots 1 to 3 on each path of the paper's table: (d)ropped or (g)enerated.
 SLOTS = {"S1": "dgd", "S2": "dgg", "S3": "ggg", "S4": "ggg", "S5": "ggg", "S6": "ggg"}
+# What made it: the (h)eld frame before, (w)arping or (e)xtrapolation.
+MAKERS = {"S1": "heh", "S2": "hew", "S3": "wee", "S4": "wew", "S5": "wwe", "S6": "www"}
+WORDS = {"h": "hold", "w": "warp", "e": "extrapolate"}
 
 
 def record(number: int, key: int, slot: int, kind: FrameKind, **more: Any) -> FrameRecord:
@@ -39,5 +42,8 @@ def path_run(path: str, intervals: int = 3, scored: bool = False) -> RunSummary:
     for k in range(intervals):
         for frame in interval(1001 + k, SLOTS[path], 1001 + 4 * k):
             score = Score(frame.slot * 10.0, 0.5, 0.1) if scored and frame.slot else None
+            if frame.slot:
+                maker = WORDS[MAKERS[path][frame.slot - 1]]
+                frame = replace(frame, made_by=maker, path=path)
             frames.append(replace(frame, score=score))
-    return run(frames, path=path)
+    return run(frames, decides=True)

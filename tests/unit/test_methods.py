@@ -10,11 +10,12 @@ import pytest
 
 from exwarp_cli.domain.frame import Float32, KeyFrame
 from exwarp_cli.domain.results import FrameKind
+from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.errors import LayoutError
 from exwarp_cli.synthesis.geometry import settle_motion
 from exwarp_cli.synthesis.interpolate import blend_by_depth
 from exwarp_cli.synthesis.interval import Interval
-from exwarp_cli.synthesis.methods import METHODS, Predicted
+from exwarp_cli.synthesis.methods import METHODS, Judge, Predicted
 from exwarp_cli.synthesis.warp import Warped, fill_background, repair
 from tests.unit.scenes import View, town
 
@@ -55,14 +56,23 @@ def error(found: Predicted, slot: int, where: np.ndarray | None = None) -> float
 
 class TestRegistry:
     def test_names_and_needs(self):
-        table = {m.name: (m.lookahead, m.needs_motion, m.path) for m in METHODS.values()}
+        table = {m.name: (m.lookahead, m.needs_motion, m.path, m.judge) for m in METHODS.values()}
         assert table == {
-            **{f"s{i}": (False, True, f"S{i}") for i in range(1, 6)},
-            "s6": (False, True, "S6"),
-            "softsplat": (True, True, None),
-            "blend": (True, False, None),
-            "hold": (False, False, None),
+            "exwarp": (False, True, None, Judge.POLICY),
+            **{f"s{i}": (False, True, f"S{i}", None) for i in range(1, 6)},
+            "s6": (False, True, "S6", None),
+            "oracle": (False, True, None, Judge.PSNR),
+            "oracle-return": (False, True, None, Judge.RETURN),
+            "softsplat": (True, True, None, None),
+            "blend": (True, False, None, None),
+            "hold": (False, False, None, None),
         }
+        assert next(iter(METHODS)) == UpsampleSettings.method
+
+    @pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)
+    def test_what_takes_a_path_and_what_makes_a_frame_itself(self, method):
+        assert method.decides is (method.name not in ("softsplat", "blend", "hold"))
+        assert (method.predict is None) is (method.judge is not None)
 
     @pytest.mark.parametrize("name", ALONE)
     @pytest.mark.parametrize("slot", SLOTS)

@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from exwarp_cli.domain.decision import Decision
+from exwarp_cli.domain.features import Features
 from exwarp_cli.domain.results import Score
 from exwarp_cli.errors import OutputError
 from exwarp_cli.report.folder import write_report
@@ -21,9 +23,15 @@ COLUMNS = [
     *("frame", "file", "key", "slot", "kind", "method", "sources"),
     *("hole_fraction", "nonfinite_pixels", "psnr_db", "ssim", "flip"),
     *("psnr_db_holes", "ssim_holes", "flip_holes", "resumed"),
+    *("made_by", "path", "node", "choice", "output_warp", "output_extrapolate"),
+    *("N_d", "EMD_Wn", "EMD_Wp", "Var_x", "Var_y", "R", "inputs"),
 ]
 STEPS = ("read", "features", "decide", "warp", "holes", "extrapolate", "write")
 TIMES = [f"{step}_ms" for step in STEPS]
+
+
+SEEN = Features(2, 0.125, 0.1, 4.0, 0.5, 64, 32, 7.0)
+DECISION = Decision("d1", "extrapolate", SEEN, (65536, 0, -1), (-3, 12))
 
 
 def rows_of(text: str) -> list[dict[str, str]]:
@@ -45,6 +53,9 @@ def test_every_value_has_its_cell() -> None:
         hole_score=Score(20.25, 0.5, 0.5),
         resumed=True,
         timing_ms={"warp": 1.5, "score": 7.0},
+        made_by="hold",
+        path="S2",
+        decision=DECISION,
     )
     key, row = rows_of(frames_csv((first, second)))
     assert list(row) == [*COLUMNS, *TIMES, "score_ms"]
@@ -66,11 +77,35 @@ def test_every_value_has_its_cell() -> None:
         "ssim_holes": "0.5",
         "flip_holes": "0.5",
         "resumed": "true",
+        "made_by": "hold",
+        "path": "S2",
+        "node": "d1",
+        "choice": "extrapolate",
+        "output_warp": "-3",
+        "output_extrapolate": "12",
+        "N_d": "2",
+        "EMD_Wn": "0.125",
+        "EMD_Wp": "0.1",
+        "Var_x": "4.0",
+        "Var_y": "0.5",
+        "R": "2048",
+        "inputs": "65536 0 -1",
         "warp_ms": "1.5",
         "score_ms": "7.0",
     }
     assert key["psnr_db"] == key["hole_fraction"] == key["warp_ms"] == ""
     assert (key["kind"], key["resumed"]) == ("key", "false")
+    assert all(key[name] == "" for name in COLUMNS[COLUMNS.index("made_by") :])
+
+
+def test_a_decision_without_features_has_no_cells_for_them() -> None:
+    frame = interval(1001, "ggg", 1001)[1]
+    bare = Decision("d2", "warp", outputs=(34.5, 30.25))
+    (row,) = rows_of(frames_csv((replace(frame, decision=bare),)))
+    filled = {name: row[name] for name in COLUMNS[COLUMNS.index("made_by") :] if row[name]}
+    assert filled == {
+        "node": "d2", "choice": "warp", "output_warp": "34.5", "output_extrapolate": "30.25"
+    }  # fmt: skip
 
 
 def test_rows_keep_their_order() -> None:

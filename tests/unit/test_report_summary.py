@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from exwarp_cli import __version__
-from exwarp_cli.domain.results import FrameKind, NetworkSummary, RunSummary, Score
+from exwarp_cli.domain.results import FrameKind, NetworkSummary, PolicySummary, RunSummary, Score
 from exwarp_cli.report.summary import finite, report, to_json
 from tests.unit.sample_runs import interval, path_run, record, run
 
@@ -44,6 +44,7 @@ CONTRACT: dict[str, Any] = {
         ("read", "features", "decide", "warp", "holes", "extrapolate", "write")
     ),
     "extrapolator": None,
+    "policy": None,
 }
 
 
@@ -75,6 +76,42 @@ def test_the_network_is_named() -> None:
     found = report(run(interval(1001, "ggg", 1001), extrapolator=network))
     told = {"file": "/models/a.onnx", "sha256": "0" * 64, "device": "cuda", "demodulated": True}
     assert found["extrapolator"] == told
+
+
+def test_the_policy_is_told_with_what_it_lacked() -> None:
+    policy = PolicySummary("/models/p.npz", "1" * 64, "motion", ("EMD_Wn", "EMD_Wp"))
+    found = report(run(interval(1001, "ggg", 1001), policy=policy))
+    assert json.loads(to_json(found))["policy"] == {
+        "file": "/models/p.npz",
+        "sha256": "1" * 64,
+        "objects_from": "motion",
+        "missing": ["EMD_Wn", "EMD_Wp"],
+    }
+
+
+def test_decisions_of_several_paths_add_up() -> None:
+    """S2, S4 and S5 once each; the last interval is not whole, the first has an unknown path."""
+    frames = [replace(f, path=None) for f in interval(1000, "ggg", 997)]
+    for k, path in enumerate(("S2", "S4", "S5", "S6")):
+        frames += [replace(f, key=1001 + k) for f in path_run(path, 1).frames]
+    found = report(run(frames[:-1], decides=True))["decisions"]
+    assert found["paths"] == {"S1": 0, "S2": 1, "S3": 0, "S4": 1, "S5": 1, "S6": 0}
+    assert found["nodes"] == {
+        "d1": {"warp": 2, "extrapolate": 1},
+        "d2": {"warp": 1, "extrapolate": 1},
+        "d3": {"warp": 1, "extrapolate": 0},
+        "d4": {"warp": 1, "extrapolate": 0},
+        "d5": {"warp": 0, "extrapolate": 1},
+    }
+    assert found["warp_share"] == pytest.approx(5 / 8)
+
+
+def test_outside_the_tree_nothing_was_decided() -> None:
+    """Blends are booked as warps, but no decision led to them."""
+    frames = [replace(f, made_by="warp", score=Score(9, 0.5, 0.1)) for f in interval(1, "ggg", 1)]
+    found = report(run(frames))
+    assert keys_of(found["decisions"]) == found["decisions"], "nothing but null"
+    assert {part["frames"] for part in found["quality"]["by_decision"].values()} == {0}
 
 
 def test_an_empty_run_is_reported() -> None:
@@ -123,7 +160,7 @@ SHARE = {"S1": 0, "S2": 1 / 2, "S3": 1 / 3, "S4": 2 / 3, "S5": 2 / 3, "S6": 1}
 @pytest.mark.parametrize("path", list(NODES))
 def test_decisions_of_every_path(path: str) -> None:
     frames = [*path_run(path).frames, record(1013, 1004, 0, FrameKind.KEY)]  # no tail
-    found = report(run(frames, path=path))["decisions"]
+    found = report(run(frames, decides=True))["decisions"]
     for node in ("d1", "d2", "d3", "d4", "d5"):
         warp, extrapolate = NODES[path].get(node, (0, 0))
         assert found["nodes"][node] == {"warp": warp, "extrapolate": extrapolate}

@@ -51,7 +51,7 @@ def loaded(index: int, setting: str, **changes: Any) -> Loaded:
         for j in range(index - 1, max(index - 3, -1), -1)
     )
     template: Any = None
-    made = Loaded(index, raw_key(index, setting), None, slots, past, {}, template, {}, 0.0)
+    made = Loaded(index, raw_key(index, setting), None, slots, past, (), {}, template, {}, 0.0)
     return replace(made, **changes)
 
 

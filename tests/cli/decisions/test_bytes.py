@@ -1,0 +1,216 @@
+"""Frames and decisions are the same however a run is cut, interrupted or threaded."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from exwarp_cli.pipeline import loading
+from tests.cli import shots
+from tests.cli.decisions.conftest import KEYS, SETTINGS, STREET, Done, take, write_shots
+from tests.cli.decisions.windows import moving_shots, parted
+from tests.cli.shots import read
+from tests.reference.decisions import PATHS
+
+HEADS = ("exwarp:method", "exwarp:recipe", "exwarp:sha256", "exwarp:decision")
+"""What a policy's frames have in their headers otherwise than those of a fixed path."""
+
+SPLITS = {"ones": ("4", "1", "6", "3", "2", "5"), "steps": ("1-5x2", "6,2", "4")}
+
+
+@pytest.fixture
+def make(upsample, uneven, network, policies, tmp_path) -> Callable[..., Path]:
+    """Run a policy by its name into a folder of the test; return the folder."""
+
+    def run(folder: str, *options: object, setting: str = "key", **more: Any) -> Path:
+        keys, *rest = more.get("shot", uneven[setting])
+        policy = more.get("policy", policies("watching"))
+        model = ("--extrapolator", network, "--policy", policy)
+        upsample(keys, tmp_path / folder, *rest, *model, *options)
+        return tmp_path / folder
+
+    return run
+
+
+def changed_by(run: Callable[[], object], folder: Path) -> set[int]:
+    """Numbers of the frames that were written anew."""
+    before = {name: (folder / name).stat().st_mtime_ns for name in shots.names(folder)}
+    run()
+    now = {name: (folder / name).stat().st_mtime_ns for name in shots.names(folder)}
+    return {int(name.split(".")[1]) for name, time in now.items() if before.get(name) != time}
+
+
+def generated(*keys: int) -> set[int]:
+    """Numbers of slots 1 to 3 of these key frames."""
+    return {4 * (key - 1) + 1 + i for key in keys for i in (1, 2, 3)}
+
+
+def same_frames(one: Path, other: Path) -> None:
+    """Judge pixels bit for bit, and headers but for what names method and decision."""
+    assert shots.names(one) == shots.names(other)
+    for name in shots.names(one):
+        (head, planes), (head2, planes2) = read(one / name), read(other / name)
+        assert planes.keys() == planes2.keys()
+        assert all(planes[k].tobytes() == planes2[k].tobytes() for k in planes), name
+        assert {k: str(v) for k, v in head.items() if k not in HEADS} == {
+            k: str(v) for k, v in head2.items() if k not in HEADS
+        }
+
+
+class TestPaths:
+    @pytest.mark.parametrize("path", PATHS)
+    def test_a_policy_that_always_takes_a_path_makes_its_frames(self, judged, path):
+        done = judged(path)
+        assert set(done.paths) == {path}
+        same_frames(done.out, judged(path.lower()).out)
+
+    @pytest.mark.parametrize(("choice", "path"), [("warp", "s6"), ("extrapolate", "s1")])
+    def test_in_the_slot_setting_too(self, judged, choice, path):
+        same_frames(judged(choice, "slot").out, judged(path, "slot").out)
+
+    def test_a_path_may_change_from_interval_to_interval(self, judged):
+        done = judged("watching")
+        for k, path in enumerate(done.paths):
+            alone = judged(path.lower()).out
+            for i in range(4 * k + 1, 4 * k + 5):
+                name = f"shot.{i:04d}.exr"
+                expected = shots.colour_of(alone / name)
+                np.testing.assert_array_equal(shots.colour_of(done.out / name), expected)
+
+
+class TestChunks:
+    @pytest.mark.parametrize("split", SPLITS)
+    @pytest.mark.parametrize("setting", SETTINGS)
+    def test_any_split_gives_the_whole(self, make, judged, setting, split):
+        for chunk in SPLITS[split]:
+            parts = make("parts", "--frames", chunk, setting=setting)
+        assert shots.contents(parts) == judged("watching", setting).frames
+
+    @pytest.mark.parametrize("setting", SETTINGS)
+    def test_threads_change_nothing(self, make, judged, setting):
+        out = make("out", "--threads", 3, setting=setting)
+        assert shots.contents(out) == judged("watching", setting).frames
+
+    @pytest.mark.parametrize("setting", SETTINGS)
+    def test_windows_that_change_too(self, make, tmp_path, setting):
+        """The slots' windows are others than the key frames'."""
+        given = moving_shots(tmp_path)[setting]
+        whole = make("whole", shot=given)
+        for chunk in ("5", "1,3,4", "2,6"):
+            parts = make("parts", "--frames", chunk, shot=given)
+        assert shots.contents(parts) == shots.contents(whole)
+        assert len({str(read(path)[0]["dataWindow"]) for path in whole.iterdir()}) > 3
+        paths = {read(path)[0].get("exwarp:path") for path in whole.iterdir()}
+        assert len(paths) > 2  # one is None: that of the key frames
+
+    def test_colour_on_a_smaller_window_than_geometry(self, make, tmp_path):
+        """As compositors write parts: what is outside of colour must never count, or always."""
+        given = write_shots(tmp_path, parted, shots.colour_only, shots.slot_gbuffer)["key"]
+        whole = make("whole", shot=given)
+        for chunk in ("6", "5", "1-4"):
+            parts = make("parts", "--frames", chunk, shot=given)
+        assert shots.contents(parts) == shots.contents(whole)
+
+    @pytest.mark.parametrize(("setting", "files"), [("key", KEYS), ("slot", 5 * KEYS - 3)])
+    def test_every_file_is_read_once(self, make, monkeypatch, setting, files):
+        seen: list[Path] = []
+        true = loading.read_raw
+
+        def read_raw(given: Any, number: int, *rest: Any) -> Any:
+            seen.append(given.sequence.files[number])
+            return true(given, number, *rest)
+
+        monkeypatch.setattr(loading, "read_raw", read_raw)
+        make("out", setting=setting)
+        assert len(seen) == len(set(seen)) == files
+
+
+class TestResume:
+    @pytest.fixture
+    def resume(self, uneven, network, policies, tmp_path) -> Callable[..., Done]:
+        """Go on from a copy of a run that lacks some frames, with a report."""
+
+        def run(whole: Path, missing: tuple[int, ...], setting: str, *options: object) -> Done:
+            out = Path(shutil.copytree(whole, tmp_path / "out"))
+            for number in missing:
+                (out / f"shot.{number:04d}.exr").unlink()
+            model = ("--extrapolator", network, "--policy", policies("watching"))
+            return take(uneven[setting], out, *model, "--skip-existing", *options)
+
+        return run
+
+    @pytest.mark.parametrize("setting", SETTINGS)
+    def test_an_interrupted_run_goes_on(self, make, judged, setting):
+        whole = judged("watching", setting).frames
+        out = make("out", setting=setting)
+        for number in (3, 8, 12, 18, 19, 20, 24):
+            (out / f"shot.{number:04d}.exr").unlink()
+
+        def resume() -> None:
+            make("out", "--skip-existing", setting=setting)
+
+        assert changed_by(resume, out) == {3, 8, 12, 18, 19, 20, 24}
+        assert shots.contents(out) == whole
+        assert changed_by(resume, out) == set()
+
+    @pytest.mark.parametrize(("missing", "scored"), [((7, 14, 15), False), ((7, 22, 23, 24), True)])
+    @pytest.mark.parametrize("setting", SETTINGS)
+    def test_its_report_is_that_of_an_undisturbed_run(
+        self, judged, resume, truth, setting, missing, scored
+    ):
+        """Decisions come back from headers; later ones are made after intervals that are there."""
+        whole = judged("watching", setting)
+        options = ("--ground-truth", truth) if scored else ()
+        done = resume(whole.out, missing, setting, *options)
+        assert done.frames == whole.frames
+        resumed = {int(row["frame"]) for row in done.rows if row["resumed"] == "true"}
+        assert resumed == set(range(1, 4 * KEYS + 1)) - set(missing)
+        for key in ("decisions", "policy", "holes", "method", *(["quality"] if scored else [])):
+            assert done.report[key] == whole.report[key]
+        assert done.report["fps"]["effective"] == whole.report["fps"]["effective"]
+        for row, expected in zip(done.rows, whole.rows, strict=True):
+            for name, cell in row.items():
+                if name.split("_")[0] in ("psnr", "ssim", "flip") and not scored:
+                    continue
+                if not name.endswith("_ms") and name not in ("resumed", "nonfinite_pixels"):
+                    assert cell == expected[name], (row["frame"], name)
+
+
+class TestRecipe:
+    def test_another_policy_counts(self, make, policies, tmp_path):
+        out = make("out")
+        other = Path(shutil.copy(policies("S4"), tmp_path / "other.npz"))
+        again = changed_by(lambda: make("out", "--skip-existing", policy=other), out)
+        assert again == generated(*range(1, KEYS + 1))
+        assert shots.contents(out) == shots.contents(make("fresh", policy=other))
+
+    def test_the_same_policy_under_another_name_does_not(self, make, policies, tmp_path):
+        out = make("out")
+        copy = Path(shutil.copy(policies("watching"), tmp_path / "copy.npz"))
+        assert changed_by(lambda: make("out", "--skip-existing", policy=copy), out) == set()
+
+    def test_key_frames_count_as_far_back_as_features_reach(self, make, uneven, tmp_path):
+        """Key frame 5 has the features of 2 in its state, which are compared with those of 1."""
+        keys, *rest = uneven["key"]
+        keys = Path(shutil.copytree(keys, tmp_path / "keys"))
+        out = make("out", shot=(keys, *rest))
+        shots.blender4(keys / "shot.0001.exr", STREET, 0.3)
+        again = changed_by(lambda: make("out", "--skip-existing", shot=(keys, *rest)), out)
+        assert again == {1} | generated(1, 2, 3, 4, 5)
+        assert shots.contents(out) == shots.contents(make("fresh", shot=(keys, *rest)))
+
+    def test_so_do_g_buffers_of_slots(self, make, uneven, tmp_path):
+        """The slot before key frame 2, which its features are compared with."""
+        colour, option, slots, *rest = uneven["slot"]
+        slots = Path(shutil.copytree(slots, tmp_path / "slots"))
+        given = (colour, option, slots, *rest)
+        out = make("out", shot=given)
+        shots.slot_gbuffer(slots / "shot.0004.exr", STREET, 0.6)
+        again = changed_by(lambda: make("out", "--skip-existing", shot=given), out)
+        assert again == generated(1, 2, 3, 4, 5)
+        assert shots.contents(out) == shots.contents(make("fresh", shot=given))
