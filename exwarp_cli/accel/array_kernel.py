@@ -9,12 +9,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.accel.fixed_point import (
-    I32,
-    MOST_ACTIVATION,
-    requantise_half_up,
-    saturate,
-)
+from exwarp_cli.accel.fixed_point import I32
 from exwarp_cli.accel.jit import compiled
 from exwarp_cli.accel.mac_array import MacArray
 from exwarp_cli.accel.quantised_mlp import I8, QuantisedMlp, checked_states
@@ -103,10 +98,8 @@ def _infer(array: MacArray, network: QuantisedMlp, states: I32) -> I32:
     values, scale = np.ascontiguousarray(states.T), network.inputs
     partial = np.empty(states.shape[0], np.int32)
     for layer in network.layers:
-        factors = scale.multipliers[:, None], scale.shifts[:, None]
-        wide = saturate(requantise_half_up(values, *factors), 0, MOST_ACTIVATION)
+        activations = np.ascontiguousarray(scale(values.T).T, np.int32)
         sums = np.empty((layer.neurons, states.shape[0]), np.int32)
-        activations = wide.astype(np.int32)
         accumulate(
             *(layer.weights, layer.biases, activations, array.cores, array.macs), partial, sums
         )

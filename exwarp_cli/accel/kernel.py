@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from exwarp_cli.accel.fixed_point import I32, I64
+from exwarp_cli.accel.fixed_point import I32, I64, MOST_ACTIVATION
 from exwarp_cli.accel.jit import compiled, inlined
 from exwarp_cli.accel.quantised_mlp import I8, QuantisedMlp, checked_states
 
@@ -29,7 +29,7 @@ def requantised(value: np.int32, multiplier: np.int32, shift: np.int32) -> np.in
     places = np.int64(shift)
     half = (np.int64(1) << places) >> np.int64(1)
     scaled = (np.int64(value) * np.int64(multiplier) + half) >> places
-    return np.int32(min(max(scaled, np.int64(0)), np.int64(127)))
+    return np.int32(min(max(scaled, np.int64(0)), np.int64(MOST_ACTIVATION)))
 
 
 @inlined

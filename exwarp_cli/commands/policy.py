@@ -43,7 +43,7 @@ def cycles(
     rate = accelerator.clock_of(clock)
     found = accelerator.cycles(policy, cores, macs, cache)
     if as_json:
-        click.echo(cycles_json(found, rate))
+        click.echo(cycles_json(found, rate), nl=False)
         return
     Console(highlight=False, soft_wrap=True).print(cycles_table(found))
     for line in cycles_lines(found, rate):

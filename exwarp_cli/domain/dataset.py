@@ -83,6 +83,11 @@ class SceneManifest:
     motion: str
     dynamic: Mapping[int, str]
 
+    @property
+    def size(self) -> str:
+        """Width and height as text, "427x240"."""
+        return f"{self.width}x{self.height}"
+
     def has_key(self, index: int) -> bool:
         """Whether an instant, counted from 0, was also rendered as a key frame."""
         whole, beyond = divmod(index, self.keys.step)

@@ -60,11 +60,7 @@ def load_extrapolator(path: Path | None, threads: int | None, device: str) -> On
     MissingExtraError
         When the device is "cuda" and onnxruntime cannot use it.
     """
-    if path is None:
-        path = shipped_folder() / SHIPPED
-        data = read_shipped(path)
-    else:
-        data = read_model(path)
+    path, data = read_model(path, SHIPPED, "--extrapolator")
     network = OnnxExtrapolator(path, data, threads or os.cpu_count() or 1, device)
     network.judge()
     return network
@@ -164,8 +160,35 @@ class OnnxExtrapolator:
         return self._sessions[threads]
 
 
-def read_model(path: Path) -> bytes:
-    """Read a file that the user named; raises InputError when it cannot be read."""
+def read_model(path: Path | None, shipped: str, option: str) -> tuple[Path, bytes]:
+    """Read a model's file.
+
+    Parameters
+    ----------
+    path
+        What the user named; None for what comes with ExWarp, whose checksum is verified.
+    shipped
+        Name of the file that comes with ExWarp.
+    option
+        By which the user may name another.
+
+    Returns
+    -------
+    Path and bytes
+        Where it lies, and its content.
+
+    Raises
+    ------
+    InputError
+        When there is no such file, it cannot be read, or its checksum is missing or differs.
+    """
+    if path is not None:
+        return path, _read(path)
+    path = shipped_folder() / shipped
+    return path, _read_shipped(path, option)
+
+
+def _read(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except FileNotFoundError as error:
@@ -176,21 +199,8 @@ def read_model(path: Path) -> bytes:
         ) from error
 
 
-def read_shipped(path: Path, option: str = "--extrapolator") -> bytes:
-    """Read a model that comes with ExWarp, and make sure that it is that one.
-
-    Parameters
-    ----------
-    path
-        In `shipped_folder`.
-    option
-        By which the user may name another.
-
-    Raises
-    ------
-    InputError
-        When the file or its checksum is missing, or they differ.
-    """
+def _read_shipped(path: Path, option: str) -> bytes:
+    """Read a model that comes with ExWarp, and make sure that it is that one."""
     try:
         data = path.read_bytes()
         expected = json.loads((path.parent / CHECKSUMS).read_bytes())[path.name]

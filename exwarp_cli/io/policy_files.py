@@ -16,10 +16,7 @@ give the same bytes on every machine.
 from __future__ import annotations
 
 import hashlib
-import io
 import json
-import struct
-import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,8 +27,9 @@ import numpy.typing as npt
 
 from exwarp_cli.accel.quantised_mlp import QuantisedLayer, QuantisedMlp, Requantisation
 from exwarp_cli.errors import DamagedFileError, LayoutError
+from exwarp_cli.io.archives import ArchiveError, Array, pack, unpack
 from exwarp_cli.io.atomic import atomic_write_bytes
-from exwarp_cli.io.models import read_model, read_shipped, shipped_folder
+from exwarp_cli.io.models import read_model
 
 FORMAT = "exwarp.policy/1"
 
@@ -41,19 +39,9 @@ SHIPPED_POLICY = "policy.npz"
 OPTION = "--policy"
 """By which commands take another."""
 
-MOST_BYTES = 1 << 26
-"""Of one array; the paper's network has 32 KB in its largest."""
-
 F32 = npt.NDArray[np.float32]
 Floats = tuple[tuple[F32, F32], ...]
 """Weights [out, in] and biases [out] of each layer, before quantisation."""
-
-_Array = npt.NDArray[Any]
-_UNREADABLE = (
-    *(zipfile.BadZipFile, ValueError, OSError, EOFError, MemoryError, struct.error),
-    *(NotImplementedError, RuntimeError, KeyError, SyntaxError, OverflowError, TypeError),
-)
-"""What zipfile and numpy raise on bytes that are no such archive."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +96,7 @@ def save_network(
         When the file cannot be written.
     """
     text = json.dumps({**metadata, "format": FORMAT}, allow_nan=False, sort_keys=True)
-    arrays: dict[str, _Array] = {
+    arrays: dict[str, Array] = {
         "metadata": np.frombuffer(text.encode("utf-8"), np.uint8),
         "input_multipliers": network.inputs.multipliers,
         "input_shifts": network.inputs.shifts,
@@ -121,7 +109,7 @@ def save_network(
     for k, (weights, biases) in enumerate(floats):
         arrays[f"w{k}"] = np.asarray(weights, np.float32)
         arrays[f"b{k}"] = np.asarray(biases, np.float32)
-    atomic_write_bytes(path, _archive(arrays))
+    atomic_write_bytes(path, pack(arrays))
 
 
 def load_policy(path: Path | None) -> PolicyFile:
@@ -141,14 +129,10 @@ def load_policy(path: Path | None) -> PolicyFile:
     LayoutError
         When it holds something else than a policy, or numbers out of range.
     """
-    if path is None:
-        path = shipped_folder() / SHIPPED_POLICY
-        data = read_shipped(path, OPTION)
-    else:
-        data = read_model(path)
+    path, data = read_model(path, SHIPPED_POLICY, OPTION)
     try:
-        arrays = _arrays(data)
-    except _UNREADABLE as error:
+        arrays = unpack(data)
+    except ArchiveError as error:
         raise DamagedFileError(
             f"{path} is truncated, damaged or no policy file; check the path, or train the policy "
             "again"
@@ -158,13 +142,7 @@ def load_policy(path: Path | None) -> PolicyFile:
     return PolicyFile(path, checksum, _network(path, arrays), metadata, _floats(path, arrays))
 
 
-def load_network(path: Path | None) -> tuple[QuantisedMlp, dict[str, Any]]:
-    """Read a network and its metadata; as :func:`load_policy` does, with its errors."""
-    policy = load_policy(path)
-    return policy.network, policy.metadata
-
-
-def _metadata(place: Path, arrays: dict[str, _Array]) -> dict[str, Any]:
+def _metadata(place: Path, arrays: dict[str, Array]) -> dict[str, Any]:
     try:
         metadata = json.loads(_array(place, arrays, "metadata", np.uint8).tobytes().decode("utf-8"))
     except (ValueError, RecursionError) as error:
@@ -176,7 +154,7 @@ def _metadata(place: Path, arrays: dict[str, _Array]) -> dict[str, Any]:
     return metadata
 
 
-def _floats(place: Path, arrays: dict[str, _Array]) -> Floats:
+def _floats(place: Path, arrays: dict[str, Array]) -> Floats:
     """Return the network before quantisation, where it was kept."""
     pairs = []
     for k in range(_count(arrays, "w")):
@@ -187,7 +165,7 @@ def _floats(place: Path, arrays: dict[str, _Array]) -> Floats:
     return tuple(pairs)
 
 
-def _network(place: Path, arrays: dict[str, _Array]) -> QuantisedMlp:
+def _network(place: Path, arrays: dict[str, Array]) -> QuantisedMlp:
     """Build the network; its own checks find what is out of range."""
 
     def scale(multipliers: str, shifts: str) -> Requantisation:
@@ -209,7 +187,7 @@ def _network(place: Path, arrays: dict[str, _Array]) -> QuantisedMlp:
         raise _unfit(place, str(error)) from error
 
 
-def _count(arrays: dict[str, _Array], name: str) -> int:
+def _count(arrays: dict[str, Array], name: str) -> int:
     """Return how many arrays of a name there are, numbered from 0 without a gap."""
     count = 0
     while f"{name}{count}" in arrays:
@@ -217,7 +195,7 @@ def _count(arrays: dict[str, _Array], name: str) -> int:
     return count
 
 
-def _array(place: Path, arrays: dict[str, _Array], name: str, dtype: type) -> _Array:
+def _array(place: Path, arrays: dict[str, Array], name: str, dtype: type) -> Array:
     """Return an array by its name, in the type that the format has."""
     if name not in arrays:
         raise _unfit(place, f"it lacks {name}")
@@ -231,30 +209,3 @@ def _unfit(place: Path, reason: str) -> LayoutError:
         f"{place} is no policy that ExWarp can run: {reason}; check the path, or train the policy "
         "again"
     )
-
-
-def _archive(arrays: Mapping[str, _Array]) -> bytes:
-    """Pack arrays; nothing of the clock, the machine or a compressor's version gets in."""
-    whole = io.BytesIO()
-    with zipfile.ZipFile(whole, "w", zipfile.ZIP_STORED) as archive:
-        for name, array in arrays.items():
-            entry = zipfile.ZipInfo(f"{name}.npy", (1980, 1, 1, 0, 0, 0))
-            entry.create_system, entry.external_attr = 3, 0o644 << 16
-            data = io.BytesIO()
-            plain = np.ascontiguousarray(array, array.dtype.newbyteorder("<"))
-            np.lib.format.write_array(data, plain, (1, 0), allow_pickle=False)
-            archive.writestr(entry, data.getvalue())
-    return whole.getvalue()
-
-
-def _arrays(data: bytes) -> dict[str, _Array]:
-    """Unpack an archive; raises one of `_UNREADABLE` on damage."""
-    arrays = {}
-    with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        for entry in archive.infolist():
-            if entry.file_size > MOST_BYTES:
-                raise ValueError(f"{entry.filename} is too large")
-            member = io.BytesIO(archive.read(entry))
-            array = np.lib.format.read_array(member, allow_pickle=False)
-            arrays[entry.filename.removesuffix(".npy")] = array
-    return arrays

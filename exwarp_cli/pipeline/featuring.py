@@ -14,7 +14,6 @@ from exwarp_cli.pipeline.loading import IntervalLoader
 from exwarp_cli.pipeline.observing import Observer
 from exwarp_cli.pipeline.progress import NoProgress, Progress
 from exwarp_cli.pipeline.source import open_source
-from exwarp_cli.policy.state import PASSED
 from exwarp_cli.synthesis.methods import METHODS
 
 
@@ -82,7 +81,7 @@ def features(
                     number,
                     node,
                     surroundings.now[SLOTS[node] - 1],
-                    tuple(int(x) for x in to_fixed(surroundings.inputs(node, PASSED[node]))),
+                    tuple(int(x) for x in to_fixed(surroundings.inputs(node))),
                 )
             told.advance(number)
     finally:

@@ -325,7 +325,7 @@ class IntervalLoader:
             common["network"] = [self._network.sha256, self._network.device]
         if self._policy is not None:
             common["policy"] = self._policy
-        if self._method.judge in (Judge.PSNR, Judge.RETURN):
+        if self._method.needs_truth:
             common["truth"] = self._truth_digests(key)
         return {
             slot.index: hashlib.sha256(

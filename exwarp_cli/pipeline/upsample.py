@@ -174,7 +174,7 @@ def require_state(policy: PolicyFile) -> PolicyFile:
 
 def _require_truth(settings: UpsampleSettings, method: Method) -> None:
     """Refuse an oracle without ground truth."""
-    if method.judge in (Judge.PSNR, Judge.RETURN) and settings.ground_truth is None:
+    if method.needs_truth and settings.ground_truth is None:
         raise UsageError(
             f"--method {method.name} decides by ground truth; give it with --ground-truth, or use "
             "--method exwarp"

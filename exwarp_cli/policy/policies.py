@@ -26,7 +26,7 @@ class LearnedPolicy:
         decisions: list[Decision] = []
 
         def choose(node: str) -> str:
-            state = surroundings.inputs(node, [decision.node for decision in decisions])
+            state = surroundings.inputs(node)
             fixed = to_fixed(state)
             outputs, chosen = self._kernel.decide(fixed)
             choice = CHOICES[chosen]

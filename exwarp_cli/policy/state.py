@@ -9,7 +9,6 @@ where there are fewer.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,7 +31,6 @@ STATE_VERSION = 1
 
 KEYS_BACK = 3
 """Key frames before F_k whose features are looked at: at d1 all of them."""
-
 
 PASSED = {
     node: next(
@@ -76,8 +74,8 @@ SCALES = {
 """Of N_d; EMD_Wn; EMD_Wp in median distances from the camera; variances in squared frame widths; R
 in megapixels (saturating at 8K). Raw R alone would overflow Q16.16 at 480p.
 
-Units are where differences stop to matter: with a hundredth of them a shot calmer than all that
-were learned from looked like another world, and lost 0.06 dB."""
+Units are where differences stop to matter: with a tenth of those of the distances, and a hundredth
+of those of the variances, a shot calmer than all that were learned from was another world."""
 
 
 @dataclass(frozen=True)
@@ -96,17 +94,9 @@ class Surroundings:
     now: tuple[Features, Features, Features]
     before: tuple[Features, ...]
 
-    def inputs(self, node: str, passed: Sequence[str]) -> F64:
-        """Return the network's inputs at a node, float64 [44], 0 to 1.
-
-        Parameters
-        ----------
-        node
-            The current one.
-        passed
-            The nodes of this interval before it, in their order.
-        """
-        here = [node, *reversed(passed)]
+    def inputs(self, node: str) -> F64:
+        """Return the network's inputs at a node, float64 [44], 0 to 1."""
+        here = [node, *reversed(PASSED[node])]
         found = [(self.now[SLOTS[name] - 1], name) for name in here]
         found += [(features, FIRST) for features in self.before]
         found = (found + [found[-1]] * STATES)[:STATES]

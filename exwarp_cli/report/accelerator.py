@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from dataclasses import asdict
 from typing import Any
@@ -12,12 +11,13 @@ import numpy.typing as npt
 from rich import box
 from rich.table import Table
 
-from exwarp_cli.accel.fixed_point import from_fixed
+from exwarp_cli.accel.fixed_point import MOST_ACTIVATION, from_fixed
 from exwarp_cli.accel.mac_array import COMPARE_CYCLES, PAPER_LATENCY_NS, Schedule
 from exwarp_cli.domain.decision import CHOICES
 from exwarp_cli.io.states import IDENTITY
 from exwarp_cli.pipeline.accelerator import Decided, Trace
 from exwarp_cli.report.frames_csv import table
+from exwarp_cli.report.summary import to_json
 
 SCHEMA = "exwarp.cycles/1"
 
@@ -45,7 +45,7 @@ def cycles_json(found: Schedule, clock_hz: float) -> str:
         "core_refill_bytes": found.core_refill_bytes,
         "refill_bytes": found.refill_bytes,
     }
-    return json.dumps(document, indent=2)
+    return to_json(document)
 
 
 def cycles_table(found: Schedule) -> Table:
@@ -135,9 +135,8 @@ def trace_lines(trace: Trace) -> Iterator[str]:
         if k < len(found.activations):
             values = found.activations[k]
             yield f"  int8   {_first(values)}"
-            yield (
-                f"  {int((values == 0).sum())} are 0, {int((values == 127).sum())} saturate at 127"
-            )
+            zeros, most = int((values == 0).sum()), int((values == MOST_ACTIVATION).sum())
+            yield f"  {zeros} are 0, {most} saturate at {MOST_ACTIVATION}"
     warp, extrapolate = found.outputs.tolist()
     yield f"outputs: warp {warp}, extrapolate {extrapolate}"
     yield f"decision: {CHOICES[int(found.choices)]}, {COMPARE_CYCLES} cycle"

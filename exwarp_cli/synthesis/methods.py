@@ -90,6 +90,11 @@ class Method:
         return self.path is not None or self.judge is not None
 
     @property
+    def needs_truth(self) -> bool:
+        """Whether ground truth decides."""
+        return self.judge in (Judge.PSNR, Judge.RETURN)
+
+    @property
     def extrapolates(self) -> bool:
         """Whether it may need a network, and the key frames before the last one."""
         if self.path is None:

@@ -76,7 +76,7 @@ def _trained(tables: Sequence[PolicyTable], settings: PolicySettings) -> nn.Sequ
     torch.manual_seed(settings.seed)
     network, target = make_network(), make_network()
     target.load_state_dict(network.state_dict())
-    states = [torch.from_numpy(table.states()).float() for table in tables]
+    states = [torch.from_numpy(table.states).float() for table in tables]
     gains = [torch.from_numpy(rewards(table.outcomes)).float() for table in tables]
     optimiser = torch.optim.AdamW(
         network.parameters(), lr=settings.rate, weight_decay=settings.decay
@@ -115,7 +115,7 @@ def expanded(value: Tensor) -> Tensor:
 
 def values(layers: Layers, table: PolicyTable) -> F64:
     """Return a network's outputs at every node of every interval, float64 [N, 5, 2]."""
-    found = table.states()
+    found = table.states
     for weights, biases in layers[:-1]:
         found = np.maximum(found @ weights.T + biases, 0)
     weights, biases = layers[-1]

@@ -120,7 +120,7 @@ def measure(scene: RenderedScene, view: View, model: Path | None, cache: Path) -
         Folder for what was measured.
     """
     footage = Footage(scene, view.variant)
-    name = f"{scene.name}-{scene.manifest.width}x{scene.manifest.height}-{view.name}"
+    name = f"{scene.name}-{scene.manifest.size}-{view.name}"
     by = network(model).checksum[:12]
     kept = {
         f"{name}-features-v{FEATURES_VERSION}.npy": partial(_features, footage, view),

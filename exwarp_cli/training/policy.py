@@ -80,7 +80,7 @@ class Learned:
 
     def outputs(self, table: PolicyTable) -> F64:
         """Return the integer network's outputs, float64 [N, 5, 2]."""
-        states = to_fixed(table.states().reshape(-1, INPUTS))
+        states = to_fixed(table.states.reshape(-1, INPUTS))
         found, _ = MlpKernel(self.network).decide_many(states)
         return found.astype(np.float64).reshape(-1, len(NODES), 2)
 
@@ -88,7 +88,7 @@ class Learned:
 def learn(tables: Sequence[PolicyTable], settings: PolicySettings) -> Learned:
     """Train a network on some scenes and quantise it; they are the calibration states too."""
     floats = train(tables, settings)
-    states = np.concatenate([table.states().reshape(-1, INPUTS) for table in tables])
+    states = np.concatenate([table.states.reshape(-1, INPUTS) for table in tables])
     return Learned(floats, quantise([w for w, _ in floats], [b for _, b in floats], states))
 
 

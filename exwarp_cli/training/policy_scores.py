@@ -65,11 +65,13 @@ def score_random(table: PolicyTable, rows: npt.NDArray[np.bool_]) -> PolicyScore
 def taken(values: F64) -> Paths:
     """Return the path of each interval by values [N, 5, 2]: the larger wins, ties go to warping."""
     extrapolates = values[..., 1] > values[..., 0]
-    out = []
-    for row in extrapolates:
-        steps = walk(lambda node, row=row: EXTRAPOLATE if row[NODES.index(node)] else WARP)  # type: ignore[misc]
-        out.append(NAMES.index(path_of(dict(steps))))
-    return np.array(out, np.intp)
+    return np.array([_path(row) for row in extrapolates], np.intp)
+
+
+def _path(extrapolates: npt.NDArray[np.bool_]) -> int:
+    """Return the index of the path that these choices at the five nodes lead to."""
+    choices = dict(zip(NODES, np.where(extrapolates, EXTRAPOLATE, WARP).tolist(), strict=True))
+    return NAMES.index(path_of(dict(walk(choices.__getitem__))))
 
 
 def fixed(table: PolicyTable, name: str) -> Paths:

@@ -6,15 +6,11 @@ choice is at every node. Everything else follows from these: states, rewards, re
 
 from __future__ import annotations
 
-import io
 import json
-import struct
-import zipfile
-import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -22,21 +18,14 @@ import numpy.typing as npt
 from exwarp_cli.domain.decision import NODES
 from exwarp_cli.domain.features import Features
 from exwarp_cli.errors import DamagedFileError, InputError
+from exwarp_cli.io.archives import Array, pack, unpack
 from exwarp_cli.io.atomic import atomic_write_bytes
-from exwarp_cli.policy.state import INPUTS, KEYS_BACK, PASSED, Surroundings
+from exwarp_cli.policy.state import INPUTS, KEYS_BACK, Surroundings
 from exwarp_cli.training.measuring import Measured, View
 
 F64 = npt.NDArray[np.float64]
 
 SCHEMA = "exwarp.policy-table/1"
-
-_ENTRIES = ("about", "group", "features", "outcomes")
-
-_UNREADABLE = (
-    *(zipfile.BadZipFile, zlib.error, ValueError, OSError, EOFError, MemoryError, struct.error),
-    *(NotImplementedError, RuntimeError, KeyError, SyntaxError, OverflowError, TypeError),
-)
-"""What zipfile, numpy and a wrong entry raise on what is no table."""
 
 
 @dataclass(frozen=True)
@@ -70,12 +59,13 @@ class PolicyTable:
     def __len__(self) -> int:
         return len(self.group)
 
+    @cached_property
     def states(self) -> F64:
-        """Return the network's inputs at every node of every interval, float64 [N, 5, 44]."""
+        """The network's inputs at every node of every interval, float64 [N, 5, 44]."""
         out = np.empty((len(self), len(NODES), INPUTS))
         for row, surroundings in enumerate(self.surroundings()):
             for column, node in enumerate(NODES):
-                out[row, column] = surroundings.inputs(node, PASSED[node])
+                out[row, column] = surroundings.inputs(node)
         return out
 
     def surroundings(self) -> Iterator[Surroundings]:
@@ -124,21 +114,14 @@ def save_table(path: Path, table: PolicyTable) -> None:
         "groups": table.groups,
         "network": table.network,
     }
-    arrays: dict[str, npt.NDArray[np.generic]] = {
+    arrays: dict[str, Array] = {
         "about": np.frombuffer(json.dumps(about).encode(), np.uint8),
         "group": table.group,
         "features": table.features,
         # Some millionths of a decibel are lost.
         "outcomes": table.outcomes.astype(np.float32),
     }
-    out = io.BytesIO()
-    with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, array in arrays.items():
-            text = io.BytesIO()
-            np.save(text, array, allow_pickle=False)
-            # A fixed date, as the checksum goes by the bytes.
-            archive.writestr(zipfile.ZipInfo(f"{name}.npy"), text.getvalue(), zipfile.ZIP_DEFLATED)
-    atomic_write_bytes(path, out.getvalue())
+    atomic_write_bytes(path, pack(arrays, compressed=True))
 
 
 def load_table(path: Path) -> PolicyTable:
@@ -150,8 +133,7 @@ def load_table(path: Path) -> PolicyTable:
         When there is none, or it is damaged.
     """
     try:
-        with zipfile.ZipFile(path) as archive:
-            kept = {entry: _member(archive, f"{entry}.npy") for entry in _ENTRIES}
+        kept = unpack(path.read_bytes())
         about = json.loads(kept["about"].tobytes())
         if about["schema"] != SCHEMA:
             raise ValueError(f"its schema is {about['schema']!r}, not {SCHEMA}")
@@ -166,18 +148,12 @@ def load_table(path: Path) -> PolicyTable:
         _require_whole(table)
     except FileNotFoundError as error:
         raise InputError(f"there is no policy table {path}; check the path") from error
-    except _UNREADABLE as error:
+    except (OSError, ValueError, KeyError, TypeError) as error:
         reason = (str(error) or type(error).__name__).splitlines()[0]
         raise DamagedFileError(
             f"{path} is no policy table that can be read ({reason}); make it again with --data"
         ) from error
     return table
-
-
-def _member(archive: zipfile.ZipFile, name: str) -> npt.NDArray[Any]:
-    """Read one array of an archive."""
-    text = io.BytesIO(archive.read(name))
-    return np.asarray(np.lib.format.read_array(text, allow_pickle=False))
 
 
 def _require_whole(table: PolicyTable) -> None:

@@ -25,7 +25,7 @@ def regress(tables: Sequence[PolicyTable]) -> F64:
     float64 [5, 45, 2]
         Coefficients of the 44 inputs and of a constant, by node and choice.
     """
-    states = np.concatenate([table.states() for table in tables])
+    states = np.concatenate([table.states for table in tables])
     gains = np.concatenate([rewards(table.outcomes) for table in tables])
     weights = np.concatenate([np.full(len(table), 1 / len(table)) for table in tables])
     out = []
@@ -40,6 +40,6 @@ def regress(tables: Sequence[PolicyTable]) -> F64:
 
 def predicted(coefficients: F64, table: PolicyTable) -> F64:
     """Return the expected reward of both choices at every node, float64 [N, 5, 2]."""
-    states = table.states()
+    states = table.states
     x = np.concatenate([states, np.ones((*states.shape[:2], 1))], axis=2)
     return np.asarray(np.einsum("nki,kic->nkc", x, coefficients))

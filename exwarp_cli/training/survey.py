@@ -114,8 +114,8 @@ def build_tables(survey: Survey, say: Say) -> list[PolicyTable]:
         try:
             for (scene, view), done in zip(tasks, work, strict=True):
                 count = len(done.result().outcomes)
-                parts.setdefault(scene.name, []).append((_size(scene), view, done.result()))
-                say(f"{scene.name} {_size(scene)} {view.name}: {count} key intervals")
+                parts.setdefault(scene.name, []).append((scene.manifest.size, view, done.result()))
+                say(f"{scene.name} {scene.manifest.size} {view.name}: {count} key intervals")
         except BaseException:
             # Else all that is left would be measured before anybody hears of it.
             pool.shutdown(cancel_futures=True)
@@ -123,17 +123,13 @@ def build_tables(survey: Survey, say: Say) -> list[PolicyTable]:
     return [joined(name, parts[name], checksum) for name in sorted(parts)]
 
 
-def _size(scene: RenderedScene) -> str:
-    return f"{scene.manifest.width}x{scene.manifest.height}"
-
-
 def _require_different(scenes: Sequence[RenderedScene]) -> None:
     """Refuse the same scene twice at one size: one would be measured, and count double."""
     seen: dict[tuple[str, str], RenderedScene] = {}
     for scene in scenes:
-        other = seen.setdefault((scene.name, _size(scene)), scene)
+        other = seen.setdefault((scene.name, scene.manifest.size), scene)
         if other is not scene:
             raise UsageError(
-                f"{other.folder} and {scene.folder} are the same scene at {_size(scene)}; "
+                f"{other.folder} and {scene.folder} are the same scene at {scene.manifest.size}; "
                 "give --data one of them"
             )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import builtins
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -110,3 +111,15 @@ def make(upsample, shot, network, tmp_path) -> Callable[..., Path]:
         return out
 
     return run
+
+
+@pytest.fixture
+def without_torch(monkeypatch) -> None:
+    """Fail whatever imports torch or onnx."""
+    real = builtins.__import__
+
+    def guarded(name: str, *args: Any, **kwargs: Any) -> Any:
+        assert not name.startswith(("torch", "onnx")), name
+        return real(name, *args, **kwargs)
+
+    monkeypatch.setattr(builtins, "__import__", guarded)

@@ -192,3 +192,16 @@ def psnr(reference: np.ndarray, test: np.ndarray) -> float:
     """Decibels between scene-linear images clipped to [0, 1]."""
     error = np.clip(reference[..., :3], 0, 1) - np.clip(test[..., :3], 0, 1)
     return float(-10 * np.log10(max(np.mean(error**2), 1e-10)))
+
+
+def changed_by(run: Callable[[], object], folder: Path) -> set[int]:
+    """Numbers of the frames that were written anew."""
+    before = {name: (folder / name).stat().st_mtime_ns for name in names(folder)}
+    run()
+    now = {name: (folder / name).stat().st_mtime_ns for name in names(folder)}
+    return {int(name.split(".")[1]) for name, time in now.items() if before.get(name) != time}
+
+
+def generated(*keys: int) -> set[int]:
+    """Numbers of slots 1 to 3 of these key frames."""
+    return {4 * (key - 1) + 1 + i for key in keys for i in (1, 2, 3)}

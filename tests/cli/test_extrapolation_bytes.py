@@ -10,24 +10,11 @@ import pytest
 
 from tests.blender_layers import Planes
 from tests.cli import shots
-from tests.cli.shots import FORWARD, KEYS, SMALL, VECTORS
+from tests.cli.shots import FORWARD, KEYS, SMALL, VECTORS, changed_by, generated
 from tests.cli.street import Street
 from tests.unit.tiny_models import convolution, save
 
 SETTINGS = ("key", "slot")
-
-
-def changed_by(run: Callable[[], object], folder: Path) -> set[int]:
-    """Numbers of the frames that were written anew."""
-    before = {name: (folder / name).stat().st_mtime_ns for name in shots.names(folder)}
-    run()
-    now = {name: (folder / name).stat().st_mtime_ns for name in shots.names(folder)}
-    return {int(name.split(".")[1]) for name, time in now.items() if before.get(name) != time}
-
-
-def generated(*keys: int) -> set[int]:
-    """Numbers of slots 1 to 3 of these key frames."""
-    return {4 * (key - 1) + 1 + i for key in keys for i in (1, 2, 3)}
 
 
 def cut(planes_of: Callable[[Street, float], Planes]) -> shots.FrameWriter:

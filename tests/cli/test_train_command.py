@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import builtins
 from pathlib import Path
 
 import pytest
@@ -99,13 +98,6 @@ def test_the_command_alone_shows_its_help(capsys):
     assert "extrapolator" in capsys.readouterr().out
 
 
-def test_help_needs_no_torch(monkeypatch, capsys):
-    real = builtins.__import__
-
-    def guarded(name, *args, **kwargs):
-        assert not name.startswith(("torch", "onnx")), name
-        return real(name, *args, **kwargs)
-
-    monkeypatch.setattr(builtins, "__import__", guarded)
+def test_help_needs_no_torch(without_torch, capsys):
     assert run(["train", "extrapolator", "--help"]) == 0
     assert "--architecture" in capsys.readouterr().out

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import builtins
 import json
 import shutil
 from pathlib import Path
@@ -173,13 +172,6 @@ def test_without_the_extra_one_sentence_tells_how_to_get_it(exwarp, tables, tmp_
     train(exwarp, tmp_path, "--tables", tables).refused(7, 'pip install "exwarp[train]"')
 
 
-def test_help_needs_no_torch(monkeypatch, capsys):
-    real = builtins.__import__
-
-    def guarded(name, *args, **kwargs):
-        assert not name.startswith(("torch", "onnx")), name
-        return real(name, *args, **kwargs)
-
-    monkeypatch.setattr(builtins, "__import__", guarded)
+def test_help_needs_no_torch(without_torch, capsys):
     assert run(["train", "policy", "--help"]) == 0
     assert "--tables" in capsys.readouterr().out

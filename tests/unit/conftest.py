@@ -1,7 +1,8 @@
-"""A rendered scene whose content is known exactly."""
+"""A rendered scene whose content is known exactly, and a machine without a cache."""
 
 from __future__ import annotations
 
+import numba
 import pytest
 
 from exwarp_cli.io.dataset import open_scene
@@ -13,3 +14,16 @@ from tests.unit.analytic_scene import write_scene
 def footage(tmp_path_factory) -> Footage:
     """The analytic scene as it is played; read only."""
     return Footage(open_scene(write_scene(tmp_path_factory.mktemp("data") / "analytic")))
+
+
+@pytest.fixture
+def unwritable_cache(monkeypatch) -> None:
+    """Let numba find no folder to keep what it compiles."""
+    njit = numba.njit
+
+    def unwritable(text, cache, **options):
+        if cache:
+            raise RuntimeError("cannot cache function: no locator available")
+        return njit(text, cache=False, **options)
+
+    monkeypatch.setattr(numba, "njit", unwritable)

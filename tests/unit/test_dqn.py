@@ -200,7 +200,7 @@ def test_values_are_the_trained_network_s():
     ]
     part = tempting(20, 5)
     with torch.no_grad():
-        wanted = network(torch.from_numpy(part.states()).float()).numpy()
+        wanted = network(torch.from_numpy(part.states).float()).numpy()
     np.testing.assert_allclose(values(tuple(layers), part), wanted, rtol=1e-4, atol=1e-4)
     assert wanted.shape == (20, 5, 2) and wanted.std() > 0.01
 

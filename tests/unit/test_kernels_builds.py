@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 import importlib
-import os
 import pkgutil
-import subprocess
-import sys
 from pathlib import Path
 
-import numba
 import numpy as np
 import pytest
 
@@ -18,6 +14,7 @@ from exwarp_cli.kernels import jit
 from exwarp_cli.kernels.jit import set_threads
 from tests.unit import kernel_calls as calls
 from tests.unit import kernel_cases as cases
+from tests.unit.interpreted import same_when_interpreted
 from tests.unit.kernel_cases import CASES, run_all
 
 ROOT = Path(__file__).parents[2]
@@ -77,27 +74,12 @@ def test_views_of_any_layout_give_the_same(name):
 
 
 def test_compiled_and_interpreted_agree(tmp_path):
-    target = tmp_path / "interpreted.npz"
     # Numpy scalars warn of NaN, where compiled code just computes.
-    flags = ["-W", "error", "-W", "ignore::RuntimeWarning", "-m", "tests.unit.kernel_cases"]
-    subprocess.run(
-        [sys.executable, *flags, str(target)],
-        check=True,
-        cwd=ROOT,
-        env=os.environ | {"NUMBA_DISABLE_JIT": "1"},
+    same_when_interpreted(
+        *("tests.unit.kernel_cases", tmp_path / "found.npz", run_all(serial=True)),
+        "RuntimeWarning",
     )
-    with np.load(target) as interpreted:
-        for name, compiled in run_all(serial=True).items():
-            np.testing.assert_array_equal(interpreted[name], compiled, err_msg=name)
 
 
-def test_without_a_writable_cache_kernels_still_compile(monkeypatch):
-    njit = numba.njit
-
-    def unwritable(text, cache, **options):
-        if cache:
-            raise RuntimeError("cannot cache function: no locator available")
-        return njit(text, cache=False, **options)
-
-    monkeypatch.setattr(numba, "njit", unwritable)
+def test_without_a_writable_cache_kernels_still_compile(unwritable_cache):
     assert jit.serial(lambda value: value + 1)(2) == 3

@@ -174,7 +174,7 @@ def test_states_are_those_of_a_run(scene, view, model, cache):
     slots = str(FOLDER / "instants") if view.setting == "slot" else None
     settings = SourceSettings(str(FOLDER / "keys"), slots, scene.manifest.motion)
     run = [found.inputs for found in features(settings, "1-3")]
-    np.testing.assert_array_equal(to_fixed(table.states()).reshape(-1, 44), run)
+    np.testing.assert_array_equal(to_fixed(table.states).reshape(-1, 44), run)
 
 
 def test_motion_is_per_slot_whatever_the_speed(scene, model, cache):

@@ -9,7 +9,7 @@ from exwarp_cli.accel.quantised_mlp import QuantisedMlp, infer_reference
 from exwarp_cli.domain.decision import Decision, Plan
 from exwarp_cli.domain.features import Features
 from exwarp_cli.policy.policies import LearnedPolicy
-from exwarp_cli.policy.state import Surroundings
+from exwarp_cli.policy.state import PASSED, Surroundings
 from tests.reference.decisions import PATHS
 from tests.unit.mlp_cases import network
 from tests.unit.tiny_policies import always, layer, taking
@@ -55,7 +55,8 @@ def test_decisions_keep_what_was_seen_and_weighed(seed):
     passed: list[str] = []
     for decision in found.decisions:
         assert decision.features == now[INSTANT[decision.node]]
-        expected = np.floor(surroundings.inputs(decision.node, passed) * 65536 + 0.5)
+        assert tuple(passed) == PASSED[decision.node]
+        expected = np.floor(surroundings.inputs(decision.node) * 65536 + 0.5)
         assert decision.inputs == tuple(expected.astype(int))
         inferred = infer_reference(made, np.array([decision.inputs], np.int32))
         assert decision.outputs == tuple(inferred.outputs[0])

@@ -13,12 +13,11 @@ import pytest
 
 from exwarp_cli.accel.quantised_mlp import QuantisedMlp
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, OutputError
-from exwarp_cli.io import policy_files
+from exwarp_cli.io import archives, models
 from exwarp_cli.io.models import CHECKSUMS
 from exwarp_cli.io.policy_files import (
     FORMAT,
     SHIPPED_POLICY,
-    load_network,
     load_policy,
     save_network,
 )
@@ -45,9 +44,9 @@ def same(one: QuantisedMlp, other: QuantisedMlp) -> None:
 
 class TestWritten:
     def test_it_comes_back(self, saved):
-        found, metadata = load_network(saved)
-        same(found, network(4, SIZES))
-        assert metadata == {"seed": 7, "scenes": ["lab"], "format": FORMAT}
+        policy = load_policy(saved)
+        same(policy.network, network(4, SIZES))
+        assert policy.metadata == {"seed": 7, "scenes": ["lab"], "format": FORMAT}
         policy = load_policy(saved)
         assert policy.checksum == hashlib.sha256(saved.read_bytes()).hexdigest()
         assert (policy.path, policy.floats) == (saved, ())
@@ -64,7 +63,7 @@ class TestWritten:
             np.testing.assert_array_equal(b, biases)
 
     def test_the_same_bytes_every_time(self, saved, tmp_path, monkeypatch):
-        monkeypatch.setattr(policy_files.zipfile.time, "localtime", lambda *_: (2031,) * 9)
+        monkeypatch.setattr(archives.zipfile.time, "localtime", lambda *_: (2031,) * 9)
         again = tmp_path / "again.npz"
         save_network(again, network(4, SIZES), {"scenes": ["lab"], "seed": 7})
         assert again.read_bytes() == saved.read_bytes()
@@ -103,18 +102,18 @@ def text(**metadata: object) -> np.ndarray:
 class TestRefused:
     def test_no_file(self, tmp_path):
         with pytest.raises(InputError, match=r"there is no model .*none\.npz; check the path"):
-            load_network(tmp_path / "none.npz")
+            load_policy(tmp_path / "none.npz")
 
     def test_a_folder(self, tmp_path):
         with pytest.raises(InputError, match="cannot read"):
-            load_network(tmp_path)
+            load_policy(tmp_path)
 
     def test_truncated_anywhere(self, saved):
         data = saved.read_bytes()
         for size in (0, 1, 30, 100, 500, len(data) // 2, len(data) - 30, len(data) - 1):
             saved.write_bytes(data[:size])
             with pytest.raises(DamagedFileError, match=r"policy\.npz is truncated, damaged or no"):
-                load_network(saved)
+                load_policy(saved)
 
     def test_a_flipped_bit_anywhere(self, saved):
         """Either it is told, or it was one that means nothing, as in a timestamp."""
@@ -123,7 +122,7 @@ class TestRefused:
         for at in range(0, len(data), 13):
             saved.write_bytes(data[:at] + bytes([data[at] ^ 4]) + data[at + 1 :])
             try:
-                found, _ = load_network(saved)
+                found = load_policy(saved).network
             except InputError:
                 told += 1
             else:
@@ -137,12 +136,12 @@ class TestRefused:
             archive.writestr("readme.txt", "hello")
         for name in ("text", "one.npy", "zip"):
             with pytest.raises(DamagedFileError, match="no policy file; check the path"):
-                load_network(tmp_path / name)
+                load_policy(tmp_path / name)
 
     def test_pickles_are_not_read(self, tmp_path, saved):
         changed(saved, weights0=np.array([{"a": 1}], object))
         with pytest.raises(DamagedFileError, match="damaged or no policy file"):
-            load_network(saved)
+            load_policy(saved)
 
     def test_a_header_that_claims_the_world(self, saved):
         huge = io.BytesIO()
@@ -152,7 +151,7 @@ class TestRefused:
         with zipfile.ZipFile(saved, "w") as archive:
             archive.writestr("weights0.npy", huge.getvalue())
         with pytest.raises(DamagedFileError, match="damaged or no policy file"):
-            load_network(saved)
+            load_policy(saved)
 
     @pytest.mark.parametrize(
         ("arrays", "words"),
@@ -183,7 +182,7 @@ class TestRefused:
     )
     def test_what_is_no_policy(self, saved, arrays, words):
         with pytest.raises(LayoutError) as told:
-            load_network(changed(saved, **arrays))
+            load_policy(changed(saved, **arrays))
         assert words in str(told.value)
         assert "is no policy that ExWarp can run: " in str(told.value)
         assert "\n" not in str(told.value)
@@ -192,23 +191,23 @@ class TestRefused:
 class TestShipped:
     @pytest.fixture
     def folder(self, tmp_path, monkeypatch) -> Path:
-        monkeypatch.setattr(policy_files, "shipped_folder", lambda: tmp_path)
+        monkeypatch.setattr(models, "shipped_folder", lambda: tmp_path)
         save_network(tmp_path / SHIPPED_POLICY, network(4, SIZES), {})
         digest = hashlib.sha256((tmp_path / SHIPPED_POLICY).read_bytes()).hexdigest()
         (tmp_path / CHECKSUMS).write_text(json.dumps({SHIPPED_POLICY: digest}))
         return tmp_path
 
     def test_it_is_found(self, folder):
-        same(load_network(None)[0], network(4, SIZES))
+        same(load_policy(None).network, network(4, SIZES))
         assert load_policy(None).path == folder / SHIPPED_POLICY
 
     def test_another_file_in_its_place(self, folder):
         save_network(folder / SHIPPED_POLICY, network(5, SIZES), {})
         with pytest.raises(DamagedFileError, match=r"checksum differs; .*with --policy"):
-            load_network(None)
+            load_policy(None)
 
     @pytest.mark.parametrize("name", [SHIPPED_POLICY, CHECKSUMS])
     def test_it_is_missing(self, folder, name):
         (folder / name).unlink()
         with pytest.raises(InputError, match=r"comes with ExWarp, is missing .* with --policy"):
-            load_network(None)
+            load_policy(None)

@@ -25,7 +25,7 @@ def linear(table: PolicyTable, seed: int = 0) -> PolicyTable:
     """The table with gains that are linear in the states, at each node by other coefficients."""
     rng = np.random.default_rng(seed)
     slopes, offsets = rng.normal(0, 3, (len(NODES), 44)), rng.normal(0, 5, len(NODES))
-    gain = np.einsum("nki,ki->nk", table.states(), slopes) + offsets
+    gain = np.einsum("nki,ki->nk", table.states, slopes) + offsets
     outcomes = np.full((len(table), 5, 2, 2), 30.0)
     outcomes[..., 1, 0] += 0.75 * gain
     outcomes[..., 1, 1] += 0.25 * gain  # PSNR and SSIM add up to the gain

@@ -13,7 +13,7 @@ import pytest
 from exwarp_cli.domain.decision import NODES
 from exwarp_cli.domain.features import Features
 from exwarp_cli.errors import DamagedFileError, InputError, UsageError
-from exwarp_cli.policy.state import SCALES, Surroundings
+from exwarp_cli.policy.state import PASSED, SCALES, Surroundings
 from exwarp_cli.training.measuring import VIEWS, Measured
 from exwarp_cli.training.policy_table import (
     SCHEMA,
@@ -45,24 +45,25 @@ class TestStates:
         before = tuple(told(k, 0) for k in range(row - 1, max(start, row - 3) - 1, -1))
         around = Surroundings((told(row, 0), told(row, 1), told(row, 2)), before)
         passed = {"d1": [], "d2": ["d1"], "d3": ["d1"], "d4": ["d1", "d2"], "d5": ["d1", "d2"]}
-        found = TABLE.states()
+        assert {node: list(nodes) for node, nodes in PASSED.items()} == passed
+        found = TABLE.states
         assert found.shape == (14, 5, 44) and found.dtype == np.float64
         assert (found >= 0).all() and (found <= 1).all()
         for k, node in enumerate(NODES):
-            np.testing.assert_array_equal(found[row, k], around.inputs(node, passed[node]))
+            np.testing.assert_array_equal(found[row, k], around.inputs(node))
 
     def test_history_never_crosses_groups(self):
-        found = TABLE.states()
+        found = TABLE.states
         for first, end in zip(STARTS, (*STARTS[1:], 14), strict=True):
             features = np.random.default_rng(1).permutation(TABLE.features)
             features[first:end] = TABLE.features[first:end]
-            other = replace(TABLE, features=features).states()
+            other = replace(TABLE, features=features).states
             np.testing.assert_array_equal(other[first:end], found[first:end])
             assert (other[:first] != found[:first]).any(axis=(1, 2)).sum() >= first - 1
 
     @pytest.mark.parametrize("first", STARTS)
     def test_a_group_s_start_is_padded_with_its_oldest_state(self, first):
-        states = TABLE.states()[first : first + 4, 0].reshape(4, 4, 11)
+        states = TABLE.states[first : first + 4, 0].reshape(4, 4, 11)
         here = states[:, 0]
         for row, oldest in enumerate([[0, 0, 0, 0], [1, 0, 0, 0], [2, 1, 0, 0], [3, 2, 1, 0]]):
             np.testing.assert_array_equal(states[row], here[oldest])
@@ -71,9 +72,9 @@ class TestStates:
     def test_one_number_by_hand(self):
         """Var_y of the second instant of row 5: at d2, the fifth of 44 numbers."""
         value = TABLE.features[5, 1, 4] / 427**2
-        assert TABLE.states()[5, 1, 4] == SCALES["Var_y"](value) > 0
-        assert TABLE.states()[5, 1, 6:11].tolist() == [0, 1, 0, 0, 0]
-        assert TABLE.states()[5, 1, 17:22].tolist() == [1, 0, 0, 0, 0]
+        assert TABLE.states[5, 1, 4] == SCALES["Var_y"](value) > 0
+        assert TABLE.states[5, 1, 6:11].tolist() == [0, 1, 0, 0, 0]
+        assert TABLE.states[5, 1, 17:22].tolist() == [1, 0, 0, 0, 0]
 
 
 def test_a_table_is_joined_from_what_was_measured():
@@ -105,7 +106,7 @@ def test_beginnings_have_no_history():
     found = joined("lab", parts, NETWORK)
     assert found.group.tolist() == [0] * 5 + [1, 2, 3, 4, 5]
     assert found.groups == tuple(f"{view.name} 64x36" for view in (VIEWS[0], *[begins] * 5))
-    states = found.states()[:, 0].reshape(10, 4, 11)
+    states = found.states[:, 0].reshape(10, 4, 11)
     assert (states[5:] == states[5:, :1]).all() and (states[4] != states[4, 0]).any()
     np.testing.assert_array_equal(states[5:, 0], states[:5, 0])
 

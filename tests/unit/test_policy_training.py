@@ -100,7 +100,7 @@ class TestFiles:
         found, kept = learn(tables, SETTINGS), load_policy(folder / "policy.npz")
         assert kept.network.sizes == PAPER_SIZES
         for table in tables:
-            states = to_fixed(table.states().reshape(-1, 44))
+            states = to_fixed(table.states.reshape(-1, 44))
             outputs = infer_reference(kept.network, states).outputs.reshape(-1, 5, 2)
             np.testing.assert_array_equal(outputs, found.outputs(table))
             np.testing.assert_allclose(values(kept.floats, table), found.values(table), rtol=1e-6)
@@ -110,7 +110,7 @@ class TestFiles:
 
     def test_the_onnx_models_are_the_same_network(self, trained, tables):
         folder, _, _ = trained
-        states = tables[0].states().reshape(-1, 44)
+        states = tables[0].states.reshape(-1, 44)
         kept = load_policy(folder / "policy.npz")
         for name, given in ((INTEGER_MODEL, to_fixed(states)), (FLOAT_MODEL, np.float32(states))):
             session = onnxruntime.InferenceSession(
@@ -156,7 +156,7 @@ class TestReport:
         folder, report, _ = trained
         for k, (table, name) in enumerate(zip(tables, WITHOUT, strict=True)):
             own = load_policy(folder / name)
-            states = to_fixed(table.states().reshape(-1, 44))
+            states = to_fixed(table.states.reshape(-1, 44))
             whole = infer_reference(own.network, states).outputs.reshape(-1, 5, 2)
             others = [other for i, other in enumerate(tables) if i != k]
             paths = {

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 from pathlib import Path
 
-import numba
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -25,6 +23,7 @@ from exwarp_cli.accel.quantised_mlp import (
 )
 from exwarp_cli.accel.simulation import simulate
 from tests.reference.mlp import infer, infer_many
+from tests.unit.interpreted import same_when_interpreted
 from tests.unit.mlp_cases import edges, network, parts, run_all, states
 
 ROOT = Path(__file__).parents[2]
@@ -95,17 +94,7 @@ class TestSameBits:
             assert kernel.decide(state) == (tuple(both), choice)
 
     def test_compiled_and_interpreted_agree(self, tmp_path):
-        target = tmp_path / "interpreted.npz"
-        flags = ["-W", "error", "-m", "tests.unit.mlp_cases"]
-        subprocess.run(
-            [sys.executable, *flags, str(target)],
-            check=True,
-            cwd=ROOT,
-            env=os.environ | {"NUMBA_DISABLE_JIT": "1"},
-        )
-        with np.load(target) as interpreted:
-            for name, compiled in run_all().items():
-                np.testing.assert_array_equal(interpreted[name], compiled, err_msg=name)
+        same_when_interpreted("tests.unit.mlp_cases", tmp_path / "found.npz", run_all())
 
     def test_views_of_any_layout_give_the_same(self):
         made, many = network(2), states(40, 2)
@@ -241,13 +230,5 @@ def test_the_specification_does_without_numba():
     assert result.stdout == "[]\n", result.stderr
 
 
-def test_without_a_writable_cache_kernels_still_compile(monkeypatch):
-    njit = numba.njit
-
-    def unwritable(text, cache, **options):
-        if cache:
-            raise RuntimeError("cannot cache function: no locator available")
-        return njit(text, cache=False, **options)
-
-    monkeypatch.setattr(numba, "njit", unwritable)
+def test_without_a_writable_cache_kernels_still_compile(unwritable_cache):
     assert jit.compiled(lambda value: value + 1)(2) == 3

@@ -74,7 +74,7 @@ def test_integers_decide_as_floats_do(report):
 @pytest.mark.parametrize("scene", SCENES)
 def test_the_scores_come_from_the_files_beside_them(report, scene):
     table = load_table(MODELS / TABLES / f"{scene}.npz")
-    states = to_fixed(table.states().reshape(-1, INPUTS))
+    states = to_fixed(table.states.reshape(-1, INPUTS))
     policy = load_policy(MODELS / f"policy-without-{scene}.npz")
     outputs, _ = MlpKernel(policy.network).decide_many(states)
     paths = taken(outputs.astype(float).reshape(-1, len(NODES), 2))
@@ -88,7 +88,7 @@ def test_the_scores_come_from_the_files_beside_them(report, scene):
 def test_all_forms_of_it_agree():
     policy = load_policy(None)
     assert policy.network.sizes == PAPER_SIZES and policy.metadata["state"] == STATE_VERSION
-    states = load_table(MODELS / TABLES / "town.npz").states().reshape(-1, INPUTS)
+    states = load_table(MODELS / TABLES / "town.npz").states.reshape(-1, INPUTS)
     fixed = to_fixed(states)
     outputs, _ = MlpKernel(policy.network).decide_many(fixed)
     np.testing.assert_array_equal(answer(MODELS / "policy-int8.onnx", fixed), outputs)

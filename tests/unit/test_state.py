@@ -15,7 +15,6 @@ from exwarp_cli.domain.features import FEATURES, Features
 from exwarp_cli.policy.state import (
     INPUTS,
     KEYS_BACK,
-    PASSED,
     SCALES,
     STATE_SIZE,
     STATES,
@@ -138,7 +137,7 @@ class TestInputs:
 
     @pytest.mark.parametrize("node", NODES)
     def test_which_instants_and_nodes_stand_where(self, node):
-        found = parts(Surroundings(NOW, BEFORE).inputs(node, PASSED[node]))
+        found = parts(Surroundings(NOW, BEFORE).inputs(node))
         for (features, at), (expected, instant) in zip(found, ORDER[node], strict=True):
             assert at == expected
             np.testing.assert_array_equal(features, scaled(seen(instant)))
@@ -148,7 +147,7 @@ class TestInputs:
     def test_the_oldest_is_repeated_where_there_are_fewer(self, node, keys):
         known = [pair for pair in ORDER[node] if pair[1] < 3 + keys]
         expected = (known + [known[-1]] * 4)[:4]
-        found = parts(Surroundings(NOW, BEFORE[:keys]).inputs(node, PASSED[node]))
+        found = parts(Surroundings(NOW, BEFORE[:keys]).inputs(node))
         assert [at for _, at in found] == [at for at, _ in expected]
         for (features, _), (_, instant) in zip(found, expected, strict=True):
             np.testing.assert_array_equal(features, scaled(seen(instant)))
@@ -157,7 +156,7 @@ class TestInputs:
     @pytest.mark.parametrize("node", NODES)
     def test_they_are_the_naive_twin_s(self, node, keys):
         history = [(named(seen(i)), at) for at, i in ORDER[node] if i < 3 + keys]
-        found = Surroundings(NOW, BEFORE[:keys]).inputs(node, PASSED[node])
+        found = Surroundings(NOW, BEFORE[:keys]).inputs(node)
         np.testing.assert_allclose(found, paper.inputs(history), atol=1e-12)
 
     def test_a_state_is_its_features_and_its_node(self):

@@ -14,7 +14,7 @@ from exwarp_cli.pipeline import loading
 from tests.cli import shots
 from tests.cli.decisions.conftest import KEYS, SETTINGS, STREET, Done, take, write_shots
 from tests.cli.decisions.windows import moving_shots, parted
-from tests.cli.shots import read
+from tests.cli.shots import changed_by, generated, read
 from tests.reference.decisions import PATHS
 
 HEADS = ("exwarp:method", "exwarp:recipe", "exwarp:sha256", "exwarp:decision")
@@ -35,19 +35,6 @@ def make(upsample, uneven, network, policies, tmp_path) -> Callable[..., Path]:
         return tmp_path / folder
 
     return run
-
-
-def changed_by(run: Callable[[], object], folder: Path) -> set[int]:
-    """Numbers of the frames that were written anew."""
-    before = {name: (folder / name).stat().st_mtime_ns for name in shots.names(folder)}
-    run()
-    now = {name: (folder / name).stat().st_mtime_ns for name in shots.names(folder)}
-    return {int(name.split(".")[1]) for name, time in now.items() if before.get(name) != time}
-
-
-def generated(*keys: int) -> set[int]:
-    """Numbers of slots 1 to 3 of these key frames."""
-    return {4 * (key - 1) + 1 + i for key in keys for i in (1, 2, 3)}
 
 
 def same_frames(one: Path, other: Path) -> None:
