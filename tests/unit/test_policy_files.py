@@ -143,6 +143,16 @@ class TestRefused:
         with pytest.raises(DamagedFileError, match="damaged or no policy file"):
             load_policy(saved)
 
+    def test_much_in_little(self, saved):
+        """Zeros that deflate to a thousandth; they are not inflated to be judged."""
+        bomb = {"weights0": np.zeros(archives.MOST_BYTES, np.int8)}
+        saved.write_bytes(archives.pack(bomb, compressed=True))
+        assert saved.stat().st_size < 1e6
+        with pytest.raises(DamagedFileError, match="damaged or no policy file"):
+            load_policy(saved)
+        with pytest.raises(archives.ArchiveError, match=r"weights0\.npy is too large"):
+            archives.unpack(saved.read_bytes())
+
     def test_a_header_that_claims_the_world(self, saved):
         huge = io.BytesIO()
         np.lib.format.write_array_header_1_0(
