@@ -21,8 +21,11 @@ from exwarp_cli.accel.quantised_mlp import (
 )
 from tests.reference.mlp import Parts
 
-STATES = 3
-"""Of each kind, that the interpreted text is run on; a state takes it a second."""
+FEW = 9
+"""States that the interpreted text is run on with the paper's network; each takes half a second."""
+
+MANY = 1000
+"""The same with small networks, beside all edge values."""
 
 
 def network(seed: int = 0, sizes: tuple[int, ...] = PAPER_SIZES) -> QuantisedMlp:
@@ -88,13 +91,16 @@ def edges(size: int = 44, seed: int = 0) -> np.ndarray:
 
 def run_all() -> dict[str, np.ndarray]:
     """Outputs of the compiled, or interpreted, texts by name."""
-    few = np.concatenate([states(2 * STATES), edges()[:: len(edges()) // STATES]])
     found = {}
     for name, sizes in {"paper": PAPER_SIZES, "odd": (5, 7, 3, 2), "plain": (9, 2)}.items():
-        made, given = network(3, sizes), np.ascontiguousarray(few[:, : sizes[0]])
-        found[f"{name} one"] = np.array([MlpKernel(made).decide(state)[0] for state in given])
-        found[f"{name} many"] = MlpKernel(made).decide_many(given)[0]
-        found[f"{name} array"] = infer_as_array(MacArray(), made, given[:2])[0]
+        made = network(3, sizes)
+        given = np.concatenate([states(MANY, size=sizes[0]), edges(sizes[0])])
+        if sizes == PAPER_SIZES:
+            given = given[:: len(given) // FEW]
+        kernel = MlpKernel(made)
+        found[f"{name} one"] = np.array([kernel.decide(state)[0] for state in given])
+        found[f"{name} many"] = kernel.decide_many(given)[0]
+        found[f"{name} array"] = infer_as_array(MacArray(), made, given)[0]
     return found
 
 
