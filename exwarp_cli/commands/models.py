@@ -1,4 +1,4 @@
-"""``exwarp models``: networks for ``exwarp upsample --extrapolator``."""
+"""``exwarp models``: networks for ``exwarp upsample``, which others made."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ FILE = click.Path(path_type=Path)
 
 @click.group("models", cls=HelpfulGroup)
 def command() -> None:
-    """Make models for exwarp upsample --extrapolator."""
+    """Make networks of others fit for exwarp upsample."""
 
 
 @command.command("import-extranet", short_help="Take over ExtraNet's released network.")
@@ -34,3 +34,24 @@ def import_extranet(checkpoint: Path, model: Path, overwrite: bool) -> None:
 
     release.import_extranet(checkpoint, model, overwrite=overwrite)
     click.echo(f"{model}: give it to exwarp upsample --extrapolator")
+
+
+@command.command("interpolator-card", short_help="Write the card of an interpolation network.")
+@click.argument("model", metavar="FILE.onnx", type=FILE)
+@click.option(
+    "--shape",
+    type=click.Choice(["rife", "ema-vfi", "film"]),
+    required=True,
+    help="Whose export it resembles.",
+)
+@click.option("--overwrite", is_flag=True, help="Replace the card if it exists.")
+def interpolator_card(model: Path, shape: str, overwrite: bool) -> None:
+    """Write FILE.json, which tells exwarp upsample --interpolator what FILE.onnx takes.
+
+    Names of inputs and output come from the network; layout and padding from the shape. Look it
+    over: value range, order of the channels and padding cannot be seen in a network.
+    """
+    from exwarp_cli.io.interpolator import begin_card
+
+    card = begin_card(model, shape, overwrite=overwrite)
+    click.echo(f"{card}: look it over, then give {model} to exwarp upsample --interpolator")

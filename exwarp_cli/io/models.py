@@ -73,8 +73,8 @@ def shipped_folder() -> Path:
     return inside if inside.is_dir() else package.parent / "models"
 
 
-class OnnxExtrapolator:
-    """An extrapolation network that is ready to run.
+class OnnxNetwork:
+    """A network that onnxruntime has opened.
 
     Parameters
     ----------
@@ -86,6 +86,11 @@ class OnnxExtrapolator:
         At most.
     device
         "cpu" or "cuda".
+
+    Attributes
+    ----------
+    inputs, outputs
+        By name, each with `name`, `type` and `shape` as onnxruntime tells them.
     """
 
     def __init__(self, path: Path, data: bytes, threads: int, device: str) -> None:
@@ -94,15 +99,64 @@ class OnnxExtrapolator:
         self._checksum = hashlib.sha256(data).hexdigest()
         self._sessions: dict[int, Any] = {}
         session = self._session(1)
-        self._inputs: dict[str, Any] = {node.name: node for node in session.get_inputs()}
-        self._outputs: dict[str, Any] = {node.name: node for node in session.get_outputs()}
+        self.inputs: dict[str, Any] = {node.name: node for node in session.get_inputs()}
+        self.outputs: dict[str, Any] = {node.name: node for node in session.get_outputs()}
         self._metadata: dict[str, str] = session.get_modelmeta().custom_metadata_map
-        self._stride = stated_stride(self.path, self._metadata)
 
     @property
     def checksum(self) -> str:
         """SHA-256 of the model's file, in hexadecimal digits."""
         return self._checksum
+
+    def _answer(
+        self, output: str, feeds: dict[str, Any], size: tuple[int, int], stride: int, advice: str
+    ) -> Any:
+        """Run the network.
+
+        Parameters
+        ----------
+        output
+            Name of the output.
+        feeds
+            Arrays by input.
+        size
+            Height and width of the pictures, multiples of `stride`.
+        stride
+            Pixels of the frame in one of the coarsest scale, which bounds the threads.
+        advice
+            What to do where it fails.
+
+        Returns
+        -------
+        numpy.ndarray
+            As the network gives it.
+        """
+        height, width = size
+        most = height * width // (stride**2 * PIXELS_PER_THREAD)
+        session = self._session(max(1, min(self._threads, most)) if self.device == "cpu" else 1)
+        try:
+            (out,) = session.run([output], feeds)
+        except _failures() as error:
+            if "alloc" in str(error):
+                raise MemoryError from error
+            raise LayoutError(
+                f"{self.path} fails on {width}x{height} pixels ({_reason(error)}); {advice}"
+            ) from error
+        return out
+
+    def _session(self, threads: int) -> Any:
+        """Return onnxruntime's session for so many threads; made once."""
+        if threads not in self._sessions:
+            self._sessions[threads] = _open(self.path, self._data, threads, self.device)
+        return self._sessions[threads]
+
+
+class OnnxExtrapolator(OnnxNetwork):
+    """An extrapolation network that is ready to run; parameters as for `OnnxNetwork`."""
+
+    def __init__(self, path: Path, data: bytes, threads: int, device: str) -> None:
+        super().__init__(path, data, threads, device)
+        self._stride = stated_stride(self.path, self._metadata)
 
     def __call__(self, inputs: NetworkInputs) -> Float32:
         """Return the slot's colour, float32 [3, H, W], encoded as the inputs are; any H and W."""
@@ -111,9 +165,9 @@ class OnnxExtrapolator:
         feeds = {
             name: np.pad(planes, ((0, 0), (0, down), (0, right)), mode="edge")[None]
             for name, planes in inputs.pictures.items()
-            if name in self._inputs
+            if name in self.inputs
         }
-        if TIME in self._inputs:
+        if TIME in self.inputs:
             feeds[TIME] = np.array([inputs.time], np.float32)
         out = self._run(feeds, height + down, width + right)
         return np.ascontiguousarray(out[0, :, :height, :width])
@@ -121,7 +175,7 @@ class OnnxExtrapolator:
     def judge(self) -> None:
         """Refuse a network that does not fit, by what it declares and by running it once."""
         require_interface(self.path, self._metadata)
-        require_nodes(self.path, self._inputs, self._outputs)
+        require_nodes(self.path, self.inputs, self.outputs)
         # Odd multiples, so that a network which needs more than it states fails here.
         shape = (5 * self._stride, 7 * self._stride)
         blank = {name: np.zeros((count, *shape), np.float32) for name, count in INPUTS.items()}
@@ -129,18 +183,11 @@ class OnnxExtrapolator:
 
     def _run(self, feeds: dict[str, Float32], height: int, width: int) -> Float32:
         """Run the network on pictures of a size that is a multiple of its stride."""
-        most = height * width // (self._stride**2 * PIXELS_PER_THREAD)
-        session = self._session(max(1, min(self._threads, most)) if self.device == "cpu" else 1)
-        try:
-            (out,) = session.run([OUTPUT], feeds)
-        except _failures() as error:
-            if "alloc" in str(error):
-                raise MemoryError from error
-            raise LayoutError(
-                f"{self.path} fails on {width}x{height} pixels ({_reason(error)}); export it with "
-                f"any height and width that are multiples of {self._stride}, or state another "
-                f"{STRIDE_KEY} in its metadata"
-            ) from error
+        advice = (
+            f"export it with any height and width that are multiples of {self._stride}, or state "
+            f"another {STRIDE_KEY} in its metadata"
+        )
+        out = self._answer(OUTPUT, feeds, (height, width), self._stride, advice)
         if out.shape != (1, 3, height, width):
             raise LayoutError(
                 f"{self.path} gives {written_shape(list(out.shape))} for {width}x{height} pixels; "
@@ -152,12 +199,6 @@ class OnnxExtrapolator:
                 "pixels; use another model"
             )
         return np.asarray(out)
-
-    def _session(self, threads: int) -> Any:
-        """Return onnxruntime's session for so many threads; made once."""
-        if threads not in self._sessions:
-            self._sessions[threads] = _open(self.path, self._data, threads, self.device)
-        return self._sessions[threads]
 
 
 def read_model(path: Path | None, shipped: str, option: str) -> tuple[Path, bytes]:

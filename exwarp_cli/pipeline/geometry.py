@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from exwarp_cli.domain.extrapolator import HISTORY, Extrapolator
 from exwarp_cli.domain.frame import Float32, GBuffer, KeyFrame, Window
+from exwarp_cli.domain.interpolator import Interpolator
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.pipeline.loading import Loaded, Older, between, without_surface
 from exwarp_cli.synthesis.geometry import settle_motion
@@ -26,11 +27,19 @@ class Staging:
         The display window of all frames.
     network
         For methods that extrapolate.
+    interpolator
+        For methods that have a network interpolate.
     """
 
-    def __init__(self, display: Window, network: Extrapolator | None = None) -> None:
+    def __init__(
+        self,
+        display: Window,
+        network: Extrapolator | None = None,
+        interpolator: Interpolator | None = None,
+    ) -> None:
         self._display = display
         self._network = network
+        self._interpolator = interpolator
         self._frames: dict[tuple[int, Window], KeyFrame] = {}
         self._instants: dict[tuple[Slot, Window], GBuffer] = {}
         self._motions: dict[tuple[int, Window], Float32] = {}
@@ -47,7 +56,7 @@ class Staging:
         slots = tuple(settle_motion(gbuffer.on(canvas)) for gbuffer in loaded.slots)
         past = self._past(loaded, key, canvas)
         self._keep(loaded.key, slots, canvas)
-        return Interval(key, following, slots, past, self._network)
+        return Interval(key, following, slots, past, self._network, self._interpolator)
 
     def _frame(self, index: int, frame: KeyFrame, canvas: Window) -> KeyFrame:
         if (index, canvas) not in self._frames:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from exwarp_cli.domain.frame import Float32
+from exwarp_cli.domain.interpolator import Interpolator
 from exwarp_cli.kernels import blend
-from exwarp_cli.synthesis.warp import Warped, fill_background
+from exwarp_cli.synthesis.warp import Warped, fill_background, repair
 
 
 def blend_by_depth(before: Warped, after: Warped, time: float) -> Float32:
@@ -32,3 +33,23 @@ def blend_by_depth(before: Warped, after: Warped, time: float) -> Float32:
     sides = [(side.pixels, side.depth, side.hole, side.fringe) for side in (before, after)]
     blend.blend(*sides, np.float32(time), out, depth, hole)
     return fill_background(Warped(out, depth, hole, before.fringe & after.fringe))
+
+
+def between(before: Float32, after: Float32, time: float, network: Interpolator) -> Float32:
+    """Have a network make the frame of a slot from the colour of both key frames.
+
+    Parameters
+    ----------
+    before, after
+        float32 [H, W, 3 or 4], scene-linear; pixels that are not finite are filled from around.
+    time
+        Of the slot in the key interval, 0 < time < 1.
+    network
+        It sees no motion vectors.
+
+    Returns
+    -------
+    float32 [H, W, 3 or 4]
+        Scene-linear, premultiplied alpha.
+    """
+    return network(repair(before), repair(after), time)

@@ -8,6 +8,7 @@ import numpy as np
 
 from exwarp_cli.domain.extrapolator import Extrapolator
 from exwarp_cli.domain.frame import Float32, GBuffer, KeyFrame, Window, place
+from exwarp_cli.domain.interpolator import Interpolator
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import LayoutError
 from exwarp_cli.synthesis.extrapolate import Prepared, prepare
@@ -39,6 +40,8 @@ class Interval:
         F_k-1 and F_k-2, the newer first, as far as they exist; only for extrapolation.
     extrapolator
         The network that extrapolates; None for methods that only warp.
+    interpolator
+        The network that interpolates; None for methods that do without.
     """
 
     key: KeyFrame
@@ -46,6 +49,7 @@ class Interval:
     slots: tuple[GBuffer, ...] = ()
     past: tuple[Past, ...] = ()
     extrapolator: Extrapolator | None = None
+    interpolator: Interpolator | None = None
     _back: dict[int, SlotField] = field(default_factory=dict, init=False)
     _forward: dict[int, SlotField] = field(default_factory=dict, init=False)
     _looked: dict[int, LookBack] = field(default_factory=dict, init=False)

@@ -11,9 +11,10 @@ import numpy as np
 
 from exwarp_cli.domain.decision import EXTRAPOLATE, HOLD, PATHS, WARP
 from exwarp_cli.domain.frame import Float32
+from exwarp_cli.domain.interpolator import INTERPOLATE
 from exwarp_cli.domain.results import FrameKind
 from exwarp_cli.domain.timeline import FACTOR
-from exwarp_cli.synthesis.interpolate import blend_by_depth
+from exwarp_cli.synthesis.interpolate import between, blend_by_depth
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.warp import fill_background, repair, warp
 
@@ -34,7 +35,8 @@ class Predicted:
     sources
         Numbers of the key frames that colour came from, ascending.
     made_by
-        WARP (blends count as it), EXTRAPOLATE or HOLD: the step that its time is booked on.
+        WARP (blends count as it), EXTRAPOLATE, INTERPOLATE or HOLD: the step that its time is
+        booked on.
     """
 
     pixels: Float32
@@ -75,6 +77,8 @@ class Method:
         The paper's decision path that it is, if any.
     judge
         Who decides the path of each interval; None where nothing is decided.
+    interpolates
+        Whether it runs a network on the key frames on both sides.
     """
 
     name: str
@@ -83,6 +87,7 @@ class Method:
     needs_motion: bool
     path: str | None = None
     judge: Judge | None = None
+    interpolates: bool = False
 
     @property
     def decides(self) -> bool:
@@ -162,6 +167,17 @@ def _softsplat(interval: Interval, slot: int) -> Predicted:
     return Predicted(pixels, FrameKind.GENERATED, "softsplat", sources, WARP)
 
 
+def _onnx(interval: Interval, slot: int) -> Predicted:
+    """Have a network interpolate the key frames."""
+    if interval.following is None:
+        return _causal(interval, slot)
+    assert interval.interpolator is not None
+    frames = (interval.key.image.pixels, interval.following.image.pixels)
+    pixels = between(*frames, slot / FACTOR, interval.interpolator)
+    sources = (interval.key.number, interval.following.number)
+    return Predicted(pixels, FrameKind.GENERATED, "onnx", sources, INTERPOLATE)
+
+
 def _fixed(path: str) -> Method:
     """Return the method that takes one path in every key interval."""
     return Method(path.lower(), partial(take, path), lookahead=False, needs_motion=True, path=path)
@@ -180,6 +196,7 @@ METHODS: Mapping[str, Method] = {
         _judged("oracle", Judge.PSNR),
         _judged("oracle-return", Judge.RETURN),
         Method("softsplat", _softsplat, lookahead=True, needs_motion=True),
+        Method("onnx", _onnx, lookahead=True, needs_motion=False, interpolates=True),
         Method("blend", _blend, lookahead=True, needs_motion=False),
         Method("hold", _hold, lookahead=False, needs_motion=False),
     )

@@ -20,8 +20,8 @@ from exwarp_cli.synthesis.warp import Warped, fill_background, repair
 from tests.unit.scenes import View, town
 
 SLOTS = (1, 2, 3)
-ALONE = [method.name for method in METHODS.values() if not method.extrapolates]
-"""Methods that need no network; `test_paths` has the others."""
+ALONE = [m.name for m in METHODS.values() if not (m.extrapolates or m.interpolates)]
+"""Methods that need no network; `test_paths` has those that extrapolate."""
 
 
 @functools.cache
@@ -64,6 +64,7 @@ class TestRegistry:
             "oracle": (False, True, None, Judge.PSNR),
             "oracle-return": (False, True, None, Judge.RETURN),
             "softsplat": (True, True, None, None),
+            "onnx": (True, False, None, None),
             "blend": (True, False, None, None),
             "hold": (False, False, None, None),
         }
@@ -71,7 +72,8 @@ class TestRegistry:
 
     @pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)
     def test_what_takes_a_path_and_what_makes_a_frame_itself(self, method):
-        assert method.decides is (method.name not in ("softsplat", "blend", "hold"))
+        assert method.decides is (method.name not in ("softsplat", "onnx", "blend", "hold"))
+        assert method.interpolates is (method.name == "onnx")
         assert (method.predict is None) is (method.judge is not None)
 
     @pytest.mark.parametrize("name", ALONE)
@@ -175,7 +177,7 @@ class TestValues:
 
 
 class TestFallbacks:
-    @pytest.mark.parametrize("name", ["softsplat", "blend"])
+    @pytest.mark.parametrize("name", ["softsplat", "onnx", "blend"])
     def test_past_the_last_key_frame_it_warps(self, name):
         found = predict(name, interval(False), 2)
         assert (found.method, found.kind, found.sources) == ("s6", FrameKind.GENERATED, (1001,))
@@ -212,6 +214,41 @@ class TestFallbacks:
         mask = given.hole_mask(3)
         assert mask is not None and 0 < mask.mean() < 0.1
         assert Interval(replace(key(0), gbuffer=None)).hole_mask(3) is None
+
+
+class Faded:
+    """A network that cross-fades, and tells what it was given."""
+
+    name, checksum = "fade", "0" * 64
+
+    def __init__(self) -> None:
+        self.times: list[float] = []
+        self.finite = True
+
+    def __call__(self, before: Float32, after: Float32, time: float) -> Float32:
+        self.times.append(time)
+        self.finite &= bool(np.isfinite(before).all() and np.isfinite(after).all())
+        return before + np.float32(time) * (after - before)
+
+
+class TestInterpolation:
+    def test_a_network_gets_both_frames_and_the_time(self):
+        network = Faded()
+        for slot in SLOTS:
+            bare = Interval(*(replace(key(i), gbuffer=None) for i in (0, 1)), interpolator=network)
+            found = predict("onnx", bare, slot)
+            np.testing.assert_allclose(
+                found.pixels, predict("blend", bare, slot).pixels, rtol=0, atol=1e-6
+            )
+            assert (found.kind, found.method) == (FrameKind.GENERATED, "onnx")
+            assert (found.sources, found.made_by) == ((1001, 1002), "interpolate")
+        assert network.times == [0.25, 0.5, 0.75]
+
+    def test_it_never_sees_broken_pixels(self):
+        pixels, network = key(1).image.pixels.copy(), Faded()
+        pixels[60, 60] = np.nan
+        given = Interval(key(0), with_pixels(key(1), pixels), interpolator=network)
+        assert np.isfinite(predict("onnx", given, 2).pixels).all() and network.finite
 
 
 class TestSlotGeometry:

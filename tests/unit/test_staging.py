@@ -136,6 +136,15 @@ def test_methods_without_a_network_keep_nothing_of_the_past():
     assert not (staging._frames or staging._instants or staging._motions)
 
 
+def test_an_interpolator_is_handed_on_and_keeps_nothing():
+    network: Any = object()
+    staging = Staging(DISPLAY, None, network)
+    for index in range(2):
+        found = staging.interval(loaded(index, "key", past=()))
+        assert found.interpolator is network and found.extrapolator is None
+    assert not (staging._frames or staging._motions)
+
+
 def test_a_following_frame_is_kept_for_its_own_interval(settled):
     staging = Staging(DISPLAY)
     for index in range(3):

@@ -1,0 +1,270 @@
+"""Two-frame interpolation networks in ONNX files, by what the card beside them says."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from exwarp_cli.domain.frame import Float32
+from exwarp_cli.domain.interpolator import Curve
+from exwarp_cli.errors import InputError, LayoutError, OutputExistsError
+from exwarp_cli.io.atomic import atomic_write_text
+from exwarp_cli.io.interpolator_card import (
+    FIRST,
+    MODES,
+    SECOND,
+    TIME,
+    Card,
+    Part,
+    parse_card,
+    read_card,
+)
+from exwarp_cli.io.interpolator_nodes import DTYPES, begun, is_plane, require_nodes
+from exwarp_cli.io.model_checks import written_shape
+from exwarp_cli.io.models import OnnxNetwork, read_model
+
+MOST_SHOWN = 4.0
+"""Largest answer that is taken for colour, as a multiple of white."""
+
+COARSEST = 32
+"""Pixels of the frame in one of the coarsest scale of such networks, at least."""
+
+TRIED = 32
+"""Height, at least, of what a network is tried on."""
+
+GREY = 0.5
+"""What a network is tried with: an answer in another range than the card's shows on it."""
+
+OUTPUTS = ("image", "output")
+"""What exports usually call the frame, where they give more than that."""
+
+
+def load_interpolator(path: Path, threads: int | None, device: str) -> OnnxInterpolator:
+    """Load a network and its card, and try it once.
+
+    Parameters
+    ----------
+    path
+        ONNX file, with its card beside it.
+    threads
+        None for all cores.
+    device
+        "cpu" or "cuda".
+
+    Raises
+    ------
+    InputError
+        When a file is missing or damaged, or the network does not fit its card.
+    MissingExtraError
+        When the device is "cuda" and onnxruntime cannot use it.
+    """
+    _, data = read_model(path, path.name, "--interpolator")
+    network = OnnxInterpolator(read_card(path), path, data, threads or os.cpu_count() or 1, device)
+    network.judge()
+    return network
+
+
+@dataclass
+class Seen:
+    """Two frames as a network sees them.
+
+    Attributes
+    ----------
+    before, after
+        The frames themselves, float32 [H, W, C], scene-linear.
+    curve
+        Between them and what follows.
+    first, second
+        float32 [H, W, 3], encoded.
+    middle
+        The same of the frame between them, once a network that is not told the time has made it.
+    """
+
+    before: Float32
+    after: Float32
+    curve: Curve
+    first: Float32
+    second: Float32
+    middle: Float32 | None = None
+
+
+class OnnxInterpolator(OnnxNetwork):
+    """An interpolation network that is ready to run.
+
+    Parameters
+    ----------
+    card
+        What it takes and gives.
+    path, data, threads, device
+        As for `OnnxNetwork`.
+    """
+
+    def __init__(self, card: Card, path: Path, data: bytes, threads: int, device: str) -> None:
+        super().__init__(path, data, threads, device)
+        self.card = card
+        self._seen: Seen | None = None
+
+    @property
+    def name(self) -> str:
+        """As tables show it."""
+        return self.card.name
+
+    def __call__(self, before: Float32, after: Float32, time: float) -> Float32:
+        """Return the frame at a time, 0 < time < 1, between two frames.
+
+        Parameters
+        ----------
+        before, after
+            float32 [H, W, 3 or 4], scene-linear, finite, of any size. The network sees colour by
+            `domain.interpolator.Curve`; alpha is blended by time.
+        time
+            A network that is not told the time reaches multiples of 1/4 only, by using it twice.
+        """
+        if not self.card.timed and time not in (0.25, 0.5, 0.75):
+            raise ValueError(f"a network that is not told the time does not reach {time}")
+        seen = self._see(before, after)
+        if self.card.timed:
+            shown = self._make(seen.first, seen.second, time)
+        else:
+            shown = self._by_halves(seen, time)
+        colour = seen.curve.decode(shown)
+        alpha = before[..., 3:] + np.float32(time) * (after[..., 3:] - before[..., 3:])
+        return np.ascontiguousarray(np.concatenate([colour, alpha], axis=-1))
+
+    def judge(self) -> None:
+        """Refuse a network that does not fit its card, by what it declares and by running it."""
+        require_nodes(self.card, self.path, self.inputs, self.outputs)
+        multiple = self.card.padding.multiple
+        # Odd multiples, so that a network which needs more than its card says fails here.
+        rows = multiple * (TRIED // (2 * multiple) * 2 + 3)
+        blank = np.full((rows, rows + 2 * multiple, 3), GREY, np.float32)
+        self._make(blank, blank, 0.5)
+
+    def _see(self, before: Float32, after: Float32) -> Seen:
+        """Encode two frames; once for the three slots between them."""
+        seen = self._seen
+        if seen is None or seen.before is not before or seen.after is not after:
+            colours = (before[..., :3], after[..., :3])
+            curve = Curve.of(self.card.encoding, *colours)
+            seen = self._seen = Seen(before, after, curve, *map(curve.encode, colours))
+        return seen
+
+    def _by_halves(self, seen: Seen, time: float) -> Float32:
+        """Reach a quarter with a network that makes the middle frame."""
+        if seen.middle is None:
+            seen.middle = self._make(seen.first, seen.second, 0.5)
+        if time == 0.5:
+            return seen.middle
+        pair = (seen.first, seen.middle) if time < 0.5 else (seen.middle, seen.second)
+        return self._make(*pair, 0.5)
+
+    def _make(self, first: Float32, second: Float32, time: float) -> Float32:
+        """Run the network on two encoded frames; return an encoded one, float32 [H, W, 3]."""
+        height, width, _ = first.shape
+        (above, below), (left, right) = self.card.padding.around(height, width)
+        frames = {FIRST: self._given(first), SECOND: self._given(second)}
+        size = (above + height + below, left + width + right)
+        feeds = {name: self._feed(name, frames, size, time) for name in self.inputs}
+        stride = max(self.card.padding.multiple, COARSEST)
+        advice = f"check the inputs and the padding in its card {self.card.path}"
+        out = self._answer(self.card.output, feeds, size, stride, advice)
+        return self._read(out, size)[above : above + height, left : left + width]
+
+    def _given(self, encoded: Float32) -> Float32:
+        """Pad an encoded frame and write it as the network wants it; float32 [H, W, 3]."""
+        padding, given = self.card.padding, self.card.given
+        added = (*padding.around(*encoded.shape[:2]), (0, 0))
+        padded = np.pad(encoded, added, mode=MODES[padding.mode])  # type: ignore[call-overload]
+        ordered: Float32 = padded[..., ::-1] if given.order == "BGR" else padded
+        return ordered * np.float32(given.high - given.low) + np.float32(given.low)
+
+    def _feed(
+        self, name: str, frames: Mapping[str, Float32], size: tuple[int, int], time: float
+    ) -> np.ndarray:
+        """Return what an input gets."""
+        node, parts, layout = self.inputs[name], self.card.inputs[name], self.card.given.layout
+        dtype = DTYPES[node.type]
+        if not is_plane(node, parts, layout):
+            return np.full((1,) * len(node.shape), _number(parts[0], time), dtype)
+        planes = [
+            frames[part]
+            if isinstance(part, str) and part in frames
+            else np.full((*size, 1), _number(part, time), np.float32)
+            for part in parts
+        ]
+        joined = np.concatenate(planes, axis=-1)
+        laid = joined.transpose(2, 0, 1) if layout == "NCHW" else joined
+        return np.ascontiguousarray(laid[None], dtype)
+
+    def _read(self, out: np.ndarray, size: tuple[int, int]) -> Float32:
+        """Return the frame in what the network gave: encoded, float32 [H, W, 3], padded."""
+        made, start = self.card.made, self.card.first_channel
+        across = f"{size[1]}x{size[0]} pixels"
+        stands = out.ndim == 4 and made.layout == "NCHW"
+        laid = out.transpose(0, 2, 3, 1) if stands else out
+        taken = laid[..., start : start + 3]
+        if taken.shape != (1, *size, 3):
+            expected = (start + 3, *size) if made.layout == "NCHW" else (*size, start + 3)
+            raise LayoutError(
+                f"{self.path} gives {written_shape(out.shape)} for {across}, and its card "
+                f"{self.card.path} says {written_shape((1, *expected))}; mend the output or the "
+                "padding in the card"
+            )
+        black, white = np.float32(made.low), np.float32(made.high)
+        shown: Float32 = (taken[0].astype(np.float32) - black) / (white - black)
+        if not np.abs(shown).max() <= MOST_SHOWN:
+            raise InputError(
+                f"{self.path} gives NaN or values far outside of the range in its card "
+                f"{self.card.path} for {across}; mend the range, or use another model"
+            )
+        return shown[..., ::-1] if made.order == "BGR" else shown
+
+
+def begin_card(path: Path, shape: str, overwrite: bool = False) -> Path:
+    """Write the card of a network whose export has a known shape, and try it.
+
+    Parameters
+    ----------
+    path
+        ONNX file.
+    shape
+        Out of `io.interpolator_nodes.SHAPES`.
+    overwrite
+        Whether to replace a card.
+
+    Returns
+    -------
+    Path
+        Of the card.
+
+    Raises
+    ------
+    OutputExistsError
+        When there is a card.
+    InputError
+        When the network cannot be read, or does not fit.
+    OutputError
+        When the card cannot be written.
+    """
+    card = path.with_suffix(".json")
+    if card.exists() and not overwrite:
+        raise OutputExistsError(f"the card {card} exists; remove it, or use --overwrite")
+    _, data = read_model(path, path.name, "--interpolator")
+    network = OnnxNetwork(path, data, 1, "cpu")
+    output = next(
+        (name for name in OUTPUTS if name in network.outputs), next(iter(network.outputs))
+    )
+    document = begun(path, network.inputs, output, shape)
+    OnnxInterpolator(parse_card(card, document), path, data, 1, "cpu").judge()
+    atomic_write_text(card, json.dumps(document, indent=2) + "\n")
+    return card
+
+
+def _number(part: Part, time: float) -> float:
+    """Return what a plane or a scalar holds."""
+    return time if part == TIME else float(part)
