@@ -26,6 +26,7 @@ COMMANDS = {
     "inspect": "Show what a sequence holds and how its motion is read.",
     "features": "Print what the policy sees of a sequence, as CSV.",
     "compare": "Score a sequence against ground truth.",
+    "bench": "Measure all methods: every table and figure of the paper.",
     "train": "Train the networks on rendered scenes (extra: train).",
     "models": "Make models for upsample --extrapolator.",
     "policy": "Look into the learned policy and its accelerator.",

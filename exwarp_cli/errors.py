@@ -12,6 +12,7 @@
       OutputError               5   a file that cannot be written (rights, space, folder)
         OutputExistsError       6   frames in the way, without --overwrite or --skip-existing
       MissingExtraError         7   an optional dependency that is not installed
+      QualityError              8   a quality worse than a limit that the user set
 
 A message says what is wrong, where (the file, frame or option), and what to do about it, in one
 sentence. Exit code 1 is left for defects of ExWarp itself, 130 means interrupted by the user.
@@ -74,3 +75,9 @@ class MissingExtraError(ExwarpError):
     """An optional dependency that is not installed."""
 
     exit_code = 7
+
+
+class QualityError(ExwarpError):
+    """A quality is worse than a limit that the user set; everything else went well."""
+
+    exit_code = 8

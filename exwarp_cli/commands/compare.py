@@ -8,8 +8,20 @@ from typing import TYPE_CHECKING
 
 import click
 
+from exwarp_cli.commands.metrics_option import metrics_option
+from exwarp_cli.domain.metric import METRICS
+from exwarp_cli.domain.settings import PRESETS, MeasureSettings
+from exwarp_cli.domain.threshold import Threshold, parse_threshold
+from exwarp_cli.pipeline.progress import KINDS
+
 if TYPE_CHECKING:
     from exwarp_cli.pipeline.evaluate import Comparison
+
+
+def _limits(
+    _context: click.Context, parameter: click.Parameter, texts: tuple[str, ...]
+) -> tuple[Threshold, ...]:
+    return tuple(parse_threshold(text, parameter.opts[0]) for text in texts)
 
 
 @click.command("compare")
@@ -26,40 +38,79 @@ if TYPE_CHECKING:
     "folder",
     metavar="DIR",
     type=click.Path(path_type=Path, file_okay=False),
-    help="Write report.json and frames.csv into this folder.",
+    help="Write report.html to look at, report.json and frames.csv into this folder.",
+)
+@metrics_option
+@click.option(
+    "--preset",
+    type=click.Choice(tuple(PRESETS)),
+    help="extranet: PSNR, SSIM and VMAF as ExtraNet's authors took them, of generated frames.",
+)
+@click.option(
+    "--fail-below",
+    metavar="NAME=VALUE",
+    multiple=True,
+    callback=_limits,
+    help="Exit with 8 if a metric is worse: psnr=35, worst.psnr=30 for the worst frame, "
+    "holes.ssim=0.8. May be given again.",
+)
+@click.option(
+    "--fail-above",
+    metavar="NAME=VALUE",
+    multiple=True,
+    callback=_limits,
+    help="The same for flip, hdr-flip and flicker, of which less is better.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print JSON instead of a table.")
+@click.option(
+    "--progress",
+    "progress_kind",
+    type=click.Choice(KINDS),
+    help="Default: a bar on a terminal, nothing elsewhere.",
+)
 def command(
     reference: str,
     test: str,
     frames: str | None,
     holes: str | None,
     folder: Path | None,
+    metrics: tuple[str, ...] | None,
+    preset: str | None,
+    fail_below: tuple[Threshold, ...],
+    fail_above: tuple[Threshold, ...],
     as_json: bool,
+    progress_kind: str | None,
 ) -> None:
-    """Score sequence B against A, the ground truth: PSNR, SSIM and FLIP.
+    """Score sequence B against A, the ground truth.
 
     A and B are folders, patterns such as shot.####.exr, or any one frame of a sequence. Frames are
     matched by number where one sequence has all numbers of the other, else by order. Compared is
-    the display window, sRGB-encoded and clipped to [0, 1].
+    the display window, sRGB-encoded and clipped to [0, 1]; for HDR-FLIP as it is. Flicker follows
+    A's own motion vectors.
     """
     from exwarp_cli.io.atomic import make_folder
     from exwarp_cli.pipeline.evaluate import evaluate
     from exwarp_cli.pipeline.progress import make_progress
+    from exwarp_cli.report.compare_page import REFERENCE, TEST
     from exwarp_cli.report.comparison import comparison
     from exwarp_cli.report.folder import write_comparison
+    from exwarp_cli.report.gallery import Gallery
     from exwarp_cli.report.summary import to_json
+    from exwarp_cli.report.thresholds import require_quality
 
     if folder is not None:
         make_folder(folder)  # before the work, which would be lost
-    progress = make_progress("bar" if sys.stderr.isatty() else "none")
-    result = evaluate(reference, test, frames, holes, progress)
-    if folder is not None:
-        write_comparison(folder, result)
+    progress = make_progress(progress_kind or ("bar" if sys.stderr.isatty() else "none"))
+    measuring = MeasureSettings(metrics, preset, (*fail_below, *fail_above))
+    gallery = None if folder is None else Gallery(True, TEST, REFERENCE)
+    result = evaluate(reference, test, frames, holes, progress, measuring, gallery)
+    if folder is not None and gallery is not None:
+        write_comparison(folder, result, gallery.album)
     if as_json:
         click.echo(to_json(comparison(result)), nl=False)
     else:
         _print(result)
+    require_quality(result)
 
 
 def _print(result: Comparison) -> None:
@@ -69,7 +120,8 @@ def _print(result: Comparison) -> None:
     from exwarp_cli.report.comparison import comparison
 
     document = comparison(result)
-    table = Table("", "PSNR dB", "SSIM", "FLIP", "frames")
+    shown = [metric for metric in METRICS if metric.field in result.measuring.measured]
+    table = Table("", *(metric.title for metric in shown), "frames")
     worst = document["worst"]
     rows = (
         ("all pixels", document["quality"]["all"]),
@@ -77,15 +129,12 @@ def _print(result: Comparison) -> None:
         (f"worst: {worst['frame']}", worst | {"frames": 1}),
     )
     for name, values in rows:
-        table.add_row(name, *_cells(values))
+        known = ((metric, values[metric.field]) for metric in shown)
+        cells = ("-" if value is None else metric.text(value) for metric, value in known)
+        table.add_row(name, *cells, str(values["frames"]))
     click.echo(f"reference {result.reference.pattern}")
     click.echo(f"test      {result.test.pattern}")
     click.echo(f"{len(result.frames)} frames, matched by {result.matched_by}")
+    for note in result.notes:
+        click.echo(note)
     Console().print(table)
-
-
-def _cells(values: dict[str, float | int | None]) -> tuple[str, ...]:
-    formats = {"psnr_db": ".2f", "ssim": ".4f", "flip": ".4f", "frames": "d"}
-    return tuple(
-        "-" if values[key] is None else format(values[key], how) for key, how in formats.items()
-    )

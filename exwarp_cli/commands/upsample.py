@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
+from exwarp_cli.commands.metrics_option import metrics_option
+from exwarp_cli.domain.metric import METRICS
 from exwarp_cli.domain.settings import DEVICES, SourceSettings, UpsampleSettings
 from exwarp_cli.pipeline.progress import KINDS
 
@@ -47,7 +49,8 @@ class FrameRate(click.ParamType[Fraction]):
     metavar="NAME",
     help="exwarp: the learned policy chooses between warping and the network; s1 to s6: the "
     "paper's paths, s6 warps only; oracle, oracle-return: the best path by --ground-truth; "
-    "softsplat: warp both neighbours and blend by depth; blend: cross-fade; hold: repeat.",
+    "softsplat: warp both neighbours and blend by depth; onnx: the network of --interpolator, from "
+    "colour alone; blend: cross-fade; hold: repeat.",
 )
 @click.option("--frames", metavar="RANGE", help="Key frames to do, by number: 1001-1100x2, 1-10:2.")
 @click.option("--gbuffers", metavar="SEQ", help="G-buffers rendered at the output rate.")
@@ -61,6 +64,12 @@ class FrameRate(click.ParamType[Fraction]):
     "--extrapolator",
     metavar="FILE",
     help="ONNX network that extrapolates; else the one that comes with ExWarp.",
+)
+@click.option(
+    "--interpolator",
+    metavar="FILE",
+    help="ONNX network for --method onnx, which interpolates two frames; its card, FILE with "
+    ".json, says what it takes.",
 )
 @click.option(
     "--policy", metavar="FILE", help="Policy that decides; else the one that comes with ExWarp."
@@ -78,12 +87,13 @@ class FrameRate(click.ParamType[Fraction]):
     "--tail/--no-tail", default=True, help="Predict past the last key frame, or stop there."
 )
 @click.option("--ground-truth", metavar="SEQ", help="Score against this sequence.")
+@metrics_option
 @click.option(
     "--report",
     "report_folder",
     metavar="DIR",
     type=click.Path(path_type=Path),
-    help="Write report.json and frames.csv there.",
+    help="Write report.html to look at, report.json and frames.csv there.",
 )
 @click.option("--video", metavar="FILE", help="Also write an MP4 or MOV.")
 @click.option("--exposure", type=float, default=0.0, show_default=True, help="Of the video, stops.")
@@ -117,14 +127,16 @@ def command(
     from exwarp_cli.pipeline.progress import make_progress
     from exwarp_cli.pipeline.upsample import upsample
     from exwarp_cli.report.folder import prepare_report, write_report
+    from exwarp_cli.report.gallery import Gallery
 
     source = SourceSettings(sequence, gbuffers, motion, fps, start_frame, tail)
     settings = UpsampleSettings(source, **options)  # type: ignore[arg-type]
     if report_folder is not None:
         prepare_report(report_folder, replace=settings.overwrite or settings.skip_existing)
-    summary = upsample(settings, make_progress(progress))
-    if report_folder is not None:
-        write_report(report_folder, summary)
+    gallery = None if report_folder is None else Gallery(settings.ground_truth is not None)
+    summary = upsample(settings, make_progress(progress), gallery)
+    if report_folder is not None and gallery is not None:
+        write_report(report_folder, summary, gallery.album)
     _print(summary, settings.output, report_folder)
 
 
@@ -149,9 +161,24 @@ def _print(summary: RunSummary, output: str, report_folder: Path | None) -> None
     if document["holes"]["mean_fraction"] is not None:
         click.echo(f"holes {document['holes']['mean_fraction']:.1%} of the pixels on average")
     if quality["frames"]:
-        click.echo(
-            f"against ground truth ({quality['frames']} frames): PSNR {quality['psnr_db']:.2f} dB, "
-            f"SSIM {quality['ssim']:.4f}, FLIP {quality['flip']:.4f}"
+        values = (
+            metric.sentence(quality[metric.field])
+            for metric in METRICS
+            if quality[metric.field] is not None
         )
+        click.echo(f"against ground truth ({quality['frames']} frames): {', '.join(values)}")
+    if document["render_time"] is not None:
+        click.echo(_saved(document["render_time"]))
     if report_folder is not None:
         click.echo(f"report in {report_folder}")
+
+
+def _saved(found: dict[str, Any]) -> str:
+    """Say what rendering would have taken, by the renderer's own times."""
+    from exwarp_cli.report.render_time import duration
+
+    return (
+        f"render time saved: {duration(found['saved_s'])} ({found['saved_share']:.0%}); a key "
+        f"frame took {duration(found['key_frame_s'])} to render, a new one takes "
+        f"{found['generated_frame_s']:.2f} s"
+    )

@@ -23,7 +23,7 @@ class FrameKind(Enum):
 
 @dataclass(frozen=True)
 class Score:
-    """Quality of one frame, or part of one, against ground truth.
+    """Quality of one frame, or part of one, against ground truth; None is what was not measured.
 
     Attributes
     ----------
@@ -33,11 +33,21 @@ class Score:
         Mean structural similarity, at most 1.
     flip
         Mean FLIP error, 0 (equal) to 1.
+    hdr_flip
+        Mean HDR-FLIP error, 0 (equal) to 1.
+    vmaf
+        0 to 100 (equal, up to its temporal part); of whole frames only.
+    flicker
+        Change in time that the ground truth does not have, in display levels of 0 to 255; 0 is
+        best. See `exwarp_cli.metrics.flicker`.
     """
 
-    psnr_db: float
-    ssim: float
-    flip: float
+    psnr_db: float | None = None
+    ssim: float | None = None
+    flip: float | None = None
+    hdr_flip: float | None = None
+    vmaf: float | None = None
+    flicker: float | None = None
 
 
 @dataclass(frozen=True)
@@ -74,11 +84,15 @@ class FrameRecord:
     timing_ms
         Milliseconds by step of the work.
     made_by
-        "warp", "extrapolate" or "hold": what made the frame; None for a rendered one.
+        What made the frame: "warp", "extrapolate", "interpolate" (a network) or "hold"; None for a
+        rendered one.
     path
         Decision path of its key interval, S1 to S6; None outside the paper's paths.
     decision
         What was decided of its slot; None where nothing was.
+    render
+        Seconds that it took to render, and the header's attribute that tells; None for frames that
+        were not rendered, and where none tells.
     """
 
     number: int
@@ -97,6 +111,7 @@ class FrameRecord:
     made_by: str | None = None
     path: str | None = None
     decision: Decision | None = None
+    render: tuple[float, str] | None = None
 
 
 @dataclass(frozen=True)
@@ -150,6 +165,34 @@ class NetworkSummary:
 
 
 @dataclass(frozen=True)
+class InterpolatorSummary:
+    """The network that interpolated.
+
+    Attributes
+    ----------
+    name
+        As its card has it.
+    file
+        Path of the model; its card lies beside it.
+    sha256, card_sha256
+        Of the model's file and of the card's, hexadecimal.
+    device
+        "cpu" or "cuda".
+    """
+
+    name: str
+    file: str
+    sha256: str
+    card_sha256: str
+    device: str
+
+    @property
+    def identity(self) -> list[str]:
+        """What its frames depend on, wherever the files lie."""
+        return [self.sha256, self.card_sha256, self.device]
+
+
+@dataclass(frozen=True)
 class PolicySummary:
     """The policy that decided.
 
@@ -198,6 +241,8 @@ class RunSummary:
         None for methods that do not extrapolate.
     policy
         None where no learned policy decided.
+    interpolator
+        None for methods that have no network interpolate.
     """
 
     method: str
@@ -211,3 +256,4 @@ class RunSummary:
     decides: bool = False
     extrapolator: NetworkSummary | None = None
     policy: PolicySummary | None = None
+    interpolator: InterpolatorSummary | None = None

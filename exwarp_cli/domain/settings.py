@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from fractions import Fraction
 
+from exwarp_cli.domain.metric import DEFAULT_METRICS, METRICS
+from exwarp_cli.domain.threshold import Threshold
+
 
 @dataclass(frozen=True)
 class SourceSettings:
@@ -51,6 +54,8 @@ class UpsampleSettings:
         Range of key frames by input number; None for all.
     ground_truth
         Sequence at the output rate to score against.
+    metrics
+        What is measured there, as in `Score`; None for `DEFAULT_METRICS`.
     compression
         Of generated frames; None keeps the key frame's.
     skip_existing
@@ -71,6 +76,8 @@ class UpsampleSettings:
         Out of `DEVICES`: what the network runs on.
     policy
         File of the policy that decides; None for the one that comes with ExWarp.
+    interpolator
+        ONNX file of the network that interpolates, with its card beside it.
     """
 
     source: SourceSettings
@@ -88,6 +95,47 @@ class UpsampleSettings:
     extrapolator: str | None = None
     device: str = "cpu"
     policy: str | None = None
+    interpolator: str | None = None
+    metrics: tuple[str, ...] | None = None
+
+    @property
+    def measured(self) -> tuple[str, ...]:
+        """What is measured against ground truth."""
+        return DEFAULT_METRICS if self.metrics is None else self.metrics
+
+
+EXTRANET = "extranet"
+"""The preset that measures as ExtraNet's authors published."""
+
+PRESETS = {EXTRANET: ("psnr_db", "ssim", "vmaf")}
+"""What each preset of `compare` measures."""
+
+
+@dataclass(frozen=True)
+class MeasureSettings:
+    """What `compare` measures, and what it fails by.
+
+    Attributes
+    ----------
+    metrics
+        As in `Score`; None for the preset's, or without one for `DEFAULT_METRICS`.
+    preset
+        Out of `PRESETS`; None to measure as everywhere.
+    thresholds
+        Limits; what they are on is measured too.
+    """
+
+    metrics: tuple[str, ...] | None = None
+    preset: str | None = None
+    thresholds: tuple[Threshold, ...] = ()
+
+    @property
+    def measured(self) -> tuple[str, ...]:
+        """What is measured, in the order of `METRICS`."""
+        usual = DEFAULT_METRICS if self.preset is None else PRESETS[self.preset]
+        chosen = usual if self.metrics is None else self.metrics
+        limited = {threshold.metric.field for threshold in self.thresholds}
+        return tuple(m.field for m in METRICS if m.field in chosen or m.field in limited)
 
 
 DEVICES = ("cpu", "cuda")

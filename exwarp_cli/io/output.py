@@ -23,6 +23,7 @@ from exwarp_cli.errors import OutputError, UsageError
 from exwarp_cli.io.atomic import atomic_write_bytes
 from exwarp_cli.io.channels import ChannelRef
 from exwarp_cli.io.exr import ExrReader, damaged
+from exwarp_cli.io.render_time import render_seconds
 
 PREFIX = "exwarp:"
 CHECKSUM = f"{PREFIX}sha256"
@@ -80,11 +81,15 @@ class Template:
         Names of R, G, B and, if there, A as in the source.
     dtypes
         Pixel type of each.
+    render
+        Seconds that the key frame took to render, and the attribute that tells; None where none
+        does.
     """
 
     header: Mapping[str, Any]
     channels: tuple[str, ...]
     dtypes: tuple[np.dtype[Any], ...]
+    render: tuple[float, str] | None = None
 
 
 def read_template(path: Path, colour: tuple[ChannelRef, ...]) -> Template:
@@ -98,14 +103,16 @@ def read_template(path: Path, colour: tuple[ChannelRef, ...]) -> Template:
     with ExrReader(path) as file:
         parts = file.parts
     names = [ref.name for ref in colour]
-    for part, header in zip(parts, read_headers(path), strict=False):
+    headers = read_headers(path)
+    for part, header in zip(parts, headers, strict=False):
         found = {channel.name: channel for channel in part.channels}
         if all(name in found for name in names):
             kept = {k: v for k, v in header.items() if k not in _NOT_CARRIED and _writable(k, v)}
             kept["compression"] = header["compression"]
             half = [found[name].pixel_type == "half" for name in names]
             dtypes = tuple(np.dtype(np.float16 if h else np.float32) for h in half)
-            return Template(kept, tuple(found[name].raw_name for name in names), dtypes)
+            raw = tuple(found[name].raw_name for name in names)
+            return Template(kept, raw, dtypes, render_seconds(headers))
     raise damaged(path, "its colour channels are gone")
 
 

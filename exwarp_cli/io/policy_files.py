@@ -44,6 +44,11 @@ Floats = tuple[tuple[F32, F32], ...]
 """Weights [out, in] and biases [out] of each layer, before quantisation."""
 
 
+def left_out(scene: str) -> str:
+    """Name of the policy that was trained without a scene, to be judged on it."""
+    return f"policy-without-{scene}.npz"
+
+
 @dataclass(frozen=True, eq=False)
 class PolicyFile:
     """A policy as its file holds it.

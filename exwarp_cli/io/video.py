@@ -2,24 +2,17 @@
 
 from __future__ import annotations
 
-import re
-import subprocess
-import tempfile
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from fractions import Fraction
 from pathlib import Path
 from types import TracebackType
-from typing import IO
 
-import imageio_ffmpeg
 import numpy as np
-import numpy.typing as npt
 
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.errors import OutputError, UsageError
 from exwarp_cli.io.atomic import atomic_path
-
-UInt8 = npt.NDArray[np.uint8]
+from exwarp_cli.io.ffmpeg import RAW_INPUT, Feed, FfmpegError, UInt8
 
 CONTAINERS = {".mp4": "mp4", ".mov": "mov"}
 """ffmpeg's name of the container by file suffix."""
@@ -75,8 +68,7 @@ class VideoWriter:
     """Write frames to a video that appears when it is whole.
 
     A context manager: leaving it without an error puts the video in place, with one discards it.
-    ffmpeg is the one that imageio-ffmpeg ships. It is started here, not by that package's
-    ``write_frames``, because that drops the exit status and so takes a full disk for success.
+    ffmpeg is the one that imageio-ffmpeg ships.
 
     Parameters
     ----------
@@ -111,9 +103,13 @@ class VideoWriter:
         with ExitStack() as stack:
             temporary = stack.enter_context(atomic_path(self._path))
             temporary.touch()  # a bad folder shows here, with its reason
-            self._log: IO[bytes] = stack.enter_context(tempfile.TemporaryFile())
-            self._ffmpeg = self._start(temporary)
-            stack.callback(self._kill)
+            try:
+                self._feed = stack.enter_context(Feed(self._options(temporary)))
+            except FfmpegError as error:
+                raise OutputError(
+                    f"cannot write the video {self._path}: {error}; reinstall the "
+                    "package imageio-ffmpeg, or run without the video"
+                ) from error
             self._stack = stack.pop_all()
         return self
 
@@ -136,68 +132,37 @@ class VideoWriter:
         height, width, _ = self._shape
         if height % 2 or width % 2:
             frame = np.pad(frame, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
-        assert self._ffmpeg.stdin is not None
         try:
-            self._ffmpeg.stdin.write(np.ascontiguousarray(frame).data)
-        except OSError as error:  # a broken pipe; why ffmpeg left stands in what it printed
-            raise self._failure() from error
+            self._feed.write(frame)
+        except FfmpegError as error:
+            raise self._failure(error) from error
         self._count += 1
 
-    def _start(self, target: Path) -> subprocess.Popen[bytes]:
+    def _options(self, target: Path) -> list[str]:
         height, width, _ = self._shape
         container = CONTAINERS[self._path.suffix.lower()]
+        source = RAW_INPUT.format(
+            width=width + width % 2, height=height + height % 2, rate=self._rate
+        )
         options = (
-            "-v error -nostdin -y -f rawvideo -pix_fmt rgb24 "
-            f"-s {width + width % 2}x{height + height % 2} -r {self._rate} -i - "
-            f"-vf {_FILTERS} -c:v libx264 -crf {QUALITY_CRF} -pix_fmt yuv420p "
+            f"{source} -vf {_FILTERS} -c:v libx264 -crf {QUALITY_CRF} -pix_fmt yuv420p "
             f"-movflags +faststart -f {container}"
         )
-        try:
-            return subprocess.Popen(
-                [imageio_ffmpeg.get_ffmpeg_exe(), *options.split(), f"file:{target}"],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.DEVNULL,
-                stderr=self._log,
-                process_group=0,  # Ctrl-C is for us to answer; ffmpeg then ends with us
-            )
-        except (OSError, RuntimeError) as error:
-            raise OutputError(
-                f"cannot write the video {self._path}: ffmpeg does not start ({error}); "
-                "reinstall the package imageio-ffmpeg, or run without the video"
-            ) from error
+        return [*options.split(), f"file:{target}"]
 
     def _finish(self) -> None:
-        assert self._ffmpeg.stdin is not None
         try:
-            self._ffmpeg.stdin.close()
-        except OSError as error:
-            raise self._failure() from error
-        if self._ffmpeg.wait() != 0:
-            raise self._failure()
+            self._feed.close()
+        except FfmpegError as error:
+            raise self._failure(error) from error
         if self._count == 0:
             raise OutputError(
                 f"the video {self._path} would have no frames; choose frames to write, or run "
                 "without the video"
             )
 
-    def _failure(self) -> OutputError:
-        self._kill()
-        self._log.seek(0)
-        lines = self._log.read().decode("utf-8", "replace").strip().splitlines()
-        why = (
-            re.sub(r"^\[.*?\] ", "", lines[-1].strip())
-            if lines
-            else f"exit status {self._ffmpeg.returncode}"
-        )
+    def _failure(self, error: FfmpegError) -> OutputError:
         return OutputError(
-            f"cannot write the video {self._path}: ffmpeg says {why!r}; "
+            f"cannot write the video {self._path}: {error}; "
             "check the folder and the space on the disk, or run without the video"
         )
-
-    def _kill(self) -> None:
-        if self._ffmpeg.poll() is None:
-            self._ffmpeg.kill()
-        self._ffmpeg.wait()
-        if self._ffmpeg.stdin is not None and not self._ffmpeg.stdin.closed:
-            with suppress(OSError):  # what was buffered has no reader any more
-                self._ffmpeg.stdin.close()

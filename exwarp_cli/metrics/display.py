@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
 from exwarp_cli.domain.frame import Float32
 
@@ -35,3 +36,9 @@ def encode(pixels: Float32) -> Float32:
     toe = np.float32(12.92 * PEAK) * linear
     shown: Float32 = np.where(linear <= np.float32(0.0031308), toe, curve)
     return np.clip(shown, 0, np.float32(PEAK))
+
+
+def rounded(pixels: Float32) -> npt.NDArray[np.uint8]:
+    """Encode as `encode` does, and round half up to the 8-bit steps of a PNG: uint8 [H, W, 3]."""
+    steps: npt.NDArray[np.uint8] = np.floor(encode(pixels) + np.float32(0.5)).astype(np.uint8)
+    return steps

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 
 from exwarp_cli.domain.frame import Bool, Float32
+from exwarp_cli.domain.metric import DEFAULT_METRICS
 from exwarp_cli.domain.results import Score
-from exwarp_cli.metrics import flip, psnr, ssim
+from exwarp_cli.metrics import flip, hdr_flip, psnr, ssim
 from exwarp_cli.metrics.display import encode
 from exwarp_cli.metrics.measured import Measured
 
@@ -19,17 +20,29 @@ METRICS: dict[str, Metric] = {
 }
 """Each compares a reference and a test image, both display-encoded; named as in `Score`."""
 
+LINEAR_METRICS: dict[str, Metric] = {"hdr_flip": hdr_flip.measure}
+"""The same for those that compare scene-linear images."""
 
-def score(reference: Float32, test: Float32, mask: Bool | None) -> tuple[Score, Score | None]:
+
+def score(
+    reference: Float32,
+    test: Float32,
+    mask: Bool | None,
+    names: Collection[str] = DEFAULT_METRICS,
+) -> tuple[Score, Score | None]:
     """Score a frame against ground truth, over all its pixels and over a mask.
 
     Parameters
     ----------
     reference, test
         float32 [H, W, 3] or more, scene-linear, of one height and width; see
-        `exwarp_cli.metrics.display.encode` for what becomes of values that a display cannot show.
+        `exwarp_cli.metrics.display.encode` and `exwarp_cli.metrics.hdr_flip.usable` for what
+        becomes of values that a display cannot show.
     mask
         bool [H, W], the pixels of the second score.
+    names
+        What is measured, as in `Score`. What takes several frames (VMAF, flicker) is left to
+        `exwarp_cli.pipeline.scoring`.
 
     Returns
     -------
@@ -37,12 +50,18 @@ def score(reference: Float32, test: Float32, mask: Bool | None) -> tuple[Score, 
         Over all pixels, and over the mask; None without a mask or with an empty one. No value is
         NaN or infinite, whatever the pixels are.
     """
-    shown, judged = encode(reference), encode(test)
     everywhere: dict[str, float] = {}
     masked: dict[str, float] = {}
     holes = mask if mask is not None and mask.any() else None
-    for name, metric in METRICS.items():
-        measured = metric(shown, judged)
+    encoded: tuple[Float32, Float32] | None = None
+    for name in (*METRICS, *LINEAR_METRICS):
+        if name not in names:
+            continue
+        if name in LINEAR_METRICS:
+            measured = LINEAR_METRICS[name](reference, test)
+        else:
+            encoded = encoded or (encode(reference), encode(test))
+            measured = METRICS[name](*encoded)
         everywhere[name] = measured.overall()
         if holes is not None:
             masked[name] = measured.within(holes)

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from exwarp_cli.domain.frame import Bool, Image, place
+from exwarp_cli.domain.metric import METRICS
 from exwarp_cli.domain.results import Score
+from exwarp_cli.domain.settings import MeasureSettings
 from exwarp_cli.domain.timeline import parse_frames, ranges
-from exwarp_cli.errors import LayoutError, MissingFrameError
+from exwarp_cli.errors import InputError, LayoutError, MissingFrameError
 from exwarp_cli.io.frames import read_image, read_plane
 from exwarp_cli.io.sequence import Sequence, find_sequence
-from exwarp_cli.metrics.registry import score
+from exwarp_cli.pipeline.comparing import Pair, Scorer
+from exwarp_cli.pipeline.measuring import require_consistent, scorer
 from exwarp_cli.pipeline.progress import NoProgress, Progress
+from exwarp_cli.pipeline.watching import Watcher
 
 MASK_CHANNEL = "holes"
 """Channel of a mask file; above 0.5 is a hole."""
@@ -59,6 +63,10 @@ class Comparison:
         Display window of the first pair, pixels.
     frames
         At least one, in the reference's order.
+    measuring
+        What was asked for.
+    notes
+        What a reader of the numbers should know, a sentence each.
     """
 
     reference: Sequence
@@ -68,11 +76,18 @@ class Comparison:
     width: int
     height: int
     frames: tuple[ComparedFrame, ...]
+    measuring: MeasureSettings = field(default_factory=MeasureSettings)
+    notes: tuple[str, ...] = ()
 
     @property
     def worst(self) -> ComparedFrame:
-        """The frame with the lowest PSNR; the first of them."""
-        return min(self.frames, key=lambda frame: frame.score.psnr_db)
+        """The frame that is worst by the first metric that was measured; the first of them."""
+        for metric in METRICS:
+            known = [f for f in self.frames if getattr(f.score, metric.field) is not None]
+            if known:
+                sign = 1 if metric.more_is_better else -1
+                return min(known, key=lambda f: sign * getattr(f.score, metric.field))
+        return self.frames[0]
 
 
 def evaluate(
@@ -81,6 +96,8 @@ def evaluate(
     frames: str | None = None,
     holes: str | None = None,
     progress: Progress | None = None,
+    measuring: MeasureSettings | None = None,
+    watcher: Watcher | None = None,
 ) -> Comparison:
     """Score every frame of `test` against the frame of `reference` that belongs to it.
 
@@ -94,33 +111,88 @@ def evaluate(
         Frame range in the reference's numbers; None for all.
     progress
         Told of every frame.
+    measuring
+        What is measured, and how; None for the defaults.
+    watcher
+        Shown frames that it wants to see; None for nobody.
 
     Raises
     ------
     InputError
         When a sequence is not found, frames cannot be paired, a file is missing or damaged, or
-        sizes differ.
+        sizes differ; when nothing of what was asked for can be measured.
     UsageError
-        When the frame range does not parse.
+        When the frame range does not parse, or options contradict each other.
     """
+    measuring = measuring or MeasureSettings()
+    require_consistent(measuring, holes)
     truth, judged = find_sequence(reference), find_sequence(test)
     masks = None if holes is None else find_sequence(holes)
     matched_by, paired = pair(truth, judged)
     pairs = _select(paired, frames)
     mask_files = {} if masks is None else _mask_files(masks, judged, paired)
-    told = progress or NoProgress()
-    told.start(len(pairs))
-    compared = []
-    height, width = 0, 0
+    files = [
+        _Files(a, b, truth.files[a], judged.files[b], mask_files.get(b)) for a, b in pairs.items()
+    ]
+    scoring, notes = scorer(measuring, reference, truth, [one.test for one in files])
+    compared, shape = _score(files, scoring, progress or NoProgress(), watcher)
+    found = Comparison(
+        *(truth, judged, masks, matched_by, shape[1], shape[0], compared),
+        measuring=measuring,
+        notes=(*notes, *scoring.notes),
+    )
+    _require_scores(found)
+    if watcher is not None:  # scores are known only now, and the worst frame may not be chosen
+        worst = next(one for one in files if one.b == found.worst.test)
+        _show(watcher, worst.b, worst.read(), found.worst.score)
+    return found
+
+
+@dataclass(frozen=True)
+class _Files:
+    """The numbers and files of one pair of frames; the first is the reference's."""
+
+    a: int
+    b: int
+    reference: Path
+    test: Path
+    mask: Path | None
+
+    def read(self) -> Pair:
+        """Read the pair and its mask, all of one size."""
+        truth, judged = _shown(self.reference), _shown(self.test)
+        shape = truth.display_window.shape
+        _require_shape(judged.display_window.shape, self.test, shape, self.reference)
+        mask = None if self.mask is None else _read_mask(self.mask, shape, self.reference)
+        return Pair(self.a, truth.pixels, judged.pixels, mask)
+
+
+def _score(
+    files: list[_Files], scoring: Scorer, progress: Progress, watcher: Watcher | None
+) -> tuple[tuple[ComparedFrame, ...], tuple[int, ...]]:
+    """Score all pairs, one in memory at a time; also return the first one's rows and columns."""
+    shares: list[float | None] = []
+    shape: tuple[int, ...] = (0, 0)
+    progress.start(len(files))
+    if watcher is not None:
+        watcher.plan([[one.b] for one in files])
     try:
-        for a, b in pairs.items():
-            one, shape = _compare(a, truth.files[a], b, judged.files[b], mask_files.get(b))
-            compared.append(one)
-            height, width = (height, width) if height else shape
-            told.advance(b)
+        with scoring:
+            for one in files:
+                pair = one.read()
+                shape = shape if shares else pair.truth.shape[:2]
+                scoring.add(pair)
+                shares.append(None if pair.mask is None else float(np.mean(pair.mask)))
+                _show(watcher, one.b, pair, None)
+                progress.advance(one.b)
+            scores = scoring.finish()
     finally:
-        told.finish()
-    return Comparison(truth, judged, masks, matched_by, width, height, tuple(compared))
+        progress.finish()
+    compared = tuple(
+        ComparedFrame(one.a, one.b, one.test.name, overall, inside, share)
+        for one, (overall, inside), share in zip(files, scores, shares, strict=True)
+    )
+    return compared, shape
 
 
 def pair(reference: Sequence, test: Sequence) -> tuple[str, dict[int, int]]:
@@ -177,17 +249,19 @@ def _mask_files(masks: Sequence, test: Sequence, paired: dict[int, int]) -> dict
     return by_test or by_reference
 
 
-def _compare(
-    a: int, reference: Path, b: int, test: Path, mask: Path | None
-) -> tuple[ComparedFrame, tuple[int, int]]:
-    """Score one pair; also return the display window's rows and columns."""
-    truth, judged = _shown(reference), _shown(test)
-    shape = truth.display_window.shape
-    _require_shape(judged.display_window.shape, test, shape, reference)
-    holes = None if mask is None else _read_mask(mask, shape, reference)
-    overall, inside = score(truth.pixels, judged.pixels, holes)
-    fraction = None if holes is None else float(np.mean(holes))
-    return ComparedFrame(a, b, test.name, overall, inside, fraction), shape
+def _show(watcher: Watcher | None, number: int, one: Pair, score: Score | None) -> None:
+    """Show the test's frame to whoever wants it."""
+    if watcher is not None and watcher.wants(number, score):
+        watcher.frame(number, one.test, one.truth, one.mask, is_key=False)
+
+
+def _require_scores(found: Comparison) -> None:
+    """Refuse a comparison in which nothing could be measured."""
+    if all(frame.score == Score() for frame in found.frames):
+        why = "; ".join(found.notes) or "nothing was chosen"
+        raise InputError(
+            f"nothing can be measured of {found.test.pattern}: {why}; choose other --metrics"
+        )
 
 
 def _shown(path: Path) -> Image:

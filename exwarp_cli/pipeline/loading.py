@@ -6,14 +6,14 @@ import hashlib
 import json
 import time
 from collections import OrderedDict
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
 from itertools import takewhile
 
 from exwarp_cli import __version__
 from exwarp_cli.domain.extrapolator import HISTORY
 from exwarp_cli.domain.frame import SURFACE_PARTS, GBuffer, Image, KeyFrame
-from exwarp_cli.domain.results import NetworkSummary
+from exwarp_cli.domain.results import InterpolatorSummary, NetworkSummary
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR, Slot
 from exwarp_cli.io.channels import Role
@@ -86,6 +86,8 @@ class Loaded:
         brought along; only for the policy.
     truth
         Ground truth by slot, where there is some.
+    truth_ends
+        The same at slot 0 and at the next key frame's instant, `FACTOR`; only for VMAF.
     template
         What generated frames take over from the key frame's file.
     recipes
@@ -104,6 +106,7 @@ class Loaded:
     template: Template
     recipes: dict[int, str]
     read_ms: float
+    truth_ends: dict[int, Image] = field(default_factory=dict)
 
 
 class IntervalLoader:
@@ -117,8 +120,9 @@ class IntervalLoader:
         truth: tuple[Sequence, FrameOf] | None,
         network: NetworkSummary | None = None,
         policy: str | None = None,
+        interpolator: InterpolatorSummary | None = None,
     ) -> None:
-        self._policy = policy
+        self._policy, self._interpolator = policy, interpolator
         self._source = source
         self._method = method
         self._settings = settings
@@ -158,11 +162,13 @@ class IntervalLoader:
         gbuffers = tuple(self._slot_gbuffer(slot) for slot in self._slots(key))
         past = tuple(Older(self._key_frame(i), self._way_back(i)) for i in self._history(key))
         observed = self._observed(key)
-        truth = self._read_truth(key)
+        slots = self._source.timeline.slots_of(key)[1:]
+        truth = self._read_truth(slots)
+        ends = self._read_truth(self._ends(key))
         self._forget(key)
         elapsed = 1e3 * (time.perf_counter() - begin)
         return Loaded(
-            key, frame, following, gbuffers, past, observed, truth, template, recipes, elapsed
+            key, frame, following, gbuffers, past, observed, truth, template, recipes, elapsed, ends
         )
 
     def look(self, key: int) -> tuple[tuple[Observed, ...], tuple[GBuffer, ...]]:
@@ -286,12 +292,20 @@ class IntervalLoader:
         self._frames = {i: frame for i, frame in self._frames.items() if i >= oldest}
         self._instants = {s: buffer for s, buffer in self._instants.items() if s.key >= oldest}
 
-    def _read_truth(self, key: int) -> dict[int, Image]:
+    def _ends(self, key: int) -> tuple[Slot, ...]:
+        """Return the rendered instants around an interval, for what scores it as a video."""
+        if "vmaf" not in self._settings.measured:
+            return ()
+        last = key + 1 == len(self._source.timeline.numbers)
+        return (Slot(key, 0),) if last else (Slot(key, 0), Slot(key, FACTOR))
+
+    def _read_truth(self, slots: Iterable[Slot]) -> dict[int, Image]:
+        """Read ground truth by the slots' index; `FACTOR` for the next key frame's instant."""
         if self._truth is None:
             return {}
         sequence, frame_of = self._truth
         found = {}
-        for slot in self._source.timeline.slots_of(key)[1:]:
+        for slot in slots:
             number = frame_of(slot)
             if number is not None:
                 found[slot.index] = read_image(sequence.files[number])
@@ -308,8 +322,7 @@ class IntervalLoader:
             files += [self._digest(source.keys, source.timeline.numbers[s.key]) for s in seen]
         else:
             instants = [*(Slot(i, 0) for i in keys), *self._slots(key)]
-            instants += [slot for i in history for slot in self._slots(i)]
-            instants += seen
+            instants += [*(slot for i in history for slot in self._slots(i)), *seen]
             numbers = [source.slot_number(slot) for slot in instants]
             files += [self._digest(source.slots, n) for n in numbers if n is not None]
         common = {
@@ -323,6 +336,8 @@ class IntervalLoader:
         }
         if self._network is not None:
             common["network"] = [self._network.sha256, self._network.device]
+        if self._interpolator is not None:
+            common["interpolator"] = self._interpolator.identity
         if self._policy is not None:
             common["policy"] = self._policy
         if self._method.needs_truth:

@@ -32,14 +32,15 @@ from exwarp_cli.io.output import (
     written_attributes,
 )
 from exwarp_cli.io.video import VideoWriter, to_display
-from exwarp_cli.metrics.registry import score
 from exwarp_cli.pipeline.choosing import Chooser, Chosen
 from exwarp_cli.pipeline.geometry import Staging
 from exwarp_cli.pipeline.loading import IntervalLoader, Loaded
 from exwarp_cli.pipeline.progress import Progress
 from exwarp_cli.pipeline.schedule import WriteBehind, read_ahead
+from exwarp_cli.pipeline.scoring import IntervalScores
 from exwarp_cli.pipeline.source import Source
 from exwarp_cli.pipeline.targets import Targets, key_is_there, slot_is_there
+from exwarp_cli.pipeline.watching import Watcher
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import Judge, Method, Predicted, take
 
@@ -58,12 +59,17 @@ class Run:
     progress: Progress
     staging: Staging
     chooser: Chooser | None
+    watcher: Watcher | None = None
     records: list[FrameRecord] = field(default_factory=list)
     _write_ms: dict[int, float] = field(default_factory=dict)
+    _scoring: IntervalScores | None = None
 
     def write_all(self, loader: IntervalLoader, keys: tuple[int, ...]) -> tuple[FrameRecord, ...]:
         """Work through the intervals: reading ahead, computing here, writing behind."""
         threads = self.settings.threads or os.cpu_count() or 1
+        if self.watcher is not None:
+            timeline = self.source.timeline
+            self.watcher.plan([[timeline.number(s) for s in timeline.slots_of(k)] for k in keys])
         tasks = (partial(loader.load, key, self._needed) for key in keys)
         with ExitStack() as stack:
             writer = stack.enter_context(WriteBehind(threads, FRAMES_BEHIND + threads))
@@ -112,6 +118,7 @@ class Run:
         # A policy looks at every interval: the states of later ones hold what it saw.
         looks = len(there) < len(slots) or self.method.judge is Judge.POLICY
         chosen = self._choose(loaded, interval) if slots and looks else None
+        self._scoring = self._scores(loaded, interval)
         shares = {"geometry": geometry_ms / max(len(slots), 1)}
         if chosen is not None:
             shares |= {step: ms / len(slots) for step, ms in chosen.timing_ms.items()}
@@ -123,10 +130,15 @@ class Run:
                 record, shown = self._make(slot, interval, loaded, writer, plan)
                 record = replace(record, timing_ms=shares | record.timing_ms)
             self.records.append(record)
-            if video is not None:
-                image = shown or read_image(self.targets.frames.path(record.number))
-                video.write(self._display(image))
+            watched = self.watcher is not None and self.watcher.wants(record.number, record.score)
+            if shown is None and (watched or video is not None):
+                shown = read_image(self.targets.frames.path(record.number))
+            if shown is not None and watched:
+                self._show(record, shown, interval, loaded)
+            if shown is not None and video is not None:
+                video.write(self._display(shown))
             self.progress.advance(record.number, record.method)
+        self._complete(loaded)
 
     def _choose(self, loaded: Loaded, interval: Interval | None) -> Chosen | None:
         """Have an interval's path decided; None for methods outside the decision tree."""
@@ -154,11 +166,32 @@ class Run:
             output, target.name, number, 0, FrameKind.KEY, "key", (number,), resumed=resumed
         )
         timing = {} if resumed else {"read": loaded.read_ms}
-        self.records.append(replace(record, timing_ms=timing))
-        if video is not None:
+        self.records.append(replace(record, timing_ms=timing, render=loaded.template.render))
+        watched = self.watcher is not None and self.watcher.wants(output, None)
+        if watched or video is not None:
             image = loaded.frame.image if loaded.frame is not None else read_image(path)
-            video.write(self._display(image))
+            if watched:
+                self._show(record, image, None, loaded)
+            if video is not None:
+                video.write(self._display(image))
         self.progress.advance(output, "key")
+
+    def _show(
+        self, record: FrameRecord, image: Image, interval: Interval | None, loaded: Loaded
+    ) -> None:
+        """Show a frame to the watcher as its file has it, beside its truth and holes."""
+        assert self.watcher is not None
+        if record.kind is not FrameKind.KEY:
+            image = replace(image, pixels=quantise(image.pixels, loaded.template))
+        truth = loaded.truth.get(record.slot)
+        slot = Slot(loaded.key, record.slot)
+        self.watcher.frame(
+            record.number,
+            image.on(self.source.keys.display).pixels,
+            None if truth is None else truth.on(truth.display_window).pixels,
+            None if interval is None else self._mask(interval, slot),
+            is_key=record.kind is FrameKind.KEY,
+        )
 
     def _make(
         self,
@@ -247,12 +280,38 @@ class Run:
                 f"--ground-truth for frame {record.number} is {truth.display_window} and the input "
                 f"is {display}; give a sequence of the same resolution"
             )
+        assert self._scoring is not None
         begin = time.perf_counter()
-        reference = truth.on(truth.display_window).pixels
-        everything, holes = score(reference, image.on(display).pixels, mask)
+        reference, test = truth.on(truth.display_window).pixels, image.on(display).pixels
+        everything, holes = self._scoring.frame(record.slot, reference, test, mask)
         elapsed = 1e3 * (time.perf_counter() - begin)
         timing = record.timing_ms | {"score": elapsed}
         return replace(record, score=everything, hole_score=holes, timing_ms=timing)
+
+    def _scores(self, loaded: Loaded, interval: Interval | None) -> IntervalScores | None:
+        """Return what scores an interval's slots; None where nothing is."""
+        if interval is None or not loaded.truth:
+            return None
+        followed = loaded.key + 1 < len(self.source.timeline.numbers)
+        return IntervalScores(interval, self.source.keys.display, self.settings.measured, followed)
+
+    def _complete(self, loaded: Loaded) -> None:
+        """Add what takes all frames of the interval to the scores of those recorded last."""
+        if self._scoring is None:
+            return
+        begin = time.perf_counter()
+        ends = {i: image.on(image.display_window).pixels for i, image in loaded.truth_ends.items()}
+        found = self._scoring.complete(ends)
+        elapsed = 1e3 * (time.perf_counter() - begin) / len(found)
+        number = self.source.timeline.numbers[loaded.key]
+        for index in range(max(len(self.records) - FACTOR, 0), len(self.records)):
+            record = self.records[index]
+            if record.key == number and record.slot in found:
+                overall, holes = found[record.slot]
+                timing = record.timing_ms | {"score": record.timing_ms["score"] + elapsed}
+                self.records[index] = replace(
+                    record, score=overall, hole_score=holes, timing_ms=timing
+                )
 
     def _mask(self, interval: Interval, slot: Slot) -> Bool | None:
         """Hole mask of a slot on the display window."""

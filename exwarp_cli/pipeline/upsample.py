@@ -7,6 +7,7 @@ from pathlib import Path
 
 from exwarp_cli.domain.results import (
     InputSummary,
+    InterpolatorSummary,
     NetworkSummary,
     PolicySummary,
     RunSummary,
@@ -15,6 +16,7 @@ from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.errors import LayoutError, UsageError
 from exwarp_cli.io import exr
 from exwarp_cli.io.channels import Role
+from exwarp_cli.io.interpolator import OnnxInterpolator, load_interpolator
 from exwarp_cli.io.models import OnnxExtrapolator, load_extrapolator
 from exwarp_cli.io.output import compression_of
 from exwarp_cli.io.policy_files import PolicyFile, load_policy
@@ -26,8 +28,10 @@ from exwarp_cli.pipeline.loading import IntervalLoader
 from exwarp_cli.pipeline.observing import Observer
 from exwarp_cli.pipeline.progress import NoProgress, Progress
 from exwarp_cli.pipeline.run import Run
+from exwarp_cli.pipeline.scoring import require_measurable
 from exwarp_cli.pipeline.source import FrameOf, Source, align, open_source
 from exwarp_cli.pipeline.targets import Targets
+from exwarp_cli.pipeline.watching import Watcher
 from exwarp_cli.policy.policies import LearnedPolicy
 from exwarp_cli.policy.state import INPUTS, STATE_VERSION
 from exwarp_cli.synthesis.methods import METHODS, Judge, Method
@@ -36,7 +40,9 @@ SURFACE_COLOURS = {Role.ALBEDO: "diffuse", Role.SPECULAR: "glossy"}
 """What `synthesis.modulation` divides by, both together, as the user knows it."""
 
 
-def upsample(settings: UpsampleSettings, progress: Progress | None = None) -> RunSummary:
+def upsample(
+    settings: UpsampleSettings, progress: Progress | None = None, watcher: Watcher | None = None
+) -> RunSummary:
     """Write the slots of the selected key frames.
 
     Parameters
@@ -45,6 +51,8 @@ def upsample(settings: UpsampleSettings, progress: Progress | None = None) -> Ru
         What to do.
     progress
         Told of every frame; None for silence.
+    watcher
+        Shown frames that it wants to see; None for nobody.
 
     Returns
     -------
@@ -62,28 +70,33 @@ def upsample(settings: UpsampleSettings, progress: Progress | None = None) -> Ru
     jit.set_threads(settings.threads)
     exr.set_threads(settings.threads)
     network = find_network(settings, method)
+    interpolator = find_interpolator(settings, method)
     policy = find_policy(settings, method)
     _require_truth(settings, method)
     source = open_source(settings.source, method.needs_motion)
     told = None if network is None else _network_summary(network, source)
+    between = None if interpolator is None else _interpolator_summary(interpolator)
     keys = source.timeline.select(settings.frames)
     slots = [slot for key in keys for slot in source.timeline.slots_of(key)]
     targets = Targets.of(settings, source.keys.sequence)
-    truth = None if settings.ground_truth is None else _find_truth(settings.ground_truth, source)
+    truth = None if settings.ground_truth is None else find_truth(settings.ground_truth, source)
+    require_measurable(settings, source.keys.display)
     targets.prepare(settings, source.timeline, slots)
     _announce(progress, settings, source, method, keys)
     if told is not None:
         _announce_network(progress, told, source)
+    if between is not None:
+        _announce_interpolator(progress, between)
     decided = None if policy is None else _policy_summary(policy, source)
     if decided is not None:
         _announce_policy(progress, decided)
     checksum = None if policy is None else policy.checksum
-    loader = IntervalLoader(source, method, settings, truth, told, checksum)
+    loader = IntervalLoader(source, method, settings, truth, told, checksum, between)
     begin = time.perf_counter()
     progress.start(len(slots))
-    staging = Staging(source.keys.display, network)
+    staging = Staging(source.keys.display, network, interpolator)
     chooser = make_chooser(method, source, policy)
-    run = Run(settings, source, method, targets, progress, staging, chooser)
+    run = Run(settings, source, method, targets, progress, staging, chooser, watcher)
     try:
         records = run.write_all(loader, keys)
     finally:
@@ -100,6 +113,7 @@ def upsample(settings: UpsampleSettings, progress: Progress | None = None) -> Ru
         decides=method.decides,
         extrapolator=told,
         policy=decided,
+        interpolator=between,
     )
 
 
@@ -120,24 +134,51 @@ def find_network(settings: UpsampleSettings, method: Method) -> OnnxExtrapolator
     InputError, MissingExtraError
         When the network cannot be used.
     """
+    _refuse_network_options(settings, method)
     if not method.extrapolates:
-        _refuse_network_options(settings, method)
         return None
     path = None if settings.extrapolator is None else Path(settings.extrapolator)
     return load_extrapolator(path, settings.threads, settings.device)
 
 
-def _refuse_network_options(settings: UpsampleSettings, method: Method) -> None:
-    given = {
-        "--extrapolator": settings.extrapolator is not None,
-        "--device": settings.device != UpsampleSettings.device,
-    }
-    if vain := [option for option, is_given in given.items() if is_given]:
-        names = [other.name for other in METHODS.values() if other.extrapolates]
+def find_interpolator(settings: UpsampleSettings, method: Method) -> OnnxInterpolator | None:
+    """Load the network that a method interpolates with; None for methods that do without.
+
+    Raises
+    ------
+    UsageError
+        When none is named.
+    InputError, MissingExtraError
+        When it or its card cannot be used.
+    """
+    if not method.interpolates:
+        return None
+    if settings.interpolator is None:
         raise UsageError(
-            f"{vain[0]} is for methods that extrapolate, and --method {method.name} does not; "
-            f"leave it out, or use one of {', '.join(names)}"
+            f"--method {method.name} has no network of its own; name an ONNX file with "
+            "--interpolator, or use --method softsplat"
         )
+    return load_interpolator(Path(settings.interpolator), settings.threads, settings.device)
+
+
+def _refuse_network_options(settings: UpsampleSettings, method: Method) -> None:
+    """Refuse options of networks that the method does not run."""
+    extrapolating = [m for m in METHODS.values() if m.extrapolates]
+    interpolating = [m for m in METHODS.values() if m.interpolates]
+    either = [m for m in METHODS.values() if m in extrapolating or m in interpolating]
+    other_device = settings.device != UpsampleSettings.device
+    rules = (
+        ("--extrapolator", settings.extrapolator is not None, "extrapolate", extrapolating),
+        ("--interpolator", settings.interpolator is not None, "interpolate so", interpolating),
+        ("--device", other_device, "run a network", either),
+    )
+    for option, given, what, users in rules:
+        if given and method not in users:
+            names = ", ".join(user.name for user in users)
+            raise UsageError(
+                f"{option} is for methods that {what}, and --method {method.name} does not; "
+                f"leave it out, or use {'one of ' if len(users) > 1 else ''}{names}"
+            )
 
 
 def find_policy(settings: UpsampleSettings, method: Method) -> PolicyFile | None:
@@ -221,6 +262,18 @@ def _network_summary(network: OnnxExtrapolator, source: Source) -> NetworkSummar
     return NetworkSummary(str(network.path), network.checksum, network.device, demodulated)
 
 
+def _interpolator_summary(network: OnnxInterpolator) -> InterpolatorSummary:
+    told = (str(network.path), network.checksum, network.card.checksum, network.device)
+    return InterpolatorSummary(network.name, *told)
+
+
+def _announce_interpolator(progress: Progress, told: InterpolatorSummary) -> None:
+    progress.message(
+        f"interpolation by {told.name}, {Path(told.file).name} (sha256 {told.sha256[:8]}) on "
+        f"{told.device}, from colour alone"
+    )
+
+
 def _missing_colours(source: Source) -> list[str]:
     """Name the surface colours that shading would have to be divided by, and that are not there."""
     layout = (source.slots or source.keys).layout
@@ -238,7 +291,7 @@ def _announce_network(progress: Progress, told: NetworkSummary, source: Source) 
         )
 
 
-def _find_truth(spec: str, source: Source) -> tuple[Sequence, FrameOf]:
+def find_truth(spec: str, source: Source) -> tuple[Sequence, FrameOf]:
     """Find ground truth, and refuse one of another size before any work."""
     sequence = find_sequence(spec)
     frame_of = align(source.timeline, sequence, "--ground-truth")

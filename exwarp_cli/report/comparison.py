@@ -7,15 +7,24 @@ from typing import Any
 from exwarp_cli import __version__
 from exwarp_cli.io.sequence import Sequence
 from exwarp_cli.pipeline.evaluate import Comparison
-from exwarp_cli.report.frames_csv import score_cells, table
-from exwarp_cli.report.quality import quality
+from exwarp_cli.report.frames_csv import (
+    LATER_HOLE_SCORES,
+    LATER_SCORES,
+    later_cells,
+    score_cells,
+    table,
+)
+from exwarp_cli.report.quality import quality, values_of
 from exwarp_cli.report.summary import finite
+from exwarp_cli.report.thresholds import verdicts
 
 SCHEMA = "exwarp.compare/1"
 
 COLUMNS = (
     *("frame", "reference_frame", "file", "hole_fraction", "psnr_db", "ssim", "flip"),
     *("psnr_db_holes", "ssim_holes", "flip_holes"),
+    *LATER_SCORES,
+    *LATER_HOLE_SCORES,
 )
 """Columns of frames.csv; `frame` is the test's number."""
 
@@ -42,8 +51,12 @@ def comparison(result: Comparison) -> dict[str, Any]:
                 "frame": worst.test,
                 "reference_frame": worst.reference,
                 "file": worst.file,
-                **dict(zip(("psnr_db", "ssim", "flip"), score_cells(worst.score), strict=True)),
+                **values_of(worst.score),
             },
+            "metrics": list(result.measuring.measured),
+            "preset": result.measuring.preset,
+            "thresholds": verdicts(result),
+            "notes": list(result.notes),
         }
     )
     return document
@@ -56,6 +69,7 @@ def comparison_csv(result: Comparison) -> str:
             *(frame.test, frame.reference, frame.file, frame.hole_fraction),
             *score_cells(frame.score),
             *score_cells(frame.hole_score),
+            *later_cells(frame.score, frame.hole_score),
         )
         for frame in result.frames
     )

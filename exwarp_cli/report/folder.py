@@ -8,12 +8,17 @@ from exwarp_cli.domain.results import RunSummary
 from exwarp_cli.errors import OutputExistsError
 from exwarp_cli.io.atomic import atomic_write_text, make_folder, remove_leftovers
 from exwarp_cli.pipeline.evaluate import Comparison
+from exwarp_cli.report.compare_page import compare_page
 from exwarp_cli.report.comparison import comparison, comparison_csv
 from exwarp_cli.report.frames_csv import frames_csv
+from exwarp_cli.report.gallery import Album
+from exwarp_cli.report.page import Page, render
 from exwarp_cli.report.summary import report, to_json
+from exwarp_cli.report.upsample_page import upsample_page
 
 REPORT_FILE = "report.json"
 FRAMES_FILE = "frames.csv"
+PAGE_FILE = "report.html"
 
 
 def prepare_report(folder: Path, replace: bool) -> None:
@@ -34,29 +39,41 @@ def prepare_report(folder: Path, replace: bool) -> None:
     remove_leftovers(folder)
 
 
-def write_report(folder: Path, run: RunSummary) -> None:
-    """Write report.json and frames.csv of an upsampling run.
+def write_report(folder: Path, run: RunSummary, album: Album | None = None) -> None:
+    """Write report.json, frames.csv and report.html of an upsampling run.
 
     Parameters
     ----------
     folder
         Made, with its parents, if it does not exist. Files of these names in it are replaced.
+    run
+        What was done.
+    album
+        Frames that the page shows; None for a page without pictures.
 
     Raises
     ------
     OutputError
         When the folder cannot be made or a file cannot be written.
     """
-    _write(folder, to_json(report(run)), frames_csv(run.frames))
+    document = report(run)
+    page = upsample_page(run, document, album)
+    write_files(folder, to_json(document), {FRAMES_FILE: frames_csv(run.frames)}, page)
 
 
-def write_comparison(folder: Path, result: Comparison) -> None:
-    """Write report.json and frames.csv of a comparison; as `write_report` does."""
-    _write(folder, to_json(comparison(result)), comparison_csv(result))
+def write_comparison(folder: Path, result: Comparison, album: Album | None = None) -> None:
+    """Write the same of a comparison; as `write_report` does."""
+    document = comparison(result)
+    page = compare_page(result, document, album)
+    write_files(folder, to_json(document), {FRAMES_FILE: comparison_csv(result)}, page)
 
 
-def _write(folder: Path, document: str, frames: str) -> None:
+def write_files(folder: Path, document: str, tables: dict[str, str], page: Page) -> None:
+    """Write a report's files: `tables` by name, then the page, then `document` as report.json."""
+    html = render(page)
     make_folder(folder)
-    # The table first: who sees a report.json then finds the frames.csv that belongs to it.
-    atomic_write_text(folder / FRAMES_FILE, frames)
+    # The document last: who sees a report.json then finds what belongs to it.
+    for name, text in tables.items():
+        atomic_write_text(folder / name, text)
+    atomic_write_text(folder / PAGE_FILE, html)
     atomic_write_text(folder / REPORT_FILE, document)

@@ -10,7 +10,15 @@ from typing import Any
 from exwarp_cli.domain.decision import Decision
 from exwarp_cli.domain.features import FEATURES
 from exwarp_cli.domain.results import FrameRecord, Score
+from exwarp_cli.report.quality import values_of
 from exwarp_cli.report.summary import finite, steps_of
+
+FIRST_SCORES = ("psnr_db", "ssim", "flip")
+LATER_SCORES = ("hdr_flip", "vmaf", "flicker")
+"""Metrics whose columns came later and so stand behind the others."""
+
+LATER_HOLE_SCORES = ("hdr_flip_holes", "flicker_holes")
+"""VMAF is one of whole frames only."""
 
 COLUMNS = (
     *("frame", "file", "key", "slot", "kind", "method", "sources"),
@@ -19,6 +27,9 @@ COLUMNS = (
     *("made_by", "path", "node", "choice", "output_warp", "output_extrapolate"),
     *FEATURES,
     "inputs",
+    *LATER_SCORES,
+    *LATER_HOLE_SCORES,
+    "render_s",
 )
 """After these come the timed steps, each as ``<step>_ms``."""
 
@@ -52,9 +63,18 @@ def cell(value: Any) -> str:
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 
-def score_cells(score: Score | None) -> tuple[float | None, float | None, float | None]:
-    """PSNR, SSIM and FLIP of a score, or three empty cells."""
-    return (None, None, None) if score is None else (score.psnr_db, score.ssim, score.flip)
+def score_cells(score: Score | None) -> tuple[float | None, ...]:
+    """Cells of `FIRST_SCORES`."""
+    return tuple(values_of(score)[name] for name in FIRST_SCORES)
+
+
+def later_cells(score: Score | None, holes: Score | None) -> tuple[float | None, ...]:
+    """Cells of `LATER_SCORES` and of `LATER_HOLE_SCORES`."""
+    overall, inside = values_of(score), values_of(holes)
+    return (
+        *(overall[name] for name in LATER_SCORES),
+        *(inside[name.removesuffix("_holes")] for name in LATER_HOLE_SCORES),
+    )
 
 
 def decision_cells(decision: Decision | None) -> tuple[Any, ...]:
@@ -79,5 +99,7 @@ def _row(frame: FrameRecord, steps: list[str]) -> list[Any]:
         frame.resumed,
         *(frame.made_by, frame.path),
         *decision_cells(frame.decision),
+        *later_cells(frame.score, frame.hole_score),
+        None if frame.render is None else frame.render[0],
         *(frame.timing_ms.get(step) for step in steps),
     ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from exwarp_cli.domain.metric import METRICS
 from exwarp_cli.domain.results import Score
 
 
@@ -13,19 +14,24 @@ def mean(values: Iterable[float]) -> float | None:
     return sum(listed) / len(listed) if listed else None
 
 
+def values_of(score: Score | None) -> dict[str, float | None]:
+    """Return a score's values by their names in every report; None what was not measured."""
+    return {m.field: None if score is None else getattr(score, m.field) for m in METRICS}
+
+
 def quality(scores: Iterable[Score | None]) -> dict[str, float | int | None]:
     """Average the scores that are there.
 
     Returns
     -------
     dict
-        ``psnr_db``, ``ssim`` and ``flip``, each the mean of the per-frame values, None where no
-        frame was scored; ``frames``, how many were.
+        For every metric the mean of the per-frame values, over the frames that have one; None
+        where none has. ``frames``, how many frames were scored.
     """
-    known = [score for score in scores if score is not None]
-    return {
-        "psnr_db": mean(score.psnr_db for score in known),
-        "ssim": mean(score.ssim for score in known),
-        "flip": mean(score.flip for score in known),
-        "frames": len(known),
-    }
+    known = [values_of(score) for score in scores if score is not None]
+    means = {m.field: mean(_known(row[m.field] for row in known)) for m in METRICS}
+    return {**means, "frames": len(known)}
+
+
+def _known(values: Iterable[float | None]) -> list[float]:
+    return [value for value in values if value is not None]

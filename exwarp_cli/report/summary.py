@@ -14,6 +14,7 @@ from exwarp_cli.domain.results import FrameKind, FrameRecord, InputSummary, RunS
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.report.decisions import decisions, quality_by_decision
 from exwarp_cli.report.quality import mean, quality
+from exwarp_cli.report.render_time import render_time
 
 SCHEMA = "exwarp.report/1"
 
@@ -46,6 +47,8 @@ def report(run: RunSummary) -> dict[str, Any]:
         "timing_ms": _timing(run.frames),
         "extrapolator": None if run.extrapolator is None else asdict(run.extrapolator),
         "policy": None if run.policy is None else asdict(run.policy),
+        "interpolator": None if run.interpolator is None else asdict(run.interpolator),
+        "render_time": render_time(run),
     }
     plain: dict[str, Any] = finite(found)
     return plain

@@ -105,7 +105,7 @@ class TestErrors:
         assert codes == {
             "ExwarpError": 1, "UsageError": 2, "InputError": 3, "MissingFrameError": 3,
             "DamagedFileError": 3, "LayoutError": 3, "MotionError": 4, "OutputError": 5,
-            "OutputExistsError": 6, "MissingExtraError": 7,
+            "OutputExistsError": 6, "MissingExtraError": 7, "QualityError": 8,
         }  # fmt: skip
 
     @pytest.mark.parametrize("kind", every_error())

@@ -19,3 +19,8 @@ def ssim(reference: np.ndarray, test: np.ndarray) -> tuple[float, np.ndarray]:
         channel_axis=2,
     )
     return float(mean), np.asarray(full)
+
+
+def uniform_ssim(reference: np.ndarray, test: np.ndarray) -> float:
+    """Return the mean of uint8 [H, W, 3] with the defaults: ``multichannel=True`` once."""
+    return float(structural_similarity(reference, test, channel_axis=2))

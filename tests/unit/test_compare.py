@@ -213,7 +213,8 @@ def test_json_and_report(tmp_path: Path, truth: str) -> None:
     assert document["matched_by"] == "order"
     assert document["test"] == {"pattern": f"{test}/shot.####.exr", "first": 101, "last": 104}
     assert document["masks"] is None
-    unknown = {"psnr_db": None, "ssim": None, "flip": None, "frames": 0}
+    unknown = dict.fromkeys(("psnr_db", "ssim", "flip", "hdr_flip", "vmaf", "flicker"))
+    unknown["frames"] = 0
     assert document["quality"]["holes"] == unknown
     compared = evaluate(truth, test)
     mean = np.mean([frame.score.psnr_db for frame in compared.frames])

@@ -12,9 +12,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from exwarp_cli.domain import metric as metric_names
+from exwarp_cli.domain.results import Score
 from exwarp_cli.metrics import flip, psnr, ssim
 from exwarp_cli.metrics.display import encode
-from exwarp_cli.metrics.registry import METRICS, score
+from exwarp_cli.metrics.registry import LINEAR_METRICS, METRICS, score
 from tests.reference import quality, scikit
 
 COLD_IMPORT = """
@@ -111,9 +113,8 @@ def test_flip_ends() -> None:
 def test_score_of_equal_images() -> None:
     reference, _ = random_pair((20, 20, 4))
     overall, inside = score(reference, reference.copy(), np.ones((20, 20), bool))
-    assert astuple(overall) == (100, 1, 0)
-    assert inside is not None
-    assert astuple(inside) == (100, 1, 0)
+    assert astuple(overall) == (100, 1, 0, None, None, None)
+    assert inside == overall
 
 
 def test_score_in_a_mask_sees_the_mask_alone() -> None:
@@ -146,9 +147,23 @@ def test_score_ignores_alpha() -> None:
     assert score(reference, test, None) == score(reference[..., :3], test[..., :3], None)
 
 
-def test_registry_names_are_the_fields_of_a_score() -> None:
+def test_the_metrics_are_named_as_the_fields_of_a_score() -> None:
     overall, _ = score(*random_pair((12, 12, 3)), None)
-    assert list(METRICS) == list(vars(overall))
+    known = [metric.field for metric in metric_names.METRICS]
+    assert list(vars(overall)) == known
+    assert {*METRICS, *LINEAR_METRICS, "vmaf", "flicker"} == set(known)
+    assert tuple(METRICS) == metric_names.DEFAULT_METRICS
+
+
+def test_only_what_is_named_is_measured() -> None:
+    reference, test = random_pair((12, 12, 3))
+    mask = np.ones((12, 12), bool)
+    whole = score(reference, test, mask, [metric.field for metric in metric_names.METRICS])
+    for name in (*METRICS, *LINEAR_METRICS):
+        for part, everything in zip(score(reference, test, mask, [name]), whole, strict=True):
+            known = {field: value for field, value in vars(part).items() if value is not None}
+            assert known == {name: getattr(everything, name)}
+    assert score(reference, test, mask, []) == (Score(), Score())
 
 
 @settings(derandomize=True, max_examples=30)
@@ -160,7 +175,8 @@ def test_no_pixel_makes_a_score_nan(seed: int, size: tuple[int, int]) -> None:
     test = rng.choice(broken, (*size, 4))
     for part in score(reference, test, rng.random(size) < 0.3):
         if part is not None:
-            assert all(math.isfinite(value) for value in astuple(part))
+            values = (part.psnr_db, part.ssim, part.flip)
+            assert all(math.isfinite(value) for value in values)
             assert 0 <= part.psnr_db <= 100
             assert -1.000001 <= part.ssim <= 1.000001
             assert 0 <= part.flip <= 1

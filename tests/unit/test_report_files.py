@@ -25,6 +25,8 @@ COLUMNS = [
     *("psnr_db_holes", "ssim_holes", "flip_holes", "resumed"),
     *("made_by", "path", "node", "choice", "output_warp", "output_extrapolate"),
     *("N_d", "EMD_Wn", "EMD_Wp", "Var_x", "Var_y", "R", "inputs"),
+    *("hdr_flip", "vmaf", "flicker", "hdr_flip_holes", "flicker_holes"),
+    "render_s",
 ]
 STEPS = ("read", "features", "decide", "warp", "holes", "extrapolate", "write")
 TIMES = [f"{step}_ms" for step in STEPS]
@@ -49,13 +51,14 @@ def test_every_value_has_its_cell() -> None:
         sources=(1001, 1002),
         hole_fraction=0.1,
         nonfinite_pixels=0,
-        score=Score(34.5, 0.9, 1 / 3),
-        hole_score=Score(20.25, 0.5, 0.5),
+        score=Score(34.5, 0.9, 1 / 3, 0.375, 91.5, 2.75),
+        hole_score=Score(20.25, 0.5, 0.5, 0.625, None, 7.5),
         resumed=True,
         timing_ms={"warp": 1.5, "score": 7.0},
         made_by="hold",
         path="S2",
         decision=DECISION,
+        render=(42.5, "RenderTime"),
     )
     key, row = rows_of(frames_csv((first, second)))
     assert list(row) == [*COLUMNS, *TIMES, "score_ms"]
@@ -90,6 +93,12 @@ def test_every_value_has_its_cell() -> None:
         "Var_y": "0.5",
         "R": "2048",
         "inputs": "65536 0 -1",
+        "hdr_flip": "0.375",
+        "vmaf": "91.5",
+        "flicker": "2.75",
+        "hdr_flip_holes": "0.625",
+        "flicker_holes": "7.5",
+        "render_s": "42.5",
         "warp_ms": "1.5",
         "score_ms": "7.0",
     }
@@ -128,7 +137,8 @@ def test_file_names_that_csv_could_break_on_come_back() -> None:
 def test_folder_is_made_and_files_are_whole(tmp_path: Path) -> None:
     folder = tmp_path / "new" / "report"
     write_report(folder, path_run("S6", 2))
-    assert sorted(p.name for p in folder.iterdir()) == ["frames.csv", "report.json"]
+    names = ["frames.csv", "report.html", "report.json"]
+    assert sorted(p.name for p in folder.iterdir()) == names
     assert json.loads((folder / "report.json").read_text())["frames"]["written"] == 8
     assert len(rows_of((folder / "frames.csv").read_text())) == 8
     write_report(folder, run([]))

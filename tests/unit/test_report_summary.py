@@ -15,7 +15,8 @@ from exwarp_cli.domain.results import FrameKind, NetworkSummary, PolicySummary, 
 from exwarp_cli.report.summary import finite, report, to_json
 from tests.unit.sample_runs import interval, path_run, record, run
 
-QUALITY = {"psnr_db": None, "ssim": None, "flip": None, "frames": None}
+METRICS = ("psnr_db", "ssim", "flip", "hdr_flip", "vmaf", "flicker")
+QUALITY = dict.fromkeys((*METRICS, "frames"))
 CONTRACT: dict[str, Any] = {
     "schema": None,
     "version": None,
@@ -45,11 +46,17 @@ CONTRACT: dict[str, Any] = {
     ),
     "extrapolator": None,
     "policy": None,
+    "interpolator": None,
+    "render_time": None,
 }
 
 
 def keys_of(value: Any) -> Any:
     return {key: keys_of(item) for key, item in value.items()} if isinstance(value, dict) else None
+
+
+def known(quality: dict[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in quality.items() if value is not None}
 
 
 def test_keys_are_exactly_the_contract() -> None:
@@ -62,7 +69,7 @@ def test_keys_are_exactly_the_contract() -> None:
 
 def test_what_was_not_measured_is_null() -> None:
     found = report(run(interval(1001, "ggg", 1001), wall_seconds=0.0))
-    unknown = {"psnr_db": None, "ssim": None, "flip": None, "frames": 0}
+    unknown = {**dict.fromkeys(METRICS), "frames": 0}
     assert found["quality"]["all"] == unknown
     assert found["quality"]["by_decision"] == {"warp": unknown, "extrapolate": unknown}
     assert found["holes"] == {"mean_fraction": None, "p95_fraction": None, "histogram": None}
@@ -186,7 +193,12 @@ def test_quality_is_split_by_what_made_the_frame(path: str) -> None:
     for part, slots in zip(parts, MADE_BY[path], strict=True):
         assert part["frames"] == 3 * len(slots)
         assert part["psnr_db"] == (10 * sum(slots) / len(slots) if slots else None)
-    assert found["all"] == {"psnr_db": 20, "ssim": 0.5, "flip": pytest.approx(0.1), "frames": 9}
+    assert known(found["all"]) == {
+        "psnr_db": 20,
+        "ssim": 0.5,
+        "flip": pytest.approx(0.1),
+        "frames": 9,
+    }
 
 
 def test_key_frames_are_never_scored_and_resumed_ones_are() -> None:
@@ -195,9 +207,20 @@ def test_key_frames_are_never_scored_and_resumed_ones_are() -> None:
     frames = [replace(f, score=s, resumed=True) for f, s in zip(frames, scores, strict=True)]
     frames[1] = replace(frames[1], hole_score=Score(10, 0.5, 0.6))
     found = report(run(frames))["quality"]
-    assert found["all"] == {"psnr_db": 25, "ssim": 0.8, "flip": pytest.approx(0.3), "frames": 2}
-    assert found["holes"] == {"psnr_db": 10, "ssim": 0.5, "flip": 0.6, "frames": 1}
-    assert found["dropped"] == {"psnr_db": 20, "ssim": 0.7, "flip": 0.4, "frames": 1}
+    overall = {"psnr_db": 25, "ssim": 0.8, "flip": pytest.approx(0.3), "frames": 2}
+    assert known(found["all"]) == overall
+    assert known(found["holes"]) == {"psnr_db": 10, "ssim": 0.5, "flip": 0.6, "frames": 1}
+    assert known(found["dropped"]) == {"psnr_db": 20, "ssim": 0.7, "flip": 0.4, "frames": 1}
+
+
+def test_a_metric_is_averaged_over_the_frames_that_have_it() -> None:
+    scores = [None, Score(30, vmaf=80), Score(20, flicker=1.5), Score(vmaf=90)]
+    frames = [
+        replace(f, score=score)
+        for f, score in zip(interval(1001, "ggg", 1001), scores, strict=True)
+    ]
+    found = report(run(frames))["quality"]["all"]
+    assert known(found) == {"psnr_db": 25, "vmaf": 85, "flicker": 1.5, "frames": 3}
 
 
 def test_holes_are_summed_up_over_shown_slots() -> None:

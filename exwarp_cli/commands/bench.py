@@ -1,0 +1,92 @@
+"""``exwarp bench``: every table and figure of the paper, on the user's own frames."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from pathlib import Path
+
+import click
+
+from exwarp_cli.commands.upsample import FrameRate
+from exwarp_cli.domain.bench import SETTINGS, SYSTEMS, BenchSettings
+from exwarp_cli.domain.settings import DEVICES
+from exwarp_cli.pipeline.progress import KINDS
+
+FILE = click.Path(path_type=Path)
+
+
+@click.command("bench", context_settings={"show_default": True})
+@click.argument("inputs", nargs=-1, required=True, metavar="DATA…|SEQUENCE")
+@click.option(
+    "-o",
+    "--output",
+    required=True,
+    type=click.Path(path_type=Path, file_okay=False),
+    help="Folder for tables, page and parts.",
+)
+@click.option("--ground-truth", metavar="SEQ", help="Of one SEQUENCE, at the output rate.")
+@click.option("--gbuffers", metavar="SEQ", help="Of one SEQUENCE, at the output rate.")
+@click.option("--motion", metavar="CONVENTION", help="Of one SEQUENCE; as for upsample.")
+@click.option("--fps", type=FrameRate(), help="Of one SEQUENCE; else the header's, else 30.")
+@click.option("--scenes", metavar="LIST", help="Of DATA, with commas; default: its benchmarks.")
+@click.option(
+    "--setting",
+    type=click.Choice((*SETTINGS, "both")),
+    default=SETTINGS[0],
+    help="Of DATA: G-buffers of every slot, as in the paper, or of the key frames only.",
+)
+@click.option("--frames", metavar="RANGE", help="Key frames to do, by number: a chunk.")
+@click.option("--every", type=click.IntRange(1), default=1, help="Only every Nth key interval.")
+@click.option("--systems", metavar="LIST", help=f"Out of {','.join(SYSTEMS)}.  [default: all]")
+@click.option(
+    "--interpolator",
+    "interpolators",
+    type=FILE,
+    multiple=True,
+    metavar="FILE",
+    help="ONNX network that interpolates, with its card; several times for several.",
+)
+@click.option("--extrapolator", type=FILE, metavar="FILE", help="E; default: the one shipped.")
+@click.option("--extranet", type=FILE, metavar="FILE", help="ONNX file of the imported ExtraNet.")
+@click.option("--policy", type=FILE, metavar="FILE", help="Default: one that never saw the scene.")
+@click.option("--metrics", default="all", metavar="LIST", help="As for upsample.")
+@click.option("--clock", default="1GHz", metavar="RATE", help="Of the predictor's hardware.")
+@click.option("--jobs", type=click.IntRange(1), help="Key intervals at a time; default: all cores.")
+@click.option("--device", type=click.Choice(DEVICES), default=DEVICES[0])
+@click.option("--progress", type=click.Choice(KINDS), default=KINDS[0])
+def command(
+    scenes: str | None,
+    setting: str,
+    systems: str | None,
+    metrics: str,
+    clock: str,
+    progress: str,
+    fps: Fraction | None,
+    **options: object,
+) -> None:
+    """Measure every method on DATA, or on SEQUENCE with its ground truth.
+
+    DATA is a folder of rendered scenes (several for several resolutions). The output folder gets
+    bench.json, bench.md, report.html and a CSV a table. Stopped at any time, the same command goes
+    on; chunks by --frames into one folder are put together by the same command without it.
+    """
+    from exwarp_cli.domain.metric import parse_metrics
+    from exwarp_cli.pipeline.accelerator import clock_of
+    from exwarp_cli.pipeline.bench.plan import listed, systems_of
+    from exwarp_cli.pipeline.bench.work import run_benchmark
+    from exwarp_cli.pipeline.progress import make_progress
+    from exwarp_cli.report.bench.folder import write_benchmark
+
+    hertz = clock_of(clock)
+    settings = BenchSettings(
+        scenes=listed(scenes),
+        settings=SETTINGS if setting == "both" else (setting,),
+        systems=systems_of(systems),
+        metrics=parse_metrics(metrics),
+        fps=fps,
+        **options,  # type: ignore[arg-type]
+    )
+    told = make_progress(progress)
+    found = run_benchmark(settings, told)
+    for line in write_benchmark(settings.output, found, hertz, told):
+        click.echo(line)

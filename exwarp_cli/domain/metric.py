@@ -1,0 +1,85 @@
+"""The quality metrics by name: what they are called, and which way they are good."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from exwarp_cli.errors import UsageError
+
+
+@dataclass(frozen=True)
+class Metric:
+    """What is known of a metric without measuring it.
+
+    Attributes
+    ----------
+    field
+        Its name in `Score`, in every report and in every table of frames.
+    option
+        Its name on the command line.
+    title
+        For people, with the unit behind it where it has one.
+    digits
+        Decimals that people are shown.
+    more_is_better
+        Whether it says how alike two images are, not how far apart.
+    in_holes
+        Whether it is defined over a part of a frame.
+    """
+
+    field: str
+    option: str
+    title: str
+    digits: int
+    more_is_better: bool
+    in_holes: bool = True
+
+    def text(self, value: float) -> str:
+        """Write a value for people, without the unit."""
+        return format(value, f".{self.digits}f")
+
+    def sentence(self, value: float) -> str:
+        """Write a value with its name before it and its unit behind it."""
+        name, _, unit = self.title.partition(" ")
+        return f"{name} {self.text(value)} {unit}".rstrip()
+
+
+METRICS = (
+    Metric("psnr_db", "psnr", "PSNR dB", 2, more_is_better=True),
+    Metric("ssim", "ssim", "SSIM", 4, more_is_better=True),
+    Metric("flip", "flip", "FLIP", 4, more_is_better=False),
+    Metric("hdr_flip", "hdr-flip", "HDR-FLIP", 4, more_is_better=False),
+    Metric("vmaf", "vmaf", "VMAF", 2, more_is_better=True, in_holes=False),
+    Metric("flicker", "flicker", "flicker", 3, more_is_better=False),
+)
+"""All of them, in the order in which they are shown."""
+
+BY_OPTION = {metric.option: metric for metric in METRICS}
+
+DEFAULT_METRICS = ("psnr_db", "ssim", "flip")
+"""What is measured where nobody chooses."""
+
+ALL = "all"
+
+
+def parse_metrics(text: str) -> tuple[str, ...]:
+    """Read a list of metrics such as ``psnr,vmaf``, or ``all``.
+
+    Returns
+    -------
+    tuple of str
+        Their names in `Score`, each once, in the order of `METRICS`.
+
+    Raises
+    ------
+    UsageError
+        For a name that is none, and for an empty list.
+    """
+    named = [name.strip().lower() for name in text.split(",")]
+    unknown = [name for name in named if name not in (*BY_OPTION, ALL)]
+    if unknown:
+        raise UsageError(
+            f"--metrics {text!r} names {unknown[0]!r}, which is no metric; choose out of "
+            f"{', '.join(BY_OPTION)}, with commas between, or {ALL}"
+        )
+    return tuple(m.field for m in METRICS if ALL in named or m.option in named)

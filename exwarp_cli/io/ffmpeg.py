@@ -1,0 +1,117 @@
+"""Running ffmpeg, the one that imageio-ffmpeg ships, on raw frames that it is fed with.
+
+It is started here, not by that package's ``write_frames``, because that drops the exit status and
+so takes a full disk for success.
+"""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import tempfile
+from collections.abc import Sequence
+from contextlib import ExitStack, suppress
+from pathlib import Path
+from types import TracebackType
+from typing import IO
+
+import imageio_ffmpeg
+import numpy as np
+import numpy.typing as npt
+
+UInt8 = npt.NDArray[np.uint8]
+
+RAW_INPUT = "-f rawvideo -pix_fmt rgb24 -s {width}x{height} -r {rate} -i -"
+"""Options that make ffmpeg read what `Feed.write` writes."""
+
+
+class FfmpegError(Exception):
+    """ffmpeg failed; the text quotes its last line, or tells what kept it from starting.
+
+    Not an error for users: who feeds ffmpeg says what it was for, and what to do.
+    """
+
+
+class Feed:
+    """One run of ffmpeg that reads frames from here; a context manager.
+
+    Left without `close`, by an error for example, it ends ffmpeg.
+
+    Parameters
+    ----------
+    options
+        Without the program's name.
+    folder
+        Where it runs; None for here.
+
+    Raises
+    ------
+    FfmpegError
+        When ffmpeg does not start.
+    """
+
+    def __init__(self, options: Sequence[str], folder: Path | None = None) -> None:
+        self._options = options
+        self._folder = folder
+        self._stack = ExitStack()
+
+    def __enter__(self) -> Feed:
+        with ExitStack() as stack:
+            self._log: IO[bytes] = stack.enter_context(tempfile.TemporaryFile())
+            try:
+                self._ffmpeg = subprocess.Popen(
+                    [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", "-y", *self._options],
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.DEVNULL,
+                    stderr=self._log,
+                    cwd=self._folder,
+                    process_group=0,  # Ctrl-C is for us to answer; ffmpeg then ends with us
+                )
+            except (OSError, RuntimeError) as error:
+                raise FfmpegError(f"ffmpeg does not start ({error})") from error
+            stack.callback(self._kill)
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._stack.__exit__(kind, error, trace)
+
+    def write(self, frame: UInt8) -> None:
+        """Send a frame, uint8 [H, W, 3]; raises FfmpegError."""
+        assert self._ffmpeg.stdin is not None
+        try:
+            self._ffmpeg.stdin.write(np.ascontiguousarray(frame).data)
+        except OSError as error:  # a broken pipe; why ffmpeg left stands in what it printed
+            raise self._failure() from error
+
+    def close(self) -> None:
+        """Say that there are no more frames, and wait for the end; raises FfmpegError."""
+        assert self._ffmpeg.stdin is not None
+        try:
+            self._ffmpeg.stdin.close()
+        except OSError as error:
+            raise self._failure() from error
+        if self._ffmpeg.wait() != 0:
+            raise self._failure()
+
+    def _failure(self) -> FfmpegError:
+        self._kill()
+        self._log.seek(0)
+        lines = self._log.read().decode("utf-8", "replace").strip().splitlines()
+        if not lines:
+            return FfmpegError(f"ffmpeg ends with status {self._ffmpeg.returncode}")
+        said = re.sub(r"^\[.*?\] ", "", lines[-1].strip())
+        return FfmpegError(f"ffmpeg says {said!r}")
+
+    def _kill(self) -> None:
+        if self._ffmpeg.poll() is None:
+            self._ffmpeg.kill()
+        self._ffmpeg.wait()
+        if self._ffmpeg.stdin is not None and not self._ffmpeg.stdin.closed:
+            with suppress(OSError):  # what was buffered has no reader any more
+                self._ffmpeg.stdin.close()

@@ -1,0 +1,1 @@
+"""What ``exwarp bench`` measures: key intervals of sequences, by every system."""

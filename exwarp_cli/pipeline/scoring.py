@@ -1,0 +1,209 @@
+"""Scores of the slots of one key interval: each frame's own, and what takes its neighbours too."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import takewhile
+
+import numpy as np
+
+from exwarp_cli.domain.frame import Bool, Float32, Window, place
+from exwarp_cli.domain.results import Score
+from exwarp_cli.domain.settings import UpsampleSettings
+from exwarp_cli.domain.timeline import FACTOR
+from exwarp_cli.errors import UsageError
+from exwarp_cli.io.ffmpeg import UInt8
+from exwarp_cli.io.video import to_display
+from exwarp_cli.io.vmaf import require_size, vmaf
+from exwarp_cli.metrics.flicker import Transition, error, flicker, landing, transition
+from exwarp_cli.metrics.registry import score
+from exwarp_cli.synthesis.interval import Interval
+
+Scores = tuple[Score, Score | None]
+"""Over all pixels, and in holes."""
+
+SLOTS = range(1, FACTOR)
+
+
+@dataclass(frozen=True)
+class Steps:
+    """How surfaces move through an interval, on the display window.
+
+    Attributes
+    ----------
+    fields
+        By slot, 1 to 3: float32 [H, W, 2], pixels, to the instant before; NaN where unknown.
+    hidden
+        By slot, bool [H, W]: the instant before does not show the surface point.
+    followed
+        Whether a rendered frame comes after slot 3.
+    """
+
+    fields: dict[int, Float32]
+    hidden: dict[int, Bool]
+    followed: bool
+
+
+def steps_of(interval: Interval, display: Window, followed: bool = True) -> Steps | None:
+    """Return an interval's steps, along which flicker is followed; None without motion."""
+    if not interval.has_motion:
+        return None
+    canvas = interval.key.image.data_window
+    motion = {s: interval.back(1) if s == 1 else interval.step_back(s) for s in SLOTS}
+    return Steps(
+        {slot: place(m.field, canvas, display, np.nan) for slot, m in motion.items()},
+        {slot: place(m.hole, canvas, display, True) for slot, m in motion.items()},
+        followed,
+    )
+
+
+def flicker_of(
+    errors: Mapping[int, Float32], masks: Mapping[int, Bool], steps: Steps
+) -> list[tuple[float | None, float | None]]:
+    """Return the flicker of slots 1 to 3, over all pixels and in holes.
+
+    Parameters
+    ----------
+    errors
+        By slot, what `metrics.flicker.error` returned; the key frames around count as right. A slot
+        that is not there has (None, None).
+    masks
+        By slot, bool [H, W].
+    steps
+        Of the interval.
+    """
+
+    def into(slot: int) -> Transition | None:
+        if slot not in errors or (slot > 1 and slot - 1 not in errors):
+            return None
+        before = errors.get(slot - 1)
+        return transition(errors[slot], before, steps.fields[slot], steps.hidden[slot])
+
+    last = errors.get(SLOTS[-1]) if steps.followed else None
+    transitions = [*map(into, SLOTS), None if last is None else landing(last)]
+    return flicker(transitions, [masks.get(slot) for slot in SLOTS])
+
+
+def vmaf_of(truth: Mapping[int, Float32], rows: Sequence[Sequence[Float32]]) -> list[list[float]]:
+    """Return the VMAF of slots 1 to 3 of several versions of an interval.
+
+    Parameters
+    ----------
+    truth
+        Slots 0 to 3 and, where a rendered frame follows, 4 (`FACTOR`): float32 [H, W, 3] or more,
+        scene-linear. What is shown at slots 0 and 4 counts as right.
+    rows
+        A version each: its frames at slots 1 to 3.
+    """
+    reference = [to_display(truth[slot]) for slot in sorted(truth)]
+    ends = reference[FACTOR:]
+    videos = [[reference[0], *map(to_display, row), *ends] for row in rows]
+    if ends:  # a closed interval hides what comes after it, so all go through one ffmpeg
+        found = vmaf(reference * len(rows), [frame for video in videos for frame in video])
+    else:
+        found = [value for video in videos for value in vmaf(reference, video)]
+    count = len(reference)
+    return [found[i * count + 1 : i * count + FACTOR] for i in range(len(rows))]
+
+
+def require_measurable(settings: UpsampleSettings, display: Window) -> None:
+    """Refuse metrics that cannot be measured, before any work.
+
+    Raises
+    ------
+    UsageError
+        For metrics without ground truth.
+    LayoutError
+        For VMAF of frames that are too small for it.
+    """
+    if settings.ground_truth is None and settings.metrics is not None:
+        raise UsageError(
+            "--metrics names what is measured against --ground-truth; give that too, or leave "
+            "--metrics out"
+        )
+    if settings.ground_truth is not None and "vmaf" in settings.measured:
+        require_size(display.height, display.width, "the input")
+
+
+class IntervalScores:
+    """Scores slots 1 to 3 of one interval, in order, on the display window.
+
+    VMAF and flicker depend on nothing beyond the interval: of VMAF's features only the reference's
+    own motion reaches over frames, and rendered frames have no error. So any split into chunks
+    gives the same scores.
+
+    Parameters
+    ----------
+    interval
+        Whose motion flicker is followed along; without motion it is not measured.
+    display
+        The window that is scored.
+    names
+        What is measured, as in `Score`.
+    followed
+        Whether a rendered frame comes after slot 3.
+    """
+
+    def __init__(
+        self, interval: Interval, display: Window, names: tuple[str, ...], followed: bool
+    ) -> None:
+        self._names = names
+        self._steps = steps_of(interval, display, followed) if "flicker" in names else None
+        self._scores: dict[int, Scores] = {}
+        self._masks: dict[int, Bool] = {}
+        self._errors: dict[int, Float32] = {}
+        self._shown: dict[int, tuple[UInt8, UInt8]] = {}
+
+    def frame(self, slot: int, truth: Float32, test: Float32, mask: Bool | None) -> Scores:
+        """Score a slot's frame by what needs no other one.
+
+        Parameters
+        ----------
+        slot
+            1 to 3.
+        truth, test
+            float32 [H, W, 3] or more, scene-linear.
+        mask
+            bool [H, W], the slot's holes; None without motion.
+        """
+        self._scores[slot] = score(truth, test, mask, self._names)
+        if mask is not None:
+            self._masks[slot] = mask
+        if self._steps is not None:
+            self._errors[slot] = error(truth, test)
+        if "vmaf" in self._names:
+            self._shown[slot] = (to_display(truth), to_display(test))
+        return self._scores[slot]
+
+    def complete(self, ends: Mapping[int, Float32]) -> dict[int, Scores]:
+        """Return the scores of all slots with what takes several frames.
+
+        Parameters
+        ----------
+        ends
+            Ground truth at slot 0, and at `FACTOR`, the next key frame's instant, as far as it is
+            there; float32 [H, W, 3] or more, scene-linear. Only for VMAF.
+        """
+        found = dict(self._scores)
+        if "vmaf" in self._names:
+            for slot, value in self._vmaf(ends).items():
+                found[slot] = (replace(found[slot][0], vmaf=value), found[slot][1])
+        if self._steps is not None:
+            values = flicker_of(self._errors, self._masks, self._steps)
+            for slot, (overall, masked) in zip(SLOTS, values, strict=True):
+                if slot in found:
+                    whole, inside = found[slot]
+                    inside = None if inside is None else replace(inside, flicker=masked)
+                    found[slot] = (replace(whole, flicker=overall), inside)
+        return found
+
+    def _vmaf(self, ends: Mapping[int, Float32]) -> dict[int, float]:
+        """Score the interval as a video between two rendered frames, taken to be the truth's."""
+        pairs = dict(self._shown)
+        for slot, pixels in ends.items():
+            pairs[slot] = (to_display(pixels),) * 2
+        # From the key frame on, up to the first instant without truth.
+        video = list(takewhile(pairs.__contains__, range(FACTOR + 1)))
+        values = vmaf((pairs[slot][0] for slot in video), (pairs[slot][1] for slot in video))
+        return {slot: v for slot, v in zip(video, values, strict=True) if slot in self._shown}

@@ -1,0 +1,108 @@
+"""The page of a comparison between two sequences."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from exwarp_cli.pipeline.evaluate import Comparison
+from exwarp_cli.report.gallery import Album
+from exwarp_cli.report.page import Block, Cell, Number, Page, Section, Table, Text, Viewer
+from exwarp_cli.report.page_parts import (
+    BY_FIELD,
+    facts_of,
+    file_name,
+    metric_plots,
+    metric_text,
+    percent,
+    quality_numbers,
+    quality_table,
+    worst_table,
+)
+from exwarp_cli.report.plot_style import Labels
+from exwarp_cli.report.plots import lines
+
+REFERENCE, TEST = "reference", "test"
+"""Names of the two sources in the viewer."""
+
+
+def compare_page(result: Comparison, document: dict[str, Any], album: Album | None = None) -> Page:
+    """Build the page of a comparison.
+
+    Parameters
+    ----------
+    result
+        Its frames are plotted.
+    document
+        What `exwarp_cli.report.comparison.comparison` made of it: tables and headline.
+    album
+        Pictures of its frames; None for a page without a viewer.
+    """
+    if album is not None:
+        for frame in result.frames:
+            facts = facts_of(frame.score, frame.hole_score)
+            if frame.reference != frame.test:
+                facts["reference frame"] = str(frame.reference)
+            if frame.hole_fraction is not None:
+                facts["holes"] = str(percent(frame.hole_fraction))
+            album.tell(frame.test, "", facts)
+    test, reference = document["test"]["pattern"], document["reference"]["pattern"]
+    return Page(
+        f"{file_name(test)} against {file_name(reference)}",
+        f"{test} against {reference}",
+        [
+            Number("Frames", f"{document['frames']:,}", f"matched by {document['matched_by']}"),
+            *quality_numbers(document["quality"]["all"]),
+        ],
+        (
+            Section("frames", "Frames", [Viewer(album)] if album and album.frames else []),
+            Section("quality", "Quality", _quality(result, document, album)),
+            Section("input", "Input", [_input(document)]),
+        ),
+    )
+
+
+def _quality(result: Comparison, document: dict[str, Any], album: Album | None) -> list[Block]:
+    quality = document["quality"]
+    numbers = [frame.test for frame in result.frames]
+    scores = [frame.score for frame in result.frames]
+    blocks = {"all pixels": quality["all"], "holes only": quality["holes"]}
+    found: list[Block] = [quality_table("Means over the frames", blocks)]
+    limits = _limits(document["thresholds"])
+    shown = () if album is None else tuple(album.frames)
+    worst = worst_table(numbers, scores, shown)
+    found += [block for block in (limits, worst) if block is not None]
+    found += metric_plots(numbers, scores)
+    found += [Text(note) for note in document["notes"]]
+    holes = [None if f.hole_fraction is None else 100 * f.hole_fraction for f in result.frames]
+    if any(share is not None for share in holes):
+        labels = Labels(
+            "Hole share per frame", "frame", "holes, % of pixels", "Share of pixels in the mask."
+        )
+        found.append(lines(labels, numbers, {"holes": holes}))
+    return found
+
+
+def _limits(verdicts: list[dict[str, Any]]) -> Table | None:
+    """List the limits that the comparison was held against."""
+    if not verdicts:
+        return None
+    rows: list[list[Cell]] = []
+    for one in verdicts:
+        metric = BY_FIELD[one["metric"]]
+        value = metric_text(metric, one["value"])
+        limit = f"fails {one['fails']} {one['limit']:g}"
+        rows.append([one["name"], value, limit, "passed" if one["passed"] else "failed"])
+    return Table("Limits", ("", "value", "limit", ""), rows)
+
+
+def _input(document: dict[str, Any]) -> Table:
+    rows: list[list[Cell]] = []
+    for name in ("reference", "test", "masks"):
+        told = document[name]
+        if told is not None:
+            rows.append([name, told["pattern"], f"{told['first']}-{told['last']}"])
+    rows.append(["size", f"{document['width']}x{document['height']}", ""])
+    if document["preset"] is not None:
+        rows.append(["preset", document["preset"], ""])
+    rows.append(["ExWarp", document["version"], ""])
+    return Table("", ("", "", "frames"), rows)

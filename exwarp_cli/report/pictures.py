@@ -1,0 +1,174 @@
+"""Frames as small pictures inside a page: WebP with room above white, and masks as PNG."""
+
+from __future__ import annotations
+
+import base64
+import io
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from exwarp_cli.domain.frame import Bool, Float32
+from exwarp_cli.metrics.display import PEAK, encode
+
+LONGEST = 640
+"""Longest side of a picture, pixels."""
+
+QUALITIES = (82, 60, 40, 20)
+"""Qualities of WebP that are tried in turn until a picture is small enough."""
+
+HIGHEST = 16
+"""Brightest scene-linear value that a picture keeps: four stops above white."""
+
+SLOPE = 1.055 / 2.4
+"""Of the sRGB curve at 1, which the logarithm above goes on with."""
+
+HOLE_SHARE = 0.25
+"""Share of a picture's pixel that has to be holes; half of it would lose thin ones."""
+
+UInt8 = npt.NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class Picture:
+    """An encoded image.
+
+    Attributes
+    ----------
+    media
+        "image/webp" or "image/png".
+    data
+        The file.
+    width, height
+        Pixels.
+    peak
+        Scene-linear value of code 255, see `curve`; 0 for errors and masks, which hold no colour.
+    """
+
+    media: str
+    data: bytes
+    width: int
+    height: int
+    peak: int = 0
+
+    def plain(self) -> dict[str, str | int]:
+        """Return what the page's script reads."""
+        return {"url": self.url, "width": self.width, "height": self.height, "peak": self.peak}
+
+    @property
+    def url(self) -> str:
+        """The picture as a data URL."""
+        return f"data:{self.media};base64,{base64.b64encode(self.data).decode('ascii')}"
+
+
+def reduced(pixels: Float32, longest: int = LONGEST) -> Float32:
+    """Shrink an image so that its longest side is at most `longest` pixels.
+
+    Parameters
+    ----------
+    pixels
+        float32 [H, W, 3] or more, scene-linear; NaN and negative values become 0, infinities the
+        brightest value that pictures keep.
+
+    Returns
+    -------
+    float32 [H', W', 3]
+        The mean over the area of each pixel, 0 to HIGHEST.
+    """
+    colour = np.nan_to_num(pixels[..., :3].astype(np.float32), nan=0.0, posinf=HIGHEST, neginf=0.0)
+    return np.stack([_shrunk(colour[..., c].clip(0, HIGHEST), longest) for c in range(3)], -1)
+
+
+def peak_of(*images: Float32) -> int:
+    """Return the power of two, 1 to HIGHEST, that 99.9 % of the pixels stay below in all images."""
+    bright = max(float(np.percentile(image, 99.9)) for image in images)
+    return int(min(2 ** math.ceil(math.log2(max(bright, 1.0))), HIGHEST))
+
+
+def curve(linear: Float32, peak: int) -> Float32:
+    """Encode scene-linear values 0 to `peak` as 0 to 1.
+
+    The sRGB curve up to 1, above it the logarithm with the same slope; divided by its value at
+    `peak`. With the sRGB curve alone over 0 to 16, shadows would be left in steps of 16 levels.
+    """
+    toe = linear * np.float32(12.92)
+    body = np.float32(1.055) * np.maximum(linear, 0) ** np.float32(1 / 2.4) - np.float32(0.055)
+    above = 1 + np.float32(SLOPE) * np.log(np.maximum(linear, 1))
+    coded = np.where(linear <= 0.0031308, toe, np.where(linear <= 1, body, above))
+    return np.asarray(coded.clip(0, None) / (1 + SLOPE * math.log(peak)), np.float32)
+
+
+def colour_picture(pixels: Float32, peak: int, room: int) -> Picture:
+    """Encode what `reduced` returned, in at most about `room` bytes."""
+    return _webp(_bytes(curve(pixels, peak)), room, peak)
+
+
+def error_picture(reference: Float32, test: Float32, room: int, longest: int = LONGEST) -> Picture:
+    """Encode how far two frames are apart on a display.
+
+    The mean over the channels of the absolute difference of sRGB values, taken before shrinking;
+    code 255 is the whole range, by a square root that keeps small errors visible.
+
+    Parameters
+    ----------
+    reference, test
+        float32 [H, W, 3] or more, scene-linear, of one size.
+    room
+        Bytes that it may take.
+    longest
+        Longest side of the picture, pixels.
+    """
+    apart = np.abs(encode(reference) - encode(test)).mean(axis=-1) / np.float32(PEAK)
+    grey = _bytes(np.sqrt(_shrunk(apart, longest)))
+    return _webp(np.repeat(grey[..., None], 3, axis=-1), room, 0)
+
+
+def mask_picture(mask: Bool, longest: int = LONGEST) -> Picture:
+    """Encode holes, bool [H, W], as a PNG of one bit a pixel."""
+    from PIL import Image
+
+    holes = _shrunk(mask.astype(np.float32), longest) > HOLE_SHARE
+    file = io.BytesIO()
+    Image.fromarray(np.where(holes, 255, 0).astype(np.uint8)).convert("1").save(
+        file, "PNG", optimize=True
+    )
+    return Picture("image/png", file.getvalue(), holes.shape[1], holes.shape[0])
+
+
+def _shrunk(plane: Float32, longest: int) -> Float32:
+    """Average a plane [H, W] over areas, or return it where it is small enough."""
+    height, width = plane.shape
+    if max(height, width) <= longest:
+        return plane
+    from PIL import Image
+
+    scale = longest / max(height, width)
+    size = max(round(width * scale), 1), max(round(height * scale), 1)
+    small = Image.fromarray(np.ascontiguousarray(plane)).resize(size, Image.Resampling.BOX)
+    return np.asarray(small, np.float32)
+
+
+def _bytes(values: Float32) -> UInt8:
+    """Round 0 to 1 to 8 bits."""
+    rounded: UInt8 = np.floor(values.clip(0, 1) * np.float32(255) + np.float32(0.5)).astype(
+        np.uint8
+    )
+    return rounded
+
+
+def _webp(pixels: UInt8, room: int, peak: int) -> Picture:
+    """Encode 8-bit pixels [H, W, 3]; below the lowest quality only fewer pixels help."""
+    from PIL import Image
+
+    image = Image.fromarray(pixels)
+    while True:
+        for quality in QUALITIES:
+            file = io.BytesIO()
+            image.save(file, "WEBP", quality=quality, method=2)
+            if file.tell() <= room:
+                return Picture("image/webp", file.getvalue(), *image.size, peak)
+        if max(image.size) <= 32:
+            return Picture("image/webp", file.getvalue(), *image.size, peak)
+        image = image.resize((max(image.width // 2, 1), max(image.height // 2, 1)))

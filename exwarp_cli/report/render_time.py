@@ -1,0 +1,50 @@
+"""What a farm wants to know first: the time that was not rendered, against the tool's own."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from exwarp_cli.domain.results import FrameKind, RunSummary
+from exwarp_cli.report.quality import mean
+
+
+def render_time(run: RunSummary) -> dict[str, Any] | None:
+    """Return what a run saved, from the render times in the headers of its key frames.
+
+    Frames of an earlier run are left out, as this one spent no time on them; so are repeats, which
+    nobody would call rendered.
+
+    Returns
+    -------
+    dict or None
+        ``key_frame_s``, mean render time of a key frame; ``key_frames``, how many headers told it;
+        ``source``, the attribute; ``generated_frame_s``, wall time of this run for each generated
+        frame, reading and writing included; ``saved_s``, what rendering the generated frames would
+        have taken less the run's wall time; ``saved_share``, that as a share of rendering all
+        frames. None where no header tells, or nothing was generated.
+    """
+    told = [frame.render for frame in run.frames if frame.render is not None]
+    made = sum(frame.kind is FrameKind.GENERATED and not frame.resumed for frame in run.frames)
+    each = mean(seconds for seconds, _ in told)
+    if each is None or not made:
+        return None
+    keys = sum(frame.kind is FrameKind.KEY for frame in run.frames)
+    saved = made * each - run.wall_seconds
+    return {
+        "key_frame_s": each,
+        "key_frames": len(told),
+        "source": told[0][1],
+        "generated_frame_s": run.wall_seconds / made,
+        "saved_s": saved,
+        "saved_share": saved / ((made + keys) * each),
+    }
+
+
+def duration(seconds: float) -> str:
+    """Write a time as people say it: 42.1 s, 13 min, 2 h 5 min."""
+    if abs(seconds) < 120:
+        return f"{seconds:.1f} s"
+    minutes = round(abs(seconds) / 60)
+    sign = "-" if seconds < 0 else ""
+    hours, rest = divmod(minutes, 60)
+    return f"{sign}{hours} h {rest} min" if hours else f"{sign}{minutes} min"

@@ -1,0 +1,330 @@
+// The frame viewer: one canvas, two sources, drawn from pictures that keep highlights.
+(() => {
+  const SLOPE = 1.055 / 2.4;
+  const CACHED = 24;
+  // Of holes: a colour that neither renders nor, in error maps, the map has much of.
+  const TINT = [230, 60, 200];
+  const ERROR_TINT = [0, 190, 230];
+
+  const toLinear = (v) => (v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4);
+  const toDisplay = (v) => (v <= 0.0031308 ? 12.92 * v : 1.055 * v ** (1 / 2.4) - 0.055);
+
+  // Display byte for each of the 256 codes of a picture; undoes `pictures.curve`.
+  const exposureTable = (peak, stops) => {
+    const table = new Uint8Array(256);
+    for (let code = 0; code < 256; code++) {
+      const v = (code / 255) * (1 + SLOPE * Math.log(peak));
+      const linear = v <= 1 ? toLinear(v) : Math.exp((v - 1) / SLOPE);
+      table[code] = Math.round(255 * toDisplay(Math.min(linear * 2 ** stops, 1)));
+    }
+    return table;
+  };
+
+  const heatTable = (colours) => Array.from({ length: 256 }, (_, code) => {
+    const at = (code / 255) * (colours.length - 1);
+    const i = Math.min(Math.floor(at), colours.length - 2);
+    return colours[i].map((low, c) => Math.round(low + (at - i) * (colours[i + 1][c] - low)));
+  });
+
+  class Viewer {
+    constructor(root) {
+      this.root = root;
+      this.data = JSON.parse(root.querySelector("script").textContent);
+      this.parts = {};
+      for (const part of root.querySelectorAll("[data-part]")) this.parts[part.dataset.part] = part;
+      this.modes = [...root.querySelectorAll(".modes input")];
+      this.heat = heatTable(this.data.heat);
+      this.context = this.parts.canvas.getContext("2d", { willReadFrequently: true });
+      this.decoded = new Map();
+      this.index = 0;
+      this.split = 50;
+      this.asked = 0;
+      this.timer = 0;
+    }
+
+    start() {
+      const { parts, data, root } = this;
+      for (const name of ["before", "after"]) {
+        for (const source of data.names) parts[name].add(new Option(source, source));
+        parts[name].value = data.names.includes(data[name]) ? data[name] : data.names[0];
+        parts[name].addEventListener("change", () => this.draw());
+      }
+      parts.seek.max = data.frames.length - 1;
+      const ramp = data.heat.map((colour) => `rgb(${colour})`);
+      parts.ramp.style.background = `linear-gradient(to right, ${ramp})`;
+      for (const mode of this.modes) mode.addEventListener("change", () => this.draw());
+      for (const name of ["holes", "exposure"]) parts[name].addEventListener("input", () => this.draw());
+      parts.seek.addEventListener("input", () => this.show(Number(parts.seek.value)));
+      parts.back.addEventListener("click", () => this.step(-1));
+      parts.forth.addEventListener("click", () => this.step(1));
+      parts.play.addEventListener("click", () => this.play());
+      parts.speed.addEventListener("change", () => { if (this.timer) { this.play(); this.play(); } });
+      parts.help.addEventListener("click", () => this.help());
+      this.watchDivider();
+      root.hidden = false;
+      // Rendered frames are equal to their truth: there is more to see in the first after them.
+      const first = data.frames.findIndex((frame) =>
+        (data.start === null ? frame.kind !== "key" : frame.number === data.start));
+      this.index = Math.max(first, 0);
+      this.follow();
+      addEventListener("hashchange", () => this.follow());
+    }
+
+    get mode() { return this.modes.find((input) => input.checked).value; }
+    set mode(value) { this.modes.find((input) => input.value === value).checked = true; this.draw(); }
+    get frame() { return this.data.frames[this.index]; }
+
+    // The address keeps the frame: #viewer:12.
+    follow() {
+      const [name, number] = decodeURIComponent(location.hash.slice(1)).split(":");
+      const found = this.data.frames.findIndex((frame) => String(frame.number) === number);
+      const named = name === this.root.id && found >= 0;
+      if (named && document.readyState !== "loading") this.root.scrollIntoView({ block: "nearest" });
+      this.show(named ? found : this.index, false);
+    }
+
+    show(index, keep = true) {
+      this.index = Math.max(0, Math.min(index, this.data.frames.length - 1));
+      if (keep) {
+        // Some browsers refuse this for files; the frame is shown all the same.
+        try { history.replaceState(null, "", `#${this.root.id}:${this.frame.number}`); } catch {}
+      }
+      this.draw();
+    }
+
+    step(by) { this.show(this.index + by); }
+
+    play() {
+      if (this.timer) { clearInterval(this.timer); this.timer = 0; }
+      else {
+        const wait = 1000 / Number(this.parts.speed.value);
+        this.timer = setInterval(() => this.show((this.index + 1) % this.data.frames.length), wait);
+      }
+      this.parts.play.textContent = this.timer ? "Pause" : "Play";
+      this.parts.play.setAttribute("aria-pressed", String(Boolean(this.timer)));
+    }
+
+    help() {
+      this.parts.keys.hidden = !this.parts.keys.hidden;
+      this.parts.help.setAttribute("aria-expanded", String(!this.parts.keys.hidden));
+    }
+
+    expose(by) {
+      this.parts.exposure.value = Number(this.parts.exposure.value) + by;
+      this.draw();
+    }
+
+    swap() {
+      const { before, after } = this.parts;
+      [before.value, after.value] = [after.value, before.value];
+      this.draw();
+    }
+
+    // The bytes of a stored picture; a few stay decoded.
+    async pixels(index) {
+      if (!this.decoded.has(index)) {
+        const image = new Image();
+        image.src = this.data.images[index].url;
+        const made = image.decode().then(() => {
+          const canvas = document.createElement("canvas");
+          canvas.width = image.naturalWidth;
+          canvas.height = image.naturalHeight;
+          const context = canvas.getContext("2d", { willReadFrequently: true });
+          context.drawImage(image, 0, 0);
+          return context.getImageData(0, 0, canvas.width, canvas.height);
+        });
+        this.decoded.set(index, made);
+        if (this.decoded.size > CACHED) this.decoded.delete(this.decoded.keys().next().value);
+      }
+      return this.decoded.get(index);
+    }
+
+    // A source of the frame on display, RGBA; null where the frame lacks it.
+    async shown(name, stops) {
+      const index = this.frame.pictures[name];
+      if (index === undefined) return null;
+      const stored = await this.pixels(index);
+      const table = exposureTable(this.data.images[index].peak, stops);
+      const out = new ImageData(stored.width, stored.height);
+      for (let i = 0; i < out.data.length; i += 4) {
+        for (let c = 0; c < 3; c++) out.data[i + c] = table[stored.data[i + c]];
+        out.data[i + 3] = 255;
+      }
+      return out;
+    }
+
+    // The stored error of one of the two, else how far they are apart on the display.
+    async error(names, pair) {
+      const found = names.find((name) => this.frame.errors[name] !== undefined);
+      let codes, told;
+      if (found !== undefined) {
+        codes = await this.pixels(this.frame.errors[found]);
+        told = `error of ${found}`;
+      } else {
+        if (!pair[0] || !pair[1]) return [null, "error"];
+        codes = new ImageData(pair[0].width, pair[0].height);
+        for (let i = 0; i < codes.data.length; i += 4) {
+          let sum = 0;
+          for (let c = 0; c < 3; c++) sum += Math.abs(pair[0].data[i + c] - pair[1].data[i + c]);
+          codes.data[i] = Math.round(255 * Math.sqrt(sum / 765));
+        }
+        told = `${names[0]} against ${names[1]}`;
+      }
+      const out = new ImageData(codes.width, codes.height);
+      for (let i = 0; i < out.data.length; i += 4) {
+        out.data.set(this.heat[codes.data[i]], i);
+        out.data[i + 3] = 255;
+      }
+      return [out, told];
+    }
+
+    async tint(image) {
+      if (!image || !this.parts.holes.checked || this.frame.holes === null) return image;
+      const mask = await this.pixels(this.frame.holes);
+      if (mask.data.length !== image.data.length) return image;
+      const tint = this.mode === "error" ? ERROR_TINT : TINT;
+      for (let i = 0; i < image.data.length; i += 4) {
+        if (mask.data[i] < 128) continue;
+        for (let c = 0; c < 3; c++) image.data[i + c] = (image.data[i + c] + 2 * tint[c]) / 3;
+      }
+      return image;
+    }
+
+    async draw() {
+      const turn = ++this.asked;
+      const { parts, mode } = this;
+      const names = [parts.before.value, parts.after.value];
+      const stops = Number(parts.exposure.value);
+      let pair = await Promise.all(names.map((name) => this.shown(name, stops)));
+      let told = names;
+      if (mode === "error") {
+        const [image, text] = await this.error(names, pair);
+        pair = [image, image];
+        told = [text, ""];
+      }
+      pair = [await this.tint(pair[0]), pair[0] === pair[1] ? pair[0] : await this.tint(pair[1])];
+      if (turn !== this.asked) return;
+      this.paint(pair, mode);
+      this.label(pair, told, mode, stops);
+    }
+
+    paint([left, right], mode) {
+      const { canvas } = this.parts;
+      const size = left || right || { width: canvas.width, height: canvas.height };
+      const gap = 4;
+      const width = mode === "side" ? 2 * size.width + gap : size.width;
+      if (canvas.width !== width || canvas.height !== size.height) {
+        canvas.width = width;
+        canvas.height = size.height;
+      }
+      this.context.fillStyle = "#000";
+      this.context.fillRect(0, 0, width, size.height);
+      this.drawn = { left, right, mode };
+      if (mode === "side") {
+        if (left) this.context.putImageData(left, 0, 0);
+        if (right) this.context.putImageData(right, size.width + gap, 0);
+      } else if (mode === "slider") this.paintSplit();
+      else if (left) this.context.putImageData(left, 0, 0);
+    }
+
+    paintSplit() {
+      const { left, right } = this.drawn;
+      const { width, height } = this.parts.canvas;
+      const at = Math.round((width * this.split) / 100);
+      this.context.fillRect(0, 0, width, height);
+      if (left) this.context.putImageData(left, 0, 0, 0, 0, at, height);
+      if (right) this.context.putImageData(right, 0, 0, at, 0, width - at, height);
+    }
+
+    label(pair, told, mode, stops) {
+      const { parts, frame, root } = this;
+      const name = (i) => told[i] + (pair[i] ? "" : " (not in this frame)");
+      parts["left-tag"].textContent = name(0);
+      parts["right-tag"].textContent = mode === "slider" || mode === "side" ? name(1) : "";
+      parts["right-tag"].hidden = parts["right-tag"].textContent === "";
+      parts.divider.hidden = mode !== "slider";
+      parts.legend.hidden = mode !== "error";
+      parts.stops.textContent = (stops > 0 ? "+" : "") + stops;
+      parts.seek.value = this.index;
+      parts.seek.setAttribute("aria-valuetext", frame.label);
+      parts.canvas.setAttribute("aria-label", `${frame.label}: ${told.filter(Boolean).join(" and ")}`);
+      parts.holes.disabled = !this.data.frames.some((one) => one.holes !== null);
+      const facts = Object.entries({ [frame.label]: frame.kind, ...frame.facts });
+      parts.facts.replaceChildren(...facts.map(([term, text]) => {
+        const pairOf = document.createElement("div");
+        pairOf.append(document.createElement("dt"), document.createElement("dd"));
+        pairOf.firstChild.textContent = term;
+        pairOf.lastChild.textContent = text;
+        return pairOf;
+      }));
+      Object.assign(root.dataset, { frame: frame.number, mode, drawn: this.asked });
+    }
+
+    divide(percent) {
+      this.split = Math.max(0, Math.min(percent, 100));
+      this.parts.divider.style.left = `${this.split}%`;
+      this.parts.divider.setAttribute("aria-valuenow", String(Math.round(this.split)));
+      if (this.drawn?.mode === "slider") this.paintSplit();
+    }
+
+    watchDivider() {
+      const { stage, divider } = this.parts;
+      let held = false;
+      const move = (event) => {
+        const box = stage.getBoundingClientRect();
+        this.divide((100 * (event.clientX - box.left)) / box.width);
+      };
+      stage.addEventListener("pointerdown", (event) => {
+        // A touch beside the handle scrolls the page.
+        if (this.mode !== "slider" || (event.pointerType === "touch" && event.target !== divider)) return;
+        held = true;
+        stage.setPointerCapture(event.pointerId);
+        divider.focus({ preventScroll: true });
+        event.preventDefault();
+        move(event);
+      });
+      stage.addEventListener("pointermove", (event) => { if (held) move(event); });
+      for (const end of ["pointerup", "pointercancel"]) stage.addEventListener(end, () => { held = false; });
+      divider.addEventListener("keydown", (event) => {
+        const by = event.shiftKey ? 10 : 2;
+        const to = { ArrowLeft: this.split - by, ArrowRight: this.split + by, Home: 0, End: 100 }[event.key];
+        if (to === undefined) return;
+        this.divide(to);
+        event.preventDefault();
+        event.stopPropagation();
+      });
+    }
+
+    // Returns whether the key meant something here.
+    key(event) {
+      const own = {
+        ArrowLeft: () => this.step(-1), ArrowRight: () => this.step(1),
+        j: () => this.step(-1), k: () => this.step(1),
+        Home: () => this.show(0), End: () => this.show(this.data.frames.length - 1),
+        " ": () => this.play(), "?": () => this.help(), x: () => this.swap(),
+        h: () => { this.parts.holes.checked = !this.parts.holes.checked; this.draw(); },
+        e: () => this.expose(-0.5), E: () => this.expose(0.5),
+      };
+      this.modes.forEach((input, i) => { own[i + 1] = () => { this.mode = input.value; }; });
+      if (!Object.hasOwn(own, event.key)) return false;
+      own[event.key]();
+      return true;
+    }
+  }
+
+  const viewers = [...document.querySelectorAll(".viewer")].map((root) => new Viewer(root));
+  let current = viewers[0];
+  for (const viewer of viewers) {
+    viewer.start();
+    for (const what of ["pointerdown", "focusin"]) {
+      viewer.root.addEventListener(what, () => { current = viewer; });
+    }
+  }
+  document.addEventListener("keydown", (event) => {
+    if (!current || event.ctrlKey || event.altKey || event.metaKey) return;
+    const control = event.target.closest?.("input, select, button, a, [role=slider], .table, .wide");
+    // Fields, buttons and scrolling boxes keep the keys that they use themselves.
+    const theirs = control && (control.tagName === "SELECT" || !/^[a-zA-Z1-4?]$/.test(event.key));
+    if (!theirs && current.key(event)) event.preventDefault();
+  });
+})();

@@ -1,0 +1,78 @@
+"""Whether a comparison is as good as the limits that were set."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from exwarp_cli.domain.threshold import Threshold
+from exwarp_cli.errors import QualityError, UsageError
+from exwarp_cli.pipeline.evaluate import Comparison
+from exwarp_cli.report.quality import quality
+
+
+def verdicts(result: Comparison) -> list[dict[str, Any]]:
+    """Judge every limit of a comparison.
+
+    Returns
+    -------
+    list of dict
+        ``name`` as on the command line, ``metric``, ``scope`` ("all", "holes" or "worst"),
+        ``limit``, ``fails`` ("below" or "above" it), ``value`` (None where it was not measured)
+        and ``passed``, which is false then.
+    """
+    found = []
+    for limit in result.measuring.thresholds:
+        value = _value(result, limit)
+        found.append(
+            {
+                "name": limit.name,
+                "metric": limit.metric.field,
+                "scope": limit.scope,
+                "limit": limit.limit,
+                "fails": limit.option.removeprefix("--fail-"),
+                "value": value,
+                "passed": value is not None and limit.passes(value),
+            }
+        )
+    return found
+
+
+def require_quality(result: Comparison) -> None:
+    """Raise what a comparison fails by.
+
+    Raises
+    ------
+    UsageError
+        When a limit is on something that was not measured: nothing passes unseen.
+    QualityError
+        When a value is worse than its limit.
+    """
+    failed = [verdict for verdict in verdicts(result) if not verdict["passed"]]
+    unknown = [verdict["name"] for verdict in failed if verdict["value"] is None]
+    if unknown:
+        why = f" ({'; '.join(result.notes)})" if result.notes else ""
+        raise UsageError(
+            f"the limit on {unknown[0]} cannot be judged, as it was not measured{why}; leave that "
+            "limit out"
+        )
+    if failed:
+        named = ", ".join(
+            f"{v['name']} {v['value']:.6g} is {v['fails']} {v['limit']:g}" for v in failed
+        )
+        raise QualityError(
+            f"{result.test.pattern} is not good enough: {named}; look at the worst frame, "
+            f"{result.worst.test}, or set other limits"
+        )
+
+
+def _value(result: Comparison, limit: Threshold) -> float | None:
+    name = limit.metric.field
+    if limit.scope == "all":
+        return quality(frame.score for frame in result.frames)[name]
+    if limit.scope == "holes":
+        return quality(frame.hole_score for frame in result.frames)[name]
+    known = [getattr(frame.score, name) for frame in result.frames]
+    measured: list[float] = [value for value in known if value is not None]
+    if not measured:
+        return None
+    return min(measured) if limit.metric.more_is_better else max(measured)

@@ -1,0 +1,285 @@
+"""The page of an ``upsample`` run."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from exwarp_cli.domain.decision import HOLD, NODES
+from exwarp_cli.domain.features import FEATURES
+from exwarp_cli.domain.results import FrameKind, FrameRecord, RunSummary
+from exwarp_cli.domain.timeline import FACTOR
+from exwarp_cli.report.gallery import Album
+from exwarp_cli.report.page import Block, Cell, Number, Page, Section, Table, Viewer
+from exwarp_cli.report.page_parts import (
+    facts_of,
+    file_name,
+    metric_plots,
+    number,
+    percent,
+    quality_numbers,
+    quality_table,
+    time_text,
+    worst_table,
+)
+from exwarp_cli.report.plot_style import Figure, Labels
+from exwarp_cli.report.plots import lines, points, series_panels, stacked_bars
+from exwarp_cli.report.quality import mean
+from exwarp_cli.report.strip import Cell as StripCell
+from exwarp_cli.report.strip import strip
+
+
+def upsample_page(run: RunSummary, document: dict[str, Any], album: Album | None = None) -> Page:
+    """Build the page of a run.
+
+    Parameters
+    ----------
+    run
+        The run; its frames are plotted.
+    document
+        What `exwarp_cli.report.summary.report` made of it: tables and headline.
+    album
+        Pictures of its frames; None for a page without a viewer.
+    """
+    frames = run.frames
+    if album is not None:
+        for frame in frames:
+            album.tell(frame.number, made_by(frame), _facts(frame))
+    shown = () if album is None else tuple(album.frames)
+    source = document["input"]
+    count = document["frames"]["written"]
+    return Page(
+        file_name(source["pattern"]),
+        f"{run.method} on {source['pattern']}: {count} frames, "
+        f"{source['width']}x{source['height']}",
+        headline(document),
+        (
+            Section("frames", "Frames", [Viewer(album)] if album and album.frames else []),
+            Section("quality", "Quality", _quality(frames, document, shown)),
+            Section("decisions", "Decisions", _decisions(run, document)),
+            Section("holes", "Holes and features", _evidence(frames)),
+            Section("timing", "Time", _timing(frames, document)),
+            Section("input", "Input and settings", _settings(document)),
+        ),
+    )
+
+
+def made_by(frame: FrameRecord) -> str:
+    """Say what made a frame, as `plots.KINDS` names it."""
+    if frame.kind is FrameKind.KEY:
+        return "key"
+    if frame.kind is FrameKind.DROPPED:
+        return HOLD
+    return frame.made_by or frame.method
+
+
+def headline(document: dict[str, Any]) -> list[Number]:
+    """Return the numbers on top: what a farm saved first, where the headers told it."""
+    frames, fps, holes = document["frames"], document["fps"], document["holes"]
+    found = _saved(document.get("render_time"))
+    parts = f"{frames['key']} rendered, {frames['generated']} generated"
+    if frames["dropped"]:
+        parts += f", {frames['dropped']} repeated"
+    found.append(Number("Frames", f"{frames['written']:,}", parts))
+    found.append(
+        Number("Frame rate", f"{fps['base']:g} → {FACTOR * fps['base']:g} fps", fps["source"])
+    )
+    if fps["effective"] is not None:
+        found.append(Number("Effective", f"{fps['effective']:.1f} fps", "new frames alone"))
+    found += quality_numbers(document["quality"]["all"])
+    if holes["mean_fraction"] is not None:
+        found.append(
+            Number("Holes", str(percent(holes["mean_fraction"])), "of the pixels, on average")
+        )
+    if document["decisions"]["warp_share"] is not None:
+        found.append(
+            Number("Warps", str(percent(document["decisions"]["warp_share"], 0)), "of decisions")
+        )
+    if fps["throughput"]:
+        found.append(
+            Number("Time", str(time_text(1 / fps["throughput"])), "per written frame, all threads")
+        )
+    return found
+
+
+def _saved(block: dict[str, Any] | None) -> list[Number]:
+    """Return what was saved, where a header said how long a frame rendered."""
+    if block is None or block.get("saved_s") is None:
+        return []
+    share = percent(block.get("saved_share"), 0)
+    found = [
+        Number("Render time saved", str(time_text(block["saved_s"])), f"{share} of rendering all")
+    ]
+    for key, label, note in (
+        ("key_frame_s", "Rendered frame", "by the headers, on average"),
+        ("generated_frame_s", "Generated frame", "reading and writing included"),
+    ):
+        if block.get(key) is not None:
+            found.append(Number(label, str(time_text(block[key])), note))
+    return found
+
+
+def _facts(frame: FrameRecord) -> dict[str, str]:
+    """Return what is written beside a frame in the viewer."""
+    facts = {"slot": f"{frame.slot} after key frame {frame.key}"}
+    if frame.path is not None:
+        facts["path"] = frame.path
+    if frame.decision is not None:
+        facts["decision"] = f"{frame.decision.node} = {frame.decision.choice}"
+    facts |= facts_of(frame.score, frame.hole_score)
+    if frame.hole_fraction is not None:
+        facts["holes"] = str(percent(frame.hole_fraction))
+    return facts
+
+
+def _quality(
+    frames: tuple[FrameRecord, ...], document: dict[str, Any], shown: tuple[int, ...]
+) -> list[Block]:
+    scored = [frame for frame in frames if frame.score is not None]
+    if not scored:
+        return []
+    quality = document["quality"]
+    blocks = {"all pixels": quality["all"], "holes only": quality["holes"]}
+    blocks |= {f"made by {name}": part for name, part in quality["by_decision"].items()}
+    blocks["repeated"] = quality["dropped"]
+    blocks = {name: part for name, part in blocks.items() if part["frames"] or name == "all pixels"}
+    numbers, scores = [f.number for f in scored], [f.score for f in scored]
+    made = [made_by(f) for f in scored]
+    told = quality_table(
+        "Against ground truth", blocks, "Means over frames at slots 1 to 3; no key frames."
+    )
+    values = [None if score is None else score.psnr_db for score in scores]
+    found: list[Block] = [told]
+    if any(value is not None for value in values):
+        labels = Labels(
+            "PSNR per frame",
+            "frame",
+            "PSNR, dB",
+            "PSNR of every scored frame, coloured by what made it; higher is better.",
+        )
+        found.insert(0, points(labels, numbers, values, made))
+    found += metric_plots(numbers, scores, skip=("psnr_db",))
+    worst = worst_table(numbers, scores, shown, made)
+    return [*found, worst] if worst is not None else found
+
+
+def _decisions(run: RunSummary, document: dict[str, Any]) -> list[Block]:
+    made = [frame for frame in run.frames if frame.slot]
+    if not made:
+        return []
+    found: list[Block] = [_strip(run.frames)]
+    decisions = document["decisions"]
+    if decisions["warp_share"] is None:
+        return found
+    rows: list[list[Cell]] = [
+        [node, *(number(decisions["nodes"][node][choice], 0) for choice in ("warp", "extrapolate"))]
+        for node in NODES
+    ]
+    found.append(Table("Decisions by node", ("node", "warp", "extrapolate"), rows))
+    paths: list[list[Cell]] = [
+        [name, number(count, 0)] for name, count in decisions["paths"].items()
+    ]
+    found.append(Table("Paths of the key intervals", ("path", "intervals"), paths))
+    return found
+
+
+def _strip(frames: tuple[FrameRecord, ...]) -> Figure:
+    """Draw what made each slot: key intervals from left to right, slots below each other."""
+    intervals: dict[int, list[StripCell | None]] = {}
+    for frame in frames:
+        column = intervals.setdefault(frame.key, [None] * (FACTOR - 1))
+        if frame.slot:
+            taken = frame.decision
+            why = "" if taken is None else f", {taken.node} = {taken.choice}"
+            path = "" if frame.path is None else f", path {frame.path}"
+            hint = f"frame {frame.number}: {made_by(frame)}{why}{path}"
+            column[frame.slot - 1] = StripCell(made_by(frame), hint)
+    labels = Labels(
+        "What made each frame",
+        description="A column a key interval and a row a slot, coloured by what made the frame.",
+    )
+    kinds = dict.fromkeys(made_by(frame) for frame in frames if frame.slot)
+    return strip(
+        labels, [f"slot {i}" for i in range(1, FACTOR)], list(intervals.values()), list(kinds)
+    )
+
+
+def _evidence(frames: tuple[FrameRecord, ...]) -> list[Block]:
+    """Draw the hole share, and the features that decisions were taken by."""
+    found: list[Block] = []
+    holes = [frame for frame in frames if frame.hole_fraction is not None]
+    if holes:
+        labels = Labels(
+            "Hole share per frame", "frame", "holes, % of pixels",
+            "Share of pixels that the warp from the key frame cannot see.",
+        )  # fmt: skip
+        shares = [100 * (frame.hole_fraction or 0.0) for frame in holes]
+        found.append(lines(labels, [frame.number for frame in holes], {"holes": shares}))
+    seen = [(f.number, f.decision.features) for f in frames if f.decision and f.decision.features]
+    if seen:
+        labels = Labels(
+            "Features that the policy sees", "frame",
+            description="The features of each decision's instant, per slot.",
+        )  # fmt: skip
+        columns = zip(*(features.values for _, features in seen), strict=True)
+        series = {
+            name: list(map(float, values))
+            for name, values in zip(FEATURES, columns, strict=True)
+            if name != "R"
+        }
+        found.append(series_panels(labels, [n for n, _ in seen], series))
+    return found
+
+
+def _timing(frames: tuple[FrameRecord, ...], document: dict[str, Any]) -> list[Block]:
+    steps = [step for step, ms in document["timing_ms"].items() if ms is not None]
+    if not steps:
+        return []
+    groups: dict[str, list[FrameRecord]] = {}
+    for frame in frames:
+        if frame.timing_ms:
+            groups.setdefault(made_by(frame), []).append(frame)
+    parts = {
+        step: [mean(f.timing_ms.get(step, 0.0) for f in made) for made in groups.values()]
+        for step in steps
+    }
+    labels = Labels(
+        "Time per frame by what made it", "ms",
+        description="Mean milliseconds of each step for each kind of frame, end to end.",
+    )  # fmt: skip
+    rows: list[list[Cell]] = [[step, number(document["timing_ms"][step])] for step in steps]
+    return [
+        stacked_bars(
+            labels, list(groups), parts,
+            note="Steps overlap on several threads: reading runs ahead and writing behind.",
+        ),
+        Table("Mean of the frames that had the step", ("step", "ms"), rows),
+    ]  # fmt: skip
+
+
+def _settings(document: dict[str, Any]) -> list[Block]:
+    source, fps = document["input"], document["fps"]
+    geometry = {"key": "for the key frames", "slot": "for every slot"}[document["setting"]]
+    rows: list[list[Cell]] = [
+        ["sequence", source["pattern"]],
+        ["key frames", f"{source['first']}-{source['last']}"],
+        ["size", f"{source['width']}x{source['height']}"],
+        ["written by", source["producer"]],
+        ["rate", f"{fps['base']:g} fps ({fps['source']})"],
+        ["G-buffers", geometry],
+        ["motion", source["motion"]["source"]],
+        ["evidence", source["motion"]["evidence"]],
+        ["method", document["method"]],
+        ["uses the next key frame", "yes" if document["lookahead"] else "no"],
+    ]
+    for name in ("extrapolator", "interpolator", "policy"):
+        told = document.get(name) or {}
+        rows += [[f"{name} {key}", _plain(value)] for key, value in told.items()]
+    rows.append(["ExWarp", document["version"]])
+    return [Table("", ("", ""), rows)]
+
+
+def _plain(value: Any) -> str:
+    """Write a setting in words."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return ", ".join(map(str, value)) or "none" if isinstance(value, list | tuple) else str(value)

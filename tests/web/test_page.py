@@ -1,0 +1,265 @@
+"""report.html as text: nothing from outside, everything escaped, the same for the same input."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections import Counter
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from exwarp_cli import cli
+from exwarp_cli.domain.results import RunSummary, Score
+from exwarp_cli.report.folder import PAGE_FILE, write_report
+from exwarp_cli.report.gallery import BUDGET, FRAMES, KEY, OUTPUT, TRUTH, Gallery
+from exwarp_cli.report.page import Link, Page, Section, Table, Text, is_number, render, script_json
+from exwarp_cli.report.summary import report as document_of
+from exwarp_cli.report.upsample_page import headline, upsample_page
+from tests.unit.sample_runs import INPUT, path_run, run
+
+VOID = {"meta", "input", "br", "hr", "img", "link"}
+NAMES = [
+    "a \"b\" 'c'.####.exr",
+    "</script><script>alert(1)</script>",
+    "50% # & <!-- -->",
+    "🎬 \u202e \u2028",
+    "broken \udcff byte",
+    "{{ 7 * 7 }} {% raw %}",
+    "$x_1$ \\frac",
+]
+
+
+class Checker(HTMLParser):
+    """Collects what a page links to, its ids and its text, and finds tags that do not match."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.links: list[str] = []
+        self.ids: Counter[str] = Counter()
+        self.scripts = 0
+        self.text = ""
+
+    def handle_starttag(self, tag, attrs) -> None:
+        self.links += [str(value) for name, value in attrs if name in ("src", "href", "xlink:href")]
+        self.ids.update(str(value) for name, value in attrs if name == "id")
+        assert not [name for name, _ in attrs if name.startswith("on")]
+        self.scripts += tag == "script"
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs) -> None:
+        self.handle_starttag(tag, attrs)
+        if tag not in VOID:
+            self.open.pop()
+
+    def handle_endtag(self, tag) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data) -> None:
+        self.text += data
+
+
+def check(text: str) -> Checker:
+    checker = Checker()
+    checker.feed(text)
+    checker.close()
+    assert checker.open == []
+    assert [name for name, count in checker.ids.items() if count > 1] == []
+    assert [link for link in checker.links if not link.startswith("#")] == []
+    named = {link[1:] for link in checker.links if not link.startswith("#viewer:")}
+    assert named <= set(checker.ids)
+    return checker
+
+
+def data_of(text: str) -> dict:
+    found = re.search(r'<script type="application/json">(.*?)</script>', text, re.DOTALL)
+    return json.loads(found[1])
+
+
+def page_of(made: RunSummary) -> str:
+    return render(upsample_page(made, document_of(made)))
+
+
+def long_run(intervals: int) -> RunSummary:
+    """Return a run with a value in every frame that pages draw."""
+    made = path_run("S5", intervals, scored=True)
+    frames = tuple(
+        replace(f, hole_fraction=0.1, timing_ms={"warp": 1.0, "read": 2.0}) for f in made.frames
+    )
+    return replace(made, frames=frames)
+
+
+def test_a_real_page_is_whole_and_alone(report):
+    text = report.page.read_text(encoding="utf-8")
+    checker = check(text)
+    assert not re.search(r"(src|href|url|import)\W{1,3}https?:", text)
+    assert "http:" not in text and "https:" not in text
+    assert "default-src 'none'" in text
+    for heading in ("Frames", "Quality", "Decisions", "Holes and features", "Time"):
+        assert heading in checker.text
+    assert "var(--warp)" in text and "#fe01" not in text and "%PLOT%" not in text
+
+
+def test_the_viewer_has_what_the_run_wrote(report):
+    data = data_of(report.page.read_text(encoding="utf-8"))
+    assert [frame["number"] for frame in data["frames"]] == list(range(1, 13))
+    assert data["names"] == [OUTPUT, TRUTH, KEY]
+    assert (data["before"], data["after"]) == (OUTPUT, TRUTH)
+    key, first = data["frames"][:2]
+    assert set(key["pictures"].values()) == {key["pictures"][OUTPUT]} and key["errors"] == {}
+    assert first["pictures"][KEY] == key["pictures"][OUTPUT] != first["pictures"][OUTPUT]
+    assert set(first["errors"]) == {OUTPUT} and first["holes"] is not None
+    assert first["facts"]["decision"] == "d1 = warp" and first["facts"]["PSNR"].endswith(" dB")
+    last = data["frames"][-1]
+    assert TRUTH not in last["pictures"], "the truth ends at the last key frame"
+    indices = {i for frame in data["frames"] for i in frame["pictures"].values()}
+    assert max(indices) < len(data["images"]) and all(i["peak"] >= 0 for i in data["images"])
+
+
+def test_a_resumed_run_shows_the_same_frames(report, tmp_path):
+    again = replace(report, folder=tmp_path)
+    again.run("--skip-existing")
+    before, after = (data_of(r.page.read_text(encoding="utf-8")) for r in (report, again))
+    assert before["images"] == after["images"]
+    assert [f["pictures"] for f in before["frames"]] == [f["pictures"] for f in after["frames"]]
+
+
+def test_without_truth_the_key_frame_stands_beside(report, tmp_path):
+    pages = []
+    for option in ("--overwrite", "--skip-existing"):  # the second time all is read from disk
+        code = cli.run(
+            [
+                *("upsample", str(report.keys), "-o", str(tmp_path / "out"), "-m", "blend"),
+                *("--frames", "1", "--report", str(tmp_path), "--progress", "none", option),
+            ]
+        )
+        assert code == 0
+        pages.append((tmp_path / PAGE_FILE).read_text(encoding="utf-8"))
+    first, second = map(data_of, pages)
+    assert (first["before"], first["after"], first["start"]) == (KEY, OUTPUT, None)
+    assert first["names"] == [OUTPUT, KEY]
+    assert all(frame["errors"] == {} for frame in first["frames"])
+    assert "PSNR" not in check(pages[0]).text
+    shown = [
+        [data["images"][frame["pictures"][OUTPUT]] for frame in data["frames"]]
+        for data in (first, second)
+    ]
+    assert shown[0] == shown[1] and len(shown[0]) == 4
+
+
+def test_the_page_of_a_comparison(report, tmp_path):
+    code = cli.run(
+        [
+            *("compare", str(report.truth), str(report.frames), "--frames", "1-8"),
+            *("--report", str(tmp_path), "--metrics", "psnr", "--fail-below", "psnr=10"),
+        ]
+    )
+    assert code == 0
+    text = (tmp_path / PAGE_FILE).read_text(encoding="utf-8")
+    data, checker = data_of(text), check(text)
+    assert data["names"] == ["test", "reference"] and len(data["frames"]) == 8
+    assert "PSNR dB per frame" in checker.text and "passed" in checker.text
+    lowest = min(data["frames"], key=lambda frame: float(frame["facts"]["PSNR"].split()[0]))
+    assert data["start"] == lowest["number"]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_any_name_is_text(name: str) -> None:
+    made = run([*long_run(1).frames], input=replace(INPUT, pattern=f"/in/{name}", producer=name))
+    text = page_of(made)
+    text.encode("utf-8")
+    checker = check(text)
+    assert checker.scripts == 1, "the page's own"
+    seen = name.encode("utf-8", "backslashreplace").decode("utf-8")
+    assert checker.text.count(seen) >= 3 and "49" not in text.partition("<h1>")[2][:200]
+
+
+def test_json_cannot_end_its_script() -> None:
+    value = {"a": "</script><!-- <script> \u2028 & \udcff"}
+    text = str(script_json(value))
+    assert not set("<>&\u2028") & set(text) and text.isascii()
+    assert json.loads(text) == value
+
+
+def test_the_same_run_gives_the_same_page() -> None:
+    assert page_of(long_run(3)) == page_of(long_run(3))
+
+
+def test_a_run_without_anything_has_a_page(tmp_path: Path) -> None:
+    write_report(tmp_path, run([]))
+    checker = check((tmp_path / PAGE_FILE).read_text())
+    assert "shot.####.exr" in checker.text
+
+
+def test_long_runs_stay_small() -> None:
+    text = page_of(long_run(1250))
+    assert len(text) < 1_500_000
+    check(text)
+
+
+def test_a_gallery_keeps_whole_intervals_evenly_and_the_worst() -> None:
+    gallery = Gallery(has_truth=True)
+    groups = [range(4 * k, 4 * k + 4) for k in range(1250)]
+    gallery.plan(groups)
+    pixels = np.random.default_rng(7).random((8, 12, 3), dtype=np.float32)
+    asked = 0
+    for number in range(5000):
+        bad = Score(psnr_db={1717: 20.0, 2929: 10.0, 4001: 15.0}.get(number, 30.0))
+        if gallery.wants(number, bad if number % 4 else None):
+            asked += 1
+            gallery.frame(number, pixels, pixels, None, is_key=number % 4 == 0)
+    kept = set(gallery.album.frames)
+    assert len(kept) == FRAMES + 1 and 1717 not in kept and gallery.album.start == 2929
+    assert asked == FRAMES + 2, "the worst before was dropped"
+    starts = sorted(number for number in kept if number % 4 == 0)
+    assert (
+        starts[0] == 0
+        and starts[-1] == 4996
+        and all({s, s + 1, s + 2, s + 3} <= kept for s in starts)
+    )
+    assert np.ptp(np.diff(starts)) <= 4, "evenly"
+    # Output and truth each may take all of their room, the error half of it.
+    assert gallery.album.room * 2.5 * len(kept) <= BUDGET
+
+
+def test_what_was_saved_comes_first() -> None:
+    document = document_of(path_run("S6", 2))
+    assert headline(document)[0].label == "Frames"
+    block = {"key_frame_s": 400.0, "generated_frame_s": 0.5, "saved_s": 9000.0, "saved_share": 0.74}
+    document["render_time"] = block | {"source": "Blender"}
+    first = headline(document)[0]
+    assert (first.label, first.value, first.note) == (
+        "Render time saved",
+        "2 h 30 min",
+        "74 % of rendering all",
+    )
+
+
+def test_blocks_of_other_pages() -> None:
+    table = Table("T", ("", "a"), [["r", None], ["s", "1.5"], ["t", Link("go", "#one")]], "note")
+    page = Page("x", "", [], [Section("one", "One", [table, Text("<b>")]), Section("no", "No", [])])
+    text = render(page)
+    checker = check(text)
+    assert "No" not in re.findall(r"<h2[^>]*>(.*?)</h2>", text)
+    assert '<td class="number"><bdi>1.5</bdi></td>' in text and "<b>" in checker.text
+    assert 'title="not measured"' in text and '<a href="#one">go</a>' in text
+
+
+@pytest.mark.parametrize(
+    ("cell", "expected"),
+    [
+        ("1", True),
+        ("-1,234.5 ms", True),
+        ("24 %", True),
+        ("0.1.0", False),
+        ("1-9", False),
+        ("", False),
+    ],
+)
+def test_numbers_stand_to_the_right(cell: str, expected: bool) -> None:
+    assert is_number(cell) is expected

@@ -1,0 +1,105 @@
+"""Plots: valid, alone in their page, nothing lost of long sequences."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+
+import numpy as np
+import pytest
+
+from exwarp_cli.report import plots
+from exwarp_cli.report.plot_style import COLOURS, IDS, Figure, Labels
+from exwarp_cli.report.strip import COLUMNS, Cell, strip
+
+LABELS = Labels("T <i> & $x$ 🎬", "x", "y", 'what "it" shows')
+X = list(range(8))
+Y = [1.0, 2.0, None, 4.0, 3.0, 2.0, 1.0, 0.5]
+FIGURES = {
+    "lines": lambda: plots.lines(LABELS, X, {"a": Y, "b": Y[::-1]}, marked=[3]),
+    "points": lambda: plots.points(LABELS, X, Y, ["warp", "extrapolate", "hold", "blend"] * 2),
+    "bars": lambda: plots.bars(LABELS, ["g", "h"], {"a": [1, 2], "b": [2, None]}, {"a": [3, 1]}),
+    "stacked": lambda: plots.stacked_bars(LABELS, ["g"], {f"s{i}": [1.0] for i in range(9)}),
+    "histogram": lambda: plots.histogram(LABELS, [0, 1, 2], {"a": [3, 4]}),
+    "scatter": lambda: plots.scatter(LABELS, [plots.Panel("p", [1, 2], [3, 4], "r = 1")] * 4),
+    "panels": lambda: plots.series_panels(LABELS, X, {"a": Y, "b": Y}),
+    "strip": lambda: strip(LABELS, ["1"], [[Cell("warp", "<w>")], [None]], ["warp"]),
+}
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_a_plot_is_one_accessible_element_in_the_colours_of_the_page(name: str) -> None:
+    figure: Figure = FIGURES[name]()
+    root = ET.fromstring(figure.numbered("p1"))
+    assert root.get("role") == "img" and root.tag == "svg"
+    title, description = root.find("title"), root.find("desc")
+    assert title.text == LABELS.title and description.text == LABELS.description
+    assert root.get("aria-labelledby") == f"{title.get('id')} {description.get('id')}"
+    ids = [e.get("id") for e in root.iter() if e.get("id")]
+    assert len(ids) == len(set(ids)) and all(i.startswith("p1-") for i in ids)
+    used = {e.get("href") for e in root.iter() if e.get("href")}
+    assert used <= {f"#{i}" for i in ids}
+    assert not any(colour in figure.svg for colour in COLOURS.values())
+    assert "var(--" in figure.svg or "k-warp" in figure.svg
+    assert "font-family" not in figure.svg and "http" not in figure.svg
+
+
+def test_plots_are_the_same_for_the_same_input() -> None:
+    first, second = FIGURES["lines"](), FIGURES["lines"]()
+    assert first == second and IDS in first.svg
+
+
+def test_the_marks_of_a_paper_stand_in_the_legend_once() -> None:
+    figure = plots.bars(LABELS, ["g"], {"a": [1], "b": [2]}, {"a": [3], "b": [4]}, "paper's")
+    assert figure.svg.count("paper's") == 1
+
+
+def test_settings_of_the_user_do_not_show() -> None:
+    import matplotlib
+
+    plain = FIGURES["points"]()
+    with matplotlib.rc_context({"font.size": 40, "text.usetex": True, "axes.grid": False}):
+        assert FIGURES["points"]() == plain
+        assert matplotlib.rcParams["font.size"] == 40, "and stay theirs"
+
+
+def test_matplotlib_says_nothing_of_folders_that_it_cannot_write(tmp_path) -> None:
+    (tmp_path / "file").write_text("")
+    code = (
+        "from exwarp_cli.report.page import heat_colours; heat_colours()\n"
+        "from exwarp_cli.report import plots\n"
+        "plots.lines(plots.Labels('🎬'), [1], {'🎬 $': [2]})"
+    )
+    place = str(tmp_path / "file" / "below")
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True,
+        env=os.environ | {"MPLCONFIGDIR": place},
+    )  # fmt: skip
+    assert (done.stdout, done.stderr) == ("", "")
+
+
+def test_long_series_keep_their_worst_and_best() -> None:
+    values: list[float | None] = list(np.random.default_rng(5).normal(30, 1, 10_000))
+    values[1234], values[7777], values[0] = 3.0, 99.0, None
+    kept = plots.thinned(values)
+    assert len(kept) <= plots.POINTS and {1234, 7777} <= set(kept) and kept == sorted(kept)
+    assert plots.thinned([None] * 5000)[:2] == [0, 5]
+    assert plots.thinned(values[:2000]) == list(range(2000))
+
+
+def test_a_strip_tells_every_cell() -> None:
+    svg = strip(LABELS, ["slot 1"], [[Cell("warp", "f1: a<b")], [Cell("odd", "f2")]], []).svg
+    root = ET.fromstring(svg.replace(IDS, ""))
+    cells = [(e.get("class"), e.findtext("title")) for e in root.iter("rect")]
+    assert cells == [("k-warp", "f1: a<b"), ("k-blend", "f2")]
+
+
+def test_a_long_strip_shares_columns_by_majority() -> None:
+    columns = [[Cell("extrapolate" if i % 3 else "warp", f"f{i}")] for i in range(10 * COLUMNS)]
+    root = ET.fromstring(strip(LABELS, ["1"], columns, ["warp"]).svg.replace(IDS, ""))
+    cells = [e for e in root.iter("rect") if e.find("title") is not None]
+    assert len(cells) == COLUMNS and {e.get("class") for e in cells} == {"k-extrapolate"}
+    hint = cells[0].findtext("title")
+    assert hint == "f0 and 9 more: extrapolate 6, warp 4"
