@@ -8,6 +8,8 @@
 #               stopped); DATA=folder of rendered scenes, OPTIONS='--steps 2000'
 # make policy   train the policy from the tables under models/ (2 minutes); OPTIONS='--seed 1'
 # make judge    score every method, with the network of MODEL=file, on the benchmark scenes
+# make paper    every table and figure of the paper on the benchmark scenes, as build/bench/bench.md
+#               and report.html beside it; goes on where it stopped; OPTIONS='--every 4'
 # make clean    remove all that make made
 
 PYTHON ?= python3
@@ -30,7 +32,7 @@ TRAINING ?= $(HOME)/.cache/exwarp/training
 POLICY ?= build/policy
 MODEL ?= models/extrapolator.onnx
 
-.PHONY: test check bench demo scenes blender train policy judge clean
+.PHONY: test check bench demo scenes blender train policy judge paper clean
 
 test: check
 	$(BIN)/pytest
@@ -54,7 +56,7 @@ demo: $(STAMP)
 	    --video $(DEMO)/$(EXAMPLE).mp4 --overwrite
 	@echo
 	@echo "frames  $(DEMO)/frames"
-	@echo "report  $(DEMO)/report/report.json"
+	@echo "report  $(DEMO)/report/report.html"
 	@echo "video   $(DEMO)/$(EXAMPLE).mp4"
 
 train: $(STAMP)
@@ -65,6 +67,9 @@ policy: $(STAMP)
 
 judge: $(STAMP)
 	$(BIN)/python -m tests.bench.paths --data $(DATA) --model $(MODEL) --out build/judge $(OPTIONS)
+
+paper: $(STAMP)
+	$(BIN)/exwarp bench $(DATA) -o build/bench $(OPTIONS)
 
 blender: $(BLENDER)/.installed
 

@@ -114,7 +114,7 @@ class PlainProgress:
         """Say how many frames there are to do."""
         self._estimate.start(total)
         self._printed_at = self._clock()
-        self.message(f"{total} frame{'' if total == 1 else 's'} to write")
+        self.message(f"{total} frame{'' if total == 1 else 's'} to do")
 
     def advance(self, frame: int, note: str | None = None) -> None:
         """Print a line for the first and the last frame, and now and then between."""

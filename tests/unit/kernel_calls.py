@@ -10,6 +10,8 @@ from exwarp_cli.kernels import (
     edges,
     emd,
     fill,
+    flip,
+    flip_colour,
     follow,
     gather,
     holes,
@@ -190,3 +192,27 @@ def labelled(stencil: np.ndarray) -> Arrays:
     areas = np.full(labelling.label(stencil, labels) + 1, -1, np.int64)
     labelling.measure_areas(labels, areas)
     return labels, areas
+
+
+def decoded(image: np.ndarray, serial: bool = False) -> Arrays:
+    planes = np.full((flip_colour.PLANES, *image.shape[:2]), np.nan, np.float32)
+    build(flip_colour, "decode", serial)(image, planes)
+    return (planes,)
+
+
+def exposed(image: np.ndarray, gain: float, serial: bool = False) -> Arrays:
+    planes = np.full((flip_colour.PLANES, *image.shape[:2]), np.nan, np.float32)
+    build(flip_colour, "expose", serial)(image, np.float32(gain), planes)
+    return (planes,)
+
+
+def perceived(planes: np.ndarray, serial: bool = False) -> Arrays:
+    seen = np.full((flip.SEEN, *planes.shape[1:]), np.nan, np.float32)
+    build(flip, "perceive", serial)(planes, seen)
+    return (seen,)
+
+
+def differing(reference: np.ndarray, test: np.ndarray, serial: bool = False) -> Arrays:
+    error = np.full(reference.shape[1:], 0.25, np.float32)
+    build(flip, "differ", serial)(reference, test, error)
+    return (error,)

@@ -124,6 +124,26 @@ def count(serial: bool) -> calls.Arrays:
     return calls.counted(values, shown(37), np.stack([low, high], -1).astype(np.float64), serial)
 
 
+def encoded(seed: int) -> np.ndarray:
+    """Display-encoded values with some that are outside, and exact black and white."""
+    values = np.random.default_rng(seed).integers(-10, 270, (*SHAPE, 3))
+    return (values * np.float32(0.99)).astype(np.float32)
+
+
+def unbounded(seed: int) -> np.ndarray:
+    """Scene-linear values, 0 or more."""
+    return np.maximum(np.nan_to_num(image(seed)), 0)
+
+
+def opponents(seed: int) -> np.ndarray:
+    return calls.decoded(encoded(seed), serial=True)[0]
+
+
+def differ(serial: bool) -> calls.Arrays:
+    views = (calls.perceived(opponents(seed), serial=True)[0] for seed in (43, 44))
+    return calls.differing(*views, serial)
+
+
 CASES: dict[str, Callable[[bool], calls.Arrays]] = {
     "gather_bilinear": lambda serial: calls.gathered(image(1), field(1), serial),
     "follow": follow,
@@ -143,6 +163,10 @@ CASES: dict[str, Callable[[bool], calls.Arrays]] = {
     "block_means": lambda serial: calls.averaged(field(34), 8, shown(35), serial),
     "extents": lambda serial: calls.extended(image(36), shown(37), serial),
     "count": count,
+    "decode": lambda serial: calls.decoded(encoded(40), serial),
+    "expose": lambda serial: calls.exposed(unbounded(41), 3.5, serial),
+    "perceive": lambda serial: calls.perceived(opponents(42), serial),
+    "differ": differ,
 }
 
 ONE_BUILD: dict[str, Callable[[], calls.Arrays]] = {

@@ -67,7 +67,7 @@ class TestPlain:
             progress.advance(frame, "skipped" if frame == 1002 else None)
         progress.finish()
         assert stream.getvalue().splitlines() == [
-            "exwarp: 4 frames to write",
+            "exwarp: 4 frames to do",
             "exwarp:  25% 1/4, frame 1001, 1:30 left",
             "exwarp:  50% 2/4, frame 1002 (skipped), 1:00 left",
             "exwarp:  75% 3/4, frame 1003, 0:30 left",
