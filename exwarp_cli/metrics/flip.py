@@ -2,7 +2,7 @@
 
 Andersson, Nilsson, Akenine-Möller, Oskarsson, Åström, Fairchild, "FLIP: A Difference Evaluator for
 Alternating Images", Proceedings of the ACM on Computer Graphics and Interactive Techniques 3(2),
-2020; computed by its authors' own package.
+2020. The numbers are those of its authors' own package.
 """
 
 from __future__ import annotations
@@ -10,8 +10,16 @@ from __future__ import annotations
 import numpy as np
 
 from exwarp_cli.domain.frame import Float32
-from exwarp_cli.metrics.display import PEAK
+from exwarp_cli.kernels.flip import SEEN, differ, perceive
+from exwarp_cli.kernels.flip_colour import PLANES, decode
 from exwarp_cli.metrics.measured import Measured
+
+
+def seen(planes: Float32) -> Float32:
+    """Return what a viewer sees of an image, float32 [SEEN, H, W], from its opponent colours."""
+    out = np.empty((SEEN, *planes.shape[1:]), np.float32)
+    perceive(planes, out)
+    return out
 
 
 def measure(reference: Float32, test: Float32) -> Measured:
@@ -20,16 +28,11 @@ def measure(reference: Float32, test: Float32) -> Measured:
     LDR-FLIP at the package's default of 67 pixels per degree: a 4K display, 0.7 m wide, seen from
     0.7 m. The value is the mean of the error map, 0 (equal) to 1.
     """
-    from flip_evaluator import evaluate
-
-    scale = np.float32(1 / PEAK)
-    # An empty dictionary of our own: the package's default argument is one object for all calls.
-    result = evaluate(
-        np.clip(reference * scale, 0, 1),
-        np.clip(test * scale, 0, 1),
-        "LDR",
-        applyMagma=False,
-        computeMeanError=False,
-        parameters={},
-    )
-    return Measured(np.asarray(result[0])[..., 0])
+    shape = reference.shape[:2]
+    planes, error = np.empty((PLANES, *shape), np.float32), np.zeros(shape, np.float32)
+    views = []
+    for image in (reference, test):
+        decode(np.ascontiguousarray(image, np.float32), planes)
+        views.append(seen(planes))
+    differ(*views, error)
+    return Measured(error)

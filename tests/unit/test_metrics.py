@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import subprocess
-import sys
 from dataclasses import astuple
 
 import numpy as np
@@ -18,12 +16,6 @@ from exwarp_cli.metrics import flip, psnr, ssim
 from exwarp_cli.metrics.display import encode
 from exwarp_cli.metrics.registry import LINEAR_METRICS, METRICS, score
 from tests.reference import quality, scikit
-
-COLD_IMPORT = """
-import sys
-import exwarp_cli.metrics.registry
-assert "flip_evaluator" not in sys.modules
-"""
 
 
 def random_pair(shape: tuple[int, ...], seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -180,7 +172,3 @@ def test_no_pixel_makes_a_score_nan(seed: int, size: tuple[int, int]) -> None:
             assert 0 <= part.psnr_db <= 100
             assert -1.000001 <= part.ssim <= 1.000001
             assert 0 <= part.flip <= 1
-
-
-def test_flip_is_imported_when_it_is_used() -> None:
-    subprocess.run([sys.executable, "-c", COLD_IMPORT], check=True)
