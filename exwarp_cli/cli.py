@@ -28,7 +28,7 @@ COMMANDS = {
     "compare": "Score a sequence against ground truth.",
     "bench": "Measure all methods: every table and figure of the paper.",
     "train": "Train the networks on rendered scenes (extra: train).",
-    "models": "Make models for upsample --extrapolator.",
+    "models": "Make networks of others fit for upsample.",
     "policy": "Look into the learned policy and its accelerator.",
 }
 """Every command by its module in `exwarp_cli.commands`, with what ``exwarp --help`` says of it."""
@@ -105,9 +105,9 @@ def run(args: list[str]) -> int:
     except click.ClickException as error:
         return _fail(_with_hint(error), error.exit_code)
     except (click.Abort, KeyboardInterrupt):
-        return _fail(f"interrupted; {_AFTERWARDS}", INTERRUPTED)
+        return _fail(f"interrupted; {_afterwards(args)}", INTERRUPTED)
     except Terminated:
-        return _fail(f"terminated; {_AFTERWARDS}", TERMINATED)
+        return _fail(f"terminated; {_afterwards(args)}", TERMINATED)
     except MemoryError:
         return _fail(
             "the memory does not suffice; close other programs, or use fewer threads", DEFECT
@@ -120,7 +120,12 @@ def run(args: list[str]) -> int:
         )
 
 
-_AFTERWARDS = "frames written so far are whole, and --skip-existing goes on from there"
+def _afterwards(args: list[str]) -> str:
+    """Say what a stopped command leaves, and how to go on."""
+    return {
+        "upsample": "frames written so far are whole, and --skip-existing goes on from there",
+        "bench": "what was measured so far is kept, and the same command goes on from there",
+    }.get(next(iter(args), ""), "what was written so far is whole; run the command again")
 
 
 def _fail(sentence: str, code: int) -> int:

@@ -88,18 +88,17 @@ def command(
     the display window, sRGB-encoded and clipped to [0, 1]; for HDR-FLIP as it is. Flicker follows
     A's own motion vectors.
     """
-    from exwarp_cli.io.atomic import make_folder
     from exwarp_cli.pipeline.evaluate import evaluate
     from exwarp_cli.pipeline.progress import make_progress
     from exwarp_cli.report.compare_page import REFERENCE, TEST
     from exwarp_cli.report.comparison import comparison
-    from exwarp_cli.report.folder import write_comparison
+    from exwarp_cli.report.folder import prepare_comparison, write_comparison
     from exwarp_cli.report.gallery import Gallery
     from exwarp_cli.report.summary import to_json
     from exwarp_cli.report.thresholds import require_quality
 
     if folder is not None:
-        make_folder(folder)  # before the work, which would be lost
+        prepare_comparison(folder)
     progress = make_progress(progress_kind or ("bar" if sys.stderr.isatty() else "none"))
     measuring = MeasureSettings(metrics, preset, (*fail_below, *fail_above))
     gallery = None if folder is None else Gallery(True, TEST, REFERENCE)
@@ -134,7 +133,8 @@ def _print(result: Comparison) -> None:
         table.add_row(name, *cells, str(values["frames"]))
     click.echo(f"reference {result.reference.pattern}")
     click.echo(f"test      {result.test.pattern}")
-    click.echo(f"{len(result.frames)} frames, matched by {result.matched_by}")
+    count = len(result.frames)
+    click.echo(f"{count} frame{'' if count == 1 else 's'}, matched by {result.matched_by}")
     for note in result.notes:
         click.echo(note)
     Console().print(table)

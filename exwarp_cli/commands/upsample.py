@@ -137,19 +137,20 @@ def command(
     summary = upsample(settings, make_progress(progress), gallery)
     if report_folder is not None and gallery is not None:
         write_report(report_folder, summary, gallery.album)
-    _print(summary, settings.output, report_folder)
+    _print(summary, settings, report_folder)
 
 
-def _print(summary: RunSummary, output: str, report_folder: Path | None) -> None:
+def _print(summary: RunSummary, settings: UpsampleSettings, report_folder: Path | None) -> None:
     """Say in a few lines what was done."""
     from exwarp_cli.domain.timeline import FACTOR
     from exwarp_cli.report.summary import report
 
     document = report(summary)
-    frames, fps, quality = document["frames"], document["fps"], document["quality"]["all"]
+    frames, fps = document["frames"], document["fps"]
+    many = "" if frames["written"] == 1 else "s"
     click.echo(
-        f"{frames['written']} frames in {output}: {frames['key']} rendered, {frames['generated']} "
-        f"generated, {frames['dropped']} repeated"
+        f"{frames['written']} frame{many} in {settings.output}: {frames['key']} rendered, "
+        f"{frames['generated']} generated, {frames['dropped']} repeated"
     )
     effective = "" if fps["effective"] is None else f", effective {fps['effective']:g}"
     click.echo(f"{fps['base']:g} fps in, {FACTOR * fps['base']:g} out{effective}")
@@ -160,25 +161,32 @@ def _print(summary: RunSummary, output: str, report_folder: Path | None) -> None
         click.echo(f"paths of the key intervals: {listed}; {share:.0%} of the decisions are warps")
     if document["holes"]["mean_fraction"] is not None:
         click.echo(f"holes {document['holes']['mean_fraction']:.1%} of the pixels on average")
-    if quality["frames"]:
-        values = (
-            metric.sentence(quality[metric.field])
-            for metric in METRICS
-            if quality[metric.field] is not None
-        )
-        click.echo(f"against ground truth ({quality['frames']} frames): {', '.join(values)}")
+    if settings.ground_truth is not None and frames["written"] > frames["key"]:
+        click.echo(f"against ground truth{_scores(document['quality']['all'])}")
     if document["render_time"] is not None:
         click.echo(_saved(document["render_time"]))
     if report_folder is not None:
         click.echo(f"report in {report_folder}")
 
 
+def _scores(quality: dict[str, Any]) -> str:
+    """Say how good the frames at slots 1 to 3 are."""
+    if not quality["frames"]:
+        return ": it has none of the frames between the rendered ones"
+    values = (
+        f"{metric.name} {metric.with_unit(quality[metric.field])}"
+        for metric in METRICS
+        if quality[metric.field] is not None
+    )
+    return f" ({quality['frames']} frames): {', '.join(values)}"
+
+
 def _saved(found: dict[str, Any]) -> str:
     """Say what rendering would have taken, by the renderer's own times."""
-    from exwarp_cli.report.render_time import duration
+    from exwarp_cli.report.page_parts import time_text
 
     return (
-        f"render time saved: {duration(found['saved_s'])} ({found['saved_share']:.0%}); a key "
-        f"frame took {duration(found['key_frame_s'])} to render, a new one takes "
-        f"{found['generated_frame_s']:.2f} s"
+        f"render time saved: {time_text(found['saved_s'])} ({found['saved_share']:.0%}); a key "
+        f"frame took {time_text(found['key_frame_s'])} to render, a new one takes "
+        f"{time_text(found['generated_frame_s'])}"
     )

@@ -34,14 +34,22 @@ class Metric:
     more_is_better: bool
     in_holes: bool = True
 
+    @property
+    def name(self) -> str:
+        """The title without the unit."""
+        return self.title.partition(" ")[0]
+
     def text(self, value: float) -> str:
         """Write a value for people, without the unit."""
         return format(value, f".{self.digits}f")
 
-    def sentence(self, value: float) -> str:
-        """Write a value with its name before it and its unit behind it."""
-        name, _, unit = self.title.partition(" ")
-        return f"{name} {self.text(value)} {unit}".rstrip()
+    def with_unit(self, value: float) -> str:
+        """Write a value with its unit behind it."""
+        return f"{self.text(value)} {self.title.partition(' ')[2]}".rstrip()
+
+    def badness(self, value: float) -> float:
+        """Return what is larger the worse a value is."""
+        return -value if self.more_is_better else value
 
 
 METRICS = (

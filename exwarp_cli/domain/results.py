@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 from exwarp_cli.domain.decision import Decision
+from exwarp_cli.domain.metric import METRICS
 
 
 class FrameKind(Enum):
@@ -48,6 +49,15 @@ class Score:
     hdr_flip: float | None = None
     vmaf: float | None = None
     flicker: float | None = None
+
+    @property
+    def badness(self) -> float | None:
+        """What is larger the worse the frame is, by the first metric that was measured."""
+        for metric in METRICS:
+            value: float | None = getattr(self, metric.field)
+            if value is not None:
+                return metric.badness(value)
+        return None
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ import numpy as np
 import OpenImageIO as oiio
 
 from exwarp_cli.domain.frame import Window
-from exwarp_cli.errors import DamagedFileError, LayoutError, MissingFrameError
+from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, MissingFrameError
 
 
 @dataclass(frozen=True)
@@ -78,6 +78,8 @@ class ExrReader:
         When the file does not exist.
     DamagedFileError
         When it is not a readable OpenEXR file.
+    InputError
+        When its name cannot be given to OpenImageIO, which takes UTF-8 alone.
     """
 
     def __init__(self, path: Path) -> None:
@@ -86,6 +88,10 @@ class ExrReader:
             raise MissingFrameError(f"{path} does not exist; check the path or render the frame")
         try:
             file = oiio.ImageInput.open(str(path))
+        except TypeError as error:  # what the bindings make of bytes that are no text
+            raise InputError(
+                f"cannot read {path}: its name or a folder's is not valid UTF-8; rename that"
+            ) from error
         except (RuntimeError, ValueError, UnicodeError):
             file = None
         if file is None:

@@ -1,4 +1,4 @@
-"""Running ffmpeg, the one that imageio-ffmpeg ships, on raw frames that it is fed with.
+"""Running ffmpeg, the one that imageio-ffmpeg ships, on raw frames.
 
 It is started here, not by that package's ``write_frames``, because that drops the exit status and
 so takes a full disk for success.
@@ -17,12 +17,21 @@ from typing import IO
 
 import imageio_ffmpeg
 import numpy as np
-import numpy.typing as npt
 
-UInt8 = npt.NDArray[np.uint8]
+from exwarp_cli.domain.frame import UInt8
 
-RAW_INPUT = "-f rawvideo -pix_fmt rgb24 -s {width}x{height} -r {rate} -i -"
-"""Options that make ffmpeg read what `Feed.write` writes."""
+RAW = "-f rawvideo -pix_fmt rgb24"
+"""What names frames as bytes: uint8 [H, W, 3], one after the other."""
+
+RAW_INPUT = RAW + " -s {width}x{height} -r {rate} -i -"
+"""Options that make ffmpeg read such frames."""
+
+
+EXACT = "flags=accurate_rnd+full_chroma_int"
+"""Of the filter ``scale``: without them colours are off by more than rounding."""
+
+TO_VIDEO = f"scale=out_color_matrix=bt709:out_range=tv:{EXACT}"
+"""Turns sRGB into what players and VMAF take: ffmpeg's own matrix is standard definition's."""
 
 
 class FfmpegError(Exception):
@@ -30,6 +39,33 @@ class FfmpegError(Exception):
 
     Not an error for users: who feeds ffmpeg says what it was for, and what to do.
     """
+
+
+def filtered(options: Sequence[str], data: bytes) -> bytes:
+    """Run ffmpeg on data that fits in memory, and return what it writes.
+
+    Parameters
+    ----------
+    options
+        Without the program's name; they read from and write to ``-``.
+    data
+        What it reads.
+
+    Raises
+    ------
+    FfmpegError
+        When ffmpeg does not start, or fails.
+    """
+    try:
+        # As for `Feed`, Ctrl-C is for us to answer: leaving `run` ends ffmpeg.
+        done = subprocess.run(
+            _command(options), input=data, capture_output=True, check=False, process_group=0
+        )
+    except (OSError, RuntimeError) as error:
+        raise _no_start(error) from error
+    if done.returncode:
+        raise _ended(done.stderr, done.returncode)
+    return done.stdout
 
 
 class Feed:
@@ -60,7 +96,7 @@ class Feed:
             self._log: IO[bytes] = stack.enter_context(tempfile.TemporaryFile())
             try:
                 self._ffmpeg = subprocess.Popen(
-                    [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", "-y", *self._options],
+                    _command(self._options),
                     stdin=subprocess.PIPE,
                     stdout=subprocess.DEVNULL,
                     stderr=self._log,
@@ -68,7 +104,7 @@ class Feed:
                     process_group=0,  # Ctrl-C is for us to answer; ffmpeg then ends with us
                 )
             except (OSError, RuntimeError) as error:
-                raise FfmpegError(f"ffmpeg does not start ({error})") from error
+                raise _no_start(error) from error
             stack.callback(self._kill)
             self._stack = stack.pop_all()
         return self
@@ -102,11 +138,7 @@ class Feed:
     def _failure(self) -> FfmpegError:
         self._kill()
         self._log.seek(0)
-        lines = self._log.read().decode("utf-8", "replace").strip().splitlines()
-        if not lines:
-            return FfmpegError(f"ffmpeg ends with status {self._ffmpeg.returncode}")
-        said = re.sub(r"^\[.*?\] ", "", lines[-1].strip())
-        return FfmpegError(f"ffmpeg says {said!r}")
+        return _ended(self._log.read(), self._ffmpeg.returncode)
 
     def _kill(self) -> None:
         if self._ffmpeg.poll() is None:
@@ -115,3 +147,20 @@ class Feed:
         if self._ffmpeg.stdin is not None and not self._ffmpeg.stdin.closed:
             with suppress(OSError):  # what was buffered has no reader any more
                 self._ffmpeg.stdin.close()
+
+
+def _command(options: Sequence[str]) -> list[str]:
+    return [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", "-y", *options]
+
+
+def _no_start(error: Exception) -> FfmpegError:
+    return FfmpegError(f"ffmpeg does not start ({error})")
+
+
+def _ended(log: bytes, status: int) -> FfmpegError:
+    """Quote the last line of what ffmpeg printed."""
+    lines = log.decode("utf-8", "replace").strip().splitlines()
+    if not lines:
+        return FfmpegError(f"ffmpeg ends with status {status}")
+    said = re.sub(r"^\[.*?\] ", "", lines[-1].strip())
+    return FfmpegError(f"ffmpeg says {said!r}")

@@ -14,19 +14,13 @@ after the interval does not change it in any bit.
 
 from __future__ import annotations
 
-import re
-import subprocess
-
-import imageio_ffmpeg
 import numpy as np
-import numpy.typing as npt
 
-from exwarp_cli.domain.frame import Float32
+from exwarp_cli.domain.frame import Float32, UInt8
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import OutputError
+from exwarp_cli.io.ffmpeg import EXACT, RAW, RAW_INPUT, FfmpegError, filtered
 from exwarp_cli.io.video import to_display
-
-UInt8 = npt.NDArray[np.uint8]
 
 NAME = "ffmpeg minterpolate"
 """As tables show it."""
@@ -41,14 +35,13 @@ KEY_TOLERANCE = 4
 """Steps of 8 bits by which its YUV may change a frame that it passes through."""
 
 _RATE = 30  # only its ratio to the rate made matters
-_RANGE = "flags=accurate_rnd+full_chroma_int"
 _CHAIN = ",".join(
     (
-        f"scale=out_color_matrix=bt709:out_range=pc:{_RANGE}",
+        f"scale=out_color_matrix=bt709:out_range=pc:{EXACT}",
         "format=yuvj444p",
         f"minterpolate=fps={_RATE * FACTOR}:mi_mode=mci:mc_mode=aobmc:me_mode=bidir:vsbmc=1"
         f":mb_size={BLOCK}:scd=none",
-        f"scale=in_color_matrix=bt709:in_range=pc:{_RANGE}",
+        f"scale=in_color_matrix=bt709:in_range=pc:{EXACT}",
         "format=rgb24",
     )
 )
@@ -83,8 +76,8 @@ def minterpolate(older: Float32 | None, before: Float32, after: Float32) -> tupl
     kept = made[first : first + 1].astype(np.int16)
     if len(made) < first + FACTOR or np.abs(kept - shown[1]).max() > KEY_TOLERANCE:
         raise OutputError(
-            f"cannot interpolate with ffmpeg: its frames of {width}x{height} pixels are not at the "
-            "instants that were asked for; reinstall the package imageio-ffmpeg, or leave "
+            f"cannot interpolate with minterpolate: its frames of {width}x{height} pixels are not "
+            "at the instants that were asked for; reinstall the package imageio-ffmpeg, or leave "
             "minterpolate out"
         )
     return tuple(_linear(frame) for frame in made[first + 1 : first + FACTOR])
@@ -93,28 +86,17 @@ def minterpolate(older: Float32 | None, before: Float32, after: Float32) -> tupl
 def _filtered(frames: list[UInt8]) -> UInt8:
     """Run ffmpeg on uint8 [H, W, 3] frames; return uint8 [N, H, W, 3] at the output rate."""
     height, width, _ = frames[0].shape
-    raw = ["-f", "rawvideo", "-pix_fmt", "rgb24"]
+    source = RAW_INPUT.format(width=width, height=height, rate=_RATE)
+    options = (*source.split(), "-vf", _CHAIN, *RAW.split(), "-")
     try:
-        command = [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", *raw]
-        command += ["-s", f"{width}x{height}", "-r", str(_RATE), "-i", "-", "-vf", _CHAIN]
-        data = b"".join(frame.tobytes() for frame in frames)
-        done = subprocess.run([*command, *raw, "-"], input=data, capture_output=True, check=False)
-    except (OSError, RuntimeError) as error:
+        made = filtered(options, b"".join(frame.tobytes() for frame in frames))
+    except FfmpegError as error:
         raise OutputError(
-            f"cannot interpolate with ffmpeg: it does not start ({error}); reinstall the package "
+            f"cannot interpolate with minterpolate: {error}; reinstall the package "
             "imageio-ffmpeg, or leave minterpolate out"
         ) from error
-    if done.returncode:
-        told = done.stderr.decode(errors="replace").strip().splitlines()
-        why = (
-            re.sub(r"^\[.*?\] ", "", told[-1].strip()) if told else f"exit status {done.returncode}"
-        )
-        raise OutputError(
-            f"cannot interpolate with ffmpeg: it says {why!r}; reinstall the package "
-            "imageio-ffmpeg, or leave minterpolate out"
-        )
-    whole = len(done.stdout) // frames[0].nbytes * frames[0].nbytes
-    return np.frombuffer(done.stdout[:whole], np.uint8).reshape(-1, height, width, 3)
+    whole = len(made) // frames[0].nbytes * frames[0].nbytes
+    return np.frombuffer(made[:whole], np.uint8).reshape(-1, height, width, 3)
 
 
 def _linear(shown: UInt8) -> Float32:

@@ -1,7 +1,8 @@
 """How long a renderer worked on a frame, as far as the file's header tells.
 
-Read are Blender's ``RenderTime`` (the whole frame, with synchronisation) and, where that is missing,
-the ``cycles.LAYER.render_time`` of all its layers together; and V-Ray's ``vrayInfo/rendertime``.
+Read are Blender's ``RenderTime`` (the whole frame, with synchronisation) and, where that is
+missing, the ``cycles.LAYER.render_time`` of all its layers together; and V-Ray's
+``vrayInfo/rendertime``.
 """
 
 from __future__ import annotations

@@ -9,10 +9,10 @@ from types import TracebackType
 
 import numpy as np
 
-from exwarp_cli.domain.frame import Float32
+from exwarp_cli.domain.frame import Float32, UInt8
 from exwarp_cli.errors import OutputError, UsageError
 from exwarp_cli.io.atomic import atomic_path
-from exwarp_cli.io.ffmpeg import RAW_INPUT, Feed, FfmpegError, UInt8
+from exwarp_cli.io.ffmpeg import RAW_INPUT, TO_VIDEO, Feed, FfmpegError
 
 CONTAINERS = {".mp4": "mp4", ".mov": "mov"}
 """ffmpeg's name of the container by file suffix."""
@@ -20,11 +20,9 @@ CONTAINERS = {".mp4": "mp4", ".mov": "mov"}
 QUALITY_CRF = 16
 """Constant rate factor of libx264, 0 to 51: 16 cannot be told from the frames by eye."""
 
-# ffmpeg would convert with the matrix of standard definition, and the encoder labels the video with
-# what the filters say, so both stand here.
+# The encoder labels the video with what the filters say.
 _FILTERS = (
-    "scale=out_color_matrix=bt709:out_range=tv:flags=accurate_rnd+full_chroma_int,"
-    "setparams=range=tv:colorspace=bt709:color_primaries=bt709:color_trc=iec61966-2-1"
+    f"{TO_VIDEO},setparams=range=tv:colorspace=bt709:color_primaries=bt709:color_trc=iec61966-2-1"
 )
 
 

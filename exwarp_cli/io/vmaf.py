@@ -18,8 +18,9 @@ from types import TracebackType
 
 import numpy as np
 
+from exwarp_cli.domain.frame import UInt8
 from exwarp_cli.errors import InputError, LayoutError
-from exwarp_cli.io.ffmpeg import RAW_INPUT, Feed, FfmpegError, UInt8
+from exwarp_cli.io.ffmpeg import RAW_INPUT, TO_VIDEO, Feed, FfmpegError
 
 LEAST = 17
 """Fewest rows and columns: with fewer libvmaf crashes."""
@@ -27,7 +28,6 @@ LEAST = 17
 RATE = 60
 """Frames per second of the streams. VMAF does not know of it; an encoder's rate control does."""
 
-_TO_YUV = "scale=out_color_matrix=bt709:out_range=tv:flags=accurate_rnd+full_chroma_int"
 _VMAF = "libvmaf=model=version=vmaf_v0.6.1:log_fmt=json:log_path=scores.json"
 """The log's path is relative: other characters in it would have to be escaped twice."""
 
@@ -117,8 +117,8 @@ class Vmaf:
     def _start(self, height: int, width: int) -> Feed:
         # Equal time stamps, whatever the filters before did: pairs must not slip.
         graph = (
-            f"[0:v]split[x][y];[x]crop={width}:{height}:0:0,{_TO_YUV},format=yuv444p,setpts=N[r];"
-            f"[y]crop={width}:{height}:0:{height},{_TO_YUV},format=yuv444p,setpts=N[t];"
+            f"[0:v]split[x][y];[x]crop={width}:{height}:0:0,{TO_VIDEO},format=yuv444p,setpts=N[r];"
+            f"[y]crop={width}:{height}:0:{height},{TO_VIDEO},format=yuv444p,setpts=N[t];"
             f"[t][r]{_VMAF}"
         )
         source = RAW_INPUT.format(width=width, height=2 * height, rate=RATE)

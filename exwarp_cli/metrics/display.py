@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-from exwarp_cli.domain.frame import Float32
+from exwarp_cli.domain.frame import Float32, UInt8
 
 PEAK = 255.0
 """Largest display value: the metrics' constants are those of 8-bit images."""
@@ -38,7 +37,7 @@ def encode(pixels: Float32) -> Float32:
     return np.clip(shown, 0, np.float32(PEAK))
 
 
-def rounded(pixels: Float32) -> npt.NDArray[np.uint8]:
+def rounded(pixels: Float32) -> UInt8:
     """Encode as `encode` does, and round half up to the 8-bit steps of a PNG: uint8 [H, W, 3]."""
-    steps: npt.NDArray[np.uint8] = np.floor(encode(pixels) + np.float32(0.5)).astype(np.uint8)
+    steps: UInt8 = np.floor(encode(pixels) + np.float32(0.5)).astype(np.uint8)
     return steps

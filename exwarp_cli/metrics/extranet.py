@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.domain.frame import Float32
+from exwarp_cli.domain.frame import Float32, UInt8
 from exwarp_cli.domain.results import Score
 from exwarp_cli.metrics.display import rounded
 from exwarp_cli.metrics.psnr import decibels
@@ -24,7 +24,6 @@ WINDOW = 7
 C1, C2 = (0.01 * 255) ** 2, (0.03 * 255) ** 2
 
 F64 = npt.NDArray[np.float64]
-UInt8 = npt.NDArray[np.uint8]
 
 
 def score(reference: Float32, test: Float32) -> Score:

@@ -12,6 +12,7 @@ from exwarp_cli.domain.results import Score
 from exwarp_cli.io.video import to_display
 from exwarp_cli.io.vmaf import EncodedVmaf, Vmaf
 from exwarp_cli.metrics import extranet
+from exwarp_cli.metrics.display import rounded
 from exwarp_cli.metrics.flicker import error, of_frames, transition
 from exwarp_cli.metrics.registry import score
 from exwarp_cli.pipeline.flow import Flow
@@ -193,7 +194,7 @@ class ExtranetScores:
     def add(self, pair: Pair) -> Scores:
         """Score the next frame, if it counts, and append it to the videos."""
         index = len(self._scores)
-        shown, judged = to_display(pair.truth), to_display(pair.test)
+        shown, judged = rounded(pair.truth), rounded(pair.test)
         same = bool((shown == judged).all())
         counts = not same if self._generated is None else self._generated[index]
         self._counted += counts

@@ -16,7 +16,7 @@ from exwarp_cli.errors import InputError, LayoutError, MissingFrameError
 from exwarp_cli.io.frames import read_image, read_plane
 from exwarp_cli.io.sequence import Sequence, find_sequence
 from exwarp_cli.pipeline.comparing import Pair, Scorer
-from exwarp_cli.pipeline.measuring import require_consistent, scorer
+from exwarp_cli.pipeline.measuring import rendered_note, require_consistent, scorer
 from exwarp_cli.pipeline.progress import NoProgress, Progress
 from exwarp_cli.pipeline.watching import Watcher
 
@@ -85,8 +85,7 @@ class Comparison:
         for metric in METRICS:
             known = [f for f in self.frames if getattr(f.score, metric.field) is not None]
             if known:
-                sign = 1 if metric.more_is_better else -1
-                return min(known, key=lambda f: sign * getattr(f.score, metric.field))
+                return max(known, key=lambda f: metric.badness(getattr(f.score, metric.field)))
         return self.frames[0]
 
 
@@ -134,8 +133,11 @@ def evaluate(
     files = [
         _Files(a, b, truth.files[a], judged.files[b], mask_files.get(b)) for a, b in pairs.items()
     ]
-    scoring, notes = scorer(measuring, reference, truth, [one.test for one in files])
+    tested = [one.test for one in files]
+    scoring, notes = scorer(measuring, reference, truth, tested)
     compared, shape = _score(files, scoring, progress or NoProgress(), watcher)
+    if measuring.preset is None:  # which has its own rule for rendered frames
+        notes = (*rendered_note(tested), *notes)
     found = Comparison(
         *(truth, judged, masks, matched_by, shape[1], shape[0], compared),
         measuring=measuring,

@@ -2,30 +2,24 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import time
-from collections import OrderedDict
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from itertools import takewhile
 
-from exwarp_cli import __version__
 from exwarp_cli.domain.extrapolator import HISTORY
 from exwarp_cli.domain.frame import SURFACE_PARTS, GBuffer, Image, KeyFrame
 from exwarp_cli.domain.results import InterpolatorSummary, NetworkSummary
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR, Slot
 from exwarp_cli.io.channels import Role
-from exwarp_cli.io.frames import GEOMETRY, SURFACE, Shot, read_image, read_raw
-from exwarp_cli.io.output import Template, file_digest, read_template
+from exwarp_cli.io.frames import GEOMETRY, SURFACE, read_image, read_raw
+from exwarp_cli.io.output import Template, read_template
 from exwarp_cli.io.sequence import Sequence
+from exwarp_cli.pipeline.recipes import Recipes
 from exwarp_cli.pipeline.source import FrameOf, Source
 from exwarp_cli.policy.state import KEYS_BACK
 from exwarp_cli.synthesis.methods import Judge, Method
-
-DIGESTS = 32
-"""Files' digests that are kept: more than the frames that one interval depends on."""
 
 
 @dataclass(frozen=True)
@@ -122,17 +116,17 @@ class IntervalLoader:
         policy: str | None = None,
         interpolator: InterpolatorSummary | None = None,
     ) -> None:
-        self._policy, self._interpolator = policy, interpolator
         self._source = source
         self._method = method
         self._settings = settings
         self._truth = truth
-        self._network = network
+        self._recipes = Recipes(
+            source, method, settings.compression, truth, network, interpolator, policy
+        )
         self._frames: dict[int, KeyFrame] = {}
         self._instants: dict[Slot, GBuffer] = {}
         self._shapes: dict[Slot, GBuffer] = {}
         self._told: set[int] = set()
-        self._digests: OrderedDict[tuple[int, int], str] = OrderedDict()
 
     def load(self, key: int, needed: Callable[[int, dict[int, str]], bool]) -> Loaded:
         """Read an interval.
@@ -150,7 +144,7 @@ class IntervalLoader:
         number = source.timeline.numbers[key]
         last = key + 1 == len(source.timeline.numbers)
         lookahead = self._method.lookahead and not last
-        recipes = self._recipes(key, lookahead)
+        recipes = self._recipe(key, lookahead)
         template = read_template(
             source.keys.sequence.files[number], source.keys.layout.roles[Role.COLOUR]
         )
@@ -311,43 +305,15 @@ class IntervalLoader:
                 found[slot.index] = read_image(sequence.files[number])
         return found
 
-    def _recipes(self, key: int, lookahead: bool) -> dict[int, str]:
-        """Digest what each slot's frame depends on: sources, settings, version and network."""
-        source, settings = self._source, self._settings
+    def _recipe(self, key: int, lookahead: bool) -> dict[int, str]:
+        """Digest what each slot's frame depends on."""
         history = self._history(key)
         keys = (key, *((key + 1,) if lookahead else ()), *history)
-        files = [self._digest(source.keys, source.timeline.numbers[i]) for i in keys]
         seen = self._seen(key)
-        if source.slots is None:
-            files += [self._digest(source.keys, source.timeline.numbers[s.key]) for s in seen]
-        else:
-            instants = [*(Slot(i, 0) for i in keys), *self._slots(key)]
-            instants += [*(slot for i in history for slot in self._slots(i)), *seen]
-            numbers = [source.slot_number(slot) for slot in instants]
-            files += [self._digest(source.slots, n) for n in numbers if n is not None]
-        common = {
-            "version": __version__,
-            "method": self._method.name,
-            "setting": source.setting,
-            "motion": repr(None if source.finding is None else source.finding.convention),
-            "compression": settings.compression,
-            "fps": str(source.fps),
-            "files": files,
-        }
-        if self._network is not None:
-            common["network"] = [self._network.sha256, self._network.device]
-        if self._interpolator is not None:
-            common["interpolator"] = self._interpolator.identity
-        if self._policy is not None:
-            common["policy"] = self._policy
-        if self._method.needs_truth:
-            common["truth"] = self._truth_digests(key)
-        return {
-            slot.index: hashlib.sha256(
-                json.dumps(common | {"slot": slot.index}, sort_keys=True).encode()
-            ).hexdigest()
-            for slot in source.timeline.slots_of(key)[1:]
-        }
+        if self._source.slots is None:
+            return self._recipes.of(key, keys, seen)
+        way = (slot for i in history for slot in self._slots(i))
+        return self._recipes.of(key, keys, (*self._slots(key), *way, *seen))
 
     def _seen(self, key: int) -> list[Slot]:
         """Return the instants that the features of an interval's states come from."""
@@ -357,24 +323,6 @@ class IntervalLoader:
             for index in starts
             for slot in (Slot(index, 0), *((self._instant_before(index),) if index else ()))
         ]
-
-    def _truth_digests(self, key: int) -> list[str]:
-        """Digest the ground truth of an interval."""
-        if self._truth is None:
-            return []
-        sequence, frame_of = self._truth
-        numbers = [frame_of(slot) for slot in self._source.timeline.slots_of(key)[1:]]
-        return [file_digest(sequence.files[n]) for n in numbers if n is not None]
-
-    def _digest(self, shot: Shot, number: int) -> str:
-        """Digest all files of one frame; kept for the interval that shares it."""
-        token = (id(shot), number)
-        if token not in self._digests:
-            digests = {aov: file_digest(path) for aov, path in shot.files(number).items()}
-            self._digests[token] = json.dumps(digests, sort_keys=True)
-            while len(self._digests) > DIGESTS:
-                self._digests.popitem(last=False)
-        return self._digests[token]
 
 
 def without_surface(gbuffer: GBuffer) -> GBuffer:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence as Listed
 from pathlib import Path
 
+from exwarp_cli.domain.metric import METRICS
 from exwarp_cli.domain.results import FrameKind
 from exwarp_cli.domain.settings import PRESETS, MeasureSettings
 from exwarp_cli.errors import InputError, UsageError
@@ -27,8 +28,10 @@ def require_consistent(measuring: MeasureSettings, holes: str | None) -> None:
         return
     offered = PRESETS[measuring.preset]
     if foreign := [name for name in measuring.measured if name not in offered]:
+        names = {metric.field: metric.option for metric in METRICS}
         raise UsageError(
-            f"--preset {measuring.preset} measures {', '.join(offered)} and not {foreign[0]}; "
+            f"--preset {measuring.preset} measures {', '.join(names[o] for o in offered)} and not "
+            f"{names[foreign[0]]}; "
             "leave that or the preset out"
         )
     if holes is not None:
@@ -68,9 +71,25 @@ def scorer(
     return SequenceScores(measuring.measured, None), (note,)
 
 
+def _kinds(files: Listed[Path]) -> list[str | None]:
+    """Return what the headers call the frames: None for a frame that ExWarp did not make."""
+    return [written_attributes(path).get("kind") for path in files]
+
+
 def _generated(files: Listed[Path]) -> list[bool] | None:
     """Return which frames the headers call generated; None where no header says anything."""
-    kinds = [written_attributes(path).get("kind") for path in files]
+    kinds = _kinds(files)
     if not any(kinds):
         return None
     return [kind == FrameKind.GENERATED.value for kind in kinds]
+
+
+def rendered_note(files: Listed[Path]) -> tuple[str, ...]:
+    """Say that frames which were rendered raise the means over an upsampled sequence, if any do."""
+    rendered = _kinds(files).count(None)
+    if rendered in (0, len(files)):
+        return ()
+    return (
+        f"the means are over all {len(files)} frames, {rendered} of which are rendered ones by "
+        "their headers",
+    )

@@ -8,12 +8,11 @@ from itertools import takewhile
 
 import numpy as np
 
-from exwarp_cli.domain.frame import Bool, Float32, Window, place
+from exwarp_cli.domain.frame import Bool, Float32, UInt8, Window, place
 from exwarp_cli.domain.results import Score
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import UsageError
-from exwarp_cli.io.ffmpeg import UInt8
 from exwarp_cli.io.video import to_display
 from exwarp_cli.io.vmaf import require_size, vmaf
 from exwarp_cli.metrics.flicker import Transition, error, flicker, landing, transition

@@ -50,6 +50,7 @@ def compare_page(result: Comparison, document: dict[str, Any], album: Album | No
         f"{file_name(test)} against {file_name(reference)}",
         f"{test} against {reference}",
         [
+            *_verdict(document["thresholds"]),
             Number("Frames", f"{document['frames']:,}", f"matched by {document['matched_by']}"),
             *quality_numbers(document["quality"]["all"]),
         ],
@@ -65,7 +66,9 @@ def _quality(result: Comparison, document: dict[str, Any], album: Album | None) 
     quality = document["quality"]
     numbers = [frame.test for frame in result.frames]
     scores = [frame.score for frame in result.frames]
-    blocks = {"all pixels": quality["all"], "holes only": quality["holes"]}
+    blocks = {"all pixels": quality["all"]}
+    if quality["holes"]["frames"]:
+        blocks["holes only"] = quality["holes"]
     found: list[Block] = [quality_table("Means over the frames", blocks)]
     limits = _limits(document["thresholds"])
     shown = () if album is None else tuple(album.frames)
@@ -74,12 +77,20 @@ def _quality(result: Comparison, document: dict[str, Any], album: Album | None) 
     found += metric_plots(numbers, scores)
     found += [Text(note) for note in document["notes"]]
     holes = [None if f.hole_fraction is None else 100 * f.hole_fraction for f in result.frames]
-    if any(share is not None for share in holes):
+    if len(holes) > 1 and any(share is not None for share in holes):
         labels = Labels(
             "Hole share per frame", "frame", "holes, % of pixels", "Share of pixels in the mask."
         )
         found.append(lines(labels, numbers, {"holes": holes}))
     return found
+
+
+def _verdict(verdicts: list[dict[str, Any]]) -> list[Number]:
+    """Say first whether all limits hold, where any was set."""
+    if not verdicts:
+        return []
+    failed = [one["name"] for one in verdicts if not one["passed"]]
+    return [Number("Limits", "failed" if failed else "passed", ", ".join(failed) or "all of them")]
 
 
 def _limits(verdicts: list[dict[str, Any]]) -> Table | None:

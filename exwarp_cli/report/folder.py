@@ -9,7 +9,7 @@ from exwarp_cli.errors import OutputExistsError
 from exwarp_cli.io.atomic import atomic_write_text, make_folder, remove_leftovers
 from exwarp_cli.pipeline.evaluate import Comparison
 from exwarp_cli.report.compare_page import compare_page
-from exwarp_cli.report.comparison import comparison, comparison_csv
+from exwarp_cli.report.comparison import SCHEMA, comparison, comparison_csv
 from exwarp_cli.report.frames_csv import frames_csv
 from exwarp_cli.report.gallery import Album
 from exwarp_cli.report.page import Page, render
@@ -34,6 +34,25 @@ def prepare_report(folder: Path, replace: bool) -> None:
     if (folder / REPORT_FILE).exists() and not replace:
         raise OutputExistsError(
             f"{folder} holds a report already; give --overwrite to replace it, or another --report"
+        )
+    make_folder(folder)
+    remove_leftovers(folder)
+
+
+def prepare_comparison(folder: Path) -> None:
+    """Make the folder before the work; a comparison replaces the one before it and nothing else.
+
+    Raises
+    ------
+    OutputExistsError
+        When a report of another kind is there.
+    OutputError
+        When the folder cannot be made.
+    """
+    report = folder / REPORT_FILE
+    if report.exists() and SCHEMA not in report.read_text(encoding="utf-8", errors="replace")[:200]:
+        raise OutputExistsError(
+            f"{folder} holds a report that is no comparison's; give another --report"
         )
     make_folder(folder)
     remove_leftovers(folder)

@@ -167,8 +167,9 @@ class Album:
 class Gallery:
     """Watches a run and keeps some of its frames: a `pipeline.watching.Watcher`.
 
-    Whole groups (key intervals) evenly over the run, and the frame with the lowest PSNR, which the
-    viewer starts with.
+    Whole groups (key intervals) evenly over the run, and the frame that is worst by the first
+    metric that is known while frames are at hand (all but VMAF and flicker), which the viewer
+    starts with.
 
     Parameters
     ----------
@@ -201,8 +202,8 @@ class Gallery:
 
     def wants(self, number: int, score: Score | None) -> bool:
         """Whether a frame was chosen, or is the worst so far, which then replaces the last one."""
-        value = None if score is None else score.psnr_db
-        if value is None or (self._worst is not None and value >= self._worst[0]):
+        value = None if score is None else score.badness
+        if value is None or (self._worst is not None and value <= self._worst[0]):
             return number in self._chosen
         if self._worst is not None and self._worst[1] not in self._chosen:
             self.album.frames.pop(self._worst[1], None)

@@ -17,19 +17,12 @@ from exwarp_cli.report.render_time import duration
 WORST = 8
 """Frames in the table of the worst."""
 
-
 BY_FIELD = {metric.field: metric for metric in METRICS}
 
 
 def metric_text(metric: Metric, value: float | None) -> str | None:
     """Write a metric's value without its unit; None stays None."""
     return None if value is None else metric.text(value)
-
-
-def named(metric: Metric, value: float) -> tuple[str, str]:
-    """Return a metric's bare name, and a value with its unit."""
-    name, _, unit = metric.title.partition(" ")
-    return name, f"{metric.text(value)} {unit}".rstrip()
 
 
 def measured_in(*blocks: Mapping[str, Any]) -> list[Metric]:
@@ -68,7 +61,7 @@ def file_name(pattern: str) -> str:
 
 def quality_numbers(quality: Mapping[str, Any]) -> list[Number]:
     """Return the headline's numbers of a quality block; those not measured are left out."""
-    return [Number(*named(m, quality[m.field]), better(m)) for m in measured_in(quality)]
+    return [Number(m.name, m.with_unit(quality[m.field]), better(m)) for m in measured_in(quality)]
 
 
 def quality_table(title: str, blocks: Mapping[str, Mapping[str, Any]], note: str = "") -> Table:
@@ -94,31 +87,32 @@ def series_of(scores: Sequence[Score | None]) -> dict[Metric, Values]:
 def facts_of(score: Score | None, hole_score: Score | None) -> dict[str, str]:
     """Return what is written beside a frame about its quality."""
     row = values_of(score)
-    facts = dict(named(m, row[m.field] or 0.0) for m in measured_in(row))
+    facts = {m.name: m.with_unit(row[m.field] or 0.0) for m in measured_in(row)}
     if hole_score is not None and hole_score.psnr_db is not None:
-        name, text = named(BY_FIELD["psnr_db"], hole_score.psnr_db)
-        facts[f"{name} in holes"] = text
+        psnr = BY_FIELD["psnr_db"]
+        facts[f"{psnr.name} in holes"] = psnr.with_unit(hole_score.psnr_db)
     return facts
 
 
 def ranked(values: Values, metric: Metric) -> list[int]:
     """Return the indices of the values that are there, the worst first."""
     known = [i for i, value in enumerate(values) if value is not None]
-    sign = 1.0 if metric.more_is_better else -1.0
-    return sorted(known, key=lambda i: sign * (values[i] or 0.0))
+    return sorted(known, key=lambda i: -metric.badness(values[i] or 0.0))
 
 
 def metric_plots(
     numbers: Sequence[int], scores: Sequence[Score | None], skip: Iterable[str] = ()
 ) -> list[Figure]:
-    """Draw each measured metric over the frames, its worst frame ringed."""
-    found = []
+    """Draw each measured metric over the frames, its worst frame ringed; nothing of one frame."""
+    found: list[Figure] = []
+    if len(numbers) < 2:
+        return found
     for metric, values in series_of(scores).items():
         if metric.field in skip:
             continue
         worst = ranked(values, metric)[0]
         labels = Labels(
-            f"{metric.title} per frame",
+            f"{metric.name} per frame",
             "frame",
             metric.title,
             f"{metric.title} of every scored frame; {better(metric)}. Worst at frame "
@@ -157,4 +151,4 @@ def worst_table(
         cells = [metric_text(m, column[i]) for m, column in series.items()]
         rows.append([seen, *cells, *makers[i : i + 1]])
     columns = ["frame", *(m.title for m in series), *(["made by"] if makers else [])]
-    return Table(f"Worst frames by {named(metric, 0.0)[0]}", columns, rows)
+    return Table(f"Worst frames by {metric.name}", columns, rows)

@@ -8,9 +8,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from exwarp_cli.domain.frame import Bool, Float32
+from exwarp_cli.domain.frame import Bool, Float32, UInt8
 from exwarp_cli.metrics.display import PEAK, encode
 
 LONGEST = 640
@@ -27,8 +26,6 @@ SLOPE = 1.055 / 2.4
 
 HOLE_SHARE = 0.25
 """Share of a picture's pixel that has to be holes; half of it would lose thin ones."""
-
-UInt8 = npt.NDArray[np.uint8]
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,10 @@ if TYPE_CHECKING:
 SERIES = 7
 """Colours of series: `--c0` to `--c6` of the style sheet, after Okabe and Ito."""
 
-ROLES = ("fg", "muted", "grid", "warp", "extrapolate", "hold", "blend", "key", "mark", "bg")
+ROLES = (
+    *("fg", "muted", "grid", "warp", "extrapolate", "hold", "blend", "interpolate", "key", "mark"),
+    "bg",
+)
 """Further colours of the style sheet that plots use."""
 
 COLOURS = {role: f"#fe01{i:02x}" for i, role in enumerate(ROLES)} | {
@@ -105,6 +108,11 @@ class Figure:
     def numbered(self, name: str) -> Markup:
         """Return the SVG with ids that begin with a name, which has to be unique in the page."""
         return Markup(self.svg.replace(IDS, f"{name}-"))
+
+
+def kind_role(kind: str) -> str:
+    """Return the role whose colour stands for what makes a frame, a word out of `plots.KINDS`."""
+    return kind if kind in ROLES else "muted"
 
 
 def draw(labels: Labels, height: float, paint: Callable[[Axes], None], note: str = "") -> Figure:

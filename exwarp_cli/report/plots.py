@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 from exwarp_cli.report.plot_style import (
     COLOURS,
     MARKERS,
-    ROLES,
     SERIES,
     Figure,
     Labels,
     draw,
     draw_panels,
+    kind_role,
 )
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ Values = Sequence[float | None]
 POINTS = 2000
 """Points of a line at most."""
 
-KINDS = {"warp": "o", "extrapolate": "^", "hold": "x", "blend": "s", "key": "D"}
+KINDS = {"warp": "o", "extrapolate": "^", "hold": "x", "blend": "s", "interpolate": "v", "key": "D"}
 """What makes a frame, and the marker of its points."""
 
 
@@ -46,6 +46,7 @@ def lines(
             )  # fmt: skip
             spots = [(x[j], values[j]) for j in marked if values[j] is not None]
             _rings(axes, spots)
+        _whole_frames(axes, x)
         _legend(axes, len(series))
 
     return draw(labels, 2.3, paint)
@@ -74,6 +75,7 @@ def points(
                     color=_kind(kind), marker=KINDS.get(kind, "."), markersize=4, label=kind,
                 )  # fmt: skip
         _rings(axes, [(x[j], values[j]) for j in marked if values[j] is not None])
+        _whole_frames(axes, x)
         _legend(axes, len(set(kinds)))
 
     return draw(labels, 2.5, paint)
@@ -84,7 +86,6 @@ def bars(
     groups: Sequence[str],
     series: Mapping[str, Values],
     references: Mapping[str, Values] | None = None,
-    reference_name: str = "paper",
 ) -> Figure:
     """Draw a group of bars for each name.
 
@@ -95,9 +96,7 @@ def bars(
     series
         A value for each group; a bar of each in every group.
     references
-        By series, values that are marked across its bars, such as a paper's.
-    reference_name
-        Of these marks in the legend.
+        By series, values that are marked across its bars: the paper's.
     """
     width = 0.8 / max(len(series), 1)
 
@@ -113,7 +112,7 @@ def bars(
             axes.hlines(
                 [m for _, m in known], [a - width / 2 for a, _ in known],
                 [a + width / 2 for a, _ in known], color=COLOURS["fg"], linewidth=2,
-                label=reference_name if known and name == _first(references) else "_",
+                label="paper" if known and name == _first(references) else "_",
             )  # fmt: skip
         _names(axes, groups)
         _legend(axes, len(series) + bool(references))
@@ -218,6 +217,7 @@ def series_panels(labels: Labels, x: Sequence[float], series: Mapping[str, Value
             axes.plot([x[j] for j in kept], _numbers([values[j] for j in kept]), color=_series(0))
             axes.set_ylabel(name, rotation=0, ha="right", va="center")
             axes.locator_params(axis="y", nbins=3)
+            _whole_frames(axes, x)
         grid.flat[-1].set_xlabel(labels.x)
 
     return draw_panels(labels, 0.5 + 0.75 * max(len(series), 1), paint)
@@ -248,7 +248,17 @@ def _series(index: int) -> str:
 
 
 def _kind(name: str) -> str:
-    return COLOURS[name] if name in ROLES else COLOURS["blend"]
+    return COLOURS[kind_role(name)]
+
+
+def _whole_frames(axes: Axes, x: Sequence[float]) -> None:
+    """Let no tick fall between two frames, nor a single one stand in a row of fractions."""
+    if not all(float(value).is_integer() for value in x):
+        return
+    axes.locator_params(axis="x", integer=True)
+    if len(set(x)) == 1:
+        axes.set_xlim(x[0] - 0.5, x[0] + 0.5)
+        axes.set_xticks([x[0]])
 
 
 def _first(references: Mapping[str, Values] | None) -> str | None:

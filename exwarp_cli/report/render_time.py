@@ -18,9 +18,9 @@ def render_time(run: RunSummary) -> dict[str, Any] | None:
     -------
     dict or None
         ``key_frame_s``, mean render time of a key frame; ``key_frames``, how many headers told it;
-        ``source``, the attribute; ``generated_frame_s``, wall time of this run for each generated
-        frame, reading and writing included; ``saved_s``, what rendering the generated frames would
-        have taken less the run's wall time; ``saved_share``, that as a share of rendering all
+        ``source``, the attribute; ``generated_frame_s``, this run's time for each generated frame,
+        reading and writing included, scoring not; ``saved_s``, what rendering the generated frames
+        would have taken less the run's time; ``saved_share``, that as a share of rendering all
         frames. None where no header tells, or nothing was generated.
     """
     told = [frame.render for frame in run.frames if frame.render is not None]
@@ -29,15 +29,24 @@ def render_time(run: RunSummary) -> dict[str, Any] | None:
     if each is None or not made:
         return None
     keys = sum(frame.kind is FrameKind.KEY for frame in run.frames)
-    saved = made * each - run.wall_seconds
+    spent = max(run.wall_seconds - _scoring_s(run), 0.0)
+    saved = made * each - spent
     return {
         "key_frame_s": each,
         "key_frames": len(told),
         "source": told[0][1],
-        "generated_frame_s": run.wall_seconds / made,
+        "generated_frame_s": spent / made,
         "saved_s": saved,
         "saved_share": saved / ((made + keys) * each),
     }
+
+
+def _scoring_s(run: RunSummary) -> float:
+    """Return the seconds that went into scores, which nobody takes who has no ground truth.
+
+    Frames are scored one after the other, between those that are made.
+    """
+    return sum(frame.timing_ms.get("score", 0.0) for frame in run.frames) / 1e3
 
 
 def duration(seconds: float) -> str:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from markupsafe import escape
 
-from exwarp_cli.report.plot_style import ROLES, Figure, Labels, opening
+from exwarp_cli.report.plot_style import Figure, Labels, kind_role, opening
 
 COLUMNS = 600
 """Columns at most; more intervals share one."""
@@ -54,11 +54,10 @@ def strip(
         for c, column in enumerate(merged):
             cell = column[r]
             if cell is not None:
-                kind = cell.kind if cell.kind in ROLES else "blend"
                 gap = 0.6 if step > 3 else 0
                 parts.append(
                     f'<rect x="{LEFT + c * step:.2f}" y="{y + 1}" width="{step - gap:.2f}" '
-                    f'height="{ROW - 2}" class="k-{kind}">'
+                    f'height="{ROW - 2}" class="k-{kind_role(cell.kind)}">'
                     f"<title>{escape(cell.hint)}</title></rect>"
                 )
     return Figure(labels, "".join(parts) + "</svg>")
@@ -68,9 +67,8 @@ def _legend(kinds: Sequence[str], top: int) -> str:
     """Return a square and a word for each kind, below the cells."""
     parts, x = [], LEFT
     for kind in kinds:
-        shown = kind if kind in ROLES else "blend"
         parts.append(
-            f'<rect x="{x}" y="{top + 6}" width="9" height="9" class="k-{shown}"/>'
+            f'<rect x="{x}" y="{top + 6}" width="9" height="9" class="k-{kind_role(kind)}"/>'
             f'<text class="word" x="{x + 13}" y="{top + 14}">{escape(kind)}</text>'
         )
         x += 26 + 6 * len(kind)

@@ -75,4 +75,4 @@ def _value(result: Comparison, limit: Threshold) -> float | None:
     measured: list[float] = [value for value in known if value is not None]
     if not measured:
         return None
-    return min(measured) if limit.metric.more_is_better else max(measured)
+    return max(measured, key=limit.metric.badness)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from exwarp_cli.domain.decision import HOLD, NODES
+from exwarp_cli.domain.decision import HOLD, NODES, WARP
 from exwarp_cli.domain.features import FEATURES
 from exwarp_cli.domain.results import FrameKind, FrameRecord, RunSummary
 from exwarp_cli.domain.timeline import FACTOR
@@ -22,10 +22,14 @@ from exwarp_cli.report.page_parts import (
     worst_table,
 )
 from exwarp_cli.report.plot_style import Figure, Labels
-from exwarp_cli.report.plots import lines, points, series_panels, stacked_bars
+from exwarp_cli.report.plots import histogram, lines, points, series_panels, stacked_bars
 from exwarp_cli.report.quality import mean
 from exwarp_cli.report.strip import Cell as StripCell
 from exwarp_cli.report.strip import strip
+from exwarp_cli.synthesis.methods import METHODS
+
+BLEND = "blend"
+"""What makes a frame of two key frames without a network, as `plots.KINDS` names it."""
 
 
 def upsample_page(run: RunSummary, document: dict[str, Any], album: Album | None = None) -> Page:
@@ -56,7 +60,7 @@ def upsample_page(run: RunSummary, document: dict[str, Any], album: Album | None
             Section("frames", "Frames", [Viewer(album)] if album and album.frames else []),
             Section("quality", "Quality", _quality(frames, document, shown)),
             Section("decisions", "Decisions", _decisions(run, document)),
-            Section("holes", "Holes and features", _evidence(frames)),
+            Section("holes", "Holes and features", _evidence(frames, document)),
             Section("timing", "Time", _timing(frames, document)),
             Section("input", "Input and settings", _settings(document)),
         ),
@@ -69,6 +73,10 @@ def made_by(frame: FrameRecord) -> str:
         return "key"
     if frame.kind is FrameKind.DROPPED:
         return HOLD
+    # What blends two key frames is booked as a warp, as its time is spent on warping.
+    method = METHODS.get(frame.method)
+    if frame.made_by == WARP and method is not None and method.lookahead:
+        return BLEND
     return frame.made_by or frame.method
 
 
@@ -149,11 +157,11 @@ def _quality(
     )
     values = [None if score is None else score.psnr_db for score in scores]
     found: list[Block] = [told]
-    if any(value is not None for value in values):
+    if len(scored) > 1 and any(value is not None for value in values):
         labels = Labels(
             "PSNR per frame",
             "frame",
-            "PSNR, dB",
+            "PSNR dB",
             "PSNR of every scored frame, coloured by what made it; higher is better.",
         )
         found.insert(0, points(labels, numbers, values, made))
@@ -203,17 +211,19 @@ def _strip(frames: tuple[FrameRecord, ...]) -> Figure:
     )
 
 
-def _evidence(frames: tuple[FrameRecord, ...]) -> list[Block]:
+def _evidence(frames: tuple[FrameRecord, ...], document: dict[str, Any]) -> list[Block]:
     """Draw the hole share, and the features that decisions were taken by."""
     found: list[Block] = []
     holes = [frame for frame in frames if frame.hole_fraction is not None]
-    if holes:
+    if len(holes) > 1:
         labels = Labels(
             "Hole share per frame", "frame", "holes, % of pixels",
             "Share of pixels that the warp from the key frame cannot see.",
         )  # fmt: skip
         shares = [100 * (frame.hole_fraction or 0.0) for frame in holes]
         found.append(lines(labels, [frame.number for frame in holes], {"holes": shares}))
+        if document["holes"]["histogram"] is not None:
+            found.append(_hole_histogram(document["holes"]))
     seen = [(f.number, f.decision.features) for f in frames if f.decision and f.decision.features]
     if seen:
         labels = Labels(
@@ -228,6 +238,18 @@ def _evidence(frames: tuple[FrameRecord, ...]) -> list[Block]:
         }
         found.append(series_panels(labels, [n for n, _ in seen], series))
     return found
+
+
+def _hole_histogram(holes: dict[str, Any]) -> Figure:
+    """Draw how many frames have which hole share, as the paper's Figure 2; bins up to the last."""
+    edges, counts = holes["histogram"]["edges"], holes["histogram"]["counts"]
+    bins = max(i + 1 for i, count in enumerate(counts) if count)
+    labels = Labels(
+        "Frames by hole share", "holes, % of pixels", "frames",
+        f"Histogram of the hole share; 95 % of the frames have at most "
+        f"{percent(holes['p95_fraction'])}.",
+    )  # fmt: skip
+    return histogram(labels, [100 * e for e in edges[: bins + 1]], {"frames": counts[:bins]})
 
 
 def _timing(frames: tuple[FrameRecord, ...], document: dict[str, Any]) -> list[Block]:

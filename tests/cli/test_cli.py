@@ -138,6 +138,20 @@ class TestErrors:
         assert "exwarp: error: interrupted; " in capsys.readouterr().err
 
     @pytest.mark.parametrize(
+        ("command", "resumes"),
+        [
+            ("upsample", "--skip-existing goes on"),
+            ("bench", "same command goes on"),
+            ("compare", ""),
+        ],
+    )
+    def test_what_an_interruption_leaves(self, fails_with, capsys, command, resumes):
+        fails_with(KeyboardInterrupt())
+        assert cli.run([command]) == 130
+        told = capsys.readouterr().err
+        assert resumes in told and ("goes on" in told) == bool(resumes)
+
+    @pytest.mark.parametrize(
         ("arguments", "told"),
         [
             (["up"], "no command 'up'; the commands are upsample, inspect, features, compare"),

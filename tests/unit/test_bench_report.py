@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +18,15 @@ from exwarp_cli.domain.settings import SourceSettings
 from exwarp_cli.pipeline.bench.pictures import makers_of, names_of
 from exwarp_cli.pipeline.bench.plan import Subject
 from exwarp_cli.pipeline.bench.work import Benchmark, Measured
-from exwarp_cli.report.bench import paper
+from exwarp_cli.report.bench import figures, paper
+from exwarp_cli.report.bench.choices import feature_points
 from exwarp_cli.report.bench.document import document
-from exwarp_cli.report.bench.markdown import markdown
+from exwarp_cli.report.bench.markdown import about, markdown
+from exwarp_cli.report.bench.page import bench_page
 from exwarp_cli.report.bench.statistics import pearson, spearman
 from exwarp_cli.report.bench.tables import tables_of
+from exwarp_cli.report.gallery import Album
+from exwarp_cli.report.page import Page, Table
 
 SYSTEMS = ("exwarp", "s1", "s6", "softsplat")
 
@@ -71,11 +76,18 @@ def measured(name: str = "town", **about: Any) -> Measured:
     return Measured(subject, told | about, timing, parts)
 
 
+def benchmark_of(*rows: Measured) -> Benchmark:
+    settings = BenchSettings(("data",), Path("out"), systems=SYSTEMS)
+    return Benchmark(settings, {}, SYSTEMS, rows)
+
+
+def told(benchmark: Benchmark) -> dict[str, Any]:
+    return document(benchmark, schedule(MacArray(), PAPER_SIZES), 1e9)
+
+
 @pytest.fixture
 def found() -> dict[str, Any]:
-    settings = BenchSettings(("data",), Path("out"), systems=SYSTEMS)
-    benchmark = Benchmark(settings, {}, SYSTEMS, (measured(), measured("pier")))
-    return document(benchmark, schedule(MacArray(), PAPER_SIZES), 1e9)
+    return told(benchmark_of(measured(), measured("pier")))
 
 
 def test_quality_is_the_mean_over_all_frames_and_split_by_what_made_them(found):
@@ -144,12 +156,8 @@ def test_markdown_leaves_out_what_nobody_measured(found):
 
 
 def test_markdown_escapes_names():
-    settings = BenchSettings(("data",), Path("out"), systems=SYSTEMS)
-    one = measured("a|b_c*<script>")
-    told = document(
-        Benchmark(settings, {}, SYSTEMS, (one,)), schedule(MacArray(), PAPER_SIZES), 1e9
-    )
-    assert "a\\|b\\_c\\*\\<script\\>" in markdown(told)
+    found = told(benchmark_of(measured("a|b_c*<script>")))
+    assert "a\\|b\\_c\\*\\<script\\>" in markdown(found)
 
 
 def test_every_row_of_every_table_has_only_known_columns(found):
@@ -203,3 +211,85 @@ def test_paths_share_the_pictures_that_are_alike(path, names):
     foreign = names_of("extranet", path)
     assert foreign == tuple(f"extranet {n}" if "E" in n else n for n in names)
     assert makers_of(path.lower(), path) == PATHS[path].made_by
+
+
+def test_saved_is_what_new_frames_would_have_cost_less_the_time_of_every_slot(found):
+    row = found["render_time"][0]
+    # exwarp shows 3 new frames in one interval and 1 in the other, s6 always 3.
+    assert row["saved_share"]["exwarp"] == pytest.approx((2 * 2.0 - 3 * 0.1) / (3 * 2.0))
+    assert row["saved_share"]["s6"] == pytest.approx((3 * 2.0 - 3 * 0.01) / (4 * 2.0))
+    untold = told(benchmark_of(measured(render_s={"key": None, "gbuffer": None})))
+    assert untold["render_time"][0]["saved_share"] is None
+    assert untold["render_time"][0]["times_faster"] is None
+
+
+def test_points_tell_the_rendered_pixels():
+    first = feature_points(measured())[0]
+    assert (first["R"], first["distance"]) == (16.0 * 9.0, 5.0)
+
+
+def test_the_subtitle_tells_all_sizes_and_rates():
+    rows = (measured(), measured("pier", width=1280, height=720, fps=24.0))
+    text = about(told(benchmark_of(*rows)))
+    assert "2 sequences of 854x480, 1280x720 pixels, 4 key intervals" in text
+    assert "30 to 120 and 24 to 96 frames per second, G-buffers for every slot" in text
+
+
+def page_of(*rows: Measured) -> Page:
+    benchmark = benchmark_of(*rows)
+    albums = [Album(("a",), "a", "a") for _ in rows]
+    return bench_page(benchmark, told(benchmark), albums)
+
+
+def tables_in(page: Page, section: str) -> list[Table]:
+    (found,) = (section_ for section_ in page.sections if section_.name == section)
+    return [block for block in found.blocks if isinstance(block, Table)]
+
+
+def first_cells(tables: Iterable[Table]) -> list[Any]:
+    return [row[0] for table in tables for row in table.rows]
+
+
+def test_the_page_has_a_comparison_for_each_sequence_with_the_papers_rows():
+    tables = tables_in(page_of(measured(), measured("pier", height=720)), "quality")
+    assert [table.title for table in tables] == ["town 480p", "pier 720p"]
+    assert first_cells(tables[:1])[:4] == ["town"] * 4 and first_cells(tables[:1])[4] == "TN"
+    # Of the other one the title says all that its rows have in common.
+    assert first_cells(tables[1:]) == list(SYSTEMS) and tables[1].columns[0] == "system"
+
+
+def test_the_page_leaves_out_columns_that_say_the_same_of_all_sequences():
+    (table,) = tables_in(page_of(measured("quay"), measured("pier")), "paths")[:1]
+    assert list(table.columns[:2]) == ["scene", "S1"]
+    assert first_cells([table]) == ["quay", "pier"]
+    (table,) = tables_in(page_of(measured("quay"), measured("quay", height=720)), "paths")[:1]
+    assert list(table.columns[:3]) == ["scene", "size", "S1"]
+
+
+def test_the_headline_begins_with_what_is_saved_where_headers_tell_it():
+    labels = [number.label for number in page_of(measured()).numbers]
+    assert labels[:3] == ["Render time saved", "Rendered frame", "Generated frame"]
+    untold = page_of(measured(render_s={"key": None, "gbuffer": None}))
+    assert [n.label for n in untold.numbers] == labels[3:]
+
+
+@pytest.mark.parametrize(
+    ("sizes", "labels"),
+    [
+        (((854, 480), (854, 480)), ["a", "b"]),
+        (((854, 480), (1280, 720)), ["a 480p", "b 720p"]),
+        (((640, 480), (854, 480)), ["a 640x480", "b 854x480"]),
+    ],
+)
+def test_short_names_of_sequences(sizes, labels):
+    rows = (measured(n, width=w, height=h) for n, (w, h) in zip("ab", sizes, strict=True))
+    assert figures.labels_of(told(benchmark_of(*rows))) == labels
+
+
+def test_figures_without_anything_measured_are_left_out(found):
+    assert figures.holes(found) is not None and figures.fps(found) is not None
+    for row in found["holes"]:
+        row["histogram"] = None
+    for row in found["fps"]:
+        row["effective"] = {"oracle": 120.0}
+    assert figures.holes(found) is None and figures.fps(found) is None

@@ -190,6 +190,15 @@ def test_the_preset_counts_generated_frames(tmp_path: Path, headers: bool) -> No
     assert "6 frames in H.264" in found.notes[1]
 
 
+def test_rendered_frames_in_the_means_are_told(tmp_path: Path) -> None:
+    a = sequence(tmp_path / "a", {n: picture(n, SIZE) for n in (1, 2, 3)})
+    for n, kind in ((1, None), (2, "generated"), (3, "dropped")):
+        save(named(tmp_path / "b", n), picture(n, SIZE), kind)
+    (note,) = evaluate(a, str(tmp_path / "b"), measuring=measure("psnr_db")).notes
+    assert "all 3 frames, 1 of which are rendered" in note
+    assert evaluate(a, a, measuring=measure("psnr_db")).notes == ()
+
+
 def test_a_short_video_keeps_its_ends(tmp_path: Path) -> None:
     found = evaluate(*shifted(tmp_path, 12), measuring=measure("vmaf", preset="extranet"))
     assert all(frame.score.vmaf is not None for frame in found.frames)
@@ -206,7 +215,8 @@ def test_a_preset_without_generated_frames_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("measuring", "holes", "words"),
     [
-        (measure("flip", preset="extranet"), None, "psnr_db, ssim, vmaf and not flip"),
+        (measure("flip", preset="extranet"), None, "psnr, ssim, vmaf and not flip;"),
+        (measure("hdr_flip", preset="extranet"), None, "and not hdr-flip;"),
         (measure(preset="extranet"), "m", "measures whole frames"),
         (
             measure(thresholds=(parse_threshold("holes.ssim=1", "--fail-below"),)),

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import sys
+
 import numpy as np
 import OpenImageIO as oiio
 import pytest
@@ -138,6 +141,14 @@ class TestBadFiles:
         with pytest.raises(MissingFrameError, match="does not exist") as caught:
             ExrReader(tmp_path / "none.exr")
         assert one_sentence(caught.value, tmp_path / "none.exr")
+
+    @pytest.mark.skipif(sys.platform in ("win32", "darwin"), reason="names are Unicode there")
+    def test_a_name_that_is_no_text(self, tmp_path):
+        path = tmp_path / os.fsdecode(b"\xff.exr")
+        write_single(tmp_path / "a.exr", rgba(4, 4)).rename(path)
+        with pytest.raises(InputError, match="not valid UTF-8; rename") as caught:
+            ExrReader(path)
+        assert one_sentence(caught.value, path)
 
     @pytest.mark.parametrize(
         "content", [b"", b"\x76\x2f\x31\x01", b"hello world, this is text\n" * 40, b"\0" * 4096]

@@ -76,7 +76,7 @@ def test_the_past_is_used():
 
 def test_a_missing_ffmpeg(tmp_path, monkeypatch):
     monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", str(tmp_path / "none"))
-    with pytest.raises(OutputError, match=r"it does not start \(.*\); reinstall"):
+    with pytest.raises(OutputError, match=r"ffmpeg does not start \(.*\); reinstall"):
         minterpolate(None, picture(0), picture(1))
 
 
@@ -84,7 +84,7 @@ def test_a_missing_ffmpeg(tmp_path, monkeypatch):
     ("script", "said"),
     [
         ("cat > /dev/null; echo '[x @ 0x1] No such filter' >&2; exit 1", "says 'No such filter'"),
-        ("exit 3", "exit status 3"),
+        ("exit 3", "ends with status 3"),
         ("cat > /dev/null", "not at the instants"),
     ],
 )

@@ -85,6 +85,14 @@ def test_nothing_is_said_where_no_header_tells_or_nothing_was_made():
     assert render_time(run(key, record(1, FrameKind.DROPPED))) is None
 
 
+def test_scoring_is_not_the_tools_time():
+    key = record(0, FrameKind.KEY, render=(40.0, "RenderTime"))
+    scored = [record(i, FrameKind.GENERATED, timing_ms={"score": 2000.0}) for i in (1, 2)]
+    found = render_time(run(key, *scored))
+    assert found is not None
+    assert found["generated_frame_s"] == (10 - 4) / 2 and found["saved_s"] == 80 - 6
+
+
 def test_a_tool_slower_than_the_renderer_saves_less_than_nothing():
     key = record(0, FrameKind.KEY, render=(1.0, "RenderTime"))
     found = render_time(run(key, record(1, FrameKind.GENERATED)))

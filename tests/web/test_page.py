@@ -18,7 +18,7 @@ from exwarp_cli.report.folder import PAGE_FILE, write_report
 from exwarp_cli.report.gallery import BUDGET, FRAMES, KEY, OUTPUT, TRUTH, Gallery
 from exwarp_cli.report.page import Link, Page, Section, Table, Text, is_number, render, script_json
 from exwarp_cli.report.summary import report as document_of
-from exwarp_cli.report.upsample_page import headline, upsample_page
+from exwarp_cli.report.upsample_page import headline, made_by, upsample_page
 from tests.unit.sample_runs import INPUT, path_run, run
 
 VOID = {"meta", "input", "br", "hr", "img", "link"}
@@ -163,9 +163,24 @@ def test_the_page_of_a_comparison(report, tmp_path):
     text = (tmp_path / PAGE_FILE).read_text(encoding="utf-8")
     data, checker = data_of(text), check(text)
     assert data["names"] == ["test", "reference"] and len(data["frames"]) == 8
-    assert "PSNR dB per frame" in checker.text and "passed" in checker.text
+    assert "PSNR per frame" in checker.text and "passed" in checker.text
     lowest = min(data["frames"], key=lambda frame: float(frame["facts"]["PSNR"].split()[0]))
     assert data["start"] == lowest["number"]
+    assert "Limits" in text.partition("</dl>")[0] and "holes only" not in checker.text
+
+
+def test_a_comparison_of_one_frame_says_first_what_fails(report, tmp_path):
+    arguments = ("compare", str(report.truth), str(report.frames), "--frames", "2")
+    limits = ("--fail-below", "psnr=99", "--fail-above", "flip=1")
+    assert cli.run([*arguments, "--report", str(tmp_path), *limits]) == 8
+    text = (tmp_path / PAGE_FILE).read_text(encoding="utf-8")
+    first = text.partition('class="headline"')[2].partition("</div>")[0]
+    assert "failed" in first and "<small>psnr</small>" in first
+    assert "per frame" not in check(text).text
+    # Its own report it replaces; that of a run it does not.
+    assert cli.run([*arguments, "--report", str(tmp_path)]) == 0
+    assert cli.run([*arguments, "--report", str(report.folder)]) == 6
+    assert json.loads((report.folder / "report.json").read_text())["method"] == "s6"
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -225,6 +240,45 @@ def test_a_gallery_keeps_whole_intervals_evenly_and_the_worst() -> None:
     assert np.ptp(np.diff(starts)) <= 4, "evenly"
     # Output and truth each may take all of their room, the error half of it.
     assert gallery.album.room * 2.5 * len(kept) <= BUDGET
+
+
+def test_a_gallery_without_psnr_keeps_the_worst_by_what_there_is() -> None:
+    gallery = Gallery(has_truth=True)
+    gallery.plan([[number] for number in range(3 * FRAMES)])
+    pixels = np.zeros((8, 12, 3), np.float32)
+    for number in range(3 * FRAMES):
+        if gallery.wants(number, Score(flip=0.5 if number == 100 else 0.1)):
+            gallery.frame(number, pixels, pixels, None, is_key=False)
+    assert gallery.album.start == 100 and 100 in gallery.album.frames
+
+
+@pytest.mark.parametrize(
+    ("method", "maker", "kind"),
+    [
+        ("blend", "warp", "blend"),
+        ("softsplat", "warp", "blend"),
+        ("onnx", "interpolate", "interpolate"),
+        ("s6", "warp", "warp"),
+        ("exwarp", "extrapolate", "extrapolate"),
+        ("of a later version", "warp", "warp"),
+    ],
+)
+def test_what_made_a_frame_is_told_apart(method: str, maker: str, kind: str) -> None:
+    frame = replace(long_run(1).frames[1], method=method, made_by=maker)
+    assert made_by(frame) == kind
+
+
+def test_hole_shares_are_counted() -> None:
+    frames = [replace(frame, hole_fraction=0.02 * frame.slot) for frame in long_run(5).frames]
+    checker = check(page_of(run(frames)))
+    assert "Frames by hole share" in checker.text
+    assert "95 % of the frames have at most 6.0 %." in checker.text
+
+
+def test_a_single_frame_has_no_plots_over_frames() -> None:
+    frames = long_run(1).frames
+    assert "per frame" in check(page_of(run([*frames]))).text
+    assert "PSNR per frame" not in check(page_of(run([*frames[:2]]))).text
 
 
 def test_what_was_saved_comes_first() -> None:

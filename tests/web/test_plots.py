@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
+from importlib.resources import files
 
 import numpy as np
 import pytest
@@ -52,8 +54,8 @@ def test_plots_are_the_same_for_the_same_input() -> None:
 
 
 def test_the_marks_of_a_paper_stand_in_the_legend_once() -> None:
-    figure = plots.bars(LABELS, ["g"], {"a": [1], "b": [2]}, {"a": [3], "b": [4]}, "paper's")
-    assert figure.svg.count("paper's") == 1
+    figure = plots.bars(LABELS, ["g"], {"a": [1], "b": [2]}, {"a": [3], "b": [4]})
+    assert figure.svg.count(">paper<") == 1
 
 
 def test_settings_of_the_user_do_not_show() -> None:
@@ -89,11 +91,41 @@ def test_long_series_keep_their_worst_and_best() -> None:
     assert plots.thinned(values[:2000]) == list(range(2000))
 
 
+def test_kinds_are_told_apart_by_colour_and_marker() -> None:
+    svg = plots.points(LABELS, list(range(6)), [1.0] * 6, list(plots.KINDS)).svg
+    assert {"warp", "extrapolate", "hold", "blend", "interpolate", "key"} == set(plots.KINDS)
+    assert len(set(plots.KINDS.values())) == len(plots.KINDS)
+    for kind in plots.KINDS:
+        assert f"var(--{kind})" in svg, kind
+    style = files("exwarp_cli.report").joinpath("templates/style.css").read_text()
+    for theme in ("light", "dark"):
+        part = style.partition(f"macro {theme}()")[2].partition("endmacro")[0]
+        colours = dict(re.findall(r"--([a-z0-9]+): (#[0-9a-f]+);", part))
+        kinds = [colours[kind] for kind in plots.KINDS]
+        assert len(set(kinds)) == len(kinds)
+
+
+@pytest.mark.parametrize("x", [[7], [7, 8], [7, 8, 9, 10]])
+@pytest.mark.parametrize("draw", ["lines", "points", "panels"])
+def test_no_tick_stands_between_two_frames(x: list[int], draw: str) -> None:
+    y = [1.5] * len(x)
+    svg = {
+        "lines": lambda: plots.lines(Labels("T"), x, {"a": y}),
+        "points": lambda: plots.points(Labels("T"), x, y, ["warp"] * len(x)),
+        "panels": lambda: plots.series_panels(Labels("T"), x, {"a": y}),
+    }[draw]().svg
+    told = ET.fromstring(svg.replace(IDS, "")).iter("text")
+    # The y axis is around 1.5, so what is 5 and more belongs to x.
+    large = [text for e in told if (text := "".join(e.itertext())) and text[0].isdigit()]
+    across = [float(text) for text in large if float(text) >= 5]
+    assert across and all(value in x for value in across)
+
+
 def test_a_strip_tells_every_cell() -> None:
     svg = strip(LABELS, ["slot 1"], [[Cell("warp", "f1: a<b")], [Cell("odd", "f2")]], []).svg
     root = ET.fromstring(svg.replace(IDS, ""))
     cells = [(e.get("class"), e.findtext("title")) for e in root.iter("rect")]
-    assert cells == [("k-warp", "f1: a<b"), ("k-blend", "f2")]
+    assert cells == [("k-warp", "f1: a<b"), ("k-muted", "f2")]
 
 
 def test_a_long_strip_shares_columns_by_majority() -> None:

@@ -74,6 +74,12 @@ def test_the_address_keeps_the_frame_and_links_lead_to_it(visit):
     assert seen.frame == int(link.inner_text()) != 7
 
 
+@pytest.mark.parametrize("fragment", ["#%", "#viewer", "#viewer:", "#viewer:999", "#else:2"])
+def test_other_addresses_start_as_usual(visit, fragment: str):
+    usual = visit().frame
+    assert visit(fragment=fragment).frame == usual
+
+
 def test_it_starts_with_the_worst_frame(visit):
     seen = visit()
     assert seen.frame == int(seen.page.locator("a[href^='#viewer:']").first.inner_text())

@@ -17,6 +17,7 @@ from exwarp_cli.io.interpolator import OnnxInterpolator, load_interpolator
 from exwarp_cli.io.models import OnnxExtrapolator, load_extrapolator
 from exwarp_cli.io.output import file_digest, quantise
 from exwarp_cli.io.policy_files import load_policy
+from exwarp_cli.io.vmaf import require_size
 from exwarp_cli.pipeline.bench.pictures import SLOTS, Pictures
 from exwarp_cli.pipeline.bench.plan import Subject
 from exwarp_cli.pipeline.geometry import Staging
@@ -59,10 +60,12 @@ class Networks:
 
     @property
     def checksums(self) -> dict[str, str]:
-        """SHA-256 of each network by what it is."""
-        found = dict(self.interpolators.items())
-        named = {"extrapolator": self.own, "extranet": self.imported, **found}
-        return {name: network.checksum for name, network in named.items() if network is not None}
+        """SHA-256 of each network by what it is; what interpolates depends on its card as well."""
+        ours = {"extrapolator": self.own, "extranet": self.imported}
+        found = {name: one.checksum for name, one in ours.items() if one is not None}
+        for name, network in self.interpolators.items():
+            found |= {name: network.checksum, f"{name}, card": network.card.checksum}
+        return found
 
 
 def load_networks(settings: BenchSettings, threads: int | None) -> Networks:
@@ -114,6 +117,9 @@ class Opened:
     def __init__(self, subject: Subject, settings: BenchSettings, networks: Networks) -> None:
         self.subject, self.settings, self.networks = subject, settings, networks
         self.source = open_source(subject.source)
+        keys = self.source.keys
+        if "vmaf" in settings.metrics:
+            require_size(keys.display.height, keys.display.width, keys.sequence.pattern)
         self._truth = find_truth(subject.truth, self.source)
         self.policy = require_state(load_policy(subject.policy))
         self.restart()

@@ -162,7 +162,8 @@ def _require_different(subjects: list[Subject]) -> None:
 
 def listed(text: str | None) -> tuple[str, ...]:
     """Read names with commas between; nothing for None."""
-    return () if text is None else tuple(dict.fromkeys(n.strip() for n in text.split(",") if n))
+    named = (name.strip() for name in (text or "").split(","))
+    return tuple(dict.fromkeys(name for name in named if name))
 
 
 def systems_of(text: str | None) -> tuple[str, ...]:

@@ -14,16 +14,20 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from exwarp_cli.domain.bench import MINTERPOLATE, POLICY, TIMED
+from exwarp_cli.domain.bench import POLICY, TIMED
 from exwarp_cli.pipeline.bench.opened import Opened
 from exwarp_cli.pipeline.bench.pictures import FIXED_PATHS, SLOTS, Pictures, names_of
 from exwarp_cli.pipeline.loading import Loaded
 from exwarp_cli.synthesis.geometry import unmatched
 from exwarp_cli.synthesis.interval import Interval
+from exwarp_cli.synthesis.methods import METHODS
 from exwarp_cli.synthesis.warp import fill_background, warp
 
 EXTRAPOLATED = (2, 3)
 """Slots that E is there for."""
+
+MOVING = tuple(name for name, method in METHODS.items() if method.needs_motion)
+"""Systems outside the decision tree among these need geometry, too."""
 
 Milliseconds = dict[str, list[float]]
 
@@ -38,12 +42,11 @@ def time_subject(opened: Opened) -> dict[str, Any]:
     """
     steps: Milliseconds = defaultdict(list)
     systems: Milliseconds = defaultdict(list)
-    keys = _chosen(opened.keys)
-    for count, key in enumerate((keys[0], *keys)):
-        opened.restart()
+    opened.restart()
+    for count, key in enumerate(_chosen(opened.keys)):
         loaded = opened.load(key, lambda recipes: True)
         found = _interval(opened, loaded)
-        if count == 0:  # compiled the kernels, and opened what is opened once
+        if count == 0:  # compiled the kernels, and read what the next intervals share with it
             continue
         for name, value in found[0].items():
             steps[name].append(value)
@@ -66,9 +69,10 @@ def processor() -> str:
 
 
 def _chosen(keys: tuple[int, ...]) -> tuple[int, ...]:
-    """Return a few key frames from the middle on: the first have no history."""
-    middle = len(keys) // 2
-    return keys[middle : middle + TIMED] or keys[-1:]
+    """Return a few neighbours from the middle: the first is for warming up."""
+    start = max(len(keys) // 2 - 1, 0)
+    chosen = keys[start : start + TIMED + 1]
+    return chosen if len(chosen) > 1 else chosen * 2
 
 
 def _interval(opened: Opened, loaded: Loaded) -> tuple[Mapping[str, float], Mapping[str, float]]:
@@ -93,7 +97,7 @@ def _interval(opened: Opened, loaded: Loaded) -> tuple[Mapping[str, float], Mapp
         systems[name] = spent / count
         if name == POLICY:
             systems[name] += found["features"] + found["decide"]
-        if name != MINTERPOLATE:
+        if path is not None or name in MOVING:
             systems[name] += found["geometry"]
     return found, systems
 

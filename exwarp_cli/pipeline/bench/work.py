@@ -5,29 +5,24 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import signal
-from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Generator, Iterable, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from functools import lru_cache
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 from exwarp_cli import __version__
 from exwarp_cli.domain.bench import BenchSettings
-from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.errors import UsageError
 from exwarp_cli.io import exr
 from exwarp_cli.io.atomic import atomic_write_text, make_folder, remove_leftovers
-from exwarp_cli.io.channels import Role
-from exwarp_cli.io.output import read_headers
-from exwarp_cli.io.render_time import render_seconds
 from exwarp_cli.kernels import jit
+from exwarp_cli.pipeline.bench.about import about_subject
 from exwarp_cli.pipeline.bench.measure import identity, measure
 from exwarp_cli.pipeline.bench.opened import Networks, Opened, load_networks
-from exwarp_cli.pipeline.bench.pictures import SLOTS
 from exwarp_cli.pipeline.bench.plan import Subject, subjects_of
+from exwarp_cli.pipeline.bench.side_by_side import follow_parent, side_by_side
 from exwarp_cli.pipeline.bench.timing import time_subject
 from exwarp_cli.pipeline.progress import NoProgress, Progress
 
@@ -107,11 +102,12 @@ def run_benchmark(settings: BenchSettings, progress: Progress | None = None) -> 
     _make_folders(opened.values())
     timings = {subject: _timing(one, told) for subject, one in opened.items()}
     keys = {subject: one.keys for subject, one in opened.items()}
-    about = {subject: _about(one) for subject, one in opened.items()}
+    about = {subject: about_subject(one) for subject, one in opened.items()}
     del opened
     told.start(sum(map(len, keys.values())))
     try:
-        parts = dict(_parts(settings, keys, told))
+        with closing(_parts(settings, keys, told)) as found:
+            parts = dict(found)
     finally:
         told.finish()
     return Benchmark(
@@ -153,48 +149,6 @@ def _make_folders(opened: Iterable[Opened]) -> None:
         remove_leftovers(folder)
 
 
-def _about(opened: Opened) -> dict[str, Any]:
-    """Say what the subject is."""
-    source = opened.source
-    display = source.keys.display
-    return {
-        "width": display.width,
-        "height": display.height,
-        "fps": float(source.fps),
-        "producer": (source.slots or source.keys).layout.producer,
-        "policy": {
-            "file": opened.policy.path.name,
-            "sha256": opened.policy.checksum,
-            "trained_without_it": opened.subject.unseen,
-        },
-        "render_s": _render_times(opened),
-    }
-
-
-def _render_times(opened: Opened) -> dict[str, float | None]:
-    """Mean render times that the headers tell, in seconds: of key frames, and of slot G-buffers.
-
-    The latter only where those files hold nothing else: with colour in them, their time is that of
-    the whole frame.
-    """
-    source = opened.source
-    numbers = [opened.number(key) for key in opened.keys]
-    found: dict[str, float | None] = {
-        "key": _mean_time([source.keys.sequence.files[number] for number in numbers]),
-        "gbuffer": None,
-    }
-    if source.slots is not None and Role.COLOUR not in source.slots.layout:
-        files = source.slots.sequence.files
-        wanted = [source.slot_number(Slot(key, i)) for key in opened.keys for i in SLOTS]
-        found["gbuffer"] = _mean_time([files[n] for n in wanted if n is not None])
-    return found
-
-
-def _mean_time(paths: Sequence[Path]) -> float | None:
-    known = [found[0] for path in paths if (found := render_seconds(read_headers(path)))]
-    return sum(known) / len(known) if known else None
-
-
 def _timing(opened: Opened, progress: Progress) -> dict[str, Any]:
     """Take run times that were measured before with the same networks and systems, or measure."""
     settings = opened.settings
@@ -229,48 +183,46 @@ def _kept(path: Path, token: str) -> dict[str, Any] | None:
     return found if fits else None
 
 
-Task = tuple[Subject, tuple[int, ...]]
+Task = tuple[BenchSettings, Subject, tuple[int, ...], int]
+"""Arguments of `work`."""
+
 Part = tuple[tuple[Subject, int], dict[str, Any]]
+Run = tuple[Subject, list[tuple[int, dict[str, Any]]]]
 
 
 def _parts(
     settings: BenchSettings, keys: dict[Subject, tuple[int, ...]], progress: Progress
-) -> Iterator[Part]:
+) -> Generator[Part, None, None]:
     """Yield what is measured of every key interval, from disk or anew."""
+    jobs = settings.jobs or os.cpu_count() or 1
+    # Short sequences are dealt out as well.
+    run = min(RUN, -(-sum(map(len, keys.values())) // jobs))
     tasks: list[Task] = [
-        (subject, chosen[i : i + RUN])
+        (settings, subject, chosen[i : i + run], 1)
         for subject, chosen in keys.items()
-        for i in range(0, len(chosen), RUN)
+        for i in range(0, len(chosen), run)
     ]
-    jobs = min(settings.jobs or os.cpu_count() or 1, len(tasks))
-    for subject, found in _done(settings, tasks, jobs):
-        for key, part in found:
-            progress.advance(part["key"], f"{subject.name}, {subject.setting}")
-            yield (subject, key), part
+    with closing(_done(tasks, min(jobs, len(tasks)))) as runs:
+        for subject, found in runs:
+            for key, part in found:
+                progress.advance(part["key"], f"{subject.name}, {subject.setting}")
+                yield (subject, key), part
 
 
-def _done(
-    settings: BenchSettings, tasks: Sequence[Task], jobs: int
-) -> Iterator[tuple[Subject, list[tuple[int, dict[str, Any]]]]]:
+def _done(tasks: Sequence[Task], jobs: int) -> Generator[Run, None, None]:
     """Yield the parts of each run of key intervals, as they come."""
     if jobs == 1:
-        for subject, keys in tasks:
+        for settings, subject, keys, _ in tasks:
             yield subject, work(settings, subject, keys, None)
         return
-    with ProcessPoolExecutor(jobs, get_context("spawn"), _alone) as pool:
-        waiting = {pool.submit(work, settings, *task, 1): task[0] for task in tasks}
-        try:
-            for future in as_completed(waiting):
-                yield waiting[future], future.result()
-        except BaseException:
-            # Else all that is left would be measured before anybody hears of it.
-            pool.shutdown(cancel_futures=True)
-            raise
+    with closing(side_by_side(work, tasks, jobs, _alone)) as found:
+        for (_, subject, _, _), parts in found:
+            yield subject, parts
 
 
 def _alone() -> None:
-    """Prepare a worker: one thread each, and an interruption is its parent's business."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    """Prepare a worker: one thread each, and it ends with its parent."""
+    follow_parent()
     jit.set_threads(1)
     exr.set_threads(1)
 

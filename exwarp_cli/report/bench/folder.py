@@ -10,8 +10,10 @@ from exwarp_cli.io.atomic import atomic_write_text, make_folder, remove_leftover
 from exwarp_cli.pipeline.bench.work import Benchmark
 from exwarp_cli.pipeline.progress import Progress
 from exwarp_cli.report.bench.album import albums
-from exwarp_cli.report.bench.document import document, feature_points, identify
+from exwarp_cli.report.bench.choices import feature_points
+from exwarp_cli.report.bench.document import document
 from exwarp_cli.report.bench.markdown import markdown
+from exwarp_cli.report.bench.naming import identify
 from exwarp_cli.report.bench.page import bench_page
 from exwarp_cli.report.bench.tables import tables_of
 from exwarp_cli.report.folder import PAGE_FILE

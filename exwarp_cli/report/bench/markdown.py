@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from exwarp_cli.domain.timeline import FACTOR
-from exwarp_cli.report.bench.document import Document
+from exwarp_cli.report.bench.naming import Document
 from exwarp_cli.report.bench.tables import Table, known_columns, tables_of
+
+SETTINGS = {"slot": "every slot", "key": "the key frames"}
+"""Who has G-buffers, by setting."""
 
 
 def markdown(document: Document) -> str:
@@ -17,21 +20,30 @@ def markdown(document: Document) -> str:
 def about(document: Document) -> str:
     """Say in a few sentences what was measured, and on what."""
     sequences = document["sequences"]
-    first = sequences[0]
+    sizes, rates = ({row[key]: None for row in sequences} for key in ("size", "fps"))
+    settings = " and ".join(
+        text for key, text in SETTINGS.items() if any(row["setting"] == key for row in sequences)
+    )
     intervals = sum(row["intervals"] for row in sequences)
     processors = dict.fromkeys(
         f"{row['machine']['processor']}, {row['machine']['cores']} cores" for row in sequences
     )
     unseen = [row for row in sequences if row["policy"]["trained_without_it"]]
     told = (
-        f"{len(sequences)} sequence{'' if len(sequences) == 1 else 's'}, {intervals} key "
-        f"intervals, {first['fps']:g} to {FACTOR * first['fps']:g} frames per second, ExWarp "
-        f"{document['version']}. Run times on {'; '.join(processors)}."
+        f"{_counted(len(sequences), 'sequence')} of {', '.join(sizes)} pixels, "
+        f"{_counted(intervals, 'key interval')}, "
+        + " and ".join(f"{rate:g} to {FACTOR * rate:g}" for rate in rates)
+        + f" frames per second, G-buffers for {settings}, ExWarp {document['version']}. "
+        f"Run times on {'; '.join(processors)}."
     )
     if unseen:
         names = ", ".join(dict.fromkeys(row["name"] for row in unseen))
         told += f" The policy of each scene was trained without it ({names})."
     return told
+
+
+def _counted(count: int, what: str) -> str:
+    return f"{count:,} {what}{'' if count == 1 else 's'}"
 
 
 def _section(table: Table) -> str:

@@ -3,193 +3,158 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
-from typing import Any
 
-from exwarp_cli.domain.decision import PATHS
-from exwarp_cli.domain.timeline import FACTOR
+from exwarp_cli.domain.bench import CHOOSERS
 from exwarp_cli.pipeline.bench.work import Benchmark
-from exwarp_cli.report.bench.document import EFFECTIVE, Document, feature_points
+from exwarp_cli.report.bench import figures
+from exwarp_cli.report.bench.columns import PAPER, SOURCE, WHAT, Column, Row
+from exwarp_cli.report.bench.figures import labels_of
 from exwarp_cli.report.bench.markdown import about
+from exwarp_cli.report.bench.naming import Document
 from exwarp_cli.report.bench.tables import Table as Rows
 from exwarp_cli.report.bench.tables import known_columns, tables_of
 from exwarp_cli.report.gallery import Album
 from exwarp_cli.report.page import Block, Number, Page, Section, Table, Text, Viewer
-from exwarp_cli.report.plot_style import Figure, Labels
-from exwarp_cli.report.plots import Panel, bars, scatter, stacked_bars
+from exwarp_cli.report.page_parts import percent, time_text
 from exwarp_cli.report.quality import mean
 
-PATH_NAMES = tuple(path.lower() for path in PATHS)
+SECTIONS = {
+    "Saved": ("render_time",),
+    "Quality": ("comparison",),
+    "Paths": ("paths_psnr", "paths_ssim"),
+    "Decisions": ("decisions",),
+    "Rate": ("fps",),
+    "Holes": ("holes",),
+    "Features": ("correlation",),
+    "Run time": ("runtime",),
+    "Predictor": ("predictor",),
+    "ExtraNet": ("extranet",),
+}
+"""Tables by section, what a farm asks first before what the paper shows."""
 
-COMPARED = ("exwarp", "s1", "s6", "softsplat", "minterpolate")
-"""Systems in the figure of Table VII."""
+FIGURES = {
+    "comparison": figures.compared,
+    "paths_psnr": figures.paths,
+    "decisions": figures.decisions,
+    "fps": figures.fps,
+    "holes": figures.holes,
+    "runtime": figures.runtime,
+}
+
+HEADLINE = (("exwarp", "ExWarp"), ("s6", "warping alone"), ("softsplat", "look-ahead"))
+"""Systems of the headline; the first that was timed stands for what is saved."""
 
 
 def bench_page(found: Benchmark, document: Document, albums: Sequence[Album]) -> Page:
     """Lay a benchmark out as a page."""
     tables = {table.name: table for table in tables_of(document)}
-    figures = {
-        "runtime": _runtime,
-        "holes": _holes,
-        "paths_psnr": _paths,
-        "comparison": _compared,
-        "fps": _fps,
-        "decisions": _decisions,
-    }
-    viewers = [
-        Section(f"frames-{i}", f"Frames of {label}", [Viewer(album, f"viewer-{i}")])
-        for i, (label, album) in enumerate(zip(_labels(document), albums, strict=True))
-        if album.frames
-    ]
     sections = []
-    for name, table in tables.items():
-        blocks: list[Block] = [figures[name](document)] if name in figures else []
-        if name == "correlation":
-            blocks.append(_scattered(found))
-        sections.append(Section(name.replace("_", "-"), table.title, [*blocks, *_blocks(table)]))
-    return Page("ExWarp benchmark", about(document), _numbers(document), [*sections, *viewers])
+    for title, names in SECTIONS.items():
+        blocks = [block for name in names for block in _blocks(found, document, tables[name])]
+        sections.append(Section(title.lower().replace(" ", "-"), title, blocks))
+    return Page(
+        "ExWarp benchmark",
+        about(document),
+        _numbers(document),
+        [sections[0], _frames(document, albums), *sections[1:]],
+    )
 
 
-def _labels(document: Document) -> list[str]:
-    """Name the sequences; size and setting only where they differ."""
-    rows = document["sequences"]
-    sizes, settings = ({row[key] for row in rows} for key in ("size", "setting"))
+def _frames(document: Document, albums: Sequence[Album]) -> Section:
+    """Show an album of each sequence, with its name above where there are several."""
+    blocks: list[Block] = []
+    for i, (label, album) in enumerate(zip(labels_of(document), albums, strict=True)):
+        if album.frames:
+            blocks += [Text(label)] if len(albums) > 1 else []
+            blocks.append(Viewer(album, f"viewer-{i}"))
+    return Section("frames", "Frames", blocks)
+
+
+def _blocks(found: Benchmark, document: Document, table: Rows) -> list[Block]:
+    """Return a table as the page takes it, with its figure before."""
+    if not table.rows:
+        return []
+    blocks: list[Block] = []
+    if table.name in FIGURES and (figure := FIGURES[table.name](document)) is not None:
+        blocks.append(figure)
+    if table.name == "correlation":
+        blocks.append(figures.scattered(found))
+    names = labels_of(document)
+    if table.name not in LONG or len(names) == 1:
+        return [*blocks, _table(table.title, table, table.rows, table.note)]
+    groups = _groups(table)
+    blocks.append(Text(f"{table.title}. {table.note}"))
+    return blocks + [_table(n, table, rows) for n, rows in zip(names, groups, strict=True)]
+
+
+LONG = ("comparison", "extranet")
+"""Tables with a row for each sequence and system: one a sequence."""
+
+
+def _groups(table: Rows) -> list[list[Row]]:
+    """Return the rows of each sequence; the paper's follow those that they stand beside."""
+    groups: list[list[Row]] = []
+    before = None
+    for row in table.rows:
+        what = tuple(row[column.key] for column in WHAT)
+        if row.get(SOURCE.key) != PAPER and what != before:
+            groups.append([])
+            before = what
+        groups[-1].append(row)
+    return groups
+
+
+def _table(title: str, table: Rows, rows: Sequence[Row], note: str = "") -> Table:
+    columns = _told(table, rows)
+    cells = [[None if row.get(c.key) is None else c.text(row) for c in columns] for row in rows]
+    return Table(title, [column.title for column in columns], cells, note)
+
+
+def _told(table: Rows, rows: Sequence[Row]) -> list[Column]:
+    """Leave out columns that say the same of all rows: the subtitle has it, or the title.
+
+    Rows still begin with a name: that of the sequence, or where it is left out, of the system.
+    """
+    by_system = any(column.key == "system" for column in table.columns)
+    spare = {column.key for column in (*WHAT, SOURCE)} - (set() if by_system else {WHAT[0].key})
     return [
-        " ".join(
-            [row["name"]]
-            + ([row["size"]] if len(sizes) > 1 else [])
-            + ([row["setting"]] if len(settings) > 1 else [])
-        )
-        for row in rows
+        column
+        for column in known_columns(table)
+        if column.key not in spare or len({row.get(column.key) for row in rows} - {None}) > 1
     ]
-
-
-def _blocks(table: Rows) -> list[Block]:
-    """Return a table as the page takes it, with its note above."""
-    columns = list(known_columns(table))
-    rows = [
-        [None if row.get(c.key) is None else c.text(row) for c in columns] for row in table.rows
-    ]
-    return [Text(table.note), Table("", [column.title for column in columns], rows)]
 
 
 def _numbers(document: Document) -> list[Number]:
-    """Return the headline: means over the sequences."""
+    """Return the headline: what is saved first, then means over the sequences."""
     rows = document["comparison"]
-    found = [Number("sequences", str(len(rows)))]
-    for name, label in (("exwarp", "ExWarp"), ("s6", "warping alone"), ("softsplat", "look-ahead")):
+    found = _saved(document)
+    for name, label in HEADLINE:
         known = [row["systems"][name] for row in rows if name in row["systems"]]
-        psnr = mean(v["psnr_db"] for v in known)
-        if psnr is not None:
-            ssim = mean(v["ssim"] for v in known)
+        psnr, ssim = (mean(values[key] for values in known) for key in ("psnr_db", "ssim"))
+        if psnr is not None and ssim is not None:
             found.append(Number(f"PSNR, {label}", f"{psnr:.2f} dB", f"SSIM {ssim:.3f}"))
-    rates = [row["effective"]["exwarp"] for row in document["fps"] if "exwarp" in row["effective"]]
-    if rates:
-        base = document["fps"][0]["base"]
-        found.append(Number("effective rate", f"{mean(rates):.1f} fps", f"from {base:g}"))
-    faster = [
-        row["times_faster"]["exwarp"]
-        for row in document["render_time"]
-        if row["times_faster"] and "exwarp" in row["times_faster"]
-    ]
-    if faster:
-        found.append(Number("against rendering", f"{mean(faster):,.0f} x", "faster, files apart"))
-    return found
+    known = [row for row in document["fps"] if CHOOSERS[0] in row["effective"]]
+    rate = mean(row["effective"][CHOOSERS[0]] for row in known)
+    if rate is not None:
+        base = mean(row["base"] for row in known)
+        found.append(Number("Effective rate", f"{rate:.1f} fps", f"ExWarp, from {base:g}"))
+    count = sum(row["intervals"] for row in document["sequences"])
+    return [*found, Number("Sequences", str(len(rows)), f"{count:,} key intervals")]
 
 
-def _runtime(document: Document) -> Figure:
-    keys = {"warping": "warping_ms", "hole marking": "hole_marking_ms", "network": "inference_ms"}
-    labels = Labels(
-        "Run time of a frame", "ms", description="Milliseconds of each step of the work."
-    )
-    parts = {name: [row[key] for row in document["runtime"]] for name, key in keys.items()}
-    return stacked_bars(labels, _labels(document), parts)
-
-
-def _holes(document: Document) -> Figure:
-    rows = [
-        (label, row)
-        for label, row in zip(_labels(document), document["holes"], strict=True)
-        if row["histogram"]
-    ]
-    edges = rows[0][1]["histogram"]["edges"] if rows else [0.0, 1.0]
-    groups = [f"{low:.0%}-{high:.0%}" for low, high in pairwise(edges)]
-    shares = {
-        label: [
-            100 * count / sum(row["histogram"]["counts"]) for count in row["histogram"]["counts"]
+def _saved(document: Document) -> list[Number]:
+    """Return what was saved against rendering, where headers told how long that took."""
+    told = [row for row in document["render_time"] if row["saved_share"] is not None]
+    for name, label in HEADLINE:
+        known = [row for row in told if name in row["saved_share"]]
+        if not known:
+            continue
+        share = mean(row["saved_share"][name] for row in known)
+        rendered = mean(row["key_frame_s"] for row in known)
+        made = mean(row["generated_frame_s"][name] for row in known)
+        return [
+            Number("Render time saved", str(percent(share)), f"{label}, of rendering all frames"),
+            Number("Rendered frame", str(time_text(rendered)), "by the headers, on average"),
+            Number("Generated frame", str(time_text(made)), f"{label}, files apart"),
         ]
-        for label, row in rows
-    }
-    labels = Labels(
-        "Holes of warped frames", "share of the frame that is unseen", "% of the frames",
-        "How many frames have how many holes.",
-    )  # fmt: skip
-    return bars(labels, groups, shares)
-
-
-def _scattered(found: Benchmark) -> Figure:
-    points = [point for one in found.measured for point in feature_points(one)]
-    psnr = [point["warp_psnr_db"] for point in points]
-    labels = Labels(
-        "Features and the quality of W", y="PSNR of W, dB",
-        description="Each feature against the PSNR of warped frames, a point a slot.",
-    )  # fmt: skip
-    return scatter(
-        labels, [Panel(name, [point[name] for point in points], psnr) for name in EFFECTIVE]
-    )
-
-
-def _paths(document: Document) -> Figure:
-    systems = (*PATH_NAMES, "exwarp")
-    rows = document["quality"]
-    labels = Labels(
-        "PSNR of every decision path", "", "PSNR, dB",
-        "Mean PSNR of slots 1 to 3; a line across a bar is the paper's figure.",
-    )  # fmt: skip
-    return bars(
-        labels,
-        _labels(document),
-        {s: [_psnr(row["systems"].get(s)) for row in rows] for s in systems},
-        {
-            s: [row["paper"][s]["psnr_db"] if row["paper"] else None for row in rows]
-            for s in systems
-        },
-    )
-
-
-def _psnr(system: dict[str, Any] | None) -> float | None:
-    return None if system is None else system["all"]["psnr_db"]
-
-
-def _compared(document: Document) -> Figure:
-    rows = document["comparison"]
-    known = [name for name in rows[0]["systems"] if name in COMPARED or ":" in name]
-    labels = Labels("Causal and look-ahead systems", "", "PSNR, dB", "Mean PSNR of slots 1 to 3.")
-    values = {n: [row["systems"].get(n, {}).get("psnr_db") for row in rows] for n in known}
-    return bars(labels, _labels(document), values)
-
-
-def _fps(document: Document) -> Figure:
-    rows = document["fps"]
-    names = [name for name in ("exwarp", "s1", "s2", "s3") if name in rows[0]["effective"]]
-    labels = Labels(
-        "Effective rate", "", "frames per second",
-        f"Base rate and new frames; at most {FACTOR} times the base rate.",
-    )  # fmt: skip
-    return bars(
-        labels, _labels(document), {n: [row["effective"].get(n) for row in rows] for n in names}
-    )
-
-
-def _decisions(document: Document) -> Figure:
-    rows = document["decisions"]
-    shares = [row.get("exwarp", {}).get("warp_share") for row in rows]
-    labels = Labels(
-        "Decisions of the policy", "% of the decisions",
-        description="Share of warping and of extrapolating among all decisions.",
-    )  # fmt: skip
-    parts = {
-        "warp": [None if share is None else 100 * share for share in shares],
-        "extrapolate": [None if share is None else 100 * (1 - share) for share in shares],
-    }
-    return stacked_bars(labels, _labels(document), parts, kinds=True)
+    return []

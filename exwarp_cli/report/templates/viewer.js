@@ -76,7 +76,7 @@
 
     // The address keeps the frame: #viewer:12.
     follow() {
-      const [name, number] = decodeURIComponent(location.hash.slice(1)).split(":");
+      const [name, number] = location.hash.slice(1).split(":");
       const found = this.data.frames.findIndex((frame) => String(frame.number) === number);
       const named = name === this.root.id && found >= 0;
       if (named && document.readyState !== "loading") this.root.scrollIntoView({ block: "nearest" });

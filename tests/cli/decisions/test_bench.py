@@ -4,15 +4,25 @@ from __future__ import annotations
 
 import csv
 import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from exwarp_cli import cli
 from exwarp_cli.pipeline.bench import work
-from tests.cli.decisions.conftest import KEYS
+from tests.cli import shots
+from tests.cli.decisions.conftest import KEYS, SETTINGS, take
+from tests.cli.street import Street
+from tests.unit import tiny_interpolators
 
 QUICK = ("--jobs", 1, "--progress", "none", "--metrics", "psnr,ssim")
+FEW = (*QUICK, "--systems", "exwarp,softsplat")
 MINIATURE = Path(__file__).parents[2] / "data" / "miniature"
 
 
@@ -20,8 +30,8 @@ MINIATURE = Path(__file__).parents[2] / "data" / "miniature"
 def bench(exwarp, uneven, truth, network, tmp_path):
     """Run a benchmark of the shot; return its document and folder."""
 
-    def run(*options: object, setting: str = "key", name: str = "bench", code: int = 0) -> Any:
-        keys, *rest = uneven[setting]
+    def run(*options: object, name: str = "bench", code: int = 0) -> Any:
+        keys, *rest = uneven["key"]
         out = tmp_path / name
         source = (keys, *rest, "--ground-truth", truth, "--extrapolator", network)
         result = exwarp("bench", *source, "-o", out, *(options or QUICK))
@@ -33,46 +43,80 @@ def bench(exwarp, uneven, truth, network, tmp_path):
     return run
 
 
+@pytest.fixture(scope="session")
+def whole(tmp_path_factory, uneven, truth, network, policies) -> Callable[[str], Path]:
+    """Return the folder of a benchmark with most systems, by setting; read only."""
+    root = tmp_path_factory.mktemp("bench")
+
+    def find(setting: str) -> Path:
+        out = root / setting
+        if not out.exists():
+            more = ("--extrapolator", network, "--policy", policies("watching"))
+            more += ("--systems", "exwarp,oracle,s1,s2,s4,s5,s6,hold,softsplat")
+            line = ("bench", *uneven[setting], "--ground-truth", truth, "-o", out, *QUICK, *more)
+            assert cli.run([str(argument) for argument in line]) == 0
+        return out
+
+    return find
+
+
+def document_of(folder: Path) -> dict[str, Any]:
+    return json.loads((folder / "bench.json").read_text())
+
+
+def parts_of(folder: Path) -> list[dict[str, Any]]:
+    found = [json.loads(path.read_text()) for path in folder.glob("parts/*/[0-9]*.json")]
+    return sorted(found, key=lambda part: part["key"])
+
+
 def rows(path: Path) -> list[dict[str, str]]:
     return list(csv.DictReader(path.read_text().splitlines()))
 
 
-@pytest.mark.parametrize("setting", ["key", "slot"])
-def test_numbers_are_those_of_upsample(bench, upsample, uneven, truth, network, tmp_path, setting):
-    document, _ = bench(*QUICK, setting=setting)
-    (found,) = document["quality"]
-    keys, *rest = uneven[setting]
-    for method in ("exwarp", "s1", "s2", "s4", "s6", "softsplat", "oracle", "blend", "hold"):
-        report = tmp_path / f"report-{method}"
-        model = (
-            () if method in ("s6", "softsplat", "blend", "hold") else ("--extrapolator", network)
-        )
-        upsample(
-            keys, tmp_path / method, "-m", method, *rest, *model,
-            "--ground-truth", truth, "--report", report, "--frames", f"1-{KEYS - 1}",
-            "--metrics", "psnr,ssim",
-        )  # fmt: skip
-        expected = json.loads((report / "report.json").read_text())
-        ours = found["systems"][method]
+@pytest.mark.parametrize("setting", SETTINGS)
+def test_numbers_are_those_of_upsample(whole, judged, uneven, truth, tmp_path, setting):
+    folder = whole(setting)
+    (found,) = document_of(folder)["quality"]
+    paths = {"key": ("s2", "s5"), "slot": ("s4",)}[setting]
+    done = {name: judged(name, setting) for name in (*paths, "s6", "oracle", "watching")}
+    for name in ("softsplat", "hold"):
+        given = ("-m", name, "--ground-truth", truth, "--metrics", "psnr,ssim")
+        done[name] = take(uneven[setting], tmp_path / name, *given)
+    for name, run in done.items():
+        ours = found["systems"]["exwarp" if name == "watching" else name]
         for where in ("all", "holes", "dropped"):
-            assert ours[where] == pytest.approx(expected["quality"][where], abs=1e-9), method
-        effective = document["fps"][0]["effective"][method]
-        assert effective == pytest.approx(expected["fps"]["effective"])
-        if method in ("exwarp", "oracle"):
-            taken = document["decisions"][0][method]
-            assert taken["paths"] == expected["decisions"]["paths"]
-            assert taken["warp_share"] == pytest.approx(expected["decisions"]["warp_share"])
+            expected = run.report["quality"][where]
+            for key in ("psnr_db", "ssim", "frames"):
+                assert ours[where][key] == pytest.approx(expected[key], abs=1e-9), (name, where)
 
 
-def test_every_metric_of_a_frame_is_that_of_upsample(bench, upsample, uneven, truth, tmp_path):
-    document, _ = bench("--jobs", 1, "--progress", "none", "--systems", "s6,softsplat,exwarp")
-    keys, *rest = uneven["key"]
-    report = tmp_path / "report"
-    upsample(
-        keys, tmp_path / "out", "-m", "s6", *rest, "--ground-truth", truth, "--report", report,
-        "--frames", f"1-{KEYS - 1}", "--metrics", "all",
-    )  # fmt: skip
-    expected = json.loads((report / "report.json").read_text())["quality"]
+@pytest.mark.parametrize("setting", SETTINGS)
+def test_paths_are_those_of_upsample(whole, judged, setting):
+    parts = parts_of(whole(setting))
+    for chooser, name in (("exwarp", "watching"), ("oracle", "oracle")):
+        # The last key frame has no truth after it; upsample decides there, too.
+        taken = [part["paths"][chooser] for part in parts]
+        assert taken == judged(name, setting).paths[:-1]
+        assert len(set(taken)) > 1
+    effective = document_of(whole(setting))["fps"][0]["effective"]
+    assert (effective["s1"], effective["s2"], effective["s6"]) == (60, 90, 120)
+
+
+@pytest.mark.parametrize("setting", SETTINGS)
+def test_features_are_those_that_upsample_decides_by(whole, judged, setting):
+    ours = rows(whole(setting) / "features.csv")
+    theirs = [row for row in judged("watching", setting).rows if row["slot"] == "1"]
+    assert [row["key"] for row in ours[::3]] == [row["key"] for row in theirs[:-1]]
+    assert {row["R"] for row in ours} == {str(32.0 * 18)}
+    for mine, row in zip(ours[::3], theirs, strict=False):
+        for name in ("N_d", "EMD_Wn", "EMD_Wp", "Var_x", "Var_y"):
+            assert float(mine[name]) == pytest.approx(float(row[name]), abs=1e-5), name
+
+
+def test_every_metric_of_a_frame_is_that_of_upsample(bench, uneven, truth, tmp_path):
+    document, _ = bench(*QUICK[:-2], "--systems", "s6,softsplat")
+    given = ("-m", "s6", "--ground-truth", truth, "--frames", f"1-{KEYS - 1}", "--metrics", "all")
+    expected = take(uneven["key"], tmp_path / "out", *given).report["quality"]
     ours = document["quality"][0]["systems"]["s6"]
     assert None not in [expected["all"][name] for name in ("hdr_flip", "vmaf", "flicker")]
     assert ours["all"] == pytest.approx(expected["all"], abs=1e-6)
@@ -81,7 +125,7 @@ def test_every_metric_of_a_frame_is_that_of_upsample(bench, upsample, uneven, tr
 
 
 def test_a_second_run_measures_nothing_and_writes_the_same(bench, monkeypatch):
-    first, folder = bench()
+    first, folder = bench(*FEW)
     before = {path: path.read_bytes() for path in folder.iterdir() if path.is_file()}
 
     def fail(*_: object) -> None:
@@ -89,35 +133,49 @@ def test_a_second_run_measures_nothing_and_writes_the_same(bench, monkeypatch):
 
     monkeypatch.setattr(work, "measure", fail)
     monkeypatch.setattr(work, "time_subject", fail)
-    second, _ = bench()
+    second, _ = bench(*FEW)
     assert second == first
     assert {path: path.read_bytes() for path in before} == before
 
 
-def test_chunks_into_one_folder_are_the_whole(bench, monkeypatch):
-    whole, _ = bench(name="whole")
-    for frames in ("1-2", f"3-{KEYS}"):
-        bench(*QUICK, "--frames", frames, name="chunks")
+def test_chunks_and_workers_find_what_one_process_finds(bench, monkeypatch):
+    alone, _ = bench(*FEW, name="alone")
+    bench("--jobs", 2, *FEW[2:], "--frames", "1-3", name="chunks")
+    bench(*FEW, "--frames", f"4-{KEYS}", name="chunks")
     monkeypatch.setattr(work, "measure", None)
-    joined, _ = bench(name="chunks")
+    joined, _ = bench(*FEW, name="chunks")
     for key in ("quality", "holes", "features", "decisions", "fps", "extranet_procedure"):
-        assert joined[key] == whole[key], key
+        assert joined[key] == alone[key], key
 
 
-def test_workers_find_what_one_process_finds(bench):
-    alone, _ = bench(name="alone")
-    shared, _ = bench("--jobs", 2, *QUICK[2:], name="shared")
-    assert shared["quality"] == alone["quality"]
-
-
-def test_a_damaged_part_and_other_settings_are_measured_again(bench):
-    first, folder = bench()
+def test_only_what_is_damaged_or_asked_for_anew_is_measured(bench, monkeypatch):
+    first, folder = bench(*FEW)
     part = next(iter(folder.glob("parts/*/2.json")))
     part.write_text(part.read_text()[:100])
-    again, _ = bench()
-    assert again["quality"] == first["quality"]
-    fewer, _ = bench(*QUICK, "--systems", "s6,hold")
-    assert set(fewer["quality"][0]["systems"]) == {"s6", "hold"}
+    measure, told = work.measure, []
+
+    def counted(opened, loaded):
+        told.append(loaded.key)
+        return measure(opened, loaded)
+
+    monkeypatch.setattr(work, "measure", counted)
+    again, _ = bench(*FEW)
+    assert again["quality"] == first["quality"] and told == [1]
+    fewer, _ = bench(*QUICK, "--systems", "s3,hold", "--frames", "2")
+    assert set(fewer["quality"][0]["systems"]) == {"s3", "hold"} and told == [1, 1]
+
+
+def test_another_card_is_another_network(bench, tmp_path):
+    path = tmp_path / "net.onnx"
+    found = []
+    for more in ({}, {"encoding": "linear"}):
+        model, card = tiny_interpolators.CARDS["untimed"]
+        tiny_interpolators.put(path, model, card | more)
+        options = (*QUICK, "--systems", "s6", "--frames", "2", "--interpolator", path)
+        document, _ = bench(*options)
+        assert document["systems"]["onnx:net"]["lookahead"]
+        found.append(document["networks"]["onnx:net, card"])
+    assert found[0] != found[1]
 
 
 def test_every_nth_interval(bench):
@@ -130,6 +188,7 @@ def test_tables_say_what_is_looked_ahead_and_what_the_paper_prints(exwarp, netwo
     out = tmp_path / "bench"
     result = exwarp(
         "bench", MINIATURE, "--scenes", "variety-0074", "-o", out, *QUICK, "--setting", "both",
+        "--systems", "exwarp,s1,s3,softsplat,minterpolate",
         "--extrapolator", network, "--extranet", network,
     )  # fmt: skip
     assert result.code == 0, result.err
@@ -162,6 +221,7 @@ def test_tables_say_what_is_looked_ahead_and_what_the_paper_prints(exwarp, netwo
     [
         (("--scenes", "lab"), ("--ground-truth", "--scenes")),
         (("--systems", "s7"), ("--systems", "'s7'", "softsplat")),
+        (("--systems", " ,"), ("--systems is empty", "softsplat")),
         (("--metrics", "beauty"), ("--metrics", "'beauty'")),
         (("--clock", "fast"), ("--clock fast",)),
     ],
@@ -181,5 +241,75 @@ def test_a_sequence_needs_its_truth_and_a_data_set_none_of_its_options(exwarp, u
 
 
 def test_two_interpolators_of_one_name_are_refused(bench, tmp_path):
-    result = bench(*QUICK, "--interpolator", tmp_path / "none.onnx", code=3)
-    result.refused(3, "none.onnx")
+    model, card = tiny_interpolators.CARDS["untimed"]
+    given = []
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+        path = tiny_interpolators.put(tmp_path / folder / "net.onnx", model, card)
+        given += ["--interpolator", path]
+    bench(*QUICK, *given, code=2).refused(2, "--interpolator", "net", "card")
+
+
+def test_frames_too_small_for_vmaf_are_refused_before_any_work(exwarp, tmp_path):
+    street, root = Street(24, 14), tmp_path
+    keys = shots.sequence(root / "keys", shots.plain, range(1, 3), street)
+    truth = shots.sequence(root / "truth", shots.colour_only, range(1, 6), street, step=0.25)
+    line = ("bench", keys, *shots.FORWARD, "--ground-truth", truth, "-o", root / "bench")
+    line += ("--progress", "none", "--jobs", 1, "--systems", "s6")
+    exwarp(*line).refused(3, "24x14", "VMAF", "--metrics")
+    assert not (root / "bench").exists()
+    assert exwarp(*line, "--metrics", "psnr,ssim,flicker").code == 0
+
+
+def test_terminated_it_says_so_at_once_and_its_workers_end(tmp_path):
+    street = Street(64, 36)
+    keys = shots.sequence(tmp_path / "keys", shots.plain, range(1, 10), street)
+    truth = shots.truth(tmp_path / "truth", keys=9, street=street)
+    given = (keys, *shots.FORWARD, "--ground-truth", truth, "-o", tmp_path / "bench")
+    how = ("--systems", "s6", "--metrics", "psnr,hdr-flip", "--jobs", 2, "--progress", "plain")
+    with start("-m", "exwarp_cli", "bench", *given, *how) as process:
+        workers = until(lambda: len(children(process.pid)) > 2 and children(process.pid))
+        process.send_signal(signal.SIGTERM)
+        _, err = process.communicate(timeout=60)
+    assert process.returncode == 143 and "Traceback" not in err
+    (told,) = (line for line in err.splitlines() if line.startswith("exwarp: error: "))
+    assert "terminated" in told and "same command goes on" in told
+    until(lambda: not any(map(is_running, workers)))
+
+
+def test_workers_do_not_outlive_a_command_that_is_killed():
+    begin = "from exwarp_cli.pipeline.bench.side_by_side import *; from time import sleep; "
+    with start("-c", begin + "list(side_by_side(sleep, [(600,)] * 2, 2, follow_parent))") as it:
+        workers = until(lambda: len(children(it.pid)) > 2 and children(it.pid))
+        time.sleep(0.5)  # so that most often they are at work; sooner they have to end as well
+        it.kill()
+        it.communicate(timeout=60)
+    until(lambda: not any(map(is_running, workers)))
+
+
+def start(*arguments: object) -> subprocess.Popen[str]:
+    line = [sys.executable, *map(str, arguments)]
+    return subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def until(found: Callable[[], Any]) -> Any:
+    """Wait for something to be there, a minute at most."""
+    for _ in range(6000):
+        if value := found():
+            return value
+        time.sleep(0.01)
+    pytest.fail("it never came")
+
+
+def children(pid: int) -> list[int]:
+    """Processes that a process has begun: its workers, and what tracks their semaphores."""
+    return [int(word) for word in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+
+
+def is_running(pid: int) -> bool:
+    """Whether a process lives; one that nobody has reaped does not."""
+    try:
+        status = Path(f"/proc/{pid}/stat").read_text()
+    except OSError:
+        return False
+    return status.rpartition(")")[2].split()[0] != "Z"

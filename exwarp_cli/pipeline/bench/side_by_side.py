@@ -1,0 +1,102 @@
+"""Work that several processes share, none of which outlives the command."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from multiprocessing import active_children, get_context, parent_process
+from typing import Any, TypeVar
+
+from exwarp_cli.errors import ExwarpError
+
+Task = TypeVar("Task", bound=tuple[Any, ...])
+Result = TypeVar("Result")
+
+PUT_OFF = (signal.SIGINT, signal.SIGTERM)
+
+
+def side_by_side(
+    work: Callable[..., Result],
+    tasks: Sequence[Task],
+    jobs: int,
+    begin: Callable[[], None],
+) -> Generator[tuple[Task, Result], None, None]:
+    """Yield every task with its result, as they come; close the iterator to end the work.
+
+    Parameters
+    ----------
+    work
+        A function of a module, called in other processes. Whatever it raises is raised here, and
+        ends the others.
+    tasks
+        Arguments that it is called with; like the results, they can be pickled.
+    jobs
+        Processes.
+    begin
+        Called once in each process; a function of a module that calls `follow_parent`.
+
+    Raises
+    ------
+    ExwarpError
+        When a process was ended from outside.
+    """
+    before = set(active_children())
+    pool = ProcessPoolExecutor(jobs, get_context("spawn"), begin)
+    try:
+        with _undisturbed():
+            waiting = {pool.submit(work, *task): task for task in tasks}
+        for future in as_completed(waiting):
+            yield waiting[future], future.result()
+    except BrokenProcessPool as error:
+        raise ExwarpError(
+            "a process of this command was ended from outside, most likely as the memory did not "
+            "suffice; run the same command again with fewer --jobs, it goes on from there"
+        ) from error
+    except BaseException:
+        # Else everything that is under way would be finished before anybody hears of it.
+        for child in set(active_children()) - before:
+            child.kill()  # which no mask and no handler keeps off
+        raise
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def _undisturbed() -> Iterator[None]:
+    """Put signals off while processes begin; they arrive afterwards.
+
+    A terminal interrupts all processes at once, and one that is still importing prints a traceback;
+    nor can a pool be shut down that has begun by half. Processes inherit what is put off.
+    """
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, PUT_OFF)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+
+
+def follow_parent() -> None:
+    """Prepare a process to end with its parent, however that ends, and only then.
+
+    Interruptions are the parent's business. Where it is killed, nobody else would tell a process
+    that waits for work.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, PUT_OFF)
+    threading.Thread(target=_await_parent, daemon=True).start()
+
+
+def _await_parent() -> None:
+    parent = parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(1)

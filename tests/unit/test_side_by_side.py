@@ -1,0 +1,47 @@
+"""Work in several processes, none of which outlives it."""
+
+from __future__ import annotations
+
+import os
+import time
+from multiprocessing import active_children
+from pathlib import Path
+
+import pytest
+
+from exwarp_cli.errors import ExwarpError, UsageError
+from exwarp_cli.pipeline.bench.side_by_side import follow_parent, side_by_side
+
+
+def test_every_task_comes_with_its_result():
+    found = side_by_side(divmod, [(7, 2), (9, 4), (5, 5)], 2, follow_parent)
+    assert dict(found) == {(7, 2): (3, 1), (9, 4): (2, 1), (5, 5): (1, 0)}
+
+
+def test_closed_it_ends_what_is_under_way(tmp_path):
+    paths = [tmp_path / name for name in ("first", "second", "third")]
+    tasks = [(paths[0], 0.0), (paths[1], 5.0), (paths[2], 5.0)]
+    found = side_by_side(touch_later, tasks, 2, follow_parent)
+    assert next(found)[0] == tasks[0]
+    found.close()
+    assert [path.exists() for path in paths] == [True, False, False]
+    assert active_children() == []
+
+
+def test_what_one_raises_ends_the_others(tmp_path):
+    tasks = [(tmp_path / "other", 5.0), (tmp_path / "refused", -1.0)]
+    with pytest.raises(UsageError, match="no time"):
+        list(side_by_side(touch_later, tasks, 2, follow_parent))
+    assert not (tmp_path / "other").exists() and active_children() == []
+
+
+def test_a_process_that_is_ended_from_outside_is_one_sentence():
+    with pytest.raises(ExwarpError, match="fewer --jobs"):
+        list(side_by_side(os._exit, [(1,)], 1, follow_parent))
+
+
+def touch_later(path: Path, seconds: float) -> None:
+    if seconds < 0:
+        raise UsageError("there is no time below 0")
+    time.sleep(seconds)
+    path.touch()
