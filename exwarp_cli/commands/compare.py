@@ -51,8 +51,8 @@ def _limits(
     metavar="NAME=VALUE",
     multiple=True,
     callback=_limits,
-    help="Exit with 8 if a metric is worse: psnr=35, worst.psnr=30 for the worst frame, "
-    "holes.ssim=0.8. May be given again.",
+    help="Exit with 8 if a metric is worse: psnr=35, generated.psnr=30 for the frames that "
+    "ExWarp made, worst.psnr=30 for the worst frame, holes.ssim=0.8. May be given again.",
 )
 @click.option(
     "--fail-above",
@@ -116,18 +116,15 @@ def _print(result: Comparison) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from exwarp_cli.report.comparison import comparison
+    from exwarp_cli.report.comparison import comparison, part_rows
 
     document = comparison(result)
     shown = [metric for metric in METRICS if metric.field in result.measuring.measured]
     table = Table("", *(metric.title for metric in shown), "frames")
     worst = document["worst"]
-    rows = (
-        ("all pixels", document["quality"]["all"]),
-        ("holes", document["quality"]["holes"]),
-        (f"worst: {worst['frame']}", worst | {"frames": 1}),
-    )
-    for name, values in rows:
+    rows = part_rows(document["quality"])
+    rows[f"worst: {worst['frame']}"] = worst | {"frames": 1}
+    for name, values in rows.items():
         known = ((metric, values[metric.field]) for metric in shown)
         cells = ("-" if value is None else metric.text(value) for metric, value in known)
         table.add_row(name, *cells, str(values["frames"]))

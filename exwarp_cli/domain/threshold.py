@@ -8,9 +8,11 @@ from dataclasses import dataclass
 from exwarp_cli.domain.metric import BY_OPTION, Metric
 from exwarp_cli.errors import UsageError
 
-SCOPES = {"": "all", "holes": "holes", "worst": "worst"}
+GENERATED = "generated"
+
+SCOPES = {"": "all", "generated": GENERATED, "holes": "holes", "worst": "worst"}
 """What a limit may be on, by what stands before the metric's name: the mean over all frames, over
-their holes, or the worst single frame."""
+those that their headers call generated, over the holes, or the worst single frame."""
 
 
 @dataclass(frozen=True)
@@ -22,7 +24,7 @@ class Threshold:
     metric
         What is limited.
     scope
-        "all", "holes" or "worst".
+        "all", "generated", "holes" or "worst".
     limit
         The worst value that passes.
     """
@@ -48,7 +50,7 @@ class Threshold:
 
 
 def parse_threshold(text: str, option: str) -> Threshold:
-    """Read a limit such as ``psnr=35``, ``worst.psnr=30`` or ``holes.ssim=0.8``.
+    """Read a limit such as ``psnr=35``, ``generated.psnr=30`` or ``holes.ssim=0.8``.
 
     Parameters
     ----------
@@ -67,8 +69,8 @@ def parse_threshold(text: str, option: str) -> Threshold:
     metric = BY_OPTION.get(plain)
     if metric is None or prefix not in SCOPES:
         raise UsageError(
-            f"{option} {text!r} is no limit; write for example psnr=35, worst.psnr=30 or "
-            f"holes.ssim=0.8, with a metric out of {', '.join(BY_OPTION)}"
+            f"{option} {text!r} is no limit; write for example psnr=35, generated.psnr=30, "
+            f"worst.psnr=30 or holes.ssim=0.8, with a metric out of {', '.join(BY_OPTION)}"
         )
     try:
         limit = float(value)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,14 @@ from exwarp_cli.errors import InputError, LayoutError, MissingFrameError
 from exwarp_cli.io.frames import read_image, read_plane
 from exwarp_cli.io.sequence import Sequence, find_sequence
 from exwarp_cli.pipeline.comparing import Pair, Scorer
-from exwarp_cli.pipeline.measuring import rendered_note, require_consistent, scorer
+from exwarp_cli.pipeline.measuring import (
+    Origin,
+    origins_of,
+    rendered_note,
+    require_consistent,
+    require_generated,
+    scorer,
+)
 from exwarp_cli.pipeline.progress import NoProgress, Progress
 from exwarp_cli.pipeline.watching import Watcher
 
@@ -39,6 +46,8 @@ class ComparedFrame:
         empty one.
     hole_fraction
         Share of the pixels that the mask marks, 0 to 1; None without a mask.
+    origin
+        What the test frame's header tells of where it came from.
     """
 
     reference: int
@@ -47,6 +56,7 @@ class ComparedFrame:
     score: Score
     hole_score: Score | None = None
     hole_fraction: float | None = None
+    origin: Origin = field(default_factory=Origin)
 
 
 @dataclass(frozen=True)
@@ -133,11 +143,13 @@ def evaluate(
     files = [
         _Files(a, b, truth.files[a], judged.files[b], mask_files.get(b)) for a, b in pairs.items()
     ]
-    tested = [one.test for one in files]
-    scoring, notes = scorer(measuring, reference, truth, tested)
+    origins = origins_of([one.test for one in files])
+    require_generated(measuring, origins, judged)
+    scoring, notes = scorer(measuring, reference, truth, origins)
     compared, shape = _score(files, scoring, progress or NoProgress(), watcher)
     if measuring.preset is None:  # which has its own rule for rendered frames
-        notes = (*rendered_note(tested), *notes)
+        notes = (*rendered_note(origins), *notes)
+    compared = tuple(replace(f, origin=o) for f, o in zip(compared, origins, strict=True))
     found = Comparison(
         *(truth, judged, masks, matched_by, shape[1], shape[0], compared),
         measuring=measuring,

@@ -3,16 +3,72 @@
 from __future__ import annotations
 
 from collections.abc import Sequence as Listed
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from exwarp_cli.domain.metric import METRICS
 from exwarp_cli.domain.results import FrameKind
 from exwarp_cli.domain.settings import PRESETS, MeasureSettings
+from exwarp_cli.domain.threshold import GENERATED
 from exwarp_cli.errors import InputError, UsageError
 from exwarp_cli.io.output import written_attributes
 from exwarp_cli.io.sequence import Sequence
 from exwarp_cli.pipeline.comparing import ExtranetScores, Scorer, SequenceScores
 from exwarp_cli.pipeline.flow import Flow, open_flow
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where a frame came from, as its header tells; all None for a frame that ExWarp did not make.
+
+    Attributes
+    ----------
+    kind
+        A value of `FrameKind`: "generated" or "dropped".
+    made_by
+        "warp", "extrapolate", "interpolate" or "hold".
+    path
+        Decision path of its key interval, S1 to S6; None outside the paper's paths.
+    """
+
+    kind: str | None = None
+    made_by: str | None = None
+    path: str | None = None
+
+    @property
+    def generated(self) -> bool:
+        """Whether it is a new frame: not a rendered one and no repeat."""
+        return self.kind == FrameKind.GENERATED.value
+
+    @property
+    def dropped(self) -> bool:
+        """Whether it repeats the frame before."""
+        return self.kind == FrameKind.DROPPED.value
+
+    @property
+    def choice(self) -> str | None:
+        """What was decided for a generated frame; None outside the decision tree.
+
+        A blend of two key frames is booked as a warp too, but nothing decided for it.
+        """
+        return self.made_by if self.generated and self.path is not None else None
+
+
+def origins_of(files: Listed[Path]) -> list[Origin]:
+    """Read where frames came from, of every header once.
+
+    Raises
+    ------
+    DamagedFileError
+        When a header cannot be read.
+    """
+    return [_origin(written_attributes(path)) for path in files]
+
+
+def _origin(known: dict[str, Any]) -> Origin:
+    told = (known.get(name) for name in ("kind", "madeBy", "path"))
+    return Origin(*(value if isinstance(value, str) else None for value in told))
 
 
 def require_consistent(measuring: MeasureSettings, holes: str | None) -> None:
@@ -40,8 +96,19 @@ def require_consistent(measuring: MeasureSettings, holes: str | None) -> None:
         )
 
 
+def require_generated(measuring: MeasureSettings, origins: Listed[Origin], test: Sequence) -> None:
+    """Refuse limits on generated frames where no header tells of any; raises UsageError."""
+    limits = [limit for limit in measuring.thresholds if limit.scope == GENERATED]
+    if limits and not any(origin.generated for origin in origins):
+        raise UsageError(
+            f"{limits[0].option} {limits[0].name} is on generated frames, and by their headers "
+            f"none of the compared frames of {test.pattern} is one; write {limits[0].metric.option}"
+            f"={limits[0].limit:g} for all frames"
+        )
+
+
 def scorer(
-    measuring: MeasureSettings, spec: str, reference: Sequence, test: Listed[Path]
+    measuring: MeasureSettings, spec: str, reference: Sequence, origins: Listed[Origin]
 ) -> tuple[Scorer, tuple[str, ...]]:
     """Return who scores, and what a reader of the numbers should know of it.
 
@@ -51,17 +118,17 @@ def scorer(
         What is wanted.
     spec, reference
         The true sequence: what the user named it by, and what was found.
-    test
-        Files of the frames that will be scored, in order.
+    origins
+        Of the frames that will be scored, in order.
     """
     if measuring.preset is not None:
-        generated = _generated(test)
+        generated = _generated(origins)
         if generated is not None and not any(generated):
             raise InputError(
-                f"by their headers none of the frames from {test[0]} on is generated, and "
+                "by their headers none of the frames of the second sequence is generated, and "
                 f"--preset {measuring.preset} scores nothing else; leave the preset out"
             )
-        return ExtranetScores(measuring.measured, len(test), generated), ()
+        return ExtranetScores(measuring.measured, len(origins), generated), ()
     if "flicker" not in measuring.measured:
         return SequenceScores(measuring.measured, None), ()
     flow = open_flow(spec, reference)
@@ -71,25 +138,19 @@ def scorer(
     return SequenceScores(measuring.measured, None), (note,)
 
 
-def _kinds(files: Listed[Path]) -> list[str | None]:
-    """Return what the headers call the frames: None for a frame that ExWarp did not make."""
-    return [written_attributes(path).get("kind") for path in files]
-
-
-def _generated(files: Listed[Path]) -> list[bool] | None:
+def _generated(origins: Listed[Origin]) -> list[bool] | None:
     """Return which frames the headers call generated; None where no header says anything."""
-    kinds = _kinds(files)
-    if not any(kinds):
+    if all(origin.kind is None for origin in origins):
         return None
-    return [kind == FrameKind.GENERATED.value for kind in kinds]
+    return [origin.generated for origin in origins]
 
 
-def rendered_note(files: Listed[Path]) -> tuple[str, ...]:
+def rendered_note(origins: Listed[Origin]) -> tuple[str, ...]:
     """Say that frames which were rendered raise the means over an upsampled sequence, if any do."""
-    rendered = _kinds(files).count(None)
-    if rendered in (0, len(files)):
+    rendered = sum(origin.kind is None for origin in origins)
+    if rendered in (0, len(origins)):
         return ()
     return (
-        f"the means are over all {len(files)} frames, {rendered} of which are rendered ones by "
-        "their headers",
+        f"the means of all pixels are over all {len(origins)} frames, {rendered} of which are "
+        "rendered ones by their headers",
     )

@@ -13,7 +13,7 @@ from exwarp_cli.domain.frame import place
 from exwarp_cli.domain.motion import AxisMap, MotionConvention, MotionFinding
 from exwarp_cli.domain.settings import DEFAULT_FPS, SourceSettings
 from exwarp_cli.domain.timeline import FACTOR, Slot, Timeline, ranges
-from exwarp_cli.errors import InputError, LayoutError, MotionError, UsageError
+from exwarp_cli.errors import InputError, LayoutError, MissingFrameError, MotionError, UsageError
 from exwarp_cli.io.channels import PRESETS, Role
 from exwarp_cli.io.frames import Shot, open_shot, read_raw
 from exwarp_cli.io.output import frame_rate, read_headers
@@ -188,9 +188,13 @@ def align(timeline: Timeline, sequence: Sequence, what: str) -> FrameOf:
     Raises
     ------
     InputError
-        When the sequence has gaps.
+        When the sequence has gaps, also where only the key frames' instants are missing.
     """
-    numbers = Timeline.of(sequence.numbers).numbers
+    try:
+        numbers = Timeline.of(sequence.numbers).numbers
+    except MissingFrameError as error:
+        told = f"{what} needs every frame, those at the key frames' instants too: {error}"
+        raise MissingFrameError(told) from error
     known = set(numbers)
     count = FACTOR * (len(timeline.numbers) - 1) + 1
     expected = range(timeline.start, timeline.start + count)
@@ -206,6 +210,12 @@ def align(timeline: Timeline, sequence: Sequence, what: str) -> FrameOf:
         raise InputError(
             f"{what} has {len(numbers)} frames like the key frames, but has to be at {FACTOR} "
             "times their rate; check the path"
+        )
+    if len(numbers) > 1 and numbers[1] - numbers[0] > 1 and known.issubset(expected):
+        # By order, each would be taken for a frame of another instant.
+        raise InputError(
+            f"{what} has only the frames {ranges(list(numbers))} of {expected[0]}-{expected[-1]}, "
+            "and needs every frame from the first key frame on; give the whole sequence"
         )
     return frame_of
 

@@ -5,12 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 from exwarp_cli.pipeline.evaluate import Comparison
+from exwarp_cli.report.comparison import part_rows
 from exwarp_cli.report.gallery import Album
 from exwarp_cli.report.page import Block, Cell, Number, Page, Section, Table, Text, Viewer
 from exwarp_cli.report.page_parts import (
     BY_FIELD,
     facts_of,
     file_name,
+    measured_in,
     metric_plots,
     metric_text,
     percent,
@@ -53,6 +55,7 @@ def compare_page(result: Comparison, document: dict[str, Any], album: Album | No
             *_verdict(document["thresholds"]),
             Number("Frames", f"{document['frames']:,}", f"matched by {document['matched_by']}"),
             *quality_numbers(document["quality"]["all"]),
+            *_of_generated(document),
         ],
         (
             Section("frames", "Frames", [Viewer(album)] if album and album.frames else []),
@@ -62,13 +65,25 @@ def compare_page(result: Comparison, document: dict[str, Any], album: Album | No
     )
 
 
+def _of_generated(document: dict[str, Any]) -> list[Number]:
+    """Return the first metric of the generated frames, where others raise the means over all."""
+    made, count = document["quality"]["generated"], document["frames"]
+    metrics = measured_in(made)
+    if not metrics or made["frames"] == count:
+        return []
+    first = metrics[0]
+    value = first.with_unit(made[first.field])
+    return [Number(f"{first.name}, generated", value, f"of {made['frames']:,} frames alone")]
+
+
 def _quality(result: Comparison, document: dict[str, Any], album: Album | None) -> list[Block]:
     quality = document["quality"]
     numbers = [frame.test for frame in result.frames]
     scores = [frame.score for frame in result.frames]
-    blocks = {"all pixels": quality["all"]}
-    if quality["holes"]["frames"]:
-        blocks["holes only"] = quality["holes"]
+    blocks = part_rows(quality)
+    holes_only = blocks.pop("holes")
+    if holes_only["frames"]:
+        blocks["holes only"] = holes_only
     found: list[Block] = [quality_table("Means over the frames", blocks)]
     limits = _limits(document["thresholds"])
     shown = () if album is None else tuple(album.frames)

@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from exwarp_cli import __version__
+from exwarp_cli.domain.decision import CHOICES
 from exwarp_cli.io.sequence import Sequence
-from exwarp_cli.pipeline.evaluate import Comparison
+from exwarp_cli.pipeline.evaluate import ComparedFrame, Comparison
 from exwarp_cli.report.frames_csv import (
     LATER_HOLE_SCORES,
     LATER_SCORES,
@@ -25,8 +26,9 @@ COLUMNS = (
     *("psnr_db_holes", "ssim_holes", "flip_holes"),
     *LATER_SCORES,
     *LATER_HOLE_SCORES,
+    *("kind", "made_by"),
 )
-"""Columns of frames.csv; `frame` is the test's number."""
+"""Columns of frames.csv; `frame` is the test's number, the last two are what its header tells."""
 
 
 def comparison(result: Comparison) -> dict[str, Any]:
@@ -43,10 +45,7 @@ def comparison(result: Comparison) -> dict[str, Any]:
             "width": result.width,
             "height": result.height,
             "frames": len(result.frames),
-            "quality": {
-                "all": quality(frame.score for frame in result.frames),
-                "holes": quality(frame.hole_score for frame in result.frames),
-            },
+            "quality": _quality(result.frames),
             "worst": {
                 "frame": worst.test,
                 "reference_frame": worst.reference,
@@ -70,10 +69,36 @@ def comparison_csv(result: Comparison) -> str:
             *score_cells(frame.score),
             *score_cells(frame.hole_score),
             *later_cells(frame.score, frame.hole_score),
+            *(frame.origin.kind, frame.origin.made_by),
         )
         for frame in result.frames
     )
     return table(COLUMNS, rows)
+
+
+def part_rows(quality: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """Name the blocks of a comparison's `quality` in the order of a table's rows.
+
+    Parts that no header tells of are left out; "all pixels" and "holes" are always there.
+    """
+    parts = {"generated": quality["generated"], "repeated": quality["dropped"]}
+    parts |= {f"made by {name}": block for name, block in quality["by_decision"].items()}
+    there = {name: block for name, block in parts.items() if block["frames"]}
+    return {"all pixels": quality["all"], **there, "holes": quality["holes"]}
+
+
+def _quality(frames: tuple[ComparedFrame, ...]) -> dict[str, Any]:
+    """Average the scores of all frames, and of the parts that their headers tell apart."""
+    return {
+        "all": quality(frame.score for frame in frames),
+        "generated": quality(frame.score for frame in frames if frame.origin.generated),
+        "dropped": quality(frame.score for frame in frames if frame.origin.dropped),
+        "by_decision": {
+            choice: quality(frame.score for frame in frames if frame.origin.choice == choice)
+            for choice in CHOICES
+        },
+        "holes": quality(frame.hole_score for frame in frames),
+    }
 
 
 def _sequence(sequence: Sequence) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from exwarp_cli.domain.threshold import Threshold
+from exwarp_cli.domain.threshold import GENERATED, Threshold
 from exwarp_cli.errors import QualityError, UsageError
 from exwarp_cli.pipeline.evaluate import Comparison
 from exwarp_cli.report.quality import quality
@@ -16,9 +16,9 @@ def verdicts(result: Comparison) -> list[dict[str, Any]]:
     Returns
     -------
     list of dict
-        ``name`` as on the command line, ``metric``, ``scope`` ("all", "holes" or "worst"),
-        ``limit``, ``fails`` ("below" or "above" it), ``value`` (None where it was not measured)
-        and ``passed``, which is false then.
+        ``name`` as on the command line, ``metric``, ``scope`` ("all", "generated", "holes"
+        or "worst"), ``limit``, ``fails`` ("below" or "above" it), ``value`` (None where it was not
+        measured) and ``passed``, which is false then.
     """
     found = []
     for limit in result.measuring.thresholds:
@@ -69,6 +69,8 @@ def _value(result: Comparison, limit: Threshold) -> float | None:
     name = limit.metric.field
     if limit.scope == "all":
         return quality(frame.score for frame in result.frames)[name]
+    if limit.scope == GENERATED:
+        return quality(frame.score for frame in result.frames if frame.origin.generated)[name]
     if limit.scope == "holes":
         return quality(frame.hole_score for frame in result.frames)[name]
     known = [getattr(frame.score, name) for frame in result.frames]

@@ -48,6 +48,7 @@ def upsample_page(run: RunSummary, document: dict[str, Any], album: Album | None
     if album is not None:
         for frame in frames:
             album.tell(frame.number, made_by(frame), _facts(frame))
+        _start_at_worst(album, frames)
     shown = () if album is None else tuple(album.frames)
     source = document["input"]
     count = document["frames"]["written"]
@@ -65,6 +66,18 @@ def upsample_page(run: RunSummary, document: dict[str, Any], album: Album | None
             Section("input", "Input and settings", _settings(document)),
         ),
     )
+
+
+def _start_at_worst(album: Album, frames: tuple[FrameRecord, ...]) -> None:
+    """Show the worst frame first, if it was kept: VMAF and flicker are known only at the end."""
+    known = {f.number: f.score.badness for f in frames if f.score is not None}
+    worst = max(
+        (number for number, badness in known.items() if badness is not None),
+        key=lambda number: known[number] or 0.0,
+        default=None,
+    )
+    if worst in album.frames:
+        album.start = worst
 
 
 def made_by(frame: FrameRecord) -> str:

@@ -127,6 +127,15 @@ class TestAlign:
         with pytest.raises(MissingFrameError, match="frame 5 is missing"):
             align(self.TIMELINE, sequence([1, 2, 3, 4, 6, 7, 8, 9]), "--gbuffers")
 
+    def test_the_key_frames_instants_belong_to_it(self):
+        """VMAF would have no video without them, and order would be another one."""
+        with pytest.raises(MissingFrameError, match=r"--ground-truth needs.* key .*frame 5,9 is"):
+            align(self.TIMELINE, sequence([2, 3, 4, 6, 7, 8, 10, 11, 12]), "--ground-truth")
+
+    def test_one_slot_of_every_interval_is_not_taken_for_every_slot(self):
+        with pytest.raises(InputError, match="has only the frames 1003,1007 of 1001-1009, and"):
+            align(self.TIMELINE, sequence([1003, 1007]), "--ground-truth")
+
 
 class TestRate:
     def shot(self, tmp_path, **attributes):

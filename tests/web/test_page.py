@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import re
 from collections import Counter
@@ -127,6 +128,29 @@ def test_a_resumed_run_shows_the_same_frames(report, tmp_path):
     before, after = (data_of(r.page.read_text(encoding="utf-8")) for r in (report, again))
     assert before["images"] == after["images"]
     assert [f["pictures"] for f in before["frames"]] == [f["pictures"] for f in after["frames"]]
+
+
+@pytest.mark.parametrize("metric", ["vmaf", "flicker"])
+def test_the_viewer_starts_at_the_worst_by_what_is_known_at_the_end(report, tmp_path, metric):
+    made = replace(report, frames=tmp_path / "out", folder=tmp_path)
+    made.run("--metrics", metric)
+    data = data_of(made.page.read_text(encoding="utf-8"))
+    rows = list(csv.DictReader((tmp_path / "frames.csv").read_text().splitlines()))
+    known = {int(row["frame"]): float(row[metric]) for row in rows if row[metric]}
+    worst = (min if metric == "vmaf" else max)(known, key=lambda number: known[number])
+    first = next(row["frame"] for row in rows if row["kind"] != "key")
+    assert data["start"] == worst != int(first)
+
+
+def test_a_worst_frame_that_was_not_kept_is_not_started_at() -> None:
+    made = path_run("S5", 2, scored=True)
+    gallery = Gallery(has_truth=True)
+    gallery.plan([[3]])
+    gallery.frame(3, np.zeros((8, 12, 3), np.float32), None, None, is_key=False)
+    for start in (None, 3):
+        gallery.album.start = start
+        upsample_page(made, document_of(made), gallery.album)
+        assert gallery.album.start == start
 
 
 def test_without_truth_the_key_frame_stands_beside(report, tmp_path):
