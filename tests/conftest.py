@@ -2,8 +2,15 @@
 
 from __future__ import annotations
 
+import signal
+
 from hypothesis import settings
 
 # A busy machine is no defect: examples may take any time.
 settings.register_profile("exwarp", deadline=None)
 settings.load_profile("exwarp")
+
+# A shell ignores interruptions in what it runs in the background, and so would all that is started
+# from here: the tests that interrupt a command could only wait for its end.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)

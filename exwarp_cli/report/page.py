@@ -44,7 +44,7 @@ class Link:
 
 
 Cell = str | Link | None
-"""Of a table; None was not measured. What reads as a number stands to the right."""
+"""Of a table; None was not measured. Columns that mostly read as numbers stand to the right."""
 
 
 @dataclass(frozen=True)
@@ -164,7 +164,7 @@ _NUMBER = re.compile(r"[-+]?[0-9][0-9,]*([.][0-9]+)?( ?(%|dB|ms|s|fps|min|h|MB|K
 
 
 def is_number(cell: Cell) -> bool:
-    """Whether a cell of a table stands to the right."""
+    """Whether a cell of a table reads as a number; None may stand for one."""
     return cell is None or (isinstance(cell, str) and _NUMBER.fullmatch(cell) is not None)
 
 

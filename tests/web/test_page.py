@@ -341,3 +341,14 @@ def test_blocks_of_other_pages() -> None:
 )
 def test_numbers_stand_to_the_right(cell: str, expected: bool) -> None:
     assert is_number(cell) is expected
+
+
+@pytest.mark.parametrize(
+    ("cells", "right"),
+    [(("1,871", "12 of 16 bytes", "-"), 0), (("1.5", "-", None, "2.5"), 5), (("a", "b"), 0)],
+)
+def test_a_column_stands_on_one_side_whatever_single_cells_are(cells, right):
+    rows = [[f"row {i}", cell] for i, cell in enumerate(cells)]
+    sections = [Section("a", "A", [Table("", ("", "counted"), rows)])]
+    html = render(Page("title", "", [], sections))
+    assert html.count('class="number"') == right

@@ -61,7 +61,7 @@ def runtime(document: Document) -> Table:
         if row["paper"] is not None:
             values = {key: row["paper"][name] for key, name in zip(keys, printed, strict=True)}
             rows.append(paper_row(row) | values)
-    titles = ("G-buffers", "warping", "hole marking", "network")
+    titles = ("G-buffer generation", "warping", "hole marking", "network")
     more = ("read_ms", "geometry_ms", "features_ms", "decide_ms", "inputs_ms")
     names = ("reading", "geometry", "features", "decision", "network's inputs")
     return Table(
