@@ -12,13 +12,13 @@ import tempfile
 from collections.abc import Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
-from types import TracebackType
 from typing import IO
 
 import imageio_ffmpeg
 import numpy as np
 
 from exwarp_cli.domain.frame import UInt8
+from exwarp_cli.io.held import Held
 
 RAW = "-f rawvideo -pix_fmt rgb24"
 """What names frames as bytes: uint8 [H, W, 3], one after the other."""
@@ -68,7 +68,7 @@ def filtered(options: Sequence[str], data: bytes) -> bytes:
     return done.stdout
 
 
-class Feed:
+class Feed(Held):
     """One run of ffmpeg that reads frames from here; a context manager.
 
     Left without `close`, by an error for example, it ends ffmpeg.
@@ -89,33 +89,22 @@ class Feed:
     def __init__(self, options: Sequence[str], folder: Path | None = None) -> None:
         self._options = options
         self._folder = folder
-        self._stack = ExitStack()
 
-    def __enter__(self) -> Feed:
-        with ExitStack() as stack:
-            self._log: IO[bytes] = stack.enter_context(tempfile.TemporaryFile())
-            try:
-                self._ffmpeg = subprocess.Popen(
-                    _command(self._options),
-                    stdin=subprocess.PIPE,
-                    stdout=subprocess.DEVNULL,
-                    stderr=self._log,
-                    cwd=self._folder,
-                    process_group=0,  # Ctrl-C is for us to answer; ffmpeg then ends with us
-                )
-            except (OSError, RuntimeError) as error:
-                raise _no_start(error) from error
-            stack.callback(self._kill)
-            self._stack = stack.pop_all()
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._stack.__exit__(kind, error, trace)
+    def _open(self, stack: ExitStack) -> None:
+        log: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 - the stack closes it
+        self._log = stack.enter_context(log)
+        try:
+            self._ffmpeg = subprocess.Popen(
+                _command(self._options),
+                stdin=subprocess.PIPE,
+                stdout=subprocess.DEVNULL,
+                stderr=self._log,
+                cwd=self._folder,
+                process_group=0,  # Ctrl-C is for us to answer; ffmpeg then ends with us
+            )
+        except (OSError, RuntimeError) as error:
+            raise _no_start(error) from error
+        stack.callback(self._kill)
 
     def write(self, frame: UInt8) -> None:
         """Send a frame, uint8 [H, W, 3]; raises FfmpegError."""
@@ -147,6 +136,17 @@ class Feed:
         if self._ffmpeg.stdin is not None and not self._ffmpeg.stdin.closed:
             with suppress(OSError):  # what was buffered has no reader any more
                 self._ffmpeg.stdin.close()
+
+
+def even(frame: UInt8) -> UInt8:
+    """Repeat the last row and column of uint8 [H, W, 3] where their number is odd.
+
+    4:2:0 video has even sizes only.
+    """
+    height, width, _ = frame.shape
+    if not (height % 2 or width % 2):
+        return frame
+    return np.pad(frame, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
 
 
 def _command(options: Sequence[str]) -> list[str]:

@@ -12,7 +12,7 @@ import numpy as np
 from exwarp_cli.domain.frame import Float32, UInt8
 from exwarp_cli.errors import OutputError, UsageError
 from exwarp_cli.io.atomic import atomic_path
-from exwarp_cli.io.ffmpeg import RAW_INPUT, TO_VIDEO, Feed, FfmpegError
+from exwarp_cli.io.ffmpeg import RAW_INPUT, TO_VIDEO, Feed, FfmpegError, even
 
 CONTAINERS = {".mp4": "mp4", ".mov": "mov"}
 """ffmpeg's name of the container by file suffix."""
@@ -127,11 +127,8 @@ class VideoWriter:
         """Append a frame, uint8 [H, W, 3] in display encoding; raises OutputError."""
         if frame.shape != self._shape or frame.dtype != np.uint8:
             raise ValueError(f"expected uint8 {self._shape}, got {frame.dtype} {frame.shape}")
-        height, width, _ = self._shape
-        if height % 2 or width % 2:
-            frame = np.pad(frame, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
         try:
-            self._feed.write(frame)
+            self._feed.write(even(frame))
         except FfmpegError as error:
             raise self._failure(error) from error
         self._count += 1

@@ -14,13 +14,13 @@ import tempfile
 from collections.abc import Iterable
 from contextlib import ExitStack
 from pathlib import Path
-from types import TracebackType
 
 import numpy as np
 
 from exwarp_cli.domain.frame import UInt8
 from exwarp_cli.errors import InputError, LayoutError
-from exwarp_cli.io.ffmpeg import RAW_INPUT, TO_VIDEO, Feed, FfmpegError
+from exwarp_cli.io.ffmpeg import RAW_INPUT, TO_VIDEO, Feed, FfmpegError, even
+from exwarp_cli.io.held import Held
 
 LEAST = 17
 """Fewest rows and columns: with fewer libvmaf crashes."""
@@ -69,7 +69,7 @@ def vmaf(reference: Iterable[UInt8], test: Iterable[UInt8]) -> list[float]:
         return stream.close()
 
 
-class Vmaf:
+class Vmaf(Held):
     """The same for frames as they come; a context manager.
 
     Both frames of a pair go to ffmpeg as one picture, the reference above, and are cut apart there:
@@ -77,21 +77,11 @@ class Vmaf:
     """
 
     def __init__(self) -> None:
-        self._stack = ExitStack()
         self._feed: Feed | None = None
         self._folder = Path()
 
-    def __enter__(self) -> Vmaf:
-        self._folder = Path(self._stack.enter_context(tempfile.TemporaryDirectory("-exwarp")))
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._stack.__exit__(kind, error, trace)
+    def _open(self, stack: ExitStack) -> None:
+        self._folder = Path(stack.enter_context(tempfile.TemporaryDirectory("-exwarp")))
 
     def write(self, reference: UInt8, test: UInt8) -> None:
         """Append a pair of frames; see `vmaf`."""
@@ -126,47 +116,35 @@ class Vmaf:
         return Feed(options, self._folder)
 
 
-class EncodedVmaf:
+class EncodedVmaf(Held):
     """VMAF of two videos in H.264 as ExtraNet's release makes them; used as `Vmaf` is.
 
     Odd sizes are padded by repeating the last column or row, as 4:2:0 has even ones only.
     """
 
     def __init__(self) -> None:
-        self._stack = ExitStack()
         self._feeds: tuple[Feed, ...] = ()
         self._folder = Path()
 
-    def __enter__(self) -> EncodedVmaf:
-        self._folder = Path(self._stack.enter_context(tempfile.TemporaryDirectory("-exwarp")))
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._stack.__exit__(kind, error, trace)
+    def _open(self, stack: ExitStack) -> None:
+        self._folder = Path(stack.enter_context(tempfile.TemporaryDirectory("-exwarp")))
 
     def write(self, reference: UInt8, test: UInt8) -> None:
         """Append a pair of frames; see `vmaf`."""
-        height, width, _ = reference.shape
-        even = ((0, height % 2), (0, width % 2), (0, 0))
+        pair = (even(reference), even(test))
         try:
             if not self._feeds:
-                require_size(height, width, "the frame")
-                source = RAW_INPUT.format(
-                    width=width + width % 2, height=height + height % 2, rate=RATE
-                )
+                require_size(reference.shape[0], reference.shape[1], "the frame")
+                height, width, _ = pair[0].shape
+                source = RAW_INPUT.format(width=width, height=height, rate=RATE)
                 self._feeds = tuple(
                     self._stack.enter_context(
                         Feed((*source.split(), *PUBLISHED.split(), name), self._folder)
                     )
                     for name in ("reference.mp4", "test.mp4")
                 )
-            for feed, frame in zip(self._feeds, (reference, test), strict=True):
-                feed.write(np.pad(frame, even, mode="edge"))
+            for feed, frame in zip(self._feeds, pair, strict=True):
+                feed.write(frame)
         except FfmpegError as error:
             raise _failure(error) from error
 

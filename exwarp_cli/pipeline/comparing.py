@@ -9,6 +9,7 @@ from typing import Protocol
 
 from exwarp_cli.domain.frame import Bool, Float32
 from exwarp_cli.domain.results import Score
+from exwarp_cli.io.held import Held
 from exwarp_cli.io.video import to_display
 from exwarp_cli.io.vmaf import EncodedVmaf, Vmaf
 from exwarp_cli.metrics import extranet
@@ -72,7 +73,7 @@ class Scorer(Protocol):
         """What is known at the end that a reader of the numbers should know, a sentence each."""
 
 
-class SequenceScores:
+class SequenceScores(Held):
     """Scores by the metrics of this tool; memory holds one frame.
 
     Parameters
@@ -86,24 +87,14 @@ class SequenceScores:
     def __init__(self, names: tuple[str, ...], flow: Flow | None) -> None:
         self._names = names
         self._flow = flow
-        self._stack = ExitStack()
         self._vmaf = Vmaf() if "vmaf" in names else None
         self._scores: list[Scores] = []
         self._error: Float32 | None = None
         self._into: list[float | None] = []
 
-    def __enter__(self) -> SequenceScores:
+    def _open(self, stack: ExitStack) -> None:
         if self._vmaf is not None:
-            self._stack.enter_context(self._vmaf)
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._stack.__exit__(kind, error, trace)
+            stack.enter_context(self._vmaf)
 
     def add(self, pair: Pair) -> Scores:
         """Score the next frame by what needs no later one."""
@@ -143,7 +134,7 @@ class SequenceScores:
         return found.mean(), None if pair.mask is None else found.within(pair.mask)
 
 
-class ExtranetScores:
+class ExtranetScores(Held):
     """Scores as ExtraNet's release takes them: see `exwarp_cli.metrics.extranet`.
 
     VMAF is of H.264 videos of both sequences, rendered frames and all.
@@ -166,21 +157,11 @@ class ExtranetScores:
         self._generated = generated
         self._vmaf = EncodedVmaf() if "vmaf" in names else None
         self._scores: list[Score] = []
-        self._stack = ExitStack()
         self._counted = 0
 
-    def __enter__(self) -> ExtranetScores:
+    def _open(self, stack: ExitStack) -> None:
         if self._vmaf is not None:
-            self._stack.enter_context(self._vmaf)
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._stack.__exit__(kind, error, trace)
+            stack.enter_context(self._vmaf)
 
     @property
     def notes(self) -> tuple[str, ...]:

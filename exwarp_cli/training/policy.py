@@ -24,7 +24,7 @@ from exwarp_cli.domain.decision import NODES, PATHS
 from exwarp_cli.errors import DamagedFileError, InputError
 from exwarp_cli.io.atomic import atomic_write_text, make_folder
 from exwarp_cli.io.models import CHECKSUMS
-from exwarp_cli.io.policy_files import SHIPPED_POLICY, save_network
+from exwarp_cli.io.policy_files import SHIPPED_POLICY, left_out, save_network
 from exwarp_cli.policy.state import INPUTS, STATE_VERSION
 from exwarp_cli.training.dqn import train, values
 from exwarp_cli.training.policy_onnx import export_float, export_integer
@@ -125,7 +125,7 @@ def train_policy(
         others = [other for i, other in enumerate(tables) if i != index]
         say(f"without {table.scene}: training on {', '.join(other.scene for other in others)}")
         found = learn(others, settings)
-        name = f"policy-without-{table.scene}.npz"
+        name = left_out(table.scene)
         _save(output / name, found, others, settings)
         written.append(name)
         folds[table.scene] = _judge(found, table, others)

@@ -11,7 +11,7 @@ from exwarp_cli.io.channels import Role
 from exwarp_cli.io.output import read_headers
 from exwarp_cli.io.render_time import render_seconds
 from exwarp_cli.pipeline.bench.opened import Opened
-from exwarp_cli.pipeline.bench.pictures import SLOTS
+from exwarp_cli.pipeline.scoring import SLOTS
 
 
 def about_subject(opened: Opened) -> dict[str, Any]:

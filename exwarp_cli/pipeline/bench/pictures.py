@@ -20,10 +20,9 @@ from exwarp_cli.domain.frame import Float32
 from exwarp_cli.domain.interpolator import INTERPOLATE, Interpolator
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.io.minterpolate import minterpolate
+from exwarp_cli.pipeline.scoring import SLOTS
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import METHODS, take
-
-SLOTS = range(1, FACTOR)
 
 REPEATED = "F"
 

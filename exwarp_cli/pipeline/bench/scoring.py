@@ -15,8 +15,8 @@ from exwarp_cli.domain.results import Score
 from exwarp_cli.metrics import extranet
 from exwarp_cli.metrics.flicker import error
 from exwarp_cli.metrics.registry import score
-from exwarp_cli.pipeline.bench.pictures import SLOTS, Pictures, name_on
-from exwarp_cli.pipeline.scoring import Steps, flicker_of, vmaf_of
+from exwarp_cli.pipeline.bench.pictures import Pictures, name_on
+from exwarp_cli.pipeline.scoring import SLOTS, Steps, flicker_of, vmaf_of
 from exwarp_cli.policy.outcomes import METRICS as JUDGED
 
 Scored = tuple[Score, Score | None]

@@ -9,8 +9,9 @@ from exwarp_cli.domain.bench import CHOOSERS, BenchSettings
 from exwarp_cli.domain.frame import Bool, Float32
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.pipeline.bench.opened import Opened, load_networks
-from exwarp_cli.pipeline.bench.pictures import FIXED_PATHS, SLOTS, names_of
+from exwarp_cli.pipeline.bench.pictures import FIXED_PATHS, names_of
 from exwarp_cli.pipeline.bench.work import Measured
+from exwarp_cli.pipeline.scoring import SLOTS
 
 
 @dataclass(frozen=True)

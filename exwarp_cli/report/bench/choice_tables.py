@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from itertools import pairwise
 
+from exwarp_cli.domain.bench import FIXED
 from exwarp_cli.report.bench.choices import EFFECTIVE
 from exwarp_cli.report.bench.columns import (
-    PATH_NAMES,
     SYSTEM,
     WHAT,
     Column,
@@ -80,7 +80,7 @@ def features(document: Document) -> Table:
 def fps(document: Document) -> Table:
     """Figure 8."""
     rows = [what(row) | row["effective"] | {"base": row["base"]} for row in document["fps"]]
-    names = ("exwarp", *PATH_NAMES, "oracle", "oracle-return")
+    names = ("exwarp", *FIXED, "oracle", "oracle-return")
     known = [name for name in names if any(name in row for row in rows)]
     return Table(
         "fps",
@@ -124,7 +124,7 @@ def choices(document: Document) -> Table:
             Column("warp", "warp", ".1%"),
             Column("extrapolate", "extrapolate", ".1%"),
             *(Column(f"d{i}", f"d{i} warp", ".0%") for i in range(1, 6)),
-            *(Column(path, path.upper(), "d") for path in PATH_NAMES),
+            *(Column(path, path.upper(), "d") for path in FIXED),
         ),
         tuple(rows),
     )

@@ -6,7 +6,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from exwarp_cli.domain.decision import PATHS
 from exwarp_cli.report.bench.naming import Document
 
 OURS, PAPER = "measured", "paper"
@@ -67,7 +66,6 @@ class Table:
 WHAT = (Column("scene", "scene"), Column("size", "size"), Column("setting", "G-buffers"))
 SOURCE = Column("source", "")
 SYSTEM = Column("system", "system")
-PATH_NAMES = tuple(name.lower() for name in PATHS)
 
 
 def what(row: Document) -> dict[str, Any]:

@@ -6,8 +6,8 @@ from dataclasses import asdict
 
 from exwarp_cli.accel.mac_array import Schedule
 from exwarp_cli.domain.decision import HOLD
-from exwarp_cli.pipeline.bench.pictures import SLOTS
 from exwarp_cli.pipeline.bench.work import Measured
+from exwarp_cli.pipeline.scoring import SLOTS
 from exwarp_cli.report.bench import paper
 from exwarp_cli.report.bench.naming import Document, identify
 from exwarp_cli.report.bench.quality import shown

@@ -5,11 +5,10 @@ from __future__ import annotations
 from itertools import pairwise
 from typing import Any
 
-from exwarp_cli.domain.bench import SYSTEMS
+from exwarp_cli.domain.bench import FIXED, SYSTEMS
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.pipeline.bench.work import Benchmark
 from exwarp_cli.report.bench.choices import EFFECTIVE, feature_points
-from exwarp_cli.report.bench.columns import PATH_NAMES
 from exwarp_cli.report.bench.naming import Document
 from exwarp_cli.report.plot_style import Figure, Labels
 from exwarp_cli.report.plots import Panel, bars, scatter, stacked_bars
@@ -94,7 +93,7 @@ def scattered(found: Benchmark) -> Figure:
 def paths(document: Document) -> Figure | None:
     """Draw Table VI: every path's PSNR, with the paper's across the bars."""
     rows = document["quality"]
-    systems = [name for name in (*PATH_NAMES, "exwarp") if name in rows[0]["systems"]]
+    systems = [name for name in (*FIXED, "exwarp") if name in rows[0]["systems"]]
     if not systems:
         return None
     labels = Labels(

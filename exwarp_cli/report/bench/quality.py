@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from exwarp_cli.domain.bench import CHOOSERS, is_lookahead
+from exwarp_cli.domain.bench import CHOOSERS, FIXED, is_lookahead
 from exwarp_cli.domain.decision import EXTRAPOLATE, HOLD, PATHS, WARP
 from exwarp_cli.domain.results import Score
 from exwarp_cli.pipeline.bench.work import Measured
@@ -96,5 +96,5 @@ def _returns(one: Measured) -> Document | None:
 
 def _best(systems: Mapping[str, Document]) -> str | None:
     """Return the fixed path with the best PSNR."""
-    known = {n: systems[n]["all"]["psnr_db"] for n in map(str.lower, PATHS) if n in systems}
+    known = {n: systems[n]["all"]["psnr_db"] for n in FIXED if n in systems}
     return max(known, key=lambda name: known[name]) if known else None

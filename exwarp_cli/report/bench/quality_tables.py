@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from exwarp_cli.domain.bench import FIXED
 from exwarp_cli.domain.metric import METRICS
 from exwarp_cli.report.bench.columns import (
     OURS,
-    PATH_NAMES,
     SOURCE,
     SYSTEM,
     WHAT,
@@ -31,7 +31,7 @@ def ssim(document: Document) -> Table:
 
 def _paths(document: Document, metric: str, name: str, title: str, style: str) -> Table:
     """Table VI, for one metric."""
-    systems = (*PATH_NAMES, "exwarp", "oracle", "oracle-return")
+    systems = (*FIXED, "exwarp", "oracle", "oracle-return")
     rows: list[Row] = []
     for row in document["quality"]:
         found = row["systems"]
@@ -39,9 +39,9 @@ def _paths(document: Document, metric: str, name: str, title: str, style: str) -
         rows.append(what(row) | {"source": OURS, "best": row["best_path"]} | values)
         if row["paper"] is not None:
             printed = {system: values[metric] for system, values in row["paper"].items()}
-            best = max(PATH_NAMES, key=lambda path: printed[path])
+            best = max(FIXED, key=lambda path: printed[path])
             rows.append(paper_row(row) | {"best": best} | printed)
-    titles = (*(path.upper() for path in PATH_NAMES), "ExWarp", "oracle", "oracle (return)")
+    titles = (*(path.upper() for path in FIXED), "ExWarp", "oracle", "oracle (return)")
     return Table(
         name,
         title,
