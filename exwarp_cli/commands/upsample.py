@@ -11,6 +11,7 @@ import click
 from exwarp_cli.commands.metrics_option import metrics_option
 from exwarp_cli.domain.metric import METRICS
 from exwarp_cli.domain.settings import DEVICES, SourceSettings, UpsampleSettings
+from exwarp_cli.domain.timeline import MOST
 from exwarp_cli.pipeline.progress import KINDS
 
 if TYPE_CHECKING:
@@ -82,6 +83,14 @@ class FrameRate(click.ParamType[Fraction]):
     help="What the network runs on.",
 )
 @click.option("--fps", type=FrameRate(), help="Rate of the input; else the header's, else 30.")
+@click.option(
+    "--factor",
+    type=click.IntRange(2, MOST),
+    help="Output frames per key frame; else 4. The paper's methods are for 4, all others for any.",
+)
+@click.option(
+    "--to-fps", type=FrameRate(), metavar="FPS", help="Rate of the output, such as 60 from 24."
+)
 @click.option("--start-frame", type=int, help="Number of the first output frame.")
 @click.option(
     "--tail/--no-tail", default=True, help="Predict past the last key frame, or stop there."
@@ -117,19 +126,21 @@ def command(
     fps: Fraction | None,
     start_frame: int | None,
     tail: bool,
+    factor: int | None,
+    to_fps: Fraction | None,
     **options: object,
 ) -> None:
-    """Write SEQUENCE at four times its frame rate.
+    """Write SEQUENCE at four times its frame rate, or another.
 
     SEQUENCE is a folder, a pattern such as shot.####.exr, or any one frame. Rendered frames pass
-    through unchanged; frames 1, 2, 3 after each are made from its motion vectors.
+    through unchanged; those between them are made from their motion vectors.
     """
     from exwarp_cli.pipeline.progress import make_progress
     from exwarp_cli.pipeline.upsample import upsample
     from exwarp_cli.report.folder import prepare_report, write_report
     from exwarp_cli.report.gallery import Gallery
 
-    source = SourceSettings(sequence, gbuffers, motion, fps, start_frame, tail)
+    source = SourceSettings(sequence, gbuffers, motion, fps, start_frame, tail, factor, to_fps)
     settings = UpsampleSettings(source, **options)  # type: ignore[arg-type]
     if report_folder is not None:
         prepare_report(report_folder, replace=settings.overwrite or settings.skip_existing)
@@ -142,7 +153,6 @@ def command(
 
 def _print(summary: RunSummary, settings: UpsampleSettings, report_folder: Path | None) -> None:
     """Say in a few lines what was done."""
-    from exwarp_cli.domain.timeline import FACTOR
     from exwarp_cli.report.summary import report
 
     document = report(summary)
@@ -153,7 +163,7 @@ def _print(summary: RunSummary, settings: UpsampleSettings, report_folder: Path 
         f"{frames['generated']} generated, {frames['dropped']} repeated"
     )
     effective = "" if fps["effective"] is None else f", effective {fps['effective']:g}"
-    click.echo(f"{fps['base']:g} fps in, {FACTOR * fps['base']:g} out{effective}")
+    click.echo(f"{fps['base']:g} fps in, {fps['output']:g} out{effective}")
     taken = {name: count for name, count in document["decisions"]["paths"].items() if count}
     if taken:
         listed = ", ".join(f"{name} {count}" for name, count in taken.items())
@@ -170,7 +180,7 @@ def _print(summary: RunSummary, settings: UpsampleSettings, report_folder: Path 
 
 
 def _scores(quality: dict[str, Any]) -> str:
-    """Say how good the frames at slots 1 to 3 are."""
+    """Say how good the frames between the rendered ones are."""
     if not quality["frames"]:
         return ": it has none of the frames between the rendered ones"
     values = (

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import Enum
+from fractions import Fraction
 
 from exwarp_cli.domain.decision import Decision
 from exwarp_cli.domain.metric import METRICS
+from exwarp_cli.domain.timeline import FACTOR
 
 
 class FrameKind(Enum):
@@ -73,7 +75,7 @@ class FrameRecord:
     key
         Input number of the key frame that the slot belongs to.
     slot
-        0 for the key frame itself, else 1 to 3.
+        0 for the key frame itself, else 1 or more.
     kind
         Rendered, generated or repeated.
     method
@@ -253,6 +255,8 @@ class RunSummary:
         None where no learned policy decided.
     interpolator
         None for methods that have no network interpolate.
+    factor
+        Output frames per key frame.
     """
 
     method: str
@@ -267,3 +271,9 @@ class RunSummary:
     extrapolator: NetworkSummary | None = None
     policy: PolicySummary | None = None
     interpolator: InterpolatorSummary | None = None
+    factor: Fraction = Fraction(FACTOR)
+
+    @property
+    def output_fps(self) -> float:
+        """Frames per second of the output."""
+        return self.base_fps * float(self.factor)

@@ -28,6 +28,10 @@ class SourceSettings:
         Number of the first output frame; None for the first key frame's.
     tail
         Whether to predict past the last key frame.
+    factor
+        Output frames per key frame; None for `timeline.FACTOR`.
+    to_fps
+        Frames per second of the output instead; None without.
     """
 
     sequence: str
@@ -36,6 +40,8 @@ class SourceSettings:
     fps: Fraction | None = None
     start_frame: int | None = None
     tail: bool = True
+    factor: int | None = None
+    to_fps: Fraction | None = None
 
 
 @dataclass(frozen=True)

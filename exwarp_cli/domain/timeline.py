@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from fractions import Fraction
 from itertools import pairwise
 
 from fileseq.frameset import FrameSet
@@ -10,33 +12,28 @@ from fileseq.frameset import FrameSet
 from exwarp_cli.errors import MissingFrameError, UsageError
 
 FACTOR = 4
-"""Output frames per key frame: the paper goes from 30 to 120 fps."""
+"""Output frames per key frame where nothing else is asked for: the paper goes from 30 to 120 fps.
+Its decisions, and so the policy and the networks that extrapolate, are for this factor alone."""
+
+MOST = 8
+"""The largest factor."""
 
 
 @dataclass(frozen=True, order=True)
 class Slot:
-    """An output instant: slot 0 is the key frame itself, slots 1 to 3 lie at k + i/4.
+    """An output instant: a key frame's own, or one of those between it and the next key frame.
 
     Attributes
     ----------
     key
         Index of the key frame in the whole sequence, from 0.
     index
-        0 to FACTOR - 1.
+        0 for the key frame itself; 1, 2 … for the output instants after it. At the usual factor
+        those are 1 to 3, at k + i/4.
     """
 
     key: int
     index: int
-
-    @property
-    def order(self) -> int:
-        """Position among all output instants of the whole sequence, from 0."""
-        return self.key * FACTOR + self.index
-
-    @property
-    def time(self) -> float:
-        """Fraction of the key interval, 0 <= time < 1."""
-        return self.index / FACTOR
 
 
 @dataclass(frozen=True)
@@ -51,18 +48,30 @@ class Timeline:
         Number of the first output frame.
     tail
         Whether slots are predicted past the last key frame.
+    factor
+        Output frames per key frame, above 1. Output instant j lies at j / factor key intervals, so
+        where the factor is no whole number most key frames are no output instants: of 24 fps
+        brought to 60 every other one is.
     """
 
     numbers: tuple[int, ...]
     start: int
     tail: bool = True
+    factor: Fraction = Fraction(FACTOR)
 
     @classmethod
-    def of(cls, numbers: list[int], start: int | None = None, tail: bool = True) -> Timeline:
+    def of(
+        cls,
+        numbers: list[int],
+        start: int | None = None,
+        tail: bool = True,
+        factor: Fraction | int = FACTOR,
+    ) -> Timeline:
         """Build the timeline of a sequence with these frame numbers.
 
         Frames numbered in steps of one are spread out from the first number on; frames numbered in
-        steps of the factor have their gaps filled. Both come to the same: first + 4k + i.
+        steps of the factor have their gaps filled. Both come to the same: the first number, and
+        one more for each output instant.
 
         Raises
         ------
@@ -78,17 +87,44 @@ class Timeline:
                 f"frame {_missing(gaps, step)} is missing from the sequence {ranges(ordered)}; "
                 "render it, or move the frames on one side of the gap elsewhere"
             )
-        return cls(tuple(ordered), ordered[0] if start is None else start, tail)
+        first = ordered[0] if start is None else start
+        return cls(tuple(ordered), first, tail, Fraction(factor))
+
+    @property
+    def steps(self) -> int | None:
+        """The factor where it is a whole number, else None: key frames are output instants then."""
+        return self.factor.numerator if self.factor.denominator == 1 else None
+
+    def order(self, slot: Slot) -> int:
+        """Position of a slot among all output instants of the whole sequence, from 0."""
+        return math.floor(slot.key * self.factor) + slot.index
 
     def number(self, slot: Slot) -> int:
         """Output number of a slot."""
-        return self.start + slot.order
+        return self.start + self.order(slot)
+
+    def time(self, slot: Slot) -> Fraction:
+        """Fraction of the key interval at which a slot lies, 0 <= time < 1."""
+        return self.order(slot) / self.factor - slot.key if slot.index else Fraction(0)
+
+    def between(self, key: int) -> tuple[Slot, ...]:
+        """Return the slots after key frame `key` (an index) and before the next one."""
+        count = math.ceil((key + 1) * self.factor) - 1 - math.floor(key * self.factor)
+        return tuple(Slot(key, i) for i in range(1, count + 1))
+
+    def shows(self, key: int) -> bool:
+        """Whether a key frame is an output instant itself."""
+        return (key * self.factor).denominator == 1
 
     def slots_of(self, key: int) -> tuple[Slot, ...]:
-        """Return the slots that key frame `key` (an index) brings forth, slot 0 first."""
+        """Return the slots that key frame `key` (an index) brings forth, in order."""
         last = key == len(self.numbers) - 1
-        count = 1 if last and not self.tail else FACTOR
-        return tuple(Slot(key, i) for i in range(count))
+        itself = (Slot(key, 0),) if self.shows(key) else ()
+        return itself if last and not self.tail else (*itself, *self.between(key))
+
+    def made_of(self, key: int) -> tuple[Slot, ...]:
+        """Return those of them that are made, without the key frame itself."""
+        return tuple(slot for slot in self.slots_of(key) if slot.index)
 
     def select(self, frames: str | None) -> tuple[int, ...]:
         """Indices of the key frames that a frame range names; all of them for None.

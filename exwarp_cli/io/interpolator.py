@@ -5,13 +5,15 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.domain.interpolator import Curve
+from exwarp_cli.domain.timeline import MOST
 from exwarp_cli.errors import InputError, LayoutError, OutputExistsError
 from exwarp_cli.io.atomic import atomic_write_text
 from exwarp_cli.io.interpolator_card import (
@@ -71,7 +73,7 @@ def load_interpolator(path: Path, threads: int | None, device: str) -> OnnxInter
 
 @dataclass
 class Seen:
-    """Two frames as a network sees them.
+    """Two frames as a network sees them, and what it has made between them.
 
     Attributes
     ----------
@@ -81,8 +83,9 @@ class Seen:
         Between them and what follows.
     first, second
         float32 [H, W, 3], encoded.
-    middle
-        The same of the frame between them, once a network that is not told the time has made it.
+    made
+        The same of frames between them, by time, that a network which is not told the time has
+        made.
     """
 
     before: Float32
@@ -90,7 +93,7 @@ class Seen:
     curve: Curve
     first: Float32
     second: Float32
-    middle: Float32 | None = None
+    made: dict[float, Float32] = field(default_factory=dict)
 
 
 class OnnxInterpolator(OnnxNetwork):
@@ -123,9 +126,9 @@ class OnnxInterpolator(OnnxNetwork):
             float32 [H, W, 3 or 4], scene-linear, finite, of any size. The network sees colour by
             `domain.interpolator.Curve`; alpha is blended by time.
         time
-            A network that is not told the time reaches multiples of 1/4 only, by using it twice.
+            See `reaches`.
         """
-        if not self.card.timed and time not in (0.25, 0.5, 0.75):
+        if not self.reaches(time):
             raise ValueError(f"a network that is not told the time does not reach {time}")
         seen = self._see(before, after)
         if self.card.timed:
@@ -135,6 +138,13 @@ class OnnxInterpolator(OnnxNetwork):
         colour = seen.curve.decode(shown)
         alpha = before[..., 3:] + np.float32(time) * (after[..., 3:] - before[..., 3:])
         return np.ascontiguousarray(np.concatenate([colour, alpha], axis=-1))
+
+    def reaches(self, time: float | Fraction) -> bool:
+        """Whether it makes a frame at this time.
+
+        A network that is not told the time reaches multiples of 1/8 only, by using it thrice.
+        """
+        return self.card.timed or MOST * time % 1 == 0
 
     def judge(self) -> None:
         """Refuse a network that does not fit its card, by what it declares and by running it."""
@@ -146,22 +156,26 @@ class OnnxInterpolator(OnnxNetwork):
         self._make(blank, blank, 0.5)
 
     def _see(self, before: Float32, after: Float32) -> Seen:
-        """Encode two frames; once for the three slots between them."""
+        """Encode two frames; once for all slots between them."""
         seen = self._seen
         if seen is None or seen.before is not before or seen.after is not after:
             colours = (before[..., :3], after[..., :3])
             curve = Curve.of(self.card.encoding, *colours)
-            seen = self._seen = Seen(before, after, curve, *map(curve.encode, colours))
+            first, second = (curve.encode(colour) for colour in colours)
+            seen = self._seen = Seen(before, after, curve, first, second)
         return seen
 
     def _by_halves(self, seen: Seen, time: float) -> Float32:
-        """Reach a quarter with a network that makes the middle frame."""
-        if seen.middle is None:
-            seen.middle = self._make(seen.first, seen.second, 0.5)
-        if time == 0.5:
-            return seen.middle
-        pair = (seen.first, seen.middle) if time < 0.5 else (seen.middle, seen.second)
-        return self._make(*pair, 0.5)
+        """Reach a time with a network that makes the middle frame: between frames it has made."""
+        if time in (0, 1):
+            return seen.second if time else seen.first
+        if time not in seen.made:
+            step = 0.5
+            while not (time / step).is_integer():
+                step /= 2
+            pair = (self._by_halves(seen, time - step), self._by_halves(seen, time + step))
+            seen.made[time] = self._make(*pair, 0.5)
+        return seen.made[time]
 
     def _make(self, first: Float32, second: Float32, time: float) -> Float32:
         """Run the network on two encoded frames; return an encoded one, float32 [H, W, 3]."""

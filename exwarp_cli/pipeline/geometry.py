@@ -56,7 +56,8 @@ class Staging:
         slots = tuple(settle_motion(gbuffer.on(canvas)) for gbuffer in loaded.slots)
         past = self._past(loaded, key, canvas)
         self._keep(loaded.key, slots, canvas)
-        return Interval(key, following, slots, past, self._network, self._interpolator)
+        networks = (self._network, self._interpolator)
+        return Interval(key, following, slots, past, *networks, loaded.times)
 
     def _frame(self, index: int, frame: KeyFrame, canvas: Window) -> KeyFrame:
         if (index, canvas) not in self._frames:

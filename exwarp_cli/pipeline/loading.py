@@ -19,6 +19,7 @@ from exwarp_cli.io.sequence import Sequence
 from exwarp_cli.pipeline.recipes import Recipes
 from exwarp_cli.pipeline.source import FrameOf, Source
 from exwarp_cli.policy.state import KEYS_BACK
+from exwarp_cli.synthesis.interval import QUARTERS
 from exwarp_cli.synthesis.methods import Judge, Method
 
 
@@ -71,7 +72,7 @@ class Loaded:
         The key frames on both sides; `following` only for look-ahead methods. None where every
         slot of the interval was found written, and nothing has to be computed.
     slots
-        G-buffers of slots 1 to 3, empty in the key setting.
+        G-buffers of the slots after the key frame, empty in the key setting.
     past
         The key frames before, the newest first, as far as motion leads back to them; only for
         methods that extrapolate.
@@ -81,7 +82,10 @@ class Loaded:
     truth
         Ground truth by slot, where there is some.
     truth_ends
-        The same at slot 0 and at the next key frame's instant, `FACTOR`; only for VMAF.
+        The same at slot 0 and, counted on as a slot, at the next key frame's instant; only for
+        VMAF.
+    times
+        When the slots are, as in `Interval`.
     template
         What generated frames take over from the key frame's file.
     recipes
@@ -101,6 +105,7 @@ class Loaded:
     recipes: dict[int, str]
     read_ms: float
     truth_ends: dict[int, Image] = field(default_factory=dict)
+    times: tuple[float, ...] = QUARTERS
 
 
 class IntervalLoader:
@@ -156,14 +161,16 @@ class IntervalLoader:
         gbuffers = tuple(self._slot_gbuffer(slot) for slot in self._slots(key))
         past = tuple(Older(self._key_frame(i), self._way_back(i)) for i in self._history(key))
         observed = self._observed(key)
-        slots = self._source.timeline.slots_of(key)[1:]
+        slots = self._source.timeline.made_of(key)
         truth = self._read_truth(slots)
         ends = self._read_truth(self._ends(key))
         self._forget(key)
         elapsed = 1e3 * (time.perf_counter() - begin)
+        times = tuple(float(source.timeline.time(slot)) for slot in source.timeline.between(key))
         return Loaded(
-            key, frame, following, gbuffers, past, observed, truth, template, recipes, elapsed, ends
-        )
+            key, frame, following, gbuffers, past, observed, truth, template, recipes, elapsed,
+            ends, times,
+        )  # fmt: skip
 
     def look(self, key: int) -> tuple[tuple[Observed, ...], tuple[GBuffer, ...]]:
         """Read only what features of an interval come from: see `Loaded.observed`, and slots."""
@@ -173,8 +180,8 @@ class IntervalLoader:
         return observed, slots
 
     def _slots(self, key: int) -> tuple[Slot, ...]:
-        """Return the slots of an interval that have G-buffers: all three, or none."""
-        slots = tuple(Slot(key, i) for i in range(1, FACTOR))
+        """Return the slots of an interval that have G-buffers: all of them, or none."""
+        slots = self._source.timeline.between(key)
         known = all(self._source.slot_number(slot) is not None for slot in slots)
         return slots if known else ()
 
@@ -195,7 +202,9 @@ class IntervalLoader:
                 frame = read_raw(source.keys, number, self._key_roles).key(convention)
             else:
                 frame = read_raw(source.keys, number, (Role.COLOUR,)).key(None)
-                gbuffer = _stretched(self._slot_gbuffer(Slot(key, 0)))
+                steps = source.timeline.steps
+                assert steps is not None  # slots have G-buffers where the factor is whole
+                gbuffer = _stretched(self._slot_gbuffer(Slot(key, 0)), steps)
                 frame = replace(frame, gbuffer=gbuffer.on(frame.image.data_window))
             self._frames[key] = frame
         return self._frames[key]
@@ -290,11 +299,13 @@ class IntervalLoader:
         """Return the rendered instants around an interval, for what scores it as a video."""
         if "vmaf" not in self._settings.measured:
             return ()
-        last = key + 1 == len(self._source.timeline.numbers)
-        return (Slot(key, 0),) if last else (Slot(key, 0), Slot(key, FACTOR))
+        timeline = self._source.timeline
+        last = key + 1 == len(timeline.numbers)
+        after = Slot(key, len(timeline.between(key)) + 1)
+        return (Slot(key, 0),) if last else (Slot(key, 0), after)
 
     def _read_truth(self, slots: Iterable[Slot]) -> dict[int, Image]:
-        """Read ground truth by the slots' index; `FACTOR` for the next key frame's instant."""
+        """Read ground truth by the slots' index."""
         if self._truth is None:
             return {}
         sequence, frame_of = self._truth
@@ -335,7 +346,7 @@ def between(key: int) -> tuple[Slot, ...]:
     return (Slot(key + 1, 0), *(Slot(key, i) for i in range(FACTOR - 1, -1, -1)))
 
 
-def _stretched(gbuffer: GBuffer) -> GBuffer:
+def _stretched(gbuffer: GBuffer, steps: int) -> GBuffer:
     """Turn motion per slot into motion per key interval, at constant velocity.
 
     A key frame's vectors span a key interval in either setting. With slot G-buffers they are only
@@ -343,6 +354,6 @@ def _stretched(gbuffer: GBuffer) -> GBuffer:
     renderer writes none that way.
     """
     if gbuffer.to_next is not None:
-        return replace(gbuffer, to_next=FACTOR * gbuffer.to_next, to_previous=None)
+        return replace(gbuffer, to_next=steps * gbuffer.to_next, to_previous=None)
     assert gbuffer.to_previous is not None
-    return replace(gbuffer, to_previous=FACTOR * gbuffer.to_previous)
+    return replace(gbuffer, to_previous=steps * gbuffer.to_previous)

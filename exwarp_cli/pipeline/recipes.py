@@ -88,9 +88,18 @@ class Recipes:
             common["truth"] = self._truth_digests(key)
         return {
             slot.index: hashlib.sha256(
-                json.dumps(common | {"slot": slot.index}, sort_keys=True).encode()
+                json.dumps(common | self._place(slot), sort_keys=True).encode()
             ).hexdigest()
-            for slot in source.timeline.slots_of(key)[1:]
+            for slot in source.timeline.made_of(key)
+        }
+
+    def _place(self, slot: Slot) -> dict[str, Any]:
+        """Say which slot it is, of how many."""
+        timeline = self.source.timeline
+        return {
+            "slot": slot.index,
+            "time": str(timeline.time(slot)),
+            "factor": str(timeline.factor),
         }
 
     def _truth_digests(self, key: int) -> list[str]:
@@ -98,7 +107,7 @@ class Recipes:
         if self.truth is None:
             return []
         sequence, frame_of = self.truth
-        numbers = [frame_of(slot) for slot in self.source.timeline.slots_of(key)[1:]]
+        numbers = [frame_of(slot) for slot in self.source.timeline.made_of(key)]
         return [file_digest(sequence.files[n]) for n in numbers if n is not None]
 
     def _digest(self, shot: Shot, number: int) -> str:

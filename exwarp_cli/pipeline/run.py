@@ -17,7 +17,7 @@ from exwarp_cli.domain.decision import Plan
 from exwarp_cli.domain.frame import Bool, Float32, Image, broken_pixels, place
 from exwarp_cli.domain.results import FrameKind, FrameRecord
 from exwarp_cli.domain.settings import UpsampleSettings
-from exwarp_cli.domain.timeline import FACTOR, Slot
+from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.errors import LayoutError
 from exwarp_cli.io.atomic import atomic_copy
 from exwarp_cli.io.decisions import decision_text, parse_decision
@@ -104,16 +104,16 @@ class Run:
     def _open_video(self) -> VideoWriter:
         assert self.targets.video is not None
         height, width = self.source.keys.display.shape
-        return VideoWriter(self.targets.video, width, height, self.source.fps * FACTOR)
+        return VideoWriter(self.targets.video, width, height, self.source.output_fps)
 
     def _interval(self, loaded: Loaded, writer: WriteBehind, video: VideoWriter | None) -> None:
         """Pass the key frame through and make the slots after it."""
-        number = self.source.timeline.numbers[loaded.key]
-        self._pass_key(loaded, number, writer, video)
+        if self.source.timeline.shows(loaded.key):
+            self._pass_key(loaded, writer, video)
         begin = time.perf_counter()
         interval = None if loaded.frame is None else self.staging.interval(loaded)
         geometry_ms = 1e3 * (time.perf_counter() - begin)
-        slots = self.source.timeline.slots_of(loaded.key)[1:]
+        slots = self.source.timeline.made_of(loaded.key)
         there = {slot for slot in slots if interval is None or self._is_there(slot, loaded.recipes)}
         # A policy looks at every interval: the states of later ones hold what it saw.
         looks = len(there) < len(slots) or self.method.judge is Judge.POLICY
@@ -153,10 +153,9 @@ class Run:
         assert plan is not None
         return replace(take(plan.path, interval, slot), method=self.method.name)
 
-    def _pass_key(
-        self, loaded: Loaded, number: int, writer: WriteBehind, video: VideoWriter | None
-    ) -> None:
+    def _pass_key(self, loaded: Loaded, writer: WriteBehind, video: VideoWriter | None) -> None:
         """Copy the key frame's file: its bytes, so all its layers and attributes."""
+        number = self.source.timeline.numbers[loaded.key]
         output = self.source.timeline.number(Slot(loaded.key, 0))
         path, target = self.source.keys.sequence.files[number], self.targets.frames.path(output)
         resumed = self.settings.skip_existing and key_is_there(target, path)
@@ -304,7 +303,8 @@ class Run:
         found = self._scoring.complete(ends)
         elapsed = 1e3 * (time.perf_counter() - begin) / len(found)
         number = self.source.timeline.numbers[loaded.key]
-        for index in range(max(len(self.records) - FACTOR, 0), len(self.records)):
+        count = len(self.source.timeline.slots_of(loaded.key))
+        for index in range(len(self.records) - count, len(self.records)):
             record = self.records[index]
             if record.key == number and record.slot in found:
                 overall, holes = found[record.slot]
@@ -323,7 +323,7 @@ class Run:
     def _attributes(self, record: FrameRecord, recipe: str) -> dict[str, Any]:
         """Header attributes of a generated frame."""
         out: dict[str, Any] = {
-            "framesPerSecond": self.source.fps * FACTOR,
+            "framesPerSecond": self.source.output_fps,
             f"{PREFIX}version": __version__,
             f"{PREFIX}method": record.method,
             f"{PREFIX}kind": record.kind.value,

@@ -23,6 +23,7 @@ Scores = tuple[Score, Score | None]
 """Over all pixels, and in holes."""
 
 SLOTS = range(1, FACTOR)
+"""The slots that the paper's decisions are for."""
 
 
 @dataclass(frozen=True)
@@ -32,11 +33,11 @@ class Steps:
     Attributes
     ----------
     fields
-        By slot, 1 to 3: float32 [H, W, 2], pixels, to the instant before; NaN where unknown.
+        By slot, 1 or more: float32 [H, W, 2], pixels, to the instant before; NaN where unknown.
     hidden
         By slot, bool [H, W]: the instant before does not show the surface point.
     followed
-        Whether a rendered frame comes after slot 3.
+        Whether a rendered frame comes after the last slot.
     """
 
     fields: dict[int, Float32]
@@ -49,7 +50,8 @@ def steps_of(interval: Interval, display: Window, followed: bool = True) -> Step
     if not interval.has_motion:
         return None
     canvas = interval.key.image.data_window
-    motion = {s: interval.back(1) if s == 1 else interval.step_back(s) for s in SLOTS}
+    slots = range(1, len(interval.times) + 1)
+    motion = {s: interval.back(1) if s == 1 else interval.step_back(s) for s in slots}
     return Steps(
         {slot: place(m.field, canvas, display, np.nan) for slot, m in motion.items()},
         {slot: place(m.hole, canvas, display, True) for slot, m in motion.items()},
@@ -60,7 +62,7 @@ def steps_of(interval: Interval, display: Window, followed: bool = True) -> Step
 def flicker_of(
     errors: Mapping[int, Float32], masks: Mapping[int, Bool], steps: Steps
 ) -> list[tuple[float | None, float | None]]:
-    """Return the flicker of slots 1 to 3, over all pixels and in holes.
+    """Return the flicker of an interval's slots, in order, over all pixels and in holes.
 
     Parameters
     ----------
@@ -79,40 +81,51 @@ def flicker_of(
         before = errors.get(slot - 1)
         return transition(errors[slot], before, steps.fields[slot], steps.hidden[slot])
 
-    last = errors.get(SLOTS[-1]) if steps.followed else None
-    transitions = [*map(into, SLOTS), None if last is None else landing(last)]
-    return flicker(transitions, [masks.get(slot) for slot in SLOTS])
+    slots = sorted(steps.fields)
+    last = errors.get(slots[-1]) if steps.followed else None
+    transitions = [*map(into, slots), None if last is None else landing(last)]
+    return flicker(transitions, [masks.get(slot) for slot in slots])
 
 
 def vmaf_of(truth: Mapping[int, Float32], rows: Sequence[Sequence[Float32]]) -> list[list[float]]:
-    """Return the VMAF of slots 1 to 3 of several versions of an interval.
+    """Return the VMAF of the slots of several versions of an interval.
 
     Parameters
     ----------
     truth
-        Slots 0 to 3 and, where a rendered frame follows, 4 (`FACTOR`): float32 [H, W, 3] or more,
-        scene-linear. What is shown at slots 0 and 4 counts as right.
+        Slot 0, those after it and, where a rendered frame follows, one more: float32 [H, W, 3] or
+        more, scene-linear. What is shown at the first and at the rendered one counts as right.
     rows
-        A version each: its frames at slots 1 to 3.
+        A version each: its frames at the slots after the first.
     """
     reference = [to_display(truth[slot]) for slot in sorted(truth)]
-    ends = reference[FACTOR:]
+    made = len(rows[0])
+    ends = reference[made + 1 :]
     videos = [[reference[0], *map(to_display, row), *ends] for row in rows]
     if ends:  # a closed interval hides what comes after it, so all go through one ffmpeg
         found = vmaf(reference * len(rows), [frame for video in videos for frame in video])
     else:
         found = [value for video in videos for value in vmaf(reference, video)]
     count = len(reference)
-    return [found[i * count + 1 : i * count + FACTOR] for i in range(len(rows))]
+    return [found[i * count + 1 : i * count + 1 + made] for i in range(len(rows))]
 
 
-def require_measurable(settings: UpsampleSettings, display: Window) -> None:
+def require_measurable(settings: UpsampleSettings, display: Window, whole: bool = True) -> None:
     """Refuse metrics that cannot be measured, before any work.
+
+    Parameters
+    ----------
+    settings
+        Of the run.
+    display
+        The window that is scored.
+    whole
+        Whether every key frame is an output instant.
 
     Raises
     ------
     UsageError
-        For metrics without ground truth.
+        For metrics without ground truth, or of the video between key frames that are not shown.
     LayoutError
         For VMAF of frames that are too small for it.
     """
@@ -121,12 +134,19 @@ def require_measurable(settings: UpsampleSettings, display: Window) -> None:
             "--metrics names what is measured against --ground-truth; give that too, or leave "
             "--metrics out"
         )
+    together = [name for name in ("vmaf", "flicker") if name in settings.measured]
+    if settings.ground_truth is not None and together and not whole:
+        raise UsageError(
+            f"{' and '.join(together)} are measured from key frame to key frame, and at this rate "
+            "most of them are no output instants; measure psnr, ssim and flip, or give a whole "
+            "--factor"
+        )
     if settings.ground_truth is not None and "vmaf" in settings.measured:
         require_size(display.height, display.width, "the input")
 
 
 class IntervalScores:
-    """Scores slots 1 to 3 of one interval, in order, on the display window.
+    """Scores the slots of one interval, in order, on the display window.
 
     VMAF and flicker depend on nothing beyond the interval: of VMAF's features only the reference's
     own motion reaches over frames, and rendered frames have no error. So any split into chunks
@@ -141,13 +161,14 @@ class IntervalScores:
     names
         What is measured, as in `Score`.
     followed
-        Whether a rendered frame comes after slot 3.
+        Whether a rendered frame comes after the last slot.
     """
 
     def __init__(
         self, interval: Interval, display: Window, names: tuple[str, ...], followed: bool
     ) -> None:
         self._names = names
+        self._count = len(interval.times)
         self._steps = steps_of(interval, display, followed) if "flicker" in names else None
         self._scores: dict[int, Scores] = {}
         self._masks: dict[int, Bool] = {}
@@ -160,7 +181,7 @@ class IntervalScores:
         Parameters
         ----------
         slot
-            1 to 3.
+            1 or more.
         truth, test
             float32 [H, W, 3] or more, scene-linear.
         mask
@@ -181,8 +202,8 @@ class IntervalScores:
         Parameters
         ----------
         ends
-            Ground truth at slot 0, and at `FACTOR`, the next key frame's instant, as far as it is
-            there; float32 [H, W, 3] or more, scene-linear. Only for VMAF.
+            Ground truth at slot 0 and, counted on as a slot, at the next key frame's instant, as
+            far as it is there; float32 [H, W, 3] or more, scene-linear. Only for VMAF.
         """
         found = dict(self._scores)
         if "vmaf" in self._names:
@@ -190,7 +211,8 @@ class IntervalScores:
                 found[slot] = (replace(found[slot][0], vmaf=value), found[slot][1])
         if self._steps is not None:
             values = flicker_of(self._errors, self._masks, self._steps)
-            for slot, (overall, masked) in zip(SLOTS, values, strict=True):
+            slots = sorted(self._steps.fields)
+            for slot, (overall, masked) in zip(slots, values, strict=True):
                 if slot in found:
                     whole, inside = found[slot]
                     inside = None if inside is None else replace(inside, flicker=masked)
@@ -203,6 +225,6 @@ class IntervalScores:
         for slot, pixels in ends.items():
             pairs[slot] = (to_display(pixels),) * 2
         # From the key frame on, up to the first instant without truth.
-        video = list(takewhile(pairs.__contains__, range(FACTOR + 1)))
+        video = list(takewhile(pairs.__contains__, range(self._count + 2)))
         values = vmaf((pairs[slot][0] for slot in video), (pairs[slot][1] for slot in video))
         return {slot: v for slot, v in zip(video, values, strict=True) if slot in self._shown}

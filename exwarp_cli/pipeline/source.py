@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import re
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
@@ -10,14 +10,15 @@ from fractions import Fraction
 import numpy as np
 
 from exwarp_cli.domain.frame import place
-from exwarp_cli.domain.motion import AxisMap, MotionConvention, MotionFinding
+from exwarp_cli.domain.motion import MotionFinding
 from exwarp_cli.domain.settings import DEFAULT_FPS, SourceSettings
-from exwarp_cli.domain.timeline import FACTOR, Slot, Timeline, ranges
+from exwarp_cli.domain.timeline import FACTOR, MOST, Slot, Timeline, ranges
 from exwarp_cli.errors import InputError, LayoutError, MissingFrameError, MotionError, UsageError
-from exwarp_cli.io.channels import PRESETS, Role
+from exwarp_cli.io.channels import Role
 from exwarp_cli.io.frames import Shot, open_shot, read_raw
 from exwarp_cli.io.output import frame_rate, read_headers
 from exwarp_cli.io.sequence import Sequence
+from exwarp_cli.pipeline.motion_option import motion_names, parse_motion
 from exwarp_cli.synthesis.calibration import calibrate
 from exwarp_cli.synthesis.probing import Instant
 
@@ -54,6 +55,11 @@ class Source:
     fps_source: str
 
     @property
+    def output_fps(self) -> Fraction:
+        """Frames per second of the output."""
+        return self.fps * self.timeline.factor
+
+    @property
     def setting(self) -> str:
         """Name of the setting, "key" or "slot"."""
         return "key" if self.slots is None else "slot"
@@ -83,7 +89,15 @@ def open_source(settings: SourceSettings, motion_needed: bool = True) -> Source:
             f"{keys.sequence.pattern} has no colour channels that are recognised; list its "
             "channels with 'exwarp inspect'"
         )
-    timeline = Timeline.of(keys.sequence.numbers, settings.start_frame, settings.tail)
+    fps, fps_source = rate_of(keys, settings.fps)
+    factor = factor_of(settings, fps)
+    timeline = Timeline.of(keys.sequence.numbers, settings.start_frame, settings.tail, factor)
+    if settings.gbuffers is not None and timeline.steps is None:
+        raise UsageError(
+            f"--gbuffers lead from slot to slot between key frames, and from {float(fps):g} to "
+            f"{float(fps * factor):g} fps most key frames are no output instants; leave --gbuffers "
+            "out, or give a whole --factor"
+        )
     slots = None if settings.gbuffers is None else open_shot(settings.gbuffers)
     slot_number: FrameOf = _no_number
     if slots is not None:
@@ -108,17 +122,38 @@ def open_source(settings: SourceSettings, motion_needed: bool = True) -> Source:
                 "slot, along which colour is moved; render them, or leave --gbuffers out"
             )
         slots, slot_number, finding = None, _no_number, None
-    fps, fps_source = rate_of(keys, settings.fps)
     return Source(keys, slots, slot_number, timeline, finding, fps, fps_source)
+
+
+def factor_of(settings: SourceSettings, fps: Fraction) -> Fraction:
+    """Return how many output frames there are per key frame.
+
+    Raises
+    ------
+    UsageError
+        When --factor and --to-fps are both given, or the rate is not above the input's, or too far.
+    """
+    if settings.to_fps is None:
+        return Fraction(FACTOR if settings.factor is None else settings.factor)
+    if settings.factor is not None:
+        raise UsageError("--factor and --to-fps say the same in two ways; give one of them")
+    factor = settings.to_fps / fps
+    if not 1 < factor <= MOST:
+        raise UsageError(
+            f"--to-fps {float(settings.to_fps):g} is {float(factor):g} times the input's "
+            f"{float(fps):g} fps; give more than that and at most {MOST} times it, or correct the "
+            "input's rate with --fps"
+        )
+    return factor
 
 
 def find_motion(shot: Shot, given: str | None) -> MotionFinding | None:
     """Settle the motion convention of a shot, by hand or by measuring; None without motion."""
     if Role.MOTION not in shot.layout:
         return None
-    names = motion_names(shot)
+    names, size = motion_names(shot), (shot.display.width, shot.display.height)
     if given is not None:
-        convention = parse_motion(given, names)
+        convention = parse_motion(given, names, size)
         return MotionFinding(convention, "given", f"{convention.describe(names)} given by --motion")
     numbers = shot.sequence.numbers
     firsts = sorted({0, (len(numbers) - 1) // 2, len(numbers) - 2} - {-1})
@@ -127,57 +162,8 @@ def find_motion(shot: Shot, given: str | None) -> MotionFinding | None:
         for i in firsts
         if i + 1 < len(numbers)
     ]
-    return calibrate(pairs, shot.layout.guess, names)
-
-
-def motion_names(shot: Shot) -> tuple[str, ...]:
-    """Names of the motion channels as --motion takes them, with their layer where needed."""
-    refs = shot.layout.roles[Role.MOTION]
-    short = [ref.component for ref in refs]
-    if len(set(short)) == len(short):
-        return tuple(short)
-    return tuple(".".join(ref.name.split(".")[-2:]) for ref in refs)
-
-
-def parse_motion(text: str, names: tuple[str, ...]) -> MotionConvention:
-    """Read the ``--motion`` option.
-
-    A preset's name (blender, unreal, forward …), or the channels that hold the displacement to the
-    previous and next frame in pixels, x right and y down, with signs and factors:
-    ``previous=X,-Y next=-Z,W``, ``next=0.5*u,-0.5*v``.
-
-    Raises
-    ------
-    UsageError
-        When the text is neither.
-    """
-    preset = PRESETS.get(text.strip().lower())
-    if preset is not None:
-        highest = max(
-            max(m.x_channel, m.y_channel) for m in (preset.to_previous, preset.to_next) if m
-        )
-        if highest >= len(names):
-            raise UsageError(
-                f"--motion {text} needs {highest + 1} motion channels and there are "
-                f"{len(names)}: {', '.join(names)}"
-            )
-        return preset
-    maps: dict[str, AxisMap] = {}
-    for clause in text.split():
-        direction, _, terms = clause.partition("=")
-        axes = [_axis(term, names) for term in terms.split(",")]
-        known = direction in ("previous", "next") and direction not in maps
-        if not known or len(axes) != 2 or None in axes:
-            raise UsageError(
-                f"--motion {text!r} is not understood; write a preset ({', '.join(PRESETS)}) or "
-                f"for example 'previous={names[0]},-{names[1]}', with channels out of "
-                f"{', '.join(names)}"
-            )
-        (x, x_scale), (y, y_scale) = (axis for axis in axes if axis is not None)
-        maps[direction] = AxisMap(x, y, x_scale, y_scale)
-    if not maps:
-        raise UsageError("--motion is empty; write a preset or a convention, or leave it out")
-    return MotionConvention(maps.get("previous"), maps.get("next"))
+    guess = None if shot.layout.guess is None else shot.layout.guess.sized(*size)
+    return calibrate(pairs, guess, names)
 
 
 def align(timeline: Timeline, sequence: Sequence, what: str) -> FrameOf:
@@ -196,7 +182,7 @@ def align(timeline: Timeline, sequence: Sequence, what: str) -> FrameOf:
         told = f"{what} needs every frame, those at the key frames' instants too: {error}"
         raise MissingFrameError(told) from error
     known = set(numbers)
-    count = FACTOR * (len(timeline.numbers) - 1) + 1
+    count = math.floor((len(timeline.numbers) - 1) * timeline.factor) + 1
     expected = range(timeline.start, timeline.start + count)
     by_number = known.issuperset(expected)
 
@@ -204,12 +190,13 @@ def align(timeline: Timeline, sequence: Sequence, what: str) -> FrameOf:
         if by_number:
             number = timeline.number(slot)
             return number if number in known else None
-        return numbers[slot.order] if slot.order < len(numbers) else None
+        order = timeline.order(slot)
+        return numbers[order] if order < len(numbers) else None
 
-    if len(numbers) == len(timeline.numbers) and len(numbers) > 1:
+    if len(numbers) == len(timeline.numbers) < count:
         raise InputError(
-            f"{what} has {len(numbers)} frames like the key frames, but has to be at {FACTOR} "
-            "times their rate; check the path"
+            f"{what} has {len(numbers)} frames like the key frames, but has to be at "
+            f"{float(timeline.factor):g} times their rate; check the path"
         )
     if len(numbers) > 1 and numbers[1] - numbers[0] > 1 and known.issubset(expected):
         # By order, each would be taken for a frame of another instant.
@@ -230,20 +217,9 @@ def _enough(timeline: Timeline, slots: Shot, frame_of: FrameOf) -> None:
     if frame_of(last) is None:
         raise InputError(
             f"--gbuffers {slots.sequence.pattern} has frames {ranges(slots.sequence.numbers)}, "
-            f"fewer than the {last.order + 1} slots up to the last key frame; render the others"
+            f"fewer than the {timeline.order(last) + 1} slots up to the last key frame; render the "
+            "others"
         )
-
-
-def _axis(term: str, names: tuple[str, ...]) -> tuple[int, float] | None:
-    """Read one signed, scaled channel of a convention; None when it is not one."""
-    match = re.fullmatch(r"(?P<sign>[+-]?)(?:(?P<factor>[0-9.]+)\*)?(?P<name>[^*]+)", term.strip())
-    if match is None or match["name"] not in names:
-        return None
-    try:
-        factor = float(match["factor"] or 1.0)
-    except ValueError:
-        return None
-    return names.index(match["name"]), -factor if match["sign"] == "-" else factor
 
 
 def _instant(shot: Shot, number: int) -> Instant:

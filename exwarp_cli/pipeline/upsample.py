@@ -13,6 +13,7 @@ from exwarp_cli.domain.results import (
     RunSummary,
 )
 from exwarp_cli.domain.settings import UpsampleSettings
+from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import LayoutError, UsageError
 from exwarp_cli.io import exr
 from exwarp_cli.io.channels import Role
@@ -74,13 +75,14 @@ def upsample(
     policy = find_policy(settings, method)
     _require_truth(settings, method)
     source = open_source(settings.source, method.needs_motion)
+    require_factor(source, method, interpolator)
     told = None if network is None else _network_summary(network, source)
     between = None if interpolator is None else _interpolator_summary(interpolator)
     keys = source.timeline.select(settings.frames)
     slots = [slot for key in keys for slot in source.timeline.slots_of(key)]
     targets = Targets.of(settings, source.keys.sequence)
     truth = None if settings.ground_truth is None else find_truth(settings.ground_truth, source)
-    require_measurable(settings, source.keys.display)
+    require_measurable(settings, source.keys.display, source.timeline.steps is not None)
     targets.prepare(settings, source.timeline, slots)
     _announce(progress, settings, source, method, keys)
     if told is not None:
@@ -110,10 +112,11 @@ def upsample(
         fps_source=source.fps_source,
         wall_seconds=time.perf_counter() - begin,
         frames=records,
-        decides=method.decides,
+        decides=method.decides and is_usual(source),
         extrapolator=told,
         policy=decided,
         interpolator=between,
+        factor=source.timeline.factor,
     )
 
 
@@ -225,11 +228,38 @@ def _require_truth(settings: UpsampleSettings, method: Method) -> None:
 def make_chooser(method: Method, source: Source, policy: PolicyFile | None) -> Chooser | None:
     """Return who decides the path of each key interval; None outside the decision tree."""
     if method.path is not None:
-        return always(method.path)
+        return always(method.path) if is_usual(source) else None
     if policy is not None:
         observer = Observer(source.keys.display, source.setting)
         return by_policy(LearnedPolicy(policy.network), observer)
     return None if method.judge is None else by_truth(method.judge, source.keys.display)
+
+
+def is_usual(source: Source) -> bool:
+    """Whether the output has the paper's factor, for which alone there are decisions."""
+    return source.timeline.factor == FACTOR
+
+
+def require_factor(
+    source: Source, method: Method, interpolator: OnnxInterpolator | None = None
+) -> None:
+    """Refuse a factor at which a method makes no frames; raises UsageError."""
+    timeline = source.timeline
+    if not (method.any_factor or is_usual(source)):
+        names = ", ".join(other.name for other in METHODS.values() if other.any_factor)
+        raise UsageError(
+            f"--method {method.name} decides between slots of {FACTOR} times the rate, and "
+            f"{float(timeline.factor):g} times are asked for; use one of {names}"
+        )
+    if interpolator is None:
+        return
+    times = {timeline.time(slot) for key in range(3) for slot in timeline.between(key)}
+    if out := sorted(t for t in times if not interpolator.reaches(t)):
+        raise UsageError(
+            f"--interpolator {interpolator.name} is not told the time and makes the middle frame "
+            f"only, so it does not reach {out[0]} of a key interval; give --factor 2, 4 or 8, or a "
+            "network with an input for the time"
+        )
 
 
 def _policy_summary(policy: PolicyFile, source: Source) -> PolicySummary:

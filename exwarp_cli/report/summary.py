@@ -11,7 +11,6 @@ import numpy as np
 
 from exwarp_cli import __version__
 from exwarp_cli.domain.results import FrameKind, FrameRecord, InputSummary, RunSummary
-from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.report.decisions import decisions, quality_by_decision
 from exwarp_cli.report.quality import mean, quality
 from exwarp_cli.report.render_time import render_time
@@ -54,12 +53,13 @@ def report(run: RunSummary) -> dict[str, Any]:
     return plain
 
 
-def complete_intervals(frames: tuple[FrameRecord, ...]) -> list[list[FrameRecord]]:
+def complete_intervals(run: RunSummary) -> list[list[FrameRecord]]:
     """Group frames by key frame; leave out groups that lack a slot (the last one without tail)."""
     groups: dict[int, list[FrameRecord]] = {}
-    for frame in frames:
+    for frame in run.frames:
         groups.setdefault(frame.key, []).append(frame)
-    return [group for group in groups.values() if len({f.slot for f in group}) == FACTOR]
+    least = math.floor(run.factor)  # of 2.5, intervals show two or three
+    return [group for group in groups.values() if len({f.slot for f in group}) >= least]
 
 
 def steps_of(frames: tuple[FrameRecord, ...]) -> list[str]:
@@ -113,26 +113,27 @@ def _frames(frames: tuple[FrameRecord, ...]) -> dict[str, int]:
 def _fps(run: RunSummary) -> dict[str, Any]:
     """Base, effective and working speed.
 
-    Effective FPS is base x (1 + mean number of generated frames per key interval), over intervals
-    with all their slots: a repeated frame is none for the eye. Throughput is frames that this very
-    run wrote, per second of its wall time.
+    Effective FPS is base x (mean number of rendered and generated frames that a key interval
+    shows), over intervals with all their slots: a repeated frame is none for the eye.
+    Throughput is frames that this very run wrote, per second of its wall time.
     """
     new = mean(
-        sum(frame.kind is FrameKind.GENERATED for frame in interval)
-        for interval in complete_intervals(run.frames)
+        sum(frame.kind is not FrameKind.DROPPED for frame in interval)
+        for interval in complete_intervals(run)
     )
     fresh = sum(not frame.resumed for frame in run.frames)
     timed = fresh > 0 and run.wall_seconds > 0
     return {
         "base": run.base_fps,
-        "effective": None if new is None else run.base_fps * (1 + new),
+        "effective": None if new is None else run.base_fps * new,
+        "output": run.output_fps,
         "throughput": fresh / run.wall_seconds if timed else None,
         "source": run.fps_source,
     }
 
 
 def _holes(shown: tuple[FrameRecord, ...]) -> dict[str, Any]:
-    """Distribution of the hole fraction over slots 1 to 3, where it is known."""
+    """Distribution of the hole fraction over the slots after key frames, where it is known."""
     known = [f.hole_fraction for f in shown if f.hole_fraction is not None]
     known = [fraction for fraction in known if math.isfinite(fraction)]
     if not known:
@@ -150,11 +151,11 @@ def _paths(run: RunSummary) -> list[str] | None:
     """Return the path of each complete interval whose path is known; None outside the tree."""
     if not run.decides:
         return None
-    return [group[-1].path for group in complete_intervals(run.frames) if group[-1].path]
+    return [group[-1].path for group in complete_intervals(run) if group[-1].path]
 
 
 def _quality(decides: bool, shown: tuple[FrameRecord, ...]) -> dict[str, Any]:
-    """Mean scores over the frames shown at slots 1 to 3, repeats included."""
+    """Mean scores over the frames shown between key frames, repeats included."""
     return {
         "all": quality(f.score for f in shown),
         "holes": quality(f.hole_score for f in shown),

@@ -7,7 +7,6 @@ from typing import Any
 from exwarp_cli.domain.decision import HOLD, NODES, WARP
 from exwarp_cli.domain.features import FEATURES
 from exwarp_cli.domain.results import FrameKind, FrameRecord, RunSummary
-from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.report.gallery import Album
 from exwarp_cli.report.page import Block, Cell, Number, Page, Section, Table, Viewer
 from exwarp_cli.report.page_parts import (
@@ -101,9 +100,7 @@ def headline(document: dict[str, Any]) -> list[Number]:
     if frames["dropped"]:
         parts += f", {frames['dropped']} repeated"
     found.append(Number("Frames", f"{frames['written']:,}", parts))
-    found.append(
-        Number("Frame rate", f"{fps['base']:g} → {FACTOR * fps['base']:g} fps", fps["source"])
-    )
+    found.append(Number("Frame rate", f"{fps['base']:g} → {fps['output']:g} fps", fps["source"]))
     if fps["effective"] is not None:
         found.append(Number("Effective", f"{fps['effective']:.1f} fps", "new frames alone"))
     found += quality_numbers(document["quality"]["all"])
@@ -166,7 +163,7 @@ def _quality(
     numbers, scores = [f.number for f in scored], [f.score for f in scored]
     made = [made_by(f) for f in scored]
     told = quality_table(
-        "Against ground truth", blocks, "Means over frames at slots 1 to 3; no key frames."
+        "Against ground truth", blocks, "Means over the frames between key frames."
     )
     values = [None if score is None else score.psnr_db for score in scores]
     found: list[Block] = [told]
@@ -206,8 +203,9 @@ def _decisions(run: RunSummary, document: dict[str, Any]) -> list[Block]:
 def _strip(frames: tuple[FrameRecord, ...]) -> Figure:
     """Draw what made each slot: key intervals from left to right, slots below each other."""
     intervals: dict[int, list[StripCell | None]] = {}
+    count = max(frame.slot for frame in frames)
     for frame in frames:
-        column = intervals.setdefault(frame.key, [None] * (FACTOR - 1))
+        column = intervals.setdefault(frame.key, [None] * count)
         if frame.slot:
             taken = frame.decision
             why = "" if taken is None else f", {taken.node} = {taken.choice}"
@@ -220,7 +218,7 @@ def _strip(frames: tuple[FrameRecord, ...]) -> Figure:
     )
     kinds = dict.fromkeys(made_by(frame) for frame in frames if frame.slot)
     return strip(
-        labels, [f"slot {i}" for i in range(1, FACTOR)], list(intervals.values()), list(kinds)
+        labels, [f"slot {i + 1}" for i in range(count)], list(intervals.values()), list(kinds)
     )
 
 

@@ -22,6 +22,9 @@ from exwarp_cli.synthesis.geometry import (
 from exwarp_cli.synthesis.history import LookBack, Past, look_back, step_back
 from exwarp_cli.synthesis.trajectory import displacement
 
+QUARTERS = tuple(index / FACTOR for index in range(1, FACTOR))
+"""When slots 1 to 3 are at the usual factor."""
+
 
 @dataclass
 class Interval:
@@ -34,14 +37,17 @@ class Interval:
     following
         F_k+1 on the same window, for look-ahead methods; None for causal ones and at the end.
     slots
-        G-buffers of slots 1 to 3 with settled motion between neighbouring slots; empty when only
-        the key frames have G-buffers.
+        G-buffers of all slots after the key frame, with settled motion between neighbouring ones;
+        empty when only the key frames have G-buffers.
     past
         F_k-1 and F_k-2, the newer first, as far as they exist; only for extrapolation.
     extrapolator
         The network that extrapolates; None for methods that only warp.
     interpolator
         The network that interpolates; None for methods that do without.
+    times
+        When the slots after the key frame are, in order: fractions of the key interval, 0 < time <
+        1. With G-buffers of the slots they are evenly spaced from key frame to key frame.
     """
 
     key: KeyFrame
@@ -50,6 +56,7 @@ class Interval:
     past: tuple[Past, ...] = ()
     extrapolator: Extrapolator | None = None
     interpolator: Interpolator | None = None
+    times: tuple[float, ...] = QUARTERS
     _back: dict[int, SlotField] = field(default_factory=dict, init=False)
     _forward: dict[int, SlotField] = field(default_factory=dict, init=False)
     _looked: dict[int, LookBack] = field(default_factory=dict, init=False)
@@ -60,8 +67,12 @@ class Interval:
         """Whether slots can be warped from the key frame."""
         return bool(self.slots) or (self.key.gbuffer is not None and self.key.gbuffer.has_motion)
 
+    def time(self, slot: int) -> float:
+        """When a slot is, 1 for the first after the key frame: fraction of the key interval."""
+        return self.times[slot - 1]
+
     def back(self, slot: int) -> SlotField:
-        """Motion field from a slot, 1 to 3, to the key frame before it.
+        """Motion field from a slot, 1 or more, to the key frame before it.
 
         Raises
         ------
@@ -73,11 +84,11 @@ class Interval:
                 _require_steps(self.slots, self.key)
                 self._back = dict(enumerate(compose_back(self.slots, self.key.gbuffer), start=1))
             else:
-                self._back[slot] = reproject(_moving(self.key), slot / FACTOR)
+                self._back[slot] = reproject(_moving(self.key), self.time(slot))
         return self._back[slot]
 
     def forward(self, slot: int) -> SlotField:
-        """Motion field from a slot, 1 to 3, to the key frame after it.
+        """Motion field from a slot, 1 or more, to the key frame after it.
 
         With slot G-buffers their to-next vectors are followed; where a renderer writes none, the
         next key frame's own geometry is moved back, as with key G-buffers only.
@@ -89,18 +100,18 @@ class Interval:
                 fields = compose_forward(self.slots, self.following.gbuffer)
                 self._forward = dict(enumerate(fields, start=1))
             else:
-                self._forward[slot] = reproject(_moving(self.following), slot / FACTOR - 1)
+                self._forward[slot] = reproject(_moving(self.following), self.time(slot) - 1)
         return self._forward[slot]
 
     def step_back(self, slot: int) -> SlotField:
-        """Motion field from a slot, 2 or 3, to the slot before it."""
-        if slot not in range(2, FACTOR):
+        """Motion field from a slot, 2 or more, to the slot before it."""
+        if slot not in range(2, len(self.times) + 1):
             raise ValueError(f"before slot {slot} there is no slot of this interval")
         if self.slots:
             here, before = self.slots[slot - 1], self.slots[slot - 2]
             assert here.to_previous is not None
             return matched(here, before, here.to_previous, 1)
-        there = displacement(_moving(self.key), (slot - 1) / FACTOR)
+        there = displacement(_moving(self.key), self.time(slot - 1))
         return step_back(self.back(slot), there, self.back(slot - 1))
 
     def look_back(self, slot: int) -> LookBack:

@@ -13,7 +13,6 @@ from exwarp_cli.domain.decision import EXTRAPOLATE, HOLD, PATHS, WARP
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.domain.interpolator import INTERPOLATE
 from exwarp_cli.domain.results import FrameKind
-from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.synthesis.interpolate import between, blend_by_depth
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.warp import fill_background, repair, warp
@@ -68,7 +67,7 @@ class Method:
     name
         As on the command line.
     predict
-        Called with an interval and a slot, 1 to 3; None where each interval's path makes it.
+        Called with an interval and a slot, 1 or more; None where each interval's path makes it.
     lookahead
         Whether it uses the next key frame.
     needs_motion
@@ -88,6 +87,11 @@ class Method:
     path: str | None = None
     judge: Judge | None = None
     interpolates: bool = False
+
+    @property
+    def any_factor(self) -> bool:
+        """Whether it makes slots at any time; the paper's decisions are for those of 4x alone."""
+        return self.judge is None and not self.extrapolates
 
     @property
     def decides(self) -> bool:
@@ -131,8 +135,14 @@ def take(path: str, interval: Interval, slot: int) -> Predicted:
         moved = warp(interval.extrapolated(2), interval.step_back(3))
         pixels, sources = fill_background(moved), _seen(interval)
     else:
-        pixels = fill_background(warp(interval.key.image.pixels, interval.back(slot)))
+        return replace(_warp(interval, slot), method=name)
     return Predicted(pixels, FrameKind.GENERATED, name, sources, maker)
+
+
+def _warp(interval: Interval, slot: int) -> Predicted:
+    """Warp the key frame: the paper's path S6."""
+    pixels = fill_background(warp(interval.key.image.pixels, interval.back(slot)))
+    return Predicted(pixels, FrameKind.GENERATED, "s6", (interval.key.number,), WARP)
 
 
 def _seen(interval: Interval) -> tuple[int, ...]:
@@ -142,14 +152,14 @@ def _seen(interval: Interval) -> tuple[int, ...]:
 
 def _causal(interval: Interval, slot: int) -> Predicted:
     """Do what can be done without a next key frame."""
-    return take("S6", interval, slot) if interval.has_motion else _hold(interval, slot)
+    return _warp(interval, slot) if interval.has_motion else _hold(interval, slot)
 
 
 def _blend(interval: Interval, slot: int) -> Predicted:
     """Cross-fade the key frames."""
     if interval.following is None:
         return _causal(interval, slot)
-    share = np.float32(slot / FACTOR)
+    share = np.float32(interval.time(slot))
     before, after = repair(interval.key.image.pixels), repair(interval.following.image.pixels)
     pixels = (before + share * (after - before)).astype(np.float32)
     sources = (interval.key.number, interval.following.number)
@@ -162,7 +172,7 @@ def _softsplat(interval: Interval, slot: int) -> Predicted:
         return _causal(interval, slot)
     before = warp(interval.key.image.pixels, interval.back(slot))
     after = warp(interval.following.image.pixels, interval.forward(slot))
-    pixels = blend_by_depth(before, after, slot / FACTOR)
+    pixels = blend_by_depth(before, after, interval.time(slot))
     sources = (interval.key.number, interval.following.number)
     return Predicted(pixels, FrameKind.GENERATED, "softsplat", sources, WARP)
 
@@ -173,14 +183,15 @@ def _onnx(interval: Interval, slot: int) -> Predicted:
         return _causal(interval, slot)
     assert interval.interpolator is not None
     frames = (interval.key.image.pixels, interval.following.image.pixels)
-    pixels = between(*frames, slot / FACTOR, interval.interpolator)
+    pixels = between(*frames, interval.time(slot), interval.interpolator)
     sources = (interval.key.number, interval.following.number)
     return Predicted(pixels, FrameKind.GENERATED, "onnx", sources, INTERPOLATE)
 
 
 def _fixed(path: str) -> Method:
     """Return the method that takes one path in every key interval."""
-    return Method(path.lower(), partial(take, path), lookahead=False, needs_motion=True, path=path)
+    predict = _warp if path == "S6" else partial(take, path)
+    return Method(path.lower(), predict, lookahead=False, needs_motion=True, path=path)
 
 
 def _judged(name: str, judge: Judge) -> Method:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import replace
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -28,7 +29,7 @@ CONTRACT: dict[str, Any] = {
         "motion": {"source": None, "evidence": None},
     },
     "frames": dict.fromkeys(("key", "written", "generated", "dropped", "resumed")),
-    "fps": dict.fromkeys(("base", "effective", "throughput", "source")),
+    "fps": dict.fromkeys(("base", "effective", "output", "throughput", "source")),
     "holes": dict.fromkeys(("mean_fraction", "p95_fraction", "histogram")),
     "decisions": {
         "nodes": {f"d{i}": {"warp": None, "extrapolate": None} for i in range(1, 6)},
@@ -124,7 +125,8 @@ def test_outside_the_tree_nothing_was_decided() -> None:
 def test_an_empty_run_is_reported() -> None:
     found = report(run([]))
     assert set(found["frames"].values()) == {0}
-    assert found["fps"] == {"base": 24.0, "effective": None, "throughput": None, "source": "header"}
+    rates = {"base": 24.0, "effective": None, "output": 96.0}
+    assert found["fps"] == {**rates, "throughput": None, "source": "header"}
     assert report(path_run("S6", 0))["decisions"]["warp_share"] is None
 
 
@@ -140,6 +142,12 @@ def test_effective_fps_leaves_out_incomplete_intervals() -> None:
     frames = interval(1001, "ggg", 1001) + interval(1002, "dgd", 1005) + interval(1003, "", 1009)
     assert report(run(frames))["fps"]["effective"] == 24 * (1 + (3 + 1) / 2)
     assert report(run(frames[-1:]))["fps"]["effective"] is None
+
+
+def test_effective_fps_at_another_rate_counts_key_frames_that_are_shown() -> None:
+    first, second = interval(1, "gg", 1), interval(2, "gg", 4)[1:]
+    found = report(run(first + second, factor=Fraction(5, 2)))["fps"]
+    assert (found["output"], found["effective"]) == (60.0, 60.0)
 
 
 def test_throughput_counts_what_this_run_wrote() -> None:

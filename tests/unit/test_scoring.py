@@ -40,6 +40,7 @@ def interval(has_motion: bool = True) -> Any:
     image = SimpleNamespace(data_window=CANVAS)
     return SimpleNamespace(
         has_motion=has_motion,
+        times=(0.25, 0.5, 0.75),
         key=SimpleNamespace(image=image),
         back=lambda slot: field(slot),
         step_back=lambda slot: field(10 + slot),

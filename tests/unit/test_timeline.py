@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -9,6 +11,7 @@ from hypothesis import strategies as st
 from exwarp_cli.domain.timeline import FACTOR, Slot, Timeline, parse_frames, ranges
 from exwarp_cli.errors import MissingFrameError, UsageError
 
+FACTORS = st.fractions(Fraction(41, 40), 8, max_denominator=40)
 FRAMES = st.sets(st.integers(-2000, 20_000), min_size=1, max_size=40)
 
 
@@ -41,8 +44,9 @@ class TestNumbering:
         assert Timeline.of([3, 1, 2, 2]) == Timeline.of([1, 2, 3])
 
     def test_slots_know_their_time(self):
-        assert [Slot(2, i).time for i in range(FACTOR)] == [0.0, 0.25, 0.5, 0.75]
-        assert Slot(2, 3).order == 11
+        timeline = Timeline.of([1, 2, 3])
+        assert [timeline.time(Slot(2, i)) for i in range(FACTOR)] == [0.0, 0.25, 0.5, 0.75]
+        assert timeline.order(Slot(2, 3)) == 11
 
     @given(st.integers(-50, 5000), st.integers(1, 30), st.sampled_from([1, 4]), st.booleans())
     def test_any_split_of_the_range_is_the_whole(self, first, count, step, tail):
@@ -56,6 +60,51 @@ class TestNumbering:
         parts = [n for c in chunks for n in written(timeline, timeline.select(c))]
         assert parts == whole == list(range(whole[0], whole[-1] + 1))
         assert len(whole) == (4 * count if tail else 4 * (count - 1) + 1)
+
+
+class TestRates:
+    def test_a_third_of_the_interval_at_three_times_the_rate(self):
+        timeline = Timeline.of([5, 6], factor=3)
+        assert timeline.steps == 3
+        assert [timeline.time(slot) for slot in timeline.slots_of(0)] == [
+            0,
+            Fraction(1, 3),
+            Fraction(2, 3),
+        ]
+        assert written(timeline, (0, 1)) == [5, 6, 7, 8, 9, 10]
+
+    def test_from_24_to_60_every_other_key_frame_is_shown(self):
+        timeline = Timeline.of([1, 2, 3, 4, 5], factor=Fraction(5, 2))
+        assert timeline.steps is None
+        assert [timeline.shows(key) for key in range(5)] == [True, False, True, False, True]
+        times = [[timeline.time(slot) for slot in timeline.slots_of(key)] for key in (0, 1)]
+        assert times == [[0, Fraction(2, 5), Fraction(4, 5)], [Fraction(1, 5), Fraction(3, 5)]]
+        assert written(timeline, (0, 1, 2)) == [1, 2, 3, 4, 5, 6, 7, 8]
+        assert timeline.made_of(0) == (Slot(0, 1), Slot(0, 2))
+        assert timeline.made_of(1) == timeline.slots_of(1) == (Slot(1, 1), Slot(1, 2))
+
+    def test_without_tail_nothing_comes_after_the_last_key_frame(self):
+        odd = Timeline.of([1, 2, 3, 4], tail=False, factor=Fraction(5, 2))
+        assert odd.slots_of(3) == ()
+        assert len(Timeline.of([1, 2, 3], tail=False, factor=Fraction(5, 2)).slots_of(2)) == 1
+
+    @given(FACTORS, st.integers(1, 40), st.booleans())
+    def test_every_output_instant_is_there_once_and_in_time(self, factor, count, tail):
+        timeline = Timeline.of(list(range(7, 7 + count)), tail=tail, factor=factor)
+        slots = [slot for key in range(count) for slot in timeline.slots_of(key)]
+        assert [timeline.order(slot) for slot in slots] == list(range(len(slots)))
+        for slot in slots:
+            assert slot.key + timeline.time(slot) == timeline.order(slot) / factor
+            assert 0 <= timeline.time(slot) < 1 and (slot.index == 0) == (timeline.time(slot) == 0)
+        end = len(slots) / factor
+        assert end >= count if tail else end > count - 1
+        assert (len(slots) - 1) / factor < count if tail else (len(slots) - 1) / factor <= count - 1
+
+    @given(FACTORS, st.integers(0, 40))
+    def test_the_slots_between_key_frames_are_those_of_the_whole(self, factor, key):
+        timeline = Timeline.of(list(range(50)), factor=factor)
+        assert timeline.made_of(key) == timeline.between(key)
+        assert timeline.shows(key) == (Slot(key, 0) in timeline.slots_of(key))
 
 
 class TestMissingFrames:

@@ -1,0 +1,149 @@
+"""Other rates than four times the input's."""
+
+from __future__ import annotations
+
+import json
+from fractions import Fraction
+from pathlib import Path
+
+import pytest
+
+from tests.cli import shots
+from tests.cli.shots import FORWARD, SMALL, VECTORS
+from tests.cli.street import Street
+
+KEYS = range(1, 6)
+
+
+@pytest.fixture(scope="module")
+def keys(tmp_path_factory) -> Path:
+    """Five key frames, 1 to 5; read only."""
+    return shots.sequence(tmp_path_factory.mktemp("rates") / "keys", shots.plain, KEYS, SMALL)
+
+
+def truth_at(folder: Path, factor: Fraction) -> Path:
+    """Write the truth at a factor, up to the last key frame."""
+    count = int((len(KEYS) - 1) * factor) + 1
+    numbers = range(1, count + 1)
+    return shots.sequence(folder, shots.colour_only, numbers, SMALL, step=float(1 / factor))
+
+
+def half_rate(path: Path, street: Street, time: float) -> None:
+    """Write a slot's G-buffer, with vectors over half a key interval, twice those of a quarter."""
+    planes = shots.slot_planes(street, time)
+    shots.write(path, {"": {n: 2 * p if "Vector" in n else p for n, p in planes.items()}})
+
+
+def scored(upsample, sequence: Path, out: Path, truth: Path, *options: object) -> dict:
+    report = out.with_name(f"{out.name}-report")
+    upsample(sequence, out, "--ground-truth", truth, "--report", report, "--no-tail", *options)
+    return json.loads((report / "report.json").read_text())
+
+
+@pytest.mark.parametrize("factor", [2, 3, 5, 8])
+@pytest.mark.parametrize("method", ["s6", "softsplat"])
+def test_slots_lie_where_they_should_in_time(upsample, keys, tmp_path, factor, method):
+    truth = truth_at(tmp_path / "truth", Fraction(factor))
+    options = ("--factor", factor, "-m", method, *FORWARD)
+    found = scored(upsample, keys, tmp_path / "out", truth, *options)
+    assert found["frames"] == {
+        "key": 5,
+        "written": 4 * factor + 1,
+        "generated": 4 * (factor - 1),
+        "dropped": 0,
+        "resumed": 0,
+    }
+    assert found["fps"]["output"] == found["fps"]["effective"] == 30 * factor
+    assert found["quality"]["all"]["frames"] == 4 * (factor - 1)
+    held = scored(upsample, keys, tmp_path / "held", truth, "--factor", factor, "-m", "hold")
+    gain = found["quality"]["all"]["psnr_db"] - held["quality"]["all"]["psnr_db"]
+    assert gain > 5
+
+
+@pytest.mark.parametrize("method", ["s6", "softsplat"])
+def test_from_24_to_60(upsample, keys, tmp_path, method):
+    truth = truth_at(tmp_path / "truth", Fraction(5, 2))
+    options = ("--fps", 24, "--to-fps", 60, "-m", method, *FORWARD)
+    out = tmp_path / "out"
+    found = scored(upsample, keys, out, truth, *options)
+    assert shots.names(out) == [f"shot.{number:04d}.exr" for number in range(1, 12)]
+    assert (found["frames"]["key"], found["frames"]["generated"]) == (3, 8)
+    assert found["fps"]["output"] == found["fps"]["effective"] == 60
+    for number, written in ((1, 1), (3, 6), (5, 11)):
+        source = keys / f"shot.{number:04d}.exr"
+        assert (out / f"shot.{written:04d}.exr").read_bytes() == source.read_bytes()
+    header, _ = shots.read(out / "shot.0004.exr")
+    assert header["framesPerSecond"] == 60
+    assert (header["exwarp:key"], header["exwarp:slot"]) == (2, 1)
+    held = scored(
+        upsample, keys, tmp_path / "held", truth, "--fps", 24, "--to-fps", 60, "-m", "hold"
+    )
+    assert found["quality"]["all"]["psnr_db"] > held["quality"]["all"]["psnr_db"] + 5
+
+
+def test_exact_broadcast_rates(upsample, keys, tmp_path):
+    upsample(keys, tmp_path / "out", "--fps", "23.976", "--to-fps", 60, "-m", "hold")
+    header, _ = shots.read(tmp_path / "out" / "shot.0002.exr")
+    assert header["framesPerSecond"] == 60
+    # The first key frame falls on an output instant, and then none for a thousand.
+    assert len(shots.names(tmp_path / "out")) == 13
+
+
+def test_any_split_into_chunks_gives_the_same_bytes(upsample, keys, tmp_path):
+    options = ("--fps", 24, "--to-fps", 60, "-m", "softsplat", *FORWARD)
+    upsample(keys, tmp_path / "whole", *options)
+    for chunk in ("1", "2-3", "4,5"):
+        upsample(keys, tmp_path / "parts", "--frames", chunk, *options)
+    assert shots.contents(tmp_path / "parts") == shots.contents(tmp_path / "whole")
+    assert len(shots.names(tmp_path / "whole")) == 13
+
+
+def test_the_usual_rate_by_its_frames_per_second(upsample, keys, tmp_path):
+    upsample(keys, tmp_path / "a", "-m", "s6", *FORWARD)
+    upsample(keys, tmp_path / "b", "-m", "s6", "--to-fps", 120, *FORWARD)
+    assert shots.contents(tmp_path / "a") == shots.contents(tmp_path / "b")
+
+
+def test_a_run_goes_on_only_with_frames_of_its_own_rate(upsample, keys, tmp_path):
+    out = tmp_path / "out"
+    upsample(keys, out, "-m", "s6", "--factor", 2, "--frames", "1", *FORWARD)
+    upsample(keys, out, "-m", "s6", "--factor", 3, "--skip-existing", *FORWARD)
+    upsample(keys, tmp_path / "new", "-m", "s6", "--factor", 3, *FORWARD)
+    assert shots.contents(out) == shots.contents(tmp_path / "new")
+
+
+def test_g_buffers_at_twice_the_rate(upsample, keys, tmp_path):
+    slots = shots.sequence(tmp_path / "slots", half_rate, range(1, 10), SMALL, step=0.5)
+    truth = truth_at(tmp_path / "truth", Fraction(2))
+    options = ("--factor", 2, "--gbuffers", slots, *VECTORS, "-m", "s6")
+    found = scored(upsample, keys, tmp_path / "out", truth, *options)
+    assert found["setting"] == "slot"
+    held = scored(upsample, keys, tmp_path / "held", truth, "--factor", 2, "-m", "hold")
+    assert found["quality"]["all"]["psnr_db"] > held["quality"]["all"]["psnr_db"] + 5
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--factor", 2), ("--method exwarp", "4 times", "s6, softsplat")),
+        (("--factor", 8, "-m", "s3"), ("--method s3",)),
+        (("--to-fps", 60, "--factor", 2, "-m", "s6"), ("--factor and --to-fps",)),
+        (("--to-fps", 30, "-m", "s6"), ("--to-fps 30 is 1 times",)),
+        (("--to-fps", 24, "-m", "s6"), ("--to-fps 24",)),
+        (("--to-fps", 300, "-m", "s6"), ("at most 8",)),
+        (("--to-fps", 75, "-m", "s6", "--gbuffers", "keys"), ("--gbuffers",)),
+    ],
+)
+def test_what_cannot_be_is_refused(exwarp, keys, tmp_path, monkeypatch, options, words):
+    monkeypatch.chdir(keys.parent)
+    found = exwarp("upsample", keys, "-o", tmp_path / "out", "--progress", "none", *options)
+    found.refused(2, *words)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("name", ["vmaf", "flicker"])
+def test_no_scores_of_a_video_whose_key_frames_are_not_shown(exwarp, keys, tmp_path, name):
+    truth = truth_at(tmp_path / "truth", Fraction(5, 2))
+    options = ("--to-fps", 75, "-m", "s6", "--ground-truth", truth, "--metrics", name, *FORWARD)
+    found = exwarp("upsample", keys, "-o", tmp_path / "out", "--progress", "none", *options)
+    found.refused(2, name, "whole --factor")
