@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import time
-from collections.abc import Callable
-from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
@@ -19,7 +16,6 @@ from exwarp_cli.domain.results import FrameKind, FrameRecord
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.errors import LayoutError
-from exwarp_cli.io.atomic import atomic_copy
 from exwarp_cli.io.decisions import decision_text, parse_decision
 from exwarp_cli.io.frames import read_image
 from exwarp_cli.io.output import (
@@ -27,19 +23,15 @@ from exwarp_cli.io.output import (
     compression_of,
     quantise,
     tight_window,
-    write_frame,
-    write_mask,
-    written_attributes,
 )
-from exwarp_cli.io.video import VideoWriter, to_display
 from exwarp_cli.pipeline.choosing import Chooser, Chosen
 from exwarp_cli.pipeline.geometry import Staging
 from exwarp_cli.pipeline.loading import IntervalLoader, Loaded
 from exwarp_cli.pipeline.progress import Progress
-from exwarp_cli.pipeline.schedule import WriteBehind, read_ahead
+from exwarp_cli.pipeline.schedule import read_ahead
 from exwarp_cli.pipeline.scoring import IntervalScores
+from exwarp_cli.pipeline.sink import Sink
 from exwarp_cli.pipeline.source import Source
-from exwarp_cli.pipeline.targets import Targets, key_is_there, slot_is_there
 from exwarp_cli.pipeline.watching import Watcher
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import Judge, Method, Predicted, take
@@ -55,32 +47,27 @@ class Run:
     settings: UpsampleSettings
     source: Source
     method: Method
-    targets: Targets
+    sink: Sink
     progress: Progress
     staging: Staging
     chooser: Chooser | None
     watcher: Watcher | None = None
     records: list[FrameRecord] = field(default_factory=list)
-    _write_ms: dict[int, float] = field(default_factory=dict)
     _scoring: IntervalScores | None = None
 
     def write_all(self, loader: IntervalLoader, keys: tuple[int, ...]) -> tuple[FrameRecord, ...]:
         """Work through the intervals: reading ahead, computing here, writing behind."""
-        threads = self.settings.threads or os.cpu_count() or 1
         if self.watcher is not None:
             timeline = self.source.timeline
             self.watcher.plan([[timeline.number(s) for s in timeline.slots_of(k)] for k in keys])
         tasks = (partial(loader.load, key, self._needed) for key in keys)
-        with ExitStack() as stack:
-            writer = stack.enter_context(WriteBehind(threads, FRAMES_BEHIND + threads))
-            video = None
-            if self.targets.video is not None:
-                video = stack.enter_context(self._open_video())
+        with self.sink:
             for loaded in read_ahead(tasks, INTERVALS_AHEAD):
-                self._interval(loaded, writer, video)
+                self._interval(loaded)
+        taken = self.sink.write_ms
         return tuple(
-            replace(r, timing_ms=r.timing_ms | {"write": self._write_ms[r.number]})
-            if r.number in self._write_ms
+            replace(r, timing_ms=r.timing_ms | {"write": taken[r.number]})
+            if r.number in taken
             else r
             for r in self.records
         )
@@ -93,23 +80,12 @@ class Run:
 
     def _is_there(self, slot: Slot, recipes: dict[int, str]) -> bool:
         """Whether an earlier run wrote this slot's files as this one would."""
-        if not self.settings.skip_existing:
-            return False
-        number = self.source.timeline.number(slot)
-        patterns = [self.targets.frames]
-        if self.targets.holes is not None:
-            patterns.append(self.targets.holes)
-        return all(slot_is_there(p.path(number), recipes[slot.index]) for p in patterns)
+        return self.sink.has(self.source.timeline.number(slot), recipes[slot.index])
 
-    def _open_video(self) -> VideoWriter:
-        assert self.targets.video is not None
-        height, width = self.source.keys.display.shape
-        return VideoWriter(self.targets.video, width, height, self.source.output_fps)
-
-    def _interval(self, loaded: Loaded, writer: WriteBehind, video: VideoWriter | None) -> None:
+    def _interval(self, loaded: Loaded) -> None:
         """Pass the key frame through and make the slots after it."""
         if self.source.timeline.shows(loaded.key):
-            self._pass_key(loaded, writer, video)
+            self._pass_key(loaded)
         begin = time.perf_counter()
         interval = None if loaded.frame is None else self.staging.interval(loaded)
         geometry_ms = 1e3 * (time.perf_counter() - begin)
@@ -127,16 +103,16 @@ class Run:
                 record, shown = self._resume(slot, interval, loaded)
             else:
                 plan = None if chosen is None else chosen.plan
-                record, shown = self._make(slot, interval, loaded, writer, plan)
+                record, shown = self._make(slot, interval, loaded, plan)
                 record = replace(record, timing_ms=shares | record.timing_ms)
             self.records.append(record)
             watched = self.watcher is not None and self.watcher.wants(record.number, record.score)
-            if shown is None and (watched or video is not None):
-                shown = read_image(self.targets.frames.path(record.number))
+            if shown is None and (watched or self.sink.shows):
+                shown = self.sink.read(record.number)
             if shown is not None and watched:
                 self._show(record, shown, interval, loaded)
-            if shown is not None and video is not None:
-                video.write(self._display(shown))
+            if shown is not None:
+                self.sink.show(shown)
             self.progress.advance(record.number, record.method)
         self._complete(loaded)
 
@@ -153,26 +129,23 @@ class Run:
         assert plan is not None
         return replace(take(plan.path, interval, slot), method=self.method.name)
 
-    def _pass_key(self, loaded: Loaded, writer: WriteBehind, video: VideoWriter | None) -> None:
-        """Copy the key frame's file: its bytes, so all its layers and attributes."""
+    def _pass_key(self, loaded: Loaded) -> None:
+        """Pass the key frame through."""
         number = self.source.timeline.numbers[loaded.key]
         output = self.source.timeline.number(Slot(loaded.key, 0))
-        path, target = self.source.keys.sequence.files[number], self.targets.frames.path(output)
-        resumed = self.settings.skip_existing and key_is_there(target, path)
-        if not resumed:
-            writer.submit(self._timed(output, partial(atomic_copy, path, target)))
-        record = FrameRecord(
-            output, target.name, number, 0, FrameKind.KEY, "key", (number,), resumed=resumed
-        )
+        path = self.source.keys.sequence.files[number]
+        resumed = self.sink.pass_key(output, path)
+        name = self.sink.name(output)
+        record = FrameRecord(output, name, number, 0, FrameKind.KEY, "key", (number,))
         timing = {} if resumed else {"read": loaded.read_ms}
-        self.records.append(replace(record, timing_ms=timing, render=loaded.template.render))
+        render = loaded.template.render
+        self.records.append(replace(record, resumed=resumed, timing_ms=timing, render=render))
         watched = self.watcher is not None and self.watcher.wants(output, None)
-        if watched or video is not None:
+        if watched or self.sink.shows:
             image = loaded.frame.image if loaded.frame is not None else read_image(path)
             if watched:
                 self._show(record, image, None, loaded)
-            if video is not None:
-                video.write(self._display(image))
+            self.sink.show(image)
         self.progress.advance(output, "key")
 
     def _show(
@@ -197,7 +170,6 @@ class Run:
         slot: Slot,
         interval: Interval,
         loaded: Loaded,
-        writer: WriteBehind,
         plan: Plan | None,
     ) -> tuple[FrameRecord, Image]:
         """Make, write and score the frame of a slot."""
@@ -211,7 +183,7 @@ class Run:
         mask = self._mask(interval, slot)
         record = FrameRecord(
             number=self.source.timeline.number(slot),
-            file=self.targets.frames.path(self.source.timeline.number(slot)).name,
+            file=self.sink.name(self.source.timeline.number(slot)),
             key=interval.key.number,
             slot=slot.index,
             kind=predicted.kind,
@@ -225,17 +197,8 @@ class Run:
             decision=None if plan is None else plan.decision_of(slot.index),
         )
         attributes = self._attributes(record, loaded.recipes[slot.index])
-        target = self.targets.frames.path(record.number)
-        writer.submit(
-            self._timed(
-                record.number, partial(write_frame, target, image, loaded.template, attributes)
-            )
-        )
-        if self.targets.holes is not None and mask is not None:
-            path = self.targets.holes.path(record.number)
-            marks = {k: v for k, v in attributes.items() if k.startswith(PREFIX)}
-            writer.submit(partial(write_mask, path, mask, (display, display), marks))
-        if loaded.truth or self.targets.video is not None:
+        self.sink.write(record.number, image, mask, loaded.template, attributes)
+        if loaded.truth or self.sink.shows:
             image = replace(image, pixels=quantise(image.pixels, loaded.template))
         return self._scored(record, image, mask, loaded), image
 
@@ -244,12 +207,11 @@ class Run:
     ) -> tuple[FrameRecord, Image | None]:
         """Record a frame that an earlier run wrote, and score it."""
         number = self.source.timeline.number(slot)
-        path = self.targets.frames.path(number)
-        known = written_attributes(path)
+        known = self.sink.written(number)
         holes = known.get("holeFraction")
         record = FrameRecord(
             number=number,
-            file=path.name,
+            file=self.sink.name(number),
             key=self.source.timeline.numbers[slot.key],
             slot=slot.index,
             kind=FrameKind(known["kind"]),
@@ -263,7 +225,7 @@ class Run:
         )
         if interval is None or slot.index not in loaded.truth:
             return record, None
-        image = read_image(path)
+        image = self.sink.read(number)
         return self._scored(record, image, self._mask(interval, slot), loaded), image
 
     def _scored(
@@ -345,20 +307,6 @@ class Run:
         if compression is not None:
             out["compression"] = compression
         return out
-
-    def _timed(self, number: int, write: Callable[[], None]) -> Callable[[], None]:
-        """Return a write that records how long it took."""
-
-        def run() -> None:
-            begin = time.perf_counter()
-            write()
-            self._write_ms[number] = 1e3 * (time.perf_counter() - begin)
-
-        return run
-
-    def _display(self, image: Image) -> np.ndarray:
-        """Pixels for the video, uint8 [H, W, 3] of the display window."""
-        return to_display(image.on(self.source.keys.display).pixels, self.settings.exposure)
 
 
 def _fraction(mask: Bool | None) -> float | None:

@@ -5,24 +5,18 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
-from exwarp_cli.domain.results import (
-    InputSummary,
-    InterpolatorSummary,
-    NetworkSummary,
-    PolicySummary,
-    RunSummary,
-)
+from exwarp_cli.domain.results import RunSummary
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import LayoutError, UsageError
 from exwarp_cli.io import exr
-from exwarp_cli.io.channels import Role
 from exwarp_cli.io.interpolator import OnnxInterpolator, load_interpolator
 from exwarp_cli.io.models import OnnxExtrapolator, load_extrapolator
 from exwarp_cli.io.output import compression_of
 from exwarp_cli.io.policy_files import PolicyFile, load_policy
 from exwarp_cli.io.sequence import Sequence, find_sequence
 from exwarp_cli.kernels import jit
+from exwarp_cli.pipeline.announcing import Models, announce, announce_models, input_summary
 from exwarp_cli.pipeline.choosing import Chooser, always, by_policy, by_truth
 from exwarp_cli.pipeline.geometry import Staging
 from exwarp_cli.pipeline.loading import IntervalLoader
@@ -30,15 +24,13 @@ from exwarp_cli.pipeline.observing import Observer
 from exwarp_cli.pipeline.progress import NoProgress, Progress
 from exwarp_cli.pipeline.run import Run
 from exwarp_cli.pipeline.scoring import require_measurable
+from exwarp_cli.pipeline.sink import Sink
 from exwarp_cli.pipeline.source import FrameOf, Source, align, open_source
 from exwarp_cli.pipeline.targets import Targets
 from exwarp_cli.pipeline.watching import Watcher
 from exwarp_cli.policy.policies import LearnedPolicy
 from exwarp_cli.policy.state import INPUTS, STATE_VERSION
 from exwarp_cli.synthesis.methods import METHODS, Judge, Method
-
-SURFACE_COLOURS = {Role.ALBEDO: "diffuse", Role.SPECULAR: "glossy"}
-"""What `synthesis.modulation` divides by, both together, as the user knows it."""
 
 
 def upsample(
@@ -76,29 +68,23 @@ def upsample(
     _require_truth(settings, method)
     source = open_source(settings.source, method.needs_motion)
     require_factor(source, method, interpolator)
-    told = None if network is None else _network_summary(network, source)
-    between = None if interpolator is None else _interpolator_summary(interpolator)
+    models = Models.of(source, network, interpolator, policy)
     keys = source.timeline.select(settings.frames)
     slots = [slot for key in keys for slot in source.timeline.slots_of(key)]
     targets = Targets.of(settings, source.keys.sequence)
     truth = None if settings.ground_truth is None else find_truth(settings.ground_truth, source)
     require_measurable(settings, source.keys.display, source.timeline.steps is not None)
     targets.prepare(settings, source.timeline, slots)
-    _announce(progress, settings, source, method, keys)
-    if told is not None:
-        _announce_network(progress, told, source)
-    if between is not None:
-        _announce_interpolator(progress, between)
-    decided = None if policy is None else _policy_summary(policy, source)
-    if decided is not None:
-        _announce_policy(progress, decided)
-    checksum = None if policy is None else policy.checksum
-    loader = IntervalLoader(source, method, settings, truth, told, checksum, between)
+    announce(progress, settings, source, method, keys)
+    announce_models(progress, models, source)
+    told = (models.extrapolator, None if policy is None else policy.checksum, models.interpolator)
+    loader = IntervalLoader(source, method, settings, truth, *told)
     begin = time.perf_counter()
     progress.start(len(slots))
     staging = Staging(source.keys.display, network, interpolator)
     chooser = make_chooser(method, source, policy)
-    run = Run(settings, source, method, targets, progress, staging, chooser, watcher)
+    sink = Sink(targets, settings, source.keys.display, source.output_fps)
+    run = Run(settings, source, method, sink, progress, staging, chooser, watcher)
     try:
         records = run.write_all(loader, keys)
     finally:
@@ -107,15 +93,15 @@ def upsample(
         method=method.name,
         setting=source.setting,
         lookahead=method.lookahead,
-        input=_input_summary(source),
+        input=input_summary(source),
         base_fps=float(source.fps),
         fps_source=source.fps_source,
         wall_seconds=time.perf_counter() - begin,
         frames=records,
         decides=method.decides and is_usual(source),
-        extrapolator=told,
-        policy=decided,
-        interpolator=between,
+        extrapolator=models.extrapolator,
+        policy=models.policy,
+        interpolator=models.interpolator,
         factor=source.timeline.factor,
     )
 
@@ -262,65 +248,6 @@ def require_factor(
         )
 
 
-def _policy_summary(policy: PolicyFile, source: Source) -> PolicySummary:
-    """Say what the policy sees of the input."""
-    layout = (source.slots or source.keys).layout
-    objects_from: str | None = "ids" if Role.STENCIL in layout else "motion"
-    if objects_from == "motion" and not (Role.POSITION in layout or Role.DEPTH in layout):
-        objects_from = None
-    needed = {"EMD_Wn": Role.NORMAL, "EMD_Wp": Role.POSITION}
-    missing = [name for name, role in needed.items() if role not in layout]
-    if objects_from is None:
-        missing.insert(0, "N_d")
-    return PolicySummary(str(policy.path), policy.checksum, objects_from, tuple(missing))
-
-
-def _announce_policy(progress: Progress, decided: PolicySummary) -> None:
-    progress.message(
-        f"decisions by {Path(decided.file).name} (sha256 {decided.sha256[:8]}), 8-bit integers"
-    )
-    if decided.objects_from == "motion":
-        progress.message("no object ids: what moves otherwise than the camera counts as an object")
-    if decided.missing:
-        progress.message(
-            f"the policy sees 0 for {', '.join(decided.missing)}, as the AOVs for it are missing"
-        )
-
-
-def _network_summary(network: OnnxExtrapolator, source: Source) -> NetworkSummary:
-    demodulated = not _missing_colours(source)
-    return NetworkSummary(str(network.path), network.checksum, network.device, demodulated)
-
-
-def _interpolator_summary(network: OnnxInterpolator) -> InterpolatorSummary:
-    told = (str(network.path), network.checksum, network.card.checksum, network.device)
-    return InterpolatorSummary(network.name, *told)
-
-
-def _announce_interpolator(progress: Progress, told: InterpolatorSummary) -> None:
-    progress.message(
-        f"interpolation by {told.name}, {Path(told.file).name} (sha256 {told.sha256[:8]}) on "
-        f"{told.device}, from colour alone"
-    )
-
-
-def _missing_colours(source: Source) -> list[str]:
-    """Name the surface colours that shading would have to be divided by, and that are not there."""
-    layout = (source.slots or source.keys).layout
-    return [name for role, name in SURFACE_COLOURS.items() if role not in layout]
-
-
-def _announce_network(progress: Progress, told: NetworkSummary, source: Source) -> None:
-    progress.message(
-        f"extrapolation by {Path(told.file).name} (sha256 {told.sha256[:8]}) on {told.device}"
-    )
-    if missing := _missing_colours(source):
-        progress.message(
-            f"no {' and no '.join(missing)} colour: shading is extrapolated together with surface "
-            "colour"
-        )
-
-
 def find_truth(spec: str, source: Source) -> tuple[Sequence, FrameOf]:
     """Find ground truth, and refuse one of another size before any work."""
     sequence = find_sequence(spec)
@@ -333,47 +260,3 @@ def find_truth(spec: str, source: Source) -> tuple[Sequence, FrameOf]:
                 f"input is {display.width}x{display.height}; give one of the same resolution"
             )
     return sequence, frame_of
-
-
-def _announce(
-    progress: Progress,
-    settings: UpsampleSettings,
-    source: Source,
-    method: Method,
-    keys: tuple[int, ...],
-) -> None:
-    """Say what was found and what is going to happen."""
-    count = len(source.timeline.numbers)
-    progress.message(
-        f"{source.keys.sequence.pattern}: {count} key frame{'' if count == 1 else 's'} at "
-        f"{float(source.fps):g} fps ({source.fps_source}), G-buffers for "
-        f"{'every slot' if source.slots is not None else 'the key frames'}"
-    )
-    if settings.source.gbuffers is not None and source.slots is None:
-        progress.message(
-            "--gbuffers is left out: it has no readable vectors to the previous slot, and "
-            f"{method.name} does without"
-        )
-    if source.finding is not None:
-        progress.message(f"motion {source.finding.source}: {source.finding.evidence}")
-    last = count - 1
-    if method.lookahead and last in keys and len(source.timeline.slots_of(last)) > 1:
-        fallback = "s6" if source.finding is not None else "hold"
-        progress.message(
-            f"after the last key frame there is no next one, so {method.name} falls back to "
-            f"{fallback} there; --no-tail leaves those frames out"
-        )
-
-
-def _input_summary(source: Source) -> InputSummary:
-    finding = source.finding
-    return InputSummary(
-        pattern=source.keys.sequence.pattern,
-        first=source.timeline.numbers[0],
-        last=source.timeline.numbers[-1],
-        width=source.keys.display.width,
-        height=source.keys.display.height,
-        producer=(source.slots or source.keys).layout.producer,
-        motion_source=None if finding is None else finding.source,
-        motion_evidence=None if finding is None else finding.evidence,
-    )

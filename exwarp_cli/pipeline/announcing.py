@@ -1,0 +1,162 @@
+"""What a run says of itself: messages at its start, and its part of the report."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from exwarp_cli.domain.results import (
+    InputSummary,
+    InterpolatorSummary,
+    NetworkSummary,
+    PolicySummary,
+)
+from exwarp_cli.domain.settings import UpsampleSettings
+from exwarp_cli.io.channels import Role
+from exwarp_cli.io.interpolator import OnnxInterpolator
+from exwarp_cli.io.models import OnnxExtrapolator
+from exwarp_cli.io.policy_files import PolicyFile
+from exwarp_cli.pipeline.progress import Progress
+from exwarp_cli.pipeline.source import Source
+from exwarp_cli.synthesis.methods import Method
+
+SURFACE_COLOURS = {Role.ALBEDO: "diffuse", Role.SPECULAR: "glossy"}
+"""What `synthesis.modulation` divides by, both together, as the user knows it."""
+
+
+@dataclass(frozen=True)
+class Models:
+    """What a run's networks and policy are, for its report; None for what it does without."""
+
+    extrapolator: NetworkSummary | None
+    interpolator: InterpolatorSummary | None
+    policy: PolicySummary | None
+
+    @classmethod
+    def of(
+        cls,
+        source: Source,
+        network: OnnxExtrapolator | None,
+        interpolator: OnnxInterpolator | None,
+        policy: PolicyFile | None,
+    ) -> Models:
+        """Summarise what was loaded."""
+        return cls(
+            None if network is None else _network_summary(network, source),
+            None if interpolator is None else _interpolator_summary(interpolator),
+            None if policy is None else _policy_summary(policy, source),
+        )
+
+
+def announce_models(progress: Progress, models: Models, source: Source) -> None:
+    """Say what makes frames and decides, and what it does not see of the input."""
+    if models.extrapolator is not None:
+        _announce_network(progress, models.extrapolator, source)
+    if models.interpolator is not None:
+        _announce_interpolator(progress, models.interpolator)
+    if models.policy is not None:
+        _announce_policy(progress, models.policy)
+
+
+def _policy_summary(policy: PolicyFile, source: Source) -> PolicySummary:
+    """Say what the policy sees of the input."""
+    layout = (source.slots or source.keys).layout
+    objects_from: str | None = "ids" if Role.STENCIL in layout else "motion"
+    if objects_from == "motion" and not (Role.POSITION in layout or Role.DEPTH in layout):
+        objects_from = None
+    needed = {"EMD_Wn": Role.NORMAL, "EMD_Wp": Role.POSITION}
+    missing = [name for name, role in needed.items() if role not in layout]
+    if objects_from is None:
+        missing.insert(0, "N_d")
+    return PolicySummary(str(policy.path), policy.checksum, objects_from, tuple(missing))
+
+
+def _announce_policy(progress: Progress, decided: PolicySummary) -> None:
+    progress.message(
+        f"decisions by {Path(decided.file).name} (sha256 {decided.sha256[:8]}), 8-bit integers"
+    )
+    if decided.objects_from == "motion":
+        progress.message("no object ids: what moves otherwise than the camera counts as an object")
+    if decided.missing:
+        progress.message(
+            f"the policy sees 0 for {', '.join(decided.missing)}, as the AOVs for it are missing"
+        )
+
+
+def _network_summary(network: OnnxExtrapolator, source: Source) -> NetworkSummary:
+    demodulated = not _missing_colours(source)
+    return NetworkSummary(str(network.path), network.checksum, network.device, demodulated)
+
+
+def _interpolator_summary(network: OnnxInterpolator) -> InterpolatorSummary:
+    told = (str(network.path), network.checksum, network.card.checksum, network.device)
+    return InterpolatorSummary(network.name, *told)
+
+
+def _announce_interpolator(progress: Progress, told: InterpolatorSummary) -> None:
+    progress.message(
+        f"interpolation by {told.name}, {Path(told.file).name} (sha256 {told.sha256[:8]}) on "
+        f"{told.device}, from colour alone"
+    )
+
+
+def _missing_colours(source: Source) -> list[str]:
+    """Name the surface colours that shading would have to be divided by, and that are not there."""
+    layout = (source.slots or source.keys).layout
+    return [name for role, name in SURFACE_COLOURS.items() if role not in layout]
+
+
+def _announce_network(progress: Progress, told: NetworkSummary, source: Source) -> None:
+    progress.message(
+        f"extrapolation by {Path(told.file).name} (sha256 {told.sha256[:8]}) on {told.device}"
+    )
+    if missing := _missing_colours(source):
+        progress.message(
+            f"no {' and no '.join(missing)} colour: shading is extrapolated together with surface "
+            "colour"
+        )
+
+
+def announce(
+    progress: Progress,
+    settings: UpsampleSettings,
+    source: Source,
+    method: Method,
+    keys: tuple[int, ...],
+) -> None:
+    """Say what was found and what is going to happen."""
+    count = len(source.timeline.numbers)
+    progress.message(
+        f"{source.keys.sequence.pattern}: {count} key frame{'' if count == 1 else 's'} at "
+        f"{float(source.fps):g} fps ({source.fps_source}), G-buffers for "
+        f"{'every slot' if source.slots is not None else 'the key frames'}"
+    )
+    if settings.source.gbuffers is not None and source.slots is None:
+        progress.message(
+            "--gbuffers is left out: it has no readable vectors to the previous slot, and "
+            f"{method.name} does without"
+        )
+    if source.finding is not None:
+        progress.message(f"motion {source.finding.source}: {source.finding.evidence}")
+    last = count - 1
+    if method.lookahead and last in keys and len(source.timeline.slots_of(last)) > 1:
+        fallback = "s6" if source.finding is not None else "hold"
+        progress.message(
+            f"after the last key frame there is no next one, so {method.name} falls back to "
+            f"{fallback} there; --no-tail leaves those frames out"
+        )
+
+
+def input_summary(source: Source) -> InputSummary:
+    """Return the input as the report names it."""
+    finding = source.finding
+    return InputSummary(
+        pattern=source.keys.sequence.pattern,
+        first=source.timeline.numbers[0],
+        last=source.timeline.numbers[-1],
+        width=source.keys.display.width,
+        height=source.keys.display.height,
+        producer=(source.slots or source.keys).layout.producer,
+        motion_source=None if finding is None else finding.source,
+        motion_evidence=None if finding is None else finding.evidence,
+    )

@@ -1,0 +1,156 @@
+"""Where the frames of a run go: files written behind the work, hole masks, and a video."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from fractions import Fraction
+from functools import partial
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from exwarp_cli.domain.frame import Bool, Image, Window
+from exwarp_cli.domain.settings import UpsampleSettings
+from exwarp_cli.io.atomic import atomic_copy
+from exwarp_cli.io.frames import read_image
+from exwarp_cli.io.output import PREFIX, Template, write_frame, write_mask, written_attributes
+from exwarp_cli.io.video import VideoWriter, to_display
+from exwarp_cli.pipeline.schedule import WriteBehind
+from exwarp_cli.pipeline.targets import Targets, key_is_there, slot_is_there
+
+FRAMES_BEHIND = 4
+
+
+class Sink:
+    """Takes the frames of a run, in order; a context manager.
+
+    Parameters
+    ----------
+    targets
+        The files to write.
+    settings
+        Of the run.
+    display
+        The window that the video and the hole masks show.
+    fps
+        Of the video.
+    """
+
+    def __init__(
+        self, targets: Targets, settings: UpsampleSettings, display: Window, fps: Fraction
+    ) -> None:
+        self._targets = targets
+        self._settings = settings
+        self._display = display
+        self._fps = fps
+        self._stack = ExitStack()
+        self._video: VideoWriter | None = None
+        self.write_ms: dict[int, float] = {}
+        """Milliseconds that writing took, by the frame's number; complete at the end."""
+
+    def __enter__(self) -> Sink:
+        threads = self._settings.threads or os.cpu_count() or 1
+        with ExitStack() as stack:
+            self._writer = stack.enter_context(WriteBehind(threads, FRAMES_BEHIND + threads))
+            if self._targets.video is not None:
+                height, width = self._display.shape
+                video = VideoWriter(self._targets.video, width, height, self._fps)
+                self._video = stack.enter_context(video)
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._stack.__exit__(kind, error, trace)
+
+    @property
+    def shows(self) -> bool:
+        """Whether every frame has to be shown, for a video."""
+        return self._video is not None
+
+    def name(self, number: int) -> str:
+        """Return the name of a frame's file, without its folder."""
+        return self._targets.frames.path(number).name
+
+    def has(self, number: int, recipe: str) -> bool:
+        """Whether an earlier run wrote a frame's files as this one would, and they are kept."""
+        if not self._settings.skip_existing:
+            return False
+        patterns = [self._targets.frames]
+        if self._targets.holes is not None:
+            patterns.append(self._targets.holes)
+        return all(slot_is_there(pattern.path(number), recipe) for pattern in patterns)
+
+    def pass_key(self, number: int, source: Path) -> bool:
+        """Copy a key frame's file: its bytes, so all its layers and attributes.
+
+        Returns
+        -------
+        bool
+            Whether an earlier run had copied it.
+        """
+        target = self._targets.frames.path(number)
+        resumed = self._settings.skip_existing and key_is_there(target, source)
+        if not resumed:
+            self._submit(number, partial(atomic_copy, source, target))
+        return resumed
+
+    def write(
+        self,
+        number: int,
+        image: Image,
+        mask: Bool | None,
+        template: Template,
+        attributes: Mapping[str, Any],
+    ) -> None:
+        """Write a generated frame, and its hole mask if masks are written and it has one.
+
+        Parameters
+        ----------
+        number
+            Of the output.
+        image
+            Its colour.
+        mask
+            bool [H, W] on the display window.
+        template, attributes
+            As for `io.output.write_frame`.
+        """
+        path = self._targets.frames.path(number)
+        self._submit(number, partial(write_frame, path, image, template, attributes))
+        if self._targets.holes is not None and mask is not None:
+            marks = {k: v for k, v in attributes.items() if k.startswith(PREFIX)}
+            windows = (self._display, self._display)
+            path = self._targets.holes.path(number)
+            self._writer.submit(partial(write_mask, path, mask, windows, marks))
+
+    def show(self, image: Image) -> None:
+        """Append a frame to the video, if there is one."""
+        if self._video is not None:
+            pixels = image.on(self._display).pixels
+            self._video.write(to_display(pixels, self._settings.exposure))
+
+    def read(self, number: int) -> Image:
+        """Read a frame that an earlier run wrote."""
+        return read_image(self._targets.frames.path(number))
+
+    def written(self, number: int) -> dict[str, Any]:
+        """Return the attributes of a generated frame that an earlier run wrote."""
+        return written_attributes(self._targets.frames.path(number))
+
+    def _submit(self, number: int, write: Callable[[], None]) -> None:
+        """Queue a write that records how long it took."""
+
+        def run() -> None:
+            begin = time.perf_counter()
+            write()
+            self.write_ms[number] = 1e3 * (time.perf_counter() - begin)
+
+        self._writer.submit(run)
