@@ -186,7 +186,7 @@ class Run:
             file=self.sink.name(self.source.timeline.number(slot)),
             key=interval.key.number,
             slot=slot.index,
-            kind=predicted.kind,
+            kind=self._kind(predicted, slot),
             method=predicted.method,
             sources=predicted.sources,
             hole_fraction=_fraction(mask),
@@ -201,6 +201,11 @@ class Run:
         if loaded.truth or self.sink.shows:
             image = replace(image, pixels=quantise(image.pixels, loaded.template))
         return self._scored(record, image, mask, loaded), image
+
+    def _kind(self, predicted: Predicted, slot: Slot) -> FrameKind:
+        """Return a frame's kind: who repeats a key frame that was not shown shows it first."""
+        first = slot.index == 1 and not self.source.timeline.shows(slot.key)
+        return FrameKind.GENERATED if first else predicted.kind
 
     def _resume(
         self, slot: Slot, interval: Interval | None, loaded: Loaded

@@ -12,7 +12,7 @@ def render_time(run: RunSummary) -> dict[str, Any] | None:
     """Return what a run saved, from the render times in the headers of its key frames.
 
     Frames of an earlier run are left out, as this one spent no time on them; so are repeats, which
-    nobody would call rendered.
+    nobody would call rendered. Key frames that fall on no output instant were rendered too.
 
     Returns
     -------
@@ -20,8 +20,8 @@ def render_time(run: RunSummary) -> dict[str, Any] | None:
         ``key_frame_s``, mean render time of a key frame; ``key_frames``, how many headers told it;
         ``source``, the attribute; ``generated_frame_s``, this run's time for each generated frame,
         reading and writing included, scoring not; ``saved_s``, what rendering the generated frames
-        would have taken less the run's time; ``saved_share``, that as a share of rendering all
-        frames. None where no header tells, or nothing was generated.
+        would have taken beyond the key frames, less the run's time; ``saved_share``, that as a
+        share of rendering all frames. None where no header tells, or nothing was generated.
     """
     told = [frame.render for frame in run.frames if frame.render is not None]
     made = sum(frame.kind is FrameKind.GENERATED and not frame.resumed for frame in run.frames)
@@ -30,7 +30,9 @@ def render_time(run: RunSummary) -> dict[str, Any] | None:
         return None
     keys = sum(frame.kind is FrameKind.KEY for frame in run.frames)
     spent = max(run.wall_seconds - _scoring_s(run), 0.0)
-    saved = made * each - spent
+    shown = {frame.key for frame in run.frames if frame.kind is FrameKind.KEY}
+    unseen = len({frame.key for frame in run.frames if not frame.resumed} - shown)
+    saved = (made - unseen) * each - spent
     return {
         "key_frame_s": each,
         "key_frames": len(told),

@@ -81,6 +81,14 @@ def test_from_24_to_60(upsample, keys, tmp_path, method):
     assert found["quality"]["all"]["psnr_db"] > held["quality"]["all"]["psnr_db"] + 5
 
 
+def test_a_key_frame_that_is_shown_late_is_a_new_frame(upsample, keys, tmp_path):
+    options = ("--fps", 24, "--to-fps", 60, "-m", "hold", "--report", tmp_path / "report")
+    upsample(keys, tmp_path / "out", *options)
+    found = json.loads((tmp_path / "report" / "report.json").read_text())
+    assert found["fps"]["effective"] == 24
+    assert (found["frames"]["generated"], found["frames"]["dropped"]) == (2, 8)
+
+
 def test_exact_broadcast_rates(upsample, keys, tmp_path):
     upsample(keys, tmp_path / "out", "--fps", "23.976", "--to-fps", 60, "-m", "hold")
     header, _ = shots.read(tmp_path / "out" / "shot.0002.exr")

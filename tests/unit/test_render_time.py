@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from exwarp_cli.domain.results import FrameKind, FrameRecord, InputSummary, RunSummary
@@ -77,6 +79,15 @@ def test_what_is_saved_is_what_was_not_rendered_less_the_tools_own_time():
     assert found["saved_s"] == 2 * 50 - 10
     assert found["saved_share"] == 90 / (4 * 50)
     assert found["source"] == "RenderTime"
+
+
+def test_key_frames_that_are_not_shown_were_rendered_too():
+    key = record(0, FrameKind.KEY, render=(40.0, "RenderTime"))
+    slots = [replace(record(i, FrameKind.GENERATED), key=k) for k, i in ((1, 1), (2, 1), (2, 2))]
+    found = render_time(run(key, *slots))
+    assert found is not None
+    # Four frames at the output's rate, of two that were rendered.
+    assert found["saved_s"] == 2 * 40 - 10 and found["saved_share"] == 70 / 160
 
 
 def test_nothing_is_said_where_no_header_tells_or_nothing_was_made():
