@@ -16,6 +16,7 @@ from exwarp_cli.kernels import (
     gather,
     holes,
     labelling,
+    nearest,
     parabola,
     project,
     splat,
@@ -216,3 +217,42 @@ def differing(reference: np.ndarray, test: np.ndarray, serial: bool = False) -> 
     error = np.full(reference.shape[1:], 0.25, np.float32)
     build(flip, "differ", serial)(reference, test, error)
     return (error,)
+
+
+def chosen(
+    before: tuple[np.ndarray, ...],
+    after: tuple[np.ndarray, ...],
+    time: float,
+    serial: bool = False,
+) -> Arrays:
+    """Sides are field, depth at the slot, depth of the key frame, hole and fringe."""
+    shape = before[1].shape
+    pixel, later = np.full(shape, -9, np.int32), np.zeros(shape, np.bool_)
+    depth, hole = np.zeros(shape, np.float32), np.zeros(shape, np.bool_)
+    call = build(nearest, "choose", serial)
+    call(before, after, np.float32(time), pixel, later, depth, hole)
+    return pixel, later, depth, hole
+
+
+def adopted(
+    pixel: np.ndarray,
+    later: np.ndarray,
+    depth: np.ndarray,
+    hole: np.ndarray,
+    limits: tuple[float, int],
+    serial: bool = False,
+) -> Arrays:
+    """`limits` are cap and reach."""
+    cap, reach = limits
+    (steps,) = seen(hole, reach, serial)
+    out, side = pixel.copy(), later.copy()
+    build(nearest, "adopt", serial)(out, side, depth, hole, np.float32(cap), steps)
+    return out, side
+
+
+def surface_sampled(
+    image: np.ndarray, depth: np.ndarray, field: np.ndarray, serial: bool = False
+) -> Arrays:
+    out = np.zeros_like(image)
+    build(nearest, "sample_surface", serial)(image, depth, field, out)
+    return (out,)

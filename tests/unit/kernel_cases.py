@@ -124,6 +124,27 @@ def count(serial: bool) -> calls.Arrays:
     return calls.counted(values, shown(37), np.stack([low, high], -1).astype(np.float64), serial)
 
 
+def seen_by(seed: int) -> calls.Arrays:
+    """A key frame as a slot sees it: field, depth at the slot, its own depth, hole and fringe."""
+    rng = np.random.default_rng(seed)
+    at_slot = np.where(rng.random(SHAPE) < 0.1, np.float32(np.nan), depth(seed))
+    return field(seed), at_slot, depth(seed + 1), rng.random(SHAPE) < 0.3, rng.random(SHAPE) < 0.2
+
+
+def choose(serial: bool) -> calls.Arrays:
+    """With two key frames, and with one."""
+    none = (np.zeros((0, 0, 2), np.float32), *(np.zeros((0, 0), np.float32),) * 2)
+    none += (np.zeros((0, 0), np.bool_),) * 2
+    both = calls.chosen(seen_by(50), seen_by(52), 0.5, serial)
+    return both + calls.chosen(seen_by(54), none, 0.0, serial)
+
+
+def adopt(serial: bool) -> calls.Arrays:
+    """From what was chosen, with depths that are not known in some of the holes."""
+    pixel, later, known, hole = calls.chosen(seen_by(50), seen_by(52), 0.5, serial=True)
+    return calls.adopted(pixel, later, known, hole, (12.0, 9), serial)
+
+
 def encoded(seed: int) -> np.ndarray:
     """Display-encoded values with some that are outside, and exact black and white."""
     values = np.random.default_rng(seed).integers(-10, 270, (*SHAPE, 3))
@@ -167,6 +188,9 @@ CASES: dict[str, Callable[[bool], calls.Arrays]] = {
     "expose": lambda serial: calls.exposed(unbounded(41), 3.5, serial),
     "perceive": lambda serial: calls.perceived(opponents(42), serial),
     "differ": differ,
+    "choose": choose,
+    "adopt": adopt,
+    "sample_surface": lambda serial: calls.surface_sampled(image(56), depth(56), field(57), serial),
 }
 
 ONE_BUILD: dict[str, Callable[[], calls.Arrays]] = {

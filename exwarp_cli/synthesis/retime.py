@@ -1,0 +1,296 @@
+"""A slot's layers from the key frames': every layer moves as the beauty does.
+
+What may be mixed (colour) is sampled, filled and blended by the very steps that make the beauty.
+What may not (ids, normals, Cryptomatte …) is copied from one source pixel, the same for all layers.
+Positions, depth and vectors are then brought from the source's time to the slot's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from functools import cached_property
+
+import numpy as np
+
+from exwarp_cli.domain.decision import HOLD, PATHS
+from exwarp_cli.domain.frame import Bool, Float32, GBuffer
+from exwarp_cli.domain.motion import MotionConvention
+from exwarp_cli.domain.timeline import FACTOR
+from exwarp_cli.kernels import nearest
+from exwarp_cli.synthesis.camera import scene_of
+from exwarp_cli.synthesis.geometry import SlotField, depth_of, stands_still, unmatched
+from exwarp_cli.synthesis.interpolate import blend_by_depth
+from exwarp_cli.synthesis.interval import Interval
+from exwarp_cli.synthesis.methods import Predicted
+from exwarp_cli.synthesis.sources import Sources, in_place, moved_between, moved_from
+from exwarp_cli.synthesis.trajectory import displacement
+from exwarp_cli.synthesis.warp import fill_background, repair, warp
+
+LARGEST_CHANGE = 0.25
+"""Share of its depth by which a point may come nearer or go away within a key interval. Where it
+seems to be more, it is another surface: on thin wires, whose pixels' footprints tell nothing."""
+
+
+class Manner(Enum):
+    """How a slot's layers come from the key frames'."""
+
+    REPEAT = "repeat"
+    """The key frame's, unmoved."""
+
+    FADE = "fade"
+    """Both key frames', unmoved: colour cross-faded, the rest that of the one nearer in time."""
+
+    WARP = "warp"
+    """The key frame's, moved."""
+
+    BLEND = "blend"
+    """Both key frames', moved, and blended by depth and time."""
+
+
+@dataclass(frozen=True)
+class Passage:
+    """Where the points of one key frame are in a neighbouring one.
+
+    Attributes
+    ----------
+    field
+        float32 [H, W, 2], pixels.
+    lost
+        bool [H, W]: the neighbour does not show the point, or it is background.
+    still
+        bool [H, W]: the point stands still in the world; None where no camera tells.
+    depth
+        float32 [H, W] of the neighbour's pixels.
+    """
+
+    field: Float32
+    lost: Bool
+    still: Bool | None
+    depth: Float32
+
+    def change(self, here: Float32, there: Float32, fixed: bool) -> Float32:
+        """Return by how much a layer's values change on the way, float32 [H, W, C].
+
+        Parameters
+        ----------
+        here, there
+            float32 [H, W, C]: the layer in both key frames.
+        fixed
+            Whether it stays the same where a point stands still, as world positions do.
+
+        Returns
+        -------
+        float32 [H, W, C]
+            0 where that is not known.
+        """
+        found = np.empty_like(here)
+        nearest.sample_surface(there, self.depth, self.field, found)
+        with np.errstate(invalid="ignore", over="ignore"):
+            found -= here
+        found[self.lost | ~np.isfinite(found).all(axis=-1)] = 0
+        if fixed and self.still is not None:
+            found[self.still] = 0
+        return found
+
+
+def passage(here: GBuffer, there: GBuffer, way: int) -> Passage:
+    """Lead the points of a key frame to a neighbouring one.
+
+    Parameters
+    ----------
+    here, there
+        On one window, with settled motion that spans a key interval.
+    way
+        1 to the next key frame, -1 to the one before.
+    """
+    field = displacement(here, way)
+    depth, later = depth_of(here), depth_of(there)
+    found = np.empty((*depth.shape, 1), np.float32)
+    nearest.sample_surface(later[..., None], later, field, found)
+    with np.errstate(invalid="ignore"):
+        same = np.abs(found[..., 0] - depth) <= np.float32(LARGEST_CHANGE) * depth
+    lost = unmatched(here, there, field, FACTOR) | ~same  # background, too: inf - inf is NaN
+    return Passage(field, lost, stands_still(here, scene_of(here)), later)
+
+
+class Course:
+    """How an interval's points move from key frame to key frame; worked out when first asked for.
+
+    Parameters
+    ----------
+    key
+        G-buffer of the key frame before the slots.
+    following
+        That of the one after them, where it is used.
+    older
+        That of the one before `key`; only used where there is no `following`.
+    """
+
+    def __init__(
+        self, key: GBuffer, following: GBuffer | None = None, older: GBuffer | None = None
+    ) -> None:
+        self._key, self._following, self._older = key, following, older
+
+    @cached_property
+    def ahead(self) -> Passage | None:
+        """From the key frame to the one after."""
+        return None if self._following is None else passage(self._key, self._following, 1)
+
+    @cached_property
+    def behind(self) -> Passage | None:
+        """From the key frame after to the one before."""
+        return None if self._following is None else passage(self._following, self._key, -1)
+
+    @cached_property
+    def past(self) -> Passage | None:
+        """From the key frame to the one before it."""
+        return None if self._older is None else passage(self._key, self._older, -1)
+
+
+@dataclass(frozen=True)
+class Retiming:
+    """How the layers of one slot are made.
+
+    Attributes
+    ----------
+    manner
+        Of all layers alike.
+    time
+        Of the slot, in key intervals after the key frame; 0 where the key frame is repeated.
+    sources
+        Where values come from that are not mixed.
+    back, forward
+        From the slot to the key frames before and after it, as far as they are used.
+    """
+
+    manner: Manner
+    time: float
+    sources: Sources
+    back: SlotField | None = None
+    forward: SlotField | None = None
+
+    def colour(self, before: Float32, after: Float32 | None = None) -> Float32:
+        """Make a layer of values that may be mixed, exactly as the beauty is made.
+
+        Parameters
+        ----------
+        before, after
+            float32 [H, W, C] of the key frames on both sides, scene-linear, premultiplied where
+            there is an alpha; `after` only where it is used.
+        """
+        if self.back is not None:
+            moved = warp(before, self.back)
+            if self.forward is None:
+                return fill_background(moved)
+            assert after is not None
+            return blend_by_depth(moved, warp(after, self.forward), self.time)
+        if self.manner is Manner.REPEAT:
+            return repair(before)
+        assert after is not None
+        return cross_fade(before, after, self.time)
+
+    def data(self, before: np.ndarray, after: np.ndarray | None = None) -> np.ndarray:
+        """Make a layer of values [H, W, ...] of any type that must not be mixed."""
+        return self.sources.take(before, after)
+
+    def moved(
+        self, course: Course | None, layers: tuple[Float32 | None, ...], fixed: bool
+    ) -> Float32:
+        """Make a layer of values that belong to a point and change as it moves.
+
+        Those of the source, and their linear change between the key frames where both show the
+        point; with one key frame only, as they have changed since the one before it.
+
+        Parameters
+        ----------
+        course
+            Of the interval; None where no motion is known.
+        layers
+            float32 [H, W, C] of the key frames before and after the slot, and of the one before
+            those; None for what is not there.
+        fixed
+            Whether a point that stands still keeps its value exactly, as world positions do.
+        """
+        before, after, older = layers
+        assert before is not None
+        if course is None or self.back is None:
+            return self.sources.take(before, after)
+        time = np.float32(self.time)
+        if self.forward is None:
+            if older is None or course.past is None:
+                return self.sources.take(before)
+            return self.sources.take(before - time * course.past.change(before, older, fixed))
+        assert after is not None and course.ahead is not None and course.behind is not None
+        return self.sources.take(
+            before + time * course.ahead.change(before, after, fixed),
+            after + (np.float32(1) - time) * course.behind.change(after, before, fixed),
+        )
+
+    def vectors(
+        self, convention: MotionConvention, before: Float32, after: Float32 | None = None
+    ) -> Float32:
+        """Make the motion channels, in the renderer's own convention.
+
+        They lead from where a point is at the slot's time to where it is one key interval earlier
+        and later, as those of the key frames do from there. On the parabola through both, with n
+        the displacement to the next key frame and p to the previous one, n becomes n + t (n + p)
+        and p becomes p - t (n + p) after the time t; with one of them alone, at constant velocity,
+        they stay as they are.
+
+        Parameters
+        ----------
+        convention
+            How the channels are read.
+        before, after
+            float32 [H, W, C]: all motion channels as written; `after` only where it is used.
+        """
+        raw: Float32 = self.sources.take(before, after)
+        if self.back is None or convention.to_previous is None or convention.to_next is None:
+            return raw
+        earlier, later = convention.to_previous.apply(raw), convention.to_next.apply(raw)
+        time = np.where(self.sources.later, self.time - 1, self.time).astype(np.float32)
+        change = time[..., None] * (earlier + later)
+        changed = (np.isfinite(change) & (change != 0)).any(axis=-1)
+        moved = convention.to_next.write(later + change, raw)
+        moved = convention.to_previous.write(earlier - change, moved)
+        # What does not change, or cannot be read, keeps its very value.
+        return np.where(changed[..., None], moved, raw)
+
+
+def retiming(interval: Interval, slot: int, shown: Predicted) -> Retiming:
+    """Find out how the layers of a slot are made, so that they go with its beauty.
+
+    Parameters
+    ----------
+    interval
+        As the beauty was made from; its motion fields are used again.
+    slot
+        1 or more.
+    shown
+        The beauty. Where a network made it, which knows no other layers, they are moved instead.
+    """
+    name, shape = shown.method, interval.key.image.pixels.shape[:2]
+    path = PATHS.get(name.upper())
+    if path is not None:
+        while slot and path.made_by[slot - 1] == HOLD:
+            slot -= 1  # a repeat of what the slot before showed
+    if name == "hold" or slot == 0:
+        return Retiming(Manner.REPEAT, 0.0, in_place(shape))
+    time, key, following = interval.time(slot), interval.key.gbuffer, interval.following
+    if name == "blend" or not interval.has_motion:
+        return Retiming(Manner.FADE, time, in_place(shape, later=time > 0.5))
+    assert key is not None
+    back = interval.back(slot)
+    if path is not None or following is None:
+        return Retiming(Manner.WARP, time, moved_from(back, depth_of(key)), back)
+    forward = interval.forward(slot)
+    assert following.gbuffer is not None
+    depths = depth_of(key), depth_of(following.gbuffer)
+    return Retiming(Manner.BLEND, time, moved_between(back, forward, depths, time), back, forward)
+
+
+def cross_fade(before: Float32, after: Float32, time: float) -> Float32:
+    """Mix two layers [H, W, C] at a time, 0 to 1; what is not finite is filled from around."""
+    first, second = repair(before), repair(after)
+    return (first + np.float32(time) * (second - first)).astype(np.float32)
