@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
+
+from exwarp_cli.commands.source_options import source_options
 
 if TYPE_CHECKING:
     from exwarp_cli.pipeline.inspect import Inspection
@@ -14,17 +17,39 @@ if TYPE_CHECKING:
 @click.command("inspect")
 @click.argument("sequence")
 @click.option("--motion", metavar="CONVENTION", help="Read vectors so, and measure nothing.")
+@source_options
+@click.option(
+    "--write-channel-map",
+    "write_map",
+    metavar="FILE",
+    type=click.Path(path_type=Path),
+    help="Write what is found as a TOML file for --channel-map, to correct and to keep.",
+)
+@click.option("--overwrite", is_flag=True, help="Replace the channel map if it exists.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON instead of tables.")
-def command(sequence: str, motion: str | None, as_json: bool) -> None:
+def command(
+    sequence: str,
+    motion: str | None,
+    view: str | None,
+    aovs: tuple[str, ...],
+    channel_map: str | None,
+    write_map: Path | None,
+    overwrite: bool,
+    as_json: bool,
+) -> None:
     """Show what SEQUENCE holds and how its motion vectors are read.
 
     The motion convention is measured on the first, middle and last pair of frames; what the channel
     names say is only a first guess.
     """
     from exwarp_cli.domain.settings import SourceSettings
-    from exwarp_cli.pipeline.inspect import inspect
+    from exwarp_cli.pipeline.inspect import inspect, save_channel_map
 
-    found = inspect(SourceSettings(sequence, motion=motion))
+    found = inspect(
+        SourceSettings(sequence, motion=motion, view=view, aovs=aovs, channel_map=channel_map)
+    )
+    if write_map is not None:
+        save_channel_map(found, write_map, overwrite)
     if as_json:
         click.echo(json.dumps(found.as_dict(), indent=2))
     else:
@@ -48,16 +73,38 @@ def _print(found: Inspection) -> None:
             f"{data['producer']}"
         )
     )
+    for line in _structure(data):
+        console.print(escape(line))
     table = Table("role", "channels", "type", box=box.SIMPLE)
-    types = {c.name: c.pixel_type for part in found.parts for c in part.channels}
     for role, names in data["roles"].items():
-        kinds = sorted({types.get(name, "") for name in names})
+        kinds = sorted({found.types.get(name, "") for name in names})
         table.add_row(role, escape(", ".join(names)), ", ".join(kinds))
     console.print(table)
     missing = missing_roles(found.shot.layout)
     if missing:
-        console.print(f"not found: {', '.join(role.value for role in missing)}")
+        halves = found.shot.layout.incomplete
+        named = (
+            f"{role.value} ({halves[role]})" if role in halves else role.value for role in missing
+        )
+        console.print(escape(f"not found: {', '.join(named)}"))
     motion = data["motion"]
     if motion is not None:
         state = motion["source"] or "unsettled"
         console.print(escape(f"motion {state}: {motion['evidence'] or motion['problem']}"))
+
+
+def _structure(data: dict[str, Any]) -> list[str]:
+    """Say in lines what else there is: views, AOVs' files, tiles, deep parts, Cryptomattes."""
+    lines = []
+    if data["views"]:
+        lines.append(f"views {', '.join(data['views'])}; shown is {data['view']}")
+    lines += [f"AOV {aov} in {pattern}" for aov, pattern in data["aovs"].items()]
+    parts = data["parts"]
+    for kind, meaning in (("tiled", "stored in tiles"), ("deep", "deep and not read")):
+        of = [part["name"] for part in parts if part[kind]]
+        if of:
+            named = "the file" if len(of) == len(parts) else f"part {', '.join(of)}"
+            lines.append(f"{named} is {meaning}")
+    if data["cryptomattes"]:
+        lines.append(f"Cryptomatte {', '.join(data['cryptomattes'])}")
+    return lines

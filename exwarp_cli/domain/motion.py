@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,8 +13,9 @@ from exwarp_cli.domain.frame import Float32
 class AxisMap:
     """How a displacement is read from a renderer's raw motion channels.
 
-    The displacement, in pixels, +x right, +y down, is
-    ``(x_scale * raw[..., x_channel], y_scale * raw[..., y_channel])``.
+    The displacement, in pixels, +x right, +y down, is for each axis
+    ``scale * (raw[..., channel] / raw[..., alpha] - still) * raw[..., length]``,
+    where the factors that are None are left out. Where alpha is 0 there is nothing that moves.
 
     Attributes
     ----------
@@ -22,29 +23,93 @@ class AxisMap:
         Indices into the raw motion channels.
     x_scale, y_scale
         Signed factors: -1 mirrors an axis, the frame's width undoes a normalisation, and so on.
+    still
+        Value of no motion: 0.5 where vectors were clamped to 0 … 1.
+    length
+        Index of the channel with the vector's length, where the others hold its direction alone.
+    alpha
+        Index of the channel that the others are premultiplied by.
     """
 
     x_channel: int
     y_channel: int
     x_scale: float
     y_scale: float
+    still: float = 0.0
+    length: int | None = None
+    alpha: int | None = None
+
+    @property
+    def channels(self) -> tuple[int, ...]:
+        """Indices of all channels that are used."""
+        more = (index for index in (self.length, self.alpha) if index is not None)
+        return (self.x_channel, self.y_channel, *more)
 
     def apply(self, raw: Float32) -> Float32:
-        """Turn raw motion [H, W, C] into displacements float32 [H, W, 2]; non-finite gives NaN."""
-        x = raw[..., self.x_channel] * np.float32(self.x_scale)
-        y = raw[..., self.y_channel] * np.float32(self.y_scale)
-        out = np.stack([x, y], axis=-1)
-        with np.errstate(over="ignore", invalid="ignore"):
-            out[~np.isfinite(x + y)] = np.nan
+        """Turn raw motion [..., C] into displacements [..., 2] in pixels.
+
+        What is not finite gives NaN, and what was clipped, at either end of a range about `still`.
+        """
+        axes = []
+        pairs = ((self.x_channel, self.x_scale), (self.y_channel, self.y_scale))
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            for channel, scale in pairs:
+                value = raw[..., channel]
+                if self.alpha is not None:
+                    value = np.where(raw[..., self.alpha] > 0, value / raw[..., self.alpha],
+                                     np.float32(self.still))  # fmt: skip
+                if self.still:
+                    value = value - np.float32(self.still)
+                if self.length is not None:
+                    value = value * raw[..., self.length]
+                elif self.still:
+                    value = np.where(np.abs(value) < np.float32(abs(self.still)), value, np.nan)
+                axes.append(value * np.float32(scale))
+            out = np.stack(axes, axis=-1)
+            out[~np.isfinite(axes[0] + axes[1])] = np.nan
         return out
 
-    def describe(self, channels: tuple[str, ...]) -> str:
+    def write(self, displacement: Float32, raw: Float32) -> Float32:
+        """Return raw motion channels that read as these displacements: the inverse of `apply`.
+
+        Parameters
+        ----------
+        displacement
+            float32 [..., 2], pixels, +x right, +y down.
+        raw
+            float32 [..., C]: the channels that this map does not write are kept; its alpha is used.
+
+        Notes
+        -----
+        A direction has length 1; mapped to 0 … 1 it has 0.5 about `still`.
+        """
+        out = raw.copy()
+        values = displacement / np.array([self.x_scale, self.y_scale], np.float32)
+        if self.length is not None:
+            size = np.linalg.norm(values, axis=-1) * np.float32(2 if self.still else 1)
+            values = values / np.where(size > 0, size, 1)[..., None]
+            out[..., self.length] = size
+        values = values + np.float32(self.still)
+        if self.alpha is not None:
+            values = values * raw[..., self.alpha, None]
+        out[..., self.x_channel], out[..., self.y_channel] = values[..., 0], values[..., 1]
+        return out
+
+    def describe(self, channels: tuple[str, ...], units: tuple[str, str] = ("", "")) -> str:
         """Return the map in the notation of ``--motion``, for example ``X,-Y``."""
+        axes = ((self.x_scale, self.x_channel), (self.y_scale, self.y_channel))
         terms = []
-        pairs = ((self.x_scale, self.x_channel), (self.y_scale, self.y_channel))
-        for scale, channel in pairs:
-            factor = "" if abs(scale) == 1 else f"{abs(scale):g}*"
-            terms.append(f"{'-' if scale < 0 else ''}{factor}{channels[channel]}")
+        for (scale, channel), unit in zip(axes, units, strict=True):
+            factor = "" if abs(scale) == 1 else f"{_number(abs(scale))}*"
+            value = channels[channel]
+            if self.alpha is not None:
+                value += f"/{channels[self.alpha]}"
+            if self.still:
+                sign = "-" if self.still > 0 else "+"
+                value = f"({value}{sign}{_number(abs(self.still))})"
+            if self.length is not None:
+                value += f"*{channels[self.length]}"
+            terms.append(f"{'-' if scale < 0 else ''}{factor}{unit and unit + '*'}{value}")
         return ",".join(terms)
 
 
@@ -56,18 +121,41 @@ class MotionConvention:
     ----------
     to_previous, to_next
         How to read the displacement to one frame earlier and later; None where it is not written.
+    of_frame
+        Whether the scales count frame widths and heights, as long as the frame's size is not
+        known; :meth:`sized` turns them into pixels.
     """
 
     to_previous: AxisMap | None = None
     to_next: AxisMap | None = None
+    of_frame: bool = False
+
+    @property
+    def count(self) -> int:
+        """How many motion channels it takes."""
+        maps = (m for m in (self.to_previous, self.to_next) if m is not None)
+        return 1 + max((index for m in maps for index in m.channels), default=-1)
+
+    def sized(self, width: int, height: int) -> MotionConvention:
+        """Return the convention in pixels for frames (display windows) of this size."""
+        if not self.of_frame:
+            return self
+
+        def scaled(axes: AxisMap | None) -> AxisMap | None:
+            if axes is None:
+                return None
+            return replace(axes, x_scale=axes.x_scale * width, y_scale=axes.y_scale * height)
+
+        return MotionConvention(scaled(self.to_previous), scaled(self.to_next))
 
     def describe(self, channels: tuple[str, ...]) -> str:
         """Return the convention in the notation of ``--motion``."""
+        units = ("width", "height") if self.of_frame else ("", "")
         parts = []
         if self.to_previous is not None:
-            parts.append(f"previous={self.to_previous.describe(channels)}")
+            parts.append(f"previous={self.to_previous.describe(channels, units)}")
         if self.to_next is not None:
-            parts.append(f"next={self.to_next.describe(channels)}")
+            parts.append(f"next={self.to_next.describe(channels, units)}")
         return " ".join(parts)
 
 
@@ -95,3 +183,9 @@ class MotionFinding:
     error: float | None = None
     still_error: float | None = None
     runner_up_error: float | None = None
+
+
+def _number(value: float) -> str:
+    """Spell a number so that it reads back as itself."""
+    short = f"{value:g}"
+    return short if float(short) == value else repr(float(value))

@@ -32,6 +32,12 @@ class SourceSettings:
         Output frames per key frame; None for `timeline.FACTOR`.
     to_fps
         Frames per second of the output instead; None without.
+    view
+        Name of the stereo view that is read, or "all"; None for the channel map's, else the hero.
+    aovs
+        Roles in sequences of their own, as ``--aov`` takes them: ``motion=vec/a.####.exr:R,G``.
+    channel_map
+        TOML file that says which channels hold what; None to recognise them.
     """
 
     sequence: str
@@ -42,6 +48,9 @@ class SourceSettings:
     tail: bool = True
     factor: int | None = None
     to_fps: Fraction | None = None
+    view: str | None = None
+    aovs: tuple[str, ...] = ()
+    channel_map: str | None = None
 
 
 @dataclass(frozen=True)

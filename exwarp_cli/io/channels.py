@@ -1,8 +1,9 @@
 """Which channels of a file hold colour, depth, motion and the rest: detection by name.
 
 Renderers name their AOVs differently, and layer names are the artist's; so the last element of a
-layer's name is what counts, in any case, without separators. A motion layer only gets a first guess
-of its convention here; measuring decides (:mod:`exwarp_cli.synthesis.calibration`).
+layer's name is what counts, in any case, without separators; where that says nothing, its last
+words. A motion layer only gets a first guess of its convention here, by what
+:mod:`exwarp_cli.io.producers` knows; measuring decides (:mod:`exwarp_cli.synthesis.calibration`).
 """
 
 from __future__ import annotations
@@ -12,9 +13,16 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 
-from exwarp_cli.domain.motion import AxisMap, MotionConvention
+from exwarp_cli.domain.motion import MotionConvention
 from exwarp_cli.errors import LayoutError
 from exwarp_cli.io.exr import Channel
+from exwarp_cli.io.producers import (
+    BACKWARD_NAMES,
+    FORWARD_NAMES,
+    UNKNOWN,
+    is_cryptomatte,
+    recognise,
+)
 
 
 class Role(Enum):
@@ -65,11 +73,15 @@ class Layout:
         What the names say of the motion convention; None where they say nothing.
     producer
         The program that wrote the files, as far as the names tell.
+    incomplete
+        Layers that go by a role's name but lack channels, and so are not taken: what each has, in
+        words, for example "'forward' has only u".
     """
 
     roles: Mapping[Role, tuple[ChannelRef, ...]]
     guess: MotionConvention | None = None
-    producer: str = "unknown"
+    producer: str = UNKNOWN
+    incomplete: Mapping[Role, str] = field(default_factory=dict)
 
     def __contains__(self, role: Role) -> bool:
         return role in self.roles
@@ -83,69 +95,72 @@ class _Rule:
     components: tuple[str, ...]
 
 
+_ONE = ("X", "R", "Y", "V")
 _RULES: dict[Role, tuple[_Rule, ...]] = {
     Role.COLOUR: (
         _Rule(("", "combined", "beauty", "rgba", "rgb", "color", "colour"), ("RGBA", "RGB")),
-        _Rule(("pretonemaphdrcolor", "scenecolor", "finalimage", "c"), ("RGBA", "RGB")),
+        _Rule(("pretonemaphdrcolor", "scenecolor", "finalimage", "c", "ci"), ("RGBA", "RGB")),
     ),
     Role.DEPTH: (
-        _Rule(("depth", "scenedepth", "zdepth", "worlddepth", "z"), ("Z", "R", "Y", "V")),
+        _Rule(("depth", "scenedepth", "zdepth", "worlddepth", "hitpz", "z"), ("Z", *_ONE)),
+        _Rule(("disparity", "inversedepth", "depthinverse", "invdepth"), ("Z", *_ONE)),
         _Rule(("",), ("Z",)),
     ),
     Role.MOTION: (
         _Rule(("vector",), ("XYZW",)),
-        _Rule(("forward", "motionfore", "backward", "motionback"), ("UV", "XY", "RG")),
+        _Rule((*FORWARD_NAMES, *BACKWARD_NAMES), ("UV", "XY", "RG")),
         _Rule(("motionvector", "motionvectors", "velocity", "motion"), ("XY", "UV", "RG")),
+        _Rule(("rsmb", "reelsmart", "twixtor"), ("RG", "XY", "UV")),
     ),
-    Role.NORMAL: (_Rule(("normal", "worldnormal", "normals", "nworld", "n"), ("XYZ", "RGB")),),
-    Role.POSITION: (_Rule(("position", "worldposition", "pworld", "wp", "p"), ("XYZ", "RGB")),),
+    Role.NORMAL: (
+        _Rule(("normal", "worldnormal", "normals", "nworld", "hitn", "n"), ("XYZ", "RGB")),
+    ),
+    Role.POSITION: (
+        _Rule(("position", "worldposition", "pworld", "wp", "hitp", "p"), ("XYZ", "RGB")),
+    ),
     Role.STENCIL: (
-        _Rule(
-            ("objectindex", "indexob", "mystencil", "stencil", "objectid", "id", "renderid"),
-            ("X", "R", "Y", "V"),
-        ),
-        _Rule(("",), ("ID",)),
+        _Rule(("objectindex", "indexob", "mystencil", "stencil", "objectid", "id"), _ONE),
+        _Rule(("renderid",), _ONE),
     ),
     Role.ALBEDO: (
         _Rule(("diffusecolor", "diffcol", "basecolor", "albedo", "diffusealbedo"), ("RGB",)),
     ),
     Role.SPECULAR: (_Rule(("glossycolor", "glosscol"), ("RGB",)),),
-    Role.ROUGHNESS: (_Rule(("roughness",), ("X", "R", "Y", "V")),),
-    Role.METALLIC: (_Rule(("metallic", "metalness", "metal"), ("X", "R", "Y", "V")),),
+    Role.ROUGHNESS: (_Rule(("roughness",), _ONE),),
+    Role.METALLIC: (_Rule(("metallic", "metalness", "metal"), _ONE),),
 }
 
-# Unreal, as ExtraNet dumps it: current minus previous, y up.
-_UNREAL = MotionConvention(to_previous=AxisMap(0, 1, -1.0, 1.0))
-# Blender: XY is previous minus current, ZW current minus next, y up.
-_BLENDER = MotionConvention(AxisMap(0, 1, 1.0, -1.0), AxisMap(2, 3, -1.0, 1.0))
+_PLAIN_WORDS = frozenset({"", "c", "ci", "rgba", "rgb", "color", "colour", "finalimage", "vector"})
+"""Names that say nothing at the end of a longer one: a diffuse colour is no beauty."""
 
-PRESETS: dict[str, MotionConvention] = {
-    "blender": _BLENDER,
-    "unreal": _UNREAL,
-    "forward": MotionConvention(to_next=AxisMap(0, 1, 1.0, -1.0)),
-    "backward": MotionConvention(to_previous=AxisMap(0, 1, 1.0, -1.0)),
-    "forward+backward": MotionConvention(
-        to_previous=AxisMap(2, 3, 1.0, -1.0), to_next=AxisMap(0, 1, 1.0, -1.0)
-    ),
-}
-"""Conventions by name, for ``--motion``: indices count the motion channels in the order found."""
+_BY_LAST_WORDS = (
+    Role.COLOUR, Role.DEPTH, Role.MOTION, Role.NORMAL, Role.POSITION, Role.STENCIL,
+)  # fmt: skip
+"""Roles whose layers are also found by the last words of their names. Not those of materials,
+where each lobe has its own."""
+
+_LONG_COMPONENTS = {"RED": "R", "GREEN": "G", "BLUE": "B", "ALPHA": "A"}
 
 
 @dataclass
 class _Layer:
-    """The channels that share a layer name."""
+    """The channels of one layer: `leaf` is its name's last element, `endings` its last words."""
 
     name: str
     leaf: str
-    order: int
+    endings: tuple[str, ...]
+    own_file: bool
     components: dict[str, ChannelRef] = field(default_factory=dict)
 
     def pick(self, letters: str) -> tuple[ChannelRef, ...] | None:
         """Return the channels of these components, or None when one is absent."""
-        keys = ["ID"] if letters == "ID" else list(letters)
-        if any(key not in self.components for key in keys):
+        if any(key not in self.components for key in letters):
             return None
-        return tuple(self.components[key] for key in keys)
+        return tuple(self.components[key] for key in letters)
+
+    def first(self, rule: _Rule) -> tuple[ChannelRef, ...]:
+        """Return the channels that a rule asks for, () where some are absent."""
+        return next(filter(None, (self.pick(letters) for letters in rule.components)), ())
 
 
 def detect(channels: Mapping[str, Iterable[Channel]]) -> Layout:
@@ -165,7 +180,7 @@ def detect(channels: Mapping[str, Iterable[Channel]]) -> Layout:
     layers = _layers(channels)
     roles: dict[Role, tuple[ChannelRef, ...]] = {}
     for role, rules in _RULES.items():
-        found = _motion(layers) if role is Role.MOTION else _first(layers, rules)
+        found = _motion(layers) if role is Role.MOTION else _first(layers, rules, role)
         if found:
             roles[role] = found
         if role is Role.COLOUR and found:
@@ -174,8 +189,10 @@ def detect(channels: Mapping[str, Iterable[Channel]]) -> Layout:
             layers.sort(key=lambda layer: _parent(f"{layer.name}.") != parent)
     if Role.COLOUR not in roles:
         roles.update(_only_colour(layers, roles))
-    guess, producer = _guess(roles.get(Role.MOTION, ()))
-    return Layout(roles, guess, producer)
+    motion, guess, producer = _convention(layers, roles)
+    if motion:
+        roles[Role.MOTION] = motion
+    return Layout(roles, guess, producer, _incomplete(layers, roles))
 
 
 def require(layout: Layout, role: Role, where: str) -> tuple[ChannelRef, ...]:
@@ -187,8 +204,9 @@ def require(layout: Layout, role: Role, where: str) -> tuple[ChannelRef, ...]:
         When the files do not have it.
     """
     if role not in layout:
+        partly = f" ({layout.incomplete[role]})" if role in layout.incomplete else ""
         raise LayoutError(
-            f"{where} has no {role.value} channels that are recognised; "
+            f"{where} has no {role.value} channels that are recognised{partly}; "
             "list its channels with 'exwarp inspect' and render the missing pass"
         )
     return layout.roles[role]
@@ -200,42 +218,119 @@ def _parent(name: str) -> str:
 
 
 def _layers(channels: Mapping[str, Iterable[Channel]]) -> list[_Layer]:
-    """Group channels by layer, in file order."""
+    """Group channels by layer, in file order; Cryptomatte's are left out.
+
+    A channel that is named by a word without a layer, as `hitPz`, is a layer of its own.
+    """
     layers: dict[tuple[str, str], _Layer] = {}
     for aov, members in channels.items():
         for channel in members:
             layer, _, component = channel.name.rpartition(".")
-            leaf = re.sub(r"[^a-z0-9]", "", (layer.rsplit(".", 1)[-1] or aov).lower())
+            if is_cryptomatte(layer or aov):
+                continue
+            component = _LONG_COMPONENTS.get(component.upper(), component.upper())
+            if not layer and len(component) > 1:
+                layer, component = channel.name, "V"
             key = (aov, layer)
             if key not in layers:
-                layers[key] = _Layer(layer or aov, leaf, len(layers))
-            layers[key].components.setdefault(component.upper(), ChannelRef(aov, channel.name))
+                name = layer or aov
+                last = name.rsplit(".", 1)[-1]
+                own = bool(aov) and layer == ""
+                layers[key] = _Layer(name, _plain(last), _endings(last), own)
+            layers[key].components.setdefault(component, ChannelRef(aov, channel.name))
     return list(layers.values())
 
 
-def _first(layers: list[_Layer], rules: Iterable[_Rule]) -> tuple[ChannelRef, ...]:
+def _plain(name: str) -> str:
+    """Return a name in lower case, without what separates its words."""
+    return re.sub(r"[^a-z0-9]", "", name.lower())
+
+
+def _endings(name: str) -> tuple[str, ...]:
+    """Return the last words of a name, most of them first, without the whole of it."""
+    words = [word for word in re.split(r"[^A-Za-z0-9]+", name.lower()) if word]
+    return tuple("".join(words[i:]) for i in range(1, len(words)))
+
+
+def _first(layers: list[_Layer], rules: Iterable[_Rule], role: Role) -> tuple[ChannelRef, ...]:
     """Return the channels of the best layer for these rules, () when there is none."""
-    for rule in rules:
-        for leaf in rule.leaves:
-            for layer in layers:
-                if layer.leaf != leaf:
-                    continue
-                for letters in rule.components:
-                    found = layer.pick(letters)
+    rules = tuple(rules)
+    for by_ending in (False, True) if role in _BY_LAST_WORDS else (False,):
+        for rule in rules:
+            for leaf in rule.leaves:
+                for layer in layers:
+                    found = layer.first(rule) if _goes_by(layer, leaf, by_ending) else ()
                     if found:
                         return found
     return ()
 
 
+def _goes_by(layer: _Layer, leaf: str, by_ending: bool) -> bool:
+    """Whether a layer goes by a name, or ends in it."""
+    if not by_ending:
+        return layer.leaf == leaf
+    # Single letters and "id" end names of anything.
+    return len(leaf) > 3 and leaf not in _PLAIN_WORDS and leaf in layer.endings
+
+
 def _motion(layers: list[_Layer]) -> tuple[ChannelRef, ...]:
     """Return the motion channels; forward and backward layers are joined, forward first."""
-    whole = _first(layers, _RULES[Role.MOTION][:1])
+    rules = _RULES[Role.MOTION]
+    whole = _first(layers, rules[:1], Role.MOTION)
     if whole:
         return whole
-    letters = _RULES[Role.MOTION][1].components
-    forward = _first(layers, [_Rule(("forward", "motionfore"), letters)])
-    backward = _first(layers, [_Rule(("backward", "motionback"), letters)])
-    return forward + backward or _first(layers, _RULES[Role.MOTION][2:])
+    letters = rules[1].components
+    forward = _first(layers, [_Rule(FORWARD_NAMES, letters)], Role.MOTION)
+    backward = _first(layers, [_Rule(BACKWARD_NAMES, letters)], Role.MOTION)
+    return forward + backward or _first(layers, rules[2:], Role.MOTION) or _bare(layers)
+
+
+def _bare(layers: list[_Layer]) -> tuple[ChannelRef, ...]:
+    """Take a file that holds red and green alone for motion, as plug-ins write it."""
+    if len(layers) != 1 or layers[0].leaf or set(layers[0].components) != {"R", "G"}:
+        return ()
+    return layers[0].pick("RG") or ()
+
+
+def _convention(
+    layers: list[_Layer], roles: Mapping[Role, tuple[ChannelRef, ...]]
+) -> tuple[tuple[ChannelRef, ...], MotionConvention | None, str]:
+    """Return the motion channels with those that their convention also takes, and what it is.
+
+    A third channel of a layer may hold the length of the vectors, and premultiplied vectors need
+    the beauty's alpha.
+    """
+    motion = roles.get(Role.MOTION, ())
+    if not motion:
+        return (), None, UNKNOWN
+    mine = next(layer for layer in layers if motion[0] in layer.components.values())
+    letters = "".join(ref.component[0].upper() for ref in motion)
+    unreal = recognise(mine.name, letters, (), mine.own_file)[1].startswith("Unreal")
+    third = {"XY": "Z", "RG": "B"}.get(letters, "")
+    if third in mine.components and not unreal:
+        motion, letters = (*motion, mine.components[third]), letters + third
+    colour = roles.get(Role.COLOUR, ())
+    if mine.name.endswith("motion_vectors") and letters == "RG" and len(colour) == 4:
+        motion, letters = (*motion, colour[3]), "RGA"
+    names = [layer.name for layer in layers]
+    return motion, *recognise(mine.name, letters, names, mine.own_file)
+
+
+def _incomplete(
+    layers: list[_Layer], roles: Mapping[Role, tuple[ChannelRef, ...]]
+) -> dict[Role, str]:
+    """Tell of layers with a role's name and without its channels."""
+    out: dict[Role, str] = {}
+    for role, rules in _RULES.items():
+        if role in roles and role is not Role.MOTION:
+            continue
+        for rule in rules:
+            named = (layer for layer in layers if layer.leaf and layer.leaf in rule.leaves)
+            lame = next((layer for layer in named if not layer.first(rule)), None)
+            if lame is not None and role not in out:
+                has = ", ".join(ref.component for ref in lame.components.values())
+                out[role] = f"{lame.name!r} has only {has}"
+    return out
 
 
 def _only_colour(
@@ -249,20 +344,3 @@ def _only_colour(
         if found and not used.intersection(found):
             free.append(found)
     return {Role.COLOUR: free[0]} if len(free) == 1 else {}
-
-
-def _guess(motion: tuple[ChannelRef, ...]) -> tuple[MotionConvention | None, str]:
-    """Return what the motion channels' names say: a convention and the producer."""
-    if not motion:
-        return None, "unknown"
-    layer = motion[0].name.rpartition(".")[0] or motion[0].aov
-    leaf = re.sub(r"[^a-z]", "", layer.rsplit(".", 1)[-1].lower())
-    if leaf == "vector" and len(motion) == 4:
-        return PRESETS["blender"], "Blender"
-    if motion[0].aov and leaf.endswith("motionvector"):
-        return PRESETS["unreal"], "Unreal (one file per AOV)"
-    if leaf in ("forward", "motionfore"):
-        return PRESETS["forward+backward" if len(motion) == 4 else "forward"], "Nuke convention"
-    if leaf in ("backward", "motionback"):
-        return PRESETS["backward"], "Nuke convention"
-    return None, "unknown"

@@ -6,6 +6,7 @@ lock, and reports damage as an error where OpenEXR's own bindings print and drop
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,7 +29,8 @@ class Channel:
     index
         Index of the channel in the part, in the order in which it is decoded.
     name
-        Name with the part's name in front where the channel does not carry its layer itself.
+        Name with the part's name in front where the channel does not carry its layer itself; the
+        part's view is not repeated in it.
     raw_name
         Name as it stands in the file.
     pixel_type
@@ -58,6 +60,10 @@ class Part:
         Name of the stereo view, "" where there is none.
     deep
         Whether the part holds deep samples.
+    tiled
+        Whether it is stored in tiles; of several levels the full one is read.
+    views
+        Views whose channels lie in this one part, the hero first: the attribute ``multiView``.
     """
 
     index: int
@@ -67,6 +73,8 @@ class Part:
     channels: tuple[Channel, ...]
     view: str
     deep: bool
+    tiled: bool = False
+    views: tuple[str, ...] = ()
 
 
 class ExrReader:
@@ -78,6 +86,8 @@ class ExrReader:
         When the file does not exist.
     DamagedFileError
         When it is not a readable OpenEXR file.
+    LayoutError
+        When it is one of luminance and chroma, whose channels are of different sizes.
     InputError
         When its name cannot be given to OpenImageIO, which takes UTF-8 alone.
     """
@@ -95,7 +105,8 @@ class ExrReader:
         except (RuntimeError, ValueError, UnicodeError):
             file = None
         if file is None:
-            raise damaged(path, _said(oiio.geterror))
+            said = _said(oiio.geterror)
+            raise _subsampled(path) if "ubsampled" in said else damaged(path, said)
         if file.format_name() != "openexr":
             file.close()
             raise damaged(path, f"its content is {file.format_name()}")
@@ -132,9 +143,7 @@ class ExrReader:
         out: dict[Channel, np.ndarray] = {}
         for (part, integer), members in sorted(wanted.items(), key=lambda item: item[0]):
             if self.parts[part].deep:
-                raise LayoutError(
-                    f"{self.path} is a deep image, which is not read; flatten it to plain pixels"
-                )
+                raise deep_only(self.path)
             begin = min(c.index for c in members)
             end = max(c.index for c in members) + 1
             pixels = self._file.read_image(part, 0, begin, end, "uint" if integer else "float")
@@ -145,6 +154,25 @@ class ExrReader:
             for channel in members:
                 out[channel] = pixels[..., channel.index - begin]
         return out
+
+
+def deep_only(path: Path) -> LayoutError:
+    """Build the error for a file whose pixels are deep samples.
+
+    They are not flattened here: compositing by depth is right for colour alone, and would mix the
+    ids, normals and vectors of what lies behind one another.
+    """
+    return LayoutError(
+        f"{path} is a deep image, which is not read; give the flat render, or flatten the colour "
+        "with 'oiiotool IN --flatten -o OUT'"
+    )
+
+
+def _subsampled(path: Path) -> LayoutError:
+    return LayoutError(
+        f"{path} holds luminance and chroma (Y, RY, BY) in channels of different sizes, which is "
+        "not read; write it as RGB"
+    )
 
 
 def damaged(path: Path, reason: str) -> DamagedFileError:
@@ -168,10 +196,12 @@ def _said(geterror: Callable[[], str]) -> str:
 def _part(index: int, spec: oiio.ImageSpec, multipart: bool) -> Part:
     """Describe one part from OpenImageIO's specification."""
     name = spec.getattribute("oiio:subimagename") or ""
+    view = spec.getattribute("view") or ""
+    layer = _without(view, name) if multipart else ""
     formats = [str(f) for f in spec.channelformats] or [str(spec.format)] * spec.nchannels
     channels = []
     for i, raw in enumerate(spec.channelnames):
-        full = raw if not multipart or not name or "." in raw else f"{name}.{raw}"
+        full = raw if not layer or "." in raw else f"{layer}.{raw}"
         channels.append(Channel(index, i, full, raw, formats[i]))
     return Part(
         index,
@@ -179,9 +209,26 @@ def _part(index: int, spec: oiio.ImageSpec, multipart: bool) -> Part:
         Window(spec.x, spec.y, spec.width, spec.height),
         Window(spec.full_x, spec.full_y, spec.full_width, spec.full_height),
         tuple(channels),
-        spec.getattribute("view") or "",
+        view,
         bool(spec.deep),
+        spec.tile_width > 0,
+        _strings(spec.getattribute("multiView")),
     )
+
+
+def _without(view: str, name: str) -> str:
+    """Take a view off a part's name, where it is an element: "depth_left", "left.depth"."""
+    if not view:
+        return name
+    element = re.compile(rf"(^|[._ -]){re.escape(view)}($|[._ -])")
+    return element.sub(lambda m: m[1] if m[1] and m[2] else "", name, count=1)
+
+
+def _strings(value: object) -> tuple[str, ...]:
+    """Read an attribute of strings, which is a string where there is one alone."""
+    if isinstance(value, str):
+        return (value,) if value else ()
+    return tuple(str(v) for v in value) if isinstance(value, (tuple, list)) else ()
 
 
 def set_threads(count: int | None) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -19,10 +18,13 @@ from exwarp_cli.domain.frame import (
     place,
 )
 from exwarp_cli.domain.motion import MotionConvention
-from exwarp_cli.errors import DamagedFileError, LayoutError, MissingFrameError
-from exwarp_cli.io.channels import ChannelRef, Layout, Role, detect, require
-from exwarp_cli.io.exr import Channel, ExrReader, Part
-from exwarp_cli.io.sequence import Sequence, find_aov_set, find_sequence
+from exwarp_cli.errors import DamagedFileError, LayoutError
+from exwarp_cli.io.channels import ChannelRef, Role, detect, require
+from exwarp_cli.io.exr import ExrReader
+from exwarp_cli.io.shot import Shot as Shot
+from exwarp_cli.io.shot import open_shot as open_shot
+from exwarp_cli.io.shot import renamed
+from exwarp_cli.io.views import channels_of, choose, views_of
 
 FAR = 1e9
 """Depth from which on a pixel counts as background: Blender writes 1e10 there."""
@@ -77,71 +79,6 @@ class RawFrame:
         return KeyFrame(self.number, self.image, gbuffer)
 
 
-@dataclass(frozen=True)
-class Shot:
-    """A sequence with its layout.
-
-    Attributes
-    ----------
-    sequence
-        The main files.
-    aovs
-        Further sequences of the same frames, by AOV, where each AOV has a file of its own.
-    layout
-        Which channels hold what, as detected in the first frame.
-    display
-        The display window that all frames must share.
-    """
-
-    sequence: Sequence
-    aovs: Mapping[str, Sequence]
-    layout: Layout
-    display: Window
-
-    def files(self, number: int) -> dict[str, Path]:
-        """Files of one frame by AOV; "" is the main one.
-
-        Raises
-        ------
-        MissingFrameError
-            When a sequence has no such frame.
-        """
-        sequences = {"": self.sequence, **self.aovs}
-        for sequence in sequences.values():
-            if number not in sequence.files:
-                raise MissingFrameError(
-                    f"{sequence.pattern} lacks frame {number}; finish rendering it, or leave that "
-                    "frame out"
-                )
-        return {aov: sequence.files[number] for aov, sequence in sequences.items()}
-
-
-def open_shot(spec: str) -> Shot:
-    """Find a sequence and recognise its channels in its first frame.
-
-    Raises
-    ------
-    InputError
-        When there is no such sequence or its first frame cannot be read.
-    """
-    aov_set = find_aov_set(spec)
-    if aov_set is None:
-        sequence, aovs = find_sequence(spec), {}
-    else:
-        sequence, aovs = aov_set.leader, aov_set.aovs
-    first = sequence.numbers[0]
-    # Without colour one of the AOVs leads the set; it keeps its AOV's name.
-    files = {} if sequence in aovs.values() else {"": sequence.files[first]}
-    files |= {aov: member.files[first] for aov, member in aovs.items()}
-    channels: dict[str, tuple[Channel, ...]] = {}
-    displays: list[Window] = []
-    for aov, path in files.items():
-        with ExrReader(path) as file:
-            channels[aov] = tuple(c for part in _hero(file.parts) for c in part.channels)
-            displays.append(file.parts[0].display_window)
-    return Shot(sequence, aovs, detect(channels), displays[0])
-
-
 def read_raw(
     shot: Shot, number: int, roles: tuple[Role, ...] = (Role.COLOUR, *GEOMETRY)
 ) -> RawFrame:
@@ -183,7 +120,7 @@ def read_raw(
         stencil = place(clean_stencil(planes[ref]), windows[ref], canvas)
     gbuffer = GBuffer(
         canvas,
-        None if depth is None else clean_depth(depth[..., 0], normal),
+        None if depth is None else clean_depth(shot.depth.distance(depth[..., 0]), normal),
         normal,
         stack(Role.POSITION, canvas, 0.0),
         stencil,
@@ -207,8 +144,15 @@ def _only(planes: Float32 | None) -> Float32 | None:
     return None if planes is None else planes[..., 0]
 
 
-def read_image(path: Path) -> Image:
+def read_image(path: Path, view: str = "") -> Image:
     """Read the colour of the beauty layer of one file.
+
+    Parameters
+    ----------
+    path
+        The file.
+    view
+        Which view of it; "" for the hero. Files without views are of any.
 
     Raises
     ------
@@ -218,8 +162,9 @@ def read_image(path: Path) -> Image:
         When no colour is recognised.
     """
     with ExrReader(path) as file:
-        channels = {c.name: c for part in _hero(file.parts) for c in part.channels}
-        refs = require(detect({"": tuple(channels.values())}), Role.COLOUR, str(path))
+        views = views_of(file.parts)
+        channels = channels_of(file.parts, choose(views, view or None, path) if views else "")
+        refs = require(detect({"": renamed(channels)}), Role.COLOUR, str(path))
         chosen = [channels[ref.name] for ref in refs]
         planes = file.read(chosen)
         part = file.parts[chosen[0].part]
@@ -287,12 +232,6 @@ def _refuse_broken(pixels: Float32, path: Path) -> None:
         )
 
 
-def _hero(parts: tuple[Part, ...]) -> tuple[Part, ...]:
-    """Return the parts of the hero view: those of the first part's view, or without one."""
-    view = parts[0].view
-    return tuple(part for part in parts if part.view in ("", view))
-
-
 def _read_planes(
     shot: Shot, number: int, refs: list[ChannelRef]
 ) -> tuple[dict[ChannelRef, np.ndarray], dict[ChannelRef, Window]]:
@@ -304,7 +243,7 @@ def _read_planes(
         path = files[aov]
         with ExrReader(path) as file:
             _same_size(file.parts[0].display_window, shot, path)
-            channels = {c.name: c for part in _hero(file.parts) for c in part.channels}
+            channels = shot.channels(file.parts, aov)
             mine = [ref for ref in refs if ref.aov == aov]
             for ref in mine:
                 if ref.name not in channels:

@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 from exwarp_cli.domain.motion import MotionFinding
 from exwarp_cli.domain.settings import SourceSettings
 from exwarp_cli.domain.timeline import Timeline, ranges
 from exwarp_cli.errors import MotionError
-from exwarp_cli.io.channels import Layout, Role
+from exwarp_cli.io.channel_map import channel_map_text, write_channel_map
+from exwarp_cli.io.channels import ChannelRef, Layout, Role
+from exwarp_cli.io.cryptomatte import find_cryptomattes
+from exwarp_cli.io.depth import DepthKind
 from exwarp_cli.io.exr import ExrReader, Part
-from exwarp_cli.io.frames import Shot, open_shot
-from exwarp_cli.pipeline.source import find_motion, motion_names, rate_of
+from exwarp_cli.io.output import read_headers
+from exwarp_cli.io.producers import UNKNOWN
+from exwarp_cli.io.shot import MAIN, Shot, renamed, spelled
+from exwarp_cli.pipeline.motion_option import motion_names
+from exwarp_cli.pipeline.opening import open_keys
+from exwarp_cli.pipeline.source import find_motion, rate_of
 
 
 @dataclass(frozen=True)
@@ -31,6 +40,10 @@ class Inspection:
         Why the convention cannot be settled; None when it can.
     fps, fps_source
         Rate, and where it came from.
+    types
+        Pixel type of each channel of the view, by its name with AOV.
+    cryptomattes
+        Names of the Cryptomattes in the main file.
     """
 
     shot: Shot
@@ -39,6 +52,8 @@ class Inspection:
     problem: str | None
     fps: float
     fps_source: str
+    types: Mapping[str, str] = field(default_factory=dict)
+    cryptomattes: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """Return the findings as plain data, for JSON."""
@@ -52,11 +67,15 @@ class Inspection:
             "height": self.shot.display.height,
             "fps": {"base": self.fps, "source": self.fps_source},
             "producer": layout.producer,
+            "views": list(self.shot.views),
+            "view": self.shot.view or None,
             "parts": [_part(part) for part in self.parts],
+            "aovs": {aov: member.pattern for aov, member in self.shot.aovs.items()},
             "roles": {
-                role.value: [ref.name if not ref.aov else f"{ref.aov}:{ref.name}" for ref in refs]
-                for role, refs in layout.roles.items()
+                role.value: [spelled(ref) for ref in refs] for role, refs in layout.roles.items()
             },
+            "depth_kind": self.shot.depth.kind.value if Role.DEPTH in layout else None,
+            "cryptomattes": list(self.cryptomattes),
             "motion": None
             if Role.MOTION not in layout
             else _motion(self.shot, finding, self.problem),
@@ -71,17 +90,65 @@ def inspect(settings: SourceSettings) -> Inspection:
     InputError
         When the sequence is not there, has gaps, or cannot be read.
     """
-    shot = open_shot(settings.sequence)
+    shot, settings = open_keys(settings)
     Timeline.of(shot.sequence.numbers)
-    with ExrReader(shot.sequence.files[shot.sequence.numbers[0]]) as file:
-        parts = file.parts
+    parts, types, cryptomattes = _look(shot)
     finding, problem = None, None
     try:
         finding = find_motion(shot, settings.motion)
     except MotionError as error:
         problem = str(error)
     fps, fps_source = rate_of(shot, settings.fps)
-    return Inspection(shot, parts, finding, problem, float(fps), fps_source)
+    return Inspection(shot, parts, finding, problem, float(fps), fps_source, types, cryptomattes)
+
+
+def save_channel_map(found: Inspection, path: Path, overwrite: bool) -> None:
+    """Write what was found as a channel map.
+
+    What was not measured (vectors too short to tell) is left to be measured again.
+
+    Raises
+    ------
+    OutputError
+        When the file exists and is not to be replaced, or cannot be written.
+    """
+    shot, finding = found.shot, found.finding
+    layout = shot.layout
+    channels = {
+        role: tuple(spelled(_as_opened(ref)) for ref in refs) for role, refs in layout.roles.items()
+    }
+    measured = finding is not None and finding.source != "untested"
+    texts = {
+        "producer": None if layout.producer == UNKNOWN else layout.producer,
+        "view": shot.view if shot.view and shot.view != shot.views[0] else None,
+        "motion": finding.convention.describe(motion_names(shot))
+        if finding is not None and measured
+        else None,
+        "depth_kind": None if shot.depth.kind is DepthKind.UNKNOWN else shot.depth.kind.value,
+    }
+    about = shot.aovs.get(MAIN, shot.sequence).pattern
+    write_channel_map(path, channel_map_text(about, texts, channels, shot.aov_files), overwrite)
+
+
+def _as_opened(ref: ChannelRef) -> ChannelRef:
+    """Return a channel as it is called before a colour sequence of its own leads the shot."""
+    return replace(ref, aov="") if ref.aov == MAIN else ref
+
+
+def _look(shot: Shot) -> tuple[tuple[Part, ...], dict[str, str], tuple[str, ...]]:
+    """Look into the first frame: parts of the main file, types of channels, Cryptomattes."""
+    types: dict[str, str] = {}
+    parts: tuple[Part, ...] = ()
+    mattes: tuple[str, ...] = ()
+    for aov, path in shot.files(shot.sequence.numbers[0]).items():
+        with ExrReader(path) as file:
+            channels = shot.channels(file.parts, aov)
+            parts = parts or file.parts
+        types |= {spelled(ChannelRef(aov, name)): c.pixel_type for name, c in channels.items()}
+        if not mattes:
+            known = find_cryptomattes({"": renamed(channels)}, {"": read_headers(path)})
+            mattes = tuple(one.name for one in known)
+    return parts, types, mattes
 
 
 def missing_roles(layout: Layout) -> list[Role]:
@@ -93,6 +160,9 @@ def _part(part: Part) -> dict[str, Any]:
     return {
         "name": part.name,
         "view": part.view,
+        "views": list(part.views),
+        "deep": part.deep,
+        "tiled": part.tiled,
         "data_window": list(part.data_window.corners),
         "display_window": list(part.display_window.corners),
         "channels": {channel.raw_name: channel.pixel_type for channel in part.channels},

@@ -15,10 +15,11 @@ from exwarp_cli.domain.settings import DEFAULT_FPS, SourceSettings
 from exwarp_cli.domain.timeline import FACTOR, MOST, Slot, Timeline, ranges
 from exwarp_cli.errors import InputError, LayoutError, MissingFrameError, MotionError, UsageError
 from exwarp_cli.io.channels import Role
-from exwarp_cli.io.frames import Shot, open_shot, read_raw
+from exwarp_cli.io.frames import Shot, read_raw
 from exwarp_cli.io.output import frame_rate, read_headers
 from exwarp_cli.io.sequence import Sequence
 from exwarp_cli.pipeline.motion_option import motion_names, parse_motion
+from exwarp_cli.pipeline.opening import open_keys, open_slots
 from exwarp_cli.synthesis.calibration import calibrate
 from exwarp_cli.synthesis.probing import Instant
 
@@ -83,7 +84,7 @@ def open_source(settings: SourceSettings, motion_needed: bool = True) -> Source:
     MotionError
         When the convention of the motion vectors cannot be settled.
     """
-    keys = open_shot(settings.sequence)
+    keys, settings = open_keys(settings)
     if Role.COLOUR not in keys.layout:
         raise LayoutError(
             f"{keys.sequence.pattern} has no colour channels that are recognised; list its "
@@ -98,7 +99,7 @@ def open_source(settings: SourceSettings, motion_needed: bool = True) -> Source:
             f"{float(fps * factor):g} fps most key frames are no output instants; leave --gbuffers "
             "out, or give a whole --factor"
         )
-    slots = None if settings.gbuffers is None else open_shot(settings.gbuffers)
+    slots = open_slots(settings, keys)
     slot_number: FrameOf = _no_number
     if slots is not None:
         slot_number = align(timeline, slots.sequence, "--gbuffers")
@@ -111,9 +112,11 @@ def open_source(settings: SourceSettings, motion_needed: bool = True) -> Source:
             raise
         finding = None
     if motion_needed and finding is None:
+        half = shot.layout.incomplete.get(Role.MOTION)
+        told = "" if half is None else f" ({half})"
         raise LayoutError(
-            f"{shot.sequence.pattern} has no motion vectors that are recognised; render the motion "
-            "pass, or use --method hold or blend"
+            f"{shot.sequence.pattern} has no motion vectors that are recognised{told}; render the "
+            "motion pass, or use --method hold or blend"
         )
     if slots is not None and (finding is None or finding.convention.to_previous is None):
         if motion_needed:

@@ -8,22 +8,15 @@ with a flipped axis 68 %, with anything else under 18 %), else by depth and colo
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from exwarp_cli.domain.motion import AxisMap, MotionConvention, MotionFinding
 from exwarp_cli.errors import MotionError
-from exwarp_cli.synthesis.probing import Instant, Probe, probe
-
-F64 = npt.NDArray[np.float64]
-
-COARSE = 1500
-TIME_SCALES = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 0.5, 0.25)
-"""A fast sequence thinned out carries the short vectors of its full rate."""
+from exwarp_cli.synthesis.evidence import CLEARLY_BETTER, Evidence, Key, gathered
+from exwarp_cli.synthesis.probing import Instant
 
 TIE_RATIO, TIE_FLOOR = 1.1, 0.01
 """An error up to this much above the least does not speak against a convention known by name."""
@@ -37,58 +30,6 @@ BEATS_STILL = 0.7
 HARDLY_BEATS = 0.9
 """Up to this share, and no other reading better, a convention known by name stands untested: pixels
 at silhouettes miss whatever the vectors, and in a slow shot they are most of the error."""
-
-SAME_PIXELS = 0.3
-"""Candidates whose vectors differ by less than this on average count as one."""
-
-
-@dataclass
-class _Evidence:
-    """Errors of candidates for one pair of channels in one direction, over all frame pairs."""
-
-    channels: tuple[int, int]
-    later: bool
-    probes: list[Probe] = field(default_factory=list)
-
-    def error(self, axis_map: AxisMap, count: int | None = None) -> float:
-        """Mean error of a candidate."""
-        return float(np.mean([p.error(_apply(axis_map, p, count), count) for p in self.probes]))
-
-    def still(self) -> float:
-        """Mean error of no motion."""
-        return float(np.mean([p.error(np.zeros((1, 2))) for p in self.probes]))
-
-    def ranked(self, width: int, height: int) -> list[tuple[float, AxisMap]]:
-        """Candidates by error: all roughly, the best of them on every sample."""
-        rough = [
-            (self.error(c, COARSE), i, c)
-            for i, c in enumerate(candidates(self.channels, width, height))
-        ]
-        best = sorted(rough, key=lambda entry: entry[:2])[:12]
-        exact = [(self.error(c), i, c) for _, i, c in best]
-        return [(e, c) for e, _, c in sorted(exact, key=lambda entry: entry[:2])]
-
-    def differ(self, a: AxisMap, b: AxisMap) -> bool:
-        """Whether two candidates move the samples differently enough to be told apart."""
-        gaps = [np.abs(_apply(a, p, COARSE) - _apply(b, p, COARSE)).mean() for p in self.probes]
-        return float(np.mean(gaps)) > SAME_PIXELS
-
-
-def candidates(channels: tuple[int, int], width: int, height: int) -> list[AxisMap]:
-    """Return every reading of two channels: which is x, signs, and scales.
-
-    Scales are pixels (times the time scales), and vectors normalised to the frame, to half of it
-    and to twice it, by width and height each or by width alone.
-    """
-    scales = [(s, s) for s in TIME_SCALES]
-    for share in (1.0, 0.5, 2.0):
-        scales += [(share * width, share * height), (share * width, share * width)]
-    out = []
-    for (sx, sy), swap in itertools.product(scales, (False, True)):
-        x, y = channels[::-1] if swap else channels
-        for gx, gy in itertools.product((1.0, -1.0), repeat=2):
-            out.append(AxisMap(x, y, gx * sx, gy * sy))
-    return out
 
 
 def calibrate(
@@ -115,58 +56,113 @@ def calibrate(
     if not pairs:
         return _untested(guess, "one frame alone shows no motion")
     frames = ", ".join(f"{a.number}-{b.number}" for a, b in pairs)
-    measured = {k: e for k, e in _readings(pairs, len(names)).items() if e.probes}
+    measured = {k: e for k, e in gathered(pairs, names).items() if e.probes}
     if max((e.still() for e in measured.values()), default=0.0) < STILL_ERROR:
         return _untested(guess, f"frames {frames} hold too little motion to measure")
-    height, width = pairs[0][0].motion.shape[:2]
-    ranked = {key: evidence.ranked(width, height) for key, evidence in measured.items()}
+    verdict = _judged({key: e.ranked() for key, e in measured.items()}, measured, guess)
+    if not verdict.stands(measured, guess):
+        freely = {key: evidence.ranked_freely() for key, evidence in measured.items()}
+        if all(freely.values()):
+            scaled = _judged(freely, measured, guess)
+            better = scaled.error * CLEARLY_BETTER + TIE_FLOOR < verdict.error
+            verdict = scaled if scaled.explains and better else verdict
+    return verdict.finding(measured, guess, names, frames)
+
+
+def _judged(
+    ranked: dict[Key, list[tuple[float, AxisMap]]],
+    measured: dict[Key, Evidence],
+    guess: MotionConvention | None,
+) -> _Verdict:
+    """Choose among ranked candidates of every key."""
     chosen = {
         key: _named_or_best(ranked[key], measured[key], guess)
         for key in _assign(ranked, measured, guess)
     }
-    maps = {later: axis_map for (_, later), (_, axis_map) in chosen.items()}
-    verdict = _Verdict(
-        MotionConvention(maps.get(False), maps.get(True)),
+    return _Verdict(
+        {key: found for key, (_, found) in chosen.items()},
         float(np.mean([error for error, _ in chosen.values()])),
         float(np.mean([measured[key].still() for key in chosen])),
         min(_rival(ranked[key], measured[key], found) for key, (_, found) in chosen.items()),
     )
-    return verdict.finding(guess, names, frames)
 
 
 @dataclass(frozen=True)
 class _Verdict:
     """The best convention with its mean error, that of no motion, and that of its best rival."""
 
-    convention: MotionConvention
+    maps: dict[Key, AxisMap]
     error: float
     still: float
     rival: float
 
+    @property
+    def convention(self) -> MotionConvention:
+        """The convention."""
+        maps = {later: axis_map for (_, later), axis_map in self.maps.items()}
+        return MotionConvention(maps.get(False), maps.get(True))
+
+    @property
+    def explains(self) -> bool:
+        """Whether the convention explains the motion."""
+        return self.error <= BEATS_STILL * self.still
+
+    @property
+    def alone(self) -> bool:
+        """Whether no other is as good."""
+        return self.rival >= self.error * TIE_RATIO
+
+    def hardly(self, guess: MotionConvention | None) -> bool:
+        """Whether it is what the names say, and better than no motion, if not by much."""
+        return self.convention == guess and self.error < HARDLY_BEATS * self.still
+
+    def stands(self, measured: dict[Key, Evidence], guess: MotionConvention | None) -> bool:
+        """Whether there is no need to look for other scales than the usual ones."""
+        if self.convention == guess:
+            return self.explains or self.hardly(guess)
+        return (
+            self.explains
+            and self.alone
+            and not any(measured[key].scaled_is_better(m) for key, m in self.maps.items())
+        )
+
+    def fitted(self, measured: dict[Key, Evidence], guess: MotionConvention | None) -> bool:
+        """Whether a scale is none of the usual ones."""
+        known = () if guess is None else (guess.to_previous, guess.to_next)
+        return any(
+            m not in known and m not in measured[key].usual() for key, m in self.maps.items()
+        )
+
     def finding(
-        self, guess: MotionConvention | None, names: tuple[str, ...], frames: str
+        self,
+        measured: dict[Key, Evidence],
+        guess: MotionConvention | None,
+        names: tuple[str, ...],
+        frames: str,
     ) -> MotionFinding:
         """Accept the convention, or say why not; see :func:`calibrate`."""
         read = self.convention.describe(names)
         told = None if guess is None else guess.describe(names)
-        if self.error > BEATS_STILL * self.still:
-            if self.convention == guess and self.error < HARDLY_BEATS * self.still:
+        if not self.explains:
+            if self.hardly(guess):
                 return _untested(guess, f"frames {frames} hold too little motion to measure")
             raise MotionError(
                 "no reading of the motion channels explains the motion between frames "
                 f"{frames} (error {self.error:.3f}, {self.still:.3f} without motion); check the "
                 "pass, or give --motion"
             )
-        if self.convention != guess and self.rival < self.error * TIE_RATIO:
+        if self.convention != guess and not self.alone:
             known = "are not known" if told is None else f"say {told}, which is worse"
             raise MotionError(
                 f"frames {frames} do not tell the conventions {read} and others apart and the "
                 f"channel names {known}; give --motion"
             )
         corrected = guess is not None and self.convention != guess
+        fitted = self.fitted(measured, guess)
         evidence = (
             f"{read} measured on frames {frames}: error {self.error:.3f}, {self.rival:.3f} for the "
             f"next best reading, {self.still:.3f} without motion"
+            + ("; the factor is none of the usual ones and was fitted" if fitted else "")
             + (f"; the names say {told}" if corrected else "")
         )
         source = "corrected" if corrected else "calibrated"
@@ -182,27 +178,9 @@ def _untested(guess: MotionConvention | None, reason: str) -> MotionFinding:
     return MotionFinding(guess, "untested", f"taken from the channel names: {reason}")
 
 
-Key = tuple[tuple[int, int], bool]
-
-
-def _readings(pairs: Sequence[tuple[Instant, Instant]], count: int) -> dict[Key, _Evidence]:
-    """Return empty or filled evidence for every pair of channels and both directions."""
-    out: dict[Key, _Evidence] = {}
-    for first in range(0, count - count % 2, 2):
-        for later in (False, True):
-            channels = (first, first + 1)
-            evidence = _Evidence(channels, later)
-            for a, b in pairs:
-                found = probe(a, b) if later else probe(b, a)
-                if found is not None:
-                    evidence.probes.append(found)
-            out[channels, later] = evidence
-    return out
-
-
 def _assign(
     ranked: dict[Key, list[tuple[float, AxisMap]]],
-    measured: dict[Key, _Evidence],
+    measured: dict[Key, Evidence],
     guess: MotionConvention | None,
 ) -> list[Key]:
     """Decide which channels lead to the previous and which to the next frame."""
@@ -217,10 +195,29 @@ def _assign(
 
     best = min(options, key=total)
     for option in options:
-        named = guess is not None and all(_named(key, guess) is not None for key in option)
+        named = all(_as_named(ranked[key], measured[key], guess) for key in option)
         if named and total(option) <= total(best) * TIE_RATIO + TIE_FLOOR:
             return option
     return best
+
+
+def _as_named(
+    ranked: list[tuple[float, AxisMap]], evidence: Evidence, guess: MotionConvention | None
+) -> bool:
+    """Whether the guess holds for these channels in this direction, or does but for its scale.
+
+    At an even speed, vectors to one frame are those to the other turned round. So a direction is
+    no better for being named when the signs are not as named.
+    """
+    named = None if guess is None else _named((evidence.channels, evidence.later), guess)
+    if named is None:
+        return False
+    error, best = ranked[0]
+    return _signs(named) == _signs(best) or evidence.error(named) <= error * TIE_RATIO + TIE_FLOOR
+
+
+def _signs(axis_map: AxisMap) -> tuple[int, bool, bool]:
+    return axis_map.x_channel, axis_map.x_scale > 0, axis_map.y_scale > 0
 
 
 def _named(key: Key, guess: MotionConvention) -> AxisMap | None:
@@ -232,7 +229,7 @@ def _named(key: Key, guess: MotionConvention) -> AxisMap | None:
 
 
 def _named_or_best(
-    ranked: list[tuple[float, AxisMap]], evidence: _Evidence, guess: MotionConvention | None
+    ranked: list[tuple[float, AxisMap]], evidence: Evidence, guess: MotionConvention | None
 ) -> tuple[float, AxisMap]:
     """Return the guessed map unless another is clearly better."""
     named = None if guess is None else _named((evidence.channels, evidence.later), guess)
@@ -243,18 +240,6 @@ def _named_or_best(
     return ranked[0]
 
 
-def _rival(ranked: list[tuple[float, AxisMap]], evidence: _Evidence, chosen: AxisMap) -> float:
+def _rival(ranked: list[tuple[float, AxisMap]], evidence: Evidence, chosen: AxisMap) -> float:
     """Return the error of the best candidate that moves points elsewhere."""
     return next((e for e, c in ranked if evidence.differ(c, chosen)), 1.0)
-
-
-def _apply(axis_map: AxisMap, sampled: Probe, count: int | None) -> F64:
-    """Displacements [N, 2] of a probe's samples."""
-    raw = sampled.raw if count is None else sampled.raw[:: max(1, len(sampled.xy) // count)]
-    return np.stack(
-        [
-            raw[:, axis_map.x_channel] * axis_map.x_scale,
-            raw[:, axis_map.y_channel] * axis_map.y_scale,
-        ],
-        axis=1,
-    )

@@ -13,7 +13,7 @@ from exwarp_cli.errors import InputError
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.dataset import RenderedScene
 from exwarp_cli.io.frames import GEOMETRY, SURFACE, Shot, read_raw
-from exwarp_cli.pipeline.source import motion_names, parse_motion
+from exwarp_cli.pipeline.motion_option import motion_names, parse_motion
 from exwarp_cli.synthesis.geometry import settle_motion
 from exwarp_cli.synthesis.history import past_of
 from exwarp_cli.synthesis.interval import Interval
@@ -181,4 +181,5 @@ class Footage:
         return settle_motion(raw.settle(self._convention(shot)))
 
     def _convention(self, shot: Shot) -> MotionConvention:
-        return parse_motion(self.scene.manifest.motion, motion_names(shot))
+        size = (shot.display.width, shot.display.height)
+        return parse_motion(self.scene.manifest.motion, motion_names(shot), size)

@@ -11,7 +11,7 @@ import pytest
 
 from exwarp_cli.domain.motion import AxisMap, MotionConvention
 from exwarp_cli.errors import MotionError
-from exwarp_cli.io.channels import PRESETS
+from exwarp_cli.io.producers import PRESETS
 from exwarp_cli.synthesis.calibration import Instant, calibrate
 from tests.unit.scenes import View, town
 
@@ -159,6 +159,66 @@ class TestRecovery:
         assert found.convention == truth
 
 
+class TestFreeScale:
+    """Vectors normalised by what only the artist knows."""
+
+    @pytest.mark.parametrize("scale", [37.0, 150.0, 0.13, 0.9 * WIDTH / 2])
+    @pytest.mark.parametrize("aspect", [1.0, HEIGHT / WIDTH])
+    def test_it_is_fitted_and_it_is_said(self, scale, aspect):
+        truth = AxisMap(0, 1, scale, -scale * aspect)
+        found = calibrate(pairs(MotionConvention(None, truth)), None, XY)
+        read = found.convention.to_next
+        assert read is not None and found.convention.to_previous is None
+        assert read.x_scale == pytest.approx(truth.x_scale, rel=0.01)
+        assert read.y_scale == pytest.approx(truth.y_scale, rel=0.01)
+        assert "the factor is none of the usual ones and was fitted" in found.evidence
+        assert found.error is not None and found.error < 0.3
+
+    def test_a_usual_one_is_not(self):
+        assert "fitted" not in calibrate(pairs(BLENDER, 4), None, XYZW).evidence
+
+    def test_both_directions(self):
+        truth = both(AxisMap(0, 1, -19.0, 19.0), AxisMap(2, 3, 19.0, -19.0))
+        found = calibrate(pairs(truth, 4), BLENDER, XYZW)
+        assert found.source == "corrected" and "was fitted" in found.evidence
+        for read, true in (
+            (found.convention.to_previous, truth.to_previous),
+            (found.convention.to_next, truth.to_next),
+        ):
+            assert read is not None and true is not None
+            assert (read.x_channel, read.y_channel) == (true.x_channel, true.y_channel)
+            assert read.x_scale == pytest.approx(true.x_scale, rel=0.01)
+            assert read.y_scale == pytest.approx(true.y_scale, rel=0.01)
+
+    def test_at_an_even_speed_the_direction_of_the_names_stands(self):
+        # Vectors there and back are then the same but for their sign.
+        scene = town()
+        camera = replace(scene.camera, acceleration=np.zeros(3), yaw=0, pitch=0)
+        quads = tuple(replace(quad, velocity=np.zeros(3)) for quad in scene.quads)
+        even = replace(scene, camera=camera, quads=quads)
+        truth = MotionConvention(to_next=AxisMap(0, 1, 23.0, -23.0))
+        frames = [
+            Instant(n, (seen := even.view(float(n))).gbuffer(motion=False), raw_of(seen, truth, 2),
+                    seen.colour)
+            for n in range(2)
+        ]  # fmt: skip
+        found = calibrate(pairs_of(frames), PRESETS["forward"], XY).convention
+        assert found.to_next is not None and found.to_previous is None
+        assert found.to_next.x_scale == pytest.approx(23, rel=0.02)
+
+
+def test_premultiplied_vectors_are_told_by_their_alpha():
+    truth = MotionConvention(to_previous=AxisMap(0, 1, 1.0, -1.0, alpha=2))
+    rng = np.random.default_rng(4)
+    frames = []
+    for frame in instants(MotionConvention(AxisMap(0, 1, 1.0, -1.0)), 3):
+        alpha = rng.uniform(0.3, 1, frame.motion.shape[:2]).astype(np.float32)
+        raw = frame.motion * alpha[..., None]
+        raw[..., 2] = alpha
+        frames.append(replace(frame, motion=raw))
+    assert calibrate(pairs_of(frames), None, ("R", "G", "A")).convention == truth
+
+
 class TestAgainstTheNames:
     def test_names_that_are_right_are_confirmed(self):
         found = calibrate(pairs(BLENDER, 4), BLENDER, XYZW)
@@ -257,6 +317,34 @@ class TestErrors:
         frames = [replace(f, motion=np.zeros_like(f.motion)) for f in instants(BLENDER, 4)]
         with pytest.raises(MotionError, match="no reading of the motion channels explains"):
             calibrate(pairs_of(frames), guess, XYZW)
+
+    @pytest.mark.parametrize("letters", [("R", "G"), ("R", "G", "B"), ("R", "G", "A")])
+    def test_garbage_between_0_and_1(self, letters):
+        rng = np.random.default_rng(8)
+        frames = [
+            replace(f, motion=rng.random((*f.motion.shape[:2], len(letters))).astype(np.float32))
+            for f in instants(BLENDER, 4)
+        ]
+        with pytest.raises(MotionError, match="no reading of the motion channels explains"):
+            calibrate(pairs_of(frames), None, letters)
+
+    @pytest.mark.parametrize("value", [0.0, 0.5, 1.0])
+    def test_one_value_everywhere_in_a_moving_shot(self, value):
+        frames = [
+            replace(f, motion=np.full_like(f.motion[..., :2], value)) for f in instants(BLENDER, 4)
+        ]
+        with pytest.raises(MotionError, match="no reading of the motion channels explains"):
+            calibrate(pairs_of(frames), None, XY)
+
+    def test_random_directions_with_a_length(self):
+        rng = np.random.default_rng(9)
+        frames = []
+        for frame in instants(BLENDER, 4):
+            turn = rng.uniform(0, 7, frame.motion.shape[:2])
+            raw = np.stack([np.cos(turn), np.sin(turn), rng.uniform(0, 9, turn.shape)], -1)
+            frames.append(replace(frame, motion=raw.astype(np.float32)))
+        with pytest.raises(MotionError, match="no reading of the motion channels explains"):
+            calibrate(pairs_of(frames), PRESETS["arnold"], ("R", "G", "B"))
 
     def test_unknown_names_and_nothing_that_separates_the_readings(self):
         # Everything is one grey: any reading explains it as well as any other.

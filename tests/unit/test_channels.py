@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import pytest
 
+from exwarp_cli.domain.motion import AxisMap, MotionConvention
 from exwarp_cli.errors import LayoutError
-from exwarp_cli.io.channels import PRESETS, Layout, Role, detect, require
+from exwarp_cli.io.channels import Layout, Role, detect, require
 from exwarp_cli.io.exr import Channel
+from exwarp_cli.io.producers import PRESETS, is_cryptomatte
 
 
 def channels(*names: str) -> list[Channel]:
@@ -144,6 +146,46 @@ class TestPlain:
         layout = found("RGB", layer)
         assert names(layout, Role.MOTION) == expand(layer) and layout.guess is None
 
+    @pytest.mark.parametrize(
+        "prefix", ["hero_", "hero-", "shot 10 ", "sc010:", "A.B.hero_", "FinalImage_"]
+    )
+    def test_geometry_under_a_prefix(self, prefix):
+        layers = ("world_position.XYZ", "depth.Z", "motionVectors.RG", "WorldNormal.RGB")
+        layout = found("RGB", *(f"{prefix}{layer}" for layer in layers))
+        for role, layer in zip(
+            (Role.POSITION, Role.DEPTH, Role.MOTION, Role.NORMAL), layers, strict=True
+        ):
+            assert names(layout, role) == expand(f"{prefix}{layer}")
+
+    def test_a_name_of_its_own_is_preferred_to_one_with_a_prefix(self):
+        layout = found("RGB", "volume_depth.Z", "depth.Z", "coat_normal.XYZ", "N.XYZ")
+        assert names(layout, Role.DEPTH) == ["depth.Z"]
+        assert names(layout, Role.NORMAL) == expand("N.XYZ")
+
+    @pytest.mark.parametrize(
+        "layer", ["spec_color.RGB", "spec_rgb.RGB", "light_id.X", "mask_z.R", "tangent_n.XYZ",
+                  "coat_roughness.X", "clear coat albedo.RGB", "view_vector.XYZW"]
+    )  # fmt: skip
+    def test_last_words_that_say_nothing(self, layer):
+        assert set(found("RGB", layer).roles) == {Role.COLOUR}
+
+    def test_words_for_components(self):
+        layout = detect({"": channels(*(f"rgba.{c}" for c in ("red", "green", "blue", "alpha")))})
+        assert [ref.component for ref in layout.roles[Role.COLOUR]] == [
+            "red", "green", "blue", "alpha",
+        ]  # fmt: skip
+
+    def test_a_bare_word_is_a_layer(self):
+        layout = detect({"": channels("R", "G", "B", "zdepth", "renderId")})
+        assert names(layout, Role.DEPTH) == ["zdepth"]
+        assert names(layout, Role.STENCIL) == ["renderId"]
+
+    def test_red_and_green_alone_are_vectors(self):
+        layout = found("RG")
+        assert names(layout, Role.MOTION) == ["R", "G"]
+        assert layout.producer == "ReelSmart or Twixtor"
+        assert found("RG", "Z").roles.keys() == {Role.DEPTH}
+
     def test_a_lone_rgb_layer_of_any_name_is_colour(self):
         assert names(found("foo.RGB", "Z"), Role.COLOUR) == expand("foo.RGB")
         assert Role.COLOUR not in found("foo.RGB", "bar.RGB")
@@ -154,9 +196,20 @@ class TestPlain:
         assert names(layout, Role.COLOUR) == expand("beauty.RGB")
         assert names(found("beauty.RGB", "RGBA"), Role.COLOUR) == list("RGBA")
 
-    def test_half_a_layer_is_not_taken(self):
+    def test_half_a_layer_is_not_taken_and_it_is_said(self):
         layout = found("R", "forward.u", "Normal.XY", "Vector.XYZ")
         assert layout.roles == {} and layout.guess is None
+        assert layout.incomplete == {
+            Role.MOTION: "'Vector' has only X, Y, Z",
+            Role.NORMAL: "'Normal' has only X, Y",
+        }
+        with pytest.raises(LayoutError, match=r"motion channels.*\('Vector' has only X, Y, Z\)"):
+            require(layout, Role.MOTION, "x.exr")
+
+    def test_half_of_the_vectors_beside_whole_ones_is_said_too(self):
+        layout = found("RGB", "forward.uv", "backward.u")
+        assert layout.guess == PRESETS["forward"]
+        assert layout.incomplete == {Role.MOTION: "'backward' has only u"}
 
     def test_unknown_names(self):
         layout = found("foo.X", "bar.QW", "mask")
@@ -188,6 +241,62 @@ class TestUnreal:
         layout = detect({"MotionVector": channels(*"RGBA"), "SceneDepth": channels(*"RGBA")})
         assert [ref.component for ref in layout.roles[Role.MOTION]] == ["R", "G"]
         assert names(layout, Role.DEPTH) == ["R"]
+
+
+class TestThirdChannel:
+    """What may be a vector's length, or the alpha that it is premultiplied by."""
+
+    @pytest.mark.parametrize(
+        ("layers", "taken", "producer"),
+        [
+            (("RGBA", "motionvector.RGB"), ["R", "G", "B"], "Arnold"),
+            (("RGBA", "motionvector.RG", "N.XYZ"), ["R", "G"], "Arnold"),
+            (("RGBA", "motionvector.RG", "hitPz.R"), ["R", "G"], "Karma"),
+            (("RGBA", "velocity.XYZ"), ["X", "Y", "Z"], "V-Ray"),
+            (("RGBA", "velocity.RG", "renderId.R"), ["R", "G"], "V-Ray"),
+            (("RGBA", "velocity.RG"), ["R", "G"], "unknown"),
+            (("RGBA", "MotionVectors.RG"), ["R", "G"], "Redshift"),
+            (("RGBA", "motion_vectors.RG"), ["R", "G", "A"], "MoonRay"),
+            (("RGB", "motion_vectors.RG"), ["R", "G"], "MoonRay"),
+        ],
+    )
+    def test_it_is_taken_along(self, layers, taken, producer):
+        layout = found(*layers)
+        assert [ref.component for ref in layout.roles[Role.MOTION]] == taken
+        assert layout.producer == producer
+        assert layout.guess is None or layout.guess.count <= len(taken)
+
+    def test_the_guess_does_without_what_is_not_there(self):
+        assert found("RGB", "motion_vectors.RG").guess == MotionConvention(
+            None, AxisMap(0, 1, 0.5, -0.5), of_frame=True
+        )
+        assert found("RGB", "motionvector.RG", "P.XYZ").guess == PRESETS["forward"]
+
+    @pytest.mark.parametrize(
+        ("layer", "guess"),
+        [
+            ("motionFore.XY", MotionConvention(None, AxisMap(0, 1, 1, 1))),
+            ("motionBack.XY", MotionConvention(AxisMap(0, 1, 1, 1), None)),
+        ],
+    )
+    def test_one_direction_of_two(self, layer, guess):
+        layout = found("RGB", layer)
+        assert (layout.guess, layout.producer) == (guess, "RenderMan")
+
+
+@pytest.mark.parametrize(
+    "layer",
+    ["crypto_object", "crypto_object00", "A.CryptoMaterial02", "CryptoAsset00", "Cryptomatte00",
+     "ActorHitProxyMask00", "FinalImage_ActorHitProxyMask01"],
+)  # fmt: skip
+def test_cryptomatte_by_its_usual_names(layer):
+    assert is_cryptomatte(layer)
+    assert found(f"{layer}.RGBA").roles == {}
+
+
+@pytest.mark.parametrize("layer", ["object", "cryptid.mask", "HitProxy", "uCryptomatteManifest.x"])
+def test_other_names_are_no_cryptomatte(layer):
+    assert not is_cryptomatte(layer)
 
 
 class TestRequire:

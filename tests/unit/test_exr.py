@@ -6,6 +6,7 @@ import os
 import sys
 
 import numpy as np
+import OpenEXR
 import OpenImageIO as oiio
 import pytest
 
@@ -13,7 +14,17 @@ from exwarp_cli.domain.frame import Window
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, MissingFrameError
 from exwarp_cli.io.exr import ExrReader
 from exwarp_cli.io.frames import read_image, read_plane
-from tests.unit.exr_files import box, plane, rgba, write_parts, write_single
+from exwarp_cli.io.output import read_headers
+from tests.unit.exr_files import (
+    box,
+    deep_part,
+    plane,
+    rgba,
+    write_luminance_chroma,
+    write_parts,
+    write_single,
+    write_tiled,
+)
 
 
 def read_all(path):
@@ -70,6 +81,40 @@ class TestStructure:
         )
         parts, _ = read_all(path)
         assert [part.view for part in parts] == ["left", "right"]
+
+    @pytest.mark.parametrize("views", [("left", "right"), ("right",), ("a", "b", "c")])
+    def test_views_in_one_part_are_known(self, tmp_path, views):
+        path = write_single(tmp_path / "a.exr", rgba(3, 4), multiView=list(views))
+        parts, _ = read_all(path)
+        assert parts[0].views == views and parts[0].view == ""
+
+    @pytest.mark.parametrize(
+        ("part", "name"),
+        [
+            ("depth_left", "depth.Z"),
+            ("depth-left", "depth.Z"),
+            ("left.depth", "depth.Z"),
+            ("a.left.b", "a.b.Z"),
+            ("left", "Z"),
+            ("leftover", "leftover.Z"),
+            ("depth", "depth.Z"),
+        ],
+    )
+    def test_the_view_is_no_part_of_the_layer(self, tmp_path, part, name):
+        path = write_parts(
+            tmp_path / "a.exr",
+            {
+                part: ({"Z": plane(3, 4, 1)}, {"view": "left"}),
+                "o": ({"Z": plane(3, 4, 1)}, {"view": "right"}),
+            },
+        )
+        parts, _ = read_all(path)
+        assert [c.name for c in parts[0].channels] == [name]
+        assert parts[0].name == part and parts[0].channels[0].raw_name == "Z"
+
+    def test_plain_files_are_neither_tiled_nor_deep(self, tmp_path):
+        parts, _ = read_all(write_single(tmp_path / "a.exr", rgba(3, 4)))
+        assert (parts[0].tiled, parts[0].deep, parts[0].views) == (False, False, ())
 
 
 class TestPixels:
@@ -131,6 +176,46 @@ class TestPixels:
             read_image(path)
 
 
+class TestTiles:
+    """Tiles by OpenEXR's own library and by OpenImageIO; of several levels the full one is read."""
+
+    PLANES = rgba(37, 70, np.float32)
+
+    @pytest.mark.parametrize("levels", ["ONE_LEVEL", "MIPMAP_LEVELS", "RIPMAP_LEVELS"])
+    def test_every_kind_of_levels(self, tmp_path, levels):
+        path = write_tiled(tmp_path / "a.exr", self.PLANES, levels)
+        assert levels in str(read_headers(path)[0]["tiles"])
+        parts, found = read_all(path)
+        assert parts[0].tiled and parts[0].data_window == Window(0, 0, 70, 37)
+        for name, expected in self.PLANES.items():
+            np.testing.assert_array_equal(found[name], expected)
+
+    def test_a_texture_with_its_smaller_levels(self, tmp_path):
+        pixels = np.stack([self.PLANES[c] for c in "RGBA"], -1)
+        source = oiio.ImageBuf(oiio.ImageSpec(70, 37, 4, "float"))
+        assert source.set_pixels(oiio.ROI(), pixels)
+        path = tmp_path / "a.exr"
+        assert oiio.ImageBufAlgo.make_texture(oiio.MakeTxTexture, source, str(path))
+        file = oiio.ImageInput.open(str(path))
+        assert file.spec(0, 3).width == 8, "it has levels"
+        file.close()
+        np.testing.assert_array_equal(read_image(path).pixels, pixels)
+
+    def test_a_window_off_the_tiles(self, tmp_path):
+        spec = oiio.ImageSpec(70, 37, 4, "float")
+        spec.channelnames = ("R", "G", "B", "A")
+        spec.tile_width = spec.tile_height = 16
+        spec.x, spec.y, spec.full_width, spec.full_height = -3, 5, 64, 48
+        out = oiio.ImageOutput.create("a.exr")
+        assert out.open(str(tmp_path / "a.exr"), spec)
+        pixels = np.stack([self.PLANES[c] for c in "RGBA"], -1)
+        assert out.write_image(pixels) and out.close()
+        image = read_image(tmp_path / "a.exr")
+        assert image.data_window == Window(-3, 5, 70, 37)
+        assert image.display_window == Window(0, 0, 64, 48)
+        np.testing.assert_array_equal(image.pixels, pixels)
+
+
 def one_sentence(error: InputError, path: object) -> bool:
     text = str(error)
     return str(path) in text and "\n" not in text and "; " in text
@@ -167,6 +252,22 @@ class TestBadFiles:
         path = source.rename(tmp_path / "a.exr")
         with pytest.raises(DamagedFileError, match="png") as caught:
             ExrReader(path)
+        assert one_sentence(caught.value, path)
+
+    def test_channels_of_different_sizes(self, tmp_path):
+        path = write_luminance_chroma(tmp_path / "a.exr")
+        with pytest.raises(LayoutError, match=r"luminance and chroma .* write it as RGB") as caught:
+            ExrReader(path)
+        assert one_sentence(caught.value, path)
+
+    def test_deep_pixels(self, tmp_path):
+        path = tmp_path / "a.exr"
+        OpenEXR.File([deep_part(4, 5, "deep")]).write(str(path))
+        with (
+            ExrReader(path) as file,
+            pytest.raises(LayoutError, match=r"deep image.*--flatten") as caught,
+        ):
+            file.read(file.parts[0].channels)
         assert one_sentence(caught.value, path)
 
     def test_a_folder(self, tmp_path):

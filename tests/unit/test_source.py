@@ -11,85 +11,21 @@ import pytest
 from exwarp_cli.domain.motion import AxisMap, MotionConvention
 from exwarp_cli.domain.settings import DEFAULT_FPS, SourceSettings
 from exwarp_cli.domain.timeline import Slot, Timeline
-from exwarp_cli.errors import InputError, LayoutError, MissingFrameError, MotionError, UsageError
-from exwarp_cli.io.channels import PRESETS
+from exwarp_cli.errors import InputError, LayoutError, MissingFrameError, MotionError
 from exwarp_cli.io.frames import open_shot
+from exwarp_cli.io.producers import PRESETS
 from exwarp_cli.io.sequence import Sequence
+from exwarp_cli.pipeline.motion_option import motion_names
 from exwarp_cli.pipeline.source import (
     align,
     find_motion,
-    motion_names,
     open_source,
-    parse_motion,
     rate_of,
 )
 from tests.unit.exr_files import plane, rgba, write_single
 from tests.unit.scenes import town
 
-XYZW = ("X", "Y", "Z", "W")
 UV = ("forward.u", "forward.v", "backward.u", "backward.v")
-
-
-class TestParseMotion:
-    @pytest.mark.parametrize(
-        ("text", "names", "expected"),
-        [
-            ("previous=X,-Y", XYZW, MotionConvention(AxisMap(0, 1, 1, -1))),
-            ("next=-Z,W", XYZW, MotionConvention(None, AxisMap(2, 3, -1, 1))),
-            ("previous=X,-Y next=-Z,W", XYZW, PRESETS["blender"]),
-            ("next=-Z,W   previous=+X,-Y", XYZW, PRESETS["blender"]),
-            ("next=0.5*X,-0.25*Y", XYZW, MotionConvention(None, AxisMap(0, 1, 0.5, -0.25))),
-            ("next=1920*Y,1080*X", XYZW, MotionConvention(None, AxisMap(1, 0, 1920, 1080))),
-            ("next=forward.u,-forward.v", UV, MotionConvention(None, AxisMap(0, 1, 1, -1))),
-            ("previous=-backward.u,backward.v", UV, MotionConvention(AxisMap(2, 3, -1, 1))),
-        ],
-    )
-    def test_by_hand(self, text, names, expected):
-        assert parse_motion(text, names) == expected
-
-    @pytest.mark.parametrize("name", PRESETS)
-    def test_presets(self, name):
-        assert parse_motion(name, XYZW) == PRESETS[name]
-        assert parse_motion(f"  {name.upper()} ", XYZW) == PRESETS[name]
-
-    @pytest.mark.parametrize("name", PRESETS)
-    def test_what_is_described_can_be_given(self, name):
-        for names in (XYZW, UV):
-            assert parse_motion(PRESETS[name].describe(names), names) == PRESETS[name]
-
-    @pytest.mark.parametrize("name", ["blender", "forward+backward"])
-    def test_a_preset_of_more_channels_than_there_are(self, name):
-        with pytest.raises(UsageError, match="needs 4 motion channels and there are 2: u, v"):
-            parse_motion(name, ("u", "v"))
-
-    @pytest.mark.parametrize(
-        "text",
-        [
-            "X,Y",
-            "next=X",
-            "next=X,Y,Z",
-            "later=X,Y",
-            "next=X,Q",
-            "next=x,y",
-            "next=1..5*X,Y",
-            "next=.*X,Y",
-            "next=X*2,Y",
-            "next=--X,Y",
-            "next=X, Y",
-            "previous=X,Y nonsense",
-            "vray",
-        ],
-    )
-    def test_what_is_not_understood(self, text):
-        with pytest.raises(UsageError) as caught:
-            parse_motion(text, XYZW)
-        told = str(caught.value)
-        assert repr(text) in told and "previous=X,-Y" in told and "blender" in told
-
-    @pytest.mark.parametrize("text", ["", "   "])
-    def test_nothing(self, text):
-        with pytest.raises(UsageError, match="--motion is empty"):
-            parse_motion(text, XYZW)
 
 
 def sequence(numbers: range | list[int]) -> Sequence:

@@ -1,0 +1,42 @@
+"""Options that say how a sequence is read: its view, its AOVs' files, its channel map."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import click
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+def source_options(command: Command) -> Command:
+    """Add --view, --aov and --channel-map; the command takes `view`, `aovs` and `channel_map`."""
+    for option in reversed(
+        [
+            click.option(
+                "--view",
+                metavar="NAME",
+                help="Of a stereo or multi-view shot, read this view; else the channel map's, or "
+                "the first. Of a sequence for each view: with %V for its name in the pattern, %v "
+                "for its first letter.",
+            ),
+            click.option(
+                "--aov",
+                "aovs",
+                multiple=True,
+                metavar="ROLE=PATTERN[:CHANNELS]",
+                help="Take a role's channels from a sequence of its own, for example "
+                "motion=vec/shot.####.exr:R,G; may be repeated. Roles: colour, depth, motion, "
+                "normal, position, stencil …",
+            ),
+            click.option(
+                "--channel-map",
+                metavar="FILE",
+                help="TOML file that says which channels hold what; 'exwarp inspect SEQ "
+                "--write-channel-map FILE' writes one.",
+            ),
+        ]
+    ):
+        command = option(command)
+    return command

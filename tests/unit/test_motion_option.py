@@ -1,0 +1,157 @@
+"""The option --motion: reading it, and writing what it reads."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from exwarp_cli.domain.motion import AxisMap, MotionConvention
+from exwarp_cli.errors import UsageError
+from exwarp_cli.io.producers import PRESETS
+from exwarp_cli.pipeline.motion_option import parse_motion
+
+XYZW = ("X", "Y", "Z", "W")
+UV = ("forward.u", "forward.v", "backward.u", "backward.v")
+
+
+class TestParseMotion:
+    @pytest.mark.parametrize(
+        ("text", "names", "expected"),
+        [
+            ("previous=X,-Y", XYZW, MotionConvention(AxisMap(0, 1, 1, -1))),
+            ("next=-Z,W", XYZW, MotionConvention(None, AxisMap(2, 3, -1, 1))),
+            ("previous=X,-Y next=-Z,W", XYZW, PRESETS["blender"]),
+            ("next=-Z,W   previous=+X,-Y", XYZW, PRESETS["blender"]),
+            ("next=0.5*X,-0.25*Y", XYZW, MotionConvention(None, AxisMap(0, 1, 0.5, -0.25))),
+            ("next=1920*Y,1080*X", XYZW, MotionConvention(None, AxisMap(1, 0, 1920, 1080))),
+            ("next=forward.u,-forward.v", UV, MotionConvention(None, AxisMap(0, 1, 1, -1))),
+            ("previous=-backward.u,backward.v", UV, MotionConvention(AxisMap(2, 3, -1, 1))),
+        ],
+    )
+    def test_by_hand(self, text, names, expected):
+        assert parse_motion(text, names) == expected
+
+    @pytest.mark.parametrize("name", PRESETS)
+    def test_presets(self, name):
+        assert parse_motion(name, XYZW) == PRESETS[name]
+        assert parse_motion(f"  {name.upper()} ", XYZW) == PRESETS[name]
+
+    @pytest.mark.parametrize("name", PRESETS)
+    def test_what_is_described_can_be_given(self, name):
+        for names in (XYZW, UV):
+            assert parse_motion(PRESETS[name].describe(names), names) == PRESETS[name]
+
+    @pytest.mark.parametrize("name", ["blender", "forward+backward"])
+    def test_a_preset_of_more_channels_than_there_are(self, name):
+        with pytest.raises(UsageError, match="needs 4 motion channels and there are 2: u, v"):
+            parse_motion(name, ("u", "v"))
+
+    @pytest.mark.parametrize(
+        "text",
+        [
+            "X,Y",
+            "next=X",
+            "next=X,Y,Z",
+            "later=X,Y",
+            "next=X,Q",
+            "next=x,y",
+            "next=1..5*X,Y",
+            "next=.*X,Y",
+            "next=X*2,Y",
+            "next=--X,Y",
+            "next=X, Y",
+            "previous=X,Y nonsense",
+            "lightwave",
+            "next=R",
+            "next=width*X",
+            "next=(X-0.5),Y",
+            "next=X*Z,Y",
+            "next=X/W,Y",
+            "next=(X-),(Y-)",
+            "next=X-0.5,Y-0.5",
+            "next=(X,Y)",
+            "next=X*Q,Y*Q",
+            "next=width*2*X,Y",
+        ],
+    )
+    def test_what_is_not_understood(self, text):
+        with pytest.raises(UsageError) as caught:
+            parse_motion(text, XYZW)
+        told = str(caught.value)
+        assert repr(text) in told and "previous=X,-Y" in told and "blender" in told
+
+    @pytest.mark.parametrize("text", ["", "   "])
+    def test_nothing(self, text):
+        with pytest.raises(UsageError, match="--motion is empty"):
+            parse_motion(text, XYZW)
+
+
+RGBA, SIZE = ("R", "G", "B", "A"), (1920, 1080)
+
+
+class TestOtherForms:
+    @pytest.mark.parametrize(
+        ("text", "expected"),
+        [
+            ("next=(R-0.5),-(G-0.5)", AxisMap(0, 1, 1, -1, still=0.5)),
+            ("next=-1920*(R-0.5),1080*(G-0.5)", AxisMap(0, 1, -1920, 1080, still=0.5)),
+            ("next=2*(R+1),2*(G+1)", AxisMap(0, 1, 2, 2, still=-1)),
+            ("next=R*B,-G*B", AxisMap(0, 1, 1, -1, length=2)),
+            ("next=2*(R-0.5)*B,-2*(G-0.5)*B", AxisMap(0, 1, 2, -2, 0.5, length=2)),
+            ("next=R/A,-9*G/A", AxisMap(0, 1, 1, -9, alpha=3)),
+            ("next=9*(R/A-0.5),9*(G/A-0.5)", AxisMap(0, 1, 9, 9, 0.5, alpha=3)),
+            ("next=(R/A-0.5)*B,(G/A-0.5)*B", AxisMap(0, 1, 1, 1, 0.5, 2, 3)),
+            ("next=1e-05*R,2.5E+3*G", AxisMap(0, 1, 1e-05, 2500)),
+            ("next=width*R,-0.5*height*G", AxisMap(0, 1, 1920, -540)),
+            ("next=width*(R-0.5),-width*(G-0.5)", AxisMap(0, 1, 1920, -1920, still=0.5)),
+            ("next=width*R,G", AxisMap(0, 1, 1920, 1)),
+        ],
+    )
+    def test_by_hand(self, text, expected):
+        assert parse_motion(text, RGBA, SIZE) == MotionConvention(None, expected)
+
+    def test_shares_of_the_frame_stay_so_where_its_size_is_not_known(self):
+        found = parse_motion("next=width*R,-0.5*height*G", RGBA)
+        assert found == MotionConvention(None, AxisMap(0, 1, 1, -0.5), of_frame=True)
+        assert found.sized(*SIZE) == parse_motion("next=width*R,-0.5*height*G", RGBA, SIZE)
+        assert found.sized(*SIZE).sized(*SIZE) == found.sized(*SIZE)
+
+    @pytest.mark.parametrize("text", ["next=width*R,G", "next=width*R,width*G"])
+    def test_what_then_cannot_stay_so_is_refused(self, text):
+        with pytest.raises(UsageError, match="counts in frame sizes"):
+            parse_motion(text, RGBA)
+
+    def test_presets_count_in_the_frame_s_pixels(self):
+        found = parse_motion("moonray", ("R", "G", "A"), SIZE)
+        assert found == MotionConvention(None, AxisMap(0, 1, 960, -540, alpha=2))
+
+    @pytest.mark.parametrize(("name", "count"), [("moonray", 3), ("arnold", 3), ("nuke", 4)])
+    def test_a_preset_without_its_channels(self, name, count):
+        with pytest.raises(UsageError, match=f"needs {count} motion channels and there are 2"):
+            parse_motion(name, ("R", "G"), SIZE)
+
+    def test_names_with_signs_in_them(self):
+        names = ("my-fwd.u", "my-fwd.v", "a*b(c).u", "a*b(c).v")
+        found = parse_motion("next=2*my-fwd.u,-(my-fwd.v-0) previous=a*b(c).u,a*b(c).v", names)
+        expected = MotionConvention(AxisMap(2, 3, 1, 1), AxisMap(0, 1, 2, -1))
+        assert found == expected
+
+
+scales = st.floats(1e-6, 1e6).flatmap(lambda s: st.sampled_from([s, -s]))
+maps = st.builds(
+    AxisMap,
+    st.integers(0, 3),
+    st.integers(0, 3),
+    scales,
+    scales,
+    st.sampled_from([0.0, 0.5, -1.0, 1 / 3]),
+    st.sampled_from([None, 2]),
+    st.sampled_from([None, 3]),
+)
+
+
+@given(maps, st.one_of(st.none(), maps), st.booleans())
+def test_what_is_described_reads_back_as_itself(before, after, of_frame):
+    convention = MotionConvention(before, after, of_frame)
+    assert parse_motion(convention.describe(RGBA), RGBA) == convention
