@@ -68,6 +68,89 @@ def filtered(options: Sequence[str], data: bytes) -> bytes:
     return done.stdout
 
 
+def told(options: Sequence[str]) -> tuple[bytes, str]:
+    """Run ffmpeg without input from here, and return what it writes and what it says.
+
+    Parameters
+    ----------
+    options
+        Without the program's name; they write to ``-``. What ffmpeg reads is closed.
+
+    Raises
+    ------
+    FfmpegError
+        When ffmpeg does not start, or fails.
+    """
+    try:
+        done = subprocess.run(
+            _command(("-nostdin", *options)), capture_output=True, check=False, process_group=0
+        )
+    except (OSError, RuntimeError) as error:
+        raise _no_start(error) from error
+    if done.returncode:
+        raise _ended(done.stderr, done.returncode)
+    return done.stdout, done.stderr.decode("utf-8", "replace")
+
+
+class Drain(Held):
+    """One run of ffmpeg whose output is read here; a context manager.
+
+    Left before the end, it ends ffmpeg.
+
+    Parameters
+    ----------
+    options
+        Without the program's name; they write to ``-``.
+
+    Raises
+    ------
+    FfmpegError
+        When ffmpeg does not start.
+    """
+
+    def __init__(self, options: Sequence[str]) -> None:
+        self._options = options
+
+    def _open(self, stack: ExitStack) -> None:
+        log: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 - the stack closes it
+        self._log = stack.enter_context(log)
+        try:
+            self._ffmpeg = subprocess.Popen(
+                _command(("-nostdin", *self._options)),
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=self._log,
+                process_group=0,
+            )
+        except (OSError, RuntimeError) as error:
+            raise _no_start(error) from error
+        stack.callback(self._kill)
+
+    def read(self, size: int) -> bytes | None:
+        """Return the next `size` bytes; None at the end, or where fewer are left.
+
+        Raises
+        ------
+        FfmpegError
+            When ffmpeg failed.
+        """
+        assert self._ffmpeg.stdout is not None
+        data = self._ffmpeg.stdout.read(size)
+        if len(data) == size:
+            return data
+        if self._ffmpeg.wait() != 0:
+            self._log.seek(0)
+            raise _ended(self._log.read(), self._ffmpeg.returncode)
+        return None
+
+    def _kill(self) -> None:
+        if self._ffmpeg.poll() is None:
+            self._ffmpeg.kill()
+        if self._ffmpeg.stdout is not None:
+            self._ffmpeg.stdout.close()
+        self._ffmpeg.wait()
+
+
 class Feed(Held):
     """One run of ffmpeg that reads frames from here; a context manager.
 

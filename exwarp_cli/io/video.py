@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import re
 from contextlib import ExitStack
+from dataclasses import dataclass
 from fractions import Fraction
+from functools import cache
 from pathlib import Path
 from types import TracebackType
 
 import numpy as np
+import numpy.typing as npt
 
+from exwarp_cli.domain.curves import SRGB
 from exwarp_cli.domain.frame import Float32, UInt8
 from exwarp_cli.errors import OutputError, UsageError
 from exwarp_cli.io.atomic import atomic_path
-from exwarp_cli.io.ffmpeg import RAW_INPUT, TO_VIDEO, Feed, FfmpegError, even
+from exwarp_cli.io.ffmpeg import EXACT, RAW_INPUT, Feed, FfmpegError, even, told
+
+UInt16 = npt.NDArray[np.uint16]
 
 CONTAINERS = {".mp4": "mp4", ".mov": "mov"}
 """ffmpeg's name of the container by file suffix."""
@@ -20,10 +27,93 @@ CONTAINERS = {".mp4": "mp4", ".mov": "mov"}
 QUALITY_CRF = 16
 """Constant rate factor of libx264, 0 to 51: 16 cannot be told from the frames by eye."""
 
-# The encoder labels the video with what the filters say.
-_FILTERS = (
-    f"{TO_VIDEO},setparams=range=tv:colorspace=bt709:color_primaries=bt709:color_trc=iec61966-2-1"
-)
+MATRICES = {
+    "bt709": "bt709",
+    "smpte170m": "smpte170m",
+    "bt470bg": "bt470",
+    "fcc": "fcc",
+    "smpte240m": "smpte240m",
+    "bt2020nc": "bt2020",
+}
+"""Matrices of Y'CbCr as files are labelled, with the names that the filter ``scale`` has."""
+
+COPIED_AUDIO = {
+    "mp4": frozenset({"aac", "ac3", "alac", "eac3", "flac", "mp3", "opus"}),
+    "mov": frozenset({"aac", "ac3", "alac", "eac3", "mp3", "pcm_s16le", "pcm_s24le", "pcm_s16be"}),
+}
+"""Codecs that are copied into each container as they are, since players of it know them."""
+
+AUDIO = "-c:a aac -b:a 256k"
+"""What other sound becomes."""
+
+
+@dataclass(frozen=True)
+class VideoColour:
+    """How a video's numbers mean colour: ffmpeg's names, as the encoder is to label them.
+
+    Attributes
+    ----------
+    matrix
+        Of Y'CbCr, one of `MATRICES`.
+    primaries, transfer
+        By ffmpeg's names, "unknown" among them.
+    full_range
+        Whether 0 to 255 are used, else 16 to 235.
+    """
+
+    matrix: str = "bt709"
+    primaries: str = "bt709"
+    transfer: str = "iec61966-2-1"
+    full_range: bool = False
+
+    @property
+    def range(self) -> str:
+        """The range by the name that filters take."""
+        return "pc" if self.full_range else "tv"
+
+
+@dataclass(frozen=True)
+class Soundtrack:
+    """The sound that a video takes over from another.
+
+    Attributes
+    ----------
+    path
+        The other video.
+    codecs
+        Of its audio streams, by ffmpeg's names; empty where it is silent.
+    start
+        Seconds from its beginning to the first frame that is written.
+    length
+        Seconds to take; None for all.
+    """
+
+    path: Path
+    codecs: tuple[str, ...]
+    start: Fraction = Fraction(0)
+    length: Fraction | None = None
+
+
+@dataclass(frozen=True)
+class VideoLook:
+    """What a video is like beside its size and rate.
+
+    Attributes
+    ----------
+    colour
+        The default suits rendered frames on a display.
+    pixel_aspect
+        Width of a pixel by its height.
+    sound
+        None for a silent video.
+    note
+        What the video was made of, kept as its comment; see `video_note`.
+    """
+
+    colour: VideoColour = VideoColour()
+    pixel_aspect: Fraction = Fraction(1)
+    sound: Soundtrack | None = None
+    note: str = ""
 
 
 def to_display(pixels: Float32, exposure_stops: float = 0.0) -> UInt8:
@@ -54,12 +144,49 @@ def to_display(pixels: Float32, exposure_stops: float = 0.0) -> UInt8:
     return rounded
 
 
+def from_display(shown: UInt8 | UInt16) -> Float32:
+    """Turn sRGB codes into scene-linear colour: what `to_display` undoes for 8 bits.
+
+    Parameters
+    ----------
+    shown
+        uint8 or uint16 of any shape; the type's largest value is white.
+
+    Returns
+    -------
+    numpy.ndarray
+        float32 of the same shape, 0 to 1 (IEC 61966-2-1).
+    """
+    linear: Float32 = _linear_table(shown.dtype.itemsize)[shown]
+    return linear
+
+
+@cache
+def _linear_table(size: int) -> Float32:
+    return SRGB.to_linear(np.linspace(0, 1, 256**size, dtype=np.float32))
+
+
 def require_container(path: Path) -> None:
     """Refuse a video whose suffix names no container that is written; raises UsageError."""
     if path.suffix.lower() not in CONTAINERS:
         raise UsageError(
             f"the video {path} is neither .mp4 nor .mov; choose a name with one of the two"
         )
+
+
+def video_note(path: Path) -> str | None:
+    """Return the note of a video; None without one, and for what cannot be read as a video.
+
+    A video that `VideoWriter` put in place is whole, so the note alone tells a good one.
+    """
+    if not path.is_file():
+        return None
+    try:
+        listed, _ = told(["-i", f"file:{path}", "-f", "ffmetadata", "-"])
+    except FfmpegError:
+        return None
+    found = re.search(r"^comment=(.*)$", listed.decode("utf-8", "replace"), re.MULTILINE)
+    return None if found is None else re.sub(r"\\(.)", r"\1", found[1])
 
 
 class VideoWriter:
@@ -78,6 +205,8 @@ class VideoWriter:
     fps
         Frames per second, kept exactly: `Fraction` (120000, 1001), or the nearest fraction of
         a float.
+    look
+        Colour, pixels and sound.
 
     Raises
     ------
@@ -87,13 +216,21 @@ class VideoWriter:
         When ffmpeg is missing or fails, or the video cannot be written.
     """
 
-    def __init__(self, path: Path, width: int, height: int, fps: Fraction | float) -> None:
+    def __init__(
+        self,
+        path: Path,
+        width: int,
+        height: int,
+        fps: Fraction | float,
+        look: VideoLook | None = None,
+    ) -> None:
         require_container(path)
         if not 0 < fps < float("inf"):
             raise UsageError(f"the frame rate {fps} of the video is not a positive number")
         self._path = path
         self._shape = (height, width, 3)
         self._rate = Fraction(fps).limit_denominator(100_000)
+        self._look = look or VideoLook()
         self._stack = ExitStack()
         self._count = 0
 
@@ -139,11 +276,46 @@ class VideoWriter:
         source = RAW_INPUT.format(
             width=width + width % 2, height=height + height % 2, rate=self._rate
         )
-        options = (
-            f"{source} -vf {_FILTERS} -c:v libx264 -crf {QUALITY_CRF} -pix_fmt yuv420p "
-            f"-movflags +faststart -f {container}"
+        options = [
+            *source.split(),
+            *self._sound_in(),
+            *("-vf", self._filters(), "-c:v", "libx264", "-crf", str(QUALITY_CRF)),
+            *("-pix_fmt", "yuv420p"),
+            *self._sound_out(container),
+            *(("-metadata", f"comment={self._look.note}") if self._look.note else ()),
+            *("-movflags", "+faststart", "-f", container),
+        ]
+        return [*options, f"file:{target}"]
+
+    def _filters(self) -> str:
+        """Turn sRGB codes into the video's colour, and say so: the encoder labels it with that."""
+        look, colour = self._look, self._look.colour
+        labels = (
+            f"range={colour.range}:colorspace={colour.matrix}:"
+            f"color_primaries={colour.primaries}:color_trc={colour.transfer}"
         )
-        return [*options.split(), f"file:{target}"]
+        aspect = f"{look.pixel_aspect.numerator}/{look.pixel_aspect.denominator}"
+        return (
+            f"scale=out_color_matrix={MATRICES[colour.matrix]}:out_range={colour.range}:{EXACT},"
+            f"setparams={labels},setsar={aspect}"
+        )
+
+    def _sound_in(self) -> list[str]:
+        sound = self._look.sound
+        if sound is None or not sound.codecs:
+            return []
+        part = ["-ss", f"{float(sound.start):.6f}"] if sound.start > 0 else []
+        if sound.length is not None:
+            part += ["-t", f"{float(sound.length):.6f}"]
+        return [*part, "-i", f"file:{sound.path}"]
+
+    def _sound_out(self, container: str) -> list[str]:
+        sound = self._look.sound
+        if sound is None or not sound.codecs:
+            return []
+        known = COPIED_AUDIO[container].issuperset(sound.codecs)
+        coded = ["-c:a", "copy"] if known else AUDIO.split()
+        return ["-map", "0:v", "-map", "1:a", *coded, "-map_metadata", "1"]
 
     def _finish(self) -> None:
         try:

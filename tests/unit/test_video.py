@@ -12,7 +12,15 @@ import numpy as np
 import pytest
 
 from exwarp_cli.errors import OutputError, UsageError
-from exwarp_cli.io.video import VideoWriter, to_display
+from exwarp_cli.io.video import (
+    Soundtrack,
+    VideoColour,
+    VideoLook,
+    VideoWriter,
+    from_display,
+    to_display,
+    video_note,
+)
 
 
 def ffmpeg(*arguments: str) -> subprocess.CompletedProcess[bytes]:
@@ -66,6 +74,82 @@ class TestToDisplay:
         pixels = np.full((2, 3, 4), np.nan, np.float32)
         assert to_display(pixels).shape == (2, 3, 3)
         assert np.isnan(pixels).all()
+
+
+class TestFromDisplay:
+    def test_eight_bits_come_back(self):
+        codes = np.arange(256, dtype=np.uint8).reshape(1, 256, 1).repeat(3, axis=2)
+        assert np.array_equal(to_display(from_display(codes)), codes)
+
+    def test_both_depths_against_the_standard(self):
+        for dtype, top in ((np.uint8, 255), (np.uint16, 65535)):
+            codes = np.array([0, 1, top // 30, top // 2, top], dtype)
+            exact = codes / top
+            linear = np.where(exact <= 0.04045, exact / 12.92, ((exact + 0.055) / 1.055) ** 2.4)
+            assert np.allclose(from_display(codes), linear, rtol=1e-5)
+
+
+class TestLook:
+    def written(self, path: Path, look: VideoLook, frames: int = 10) -> str:
+        with VideoWriter(path, 32, 32, 10, look) as video:
+            for _ in range(frames):
+                video.write(flat(32, 32, 90, 20, 60))
+        return ffmpeg("-i", str(path)).stderr.decode()
+
+    def sound(self, path: Path, codec: str) -> Path:
+        tone = ("-f", "lavfi", "-i", "sine=d=2", "-metadata", "title=Night")
+        assert ffmpeg("-y", *tone, "-c:a", codec, str(path)).returncode == 0
+        return path
+
+    def test_colour_and_pixels_are_labelled(self, tmp_path):
+        colour = VideoColour("smpte170m", "smpte170m", "unknown", full_range=True)
+        told = self.written(tmp_path / "a.mp4", VideoLook(colour, Fraction(4, 3)))
+        assert "(pc, smpte170m/smpte170m/unknown" in told and "SAR 4:3" in told
+
+    @pytest.mark.parametrize(
+        ("codec", "name", "target", "becomes"),
+        [
+            ("aac", "aac", "a.mp4", "aac"),
+            ("pcm_s16le", "pcm_s16le", "a.mov", "pcm_s16le"),
+            ("pcm_s16le", "pcm_s16le", "a.mp4", "aac"),
+            ("libopus", "opus", "a.mp4", "opus"),
+            ("libopus", "opus", "a.mov", "aac"),
+        ],
+    )
+    def test_sound_is_copied_where_players_know_it(self, tmp_path, codec, name, target, becomes):
+        source = self.sound(tmp_path / "s.mkv", codec)
+        told = self.written(tmp_path / target, VideoLook(sound=Soundtrack(source, (name,))))
+        assert re.search(rf"Audio: {becomes}\b", told) and "title           : Night" in told
+
+    def test_the_sound_of_a_part(self, tmp_path):
+        source = self.sound(tmp_path / "s.mkv", "pcm_s16le")
+        whole = Soundtrack(source, ("pcm_s16le",))
+        part = Soundtrack(source, ("pcm_s16le",), Fraction(1, 2), Fraction(1))
+        end = Soundtrack(source, ("pcm_s16le",), Fraction(3, 2))
+        rest = Soundtrack(source, ("pcm_s16le",), Fraction(1, 2), Fraction(7, 4))
+        cases = ((whole, "02.0"), (part, "01.0"), (end, "00.5"), (rest, "01.5"))
+        for sound, seconds in cases:
+            told = self.written(tmp_path / "a.mov", VideoLook(sound=sound), frames=3)
+            assert f"Duration: 00:00:{seconds}" in told
+
+    @pytest.mark.parametrize("suffix", ["mp4", "mov"])
+    def test_a_note_is_kept(self, tmp_path, suffix):
+        path, source = tmp_path / f"a.{suffix}", self.sound(tmp_path / "s.mkv", "aac")
+        note = 'exwarp {"recipe": "ab=c;d#e\\f", "method": "softsplat"}'
+        self.written(path, VideoLook(sound=Soundtrack(source, ("aac",)), note=note))
+        assert video_note(path) == note
+        self.written(path, VideoLook())
+        assert video_note(path) is None
+
+    def test_there_is_no_note_where_there_is_no_video(self, tmp_path):
+        assert video_note(tmp_path / "none.mp4") is None
+        (tmp_path / "a.mp4").write_bytes(b"no video")
+        assert video_note(tmp_path / "a.mp4") is None
+
+    def test_silence(self, tmp_path):
+        source = self.sound(tmp_path / "s.mkv", "aac")
+        told = self.written(tmp_path / "a.mp4", VideoLook(sound=Soundtrack(source, ())))
+        assert "Audio" not in told and "Night" not in told
 
 
 class TestVideoWriter:

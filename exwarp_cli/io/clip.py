@@ -1,0 +1,329 @@
+"""Reading plain video: what a file holds, and its frames as scene-linear colour.
+
+The ffmpeg that imageio-ffmpeg ships comes without ffprobe. Its format ``framecrc`` lists every
+packet's time without decoding one, and its filter ``showinfo`` prints what the decoder knows of the
+first frame; both have kept their form for many years.
+"""
+
+from __future__ import annotations
+
+import re
+from bisect import bisect_right
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+
+from exwarp_cli.domain.frame import Float32
+from exwarp_cli.errors import DamagedFileError, InputError
+from exwarp_cli.io.clip_timing import Pacing, Packets, pace, read_packets
+from exwarp_cli.io.ffmpeg import EXACT, Drain, FfmpegError, told
+from exwarp_cli.io.held import Held
+from exwarp_cli.io.video import (
+    MATRICES,
+    Soundtrack,
+    VideoColour,
+    VideoLook,
+    from_display,
+)
+
+CLIPS = (".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".mxf", ".mpg", ".mpeg", ".ts", ".mts")
+"""Suffixes of the videos that are read, in lower case."""
+
+HD_ROWS = 720
+"""From as many rows on, a video that does not say its matrix has that of BT.709, else BT.601."""
+
+_HDR = {"smpte2084": "PQ", "arib-std-b67": "HLG"}
+_INDEXED = ("mov,mp4", "matroska")  # containers whose table of frames seeking can rely on
+_ALPHA = re.compile(r"(yuva|gbra|rgba|bgra|argb|abgr|ya)[0-9a-z]*")
+_RGB = re.compile(r"gbr|rgb|bgr|argb|abgr|0rgb|0bgr|pal8|x2rgb|x2bgr")
+_DEEP = re.compile(r"(9|10|12|14|16|32|48|64)(le|be)")
+
+
+@dataclass(frozen=True)
+class Clip:
+    """A video that was looked into.
+
+    Attributes
+    ----------
+    path
+        The file.
+    width, height
+        Of its frames as players show them, turned upright, in pixels.
+    pacing
+        Frame rate, and which of the file's frames is shown at each instant of it.
+    look
+        Its colour, pixel aspect and sound, for a video made of it.
+    has_alpha
+        Whether it has an alpha channel, which is left out.
+    deep
+        Whether it has more than 8 bits a channel; then 16 are decoded.
+    """
+
+    path: Path
+    width: int
+    height: int
+    pacing: Pacing
+    look: VideoLook
+    has_alpha: bool
+    deep: bool
+    _packets: Packets
+    _indexed: bool
+
+    @property
+    def rate(self) -> Fraction:
+        """Frames per second, exactly."""
+        return self.pacing.rate
+
+    @property
+    def count(self) -> int:
+        """Number of frames at this rate."""
+        return len(self.pacing.shown)
+
+    def sound(self, start: int = 0, stop: int | None = None) -> Soundtrack | None:
+        """Return the sound that goes with the frames [start, stop); None where it is silent."""
+        whole = self.look.sound
+        if whole is None:
+            return None
+        length = None if stop is None else (stop - start) / self.rate
+        return Soundtrack(whole.path, whole.codecs, whole.start + start / self.rate, length)
+
+    def frames(self, start: int = 0, stop: int | None = None) -> Iterator[Float32]:
+        """Decode the frames [start, stop), one at a time.
+
+        Yields
+        ------
+        float32 [H, W, 3]
+            Scene-linear, 0 to 1, by the sRGB curve: what `to_display` undoes. The same pixels
+            wherever decoding starts.
+
+        Raises
+        ------
+        DamagedFileError
+            When the video cannot be decoded, or ends early.
+        """
+        for code in self._codes(start, self.count if stop is None else stop):
+            yield from_display(code)
+
+    def _codes(self, start: int, stop: int) -> Iterator[np.ndarray]:
+        """Decode frames as uint8 or uint16 [H, W, 3]."""
+        shown = self.pacing.shown[start:stop]
+        if not shown:
+            return
+        dtype, name = (np.dtype("<u2"), "rgb48le") if self.deep else (np.dtype("u1"), "rgb24")
+        size = self.width * self.height * 3 * dtype.itemsize
+        at, data = shown[0] - 1, b""
+        try:
+            with Drain(self._options(shown[0], name)) as ffmpeg:
+                for index, source in enumerate(shown, start=start):
+                    while at < source:
+                        found = ffmpeg.read(size)
+                        if found is None:
+                            raise self._ends(index)
+                        at, data = at + 1, found
+                    yield np.frombuffer(data, dtype).reshape(self.height, self.width, 3)
+        except FfmpegError as error:
+            raise damaged_clip(self.path, str(error)) from error
+
+    def _ends(self, index: int) -> DamagedFileError:
+        return damaged_clip(self.path, f"it ends after {index} of {self.count} frames")
+
+    def _options(self, first: int, pixels: str) -> list[str]:
+        """Return what makes ffmpeg write the file's frames from one on."""
+        matrix = MATRICES[self.look.colour.matrix]
+        convert = (
+            f"scale={self.width}:{self.height}:in_color_matrix={matrix}:"
+            f"out_range=pc:{EXACT},format={pixels}"
+        )
+        seek = self._seek(first)
+        begin = [] if seek is None else ["-ss", f"{float(seek):.6f}"]
+        if self._packets.times:
+            # Half a frame before its time, as both are rounded.
+            since = self._packets.time(first) - (seek or 0) - self._packets.least_step / 2
+            cut = f"trim=start={max(float(since), 0):.6f}"
+        else:
+            cut = f"trim=start_frame={first}"
+        return [
+            *("-xerror", *begin, "-i", f"file:{self.path}", "-map", "0:V:0"),
+            *("-vf", f"{cut},{convert}", "-fps_mode", "passthrough"),
+            *("-f", "rawvideo", "-pix_fmt", pixels, "-"),
+        ]
+
+    def _seek(self, first: int) -> Fraction | None:
+        """Return the time in seconds to seek to before a frame; None to decode from the start.
+
+        What is shown before a key frame but comes after it in the file, an open group of pictures,
+        needs the key frame before; by the order of showing it is behind that one.
+        """
+        keys = self._packets.keys
+        before = bisect_right(keys, first) - 1
+        if not self._indexed or before < 1 or self._packets.least_step <= 0:
+            return None
+        return self._packets.time(keys[before])
+
+
+class ClipReader(Held):
+    """Frames of a video by their index, cheaply as long as that grows; a context manager.
+
+    Parameters
+    ----------
+    clip
+        The video.
+    """
+
+    def __init__(self, clip: Clip) -> None:
+        self._clip = clip
+        self._next = 0
+        self._frames: Iterator[Float32] | None = None
+        self._last: tuple[int, Float32] | None = None
+
+    def _open(self, stack: ExitStack) -> None:
+        stack.callback(self._rest)
+
+    def read(self, index: int) -> Float32:
+        """Return a frame, float32 [H, W, 3], scene-linear; raises DamagedFileError."""
+        if self._last is not None and self._last[0] == index:
+            return self._last[1]
+        if self._frames is None or index < self._next:
+            self._rest()
+            self._frames, self._next = self._clip.frames(index), index
+        for frame in self._frames:
+            self._next += 1
+            if self._next > index:
+                self._last = index, frame
+                return frame
+        raise IndexError(f"{self._clip.path} has no frame {index}")
+
+    def _rest(self) -> None:
+        """Stop decoding."""
+        if self._frames is not None:
+            self._frames.close()  # type: ignore[attr-defined]  # a generator
+        self._frames = None
+
+
+def is_clip(spec: str) -> bool:
+    """Whether what a user names is a video rather than a sequence of images."""
+    path = Path(spec)
+    return path.suffix.lower() in CLIPS and not path.is_dir()
+
+
+def open_clip(path: Path) -> Clip:
+    """Look into a video.
+
+    Raises
+    ------
+    InputError
+        When there is no such file, or it is HDR or interlaced.
+    DamagedFileError
+        When it cannot be read as video.
+    """
+    if not path.is_file():
+        raise InputError(f"there is no video {path}; check the path")
+    try:
+        packets = read_packets(path)
+        said = _first_frame(path)
+    except FfmpegError as error:
+        raise damaged_clip(path, str(error)) from error
+    seen = _Seen.parse(path, said)
+    sound = None
+    if seen.codecs:
+        sound = Soundtrack(path, seen.codecs, max(packets.time(0), Fraction(0)))
+    return Clip(
+        path,
+        *seen.size,
+        pace(packets, seen.rate),
+        VideoLook(seen.colour, seen.aspect, sound),
+        _ALPHA.fullmatch(seen.pixels) is not None,
+        _DEEP.search(seen.pixels) is not None,
+        packets,
+        seen.container.startswith(_INDEXED),
+    )
+
+
+def damaged_clip(path: Path, why: str) -> DamagedFileError:
+    """Return the error for a video that cannot be decoded."""
+    return DamagedFileError(f"cannot read the video {path}: {why}; export it again")
+
+
+def _first_frame(path: Path) -> str:
+    """Return what ffmpeg says of a file and of its first frame."""
+    look = ["-frames:v", "1", "-vf", "showinfo=checksum=0", "-f", "null", "-"]
+    _, said = told(["-v", "info", "-hide_banner", "-i", f"file:{path}", "-map", "0:V:0", *look])
+    return said
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """What ffmpeg says of a video; attributes as in `Clip`."""
+
+    container: str
+    size: tuple[int, int]
+    aspect: Fraction
+    pixels: str
+    rate: Fraction | None
+    colour: VideoColour
+    codecs: tuple[str, ...]
+
+    @classmethod
+    def parse(cls, path: Path, said: str) -> _Seen:
+        """Read what it prints; raises InputError for what cannot be upsampled as it is."""
+        container = re.search(r"^Input #0, (\S+), from", said, re.MULTILINE)
+        frame = re.search(
+            r"showinfo.* fmt:(?P<fmt>\S+) .*sar:(?P<sar>\d+/\d+) s:(?P<w>\d+)x(?P<h>\d+) "
+            r"i:(?P<scan>\S)",
+            said,
+        )
+        if container is None or frame is None:
+            raise damaged_clip(path, "no frame can be decoded")
+        if frame["scan"] in "TB":
+            raise InputError(
+                f"the video {path} is interlaced, and frames are upsampled here, not fields; "
+                "deinterlace it first, for example by ffmpeg's filter bwdif"
+            )
+        tags = dict(re.findall(r"\b(color_\w+):(\S+)", said.replace(":reserved", ":unknown")))
+        transfer = tags.get("color_trc", "unknown")
+        if transfer in _HDR:
+            raise InputError(
+                f"the video {path} is HDR ({_HDR[transfer]}), and only SDR video is read; convert "
+                "it to SDR first, or give the frames as OpenEXR"
+            )
+        size = int(frame["w"]), int(frame["h"])
+        num, den = map(int, frame["sar"].split("/"))
+        rate = re.search(r"showinfo.*frame_rate: (\d+)/([1-9]\d*)", said)
+        return cls(
+            container[1],
+            size,
+            Fraction(num, den) if num and den else Fraction(1),
+            frame["fmt"],
+            Fraction(int(rate[1]), int(rate[2])) if rate else None,
+            _colour(path, tags, size[1], frame["fmt"]),
+            tuple(re.findall(r"^\s*Stream #0:.*: Audio: (\w+)", _input_part(said), re.MULTILINE)),
+        )
+
+
+def _input_part(said: str) -> str:
+    """Return what is said of the input, without the output."""
+    return said.partition("Stream mapping:")[0].partition("Output #0")[0]
+
+
+def _colour(path: Path, tags: dict[str, str], rows: int, pixels: str) -> VideoColour:
+    """Return what the colour codes mean, with the usual guesses where the file does not tell."""
+    matrix, full_range = tags.get("color_space", "unknown"), tags.get("color_range") == "pc"
+    if matrix == "gbr" or _RGB.match(pixels):
+        matrix, full_range = "bt709", False  # it has neither, and the video made of it needs both
+    elif matrix == "unknown":
+        matrix = "bt709" if rows >= HD_ROWS else "smpte170m"
+    elif matrix not in MATRICES:
+        raise InputError(
+            f"the video {path} has the colour matrix {matrix}, which is not known here; "
+            "convert it to BT.709 first"
+        )
+    return VideoColour(
+        matrix,
+        tags.get("color_primaries", "unknown"),
+        tags.get("color_trc", "unknown"),
+        full_range=full_range or pixels.startswith("yuvj"),
+    )

@@ -1,0 +1,176 @@
+"""When the frames of a video are shown: times of packets, and the rate that they stand for."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from dataclasses import dataclass
+from fractions import Fraction
+from itertools import pairwise
+from pathlib import Path
+from statistics import median
+
+from exwarp_cli.io.ffmpeg import FfmpegError, told
+
+DISCARD = 4
+"""ffmpeg's flag of packets that an edit list hides."""
+
+KEY = 1
+"""ffmpeg's flag of packets that decoding can start at."""
+
+WHOLE_RATES = (8, 10, 12, 12.5, 15, 16, 18, 20, 24, 25, 30, 48, 50, 60, 90, 100, 120, 240)
+"""Rates that are meant; each also 1000/1001 times as fast, as television has it."""
+
+SNAP = 0.004
+"""Share by which a measured rate may miss one that is meant."""
+
+
+@dataclass(frozen=True)
+class Packets:
+    """The packets of a video stream, one a frame, in the order in which they are shown.
+
+    Attributes
+    ----------
+    times
+        Of each, in ticks; empty where the file tells none, as a raw stream does.
+    tick
+        Seconds.
+    keys
+        Indices of those that decoding can start at, ascending.
+    count
+        Number of frames.
+    """
+
+    times: tuple[int, ...]
+    tick: Fraction
+    keys: tuple[int, ...]
+    count: int
+
+    def time(self, index: int) -> Fraction:
+        """Return when a frame is shown, in seconds; 0 where no times are told."""
+        return self.times[index] * self.tick if self.times else Fraction(0)
+
+    @property
+    def least_step(self) -> Fraction:
+        """Smallest time between two frames, in seconds; 0 where that is not known."""
+        return min((b - a for a, b in pairwise(self.times)), default=0) * self.tick
+
+
+@dataclass(frozen=True)
+class Pacing:
+    """A video at a constant frame rate.
+
+    Attributes
+    ----------
+    rate
+        Frames per second, exactly.
+    shown
+        For each instant, the index of the file's frame that is shown.
+    varies
+        Whether the file's own rate varies by more than its times are rounded.
+    """
+
+    rate: Fraction
+    shown: tuple[int, ...]
+    varies: bool = False
+
+    @property
+    def repeated(self) -> int:
+        """How many frames are shown again, since the file has none at their instant."""
+        return len(self.shown) - len(set(self.shown))
+
+    @property
+    def skipped(self) -> int:
+        """How many of the file's frames are never shown."""
+        return self.shown[-1] - self.shown[0] + 1 - len(set(self.shown)) if self.shown else 0
+
+
+def read_packets(path: Path) -> Packets:
+    """List the packets of a file's first video stream, without decoding.
+
+    Raises
+    ------
+    FfmpegError
+        When there is none, or the file cannot be read.
+    """
+    listed, _ = told(["-i", f"file:{path}", "-map", "0:V:0", "-c", "copy", "-f", "framecrc", "-"])
+    return parse_packets(listed.decode("ascii", "replace"))
+
+
+def parse_packets(listed: str) -> Packets:
+    """Read the lines of ffmpeg's format ``framecrc``; raises FfmpegError without any packet."""
+    tick = Fraction(1)
+    found: list[tuple[int | None, bool]] = []
+    for line in listed.splitlines():
+        if line.startswith("#tb 0:"):
+            tick = Fraction(line.partition(":")[2].strip())
+        elif line and not line.startswith("#"):
+            fields = [field.strip() for field in line.split(",")]
+            flags = next((int(f[2:], 16) for f in fields[6:] if f.startswith("F=")), KEY)
+            if not flags & DISCARD:
+                told_time = None if fields[2] == "NOPTS" else int(fields[2])
+                found.append((told_time, bool(flags & KEY)))
+    if not found:
+        raise FfmpegError("it has no frames")
+    times = [time for time, _ in found if time is not None]
+    if len(times) < len(found) or len(set(times)) < len(times):
+        return Packets((), tick, (), len(found))
+    order = sorted(range(len(found)), key=times.__getitem__)
+    # What is shown before the first key frame needs frames that were cut away.
+    first = next((index for index, place in enumerate(order) if found[place][1]), 0)
+    order = order[first:]
+    keys = tuple(index for index, place in enumerate(order) if found[place][1])
+    return Packets(tuple(times[place] for place in order), tick, keys, len(order))
+
+
+def pace(packets: Packets, said: Fraction | None) -> Pacing:
+    """Find the constant rate of a video.
+
+    Parameters
+    ----------
+    packets
+        Its packets.
+    said
+        The rate that its header has; None where it has none.
+
+    Returns
+    -------
+    Pacing
+        Where every frame lies nearest to an instant of its own at some rate, frames are taken one
+        by one. Else, as phones drop frames in the dark, the rate is that of most frames, and each
+        instant shows the frame that is there by then.
+    """
+    usual = said if said is not None and said > 0 else Fraction(30)
+    if packets.count < 2 or not packets.times:
+        return Pacing(usual, tuple(range(packets.count)))
+    seconds = [(time - packets.times[0]) * packets.tick for time in packets.times]
+    mean = (len(seconds) - 1) / seconds[-1]
+    most = 1 / median(b - a for a, b in pairwise(seconds))
+    every = tuple(range(packets.count))
+    for rate in (usual, meant(mean), meant(most), mean):
+        away = max(abs(time * rate - place) for place, time in enumerate(seconds))
+        if away <= packets.tick * rate:
+            return Pacing(rate, every)
+    # A mean far off that of most frames tells of frames that are missing, or too many.
+    drifting = (meant(mean), mean.limit_denominator(1001)) if _near(mean, most) else ()
+    for rate in (usual, meant(most), *drifting):
+        if all(abs(time * rate - place) < Fraction(1, 2) for place, time in enumerate(seconds)):
+            return Pacing(rate, every, varies=True)
+    rate = meant(most)
+    instants = range(round(seconds[-1] * rate) + 1)
+    half = 1 / (2 * rate)
+    shown = tuple(bisect_right(seconds, place / rate + half) - 1 for place in instants)
+    return Pacing(rate, shown, varies=True)
+
+
+def meant(rate: Fraction) -> Fraction:
+    """Return the usual rate that a measured one is near to, else the rate itself, simplified."""
+    known = [Fraction(whole) * scale for whole in WHOLE_RATES for scale in _SCALES]
+    best = min(known, key=lambda usual: abs(usual - rate))
+    return best if _near(best, rate) else rate.limit_denominator(1001)
+
+
+def _near(one: Fraction, other: Fraction) -> bool:
+    return abs(one - other) <= SNAP * other
+
+
+_SCALES = (Fraction(1), Fraction(1000, 1001))

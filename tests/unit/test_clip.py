@@ -1,0 +1,337 @@
+"""Reading plain video: rates, times, colour, any start, and files that are not what they seem."""
+
+from __future__ import annotations
+
+import subprocess
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+
+import imageio_ffmpeg
+import numpy as np
+import pytest
+
+from exwarp_cli.errors import DamagedFileError, InputError
+from exwarp_cli.io.clip import ClipReader, is_clip, open_clip
+from exwarp_cli.io.clip_timing import Pacing, Packets, meant, pace, parse_packets
+from exwarp_cli.io.ffmpeg import EXACT, FfmpegError
+from exwarp_cli.io.video import MATRICES, VideoWriter, to_display
+
+SIZE = (48, 32)
+H264 = ("-c:v", "libx264", "-pix_fmt", "yuv420p", "-g", "8", "-bf", "2")
+NTSC = "24000/1001"
+
+
+def ffmpeg(*arguments: object) -> subprocess.CompletedProcess[bytes]:
+    program = imageio_ffmpeg.get_ffmpeg_exe()
+    command = [program, "-v", "error", "-nostdin", "-y", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, check=True)
+
+
+def make(path: Path, *options: str, rate: str = NTSC, frames: int = 30, **more: str) -> Path:
+    width, height = SIZE
+    sound = ("-f", "lavfi", "-i", "sine=d=1") if "audio" in more else ()
+    picture = f"testsrc2=s={width}x{height}:r={rate}"
+    coded = options or H264
+    ffmpeg("-f", "lavfi", "-i", picture, *sound, "-frames:v", frames, *coded, path)
+    return path
+
+
+def shown(path: Path, pixels: str = "rgb24") -> np.ndarray:
+    """What ffmpeg itself shows."""
+    scale = "scale=in_color_matrix=smpte170m:flags=accurate_rnd+full_chroma_int"
+    out = ("-fps_mode", "passthrough", "-f", "rawvideo", "-pix_fmt", pixels, "-")
+    return np.frombuffer(ffmpeg("-i", path, "-vf", scale, *out).stdout, np.uint8)
+
+
+def ticks(*times: int, tick: Fraction = Fraction(1, 1000)) -> Packets:
+    return Packets(times, tick, (0,), len(times))
+
+
+class TestPackets:
+    LISTED = """#software: Lavf
+#tb 0: 1/24000
+#dimensions 0: 320x180
+0, -2002,    0, 1001, 4470, 0x35533896
+0, -1001, 3003, 1001, 1888, 0x0571a3b6, F=0x0
+0,     0, 1001, 1001, 1044, 0x36fffc65, F=0x0, S=1, 8, 0x1
+0,  1001, 2002, 1001,  801, 0xe4638c72, F=0x0
+"""
+
+    def test_they_come_in_the_order_in_which_they_are_shown(self):
+        packets = parse_packets(self.LISTED)
+        assert packets.times == (0, 1001, 2002, 3003)
+        assert packets.tick == Fraction(1, 24000)
+        assert packets.keys == (0,) and packets.count == 4
+        assert packets.time(3) == Fraction(3003, 24000)
+        assert packets.least_step == Fraction(1001, 24000)
+
+    def test_those_that_an_edit_list_hides_are_left_out(self):
+        hidden = self.LISTED + "0, 2002, -1001, 1001, 9, 0x0, F=0x5\n"
+        assert parse_packets(hidden).times == (0, 1001, 2002, 3003)
+
+    def test_those_shown_before_the_first_key_frame_cannot_be_decoded(self):
+        cut = self.LISTED.replace("0, -2002,    0,", "0, -2002, 1500,")
+        packets = parse_packets(cut)
+        assert packets.times == (1500, 2002, 3003) and packets.keys == (0,)
+
+    @pytest.mark.parametrize("time", ["NOPTS", "0"])  # untold, told twice
+    def test_times_that_tell_nothing_are_dropped(self, time):
+        packets = parse_packets(self.LISTED.replace("0,  1001, 2002,", f"0,  1001, {time},"))
+        assert packets.times == () and packets.keys == () and packets.count == 4
+
+    def test_no_packets_are_an_error(self):
+        with pytest.raises(FfmpegError, match="no frames"):
+            parse_packets("#tb 0: 1/25\n")
+
+
+class TestPace:
+    def test_times_in_milliseconds_stand_for_the_exact_rate(self):
+        exact = [round(1000 * i * 1001 / 24000) for i in range(200)]
+        found = pace(ticks(*exact), Fraction(24000, 1001))
+        assert found.rate == Fraction(24000, 1001) and not found.varies
+        assert found.shown == tuple(range(200))
+
+    def test_the_header_is_not_believed_against_the_times(self):
+        found = pace(ticks(*range(0, 4000, 40)), Fraction(1000))
+        assert found.rate == 25 and not found.varies
+
+    def test_an_unusual_constant_rate_is_kept(self):
+        found = pace(ticks(0, 700, 1400, 2100, tick=Fraction(1, 10000)), None)
+        assert found.rate == Fraction(10000, 700) and not found.varies
+
+    def test_jitter_loses_and_repeats_nothing(self):
+        rng = np.random.default_rng(3)
+        times = [33 * i + int(rng.integers(-4, 5)) for i in range(60)]
+        found = pace(ticks(*times), Fraction(90))
+        assert found.varies and found.shown == tuple(range(60))
+        assert abs(found.rate - 30) < 0.5
+
+    def test_a_frame_that_was_dropped_is_bridged_by_the_one_before(self):
+        times = [i * 40 for i in range(30) if i not in (7, 8)]
+        found = pace(ticks(*times), Fraction(25))
+        assert found.rate == 25 and found.varies
+        assert found.shown[5:11] == (5, 6, 6, 6, 7, 8)
+        assert len(found.shown) == 30 and found.repeated == 2 and found.skipped == 0
+
+    def test_jitter_beside_a_gap_does_no_more(self):
+        rng = np.random.default_rng(4)
+        times = [40 * i + int(rng.integers(-6, 7)) for i in range(60) if i not in (20, 21)]
+        found = pace(ticks(*times), Fraction(25))
+        bridged = [i if i < 20 else 19 if i < 22 else i - 2 for i in range(60)]
+        assert found.rate == 25 and list(found.shown) == bridged
+
+    def test_frames_between_the_instants_are_skipped(self):
+        times = [*range(0, 800, 40), 790, *range(800, 1600, 40)]
+        found = pace(ticks(*times), Fraction(25))
+        assert found.rate == 25 and found.skipped == 1 and found.repeated == 0
+
+    def test_one_frame_and_untold_times_take_the_header(self):
+        assert pace(ticks(0), Fraction(24)).shown == (0,)
+        assert pace(ticks(0), None).rate == 30
+        untold = pace(Packets((), Fraction(1), (), 5), Fraction(25))
+        assert untold.rate == 25 and untold.shown == (0, 1, 2, 3, 4)
+
+    @pytest.mark.parametrize(
+        ("rate", "usual"),
+        [("29.96", "30000/1001"), ("23.98", "24000/1001"), ("60.001", "60"), ("17.3", "173/10")],
+    )
+    def test_rates_that_are_meant(self, rate, usual):
+        assert meant(Fraction(rate)) == Fraction(usual)
+
+
+class TestOpenClip:
+    def test_what_a_file_holds(self, tmp_path):
+        path = make(tmp_path / "ä %d.mp4", "-c:a", "aac", *H264, audio="yes")
+        clip = open_clip(path)
+        assert (clip.width, clip.height, clip.count) == (48, 32, 30)
+        assert clip.rate == Fraction(24000, 1001)
+        assert clip.look.pixel_aspect == 1
+        assert clip.look.colour.matrix == "smpte170m" and not clip.look.colour.full_range
+        assert clip.look.sound is not None and clip.look.sound.codecs == ("aac",)
+        assert not clip.has_alpha and not clip.deep
+
+    def test_the_sound_of_a_part(self, tmp_path):
+        clip = open_clip(make(tmp_path / "a.mov", "-c:a", "aac", *H264, audio="yes", rate="25"))
+        part = clip.sound(5, 15)
+        assert part is not None
+        assert (part.start, part.length) == (Fraction(1, 5), Fraction(2, 5))
+        assert open_clip(make(tmp_path / "b.mov")).sound(5, 15) is None
+
+    @pytest.mark.parametrize(
+        ("options", "matrix"),
+        [
+            (("-vf", "scale=1280:720"), "bt709"),
+            (("-vf", "setparams=colorspace=bt709"), "bt709"),
+            (("-vf", "setparams=colorspace=bt470bg"), "bt470bg"),
+            (("-vf", "setparams=colorspace=bt2020nc"), "bt2020nc"),
+        ],
+    )
+    def test_the_matrix_is_as_told_or_as_usual_for_the_size(self, tmp_path, options, matrix):
+        clip = open_clip(make(tmp_path / "a.mp4", *options, *H264, frames=1))
+        assert clip.look.colour.matrix == matrix
+
+    def test_a_video_of_rgb_becomes_one_that_players_know(self, tmp_path):
+        coded = ("-c:v", "ffv1", "-pix_fmt", "gbrp")
+        colour = open_clip(make(tmp_path / "a.mkv", *coded, frames=1)).look.colour
+        assert colour.matrix == "bt709" and not colour.full_range
+
+    def test_an_untold_matrix_is_that_of_the_size(self, tmp_path):
+        for size, matrix in (("1280x720", "bt709"), ("720x576", "smpte170m")):
+            flat = f"color=0x30a0d0:s={size},scale=out_color_matrix={matrix}:{EXACT}"
+            path = tmp_path / f"{size}.mkv"
+            ffmpeg("-f", "lavfi", "-i", f"{flat},format=yuv444p,setparams=colorspace=unknown",
+                   "-frames:v", 1, "-c:v", "ffv1", path)  # fmt: skip
+            (frame,) = open_clip(path).frames()
+            assert np.abs(to_display(frame)[9, 9].astype(int) - (0x30, 0xA0, 0xD0)).max() <= 2
+
+    def test_full_range_and_pixel_aspect(self, tmp_path):
+        options = ("-vf", "scale=out_range=pc,setsar=4/3", "-color_range", "pc")
+        look = open_clip(make(tmp_path / "a.mp4", *options, *H264, frames=1)).look
+        assert look.colour.full_range and look.pixel_aspect == Fraction(4, 3)
+
+    def test_a_turned_video_is_read_upright(self, tmp_path):
+        plain = make(tmp_path / "a.mp4", frames=2)
+        turned = tmp_path / "b.mp4"
+        ffmpeg("-display_rotation", "90", "-i", plain, "-c", "copy", turned)
+        clip = open_clip(turned)
+        assert (clip.width, clip.height) == SIZE[::-1]
+        upright, lying = (next(open_clip(p).frames()) for p in (turned, plain))
+        assert np.abs(np.rot90(lying) - upright).mean() < 0.01
+
+    def test_alpha_and_depth(self, tmp_path):
+        coded = ("-c:v", "prores_ks", "-profile:v", "4444", "-pix_fmt", "yuva444p10le")
+        clip = open_clip(make(tmp_path / "a.mov", *coded, frames=2))
+        assert clip.has_alpha and clip.deep
+        assert next(clip.frames()).shape == (32, 48, 3)
+
+    def test_suffixes(self, tmp_path):
+        assert is_clip("a.MP4") and is_clip("b/c.webm")
+        assert not is_clip("a.0001.exr") and not is_clip("shot")
+        (tmp_path / "frames.mp4").mkdir()
+        assert not is_clip(str(tmp_path / "frames.mp4"))
+
+
+class TestFrames:
+    def test_the_display_codes_come_back(self, tmp_path):
+        path = make(tmp_path / "a.mp4")
+        codes = shown(path).reshape(30, 32, 48, 3)
+        found = np.stack([to_display(frame) for frame in open_clip(path).frames()])
+        assert np.abs(found.astype(int) - codes).max() <= 1
+
+    def test_sixteen_bits_keep_what_eight_lose(self, tmp_path):
+        ramp = "color=black:s=256x16:r=25,format=gray10le,geq=lum='64+X'"
+        path = tmp_path / "a.mkv"
+        ffmpeg("-f", "lavfi", "-i", ramp, "-frames:v", 1, "-c:v", "ffv1", path)
+        (frame,) = open_clip(path).frames()
+        assert len(np.unique(frame[8, :, 0])) == 256
+
+    @pytest.mark.parametrize(
+        ("name", "options"),
+        [
+            ("closed.mp4", H264),
+            ("open.mp4", (*H264, "-x264-params", "open-gop=1:scenecut=0")),
+            ("no-times.avi", ("-c:v", "mpeg4", "-bf", "2", "-g", "8")),
+            ("stream.ts", ("-c:v", "mpeg2video", "-bf", "2", "-g", "8")),
+            ("milliseconds.mkv", H264),
+        ],
+    )
+    def test_the_same_pixels_from_any_start(self, tmp_path, name, options):
+        clip = open_clip(make(tmp_path / name, *options))
+        whole = list(clip.frames())
+        assert len(whole) == clip.count == 30
+        for start in (1, 7, 8, 9, 15, 16, 17, 22, 25, 29):
+            assert np.array_equal(next(clip.frames(start)), whole[start]), start
+        assert len(list(clip.frames(20, 23))) == 3 and list(clip.frames(3, 3)) == []
+
+    def test_an_edit_list_hides_frames(self, tmp_path):
+        source, cut = make(tmp_path / "a.mp4"), tmp_path / "b.mp4"
+        ffmpeg("-ss", "0.5", "-i", source, "-c", "copy", cut)
+        clip, whole = open_clip(cut), list(open_clip(source).frames())
+        found = list(clip.frames())
+        assert len(found) == clip.count < 30
+        assert all(map(np.array_equal, found, whole[-len(found) :]))
+        assert np.array_equal(next(clip.frames(10)), found[10])
+
+    def test_dropped_frames_are_shown_again(self, tmp_path):
+        path = tmp_path / "a.mkv"
+        dropping = ("-vf", "select='not(between(n,10,11))'", "-fps_mode", "passthrough")
+        clip = open_clip(make(path, *dropping, *H264, rate="25", frames=28))
+        frames = list(clip.frames())
+        assert clip.rate == 25 and clip.count == 30 and clip.pacing.repeated == 2
+        assert np.array_equal(frames[9], frames[11]) and not np.array_equal(frames[11], frames[12])
+        assert np.array_equal(next(clip.frames(12)), frames[12])
+
+    def test_a_reader_goes_forward_and_back(self, tmp_path):
+        clip = open_clip(make(tmp_path / "a.mp4"))
+        whole = list(clip.frames())
+        with ClipReader(clip) as reader:
+            for index in (0, 1, 1, 4, 20, 3):
+                assert np.array_equal(reader.read(index), whole[index])
+            with pytest.raises(IndexError):
+                reader.read(30)
+
+    @pytest.mark.parametrize("matrix", ["bt709", "smpte170m", "bt2020nc"])
+    @pytest.mark.parametrize("span", ["tv", "pc"])
+    def test_what_is_written_comes_back(self, tmp_path, matrix, span):
+        path = tmp_path / "a.mp4"
+        flat = "color=0x30a0d0:s=48x32:r=50,scale=out_color_matrix=" + MATRICES[matrix]
+        tagged = f"{flat}:out_range={span},setparams=colorspace={matrix}:range={span}"
+        ffmpeg("-f", "lavfi", "-i", tagged, "-frames:v", 5, *H264, path)
+        clip, copy = open_clip(path), tmp_path / "b.mp4"
+        with VideoWriter(copy, clip.width, clip.height, clip.rate, clip.look) as video:
+            for frame in clip.frames():
+                video.write(to_display(frame))
+        again = open_clip(copy)
+        assert (again.rate, again.count) == (50, 5)
+        assert again.look.colour.matrix == matrix == clip.look.colour.matrix
+        assert again.look.colour.full_range == clip.look.colour.full_range == (span == "pc")
+        planes = [
+            np.frombuffer(ffmpeg("-i", p, "-f", "rawvideo", "-").stdout, np.uint8).astype(int)
+            for p in (path, copy)
+        ]
+        assert np.abs(planes[0] - planes[1]).max() <= (span == "pc")  # steps of Y'CbCr
+        away = to_display(next(again.frames())).astype(int) - (0x30, 0xA0, 0xD0)
+        assert np.abs(away).max() <= 6  # another matrix: 13 and more
+
+
+class TestBadFiles:
+    def test_no_file(self, tmp_path):
+        with pytest.raises(InputError, match="there is no video"):
+            open_clip(tmp_path / "a.mp4")
+
+    def test_no_video(self, tmp_path):
+        path = tmp_path / "a.mp4"
+        path.write_bytes(b"nothing of the kind" * 100)
+        with pytest.raises(DamagedFileError, match=r"cannot read the video .*; export it again"):
+            open_clip(path)
+
+    def test_sound_alone(self, tmp_path):
+        path = tmp_path / "a.m4v"
+        ffmpeg("-f", "lavfi", "-i", "sine=d=0.1", "-f", "mp4", path)
+        with pytest.raises(DamagedFileError):
+            open_clip(path)
+
+    def test_a_truncated_file_is_told_where_it_ends(self, tmp_path):
+        path = make(tmp_path / "a.mp4", *H264, "-movflags", "+faststart")
+        clip, data = open_clip(path), path.read_bytes()
+        path.write_bytes(data[: len(data) * 2 // 3])
+        with pytest.raises(DamagedFileError, match=r"cannot read the video .*: ffmpeg says"):
+            list(clip.frames())
+
+    def test_a_file_with_fewer_frames_than_packets(self, tmp_path):
+        clip = open_clip(make(tmp_path / "a.mp4", frames=5))
+        longer = replace(clip, pacing=Pacing(clip.rate, tuple(range(8))))
+        with pytest.raises(DamagedFileError, match="it ends after 5 of 8 frames"):
+            list(longer.frames())
+
+    @pytest.mark.parametrize(("transfer", "name"), [("smpte2084", "PQ"), ("arib-std-b67", "HLG")])
+    def test_hdr(self, tmp_path, transfer, name):
+        path = make(tmp_path / "a.mp4", "-vf", f"setparams=color_trc={transfer}", *H264, frames=1)
+        with pytest.raises(InputError, match=rf"HDR \({name}\)"):
+            open_clip(path)
+
+    def test_fields(self, tmp_path):
+        path = make(tmp_path / "a.mp4", "-vf", "interlace", *H264, "-flags", "+ildct", frames=4)
+        with pytest.raises(InputError, match="interlaced"):
+            open_clip(path)
