@@ -27,6 +27,7 @@ def _limits(
 @click.command("compare")
 @click.argument("reference", metavar="A")
 @click.argument("test", metavar="B")
+@click.option("--view", default="", metavar="NAME", help="Compare this view of stereo frames.")
 @click.option("--frames", metavar="RANGE", help="Compare these frames only, by A's numbers.")
 @click.option(
     "--holes",
@@ -71,6 +72,7 @@ def _limits(
 def command(
     reference: str,
     test: str,
+    view: str,
     frames: str | None,
     holes: str | None,
     folder: Path | None,
@@ -100,7 +102,7 @@ def command(
     if folder is not None:
         prepare_comparison(folder)
     progress = make_progress(progress_kind or ("bar" if sys.stderr.isatty() else "none"))
-    measuring = MeasureSettings(metrics, preset, (*fail_below, *fail_above))
+    measuring = MeasureSettings(metrics, preset, (*fail_below, *fail_above), view)
     gallery = None if folder is None else Gallery(True, TEST, REFERENCE)
     result = evaluate(reference, test, frames, holes, progress, measuring, gallery)
     if folder is not None and gallery is not None:

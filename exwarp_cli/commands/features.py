@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import click
 
+from exwarp_cli.commands.source_options import source_options
+from exwarp_cli.domain.cuts import AUTO
 from exwarp_cli.pipeline.progress import KINDS
 
 
@@ -11,6 +13,14 @@ from exwarp_cli.pipeline.progress import KINDS
 @click.argument("sequence")
 @click.option("--gbuffers", metavar="SEQ", help="G-buffers rendered at the output rate.")
 @click.option("--motion", metavar="CONVENTION", help="Read vectors so, and measure nothing.")
+@source_options
+@click.option(
+    "--cuts",
+    default=AUTO,
+    show_default=True,
+    metavar="auto|none|LIST",
+    help="Where shots begin, by their first key frames: nothing is compared across cuts.",
+)
 @click.option("--frames", metavar="RANGE", help="Key frames, by number: 1001-1100x2, 1-10:2.")
 @click.option("--threads", type=click.IntRange(1), help="Default: all cores.")
 @click.option("--progress", type=click.Choice(KINDS), default=KINDS[0], show_default=True)
@@ -18,6 +28,11 @@ def command(
     sequence: str,
     gbuffers: str | None,
     motion: str | None,
+    view: str | None,
+    aovs: tuple[str, ...],
+    channel_map: str | None,
+    dynamic: str | None,
+    cuts: str,
     frames: str | None,
     threads: int | None,
     progress: str,
@@ -36,7 +51,10 @@ def command(
     from exwarp_cli.report.frames_csv import table
 
     jit.set_threads(threads)
-    settings = SourceSettings(sequence, gbuffers, motion)
+    settings = SourceSettings(
+        sequence, gbuffers, motion, view=view, aovs=aovs, channel_map=channel_map, cuts=cuts,
+        dynamic=dynamic,
+    )  # fmt: skip
     for number, found in enumerate(features(settings, frames, make_progress(progress))):
         if not number:  # not before: a sequence that cannot be used gives no table
             click.echo(table(HEADER, ()), nl=False)

@@ -33,6 +33,7 @@ def command(
     view: str | None,
     aovs: tuple[str, ...],
     channel_map: str | None,
+    dynamic: str | None,
     write_map: Path | None,
     overwrite: bool,
     as_json: bool,
@@ -46,7 +47,9 @@ def command(
     from exwarp_cli.pipeline.inspect import inspect, save_channel_map
 
     found = inspect(
-        SourceSettings(sequence, motion=motion, view=view, aovs=aovs, channel_map=channel_map)
+        SourceSettings(
+            sequence, motion=motion, view=view, aovs=aovs, channel_map=channel_map, dynamic=dynamic
+        )
     )
     if write_map is not None:
         save_channel_map(found, write_map, overwrite)
@@ -62,6 +65,7 @@ def _print(found: Inspection) -> None:
     from rich.markup import escape
     from rich.table import Table
 
+    from exwarp_cli.io.channels import Role
     from exwarp_cli.pipeline.inspect import missing_roles
 
     console = Console(highlight=False, soft_wrap=True)
@@ -69,12 +73,14 @@ def _print(found: Inspection) -> None:
     console.print(
         escape(
             f"{data['pattern']}\n{data['count']} frames ({data['frames']}), {data['width']}x"
-            f"{data['height']}, {data['fps']['base']:g} fps ({data['fps']['source']}), written by "
-            f"{data['producer']}"
+            f"{data['height']}, {data['fps']['base']:g} fps ({data['fps']['source']})"
+            + (f", written by {data['producer']}" if data["pictures"] is None else "")
         )
     )
     for line in _structure(data):
         console.print(escape(line))
+    if data["pictures"] is not None:
+        return
     table = Table("role", "channels", "type", box=box.SIMPLE)
     for role, names in data["roles"].items():
         kinds = sorted({found.types.get(name, "") for name in names})
@@ -88,14 +94,35 @@ def _print(found: Inspection) -> None:
         )
         console.print(escape(f"not found: {', '.join(named)}"))
     motion = data["motion"]
+    if motion is None and Role.MOTION not in found.shot.layout.incomplete:
+        console.print(_ESTIMATED)
     if motion is not None:
         state = motion["source"] or "unsettled"
         console.print(escape(f"motion {state}: {motion['evidence'] or motion['problem']}"))
 
 
+_ESTIMATED = (
+    "no motion vectors: 'exwarp upsample' estimates motion from colour, with the extra 'video'"
+)
+
+
+def _pictures(told: dict[str, Any]) -> str:
+    """Say in a line what a video or stills are like."""
+    line = f"{told['kind']} of {told['bits']} bits, {told['colour']}"
+    if told["pixel_aspect"] != 1:
+        line += f", pixel aspect {told['pixel_aspect']:g}"
+    if told["alpha"] is not None:
+        line += f", alpha {told['alpha']}"
+    if told["kind"] == "video":
+        line += f", sound {', '.join(told['sound'])}" if told["sound"] else ", no sound"
+    return line
+
+
 def _structure(data: dict[str, Any]) -> list[str]:
     """Say in lines what else there is: views, AOVs' files, tiles, deep parts, Cryptomattes."""
     lines = []
+    if data["pictures"] is not None:
+        lines += [_pictures(data["pictures"]), _ESTIMATED]
     if data["views"]:
         lines.append(f"views {', '.join(data['views'])}; shown is {data['view']}")
     lines += [f"AOV {aov} in {pattern}" for aov, pattern in data["aovs"].items()]
@@ -105,6 +132,21 @@ def _structure(data: dict[str, Any]) -> list[str]:
         if of:
             named = "the file" if len(of) == len(parts) else f"part {', '.join(of)}"
             lines.append(f"{named} is {meaning}")
-    if data["cryptomattes"]:
-        lines.append(f"Cryptomatte {', '.join(data['cryptomattes'])}")
+    lines += [_matte(one) for one in data["cryptomattes"]]
+    if data["dynamic"] is not None:
+        lines.append(f"moving by name: {', '.join(data['dynamic'])}")
     return lines
+
+
+def _matte(one: dict[str, Any]) -> str:
+    """Say in a line what a Cryptomatte has."""
+    from exwarp_cli.io.cryptomatte_manifest import SHOWN, shown
+
+    name = one["name"] if one["aov"] is None else f"{one['aov']}:{one['name']}"
+    if one["problem"]:
+        return f"Cryptomatte {name} ({one['kind']}): {one['problem']}"
+    names, count = one["names"], len(one["names"])
+    listed = ", ".join(shown(each) for each in names[:SHOWN])
+    more = f" and {count - SHOWN} more" if count > SHOWN else ""
+    counted = f"{count} name{'' if count == 1 else 's'}"
+    return f"Cryptomatte {name} ({one['kind']}), {counted}: {listed}{more}"

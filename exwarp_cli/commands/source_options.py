@@ -1,4 +1,4 @@
-"""Options that say how a sequence is read: its view, its AOVs' files, its channel map."""
+"""Options that say how a sequence is read: its view, its AOVs' files, channel map, what moves."""
 
 from __future__ import annotations
 
@@ -11,15 +11,18 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 
 
 def source_options(command: Command) -> Command:
-    """Add --view, --aov and --channel-map; the command takes `view`, `aovs` and `channel_map`."""
+    """Add --view, --aov, --channel-map, --dynamic.
+
+    The command takes `view`, `aovs`, `channel_map` and `dynamic`.
+    """
     for option in reversed(
         [
             click.option(
                 "--view",
                 metavar="NAME",
                 help="Of a stereo or multi-view shot, read this view; else the channel map's, or "
-                "the first. Of a sequence for each view: with %V for its name in the pattern, %v "
-                "for its first letter.",
+                "the first; upsample takes 'all' for every view at once. Of a sequence for each "
+                "view: with %V for its name in the pattern, %v for its first letter.",
             ),
             click.option(
                 "--aov",
@@ -35,6 +38,12 @@ def source_options(command: Command) -> Command:
                 metavar="FILE",
                 help="TOML file that says which channels hold what; 'exwarp inspect SEQ "
                 "--write-channel-map FILE' writes one.",
+            ),
+            click.option(
+                "--dynamic",
+                metavar="GLOB[,GLOB…]",
+                help="What moves, by names in the Cryptomatte's manifest, for example 'car*,ball'; "
+                "its ids tell objects apart then. 'exwarp inspect' lists names.",
             ),
         ]
     ):

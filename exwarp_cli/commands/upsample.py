@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from exwarp_cli.commands.metrics_option import metrics_option
+from exwarp_cli.commands.source_options import source_options
 from exwarp_cli.domain.metric import METRICS
 from exwarp_cli.domain.settings import DEVICES, SourceSettings, UpsampleSettings
 from exwarp_cli.domain.timeline import MOST
@@ -41,18 +42,32 @@ class FrameRate(click.ParamType[Fraction]):
 
 @click.command("upsample")
 @click.argument("sequence")
-@click.option("-o", "--output", required=True, metavar="DIR|PATTERN", help="Where frames go.")
+@click.option(
+    "-o",
+    "--output",
+    required=True,
+    metavar="DIR|PATTERN|VIDEO",
+    help="Where frames go: a folder, a pattern, or an MP4 or MOV alone.",
+)
 @click.option(
     "-m",
     "--method",
-    default=UpsampleSettings.method,
-    show_default=True,
     metavar="NAME",
-    help="exwarp: the learned policy chooses between warping and the network; s1 to s6: the "
-    "paper's paths, s6 warps only; oracle, oracle-return: the best path by --ground-truth; "
-    "softsplat: warp both neighbours and blend by depth; onnx: the network of --interpolator, from "
-    "colour alone; blend: cross-fade; hold: repeat.",
+    help="Default: exwarp, or softsplat where motion is estimated. exwarp: the learned policy "
+    "chooses between warping and the network; s1 to s6: the paper's paths, s6 warps only; oracle, "
+    "oracle-return: the best path by --ground-truth; softsplat: warp both neighbours and blend by "
+    "depth; onnx: the network of --interpolator, from colour alone; blend: cross-fade; hold: "
+    "repeat.",
 )
+@click.option(
+    "--layers",
+    default=UpsampleSettings.layers,
+    show_default=True,
+    metavar="beauty|all|GLOB[,GLOB…]",
+    help="Layers that new frames hold beside the beauty, by name: all, or '*Diffuse*,Depth'. Light "
+    "moves as the beauty does; ids, depth, normals and the like come from the nearest source.",
+)
+@source_options
 @click.option("--frames", metavar="RANGE", help="Key frames to do, by number: 1001-1100x2, 1-10:2.")
 @click.option("--gbuffers", metavar="SEQ", help="G-buffers rendered at the output rate.")
 @click.option(
@@ -82,7 +97,7 @@ class FrameRate(click.ParamType[Fraction]):
     show_default=True,
     help="What the network runs on.",
 )
-@click.option("--fps", type=FrameRate(), help="Rate of the input; else the header's, else 30.")
+@click.option("--fps", type=FrameRate(), help="Rate of the input; else its own, else 30.")
 @click.option(
     "--factor",
     type=click.IntRange(2, MOST),
@@ -90,6 +105,15 @@ class FrameRate(click.ParamType[Fraction]):
 )
 @click.option(
     "--to-fps", type=FrameRate(), metavar="FPS", help="Rate of the output, such as 60 from 24."
+)
+@click.option(
+    "--cuts",
+    default=SourceSettings.cuts,
+    show_default=True,
+    metavar="auto|none|LIST",
+    help="Where shots begin, as nothing is taken across cuts: auto looks for them, none does not; "
+    "LIST names the first key frame of each new shot, as 1045,1101, and with auto in it the others "
+    "are looked for too.",
 )
 @click.option("--start-frame", type=int, help="Number of the first output frame.")
 @click.option(
@@ -128,19 +152,30 @@ def command(
     tail: bool,
     factor: int | None,
     to_fps: Fraction | None,
+    view: str | None,
+    aovs: tuple[str, ...],
+    channel_map: str | None,
+    cuts: str,
+    dynamic: str | None,
     **options: object,
 ) -> None:
     """Write SEQUENCE at four times its frame rate, or another.
 
     SEQUENCE is a folder, a pattern such as shot.####.exr, or any one frame. Rendered frames pass
     through unchanged; those between them are made from their motion vectors.
+
+    It may also be a video, or PNG, JPEG, TIFF, DPX and other stills, or EXR without vectors: motion
+    is then estimated from colour, which needs the extra 'video' and is far less exact.
     """
     from exwarp_cli.pipeline.progress import make_progress
     from exwarp_cli.pipeline.upsample import upsample
     from exwarp_cli.report.folder import prepare_report, write_report
     from exwarp_cli.report.gallery import Gallery
 
-    source = SourceSettings(sequence, gbuffers, motion, fps, start_frame, tail, factor, to_fps)
+    rate = (fps, start_frame, tail, factor, to_fps)
+    source = SourceSettings(
+        sequence, gbuffers, motion, *rate, view, aovs, channel_map, cuts, dynamic
+    )
     settings = UpsampleSettings(source, **options)  # type: ignore[arg-type]
     if report_folder is not None:
         prepare_report(report_folder, replace=settings.overwrite or settings.skip_existing)
@@ -153,10 +188,14 @@ def command(
 
 def _print(summary: RunSummary, settings: UpsampleSettings, report_folder: Path | None) -> None:
     """Say in a few lines what was done."""
+    from exwarp_cli.report.page_parts import cuts_line
     from exwarp_cli.report.summary import report
 
     document = report(summary)
     frames, fps = document["frames"], document["fps"]
+    if not frames["written"]:
+        click.echo(f"{settings.output} is there already, as this run would write it")
+        return
     many = "" if frames["written"] == 1 else "s"
     click.echo(
         f"{frames['written']} frame{many} in {settings.output}: {frames['key']} rendered, "
@@ -164,6 +203,8 @@ def _print(summary: RunSummary, settings: UpsampleSettings, report_folder: Path 
     )
     effective = "" if fps["effective"] is None else f", effective {fps['effective']:g}"
     click.echo(f"{fps['base']:g} fps in, {fps['output']:g} out{effective}")
+    if document["cuts"]:
+        click.echo(cuts_line(document["cuts"]))
     taken = {name: count for name, count in document["decisions"]["paths"].items() if count}
     if taken:
         listed = ", ".join(f"{name} {count}" for name, count in taken.items())

@@ -110,6 +110,9 @@ class GBuffer:
         reflection. The albedo of metals is black.
     roughness, metallic
         float32 [H, W], 0 to 1.
+    objects
+        int32 [H, W], id of whatever is shown, moving or not, where nothing says what moves: 0
+        background; negative where ids mix in a pixel. Only there without `stencil`.
     """
 
     window: Window
@@ -123,6 +126,7 @@ class GBuffer:
     specular: Float32 | None = None
     roughness: Float32 | None = None
     metallic: Float32 | None = None
+    objects: Int32 | None = None
 
     @property
     def has_motion(self) -> bool:
@@ -164,6 +168,7 @@ class GBuffer:
             moved(self.specular),
             moved(self.roughness),
             moved(self.metallic),
+            moved(self.objects),
         )
 
 

@@ -8,6 +8,9 @@ import numpy as np
 
 from exwarp_cli.domain.frame import Float32
 
+MIDDLE = 0.5, 0.01
+"""Middle of a range from 0 to 1, and how far from it 8 bits may put it: 127 / 255, 128 / 255."""
+
 
 @dataclass(frozen=True)
 class AxisMap:
@@ -48,9 +51,12 @@ class AxisMap:
     def apply(self, raw: Float32) -> Float32:
         """Turn raw motion [..., C] into displacements [..., 2] in pixels.
 
-        What is not finite gives NaN, and what was clipped, at either end of a range about `still`.
+        What is not finite gives NaN, and so does what was clipped, where `still` is the middle of
+        a range from 0 to 1.
         """
         axes = []
+        middle, about = MIDDLE
+        clipped = self.length is None and abs(self.still - middle) < about
         pairs = ((self.x_channel, self.x_scale), (self.y_channel, self.y_scale))
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             for channel, scale in pairs:
@@ -58,12 +64,12 @@ class AxisMap:
                 if self.alpha is not None:
                     value = np.where(raw[..., self.alpha] > 0, value / raw[..., self.alpha],
                                      np.float32(self.still))  # fmt: skip
+                if clipped:
+                    value = np.where((value > 0) & (value < 1), value, np.nan)
                 if self.still:
                     value = value - np.float32(self.still)
                 if self.length is not None:
                     value = value * raw[..., self.length]
-                elif self.still:
-                    value = np.where(np.abs(value) < np.float32(abs(self.still)), value, np.nan)
                 axes.append(value * np.float32(scale))
             out = np.stack(axes, axis=-1)
             out[~np.isfinite(axes[0] + axes[1])] = np.nan

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from fractions import Fraction
 
+from exwarp_cli.domain.cuts import Cut
 from exwarp_cli.domain.decision import Decision
 from exwarp_cli.domain.metric import METRICS
 from exwarp_cli.domain.timeline import FACTOR
@@ -142,6 +143,8 @@ class InputSummary:
         What wrote the files, as far as they tell.
     motion_source, motion_evidence
         How the motion convention was found; None without motion.
+    dynamic
+        Names of what moves, as ``--dynamic`` found them; None where nothing was said.
     """
 
     pattern: str
@@ -152,6 +155,7 @@ class InputSummary:
     producer: str
     motion_source: str | None
     motion_evidence: str | None
+    dynamic: tuple[str, ...] | None = None
 
 
 @dataclass(frozen=True)
@@ -215,7 +219,8 @@ class PolicySummary:
     sha256
         Of the network's file, hexadecimal.
     objects_from
-        What told moving objects: "ids", or "motion" where there are none.
+        What told moving objects: "ids", "cryptomatte" (what moves of it, by name or by motion), or
+        "motion" where there are none.
     missing
         Features that are 0 throughout, as the AOVs they come from are missing.
     """
@@ -257,6 +262,14 @@ class RunSummary:
         None for methods that have no network interpolate.
     factor
         Output frames per key frame.
+    cuts
+        Where shots begin, as far as the run met it; None where cuts were neither looked for nor
+        given.
+    views
+        Views that generated frames hold, the one that was scored and decided by first; () where
+        there are none.
+    layers
+        Names of the layers that generated frames hold beside the beauty.
     """
 
     method: str
@@ -272,6 +285,9 @@ class RunSummary:
     policy: PolicySummary | None = None
     interpolator: InterpolatorSummary | None = None
     factor: Fraction = Fraction(FACTOR)
+    cuts: tuple[Cut, ...] | None = None
+    views: tuple[str, ...] = ()
+    layers: tuple[str, ...] = ()
 
     @property
     def output_fps(self) -> float:

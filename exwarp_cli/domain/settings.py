@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from fractions import Fraction
 
+from exwarp_cli.domain.cuts import AUTO
 from exwarp_cli.domain.metric import DEFAULT_METRICS, METRICS
 from exwarp_cli.domain.threshold import Threshold
 
@@ -38,6 +39,11 @@ class SourceSettings:
         Roles in sequences of their own, as ``--aov`` takes them: ``motion=vec/a.####.exr:R,G``.
     channel_map
         TOML file that says which channels hold what; None to recognise them.
+    cuts
+        Where shots begin, as ``--cuts`` takes it: "auto", "none", or frames such as "1045,1101".
+    dynamic
+        What moves, by names in a Cryptomatte's manifest as ``--dynamic`` takes them; None where
+        nothing is said.
     """
 
     sequence: str
@@ -51,6 +57,8 @@ class SourceSettings:
     view: str | None = None
     aovs: tuple[str, ...] = ()
     channel_map: str | None = None
+    cuts: str = AUTO
+    dynamic: str | None = None
 
 
 @dataclass(frozen=True)
@@ -64,7 +72,7 @@ class UpsampleSettings:
     output
         Folder or pattern for the frames.
     method
-        Name in the registry of methods.
+        Name in the registry of methods; None for exwarp, or softsplat where motion is estimated.
     frames
         Range of key frames by input number; None for all.
     ground_truth
@@ -93,11 +101,13 @@ class UpsampleSettings:
         File of the policy that decides; None for the one that comes with ExWarp.
     interpolator
         ONNX file of the network that interpolates, with its card beside it.
+    layers
+        Which layers generated frames hold: "beauty", "all", or names with wildcards.
     """
 
     source: SourceSettings
     output: str
-    method: str = "exwarp"
+    method: str | None = None
     frames: str | None = None
     ground_truth: str | None = None
     compression: str | None = None
@@ -112,6 +122,7 @@ class UpsampleSettings:
     policy: str | None = None
     interpolator: str | None = None
     metrics: tuple[str, ...] | None = None
+    layers: str = "beauty"
 
     @property
     def measured(self) -> tuple[str, ...]:
@@ -138,11 +149,14 @@ class MeasureSettings:
         Out of `PRESETS`; None to measure as everywhere.
     thresholds
         Limits; what they are on is measured too.
+    view
+        Name of the stereo view that is compared; "" for the hero of each frame.
     """
 
     metrics: tuple[str, ...] | None = None
     preset: str | None = None
     thresholds: tuple[Threshold, ...] = ()
+    view: str = ""
 
     @property
     def measured(self) -> tuple[str, ...]:

@@ -126,7 +126,7 @@ def named(name: str, channels: Iterable[str], option: str, where: object) -> str
 
 
 def check_count(role: Role, channels: tuple[str, ...], option: str) -> None:
-    """Refuse a number of channels that a role cannot have.
+    """Refuse a number of channels that a role cannot have, and the same one twice.
 
     Raises
     ------
@@ -139,6 +139,11 @@ def check_count(role: Role, channels: tuple[str, ...], option: str) -> None:
         raise UsageError(
             f"{option} names {len(channels)} channel{'s' * (len(channels) != 1)} for "
             f"{role.value}, which takes {wanted}; write them as in {_example(role)}"
+        )
+    twice = next((name for i, name in enumerate(channels) if name in channels[:i]), None)
+    if twice is not None and role is not Role.COLOUR:  # a grey beauty is one plane thrice
+        raise UsageError(
+            f"{option} names the channel {twice!r} of {role.value} twice; name each component's"
         )
 
 

@@ -14,7 +14,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from exwarp_cli.errors import DamagedFileError, ExwarpError, InputError, OutputExistsError
+from exwarp_cli.errors import (
+    DamagedFileError,
+    ExwarpError,
+    InputError,
+    OutputExistsError,
+    UsageError,
+)
 from exwarp_cli.io.aov_files import AovFile, check_count, parse_aovs, role_of
 from exwarp_cli.io.atomic import atomic_write_text
 from exwarp_cli.io.channels import Role
@@ -75,7 +81,8 @@ def read_channel_map(path: Path) -> ChannelMap:
         When a role, or its number of channels, cannot be.
     """
     try:
-        told = tomllib.loads(path.read_text(encoding="utf-8"))
+        # Some editors begin a file with a mark.
+        told = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise InputError(
             f"cannot read the channel map {path}: {error.strerror or error}; check the path"
@@ -90,13 +97,22 @@ def read_channel_map(path: Path) -> ChannelMap:
     for name, value in told.get("channels", {}).items():
         option = f"channels.{name} in the channel map {path}"
         role = role_of(name, option)
+        if role in channels:
+            raise UsageError(f"{option} names {role.value} twice; write each role once")
         channels[role] = (value,) if isinstance(value, str) else tuple(value)
         if channels[role]:
             check_count(role, channels[role], option)
+    aovs = _aovs(told.get("aovs", {}), path)
+    for aov in aovs:
+        if channels.get(aov.role):
+            raise UsageError(
+                f"the channel map {path} names {aov.role.value} in [channels] and in [aovs]; "
+                "leave one of them out"
+            )
     return ChannelMap(
         path,
         channels,
-        _aovs(told.get("aovs", {}), path),
+        aovs,
         told.get("producer"),
         told.get("view"),
         told.get("motion"),

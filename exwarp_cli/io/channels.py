@@ -12,6 +12,7 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
+from functools import partial
 
 from exwarp_cli.domain.motion import MotionConvention
 from exwarp_cli.errors import LayoutError
@@ -102,9 +103,10 @@ _RULES: dict[Role, tuple[_Rule, ...]] = {
         _Rule(("pretonemaphdrcolor", "scenecolor", "finalimage", "c", "ci"), ("RGBA", "RGB")),
     ),
     Role.DEPTH: (
+        # OpenEXR's own name for it; what lies beside it as zdepth may be a picture from 0 to 1.
+        _Rule(("",), ("Z",)),
         _Rule(("depth", "scenedepth", "zdepth", "worlddepth", "hitpz", "z"), ("Z", *_ONE)),
         _Rule(("disparity", "inversedepth", "depthinverse", "invdepth"), ("Z", *_ONE)),
-        _Rule(("",), ("Z",)),
     ),
     Role.MOTION: (
         _Rule(("vector",), ("XYZW",)),
@@ -139,16 +141,29 @@ _BY_LAST_WORDS = (
 """Roles whose layers are also found by the last words of their names. Not those of materials,
 where each lobe has its own."""
 
+_NEVER_BEFORE = frozenset({"shadow", "denoising", "noisy", "variance", "holdout", "bump"})
+"""Words before a role's name that make it another thing: Blender's denoising depth is that of what
+a mirror shows."""
+
+_SPACES = frozenset(
+    {"camera", "cam", "view", "eye", "screen", "local", "object", "obj", "rest", "reference", "ref"}
+    | {"tangent", "previous", "prev", "light"}
+)
+"""Such words before normals and positions, which count in world space alone."""
+
 _LONG_COMPONENTS = {"RED": "R", "GREEN": "G", "BLUE": "B", "ALPHA": "A"}
 
 
 @dataclass
 class _Layer:
-    """The channels of one layer: `leaf` is its name's last element, `endings` its last words."""
+    """The channels of one layer.
+
+    `leaf` is its name's last element; `endings` are its last words, each with the word before.
+    """
 
     name: str
     leaf: str
-    endings: tuple[str, ...]
+    endings: dict[str, str]
     own_file: bool
     components: dict[str, ChannelRef] = field(default_factory=dict)
 
@@ -160,6 +175,10 @@ class _Layer:
 
     def first(self, rule: _Rule) -> tuple[ChannelRef, ...]:
         """Return the channels that a rule asks for, () where some are absent."""
+        if self.leaf == "" and rule.components == ("Z",) and "X" in self.components:
+            return ()  # a vector
+        if self.leaf == "id" and not self.own_file and {"R", "G", "B"} <= set(self.components):
+            return ()  # a picture: ids are one number
         return next(filter(None, (self.pick(letters) for letters in rule.components)), ())
 
 
@@ -178,15 +197,18 @@ def detect(channels: Mapping[str, Iterable[Channel]]) -> Layout:
         Roles that were not found are absent.
     """
     layers = _layers(channels)
+    near = layers
     roles: dict[Role, tuple[ChannelRef, ...]] = {}
     for role, rules in _RULES.items():
-        found = _motion(layers) if role is Role.MOTION else _first(layers, rules, role)
+        search = _motion if role is Role.MOTION else partial(_first, rules=rules, role=role)
+        found = search(near) or search(layers)
         if found:
             roles[role] = found
         if role is Role.COLOUR and found:
             # Of several view layers, geometry is looked for in the one whose colour is used.
             parent = _parent(found[0].name)
-            layers.sort(key=lambda layer: _parent(f"{layer.name}.") != parent)
+            near = [layer for layer in layers if _parent(f"{layer.name}.") == parent]
+            layers = near + [layer for layer in layers if layer not in near]
     if Role.COLOUR not in roles:
         roles.update(_only_colour(layers, roles))
     motion, guess, producer = _convention(layers, roles)
@@ -246,10 +268,10 @@ def _plain(name: str) -> str:
     return re.sub(r"[^a-z0-9]", "", name.lower())
 
 
-def _endings(name: str) -> tuple[str, ...]:
-    """Return the last words of a name, most of them first, without the whole of it."""
+def _endings(name: str) -> dict[str, str]:
+    """Return the last words of a name with the word before, most first, without the whole of it."""
     words = [word for word in re.split(r"[^A-Za-z0-9]+", name.lower()) if word]
-    return tuple("".join(words[i:]) for i in range(1, len(words)))
+    return {"".join(words[i:]): words[i - 1] for i in range(1, len(words))}
 
 
 def _first(layers: list[_Layer], rules: Iterable[_Rule], role: Role) -> tuple[ChannelRef, ...]:
@@ -259,18 +281,21 @@ def _first(layers: list[_Layer], rules: Iterable[_Rule], role: Role) -> tuple[Ch
         for rule in rules:
             for leaf in rule.leaves:
                 for layer in layers:
-                    found = layer.first(rule) if _goes_by(layer, leaf, by_ending) else ()
+                    mine = layer.leaf == leaf if not by_ending else _ends_in(layer, leaf, role)
+                    found = layer.first(rule) if mine else ()
                     if found:
                         return found
     return ()
 
 
-def _goes_by(layer: _Layer, leaf: str, by_ending: bool) -> bool:
-    """Whether a layer goes by a name, or ends in it."""
-    if not by_ending:
-        return layer.leaf == leaf
+def _ends_in(layer: _Layer, leaf: str, role: Role) -> bool:
+    """Whether a layer's name ends in a role's, and the word before leaves it that."""
     # Single letters and "id" end names of anything.
-    return len(leaf) > 3 and leaf not in _PLAIN_WORDS and leaf in layer.endings
+    if len(leaf) <= 3 or leaf in _PLAIN_WORDS or leaf not in layer.endings:
+        return False
+    before = layer.endings[leaf]
+    spoilt = before in _SPACES and role in (Role.NORMAL, Role.POSITION)
+    return before not in _NEVER_BEFORE and not spoilt
 
 
 def _motion(layers: list[_Layer]) -> tuple[ChannelRef, ...]:

@@ -83,7 +83,9 @@ class Clip:
         """Number of frames at this rate."""
         return len(self.pacing.shown)
 
-    def sound(self, start: int = 0, stop: int | None = None) -> Soundtrack | None:
+    def sound(
+        self, start: Fraction | int = 0, stop: Fraction | int | None = None
+    ) -> Soundtrack | None:
         """Return the sound that goes with the frames [start, stop); None where it is silent."""
         whole = self.look.sound
         if whole is None:

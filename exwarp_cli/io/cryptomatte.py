@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 
 from exwarp_cli.errors import LayoutError
@@ -90,6 +90,12 @@ class Cryptomatte:
     def refs(self) -> frozenset[ChannelRef]:
         """All its channels. They go together: ids and shares of two pixels cannot be mixed."""
         return frozenset(ref for rank in self.ranks for ref in rank)
+
+    def moved(self, names: Mapping[str, str]) -> Cryptomatte:
+        """Return it with other names of AOVs."""
+        aov = names.get(self.aov, self.aov)
+        ranks = tuple(tuple(replace(ref, aov=aov) for ref in rank) for rank in self.ranks)
+        return replace(self, aov=aov, ranks=ranks)
 
     def require_exact(self, where: str) -> None:
         """Refuse ids that are no 32-bit floats.

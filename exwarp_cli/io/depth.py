@@ -33,6 +33,9 @@ FITS = 0.01
 REPROJECTED = 1.0
 """Pixels by which positions may miss their own pixel, in the median."""
 
+CHANGED = 2.0
+"""Pixels, at their distance, by which positions in the median differ if the camera moved."""
+
 FLAT = 1e-4
 """Share of the largest singular value below which positions do not fix a camera: all in a plane."""
 
@@ -138,6 +141,59 @@ def measured(depth: Float32, position: Float32) -> DepthReading | None:
     axis, ray, inside = found
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         return _kind(values[inside], axis[inside], ray[inside])
+
+
+def relative_to_camera(first: Float32, other: Float32) -> bool:
+    """Whether positions are relative to the camera that sees them, and not to the world.
+
+    Then x / z and y / z lead to a pixel's column and row, by the same factors and offsets in every
+    frame; in the world they do so for a camera at the origin alone, and while nothing moves.
+
+    Parameters
+    ----------
+    first, other
+        float32 [H, W, 3] of two frames; 0 or non-finite on background.
+
+    Returns
+    -------
+    bool
+        False also for a camera that stands: then positions relative to it are as good as any.
+    """
+    camera = _lens(first)
+    if camera is None or not _seen_by(camera, other):
+        return False
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        change = np.linalg.norm(other - first, axis=-1) / np.linalg.norm(first, axis=-1)
+    change = change[np.isfinite(change)]
+    focal = max(abs(factor) for _, factor in camera)
+    return len(change) >= LEAST and float(np.median(change)) * focal > CHANGED
+
+
+def _lens(position: Float32) -> tuple[tuple[float, float], ...] | None:
+    """Fit a camera at the origin that looks along z: offset and factor of columns and of rows."""
+    slopes, pixels, z = _slopes(position)
+    # Over a wall alone the same holds in the world.
+    if len(z) < LEAST or np.ptp(np.percentile(z, (10, 90))) < 0.05 * np.median(abs(z)):
+        return None
+    camera = tuple(_line(slope, pixel) for slope, pixel in zip(slopes, pixels, strict=True))
+    return camera if _seen_by(camera, position) else None
+
+
+def _seen_by(camera: tuple[tuple[float, float], ...], position: Float32) -> bool:
+    """Whether positions lie where a camera of `_lens` sees them."""
+    for (start, factor), slope, pixel in zip(camera, *_slopes(position)[:2], strict=True):
+        if not len(slope) or np.median(np.abs(pixel - start - factor * slope)) > REPROJECTED:
+            return False
+    return True
+
+
+def _slopes(position: Float32) -> tuple[F64, F64, F64]:
+    """Return x / z and y / z, the columns and rows, [2, N] each, and z, of some surface pixels."""
+    row, column = _surfaces(np.ones(position.shape[:2], np.float32), position)
+    point = position[row, column].astype(np.float64)
+    ahead = point[:, 2] != 0
+    point, pixels = point[ahead], np.stack([column, row])[:, ahead].astype(np.float64)
+    return (point[:, :2] / point[:, 2:]).T, pixels, point[:, 2]
 
 
 def _surfaces(depth: Float32, position: Float32) -> tuple[npt.NDArray[np.intp], ...]:

@@ -131,6 +131,15 @@ class ExrReader:
             raise damaged(self.path, "it holds no image")
         return tuple(_part(i, spec, len(specs) > 1) for i, spec in enumerate(specs))
 
+    @property
+    def headers(self) -> list[dict[str, object]]:
+        """The attributes of every part, as OpenImageIO names them.
+
+        Text that is no UTF-8 keeps its bytes as lone surrogates.
+        """
+        specs = (self._file.spec(part.index, 0) for part in self.parts)
+        return [{one.name: one.value for one in spec.extra_attribs} for spec in specs]
+
     def read(self, channels: Iterable[Channel]) -> dict[Channel, np.ndarray]:
         """Decode channels: [H, W] arrays on their part's data window.
 

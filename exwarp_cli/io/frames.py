@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -20,10 +21,11 @@ from exwarp_cli.domain.frame import (
 from exwarp_cli.domain.motion import MotionConvention
 from exwarp_cli.errors import DamagedFileError, LayoutError
 from exwarp_cli.io.channels import ChannelRef, Role, detect, require
+from exwarp_cli.io.cryptomatte import find_cryptomattes
 from exwarp_cli.io.exr import ExrReader
 from exwarp_cli.io.shot import Shot as Shot
 from exwarp_cli.io.shot import open_shot as open_shot
-from exwarp_cli.io.shot import renamed
+from exwarp_cli.io.shot import plain, renamed
 from exwarp_cli.io.views import channels_of, choose, views_of
 
 FAR = 1e9
@@ -80,9 +82,21 @@ class RawFrame:
 
 
 def read_raw(
-    shot: Shot, number: int, roles: tuple[Role, ...] = (Role.COLOUR, *GEOMETRY)
+    shot: Shot,
+    number: int,
+    roles: tuple[Role, ...] = (Role.COLOUR, *GEOMETRY),
+    objects: bool = False,
 ) -> RawFrame:
     """Read the channels of some roles of one frame.
+
+    Parameters
+    ----------
+    shot, number
+        The frame.
+    roles
+        What is read of it. With `Role.STENCIL` ids of what moves are read from a Cryptomatte, too.
+    objects
+        Whether to read the ids of whatever is shown with that role, where nothing says what moves.
 
     Raises
     ------
@@ -90,46 +104,69 @@ def read_raw(
         When a file is missing, damaged, of another size, lacks a channel, or is mostly NaN.
     """
     refs = {role: shot.layout.roles[role] for role in roles if role in shot.layout}
-    planes, windows = _read_planes(shot, number, [r for group in refs.values() for r in group])
+    ids = shot.ids if Role.STENCIL in roles else None
+    if ids is not None and ids.dynamic is None and not objects:
+        ids = None
+    ranks = () if ids is None else ids.cryptomatte.stencil
+    wanted = [ref for group in (*refs.values(), ranks) for ref in group]
+    found = _Planes(*read_planes(shot, number, wanted), refs)
     path = shot.sequence.files[number]
+    canvas = found.windows[refs[Role.COLOUR][0]] if Role.COLOUR in refs else shot.display
+    image = None
+    if (pixels := found.stack(Role.COLOUR, canvas)) is not None:
+        image = Image(pixels, canvas, shot.display)
+        _refuse_broken(pixels, path)
+    gbuffer = _geometry(found, shot, canvas)
+    if ids is not None:
+        source = shot.files(number)[ids.cryptomatte.aov]
+        stencil, shown = ids.read(found.joined(ranks, canvas, 0.0), gbuffer.depth, source)
+        gbuffer = replace(gbuffer, stencil=stencil, objects=shown)
+    return RawFrame(number, path, image, gbuffer, found.stack(Role.MOTION, canvas, np.nan))
 
-    def stack(role: Role, canvas: Window, fill: float) -> Float32 | None:
-        if role not in refs:
-            return None
-        members = [planes[r].astype(np.float32, copy=False) for r in refs[role]]
-        if len({windows[r] for r in refs[role]}) == 1:
-            return place(joined(members), windows[refs[role][0]], canvas, fill)
+
+@dataclass(frozen=True)
+class _Planes:
+    """Channels of a frame as read, with the data window of each, and those of each role."""
+
+    planes: Mapping[ChannelRef, np.ndarray]
+    windows: Mapping[ChannelRef, Window]
+    refs: Mapping[Role, tuple[ChannelRef, ...]]
+
+    def stack(self, role: Role, canvas: Window, fill: float = 0.0) -> Float32 | None:
+        """Return a role's channels, float32 [H, W, C] on a canvas; None where it is not there."""
+        return self.joined(self.refs[role], canvas, fill) if role in self.refs else None
+
+    def joined(self, refs: tuple[ChannelRef, ...], canvas: Window, fill: float) -> Float32:
+        """Return channels, float32 [H, W, C] on a canvas."""
+        members = [self.planes[ref].astype(np.float32, copy=False) for ref in refs]
+        if len({self.windows[ref] for ref in refs}) == 1:
+            return place(joined(members), self.windows[refs[0]], canvas, fill)
         placed = [
-            place(plane, windows[r], canvas, fill)
-            for r, plane in zip(refs[role], members, strict=True)
+            place(plane, self.windows[ref], canvas, fill)
+            for ref, plane in zip(refs, members, strict=True)
         ]
         return joined(placed)
 
-    canvas = windows[refs[Role.COLOUR][0]] if Role.COLOUR in refs else shot.display
-    image = None
-    if Role.COLOUR in refs:
-        pixels = stack(Role.COLOUR, canvas, 0.0)
-        assert pixels is not None
-        image = Image(pixels, canvas, shot.display)
-        _refuse_broken(pixels, path)
-    depth = stack(Role.DEPTH, canvas, np.inf)
-    normal = stack(Role.NORMAL, canvas, 0.0)
+
+def _geometry(found: _Planes, shot: Shot, canvas: Window) -> GBuffer:
+    """Return what was read but colour and motion."""
+    depth = found.stack(Role.DEPTH, canvas, np.inf)
+    normal = found.stack(Role.NORMAL, canvas)
     stencil = None
-    if Role.STENCIL in refs:
-        ref = refs[Role.STENCIL][0]
-        stencil = place(clean_stencil(planes[ref]), windows[ref], canvas)
-    gbuffer = GBuffer(
+    if Role.STENCIL in found.refs:
+        ref = found.refs[Role.STENCIL][0]
+        stencil = place(clean_stencil(found.planes[ref]), found.windows[ref], canvas)
+    return GBuffer(
         canvas,
         None if depth is None else clean_depth(shot.depth.distance(depth[..., 0]), normal),
         normal,
-        stack(Role.POSITION, canvas, 0.0),
+        found.stack(Role.POSITION, canvas),
         stencil,
-        albedo=_finite(stack(Role.ALBEDO, canvas, 0.0)),
-        specular=_finite(stack(Role.SPECULAR, canvas, 0.0)),
-        roughness=_only(_finite(stack(Role.ROUGHNESS, canvas, 0.0))),
-        metallic=_only(_finite(stack(Role.METALLIC, canvas, 0.0))),
+        albedo=_finite(found.stack(Role.ALBEDO, canvas)),
+        specular=_finite(found.stack(Role.SPECULAR, canvas)),
+        roughness=_only(_finite(found.stack(Role.ROUGHNESS, canvas))),
+        metallic=_only(_finite(found.stack(Role.METALLIC, canvas))),
     )
-    return RawFrame(number, path, image, gbuffer, stack(Role.MOTION, canvas, np.nan))
 
 
 def _finite(planes: Float32 | None) -> Float32 | None:
@@ -164,7 +201,8 @@ def read_image(path: Path, view: str = "") -> Image:
     with ExrReader(path) as file:
         views = views_of(file.parts)
         channels = channels_of(file.parts, choose(views, view or None, path) if views else "")
-        refs = require(detect({"": renamed(channels)}), Role.COLOUR, str(path))
+        mattes = find_cryptomattes({"": renamed(channels)}, {"": file.headers})
+        refs = require(detect({"": plain(channels, mattes)}), Role.COLOUR, str(path))
         chosen = [channels[ref.name] for ref in refs]
         planes = file.read(chosen)
         part = file.parts[chosen[0].part]
@@ -232,7 +270,7 @@ def _refuse_broken(pixels: Float32, path: Path) -> None:
         )
 
 
-def _read_planes(
+def read_planes(
     shot: Shot, number: int, refs: list[ChannelRef]
 ) -> tuple[dict[ChannelRef, np.ndarray], dict[ChannelRef, Window]]:
     """Read channels of one frame, with the data window of each."""

@@ -9,21 +9,24 @@ from __future__ import annotations
 
 import hashlib
 import io
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
 from fractions import Fraction
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import OpenEXR
 
-from exwarp_cli.domain.frame import Bool, Float32, Image, Window
+from exwarp_cli.domain.frame import Bool, Image, Window, place
 from exwarp_cli.errors import OutputError, UsageError
 from exwarp_cli.io.atomic import atomic_write_bytes
-from exwarp_cli.io.channels import ChannelRef
-from exwarp_cli.io.exr import ExrReader, damaged
-from exwarp_cli.io.render_time import render_seconds
+from exwarp_cli.io.exr import damaged
+from exwarp_cli.io.template import PartTemplate, Plane, PlaneKey, Template
+from exwarp_cli.io.template import ViewLayers as ViewLayers
+from exwarp_cli.io.template import quantise as quantise
+from exwarp_cli.io.template import read_headers as read_headers
+from exwarp_cli.io.template import read_template as read_template
 
 PREFIX = "exwarp:"
 CHECKSUM = f"{PREFIX}sha256"
@@ -42,87 +45,6 @@ COMPRESSIONS: dict[str, Any] = {
     "dwaa": OpenEXR.DWAA_COMPRESSION,
     "dwab": OpenEXR.DWAB_COMPRESSION,
 }
-
-HALF_MAX = 65504.0
-
-# Structure, which the writer sets itself; and what belongs to the source frame's own pixels.
-_NOT_CARRIED = frozenset(
-    [
-        "channels",
-        "chunkCount",
-        "dataWindow",
-        "displayWindow",
-        "lineOrder",
-        "tiles",
-        "type",
-        "version",
-        "compression",
-        "view",
-        "maxSamplesPerPixel",
-        "dataHash",
-        "preview",
-        "idManifest",
-        "timeCode",
-        "keyCode",
-        "framesPerSecond",
-    ]
-)
-
-
-@dataclass(frozen=True)
-class Template:
-    """What a generated frame takes over from its key frame's file.
-
-    Attributes
-    ----------
-    header
-        Attributes to carry, with the part's name and compression.
-    channels
-        Names of R, G, B and, if there, A as in the source.
-    dtypes
-        Pixel type of each.
-    render
-        Seconds that the key frame took to render, and the attribute that tells; None where none
-        does.
-    """
-
-    header: Mapping[str, Any]
-    channels: tuple[str, ...]
-    dtypes: tuple[np.dtype[Any], ...]
-    render: tuple[float, str] | None = None
-
-
-def read_template(path: Path, colour: tuple[ChannelRef, ...]) -> Template:
-    """Read the header of a source frame's colour part.
-
-    Raises
-    ------
-    DamagedFileError
-        When the header cannot be read.
-    """
-    with ExrReader(path) as file:
-        parts = file.parts
-    names = [ref.name for ref in colour]
-    headers = read_headers(path)
-    for part, header in zip(parts, headers, strict=False):
-        found = {channel.name: channel for channel in part.channels}
-        if all(name in found for name in names):
-            kept = {k: v for k, v in header.items() if k not in _NOT_CARRIED and _writable(k, v)}
-            kept["compression"] = header["compression"]
-            half = [found[name].pixel_type == "half" for name in names]
-            dtypes = tuple(np.dtype(np.float16 if h else np.float32) for h in half)
-            raw = tuple(found[name].raw_name for name in names)
-            return Template(kept, raw, dtypes, render_seconds(headers))
-    raise damaged(path, "its colour channels are gone")
-
-
-def read_headers(path: Path) -> list[dict[str, Any]]:
-    """Read the header of every part."""
-    try:
-        with OpenEXR.File(str(path), header_only=True) as file:
-            return [dict(part.header) for part in file.parts]
-    except (RuntimeError, ValueError, OSError) as error:
-        raise damaged(path, str(error)) from error
 
 
 def frame_rate(header: Mapping[str, Any]) -> Fraction | None:
@@ -148,24 +70,12 @@ def compression_of(name: str | None) -> Any:
     return COMPRESSIONS[name]
 
 
-def quantise(pixels: Float32, template: Template) -> Float32:
-    """Round pixels to the types that the file will have, so that what is scored is what is kept.
-
-    Half values beyond its range become its largest, not infinity.
-    """
-    out = pixels.copy()
-    for i, dtype in enumerate(template.dtypes):
-        if dtype == np.float16:
-            plane = np.clip(out[..., i], -HALF_MAX, HALF_MAX)
-            out[..., i] = plane.astype(np.float16).astype(np.float32)
-    return out
-
-
 def write_frame(
     path: Path,
     image: Image,
     template: Template,
     attributes: Mapping[str, Any],
+    beside: Mapping[PlaneKey, Plane] | None = None,
 ) -> None:
     """Write a generated frame, whole or not at all.
 
@@ -174,55 +84,90 @@ def write_frame(
     path
         Target; its folder exists.
     image
-        Colour [H, W, C] with C the number of the template's channels.
+        Colour [H, W, C] of the view that leads, with C the number of the template's colour
+        channels.
     template
         From the key frame's file.
     attributes
-        Header attributes that replace or join the template's.
+        Header attributes that replace or join the template's. Those of ExWarp's own stand in the
+        first part.
+    beside
+        Every other channel that the template has.
 
     Raises
     ------
     OutputError
         When it cannot be written.
+
+    Notes
+    -----
+    Each part covers what its source's did; see `filled_window`.
     """
-    planes = {
-        name: np.ascontiguousarray(np.clip(image.pixels[..., i], -HALF_MAX, HALF_MAX), dtype=dtype)
-        if dtype == np.float16
-        else np.ascontiguousarray(image.pixels[..., i], dtype=dtype)
-        for i, (name, dtype) in enumerate(zip(template.channels, template.dtypes, strict=True))
-    }
-    header = {**template.header, **attributes}
-    _write(path, header, planes, (image.data_window, image.display_window))
+    planes = dict(beside or {})
+    for i, plane in enumerate(template.colour):
+        planes[plane.key] = Plane(image.pixels[..., i], image.data_window)
+    own = {name: value for name, value in attributes.items() if name.startswith(PREFIX)}
+    others = {name: value for name, value in attributes.items() if name not in own}
+    parts = [_encoded(part, planes, image.display_window, others) for part in template.parts]
+    parts[0][0].update(own)
+    _write(path, parts)
 
 
 def write_mask(
     path: Path, mask: Bool, windows: tuple[Window, Window], attributes: Mapping[str, Any]
 ) -> None:
-    """Write a hole mask as one half channel named ``holes``: 1 in holes, else 0."""
-    header = {"compression": OpenEXR.ZIPS_COMPRESSION, **attributes}
-    _write(path, header, {"holes": mask.astype(np.float16)}, windows)
+    """Write a hole mask as one half channel named ``holes``: 1 in holes, else 0.
+
+    The windows are data and display.
+    """
+    header = {"compression": OpenEXR.ZIPS_COMPRESSION, **attributes, **_structure(*windows)}
+    _write(path, [(header, {"holes": mask.astype(np.float16)})])
 
 
-def _write(
-    path: Path,
-    header: Mapping[str, Any],
-    planes: Mapping[str, np.ndarray],
-    windows: tuple[Window, Window],
-) -> None:
-    """Encode in memory, seal, and write; windows are data and display.
+Encoded = tuple[dict[str, Any], dict[str, np.ndarray]]
+"""Header and channels of one part."""
+
+
+def _encoded(
+    part: PartTemplate,
+    planes: Mapping[PlaneKey, Plane],
+    display: Window,
+    attributes: Mapping[str, Any],
+) -> Encoded:
+    """Bring the channels of a part onto one window, in their types."""
+    members = {plane: planes[plane.key] for plane in part.planes}
+    window = filled_window(members.values(), part.window)
+    channels = {
+        template.name: template.encoded(place(plane.values, plane.window, window))
+        for template, plane in members.items()
+    }
+    return {**part.header, **attributes, **_structure(window, display)}, channels
+
+
+def _structure(data: Window, display: Window) -> dict[str, Any]:
+    return {
+        "type": OpenEXR.scanlineimage,
+        "dataWindow": _box(data),
+        "displayWindow": _box(display),
+    }
+
+
+def _write(path: Path, parts: list[Encoded]) -> None:
+    """Encode in memory, seal, and write.
 
     One thread encodes: frames are written side by side, which shares the cores better.
     """
-    full = {
-        **header,
-        "type": OpenEXR.scanlineimage,
-        "dataWindow": _box(windows[0]),
-        "displayWindow": _box(windows[1]),
-        CHECKSUM: _ZEROS,
-    }
+    parts[0][0][CHECKSUM] = _ZEROS
     buffer = io.BytesIO()
     try:
-        OpenEXR.File(full, dict(planes), num_threads=0).write(buffer)
+        if len(parts) == 1:
+            file = OpenEXR.File(*parts[0], num_threads=0)
+        else:
+            made = [
+                OpenEXR.Part(header, planes, header.get("name", "")) for header, planes in parts
+            ]
+            file = OpenEXR.File(made, num_threads=0)
+        file.write(buffer)
     except (RuntimeError, ValueError, TypeError) as error:
         raise OutputError(f"cannot encode {path}: {error}; try another --compression") from error
     atomic_write_bytes(path, seal(buffer.getbuffer()))
@@ -284,25 +229,34 @@ def file_digest(path: Path) -> str:
         raise damaged(path, str(error.strerror)) from error
 
 
-def tight_window(image: Image, source: Window) -> Image:
-    """Crop an image to what is not empty, unless its source filled the window.
+def filled_window(planes: Iterable[Plane], source: Window) -> Window:
+    """Return the window that holds what is not empty, unless their source filled theirs.
 
     A key frame that holds only an object's bounding box stays that small when it is moved.
+
+    Parameters
+    ----------
+    planes
+        Of one part, on the windows that they were made on.
+    source
+        The data window of that part in the key frame.
     """
-    if source == image.data_window:
-        return image
-    rows = np.flatnonzero(image.pixels.any(axis=(1, 2)))
-    columns = np.flatnonzero(image.pixels.any(axis=(0, 2)))
-    window = image.data_window
+    planes = tuple(planes)
+    window = reduce(Window.union, (plane.window for plane in planes))
+    if source == window:
+        return window
+    filled = np.zeros(window.shape, np.bool_)
+    for plane in planes:
+        filled |= place(plane.values != 0, plane.window, window)
+    rows, columns = np.flatnonzero(filled.any(axis=1)), np.flatnonzero(filled.any(axis=0))
     if rows.size == 0:
-        return image.on(Window(window.x, window.y, 1, 1))
-    crop = Window(
+        return Window(window.x, window.y, 1, 1)
+    return Window(
         window.x + int(columns[0]),
         window.y + int(rows[0]),
         int(columns[-1] - columns[0]) + 1,
         int(rows[-1] - rows[0]) + 1,
     )
-    return image.on(crop)
 
 
 def _checksum_at(data: bytes | bytearray) -> int | None:
@@ -315,10 +269,3 @@ def _checksum_at(data: bytes | bytearray) -> int | None:
 def _box(window: Window) -> tuple[np.ndarray, np.ndarray]:
     x0, y0, x1, y1 = window.corners
     return np.array([x0, y0], np.int32), np.array([x1, y1], np.int32)
-
-
-def _writable(name: str, value: object) -> bool:
-    """Whether OpenEXR's bindings can write back what they read."""
-    if name == "name" and not value:
-        return False
-    return not isinstance(value, OpenEXR.OpaqueAttribute)

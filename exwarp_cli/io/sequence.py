@@ -186,8 +186,8 @@ def find_aov_set(spec: str, suffixes: tuple[str, ...] = EXR) -> AovSet | None:
     return None
 
 
-def output_pattern(spec: str, source: Sequence) -> OutputPattern:
-    """Read the ``-o`` option: a pattern that ends in ``.exr``, or a folder.
+def output_pattern(spec: str, source: Sequence, suffixes: tuple[str, ...] = EXR) -> OutputPattern:
+    """Read the ``-o`` option: a pattern that ends in ``.exr`` or the like, or a folder.
 
     In a folder, frames have the base name, padding and suffix of the input.
 
@@ -198,11 +198,13 @@ def output_pattern(spec: str, source: Sequence) -> OutputPattern:
         slash, or an existing folder is a folder.
     source
         The input sequence.
+    suffixes
+        That frames can be written with, in lower case.
 
     Raises
     ------
     UsageError
-        When it names one file, or another format than EXR.
+        When it names one file, or another format.
     OutputError
         When the frames would fall among those of the input.
     """
@@ -215,19 +217,20 @@ def output_pattern(spec: str, source: Sequence) -> OutputPattern:
         return _apart(OutputPattern(path, source.base, source.padding, source.suffix), source)
     pattern = NamePattern.parse(path.name)
     suffix = path.suffix.lower()
-    if suffix in _OTHER_MEDIA or (pattern is not None and suffix != ".exr"):
+    if suffix not in suffixes and (suffix in _OTHER_MEDIA or pattern is not None):
+        kind = "EXR" if source.suffix.lower() in EXR else "EXR or still images"
         raise UsageError(
-            f"the output {spec} is not an EXR pattern, and ExWarp writes frames as EXR only; "
-            "name a folder or a pattern such as out.####.exr"
+            f"the output {spec} is not an EXR pattern, and ExWarp writes such frames as {kind} "
+            f"only; name a folder or a pattern such as out.####{suffixes[0]}"
         )
     if pattern is not None:
         return _apart(
             OutputPattern(path.parent, pattern.base, pattern.padding, pattern.suffix), source
         )
-    if suffix == ".exr":
+    if suffix in suffixes:
         raise UsageError(
             f"the output {spec} is one file, and many frames are written; "
-            f"put a frame token in it, such as {path.stem}.####.exr, or name a folder"
+            f"put a frame token in it, such as {path.stem}.####{suffix}, or name a folder"
         )
     return _apart(OutputPattern(path, source.base, source.padding, source.suffix), source)
 

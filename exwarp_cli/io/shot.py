@@ -10,12 +10,16 @@ from typing import Any
 from exwarp_cli.domain.frame import Window
 from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.errors import LayoutError, MissingFrameError
-from exwarp_cli.io.aov_files import AovFile, named, recognise
+from exwarp_cli.io.aov_files import AovFile, recognise
 from exwarp_cli.io.channel_map import ChannelMap
 from exwarp_cli.io.channels import ChannelRef, Layout, Role, detect
+from exwarp_cli.io.cryptomatte import Cryptomatte, Headers, find_cryptomattes
 from exwarp_cli.io.depth import DepthReading
 from exwarp_cli.io.depth import named as depth_named
 from exwarp_cli.io.exr import Channel, ExrReader, Part, deep_only
+from exwarp_cli.io.id_reading import IdReading
+from exwarp_cli.io.layouts import corrected, merged, moved
+from exwarp_cli.io.layouts import spelled as spelled
 from exwarp_cli.io.sequence import Sequence, find_aov_set, find_sequence
 from exwarp_cli.io.views import ALL, channels_of, choose, expand, views_of
 
@@ -50,6 +54,10 @@ class Shot:
         By which the layout was corrected; None without.
     aov_files
         Roles whose channels were taken from sequences of their own.
+    cryptomattes
+        Those of the first frame, the best stencil first. Their channels have no role.
+    ids
+        How ids are read from one of them; None where they are not.
     by_hand
         In what the layout is another than the files' own for their hero view, as plain data; what
         was made of the shot depends on it.
@@ -65,6 +73,8 @@ class Shot:
     depth: DepthReading = field(default_factory=DepthReading)
     channel_map: ChannelMap | None = None
     aov_files: tuple[AovFile, ...] = ()
+    cryptomattes: tuple[Cryptomatte, ...] = ()
+    ids: IdReading | None = None
     by_hand: Mapping[str, Any] = field(default_factory=dict)
 
     def files(self, number: int) -> dict[str, Path]:
@@ -173,6 +183,7 @@ class _Found:
     leader: Sequence
     aovs: Mapping[str, Sequence]
     parts: Mapping[str, tuple[Part, ...]]
+    headers: Headers
 
 
 def _find(spec: str) -> _Found:
@@ -184,17 +195,18 @@ def _find(spec: str) -> _Found:
         leader, aovs = aov_set.leader, aov_set.aovs
     first = leader.numbers[0]
     members = {} if leader in aovs.values() else {"": leader}
-    parts = {aov: _look(member.files[first]) for aov, member in (members | aovs).items()}
-    return _Found(leader, aovs, parts)
+    looks = {aov: _look(member.files[first]) for aov, member in (members | aovs).items()}
+    parts = {aov: look[0] for aov, look in looks.items()}
+    return _Found(leader, aovs, parts, {aov: look[1] for aov, look in looks.items()})
 
 
-def _look(path: Path) -> tuple[Part, ...]:
-    """Return the parts of a file of which one at least is flat."""
+def _look(path: Path) -> tuple[tuple[Part, ...], list[dict[str, object]]]:
+    """Return the parts of a file of which one at least is flat, and their attributes."""
     with ExrReader(path) as file:
-        parts = file.parts
+        parts, headers = file.parts, file.headers
     if all(part.deep for part in parts):
         raise deep_only(path)
-    return parts
+    return parts, headers
 
 
 def _open(found: _Found, wish: _Wish, named_view: str, views: tuple[str, ...]) -> Shot:
@@ -216,14 +228,19 @@ def _open(found: _Found, wish: _Wish, named_view: str, views: tuple[str, ...]) -
     view = named_view or choose(views, wish.view, pattern)
     within = {aov: _within(parts, view, named_view, pattern) for aov, parts in found.parts.items()}
     channels = {aov: channels_of(parts, within[aov]) for aov, parts in found.parts.items()}
-    own = detect({aov: renamed(members) for aov, members in channels.items()})
+    every = {aov: renamed(members) for aov, members in channels.items()}
+    mattes = find_cryptomattes(every, found.headers)
+    own = detect({aov: plain(members, mattes, aov) for aov, members in channels.items()})
+    if Role.COLOUR in own:
+        mattes = find_cryptomattes(every, found.headers, own.roles[Role.COLOUR][0].name)
     if not own.roles:
         _refuse_luminance(channels, pattern)
-    layout = own if wish.channel_map is None else _corrected(own, channels, wish.channel_map)
+    layout = own if wish.channel_map is None else corrected(own, channels, wish.channel_map)
     display = main[0].display_window
-    shot = Shot(found.leader, found.aovs, layout, display, views, view, within)
+    shot = Shot(found.leader, found.aovs, layout, display, views, view, within, cryptomattes=mattes)
     for aov in wish.aovs:
         shot = _joined(shot, aov)
+    shot = _by_bits(shot)
     told = wish.channel_map
     shot = replace(shot, depth=_depth(shot, told), channel_map=told, aov_files=wish.aovs)
     return replace(shot, by_hand=_by_hand(shot, own))
@@ -232,6 +249,14 @@ def _open(found: _Found, wish: _Wish, named_view: str, views: tuple[str, ...]) -
 def renamed(channels: Mapping[str, Channel]) -> tuple[Channel, ...]:
     """Return channels with the names that they are known by, for detection."""
     return tuple(replace(channel, name=name) for name, channel in channels.items())
+
+
+def plain(
+    channels: Mapping[str, Channel], cryptomattes: Iterable[Cryptomatte], aov: str = ""
+) -> tuple[Channel, ...]:
+    """Return channels as `renamed` does, without those of Cryptomattes."""
+    taken = {ref for one in cryptomattes for ref in one.refs}
+    return tuple(c for c in renamed(channels) if ChannelRef(aov, c.name) not in taken)
 
 
 def _within(parts: tuple[Part, ...], view: str, named_view: str, where: object) -> str:
@@ -251,28 +276,6 @@ def _refuse_luminance(channels: Mapping[str, Mapping[str, Channel]], where: str)
         )
 
 
-def _corrected(
-    layout: Layout, channels: Mapping[str, Mapping[str, Channel]], told: ChannelMap
-) -> Layout:
-    """Put a channel map's roles in place of those that were recognised."""
-    known = {
-        spelled(ChannelRef(aov, name)): ChannelRef(aov, name)
-        for aov, members in channels.items()
-        for name in members
-    }
-    roles = dict(layout.roles)
-    for role, names in told.channels.items():
-        roles.pop(role, None)
-        option = told.option(f"channels.{role.value}")
-        refs = tuple(known[named(name, known, option, "the shot")] for name in names)
-        if refs:
-            roles[role] = refs
-    same = roles.get(Role.MOTION) == layout.roles.get(Role.MOTION)
-    producer = told.producer or layout.producer
-    guess = layout.guess if same else None
-    return replace(layout, roles=_ordered(roles), guess=guess, producer=producer)
-
-
 def _joined(shot: Shot, aov: AovFile) -> Shot:
     """Take a role's channels from a sequence of its own."""
     expanded, named_view, _ = expand(aov.pattern, shot.view or None)
@@ -284,7 +287,7 @@ def _joined(shot: Shot, aov: AovFile) -> Shot:
         )
     files = {number: sequence.files[number] for number in shot.sequence.numbers}
     path = next(iter(files.values()))
-    parts = _look(path)
+    parts, headers = _look(path)
     if parts[0].display_window != shot.display:
         raise LayoutError(
             f"{path} of {aov.option} has the display window {parts[0].display_window} where the "
@@ -292,15 +295,33 @@ def _joined(shot: Shot, aov: AovFile) -> Shot:
         )
     within = _within(parts, shot.view, named_view, path)
     channels = channels_of(parts, within)
-    found = recognise(aov, {c.name: c for c in renamed(channels)}, path)
     name = _name_of(shot, aov, sequence)
+    mattes = find_cryptomattes({name: renamed(channels)}, {name: headers})
+    if aov.role is Role.STENCIL and mattes and not aov.channels:
+        found = Layout({aov.role: mattes[0].stencil})
+    else:
+        read = recognise(aov, {c.name: c for c in renamed(channels)}, path)
+        found = moved(read, {aov.role.value: name})
     joined = replace(
         shot,
         aovs={**shot.aovs, name: replace(sequence, files=files)},
-        layout=_merged(shot.layout, _moved(found, {aov.role.value: name})),
+        layout=merged(shot.layout, found),
         within={**shot.within, name: within},
+        cryptomattes=shot.cryptomattes + tuple(one for one in mattes if name not in shot.aovs),
     )
     return _led(joined, name) if aov.role is Role.COLOUR else joined
+
+
+def _by_bits(shot: Shot) -> Shot:
+    """Put that Cryptomatte first whose channels were named for ids: they are no numbers."""
+    named = set(shot.layout.roles.get(Role.STENCIL, ()))
+    meant = [one for one in shot.cryptomattes if named & one.refs]
+    if not meant:
+        return shot
+    roles = dict(shot.layout.roles)
+    del roles[Role.STENCIL]
+    others = [one for one in shot.cryptomattes if one is not meant[0]]
+    return replace(shot, layout=replace(shot.layout, roles=roles), cryptomattes=(meant[0], *others))
 
 
 def _name_of(shot: Shot, aov: AovFile, sequence: Sequence) -> str:
@@ -309,34 +330,18 @@ def _name_of(shot: Shot, aov: AovFile, sequence: Sequence) -> str:
     return next(known, aov.role.value)
 
 
-def _moved(layout: Layout, names: Mapping[str, str]) -> Layout:
-    """Return a layout with other names of AOVs."""
-    roles = {
-        role: tuple(replace(ref, aov=names.get(ref.aov, ref.aov)) for ref in refs)
-        for role, refs in layout.roles.items()
-    }
-    return replace(layout, roles=roles)
-
-
-def _merged(layout: Layout, more: Layout) -> Layout:
-    """Add the roles of another layout, and what it says of motion if that is among them."""
-    roles = _ordered({**layout.roles, **more.roles})
-    guess = more.guess if Role.MOTION in more else layout.guess
-    ours = Role.MOTION in more and more.guess is not None
-    return replace(layout, roles=roles, guess=guess, producer=(more if ours else layout).producer)
-
-
 def _led(shot: Shot, aov: str) -> Shot:
     """Make an AOV's sequence the leader: frames are named like those with the colour."""
     leads = shot.sequence in shot.aovs.values()
-    moved = {aov: ""} if leads else {"": MAIN, aov: ""}
+    names = {aov: ""} if leads else {"": MAIN, aov: ""}
     aovs = {name: sequence for name, sequence in shot.aovs.items() if name != aov}
     return replace(
         shot,
         sequence=shot.aovs[aov],
         aovs=aovs if leads else {MAIN: shot.sequence, **aovs},
-        layout=_moved(shot.layout, moved),
-        within={moved.get(name, name): view for name, view in shot.within.items()},
+        layout=moved(shot.layout, names),
+        within={names.get(name, name): view for name, view in shot.within.items()},
+        cryptomattes=tuple(one.moved(names) for one in shot.cryptomattes),
     )
 
 
@@ -359,12 +364,3 @@ def _by_hand(shot: Shot, own: Layout) -> dict[str, Any]:
     if shot.depth != _depth(shot, None):
         found["depth_kind"] = shot.depth.kind.value
     return found
-
-
-def spelled(ref: ChannelRef) -> str:
-    """Return a channel's name as users see it, and channel maps have it: with its AOV."""
-    return f"{ref.aov}:{ref.name}" if ref.aov else ref.name
-
-
-def _ordered(roles: Mapping[Role, tuple[ChannelRef, ...]]) -> dict[Role, tuple[ChannelRef, ...]]:
-    return {role: roles[role] for role in Role if role in roles}

@@ -42,6 +42,7 @@ _FILM_TRANSFERS = ("Printing density", "Logarithmic")
 _NOT_CARRIED = ("oiio:", "compression", "smpte:", "dpx:TimeCode", "jpeg:Compression", "Software")
 _DPX_NAME = 36
 _DPX_TEXTS = ((36, 136), (136, 160), (160, 260), (260, 460), (460, 660))  # SMPTE 268M
+_PNG = b"\x89PNG\r\n\x1a\n"
 _NO_DATE = "1970:01:01 00:00:00"
 
 
@@ -76,6 +77,11 @@ class StillTemplate:
     def has_alpha(self) -> bool:
         """Whether there is an alpha channel."""
         return self.channels in (2, 4)
+
+    @property
+    def render(self) -> None:
+        """How long the key frame took to render, as in `Template`: stills do not tell."""
+        return None
 
 
 def read_still(path: Path) -> tuple[Image, StillTemplate]:
@@ -180,6 +186,8 @@ def _opened(path: Path) -> Iterator[Any]:
     """Open an image, its alpha as the file has it."""
     if not path.is_file():
         raise InputError(f"there is no image {path}; check the path")
+    if path.suffix.lower() == ".png" and not _ends(path):
+        raise _damaged(path, "")  # its decoder would print that too
     hint = oiio.ImageSpec()
     hint.attribute("oiio:UnassociatedAlpha", 1)
     file = oiio.ImageInput.open(str(path), hint)
@@ -189,6 +197,18 @@ def _opened(path: Path) -> Iterator[Any]:
         yield file
     finally:
         file.close()
+
+
+def _ends(path: Path) -> bool:
+    """Whether the chunks of a PNG go on to its end; what is no PNG at all is for its reader."""
+    with path.open("rb") as file:
+        if file.read(len(_PNG)) != _PNG:
+            return True
+        while len(head := file.read(8)) == 8:
+            if head[4:] == b"IEND":
+                return True
+            file.seek(int.from_bytes(head[:4], "big") + 4, 1)
+    return False
 
 
 def _damaged(path: Path, why: str) -> DamagedFileError:

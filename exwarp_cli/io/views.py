@@ -37,14 +37,16 @@ def views_of(parts: Iterable[Part]) -> tuple[str, ...]:
     """Return the names of a file's views, the hero first; () where it has none.
 
     Of a single part without ``multiView``, layers named left and right count as views only where
-    there are both.
+    there are both, and no channel of theirs without a view: beside a beauty they are lights.
     """
     parts = tuple(parts)
     listed = [view for part in parts for view in (part.view, *part.views) if view]
     if listed:
         return tuple(dict.fromkeys(listed))
-    found = {_element(channel) for part in parts for channel in part.channels}
-    return ("left", "right") if found >= _USUAL else ()
+    placed = [_place(c, part, tuple(_USUAL)) for part in parts for c in part.channels]
+    names = {owner: {name for of, name, _ in placed if of == owner} for owner in ("", *_USUAL)}
+    both = names["left"] and names["right"]
+    return ("left", "right") if both and not names["left"] & names["right"] & names[""] else ()
 
 
 def choose(views: tuple[str, ...], asked: str | None, where: object) -> str:

@@ -13,9 +13,12 @@ from exwarp_cli.domain.results import (
 )
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.io.channels import Role
+from exwarp_cli.io.cryptomatte_manifest import SHOWN, shown
+from exwarp_cli.io.footage import is_plain, unevenness_of
 from exwarp_cli.io.interpolator import OnnxInterpolator
 from exwarp_cli.io.models import OnnxExtrapolator
 from exwarp_cli.io.policy_files import PolicyFile
+from exwarp_cli.pipeline.contents import Content, files_apart
 from exwarp_cli.pipeline.progress import Progress
 from exwarp_cli.pipeline.source import Source
 from exwarp_cli.synthesis.methods import Method
@@ -55,15 +58,21 @@ def announce_models(progress: Progress, models: Models, source: Source) -> None:
     if models.interpolator is not None:
         _announce_interpolator(progress, models.interpolator)
     if models.policy is not None:
-        _announce_policy(progress, models.policy)
+        _announce_policy(progress, models.policy, _dynamic(source))
 
 
 def _policy_summary(policy: PolicyFile, source: Source) -> PolicySummary:
     """Say what the policy sees of the input."""
-    layout = (source.slots or source.keys).layout
-    objects_from: str | None = "ids" if Role.STENCIL in layout else "motion"
-    if objects_from == "motion" and not (Role.POSITION in layout or Role.DEPTH in layout):
-        objects_from = None
+    shot = source.slots or source.keys
+    layout = shot.layout
+    placed = Role.POSITION in layout or Role.DEPTH in layout
+    objects_from: str | None
+    if Role.STENCIL in layout:
+        objects_from = "ids"
+    elif shot.ids is not None and (placed or shot.ids.dynamic is not None):
+        objects_from = "cryptomatte"
+    else:
+        objects_from = "motion" if placed else None
     needed = {"EMD_Wn": Role.NORMAL, "EMD_Wp": Role.POSITION}
     missing = [name for name, role in needed.items() if role not in layout]
     if objects_from is None:
@@ -71,12 +80,19 @@ def _policy_summary(policy: PolicyFile, source: Source) -> PolicySummary:
     return PolicySummary(str(policy.path), policy.checksum, objects_from, tuple(missing))
 
 
-def _announce_policy(progress: Progress, decided: PolicySummary) -> None:
+def _announce_policy(
+    progress: Progress, decided: PolicySummary, told: tuple[str, ...] | None
+) -> None:
     progress.message(
         f"decisions by {Path(decided.file).name} (sha256 {decided.sha256[:8]}), 8-bit integers"
     )
     if decided.objects_from == "motion":
         progress.message("no object ids: what moves otherwise than the camera counts as an object")
+    if decided.objects_from == "cryptomatte" and told is None:
+        progress.message(
+            "nothing says what moves: of the Cryptomatte's objects those count that move otherwise "
+            "than the camera; --dynamic names them"
+        )
     if decided.missing:
         progress.message(
             f"the policy sees 0 for {', '.join(decided.missing)}, as the AOVs for it are missing"
@@ -128,28 +144,64 @@ def announce(
     count = len(source.timeline.numbers)
     progress.message(
         f"{source.keys.sequence.pattern}: {count} key frame{'' if count == 1 else 's'} at "
-        f"{float(source.fps):g} fps ({source.fps_source}), G-buffers for "
-        f"{'every slot' if source.slots is not None else 'the key frames'}"
+        f"{float(source.fps):g} fps ({source.fps_source}), {_geometry(source)}"
     )
+    if (uneven := unevenness_of(source.keys.sequence)) is not None:
+        progress.message(uneven)
     if settings.source.gbuffers is not None and source.slots is None:
         progress.message(
             "--gbuffers is left out: it has no readable vectors to the previous slot, and "
             f"{method.name} does without"
         )
-    if source.finding is not None:
-        progress.message(f"motion {source.finding.source}: {source.finding.evidence}")
+    if source.motion_told is not None:
+        progress.message("motion {}: {}".format(*source.motion_told))
+    if (names := _dynamic(source)) is not None:
+        listed = ", ".join(shown(name) for name in names[:SHOWN])
+        more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+        progress.message(f"moving by name: {listed}{more}")
     last = count - 1
     if method.lookahead and last in keys and len(source.timeline.slots_of(last)) > 1:
-        fallback = "s6" if source.finding is not None else "hold"
+        fallback = "s6" if source.moves else "hold"
         progress.message(
             f"after the last key frame there is no next one, so {method.name} falls back to "
             f"{fallback} there; --no-tail leaves those frames out"
         )
 
 
+def _geometry(source: Source) -> str:
+    """Say for which instants there is geometry."""
+    if source.estimated or is_plain(source.keys.sequence):
+        return "no AOVs" if is_plain(source.keys.sequence) else "no motion vectors"
+    return f"G-buffers for {'every slot' if source.slots is not None else 'the key frames'}"
+
+
+def announce_contents(progress: Progress, contents: tuple[Content, ...]) -> None:
+    """Say what generated frames hold beside the beauty."""
+    leader = contents[0]
+    shot = leader.source.keys
+    if len(contents) > 1:
+        views = ", ".join(content.source.keys.view for content in contents)
+        progress.message(f"views {views} in one file; decisions and scores are of {shot.view}")
+        for content in contents[1:]:
+            finding = content.source.finding
+            if finding is not None:
+                found = f"motion {finding.source}: {finding.evidence}"
+                progress.message(f"{content.source.keys.view}: {found}")
+    if leader.names:
+        count = len(leader.names)
+        progress.message(
+            f"{count} layer{'' if count == 1 else 's'} beside the beauty: {', '.join(leader.names)}"
+        )
+    if leader.layers and (apart := files_apart(shot)):
+        progress.message(
+            f"layers in files of their own are not written: {', '.join(apart)}; generated frames "
+            "hold those of the file with the colour"
+        )
+
+
 def input_summary(source: Source) -> InputSummary:
     """Return the input as the report names it."""
-    finding = source.finding
+    motion = source.motion_told
     return InputSummary(
         pattern=source.keys.sequence.pattern,
         first=source.timeline.numbers[0],
@@ -157,6 +209,13 @@ def input_summary(source: Source) -> InputSummary:
         width=source.keys.display.width,
         height=source.keys.display.height,
         producer=(source.slots or source.keys).layout.producer,
-        motion_source=None if finding is None else finding.source,
-        motion_evidence=None if finding is None else finding.evidence,
+        motion_source=None if motion is None else motion[0],
+        motion_evidence=None if motion is None else motion[1],
+        dynamic=_dynamic(source),
     )
+
+
+def _dynamic(source: Source) -> tuple[str, ...] | None:
+    """Return the names of what the user calls moving; None where nothing is said."""
+    ids = (source.slots or source.keys).ids
+    return None if ids is None or ids.dynamic is None else ids.dynamic.names

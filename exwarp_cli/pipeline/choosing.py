@@ -12,7 +12,7 @@ import numpy as np
 from exwarp_cli.domain.decision import CHOICES, NODES, PATHS, Decision, Plan
 from exwarp_cli.domain.frame import Window
 from exwarp_cli.domain.timeline import FACTOR
-from exwarp_cli.io.output import quantise
+from exwarp_cli.io.frame_files import quantised
 from exwarp_cli.pipeline.loading import Loaded
 from exwarp_cli.pipeline.observing import Observer
 from exwarp_cli.pipeline.oracle import outcomes_of
@@ -74,7 +74,7 @@ def by_truth(judge: Judge, display: Window) -> Chooser:
             return Chosen(Plan.fixed("S6"))
         begin = time.perf_counter()
         truth = {slot: image.on(display).pixels for slot, image in loaded.truth.items()}
-        found = outcomes_of(interval, truth, display, partial(quantise, template=loaded.template))
+        found = outcomes_of(interval, truth, display, partial(quantised, template=loaded.template))
         path = tuple(PATHS)[int(best(found))]
         told = found[..., 0] if by_psnr else outcomes.rewards(found)
         decisions = tuple(

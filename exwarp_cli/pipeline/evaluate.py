@@ -141,7 +141,8 @@ def evaluate(
     pairs = _select(paired, frames)
     mask_files = {} if masks is None else _mask_files(masks, judged, paired)
     files = [
-        _Files(a, b, truth.files[a], judged.files[b], mask_files.get(b)) for a, b in pairs.items()
+        _Files(a, b, truth.files[a], judged.files[b], mask_files.get(b), measuring.view)
+        for a, b in pairs.items()
     ]
     origins = origins_of([one.test for one in files])
     require_generated(measuring, origins, judged)
@@ -171,10 +172,11 @@ class _Files:
     reference: Path
     test: Path
     mask: Path | None
+    view: str
 
     def read(self) -> Pair:
         """Read the pair and its mask, all of one size."""
-        truth, judged = _shown(self.reference), _shown(self.test)
+        truth, judged = _shown(self.reference, self.view), _shown(self.test, self.view)
         shape = truth.display_window.shape
         _require_shape(judged.display_window.shape, self.test, shape, self.reference)
         mask = None if self.mask is None else _read_mask(self.mask, shape, self.reference)
@@ -278,9 +280,9 @@ def _require_scores(found: Comparison) -> None:
         )
 
 
-def _shown(path: Path) -> Image:
+def _shown(path: Path, view: str) -> Image:
     """Read what is meant to be seen of a frame."""
-    image = read_image(path)
+    image = read_image(path, view)
     return image.on(image.display_window)
 
 

@@ -73,7 +73,8 @@ def features(
     try:
         for key in keys:
             observed, slots = loader.look(key)
-            surroundings = observer.surroundings(key, observed, observer.settled(slots))
+            settled = observer.settled(slots)
+            surroundings = observer.surroundings(key, observed, settled, read=slots)
             number = source.timeline.numbers[key]
             for node in NODES:
                 yield NodeFeatures(

@@ -54,7 +54,7 @@ class Flow:
         return found.field, found.hole
 
 
-def open_flow(spec: str, sequence: Sequence) -> Flow | str:
+def open_flow(spec: str, sequence: Sequence, view: str = "") -> Flow | str:
     """Return the flow of a sequence, or in a few words why it has none.
 
     Parameters
@@ -63,9 +63,11 @@ def open_flow(spec: str, sequence: Sequence) -> Flow | str:
         What the user named it by.
     sequence
         What was found there.
+    view
+        Whose vectors; "" for the hero's.
     """
     try:
-        shot = open_shot(spec)
+        shot = open_shot(spec, view or None)
         finding = find_motion(shot, None)
     except (InputError, MotionError) as error:
         return str(error)

@@ -8,7 +8,8 @@ from exwarp_cli.domain.extrapolator import HISTORY, Extrapolator
 from exwarp_cli.domain.frame import Float32, GBuffer, KeyFrame, Window
 from exwarp_cli.domain.interpolator import Interpolator
 from exwarp_cli.domain.timeline import Slot
-from exwarp_cli.pipeline.loading import Loaded, Older, between, without_surface
+from exwarp_cli.pipeline.instants import between, without_surface
+from exwarp_cli.pipeline.loading import Loaded, Older
 from exwarp_cli.synthesis.geometry import settle_motion
 from exwarp_cli.synthesis.history import Past
 from exwarp_cli.synthesis.interval import Interval
@@ -29,6 +30,8 @@ class Staging:
         For methods that extrapolate.
     interpolator
         For methods that have a network interpolate.
+    estimated
+        Whether key frames come with estimated motion, which is settled as it is.
     """
 
     def __init__(
@@ -36,10 +39,12 @@ class Staging:
         display: Window,
         network: Extrapolator | None = None,
         interpolator: Interpolator | None = None,
+        estimated: bool = False,
     ) -> None:
         self._display = display
         self._network = network
         self._interpolator = interpolator
+        self._estimated = estimated
         self._frames: dict[tuple[int, Window], KeyFrame] = {}
         self._instants: dict[tuple[Slot, Window], GBuffer] = {}
         self._motions: dict[tuple[int, Window], Float32] = {}
@@ -57,13 +62,16 @@ class Staging:
         past = self._past(loaded, key, canvas)
         self._keep(loaded.key, slots, canvas)
         networks = (self._network, self._interpolator)
-        return Interval(key, following, slots, past, *networks, loaded.times)
+        return Interval(
+            key, following, slots, past, *networks, loaded.times, estimated=self._estimated
+        )
 
     def _frame(self, index: int, frame: KeyFrame, canvas: Window) -> KeyFrame:
         if (index, canvas) not in self._frames:
             placed = frame.extended(canvas)
-            gbuffer = None if placed.gbuffer is None else settle_motion(placed.gbuffer)
-            self._frames[index, canvas] = replace(placed, gbuffer=gbuffer)
+            if placed.gbuffer is not None and not self._estimated:
+                placed = replace(placed, gbuffer=settle_motion(placed.gbuffer))
+            self._frames[index, canvas] = placed
         return self._frames[index, canvas]
 
     def _past(self, loaded: Loaded, key: KeyFrame, canvas: Window) -> tuple[Past, ...]:

@@ -10,17 +10,19 @@ from typing import Any
 from exwarp_cli.domain.motion import MotionFinding
 from exwarp_cli.domain.settings import SourceSettings
 from exwarp_cli.domain.timeline import Timeline, ranges
-from exwarp_cli.errors import MotionError
+from exwarp_cli.errors import MotionError, UsageError
 from exwarp_cli.io.channel_map import channel_map_text, write_channel_map
 from exwarp_cli.io.channels import ChannelRef, Layout, Role
-from exwarp_cli.io.cryptomatte import find_cryptomattes
+from exwarp_cli.io.cryptomatte import Cryptomatte
+from exwarp_cli.io.cryptomatte_manifest import Manifest
 from exwarp_cli.io.depth import DepthKind
 from exwarp_cli.io.exr import ExrReader, Part
-from exwarp_cli.io.output import read_headers
+from exwarp_cli.io.footage import facts_of
 from exwarp_cli.io.producers import UNKNOWN
-from exwarp_cli.io.shot import MAIN, Shot, renamed, spelled
+from exwarp_cli.io.shot import MAIN, Shot, spelled
 from exwarp_cli.pipeline.motion_option import motion_names
-from exwarp_cli.pipeline.opening import open_keys
+from exwarp_cli.pipeline.object_ids import looked_into, read_ids
+from exwarp_cli.pipeline.opening import open_keys, open_plain
 from exwarp_cli.pipeline.source import find_motion, rate_of
 
 
@@ -43,7 +45,9 @@ class Inspection:
     types
         Pixel type of each channel of the view, by its name with AOV.
     cryptomattes
-        Names of the Cryptomattes in the main file.
+        Those of the first frame, the best for ids first, with their manifests.
+    pictures
+        What is known of a video's or of stills' colour and sound; None for EXR.
     """
 
     shot: Shot
@@ -53,11 +57,13 @@ class Inspection:
     fps: float
     fps_source: str
     types: Mapping[str, str] = field(default_factory=dict)
-    cryptomattes: tuple[str, ...] = ()
+    cryptomattes: tuple[tuple[Cryptomatte, Manifest], ...] = ()
+    pictures: Mapping[str, Any] | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Return the findings as plain data, for JSON."""
         sequence, layout, finding = self.shot.sequence, self.shot.layout, self.finding
+        moving = None if self.shot.ids is None else self.shot.ids.dynamic
         return {
             "schema": "exwarp.inspect/1",
             "pattern": sequence.pattern,
@@ -75,7 +81,9 @@ class Inspection:
                 role.value: [spelled(ref) for ref in refs] for role, refs in layout.roles.items()
             },
             "depth_kind": self.shot.depth.kind.value if Role.DEPTH in layout else None,
-            "cryptomattes": list(self.cryptomattes),
+            "cryptomattes": [_matte(one, manifest) for one, manifest in self.cryptomattes],
+            "dynamic": None if moving is None else list(moving.names),
+            "pictures": self.pictures,
             "motion": None
             if Role.MOTION not in layout
             else _motion(self.shot, finding, self.problem),
@@ -90,16 +98,24 @@ def inspect(settings: SourceSettings) -> Inspection:
     InputError
         When the sequence is not there, has gaps, or cannot be read.
     """
+    plain = open_plain(settings)
+    if plain is not None:
+        Timeline.of(plain.sequence.numbers)
+        fps, fps_source = rate_of(plain, settings.fps)
+        pictures = facts_of(plain.sequence)
+        return Inspection(plain, (), None, None, float(fps), fps_source, pictures=pictures)
     shot, settings = open_keys(settings)
     Timeline.of(shot.sequence.numbers)
-    parts, types, cryptomattes = _look(shot)
+    shot, _ = read_ids(settings.dynamic, shot, None)
+    parts, types = _look(shot)
     finding, problem = None, None
     try:
         finding = find_motion(shot, settings.motion)
     except MotionError as error:
         problem = str(error)
     fps, fps_source = rate_of(shot, settings.fps)
-    return Inspection(shot, parts, finding, problem, float(fps), fps_source, types, cryptomattes)
+    mattes = tuple(looked_into(shot))
+    return Inspection(shot, parts, finding, problem, float(fps), fps_source, types, mattes)
 
 
 def save_channel_map(found: Inspection, path: Path, overwrite: bool) -> None:
@@ -111,7 +127,14 @@ def save_channel_map(found: Inspection, path: Path, overwrite: bool) -> None:
     ------
     OutputError
         When the file exists and is not to be replaced, or cannot be written.
+    UsageError
+        For videos and stills.
     """
+    if found.pictures is not None:
+        raise UsageError(
+            f"--write-channel-map is for EXR, and {found.shot.sequence.pattern} has colour alone; "
+            "leave it out"
+        )
     shot, finding = found.shot, found.finding
     layout = shot.layout
     channels = {
@@ -135,25 +158,31 @@ def _as_opened(ref: ChannelRef) -> ChannelRef:
     return replace(ref, aov="") if ref.aov == MAIN else ref
 
 
-def _look(shot: Shot) -> tuple[tuple[Part, ...], dict[str, str], tuple[str, ...]]:
-    """Look into the first frame: parts of the main file, types of channels, Cryptomattes."""
+def _look(shot: Shot) -> tuple[tuple[Part, ...], dict[str, str]]:
+    """Look into the first frame: parts of the main file, and types of channels."""
     types: dict[str, str] = {}
     parts: tuple[Part, ...] = ()
-    mattes: tuple[str, ...] = ()
     for aov, path in shot.files(shot.sequence.numbers[0]).items():
         with ExrReader(path) as file:
             channels = shot.channels(file.parts, aov)
             parts = parts or file.parts
         types |= {spelled(ChannelRef(aov, name)): c.pixel_type for name, c in channels.items()}
-        if not mattes:
-            known = find_cryptomattes({"": renamed(channels)}, {"": read_headers(path)})
-            mattes = tuple(one.name for one in known)
-    return parts, types, mattes
+    return parts, types
 
 
 def missing_roles(layout: Layout) -> list[Role]:
     """Return the roles that were looked for in vain."""
     return [role for role in Role if role not in layout]
+
+
+def _matte(one: Cryptomatte, manifest: Manifest) -> dict[str, Any]:
+    return {
+        "name": one.name,
+        "aov": one.aov or None,
+        "kind": one.kind.name.lower(),
+        "names": sorted(manifest.ids),
+        "problem": manifest.problem or None,
+    }
 
 
 def _part(part: Part) -> dict[str, Any]:

@@ -4,108 +4,34 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from itertools import takewhile
 
+from exwarp_cli.domain.cuts import Cut
 from exwarp_cli.domain.extrapolator import HISTORY
 from exwarp_cli.domain.frame import SURFACE_PARTS, GBuffer, Image, KeyFrame
 from exwarp_cli.domain.results import InterpolatorSummary, NetworkSummary
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR, Slot
 from exwarp_cli.io.channels import Role
-from exwarp_cli.io.frames import GEOMETRY, SURFACE, read_image, read_raw
-from exwarp_cli.io.output import Template, read_template
+from exwarp_cli.io.footage import is_plain, key_picture, picture, plain_template
+from exwarp_cli.io.frame_files import FrameTemplate
+from exwarp_cli.io.frames import GEOMETRY, SURFACE, read_raw
 from exwarp_cli.io.sequence import Sequence
+from exwarp_cli.io.template import read_template
+from exwarp_cli.pipeline.contents import Content
+from exwarp_cli.pipeline.estimating import Estimates
+from exwarp_cli.pipeline.instants import between, over_interval, stretched, without_surface
+from exwarp_cli.pipeline.layer_frames import LayerReader
+from exwarp_cli.pipeline.loaded import Loaded as Loaded
+from exwarp_cli.pipeline.loaded import Observed as Observed
+from exwarp_cli.pipeline.loaded import Older as Older
 from exwarp_cli.pipeline.recipes import Recipes
+from exwarp_cli.pipeline.shots import Shots
 from exwarp_cli.pipeline.source import FrameOf, Source
+from exwarp_cli.pipeline.targets import frame_suffix
 from exwarp_cli.policy.state import KEYS_BACK
-from exwarp_cli.synthesis.interval import QUARTERS
 from exwarp_cli.synthesis.methods import Judge, Method
-
-
-@dataclass(frozen=True)
-class Older:
-    """A key frame before the interval's own.
-
-    Attributes
-    ----------
-    frame
-        As read.
-    instants
-        With slot G-buffers those on the way to it, without surface: the key frame after it, the
-        slots between from the last to the first, and this key frame; motion reaches over one slot.
-        Empty in the key setting.
-    """
-
-    frame: KeyFrame
-    instants: tuple[GBuffer, ...]
-
-
-@dataclass(frozen=True)
-class Observed:
-    """A key frame's instant whose features a policy wants; neither G-buffer has settled motion.
-
-    Attributes
-    ----------
-    key
-        Index of the key frame.
-    now
-        Its geometry; with slot G-buffers motion reaches over one slot.
-    before
-        Geometry of the instant before, a key interval or a slot earlier; None at the first.
-    """
-
-    key: int
-    now: GBuffer
-    before: GBuffer | None
-
-
-@dataclass(frozen=True)
-class Loaded:
-    """One key interval as read: nothing computed yet.
-
-    Attributes
-    ----------
-    key
-        Index of the key frame.
-    frame, following
-        The key frames on both sides; `following` only for look-ahead methods. None where every
-        slot of the interval was found written, and nothing has to be computed.
-    slots
-        G-buffers of the slots after the key frame, empty in the key setting.
-    past
-        The key frames before, the newest first, as far as motion leads back to them; only for
-        methods that extrapolate.
-    observed
-        The key frame's instant, and before it those of older key frames that no interval before
-        brought along; only for the policy.
-    truth
-        Ground truth by slot, where there is some.
-    truth_ends
-        The same at slot 0 and, counted on as a slot, at the next key frame's instant; only for
-        VMAF.
-    times
-        When the slots are, as in `Interval`.
-    template
-        What generated frames take over from the key frame's file.
-    recipes
-        For each slot, what its frame depends on, digested.
-    read_ms
-        Milliseconds that reading took.
-    """
-
-    key: int
-    frame: KeyFrame | None
-    following: KeyFrame | None
-    slots: tuple[GBuffer, ...]
-    past: tuple[Older, ...]
-    observed: tuple[Observed, ...]
-    truth: dict[int, Image]
-    template: Template
-    recipes: dict[int, str]
-    read_ms: float
-    truth_ends: dict[int, Image] = field(default_factory=dict)
-    times: tuple[float, ...] = QUARTERS
 
 
 class IntervalLoader:
@@ -120,18 +46,36 @@ class IntervalLoader:
         network: NetworkSummary | None = None,
         policy: str | None = None,
         interpolator: InterpolatorSummary | None = None,
+        contents: tuple[Content, ...] = (),
     ) -> None:
         self._source = source
         self._method = method
         self._settings = settings
         self._truth = truth
+        # What frames hold: of this view first, then of others in the same files.
+        self._contents = contents or (Content(source),)
+        own = self._contents[0]
+        self._layers = LayerReader(own) if own.beside else None
         self._recipes = Recipes(
-            source, method, settings.compression, truth, network, interpolator, policy
+            source, method, settings.compression, truth, network, interpolator, policy, own.names
         )
         self._frames: dict[int, KeyFrame] = {}
         self._instants: dict[Slot, GBuffer] = {}
         self._shapes: dict[Slot, GBuffer] = {}
         self._told: set[int] = set()
+        self._shots = Shots(source.cuts, source.timeline.numbers, self._key_frame)
+        count = len(source.timeline.numbers)
+        self._estimates = Estimates(self._colour, count) if source.estimated else None
+
+    @property
+    def recipe_book(self) -> Recipes:
+        """What digests the frames of intervals."""
+        return self._recipes
+
+    @property
+    def cuts(self) -> tuple[Cut, ...] | None:
+        """The cuts that were met so far; None where none are looked for or given."""
+        return self._shots.cuts
 
     def load(self, key: int, needed: Callable[[int, dict[int, str]], bool]) -> Loaded:
         """Read an interval.
@@ -141,26 +85,27 @@ class IntervalLoader:
         key
             Index of the key frame.
         needed
-            Called with the index and the recipes before anything is decoded; False leaves the
-            pixels unread.
+            Called with the index and the recipes before more is decoded than cuts are found by;
+            False leaves the rest unread.
         """
         begin = time.perf_counter()
         source = self._source
         number = source.timeline.numbers[key]
-        last = key + 1 == len(source.timeline.numbers)
-        lookahead = self._method.lookahead and not last
+        lookahead = self._looks_ahead(key)
         recipes = self._recipe(key, lookahead)
-        template = read_template(
-            source.keys.sequence.files[number], source.keys.layout.roles[Role.COLOUR]
-        )
+        template = self._template(number)
         if not needed(key, recipes):
+            self._forget(key)
             elapsed = 1e3 * (time.perf_counter() - begin)
             return Loaded(key, None, None, (), (), (), {}, template, recipes, elapsed)
-        frame = self._key_frame(key)
-        following = self._key_frame(key + 1) if lookahead else None
+        frame = self._in_shot(key)
+        following = self._in_shot(key + 1) if lookahead else None
         gbuffers = tuple(self._slot_gbuffer(slot) for slot in self._slots(key))
-        past = tuple(Older(self._key_frame(i), self._way_back(i)) for i in self._history(key))
+        past = tuple(Older(self._in_shot(i), self._way_back(i)) for i in self._history(key))
         observed = self._observed(key)
+        back = self._older(key, lookahead)
+        older = None if back is None else self._in_shot(back)
+        layers = None if self._layers is None else self._layers.read(key, lookahead, back)
         slots = self._source.timeline.made_of(key)
         truth = self._read_truth(slots)
         ends = self._read_truth(self._ends(key))
@@ -169,8 +114,25 @@ class IntervalLoader:
         times = tuple(float(source.timeline.time(slot)) for slot in source.timeline.between(key))
         return Loaded(
             key, frame, following, gbuffers, past, observed, truth, template, recipes, elapsed,
-            ends, times,
+            ends, times, self._followed(key), layers, older,
         )  # fmt: skip
+
+    def _template(self, number: int) -> FrameTemplate:
+        """Return what frames made of a key frame take over from its file."""
+        keys = self._source.keys
+        if is_plain(keys.sequence):
+            suffix = frame_suffix(self._settings.output, keys.sequence)
+            return plain_template(keys, number, suffix)
+        wanted = tuple(content.wanted for content in self._contents)
+        return read_template(keys.sequence.files[number], wanted)
+
+    def recipes(self, key: int) -> dict[int, str]:
+        """Digest what each slot's frame depends on."""
+        return self._recipe(key, self._looks_ahead(key))
+
+    def follow(self, leader: IntervalLoader) -> None:
+        """Take the cuts of another view: all views of a shot are cut alike."""
+        self._shots.follow(leader._shots)
 
     def look(self, key: int) -> tuple[tuple[Observed, ...], tuple[GBuffer, ...]]:
         """Read only what features of an interval come from: see `Loaded.observed`, and slots."""
@@ -178,6 +140,20 @@ class IntervalLoader:
         slots = tuple(self._slot_gbuffer(slot) for slot in self._slots(key))
         self._forget(key)
         return observed, slots
+
+    def _followed(self, key: int) -> bool:
+        """Whether a key frame of the same shot comes after one."""
+        last = key + 1 == len(self._source.timeline.numbers)
+        return not last and not self._shots.starts_at(key + 1)
+
+    def _looks_ahead(self, key: int) -> bool:
+        return self._method.lookahead and self._followed(key)
+
+    def _older(self, key: int, lookahead: bool) -> int | None:
+        """Return the key frame that points are led on from where no next one tells."""
+        if self._layers is None or not self._layers.looks_back or lookahead or key == 0:
+            return None
+        return None if self._shots.starts_at(key) else key - 1
 
     def _slots(self, key: int) -> tuple[Slot, ...]:
         """Return the slots of an interval that have G-buffers: all of them, or none."""
@@ -189,40 +165,82 @@ class IntervalLoader:
         """Return the indices of the key frames that lead back from one, the newest first."""
         if not self._method.extrapolates:
             return ()
-        older = tuple(range(key - 1, max(key - HISTORY, -1), -1))
+        older = tuple(range(key - 1, self._shots.begin(key, HISTORY - 1) - 1, -1))
         return older if self._source.slots is None else tuple(takewhile(self._slots, older))
 
+    def _in_shot(self, key: int) -> KeyFrame:
+        """Return a key frame without vectors that lead to another shot."""
+        if self._estimates is not None:
+            began = key == 0 or self._shots.starts_at(key)
+            return self._estimates.moving(key, not began, self._looks_ahead(key))
+        frame = self._key_frame(key)
+        if frame.gbuffer is None:
+            return frame
+        return replace(frame, gbuffer=self._shots.within(key, frame.gbuffer))
+
     def _key_frame(self, key: int) -> KeyFrame:
-        """Read a key frame, unless it is at hand."""
+        """Read a key frame, unless it is at hand; cuts are found by it."""
         if key not in self._frames:
             source = self._source
             number = source.timeline.numbers[key]
             convention = None if source.finding is None else source.finding.convention
-            if source.slots is None:
-                frame = read_raw(source.keys, number, self._key_roles).key(convention)
+            if self._estimates is not None:
+                frame = self._estimates.frame(key)
+                if source.cuts.detect:
+                    self._shots.see(key, self._estimates.flowing(key))
+            elif is_plain(source.keys.sequence):
+                frame = self._colour(key)
+                self._shots.see(key, frame)
+            elif source.slots is None:
+                raw = read_raw(source.keys, number, self._key_roles, self._observes)
+                frame = raw.key(convention)
+                self._shots.see(key, frame if self._normals_tell else frame.without("normal"))
+                if self._normals_tell and not self._wants_normals:
+                    frame = frame.without("normal")
             else:
                 frame = read_raw(source.keys, number, (Role.COLOUR,)).key(None)
                 steps = source.timeline.steps
                 assert steps is not None  # slots have G-buffers where the factor is whole
-                gbuffer = _stretched(self._slot_gbuffer(Slot(key, 0)), steps)
-                frame = replace(frame, gbuffer=gbuffer.on(frame.image.data_window))
+                gbuffer = self._slot_gbuffer(Slot(key, 0)).on(frame.image.data_window)
+                self._shots.see(key, replace(frame, gbuffer=over_interval(gbuffer, steps)))
+                frame = replace(frame, gbuffer=stretched(gbuffer, steps))
             self._frames[key] = frame
         return self._frames[key]
+
+    def _colour(self, key: int) -> KeyFrame:
+        """Read the colour of a key frame, and nothing else."""
+        keys, number = self._source.keys, self._source.timeline.numbers[key]
+        if is_plain(keys.sequence):
+            return KeyFrame(number, key_picture(keys, number), None)
+        return read_raw(keys, number, (Role.COLOUR,)).key(None)
 
     @property
     def _key_roles(self) -> tuple[Role, ...]:
         """What is read of a key frame in the key setting.
 
-        Methods without motion still report holes by the geometry. Normals tell nothing there but
-        Unreal's background, in sets of one file per AOV; networks want them, and the surface.
+        Methods without motion still report holes by the geometry. Networks want the surface too.
         """
         if self._source.finding is None:
             return (Role.COLOUR,)
         if self._method.extrapolates:
             return (Role.COLOUR, *GEOMETRY, *SURFACE)
-        if self._source.keys.aovs:
+        if self._wants_normals or self._normals_tell:
             return (Role.COLOUR, *GEOMETRY)
         return (Role.COLOUR, *(role for role in GEOMETRY if role is not Role.NORMAL))
+
+    @property
+    def _wants_normals(self) -> bool:
+        """Whether frames are made by key frames' normals.
+
+        To warps they tell nothing but Unreal's background, in sets of one file per AOV.
+        """
+        return self._method.extrapolates or bool(self._source.keys.aovs)
+
+    @property
+    def _normals_tell(self) -> bool:
+        """Whether cuts are found by key frames' normals: the same for every method."""
+        keys = self._source.keys
+        return bool(keys.aovs) or (self._source.cuts.detect and Role.POSITION not in keys.layout)
 
     def _slot_gbuffer(self, slot: Slot) -> GBuffer:
         """Read the G-buffer of a slot; what leads through it stays at hand."""
@@ -231,7 +249,7 @@ class IntervalLoader:
         assert source.slots is not None and number is not None
         convention = None if source.finding is None else source.finding.convention
         roles = (*GEOMETRY, *SURFACE) if self._method.extrapolates else GEOMETRY
-        gbuffer = read_raw(source.slots, number, roles).settle(convention)
+        gbuffer = read_raw(source.slots, number, roles, self._observes).settle(convention)
         if self._method.extrapolates:
             self._instants[slot] = without_surface(gbuffer)
         if self._observes and slot.index in (0, FACTOR - 1):
@@ -251,25 +269,29 @@ class IntervalLoader:
     @property
     def _observes(self) -> bool:
         """Whether a policy looks at features."""
-        return self._method.judge is Judge.POLICY
+        return self._method.judge is Judge.POLICY and self._contents[0].leads
 
     def _starts(self, key: int) -> range:
         """Return the indices of the key frames whose features a state at this one holds."""
-        return range(max(key - KEYS_BACK, 0), key + 1) if self._observes else range(0)
+        return range(self._shots.begin(key, KEYS_BACK), key + 1) if self._observes else range(0)
 
     def _observed(self, key: int) -> tuple[Observed, ...]:
         """Return the instants of key frames that no earlier interval brought along."""
         found = []
         for index in self._starts(key):
             if index not in self._told:
-                before = self._shape(self._instant_before(index)) if index else None
-                found.append(Observed(index, self._shape(Slot(index, 0)), before))
+                slot = self._instant_before(index)
+                before = None if slot is None else self._shape(slot)
+                now = self._shots.within(index, self._shape(Slot(index, 0)))
+                found.append(Observed(index, now, before))
                 self._told.add(index)
         self._told = {index for index in self._told if index > key - KEYS_BACK}
         return tuple(found)
 
-    def _instant_before(self, key: int) -> Slot:
-        """Return the instant that a key frame's is compared with."""
+    def _instant_before(self, key: int) -> Slot | None:
+        """Return the instant that a key frame's is compared with; None where a shot begins."""
+        if key == 0 or self._shots.starts_at(key):
+            return None
         return Slot(key - 1, 0 if self._source.slots is None else FACTOR - 1)
 
     def _shape(self, slot: Slot) -> GBuffer:
@@ -285,15 +307,21 @@ class IntervalLoader:
             convention = None if source.finding is None else source.finding.convention
             # With colour, whose window may be smaller, as in the key frames that are at hand.
             roles = (Role.COLOUR, *GEOMETRY)
-            self._shapes[slot] = read_raw(source.keys, number, roles).settle(convention)
+            raw = read_raw(source.keys, number, roles, self._observes)
+            self._shapes[slot] = raw.settle(convention)
         return self._shapes[slot]
 
     def _forget(self, key: int) -> None:
         """Drop what no interval after this one needs."""
         self._shapes = {slot: shape for slot, shape in self._shapes.items() if slot.key >= key}
         oldest = key + 1 - (HISTORY - 1 if self._method.extrapolates else 0)
+        if self._layers is not None and self._layers.looks_back:
+            oldest = min(oldest, key)
         self._frames = {i: frame for i, frame in self._frames.items() if i >= oldest}
         self._instants = {s: buffer for s, buffer in self._instants.items() if s.key >= oldest}
+        self._shots.forget(min(oldest, key))
+        if self._estimates is not None:
+            self._estimates.forget(oldest)
 
     def _ends(self, key: int) -> tuple[Slot, ...]:
         """Return the rendered instants around an interval, for what scores it as a video."""
@@ -313,47 +341,38 @@ class IntervalLoader:
         for slot in slots:
             number = frame_of(slot)
             if number is not None:
-                found[slot.index] = read_image(sequence.files[number])
+                found[slot.index] = picture(sequence, number, self._source.keys.view)
         return found
 
     def _recipe(self, key: int, lookahead: bool) -> dict[int, str]:
         """Digest what each slot's frame depends on."""
+        if self._estimates is not None:
+            return self._estimated_recipe(key, lookahead)
         history = self._history(key)
         keys = (key, *((key + 1,) if lookahead else ()), *history)
+        older = self._older(key, lookahead)
+        if older is not None and older not in keys:
+            keys = (*keys, older)
         seen = self._seen(key)
+        back = KEYS_BACK if self._observes else HISTORY - 1 if self._method.extrapolates else 0
+        back = max(back, int(older is not None))
+        cuts = self._shots.told(key, back, (*keys, *self._starts(key)))
         if self._source.slots is None:
-            return self._recipes.of(key, keys, seen)
+            return self._recipes.of(key, keys, seen, cuts)
         way = (slot for i in history for slot in self._slots(i))
-        return self._recipes.of(key, keys, (*self._slots(key), *way, *seen))
+        return self._recipes.of(key, keys, (*self._slots(key), *way, *seen), cuts)
+
+    def _estimated_recipe(self, key: int, lookahead: bool) -> dict[int, str]:
+        """Digest the same where motion is estimated: key frames on both sides tell theirs."""
+        keys = [key, *((key + 1,) if lookahead else ())]
+        if key and not self._shots.starts_at(key):
+            keys.append(key - 1)
+        if lookahead and self._followed(key + 1):
+            keys.append(key + 2)
+        cuts = [*self._shots.told(key, 0, ()), f"flow {[index - key for index in keys]}"]
+        return self._recipes.of(key, keys, (), cuts)
 
     def _seen(self, key: int) -> list[Slot]:
         """Return the instants that the features of an interval's states come from."""
-        starts = self._starts(key)
-        return [
-            slot
-            for index in starts
-            for slot in (Slot(index, 0), *((self._instant_before(index),) if index else ()))
-        ]
-
-
-def without_surface(gbuffer: GBuffer) -> GBuffer:
-    """Return what motion is found by: a third of the memory, where frames are kept for later."""
-    return gbuffer.without("normal", *SURFACE_PARTS)
-
-
-def between(key: int) -> tuple[Slot, ...]:
-    """Return the instants from the key frame after one back to it."""
-    return (Slot(key + 1, 0), *(Slot(key, i) for i in range(FACTOR - 1, -1, -1)))
-
-
-def _stretched(gbuffer: GBuffer, steps: int) -> GBuffer:
-    """Turn motion per slot into motion per key interval, at constant velocity.
-
-    A key frame's vectors span a key interval in either setting. With slot G-buffers they are only
-    used where the slots' own do not lead: after the last key frame, and to the next one where the
-    renderer writes none that way.
-    """
-    if gbuffer.to_next is not None:
-        return replace(gbuffer, to_next=steps * gbuffer.to_next, to_previous=None)
-    assert gbuffer.to_previous is not None
-    return replace(gbuffer, to_previous=steps * gbuffer.to_previous)
+        around = ((Slot(index, 0), self._instant_before(index)) for index in self._starts(key))
+        return [slot for instants in around for slot in instants if slot is not None]

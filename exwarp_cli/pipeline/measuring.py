@@ -131,7 +131,7 @@ def scorer(
         return ExtranetScores(measuring.measured, len(origins), generated), ()
     if "flicker" not in measuring.measured:
         return SequenceScores(measuring.measured, None), ()
-    flow = open_flow(spec, reference)
+    flow = open_flow(spec, reference, measuring.view)
     if isinstance(flow, Flow):
         return SequenceScores(measuring.measured, flow), ()
     note = f"flicker is not measured, as it follows the motion of the first sequence: {flow}"

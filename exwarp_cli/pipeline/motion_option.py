@@ -9,21 +9,30 @@ from exwarp_cli.domain.motion import AxisMap, MotionConvention
 from exwarp_cli.errors import UsageError
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.producers import PRESETS
-from exwarp_cli.io.shot import Shot
+from exwarp_cli.io.shot import Shot, spelled
 
 UNITS = ("width", "height")
 """Words for the frame's size in pixels, as factors."""
 
+MOST = 1e30
+"""Factors up to which vectors stay numbers of 32 bits."""
+
 _NUMBER = r"[0-9.]+(?:[eE][+-]?[0-9]+)?"
+# Names of channels may have spaces and commas in them, so only these words part the directions.
+_CLAUSES = re.compile(r"\s+(?=(?:previous|next)=)")
 
 
 def motion_names(shot: Shot) -> tuple[str, ...]:
-    """Names of the motion channels as --motion takes them, with their layer where needed."""
+    """Names of the motion channels as --motion takes them, as short as tells them apart.
+
+    Only so much of the layer stands before a component as is needed, and the AOV if that is.
+    """
     refs = shot.layout.roles[Role.MOTION]
-    short = [ref.component for ref in refs]
-    if len(set(short)) == len(short):
-        return tuple(short)
-    return tuple(".".join(ref.name.split(".")[-2:]) for ref in refs)
+    for elements in range(1, 1 + max(ref.name.count(".") + 1 for ref in refs)):
+        short = tuple(".".join(ref.name.split(".")[-elements:]) for ref in refs)
+        if len(set(short)) == len(short):
+            return short
+    return tuple(spelled(ref) for ref in refs)
 
 
 def parse_motion(
@@ -68,20 +77,20 @@ def parse_motion(
             )
         return preset if size is None else preset.sized(*size)
     terms: dict[str, tuple[_Term, _Term]] = {}
-    for clause in text.split():
+    for clause in filter(None, _CLAUSES.split(text.strip())):
         direction, _, axes = clause.partition("=")
-        found = [_term(term, names) for term in axes.split(",")]
-        if direction not in ("previous", "next") or direction in terms or len(found) != 2:
+        found = _pair(axes, names)
+        if direction not in ("previous", "next") or direction in terms or found is None:
             raise _not_understood(text, names)
-        x, y = found
-        if x is None or y is None or x.shared != y.shared:
-            raise _not_understood(text, names)
-        terms[direction] = (x, y)
+        terms[direction] = found
     if not terms:
         raise UsageError("--motion is empty; write a preset or a convention, or leave it out")
     of_frame = size is None and all((x.unit, y.unit) == UNITS for x, y in terms.values())
     if size is None and not of_frame and any(t.unit for pair in terms.values() for t in pair):
         raise UsageError(f"--motion {text!r} counts in frame sizes, and that is not known here")
+    pixels = (abs(term.pixels(size)) for pair in terms.values() for term in pair)
+    if max(pixels) > MOST:
+        raise UsageError(f"--motion {text!r} has a factor above {MOST:g}; correct it")
     maps = {direction: _joined(x, y, size) for direction, (x, y) in terms.items()}
     return MotionConvention(maps.get("previous"), maps.get("next"), of_frame)
 
@@ -120,6 +129,15 @@ def _not_understood(text: str, names: tuple[str, ...]) -> UsageError:
     )
 
 
+def _pair(axes: str, names: tuple[str, ...]) -> tuple[_Term, _Term] | None:
+    """Read both axes of a displacement, parted by a comma; None when they are not that."""
+    for at in (match.start() for match in re.finditer(",", axes)):
+        x, y = _term(axes[:at], names), _term(axes[at + 1 :], names)
+        if x is not None and y is not None and x.shared == y.shared:
+            return x, y
+    return None
+
+
 def _term(term: str, names: tuple[str, ...]) -> _Term | None:
     """Read one axis of a convention; None when it is not one."""
     name = "|".join(re.escape(n) for n in sorted(names, key=len, reverse=True))
@@ -127,7 +145,7 @@ def _term(term: str, names: tuple[str, ...]) -> _Term | None:
         rf"(?P<sign>[+-]?)(?:(?P<factor>{_NUMBER})\*)?(?:(?P<unit>width|height)\*)?"
         rf"(?P<open>\()?(?P<name>{name})(?:/(?P<alpha>{name}))?"
         rf"(?(open)(?P<still>[+-]{_NUMBER})\))(?:\*(?P<length>{name}))?",
-        term.strip(),
+        term,
     )
     if match is None:
         return None

@@ -13,9 +13,9 @@ from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.pipeline.loading import Loaded, Observed
 from exwarp_cli.policy.features import observe
 from exwarp_cli.policy.state import KEYS_BACK, Surroundings
-from exwarp_cli.synthesis.camera import scene_of
-from exwarp_cli.synthesis.geometry import settle_motion, stands_still
+from exwarp_cli.synthesis.geometry import settle_motion
 from exwarp_cli.synthesis.interval import Interval
+from exwarp_cli.synthesis.movers import moving, of_moving
 
 MOVING = 1
 """Id of all that moves, where only motion tells it: connected areas are the objects then."""
@@ -36,6 +36,7 @@ class Observer:
         self._display = display
         self._span = FACTOR if setting == "key" else 1
         self._starts: dict[int, Features] = {}
+        self._begin = 0
 
     def surroundings(
         self,
@@ -43,6 +44,7 @@ class Observer:
         observed: Sequence[Observed],
         slots: Sequence[GBuffer],
         settled: GBuffer | None = None,
+        read: Sequence[GBuffer] = (),
     ) -> Surroundings:
         """Return what the states of an interval are made of.
 
@@ -51,26 +53,34 @@ class Observer:
         key
             Index of the key frame.
         observed
-            Its instant, and those that were not seen before.
+            Its instant, and those that were not seen before, ascending; one that nothing comes
+            before begins a shot, and what was seen of older ones is of no use.
         slots
             G-buffers of slots 1 to 3 on the display window with settled motion; empty where there
             are none.
         settled
             The key frame's on the display window with settled motion, where it is at hand.
+        read
+            Those of the slots as read; empty where they are not at hand.
         """
         for instant in observed:
             before = None if instant.before is None else instant.before.on(self._display)
-            now = settled if instant.key == key else None
+            if before is None:
+                self._begin = instant.key
+            now, raw = settled if instant.key == key else None, instant.now.on(self._display)
             if now is None:
-                now = settle_motion(instant.now.on(self._display))
-            self._starts[instant.key] = observe(with_ids(now), before, self._span)
+                now = settle_motion(raw)
+            self._starts[instant.key] = observe(with_ids(now, before, raw), before, self._span)
         start = self._starts[key]
         now_on = (start, start, start)
         if slots:
-            first, second = (with_ids(slot) for slot in slots[:2])
-            at_key = observed[-1].now.on(self._display)
-            now_on = (start, observe(first, at_key, 1), observe(second, first, 1))
-        older = range(key - 1, max(key - 1 - KEYS_BACK, -1), -1)
+            times = [observed[-1].now.on(self._display), *slots[:2]]
+            raw_on = [slot.on(self._display) for slot in read[:2]]
+            first, second = (
+                with_ids(times[i + 1], times[i], raw_on[i] if raw_on else None) for i in (0, 1)
+            )
+            now_on = (start, observe(first, times[0], 1), observe(second, first, 1))
+        older = range(key - 1, max(key - KEYS_BACK, self._begin) - 1, -1)
         before_it = tuple(self._starts[i] for i in older)
         self._starts = {i: found for i, found in self._starts.items() if i > key - KEYS_BACK}
         return Surroundings(now_on, before_it)
@@ -87,25 +97,30 @@ class Observer:
             settled = interval.key.gbuffer
         if interval.key.image.data_window != self._display:
             slots = self.settled(loaded.slots)
-        return self.surroundings(loaded.key, loaded.observed, slots, settled)
+        return self.surroundings(loaded.key, loaded.observed, slots, settled, loaded.slots)
 
     def settled(self, slots: Sequence[GBuffer]) -> tuple[GBuffer, ...]:
         """Return G-buffers of slots as `surroundings` takes them."""
         return tuple(settle_motion(slot.on(self._display)) for slot in slots)
 
 
-def with_ids(gbuffer: GBuffer) -> GBuffer:
-    """Return a G-buffer with object ids: its own, else of what moves otherwise than the camera.
+def with_ids(
+    gbuffer: GBuffer, before: GBuffer | None = None, raw: GBuffer | None = None
+) -> GBuffer:
+    """Return a G-buffer with ids of what moves: its own, else of what keeps no place in the world.
 
     Parameters
     ----------
     gbuffer
         With settled motion. Without ids, positions or depth it stays as it is.
+    before, raw
+        As :func:`exwarp_cli.synthesis.movers.moving` takes them.
     """
     if gbuffer.stencil is not None:
         return gbuffer
-    still = stands_still(gbuffer, scene_of(gbuffer))
-    if still is None:
+    moves = moving(gbuffer, before, raw)
+    if moves is None:
         return gbuffer
-    moving = ~still & ~gbuffer.background
-    return replace(gbuffer, stencil=np.where(moving, MOVING, 0).astype(np.int32))
+    if gbuffer.objects is not None:
+        return replace(gbuffer, stencil=of_moving(gbuffer.objects, moves), objects=None)
+    return replace(gbuffer, stencil=np.where(moves, MOVING, 0).astype(np.int32))

@@ -10,9 +10,11 @@ from exwarp_cli.errors import LayoutError, UsageError
 from exwarp_cli.io.aov_files import AovFile, parse_aovs
 from exwarp_cli.io.channel_map import ChannelMap, read_channel_map
 from exwarp_cli.io.channels import Role
+from exwarp_cli.io.clip import is_clip
+from exwarp_cli.io.footage import find_plain, shot_of
 from exwarp_cli.io.shot import Shot, open_shot, open_views
 from exwarp_cli.io.views import ALL
-from exwarp_cli.pipeline.depth_kind import with_depth_measured
+from exwarp_cli.pipeline.depth_kind import with_depth_measured, with_world_positions
 from exwarp_cli.pipeline.motion_option import motion_names, parse_motion
 
 
@@ -33,7 +35,7 @@ def open_keys(settings: SourceSettings) -> tuple[Shot, SourceSettings]:
     UsageError
         When the map's motion is not understood.
     """
-    shot = with_depth_measured(open_shot(settings.sequence, settings.view, *_said(settings)))
+    shot = _measured(open_shot(settings.sequence, settings.view, *_said(settings)))
     told = shot.channel_map
     if told is None or told.motion is None or settings.motion or settings.gbuffers:
         return shot, settings
@@ -50,12 +52,42 @@ def open_keys(settings: SourceSettings) -> tuple[Shot, SourceSettings]:
     return shot, replace(settings, motion=told.motion)
 
 
+def open_plain(settings: SourceSettings) -> Shot | None:
+    """Open a video or a sequence of stills, which have colour alone; None where EXR is meant.
+
+    Raises
+    ------
+    InputError
+        When it cannot be read.
+    UsageError
+        When options are given that say how EXR is read.
+    """
+    sequence = find_plain(settings.sequence)
+    if sequence is None:
+        return None
+    told = {
+        "--gbuffers": settings.gbuffers,
+        "--motion": settings.motion,
+        "--view": settings.view,
+        "--aov": settings.aovs,
+        "--channel-map": settings.channel_map,
+        "--dynamic": settings.dynamic,
+    }
+    for option, value in told.items():
+        if value:
+            raise UsageError(
+                f"{option} is for rendered EXR frames, and {sequence.pattern} has nothing but "
+                "colour; leave it out"
+            )
+    return shot_of(sequence)
+
+
 def each_view(settings: SourceSettings) -> tuple[SourceSettings, ...]:
     """Return the settings of every view of a shot for ``--view all``, the hero's first.
 
     Other settings are returned as they are.
     """
-    if settings.view != ALL:
+    if settings.view != ALL or is_clip(settings.sequence):
         return (settings,)
     shots = open_views(settings.sequence, ALL, *_said(settings))
     return tuple(replace(settings, view=shot.view) for shot in shots)
@@ -73,7 +105,12 @@ def open_slots(settings: SourceSettings, keys: Shot) -> Shot | None:
     slots = open_shot(settings.gbuffers, asked)
     if slots.view != keys.view and keys.view in slots.views:
         slots = open_shot(settings.gbuffers, keys.view)  # another view is first there
-    return with_depth_measured(slots)
+    return _measured(slots)
+
+
+def _measured(shot: Shot) -> Shot:
+    """Return a shot with what its pixels tell of its depth and positions."""
+    return with_world_positions(with_depth_measured(shot))
 
 
 def _said(settings: SourceSettings) -> tuple[tuple[AovFile, ...], ChannelMap | None]:

@@ -5,18 +5,20 @@ from __future__ import annotations
 import hashlib
 import json
 from collections import OrderedDict
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
 from exwarp_cli import __version__
 from exwarp_cli.domain.results import InterpolatorSummary, NetworkSummary
 from exwarp_cli.domain.timeline import Slot
+from exwarp_cli.io.footage import digest_of, is_plain
 from exwarp_cli.io.frames import Shot
 from exwarp_cli.io.output import file_digest
 from exwarp_cli.io.sequence import Sequence
 from exwarp_cli.pipeline.source import FrameOf, Source
 from exwarp_cli.synthesis.methods import Method
+from exwarp_cli.synthesis.optical_flow import flow_identity
 
 DIGESTS = 32
 """Files' digests that are kept: more than the frames that one interval depends on."""
@@ -38,6 +40,8 @@ class Recipes:
         That extrapolates, and that interpolates; None for methods that do without.
     policy
         SHA-256 of the policy's file; None where none decides.
+    layers
+        Names of the layers that are written beside the beauty.
     """
 
     source: Source
@@ -47,9 +51,16 @@ class Recipes:
     network: NetworkSummary | None = None
     interpolator: InterpolatorSummary | None = None
     policy: str | None = None
+    layers: tuple[str, ...] = ()
     _digests: OrderedDict[tuple[int, int], str] = field(default_factory=OrderedDict, init=False)
 
-    def of(self, key: int, keys: Iterable[int], instants: Iterable[Slot]) -> dict[int, str]:
+    def of(
+        self,
+        key: int,
+        keys: Iterable[int],
+        instants: Iterable[Slot],
+        cuts: Collection[str] = (),
+    ) -> dict[int, str]:
         """Digest what each slot's frame depends on: sources, settings, version and networks.
 
         Parameters
@@ -60,6 +71,8 @@ class Recipes:
             Indices of the key frames whose colour is used.
         instants
             Whose G-buffers are used beside those of `keys`; in the key setting key frames all.
+        cuts
+            What cuts around the interval change.
         """
         source = self.source
         keys = tuple(keys)
@@ -78,6 +91,11 @@ class Recipes:
             "fps": str(source.fps),
             "files": files,
         }
+        common |= _seen_otherwise(source)
+        if self.layers:
+            common["layers"] = list(self.layers)
+        if cuts:
+            common["cuts"] = list(cuts)
         if self.network is not None:
             common["network"] = [self.network.sha256, self.network.device]
         if self.interpolator is not None:
@@ -114,8 +132,33 @@ class Recipes:
         """Digest all files of one frame; kept for the interval that shares it."""
         token = (id(shot), number)
         if token not in self._digests:
-            digests = {aov: file_digest(path) for aov, path in shot.files(number).items()}
-            self._digests[token] = json.dumps(digests, sort_keys=True)
+            self._digests[token] = _digest_of(shot, number)
             while len(self._digests) > DIGESTS:
                 self._digests.popitem(last=False)
         return self._digests[token]
+
+
+def key_recipe(keys: Shot, number: int) -> str:
+    """Digest what a key frame depends on that is not copied but decoded and written anew."""
+    found = {"version": __version__, "key": digest_of(keys.sequence, number)}
+    return hashlib.sha256(json.dumps(found, sort_keys=True).encode()).hexdigest()
+
+
+def _seen_otherwise(source: Source) -> dict[str, Any]:
+    """Return in what an input is read otherwise than its own channels say."""
+    found: dict[str, Any] = {}
+    if source.estimated:
+        found["flow"] = flow_identity()
+    if source.keys.by_hand:
+        found["read"] = source.keys.by_hand
+    ids = (source.slots or source.keys).ids
+    if ids is not None:
+        found["ids"] = ids.identity
+    return found
+
+
+def _digest_of(shot: Shot, number: int) -> str:
+    if is_plain(shot.sequence):
+        return digest_of(shot.sequence, number)
+    digests = {aov: file_digest(path) for aov, path in shot.files(number).items()}
+    return json.dumps(digests, sort_keys=True)

@@ -17,21 +17,21 @@ from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.errors import LayoutError
 from exwarp_cli.io.decisions import decision_text, parse_decision
-from exwarp_cli.io.frames import read_image
-from exwarp_cli.io.output import (
-    PREFIX,
-    compression_of,
-    quantise,
-    tight_window,
-)
+from exwarp_cli.io.footage import picture
+from exwarp_cli.io.frame_files import quantised
+from exwarp_cli.io.output import PREFIX, compression_of
+from exwarp_cli.io.template import Plane, PlaneKey, Template
 from exwarp_cli.pipeline.choosing import Chooser, Chosen
 from exwarp_cli.pipeline.geometry import Staging
-from exwarp_cli.pipeline.loading import IntervalLoader, Loaded
+from exwarp_cli.pipeline.layers import Beside, named_by_path
+from exwarp_cli.pipeline.loaded import Loaded
 from exwarp_cli.pipeline.progress import Progress
+from exwarp_cli.pipeline.recipes import key_recipe
 from exwarp_cli.pipeline.schedule import read_ahead
 from exwarp_cli.pipeline.scoring import IntervalScores
 from exwarp_cli.pipeline.sink import Sink
 from exwarp_cli.pipeline.source import Source
+from exwarp_cli.pipeline.views import JointLoader
 from exwarp_cli.pipeline.watching import Watcher
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import Judge, Method, Predicted, take
@@ -50,12 +50,13 @@ class Run:
     sink: Sink
     progress: Progress
     staging: Staging
+    beside: Beside
     chooser: Chooser | None
     watcher: Watcher | None = None
     records: list[FrameRecord] = field(default_factory=list)
     _scoring: IntervalScores | None = None
 
-    def write_all(self, loader: IntervalLoader, keys: tuple[int, ...]) -> tuple[FrameRecord, ...]:
+    def write_all(self, loader: JointLoader, keys: tuple[int, ...]) -> tuple[FrameRecord, ...]:
         """Work through the intervals: reading ahead, computing here, writing behind."""
         if self.watcher is not None:
             timeline = self.source.timeline
@@ -93,6 +94,7 @@ class Run:
         there = {slot for slot in slots if interval is None or self._is_there(slot, loaded.recipes)}
         # A policy looks at every interval: the states of later ones hold what it saw.
         looks = len(there) < len(slots) or self.method.judge is Judge.POLICY
+        self.beside.begin(loaded, interval if len(there) < len(slots) else None)
         chosen = self._choose(loaded, interval) if slots and looks else None
         self._scoring = self._scores(loaded, interval)
         shares = {"geometry": geometry_ms / max(len(slots), 1)}
@@ -133,8 +135,10 @@ class Run:
         """Pass the key frame through."""
         number = self.source.timeline.numbers[loaded.key]
         output = self.source.timeline.number(Slot(loaded.key, 0))
-        path = self.source.keys.sequence.files[number]
-        resumed = self.sink.pass_key(output, path)
+        keys = self.source.keys
+        path = keys.sequence.files[number]
+        copied = self.sink.copies(path)
+        resumed = self.sink.pass_key(output, path) if copied else self._write_key(output, loaded)
         name = self.sink.name(output)
         record = FrameRecord(output, name, number, 0, FrameKind.KEY, "key", (number,))
         timing = {} if resumed else {"read": loaded.read_ms}
@@ -142,11 +146,35 @@ class Run:
         self.records.append(replace(record, resumed=resumed, timing_ms=timing, render=render))
         watched = self.watcher is not None and self.watcher.wants(output, None)
         if watched or self.sink.shows:
-            image = loaded.frame.image if loaded.frame is not None else read_image(path)
+            shown = loaded.frame
+            image = picture(keys.sequence, number, keys.view) if shown is None else shown.image
             if watched:
                 self._show(record, image, None, loaded)
             self.sink.show(image)
         self.progress.advance(output, "key")
+
+    def _write_key(self, output: int, loaded: Loaded) -> bool:
+        """Write a key frame that is no file of the output's format; return whether it is there."""
+        keys, number = self.source.keys, self.source.timeline.numbers[loaded.key]
+        if not self.sink.keeps_frames:
+            return False
+        recipe = key_recipe(keys, number)
+        if self.sink.has(output, recipe, masked=False):
+            return True
+        image = (
+            picture(keys.sequence, number, keys.view)
+            if loaded.frame is None
+            else loaded.frame.image
+        )
+        attributes = {
+            "framesPerSecond": self.source.output_fps,
+            f"{PREFIX}version": __version__,
+            f"{PREFIX}kind": FrameKind.KEY.value,
+            f"{PREFIX}key": number,
+            f"{PREFIX}recipe": recipe,
+        }
+        self.sink.write(output, image, None, loaded.template, attributes)
+        return False
 
     def _show(
         self, record: FrameRecord, image: Image, interval: Interval | None, loaded: Loaded
@@ -154,7 +182,7 @@ class Run:
         """Show a frame to the watcher as its file has it, beside its truth and holes."""
         assert self.watcher is not None
         if record.kind is not FrameKind.KEY:
-            image = replace(image, pixels=quantise(image.pixels, loaded.template))
+            image = replace(image, pixels=quantised(image.pixels, loaded.template))
         truth = loaded.truth.get(record.slot)
         slot = Slot(loaded.key, record.slot)
         self.watcher.frame(
@@ -179,7 +207,8 @@ class Run:
         elapsed = 1e3 * (time.perf_counter() - begin)
         canvas, display = interval.key.image.data_window, self.source.keys.display
         image = Image(predicted.pixels, canvas, display)
-        image = tight_window(image, loaded.frame.image.data_window)
+        beside = self._beside(slot, predicted, loaded, plan)
+        layers_ms = 1e3 * (time.perf_counter() - begin) - elapsed
         mask = self._mask(interval, slot)
         record = FrameRecord(
             number=self.source.timeline.number(slot),
@@ -191,16 +220,31 @@ class Run:
             sources=predicted.sources,
             hole_fraction=_fraction(mask),
             nonfinite_pixels=_nonfinite(loaded, predicted.sources),
-            timing_ms={predicted.made_by: elapsed},
+            timing_ms={predicted.made_by: elapsed} | ({"layers": layers_ms} if beside else {}),
             made_by=predicted.made_by,
             path=None if plan is None else plan.path,
             decision=None if plan is None else plan.decision_of(slot.index),
         )
         attributes = self._attributes(record, loaded.recipes[slot.index])
-        self.sink.write(record.number, image, mask, loaded.template, attributes)
+        self.sink.write(record.number, image, mask, loaded.template, attributes, beside)
         if loaded.truth or self.sink.shows:
-            image = replace(image, pixels=quantise(image.pixels, loaded.template))
+            image = replace(image, pixels=quantised(image.pixels, loaded.template))
         return self._scored(record, image, mask, loaded), image
+
+    def _beside(
+        self, slot: Slot, predicted: Predicted, loaded: Loaded, plan: Plan | None
+    ) -> dict[PlaneKey, Plane]:
+        """Make what is written with a slot's beauty: further layers, and other views."""
+        if not self.beside.anything:
+            return {}
+        path = None if plan is None else plan.path
+
+        def predict(interval: Interval) -> Predicted:
+            return named_by_path(self._predict(interval, slot.index, plan), path)
+
+        shown = named_by_path(predicted, path)
+        assert isinstance(loaded.template, Template)  # layers are for EXR
+        return self.beside.make(slot.index, shown, predict, loaded.template)
 
     def _kind(self, predicted: Predicted, slot: Slot) -> FrameKind:
         """Return a frame's kind: who repeats a key frame that was not shown shows it first."""
@@ -258,8 +302,9 @@ class Run:
         """Return what scores an interval's slots; None where nothing is."""
         if interval is None or not loaded.truth:
             return None
-        followed = loaded.key + 1 < len(self.source.timeline.numbers)
-        return IntervalScores(interval, self.source.keys.display, self.settings.measured, followed)
+        return IntervalScores(
+            interval, self.source.keys.display, self.settings.measured, loaded.followed
+        )
 
     def _complete(self, loaded: Loaded) -> None:
         """Add what takes all frames of the interval to the scores of those recorded last."""
@@ -308,6 +353,9 @@ class Run:
             out[f"{PREFIX}decision"] = decision_text(record.decision)
         if record.hole_fraction is not None:
             out[f"{PREFIX}holeFraction"] = record.hole_fraction
+        if self.beside.moves_vectors:
+            # Those of a key frame, too, lead over a key interval, which is so many output frames.
+            out[f"{PREFIX}vectorSpan"] = float(self.source.timeline.factor)
         compression = compression_of(self.settings.compression)
         if compression is not None:
             out["compression"] = compression

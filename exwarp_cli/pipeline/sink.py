@@ -15,9 +15,10 @@ from typing import Any
 from exwarp_cli.domain.frame import Bool, Image, Window
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.io.atomic import atomic_copy
-from exwarp_cli.io.frames import read_image
-from exwarp_cli.io.output import PREFIX, Template, write_frame, write_mask, written_attributes
-from exwarp_cli.io.video import VideoWriter, to_display
+from exwarp_cli.io.frame_files import FrameTemplate, facts_in, read_picture, write_picture
+from exwarp_cli.io.output import PREFIX, write_mask
+from exwarp_cli.io.template import Plane, PlaneKey
+from exwarp_cli.io.video import VideoLook, VideoWriter, to_display
 from exwarp_cli.pipeline.schedule import WriteBehind
 from exwarp_cli.pipeline.targets import Targets, key_is_there, slot_is_there
 
@@ -37,15 +38,31 @@ class Sink:
         The window that the video and the hole masks show.
     fps
         Of the video.
+    view
+        Which view of written frames is read again; "" for the hero, and without views.
+    behind
+        How many frames may wait for a thread to write them, beyond those under way.
+    look
+        Of the video: colour, pixels and sound; None for the usual.
     """
 
     def __init__(
-        self, targets: Targets, settings: UpsampleSettings, display: Window, fps: Fraction
+        self,
+        targets: Targets,
+        settings: UpsampleSettings,
+        display: Window,
+        fps: Fraction,
+        view: str = "",
+        behind: int = FRAMES_BEHIND,
+        look: VideoLook | None = None,
     ) -> None:
         self._targets = targets
         self._settings = settings
         self._display = display
         self._fps = fps
+        self._view = view
+        self._behind = behind
+        self._look = look
         self._stack = ExitStack()
         self._video: VideoWriter | None = None
         self.write_ms: dict[int, float] = {}
@@ -54,10 +71,10 @@ class Sink:
     def __enter__(self) -> Sink:
         threads = self._settings.threads or os.cpu_count() or 1
         with ExitStack() as stack:
-            self._writer = stack.enter_context(WriteBehind(threads, FRAMES_BEHIND + threads))
+            self._writer = stack.enter_context(WriteBehind(threads, self._behind + threads))
             if self._targets.video is not None:
                 height, width = self._display.shape
-                video = VideoWriter(self._targets.video, width, height, self._fps)
+                video = VideoWriter(self._targets.video, width, height, self._fps, self._look)
                 self._video = stack.enter_context(video)
             self._stack = stack.pop_all()
         return self
@@ -76,17 +93,34 @@ class Sink:
         return self._video is not None
 
     def name(self, number: int) -> str:
-        """Return the name of a frame's file, without its folder."""
-        return self._targets.frames.path(number).name
+        """Return the name of a frame's file, or of the video without files, without its folder."""
+        frames, video = self._targets.frames, self._targets.video
+        if frames is None:
+            assert video is not None
+            return video.name
+        return frames.path(number).name
 
-    def has(self, number: int, recipe: str) -> bool:
-        """Whether an earlier run wrote a frame's files as this one would, and they are kept."""
-        if not self._settings.skip_existing:
+    def has(self, number: int, recipe: str, masked: bool = True) -> bool:
+        """Whether an earlier run wrote a frame's files as this one would, and they are kept.
+
+        Frames that are not `masked` have no hole mask.
+        """
+        if not self._settings.skip_existing or self._targets.frames is None:
             return False
         patterns = [self._targets.frames]
-        if self._targets.holes is not None:
+        if self._targets.holes is not None and masked:
             patterns.append(self._targets.holes)
         return all(slot_is_there(pattern.path(number), recipe) for pattern in patterns)
+
+    @property
+    def keeps_frames(self) -> bool:
+        """Whether frames become files, and not a video alone."""
+        return self._targets.frames is not None
+
+    def copies(self, source: Path) -> bool:
+        """Whether a key frame's file is copied, and not decoded and written anew."""
+        frames = self._targets.frames
+        return frames is not None and frames.suffix.lower() == source.suffix.lower()
 
     def pass_key(self, number: int, source: Path) -> bool:
         """Copy a key frame's file: its bytes, so all its layers and attributes.
@@ -96,7 +130,7 @@ class Sink:
         bool
             Whether an earlier run had copied it.
         """
-        target = self._targets.frames.path(number)
+        target = self._frame_path(number)
         resumed = self._settings.skip_existing and key_is_there(target, source)
         if not resumed:
             self._submit(number, partial(atomic_copy, source, target))
@@ -107,8 +141,9 @@ class Sink:
         number: int,
         image: Image,
         mask: Bool | None,
-        template: Template,
+        template: FrameTemplate,
         attributes: Mapping[str, Any],
+        beside: Mapping[PlaneKey, Plane] | None = None,
     ) -> None:
         """Write a generated frame, and its hole mask if masks are written and it has one.
 
@@ -120,11 +155,12 @@ class Sink:
             Its colour.
         mask
             bool [H, W] on the display window.
-        template, attributes
-            As for `io.output.write_frame`.
+        template, attributes, beside
+            As for `io.frame_files.write_picture`.
         """
-        path = self._targets.frames.path(number)
-        self._submit(number, partial(write_frame, path, image, template, attributes))
+        if self._targets.frames is not None:
+            path = self._frame_path(number)
+            self._submit(number, partial(write_picture, path, image, template, attributes, beside))
         if self._targets.holes is not None and mask is not None:
             marks = {k: v for k, v in attributes.items() if k.startswith(PREFIX)}
             windows = (self._display, self._display)
@@ -139,11 +175,15 @@ class Sink:
 
     def read(self, number: int) -> Image:
         """Read a frame that an earlier run wrote."""
-        return read_image(self._targets.frames.path(number))
+        return read_picture(self._frame_path(number), self._view)
 
     def written(self, number: int) -> dict[str, Any]:
         """Return the attributes of a generated frame that an earlier run wrote."""
-        return written_attributes(self._targets.frames.path(number))
+        return facts_in(self._frame_path(number))
+
+    def _frame_path(self, number: int) -> Path:
+        assert self._targets.frames is not None
+        return self._targets.frames.path(number)
 
     def _submit(self, number: int, write: Callable[[], None]) -> None:
         """Queue a write that records how long it took."""

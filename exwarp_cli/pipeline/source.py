@@ -3,27 +3,40 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection
+from collections.abc import Sequence as Listed
 from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
 
+from exwarp_cli.domain.cuts import CutWish, parse_cuts
 from exwarp_cli.domain.frame import place
 from exwarp_cli.domain.motion import MotionFinding
 from exwarp_cli.domain.settings import DEFAULT_FPS, SourceSettings
 from exwarp_cli.domain.timeline import FACTOR, MOST, Slot, Timeline, ranges
 from exwarp_cli.errors import InputError, LayoutError, MissingFrameError, MotionError, UsageError
 from exwarp_cli.io.channels import Role
+from exwarp_cli.io.footage import is_plain, own_rate
 from exwarp_cli.io.frames import Shot, read_raw
 from exwarp_cli.io.output import frame_rate, read_headers
 from exwarp_cli.io.sequence import Sequence
 from exwarp_cli.pipeline.motion_option import motion_names, parse_motion
-from exwarp_cli.pipeline.opening import open_keys, open_slots
+from exwarp_cli.pipeline.object_ids import read_ids
+from exwarp_cli.pipeline.opening import open_keys, open_plain, open_slots
+from exwarp_cli.pipeline.shots import pairs_within
 from exwarp_cli.synthesis.calibration import calibrate
+from exwarp_cli.synthesis.cuts import is_cut
 from exwarp_cli.synthesis.probing import Instant
 
 FrameOf = Callable[[Slot], int | None]
+
+ESTIMATED = (
+    "estimated",
+    "from colour by OpenCV's DIS optical flow between neighbouring key frames, far less exact than "
+    "a renderer's vectors",
+)
+"""What is said of motion without vectors."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +57,12 @@ class Source:
         Convention of the motion vectors in use: those of `slots` where there are some, else of the
         keys; None without motion.
     fps, fps_source
-        Base rate, and where it came from: "option", "header" or "assumed".
+        Base rate, and where it came from: "option", "header", "file" (a video's) or
+        "assumed".
+    cuts
+        What the user says about cuts; those given lie at key frames.
+    estimated
+        Whether motion is needed and there are no vectors, so that it is estimated from colour.
     """
 
     keys: Shot
@@ -54,6 +72,8 @@ class Source:
     finding: MotionFinding | None
     fps: Fraction
     fps_source: str
+    cuts: CutWish
+    estimated: bool = False
 
     @property
     def output_fps(self) -> Fraction:
@@ -61,12 +81,26 @@ class Source:
         return self.fps * self.timeline.factor
 
     @property
+    def moves(self) -> bool:
+        """Whether motion is known, by vectors or estimated."""
+        return self.estimated or self.finding is not None
+
+    @property
+    def motion_told(self) -> tuple[str, str] | None:
+        """Where motion is from, in a word and in a sentence; None without motion."""
+        if self.estimated:
+            return ESTIMATED
+        return None if self.finding is None else (self.finding.source, self.finding.evidence)
+
+    @property
     def setting(self) -> str:
         """Name of the setting, "key" or "slot"."""
         return "key" if self.slots is None else "slot"
 
 
-def open_source(settings: SourceSettings, motion_needed: bool = True) -> Source:
+def open_source(
+    settings: SourceSettings, motion_needed: bool = True, pictures: bool = False
+) -> Source:
     """Find and recognise an input.
 
     Parameters
@@ -76,6 +110,8 @@ def open_source(settings: SourceSettings, motion_needed: bool = True) -> Source:
     motion_needed
         Whether the method uses motion vectors. Without, a convention that cannot be settled is no
         error, and G-buffers at the output rate without vectors to the previous slot are left out.
+    pictures
+        Whether videos, stills and EXR without vectors are taken, and their motion estimated.
 
     Raises
     ------
@@ -84,6 +120,13 @@ def open_source(settings: SourceSettings, motion_needed: bool = True) -> Source:
     MotionError
         When the convention of the motion vectors cannot be settled.
     """
+    cuts = parse_cuts(settings.cuts)
+    plain = open_plain(settings) if pictures else None
+    if plain is not None:
+        fps, fps_source = rate_of(plain, settings.fps)
+        timeline = _timeline(plain, settings, fps)
+        cuts.starts_in(timeline.numbers)
+        return Source(plain, None, _no_number, timeline, None, fps, fps_source, cuts, motion_needed)
     keys, settings = open_keys(settings)
     if Role.COLOUR not in keys.layout:
         raise LayoutError(
@@ -91,41 +134,61 @@ def open_source(settings: SourceSettings, motion_needed: bool = True) -> Source:
             "channels with 'exwarp inspect'"
         )
     fps, fps_source = rate_of(keys, settings.fps)
-    factor = factor_of(settings, fps)
-    timeline = Timeline.of(keys.sequence.numbers, settings.start_frame, settings.tail, factor)
+    timeline = _timeline(keys, settings, fps)
     if settings.gbuffers is not None and timeline.steps is None:
         raise UsageError(
             f"--gbuffers lead from slot to slot between key frames, and from {float(fps):g} to "
-            f"{float(fps * factor):g} fps most key frames are no output instants; leave --gbuffers "
-            "out, or give a whole --factor"
+            f"{float(fps * timeline.factor):g} fps most key frames are no output instants; leave "
+            "--gbuffers out, or give a whole --factor"
         )
-    slots = open_slots(settings, keys)
+    begin = cuts.starts_in(timeline.numbers)
+    keys, slots = read_ids(settings.dynamic, keys, open_slots(settings, keys))
     slot_number: FrameOf = _no_number
     if slots is not None:
         slot_number = align(timeline, slots.sequence, "--gbuffers")
         _enough(timeline, slots, slot_number)
     shot = slots or keys
+    starts = _numbers_at(begin, timeline, None if slots is None else slot_number)
     try:
-        finding = find_motion(shot, settings.motion)
+        finding = find_motion(shot, settings.motion, cuts.detect, starts)
     except MotionError:
         if motion_needed:
             raise
         finding = None
-    if motion_needed and finding is None:
+    estimated = motion_needed and pictures and _nothing_tells(shot, settings)
+    if motion_needed and not estimated:
+        _require_vectors(shot, finding, slots)
+    if slots is not None and (finding is None or finding.convention.to_previous is None):
+        slots, slot_number, finding = None, _no_number, None
+    return Source(keys, slots, slot_number, timeline, finding, fps, fps_source, cuts, estimated)
+
+
+def _require_vectors(shot: Shot, finding: MotionFinding | None, slots: Shot | None) -> None:
+    """Refuse a shot without vectors, and G-buffers of slots without those to the previous one."""
+    if finding is None:
         half = shot.layout.incomplete.get(Role.MOTION)
         told = "" if half is None else f" ({half})"
         raise LayoutError(
             f"{shot.sequence.pattern} has no motion vectors that are recognised{told}; render the "
             "motion pass, or use --method hold or blend"
         )
-    if slots is not None and (finding is None or finding.convention.to_previous is None):
-        if motion_needed:
-            raise LayoutError(
-                f"--gbuffers {slots.sequence.pattern} has no readable vectors to the previous "
-                "slot, along which colour is moved; render them, or leave --gbuffers out"
-            )
-        slots, slot_number, finding = None, _no_number, None
-    return Source(keys, slots, slot_number, timeline, finding, fps, fps_source)
+    if slots is not None and finding.convention.to_previous is None:
+        raise LayoutError(
+            f"--gbuffers {slots.sequence.pattern} has no readable vectors to the previous slot, "
+            "along which colour is moved; render them, or leave --gbuffers out"
+        )
+
+
+def _timeline(keys: Shot, settings: SourceSettings, fps: Fraction) -> Timeline:
+    factor = factor_of(settings, fps)
+    return Timeline.of(keys.sequence.numbers, settings.start_frame, settings.tail, factor)
+
+
+def _nothing_tells(shot: Shot, settings: SourceSettings) -> bool:
+    """Whether nothing is there that could tell motion, nor meant to: then it can be estimated."""
+    meant = settings.gbuffers is not None or settings.motion is not None
+    there = Role.MOTION in shot.layout or Role.MOTION in shot.layout.incomplete
+    return not (meant or there)
 
 
 def factor_of(settings: SourceSettings, fps: Fraction) -> Fraction:
@@ -150,8 +213,27 @@ def factor_of(settings: SourceSettings, fps: Fraction) -> Fraction:
     return factor
 
 
-def find_motion(shot: Shot, given: str | None) -> MotionFinding | None:
-    """Settle the motion convention of a shot, by hand or by measuring; None without motion."""
+def find_motion(
+    shot: Shot, given: str | None, detect: bool = True, starts: Collection[int] = ()
+) -> MotionFinding | None:
+    """Settle the motion convention of a shot, by hand or by measuring; None without motion.
+
+    Parameters
+    ----------
+    shot
+        Whose vectors.
+    given
+        A convention by hand.
+    detect
+        Whether to look for cuts, where vectors explain nothing: what crosses one is no motion.
+    starts
+        Numbers of frames before which cuts are known.
+
+    Raises
+    ------
+    MotionError
+        When the convention cannot be settled.
+    """
     if Role.MOTION not in shot.layout:
         return None
     names, size = motion_names(shot), (shot.display.width, shot.display.height)
@@ -159,14 +241,39 @@ def find_motion(shot: Shot, given: str | None) -> MotionFinding | None:
         convention = parse_motion(given, names, size)
         return MotionFinding(convention, "given", f"{convention.describe(names)} given by --motion")
     numbers = shot.sequence.numbers
-    firsts = sorted({0, (len(numbers) - 1) // 2, len(numbers) - 2} - {-1})
-    pairs = [
-        (_instant(shot, numbers[i]), _instant(shot, numbers[i + 1]))
-        for i in firsts
-        if i + 1 < len(numbers)
-    ]
     guess = None if shot.layout.guess is None else shot.layout.guess.sized(*size)
-    return calibrate(pairs, guess, names)
+
+    def measured(firsts: list[int]) -> MotionFinding:
+        pairs = [(_instant(shot, numbers[i]), _instant(shot, numbers[i + 1])) for i in firsts]
+        return calibrate(pairs, guess, names)
+
+    firsts = pairs_within(len(numbers), lambda i: numbers[i] in starts)
+    try:
+        return measured(firsts)
+    except MotionError:
+        if not detect or Role.COLOUR not in shot.layout:
+            raise
+        others = pairs_within(
+            len(numbers), lambda i: numbers[i] in starts or _cut_by_colour(shot, numbers, i)
+        )
+        if others == firsts:
+            raise
+        return measured(others)
+
+
+def _numbers_at(keys: Collection[int], timeline: Timeline, slot_number: FrameOf | None) -> set[int]:
+    """Return the numbers of key frames' instants, by index: theirs, or their slots'."""
+    if slot_number is None:
+        return {timeline.numbers[key] for key in keys}
+    found = (slot_number(Slot(key, 0)) for key in keys)
+    return {number for number in found if number is not None}
+
+
+def _cut_by_colour(shot: Shot, numbers: Listed[int], index: int) -> bool:
+    """Whether a cut lies before a frame, as far as colour tells without motion."""
+    pair = numbers[index - 1], numbers[index]
+    before, after = (read_raw(shot, number, (Role.COLOUR,)).key(None) for number in pair)
+    return is_cut(before, after).found
 
 
 def align(timeline: Timeline, sequence: Sequence, what: str) -> FrameOf:
@@ -237,9 +344,14 @@ def _instant(shot: Shot, number: int) -> Instant:
 
 
 def rate_of(keys: Shot, given: Fraction | None) -> tuple[Fraction, str]:
-    """Return the base rate, and whether it is from the option, the header or assumed."""
+    """Return the base rate, and whether it is from the option, the header, a video or assumed."""
     if given is not None:
         return given, "option"
+    own = own_rate(keys.sequence)
+    if own is not None:
+        return own, "file"
+    if is_plain(keys.sequence):
+        return DEFAULT_FPS, "assumed"
     first = keys.sequence.files[keys.sequence.numbers[0]]
     for header in read_headers(first):
         found = frame_rate(header)

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import filecmp
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import Slot, Timeline, ranges
-from exwarp_cli.errors import OutputExistsError, UsageError
+from exwarp_cli.errors import OutputError, OutputExistsError, UsageError
 from exwarp_cli.io.atomic import make_folder, remove_leftovers
-from exwarp_cli.io.output import recipe_of
-from exwarp_cli.io.sequence import OutputPattern, Sequence, output_pattern
+from exwarp_cli.io.clip import is_clip
+from exwarp_cli.io.footage import is_plain
+from exwarp_cli.io.frame_files import recipe_in
+from exwarp_cli.io.sequence import EXR, OutputPattern, Sequence, output_pattern
+from exwarp_cli.io.stills import STILLS, require_writer
 from exwarp_cli.io.video import require_container
 
 
@@ -22,14 +25,14 @@ class Targets:
     Attributes
     ----------
     frames
-        Pattern of the frames.
+        Pattern of the frames; None where only a video is written.
     holes
         Pattern of the hole masks; None without.
     video
         None without.
     """
 
-    frames: OutputPattern
+    frames: OutputPattern | None
     holes: OutputPattern | None
     video: Path | None
 
@@ -42,17 +45,23 @@ class Targets:
         UsageError
             When they name the same folder and pattern twice, or a video of an unknown kind.
         """
-        frames = output_pattern(settings.output, source)
+        alone = is_clip(settings.output)
+        if alone and settings.video is not None:
+            raise UsageError("-o names a video already; leave --video out, or name a folder in -o")
+        frames = None if alone else _frames(settings, source)
         holes = None
         if settings.write_holes is not None:
-            holes = output_pattern(settings.write_holes, source)
+            holes = output_pattern(settings.write_holes, replace(source, suffix=EXR[0]))
             if holes == frames:
                 raise UsageError(
                     "--write-holes and -o name the same files; give the masks a folder of their own"
                 )
-        video = None if settings.video is None else Path(settings.video)
+        named = settings.output if alone else settings.video
+        video = None if named is None else Path(named)
         if video is not None:
             require_container(video)
+            if video.resolve() in {path.resolve() for path in source.files.values()}:
+                raise OutputError(f"the video {video} is the input itself; name another")
         return cls(frames, holes, video)
 
     def prepare(self, settings: UpsampleSettings, timeline: Timeline, slots: list[Slot]) -> None:
@@ -69,9 +78,7 @@ class Targets:
             raise UsageError("--overwrite and --skip-existing contradict each other; give one")
         if not (settings.overwrite or settings.skip_existing):
             self._refuse(timeline, slots)
-        folders = {self.frames.folder}
-        if self.holes is not None:
-            folders.add(self.holes.folder)
+        folders = {p.folder for p in (self.frames, self.holes) if p is not None}
         if self.video is not None:
             folders.add(self.video.parent)
         for folder in folders:
@@ -90,9 +97,31 @@ class Targets:
                     "--skip-existing to keep good ones, --overwrite to replace them, or another -o"
                 )
         if self.video is not None and self.video.exists():
+            option = "--video" if self.frames is not None else "-o"
             raise OutputExistsError(
-                f"{self.video} exists already; give --overwrite to replace it, or another --video"
+                f"{self.video} exists already; give --overwrite to replace it, or another {option}"
             )
+
+
+def frame_suffix(output: str, source: Sequence) -> str:
+    """Return the suffix of the frames that ``-o`` asks for: its own, else the input's."""
+    suffix = Path(output).suffix
+    named = suffix.lower() in (*EXR, *STILLS) and not Path(output).is_dir()
+    return suffix if named else source.suffix
+
+
+def _frames(settings: UpsampleSettings, source: Sequence) -> OutputPattern:
+    """Read where frames go: those of EXR as EXR, others as EXR or stills of any kind."""
+    plain = is_plain(source)
+    found = output_pattern(settings.output, source, (*STILLS, *EXR) if plain else EXR)
+    if found.suffix.lower() in STILLS:
+        require_writer(found.path(0))
+        if settings.compression is not None:
+            raise UsageError(
+                f"--compression is for EXR, and frames are written as {found.suffix}; leave it "
+                "out, or name a pattern such as out.####.exr"
+            )
+    return found
 
 
 def key_is_there(target: Path, source: Path) -> bool:
@@ -105,4 +134,4 @@ def key_is_there(target: Path, source: Path) -> bool:
 
 def slot_is_there(target: Path, recipe: str) -> bool:
     """Whether a generated frame is there, undamaged, and as this run would make it."""
-    return target.exists() and recipe_of(target) == recipe
+    return target.exists() and recipe_in(target) == recipe

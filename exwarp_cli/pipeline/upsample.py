@@ -5,29 +5,54 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
-from exwarp_cli.domain.results import RunSummary
+from exwarp_cli.domain.cuts import Cut
+from exwarp_cli.domain.results import (
+    FrameRecord,
+    InterpolatorSummary,
+    NetworkSummary,
+    RunSummary,
+)
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import LayoutError, UsageError
 from exwarp_cli.io import exr
+from exwarp_cli.io.footage import close, find_frames, picture_size
 from exwarp_cli.io.interpolator import OnnxInterpolator, load_interpolator
 from exwarp_cli.io.models import OnnxExtrapolator, load_extrapolator
 from exwarp_cli.io.output import compression_of
 from exwarp_cli.io.policy_files import PolicyFile, load_policy
-from exwarp_cli.io.sequence import Sequence, find_sequence
+from exwarp_cli.io.sequence import Sequence
+from exwarp_cli.io.video import VideoLook
+from exwarp_cli.io.views import expand
 from exwarp_cli.kernels import jit
-from exwarp_cli.pipeline.announcing import Models, announce, announce_models, input_summary
+from exwarp_cli.pipeline.announcing import (
+    Models,
+    announce,
+    announce_contents,
+    announce_models,
+    input_summary,
+)
 from exwarp_cli.pipeline.choosing import Chooser, always, by_policy, by_truth
+from exwarp_cli.pipeline.contents import Content, contents_of
 from exwarp_cli.pipeline.geometry import Staging
+from exwarp_cli.pipeline.layers import Beside
 from exwarp_cli.pipeline.loading import IntervalLoader
 from exwarp_cli.pipeline.observing import Observer
 from exwarp_cli.pipeline.progress import NoProgress, Progress
 from exwarp_cli.pipeline.run import Run
 from exwarp_cli.pipeline.scoring import require_measurable
-from exwarp_cli.pipeline.sink import Sink
-from exwarp_cli.pipeline.source import FrameOf, Source, align, open_source
+from exwarp_cli.pipeline.sink import FRAMES_BEHIND, Sink
+from exwarp_cli.pipeline.source import FrameOf, Source, align
 from exwarp_cli.pipeline.targets import Targets
+from exwarp_cli.pipeline.views import JointLoader, open_sources
 from exwarp_cli.pipeline.watching import Watcher
+from exwarp_cli.pipeline.without_vectors import (
+    is_kept,
+    note_of,
+    require_able,
+    usual_method,
+    video_look,
+)
 from exwarp_cli.policy.policies import LearnedPolicy
 from exwarp_cli.policy.state import INPUTS, STATE_VERSION
 from exwarp_cli.synthesis.methods import METHODS, Judge, Method
@@ -58,16 +83,18 @@ def upsample(
         For anything that a user can cause; frames written until then are whole.
     """
     progress = progress or NoProgress()
-    method = find_method(settings.method)
     compression_of(settings.compression)
     jit.set_threads(settings.threads)
     exr.set_threads(settings.threads)
+    method, sources = _open(settings)
+    source = sources[0]
     network = find_network(settings, method)
     interpolator = find_interpolator(settings, method)
     policy = find_policy(settings, method)
     _require_truth(settings, method)
-    source = open_source(settings.source, method.needs_motion)
+    require_able(source, method, settings)
     require_factor(source, method, interpolator)
+    contents = contents_of(sources, settings.layers)
     models = Models.of(source, network, interpolator, policy)
     keys = source.timeline.select(settings.frames)
     slots = [slot for key in keys for slot in source.timeline.slots_of(key)]
@@ -76,19 +103,41 @@ def upsample(
     require_measurable(settings, source.keys.display, source.timeline.steps is not None)
     targets.prepare(settings, source.timeline, slots)
     announce(progress, settings, source, method, keys)
+    announce_contents(progress, contents)
     announce_models(progress, models, source)
     told = (models.extrapolator, None if policy is None else policy.checksum, models.interpolator)
-    loader = IntervalLoader(source, method, settings, truth, *told)
+    loader = make_loader(contents, method, settings, truth, told)
+    note = "" if targets.frames else note_of(loader.leading_recipes, settings, keys)
+    kept = watcher is None and is_kept(targets, settings, note)
     begin = time.perf_counter()
     progress.start(len(slots))
-    staging = Staging(source.keys.display, network, interpolator)
+    staging, *others = (
+        Staging(s.keys.display, network, interpolator, s.estimated) for s in sources
+    )
+    beside = Beside(contents, tuple(others))
     chooser = make_chooser(method, source, policy)
-    sink = Sink(targets, settings, source.keys.display, source.output_fps)
-    run = Run(settings, source, method, sink, progress, staging, chooser, watcher)
+    sink = make_sink(targets, settings, source, beside, video_look(source, keys, note))
+    run = Run(settings, source, method, sink, progress, staging, beside, chooser, watcher)
     try:
-        records = run.write_all(loader, keys)
+        records = () if kept else run.write_all(loader, keys)
     finally:
         progress.finish()
+        for sequence in (source.keys.sequence, *(() if truth is None else truth[:1])):
+            close(sequence)
+    return _summary(method, sources, models, contents, loader.cuts, records, begin)
+
+
+def _summary(
+    method: Method,
+    sources: tuple[Source, ...],
+    models: Models,
+    contents: tuple[Content, ...],
+    cuts: tuple[Cut, ...] | None,
+    records: tuple[FrameRecord, ...],
+    begin: float,
+) -> RunSummary:
+    """Put together what a run that began at some `time.perf_counter` found out."""
+    source = sources[0]
     return RunSummary(
         method=method.name,
         setting=source.setting,
@@ -103,7 +152,18 @@ def upsample(
         policy=models.policy,
         interpolator=models.interpolator,
         factor=source.timeline.factor,
+        cuts=cuts,
+        views=tuple(s.keys.view for s in sources if s.keys.view),
+        layers=contents[0].names,
     )
+
+
+def _open(settings: UpsampleSettings) -> tuple[Method, tuple[Source, ...]]:
+    """Open the input, and settle the method, which may depend on it."""
+    named = None if settings.method is None else find_method(settings.method)
+    sources = open_sources(settings.source, named is None or named.needs_motion, pictures=True)
+    method = named or find_method(usual_method(sources[0]))
+    return method, sources
 
 
 def find_method(name: str) -> Method:
@@ -222,8 +282,8 @@ def make_chooser(method: Method, source: Source, policy: PolicyFile | None) -> C
 
 
 def is_usual(source: Source) -> bool:
-    """Whether the output has the paper's factor, for which alone there are decisions."""
-    return source.timeline.factor == FACTOR
+    """Whether there are decisions: for the paper's factor alone, and along a renderer's motion."""
+    return source.timeline.factor == FACTOR and not source.estimated
 
 
 def require_factor(
@@ -248,15 +308,42 @@ def require_factor(
         )
 
 
+def make_loader(
+    contents: tuple[Content, ...],
+    method: Method,
+    settings: UpsampleSettings,
+    truth: tuple[Sequence, FrameOf] | None,
+    told: tuple[NetworkSummary | None, str | None, InterpolatorSummary | None],
+) -> JointLoader:
+    """Return what reads the views that are written; the first decides, and is scored.
+
+    `told` is what networks and policy frames depend on, as `IntervalLoader` takes it.
+    """
+    leader = IntervalLoader(contents[0].source, method, settings, truth, *told, contents)
+    others = (
+        IntervalLoader(content.source, method, settings, None, *told, (content,))
+        for content in contents[1:]
+    )
+    return JointLoader(leader, tuple(others))
+
+
+def make_sink(
+    targets: Targets, settings: UpsampleSettings, source: Source, beside: Beside, look: VideoLook
+) -> Sink:
+    """Return where frames go; those with all their layers are large, and few may wait."""
+    behind = 0 if beside.anything else FRAMES_BEHIND
+    view = source.keys.view
+    return Sink(targets, settings, source.keys.display, source.output_fps, view, behind, look)
+
+
 def find_truth(spec: str, source: Source) -> tuple[Sequence, FrameOf]:
-    """Find ground truth, and refuse one of another size before any work."""
-    sequence = find_sequence(spec)
+    """Find ground truth of any kind, and refuse one of another size before any work."""
+    sequence = find_frames(expand(spec, source.keys.view or None)[0])
     frame_of = align(source.timeline, sequence, "--ground-truth")
-    with exr.ExrReader(next(iter(sequence.files.values()))) as first:
-        window, display = first.parts[0].display_window, source.keys.display
-        if window.shape != display.shape:
-            raise LayoutError(
-                f"--ground-truth {sequence.pattern} is {window.width}x{window.height} and the "
-                f"input is {display.width}x{display.height}; give one of the same resolution"
-            )
+    window, display = picture_size(sequence), source.keys.display
+    if window.shape != display.shape:
+        raise LayoutError(
+            f"--ground-truth {sequence.pattern} is {window.width}x{window.height} and the "
+            f"input is {display.width}x{display.height}; give one of the same resolution"
+        )
     return sequence, frame_of

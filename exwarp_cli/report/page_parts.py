@@ -101,7 +101,10 @@ def ranked(values: Values, metric: Metric) -> list[int]:
 
 
 def metric_plots(
-    numbers: Sequence[int], scores: Sequence[Score | None], skip: Iterable[str] = ()
+    numbers: Sequence[int],
+    scores: Sequence[Score | None],
+    skip: Iterable[str] = (),
+    cuts: Sequence[int] = (),
 ) -> list[Figure]:
     """Draw each measured metric over the frames, its worst frame ringed; nothing of one frame."""
     found: list[Figure] = []
@@ -118,8 +121,18 @@ def metric_plots(
             f"{metric.title} of every scored frame; {better(metric)}. Worst at frame "
             f"{numbers[worst]}.",
         )
-        found.append(lines(labels, numbers, {metric.title: values}, (worst,)))
+        found.append(lines(labels, numbers, {metric.title: values}, (worst,), cuts))
     return found
+
+
+def cuts_line(cuts: Sequence[Mapping[str, Any]]) -> str:
+    """Say where cuts are, as `report.json` lists them; at least one."""
+    by_source: dict[str, list[str]] = {}
+    for cut in cuts:
+        by_source.setdefault(cut["source"], []).append(str(cut["frame"]))
+    told = ", ".join(f"{', '.join(frames)} ({source})" for source, frames in by_source.items())
+    many = "s" if len(cuts) > 1 else ""
+    return f"cut{many} before key frame{many} {told}; nothing is interpolated across"
 
 
 def worst_table(

@@ -32,9 +32,17 @@ KINDS = {"warp": "o", "extrapolate": "^", "hold": "x", "blend": "s", "interpolat
 
 
 def lines(
-    labels: Labels, x: Sequence[float], series: Mapping[str, Values], marked: Sequence[int] = ()
+    labels: Labels,
+    x: Sequence[float],
+    series: Mapping[str, Values],
+    marked: Sequence[int] = (),
+    cuts: Sequence[float] = (),
 ) -> Figure:
-    """Draw series over a common axis; `marked` are indices into `x` that get a ring."""
+    """Draw series over a common axis.
+
+    `marked` are indices into `x` that get a ring; an upright line stands before each frame that
+    comes after one of the `cuts`.
+    """
 
     def paint(axes: Axes) -> None:
         for i, (name, values) in enumerate(series.items()):
@@ -46,6 +54,7 @@ def lines(
             )  # fmt: skip
             spots = [(x[j], values[j]) for j in marked if values[j] is not None]
             _rings(axes, spots)
+        _upright(axes, cuts)
         _whole_frames(axes, x)
         _legend(axes, len(series))
 
@@ -58,8 +67,12 @@ def points(
     values: Values,
     kinds: Sequence[str],
     marked: Sequence[int] = (),
+    cuts: Sequence[float] = (),
 ) -> Figure:
-    """Draw one value a frame, coloured by what made the frame, a word out of KINDS each."""
+    """Draw one value a frame, coloured by what made the frame, a word out of KINDS each.
+
+    `marked` and `cuts` are as in :func:`lines`.
+    """
 
     def paint(axes: Axes) -> None:
         kept = thinned(values)
@@ -75,6 +88,7 @@ def points(
                     color=_kind(kind), marker=KINDS.get(kind, "."), markersize=4, label=kind,
                 )  # fmt: skip
         _rings(axes, [(x[j], values[j]) for j in marked if values[j] is not None])
+        _upright(axes, cuts)
         _whole_frames(axes, x)
         _legend(axes, len(set(kinds)))
 
@@ -283,6 +297,12 @@ def _rings(axes: Axes, spots: Sequence[tuple[float, float | None]]) -> None:
             markersize=9, markerfacecolor="none", markeredgecolor=COLOURS["mark"], zorder=5,
             markeredgewidth=1.6,
         )  # fmt: skip
+
+
+def _upright(axes: Axes, cuts: Sequence[float]) -> None:
+    """Draw a line before each of these frames."""
+    for number in cuts:
+        axes.axvline(number - 0.5, color=COLOURS["fg"], linestyle="--", linewidth=1, zorder=1)
 
 
 def _legend(axes: Axes, count: int) -> None:

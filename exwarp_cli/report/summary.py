@@ -48,6 +48,11 @@ def report(run: RunSummary) -> dict[str, Any]:
         "policy": None if run.policy is None else asdict(run.policy),
         "interpolator": None if run.interpolator is None else asdict(run.interpolator),
         "render_time": render_time(run),
+        "cuts": None
+        if run.cuts is None
+        else [{"frame": cut.number, "source": cut.source} for cut in run.cuts],
+        "views": list(run.views),
+        "layers": list(run.layers),
     }
     plain: dict[str, Any] = finite(found)
     return plain
@@ -95,6 +100,7 @@ def _input(source: InputSummary) -> dict[str, Any]:
         "height": source.height,
         "producer": source.producer,
         "motion": {"source": source.motion_source, "evidence": source.motion_evidence},
+        "dynamic": None if source.dynamic is None else list(source.dynamic),
     }
 
 

@@ -10,6 +10,7 @@ from exwarp_cli.domain.results import FrameKind, FrameRecord, RunSummary
 from exwarp_cli.report.gallery import Album
 from exwarp_cli.report.page import Block, Cell, Number, Page, Section, Table, Viewer
 from exwarp_cli.report.page_parts import (
+    cuts_line,
     facts_of,
     file_name,
     metric_plots,
@@ -58,9 +59,9 @@ def upsample_page(run: RunSummary, document: dict[str, Any], album: Album | None
         headline(document),
         (
             Section("frames", "Frames", [Viewer(album)] if album and album.frames else []),
-            Section("quality", "Quality", _quality(frames, document, shown)),
+            Section("quality", "Quality", _quality(run, document, shown)),
             Section("decisions", "Decisions", _decisions(run, document)),
-            Section("holes", "Holes and features", _evidence(frames, document)),
+            Section("holes", "Holes and features", _evidence(run, document)),
             Section("timing", "Time", _timing(frames, document)),
             Section("input", "Input and settings", _settings(document)),
         ),
@@ -104,6 +105,9 @@ def headline(document: dict[str, Any]) -> list[Number]:
     if fps["effective"] is not None:
         found.append(Number("Effective", f"{fps['effective']:.1f} fps", "new frames alone"))
     found += quality_numbers(document["quality"]["all"])
+    if document["input"]["motion"]["source"] == "estimated":
+        told = "from colour by optical flow, far less exact than a renderer's vectors"
+        found.append(Number("Motion", "estimated", told))
     if holes["mean_fraction"] is not None:
         found.append(
             Number("Holes", str(percent(holes["mean_fraction"])), "of the pixels, on average")
@@ -149,10 +153,16 @@ def _facts(frame: FrameRecord) -> dict[str, str]:
     return facts
 
 
-def _quality(
-    frames: tuple[FrameRecord, ...], document: dict[str, Any], shown: tuple[int, ...]
-) -> list[Block]:
-    scored = [frame for frame in frames if frame.score is not None]
+def after_cuts(run: RunSummary) -> list[int]:
+    """Return the output number of the first frame after each cut, as far as it was written."""
+    first: dict[int, int] = {}
+    for frame in run.frames:
+        first.setdefault(frame.key, frame.number)
+    return [first[cut.number] for cut in run.cuts or () if cut.number in first]
+
+
+def _quality(run: RunSummary, document: dict[str, Any], shown: tuple[int, ...]) -> list[Block]:
+    scored = [frame for frame in run.frames if frame.score is not None]
     if not scored:
         return []
     quality = document["quality"]
@@ -167,6 +177,7 @@ def _quality(
     )
     values = [None if score is None else score.psnr_db for score in scores]
     found: list[Block] = [told]
+    cuts = after_cuts(run)
     if len(scored) > 1 and any(value is not None for value in values):
         labels = Labels(
             "PSNR per frame",
@@ -174,8 +185,8 @@ def _quality(
             "PSNR dB",
             "PSNR of every scored frame, coloured by what made it; higher is better.",
         )
-        found.insert(0, points(labels, numbers, values, made))
-    found += metric_plots(numbers, scores, skip=("psnr_db",))
+        found.insert(0, points(labels, numbers, values, made, cuts=cuts))
+    found += metric_plots(numbers, scores, skip=("psnr_db",), cuts=cuts)
     worst = worst_table(numbers, scores, shown, made)
     return [*found, worst] if worst is not None else found
 
@@ -222,9 +233,10 @@ def _strip(frames: tuple[FrameRecord, ...]) -> Figure:
     )
 
 
-def _evidence(frames: tuple[FrameRecord, ...], document: dict[str, Any]) -> list[Block]:
+def _evidence(run: RunSummary, document: dict[str, Any]) -> list[Block]:
     """Draw the hole share, and the features that decisions were taken by."""
     found: list[Block] = []
+    frames = run.frames
     holes = [frame for frame in frames if frame.hole_fraction is not None]
     if len(holes) > 1:
         labels = Labels(
@@ -232,7 +244,8 @@ def _evidence(frames: tuple[FrameRecord, ...], document: dict[str, Any]) -> list
             "Share of pixels that the warp from the key frame cannot see.",
         )  # fmt: skip
         shares = [100 * (frame.hole_fraction or 0.0) for frame in holes]
-        found.append(lines(labels, [frame.number for frame in holes], {"holes": shares}))
+        numbers = [frame.number for frame in holes]
+        found.append(lines(labels, numbers, {"holes": shares}, cuts=after_cuts(run)))
         if document["holes"]["histogram"] is not None:
             found.append(_hole_histogram(document["holes"]))
     seen = [(f.number, f.decision.features) for f in frames if f.decision and f.decision.features]
@@ -292,6 +305,8 @@ def _timing(frames: tuple[FrameRecord, ...], document: dict[str, Any]) -> list[B
 def _settings(document: dict[str, Any]) -> list[Block]:
     source, fps = document["input"], document["fps"]
     geometry = {"key": "for the key frames", "slot": "for every slot"}[document["setting"]]
+    if source["motion"]["source"] == "estimated":
+        geometry = "none with vectors"
     rows: list[list[Cell]] = [
         ["sequence", source["pattern"]],
         ["key frames", f"{source['first']}-{source['last']}"],
@@ -301,6 +316,8 @@ def _settings(document: dict[str, Any]) -> list[Block]:
         ["G-buffers", geometry],
         ["motion", source["motion"]["source"]],
         ["evidence", source["motion"]["evidence"]],
+        ["moving by name", ", ".join(source["dynamic"]) if source["dynamic"] else None],
+        ["cuts", _cuts(document["cuts"])],
         ["method", document["method"]],
         ["uses the next key frame", "yes" if document["lookahead"] else "no"],
     ]
@@ -309,6 +326,13 @@ def _settings(document: dict[str, Any]) -> list[Block]:
         rows += [[f"{name} {key}", _plain(value)] for key, value in told.items()]
     rows.append(["ExWarp", document["version"]])
     return [Table("", ("", ""), rows)]
+
+
+def _cuts(cuts: list[dict[str, Any]] | None) -> str:
+    """Say where cuts are."""
+    if cuts is None:
+        return "not looked for"
+    return cuts_line(cuts) if cuts else "none"
 
 
 def _plain(value: Any) -> str:

@@ -8,8 +8,8 @@ with a flipped axis 68 %, with anything else under 18 %), else by depth and colo
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -50,15 +50,33 @@ def calibrate(
     Raises
     ------
     MotionError
-        When there is motion and no candidate explains it, or when nothing separates the candidates
-        and no name is known.
+        When there is motion and no candidate explains it, when nothing separates the candidates
+        and no name is known, or when the channels hold no values.
     """
     if not pairs:
         return _untested(guess, "one frame alone shows no motion")
     frames = ", ".join(f"{a.number}-{b.number}" for a, b in pairs)
     measured = {k: e for k, e in gathered(pairs, names).items() if e.probes}
-    if max((e.still() for e in measured.values()), default=0.0) < STILL_ERROR:
+    if not measured:
+        return _untested(guess, _why_nothing(pairs, frames, names))
+    if max(e.still() for e in measured.values()) < STILL_ERROR:
         return _untested(guess, f"frames {frames} hold too little motion to measure")
+    written = {key: e for key, e in measured.items() if not e.empty}
+    if written and {channels for channels, _ in written} != set(_pairs(names)):
+        kept = {channels for channels, _ in written}
+        measured = {key: e for key, e in measured.items() if key[0] in kept}
+        return _settled(measured, _without(guess, kept), names, frames, kept)
+    return _settled(measured, guess, names, frames, _pairs(names))
+
+
+def _settled(
+    measured: dict[Key, Evidence],
+    guess: MotionConvention | None,
+    names: tuple[str, ...],
+    frames: str,
+    kept: Collection[tuple[int, int]],
+) -> MotionFinding:
+    """Find the convention of those channels that hold vectors; see `calibrate`."""
     verdict = _judged({key: e.ranked() for key, e in measured.items()}, measured, guess)
     if not verdict.stands(measured, guess):
         freely = {key: evidence.ranked_freely() for key, evidence in measured.items()}
@@ -66,7 +84,44 @@ def calibrate(
             scaled = _judged(freely, measured, guess)
             better = scaled.error * CLEARLY_BETTER + TIE_FLOOR < verdict.error
             verdict = scaled if scaled.explains and better else verdict
-    return verdict.finding(measured, guess, names, frames)
+    found = verdict.finding(measured, guess, names, frames)
+    lost = [f"{names[x]},{names[y]}" for x, y in _pairs(names) if (x, y) not in kept]
+    if not lost:
+        return found
+    said = f"{found.evidence}; {' and '.join(lost)} hold no vectors and are left out"
+    return replace(found, evidence=said)
+
+
+def _pairs(names: tuple[str, ...]) -> list[tuple[int, int]]:
+    """Return the pairs of channels that may be one direction's."""
+    return [(first, first + 1) for first in range(0, len(names) - 1, 2)]
+
+
+def _without(
+    guess: MotionConvention | None, kept: Collection[tuple[int, int]]
+) -> MotionConvention | None:
+    """Return what the names say of some pairs of channels alone; None where that is nothing."""
+    if guess is None:
+        return None
+    before, after = (
+        one if one is not None and _key(one, False)[0] in kept else None
+        for one in (guess.to_previous, guess.to_next)
+    )
+    if before is None and after is None:
+        return None
+    return replace(guess, to_previous=before, to_next=after)
+
+
+def _why_nothing(
+    pairs: Sequence[tuple[Instant, Instant]], frames: str, names: tuple[str, ...]
+) -> str:
+    """Say why there was nothing to measure; what holds no vectors at all is an error."""
+    if not any(np.isfinite(one.motion).any() for pair in pairs for one in pair):
+        raise MotionError(
+            f"the motion channels {', '.join(names)} of frames {frames} hold no numbers, only NaN "
+            "or infinity; render the motion pass again, or give other vectors"
+        )
+    return f"frames {frames} hold nothing to measure by: no surfaces, or no depth and no colour"
 
 
 def _judged(
@@ -79,33 +134,57 @@ def _judged(
         key: _named_or_best(ranked[key], measured[key], guess)
         for key in _assign(ranked, measured, guess)
     }
+    maps = {key: found for key, (_, found) in chosen.items()}
     return _Verdict(
-        {key: found for key, (_, found) in chosen.items()},
+        maps,
         float(np.mean([error for error, _ in chosen.values()])),
         float(np.mean([measured[key].still() for key in chosen])),
-        min(_rival(ranked[key], measured[key], found) for key, (_, found) in chosen.items()),
+        min(_rival(ranked[key], measured[key], found) for key, found in maps.items()),
+        max(error / (measured[key].still() or 1.0) for key, (error, _) in chosen.items()),
+        _untried(maps, measured, guess),
     )
+
+
+def _untried(
+    maps: dict[Key, AxisMap], measured: dict[Key, Evidence], guess: MotionConvention | None
+) -> dict[Key, AxisMap]:
+    """Return the named maps of a direction whose frames hold no vectors, if the other is as named.
+
+    Some programs write none in the first frame, or in the last.
+    """
+    if guess is None or any(_named(key, guess) != found for key, found in maps.items()):
+        return {}
+    named = ((guess.to_previous, False), (guess.to_next, True))
+    keys = {_key(one, later): one for one, later in named if one is not None}
+    return {key: one for key, one in keys.items() if key not in measured}
 
 
 @dataclass(frozen=True)
 class _Verdict:
-    """The best convention with its mean error, that of no motion, and that of its best rival."""
+    """The best convention with its mean error, that of no motion, and that of its best rival.
+
+    `worst` is the largest error of a direction, as a share of that of no motion; `untried` are maps
+    that could not be tried, and are as the names say.
+    """
 
     maps: dict[Key, AxisMap]
     error: float
     still: float
     rival: float
+    worst: float
+    untried: dict[Key, AxisMap] = field(default_factory=dict)
 
     @property
     def convention(self) -> MotionConvention:
         """The convention."""
-        maps = {later: axis_map for (_, later), axis_map in self.maps.items()}
+        every = {**self.untried, **self.maps}
+        maps = {later: axis_map for (_, later), axis_map in every.items()}
         return MotionConvention(maps.get(False), maps.get(True))
 
     @property
     def explains(self) -> bool:
-        """Whether the convention explains the motion."""
-        return self.error <= BEATS_STILL * self.still
+        """Whether the convention explains the motion, and no direction is there for nothing."""
+        return self.error <= BEATS_STILL * self.still and self.worst <= HARDLY_BEATS
 
     @property
     def alone(self) -> bool:
@@ -114,7 +193,8 @@ class _Verdict:
 
     def hardly(self, guess: MotionConvention | None) -> bool:
         """Whether it is what the names say, and better than no motion, if not by much."""
-        return self.convention == guess and self.error < HARDLY_BEATS * self.still
+        hard = BEATS_STILL * self.still < self.error < HARDLY_BEATS * self.still
+        return self.convention == guess and hard
 
     def stands(self, measured: dict[Key, Evidence], guess: MotionConvention | None) -> bool:
         """Whether there is no need to look for other scales than the usual ones."""
@@ -146,9 +226,10 @@ class _Verdict:
         if not self.explains:
             if self.hardly(guess):
                 return _untested(guess, f"frames {frames} hold too little motion to measure")
+            one = " in one of the two directions" if self.error <= BEATS_STILL * self.still else ""
             raise MotionError(
-                "no reading of the motion channels explains the motion between frames "
-                f"{frames} (error {self.error:.3f}, {self.still:.3f} without motion); check the "
+                f"no reading of the motion channels explains the motion between frames {frames}"
+                f"{one} (error {self.error:.3f}, {self.still:.3f} without motion); check the "
                 "pass, or give --motion"
             )
         if self.convention != guess and not self.alone:
@@ -185,13 +266,15 @@ def _assign(
 ) -> list[Key]:
     """Decide which channels lead to the previous and which to the next frame."""
     pairs = sorted({channels for channels, _ in ranked})
-    if len(pairs) == 1:
-        options = [[(pairs[0], False)], [(pairs[0], True)]]
-    else:
-        options = [[(pairs[0], False), (pairs[1], True)], [(pairs[0], True), (pairs[1], False)]]
+    both = [
+        [(channels, later != bool(i)) for i, channels in enumerate(pairs)]
+        for later in (False, True)
+    ]
+    # Where a frame has no vectors, there is no telling what they lead to.
+    options = list(filter(None, ([key for key in keys if key in ranked] for keys in both)))
 
     def total(option: list[Key]) -> float:
-        return sum(ranked[key][0][0] for key in option)
+        return len(pairs) / len(option) * sum(ranked[key][0][0] for key in option)
 
     best = min(options, key=total)
     for option in options:
@@ -218,6 +301,12 @@ def _as_named(
 
 def _signs(axis_map: AxisMap) -> tuple[int, bool, bool]:
     return axis_map.x_channel, axis_map.x_scale > 0, axis_map.y_scale > 0
+
+
+def _key(axis_map: AxisMap, later: bool) -> Key:
+    """Return which channels a map reads, for a direction."""
+    x, y = sorted((axis_map.x_channel, axis_map.y_channel))
+    return (x, y), later
 
 
 def _named(key: Key, guess: MotionConvention) -> AxisMap | None:

@@ -58,6 +58,11 @@ class Evidence:
         return np.concatenate([p.raw for p in self.probes])
 
     @property
+    def empty(self) -> bool:
+        """Whether both channels hold one value everywhere: a pass that was never written."""
+        return bool((np.ptp(self.raw[:, self.channels], axis=0) == 0).all())
+
+    @property
     def forms(self) -> tuple[Form, ...]:
         """What the values may be."""
         return forms(self.raw, self.channels, *self.more)
@@ -136,11 +141,12 @@ def gathered(
     )
     out: dict[Key, Evidence] = {}
     for first in range(0, len(names) - len(names) % 2, 2):
+        channels = (first, first + 1)
+        used = [*channels, *(index for index in more if index is not None)]
         for later in (False, True):
-            channels = (first, first + 1)
             evidence = Evidence(channels, later, (width, height), more)
             for a, b in pairs:
-                found = probe(a, b) if later else probe(b, a)
+                found = probe(a, b, used) if later else probe(b, a, used)
                 if found is not None:
                     evidence.probes.append(found)
             out[channels, later] = evidence

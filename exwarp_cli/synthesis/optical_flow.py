@@ -53,6 +53,9 @@ MEDIAN_SIDE = 5
 FAITH = 0.3
 """How pseudo depth grows with the mismatch of colour: exp of so many times the difference."""
 
+BRIGHT = 0.95
+"""Share of the values that frames of high dynamic range are darkened for, to be below white."""
+
 LOST_SIDE = 9
 """Side of the square, pixels, over which the fit of the two neighbours is compared."""
 
@@ -89,14 +92,20 @@ def require_video() -> None:
         ) from error
 
 
+def flow_identity() -> str:
+    """Name what estimates motion, as far as what it finds depends on it."""
+    return f"DIS by OpenCV {_cv2().__version__}"
+
+
 def estimate(before: Float32, after: Float32) -> tuple[Flow, Flow]:
     """Estimate the motion between two pictures, both ways.
 
     Parameters
     ----------
     before, after
-        float32 [H, W, 3 or more], scene-linear; what a display cannot show is clipped, channels
-        past the third are left out, and pixels that are not finite count as what is around them.
+        float32 [H, W, 3 or more], scene-linear; what a display cannot show is clipped, after bright
+        scenes were darkened until they can be seen; channels past the third are left out, and
+        pixels that are not finite count as what is around them.
 
     Returns
     -------
@@ -109,7 +118,9 @@ def estimate(before: Float32, after: Float32) -> tuple[Flow, Flow]:
         When OpenCV is not installed.
     """
     require_video()
-    shown = [shown_colour(repair(pixels[..., :3])) for pixels in (before, after)]
+    light = [repair(pixels[..., :3]) for pixels in (before, after)]
+    exposure = _exposure(light)
+    shown = [shown_colour(pixels * exposure) for pixels in light]
     height, width = before.shape[:2]
     margin = max(LEAST - height, 0), max(LEAST - width, 0)
     wide = [np.pad(p, ((0, margin[0]), (0, margin[1]), (0, 0)), mode="edge") for p in shown]
@@ -178,6 +189,12 @@ def pseudo_depth(*flows: Flow) -> Float32:
     mismatch = sum((flow.mismatch for flow in flows[1:]), start=flows[0].mismatch)
     depth: Float32 = np.exp(np.float32(FAITH / len(flows)) * mismatch)
     return depth
+
+
+def _exposure(light: list[Float32]) -> np.float32:
+    """Return what to multiply two frames by, at most 1: nearly all of them is shown then."""
+    brightest = max(float(np.quantile(pixels[::4, ::4], BRIGHT)) for pixels in light)
+    return np.float32(1 / max(brightest, 1.0))
 
 
 def shown_colour(linear: Float32) -> Float32:

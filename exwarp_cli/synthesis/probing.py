@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,13 +61,16 @@ class Probe:
         return float(np.mean(losses))
 
 
-def probe(here: Instant, there: Instant) -> Probe | None:
-    """Sample pixels of `here` and prepare to look them up in `there`; None without any."""
+def probe(here: Instant, there: Instant, channels: Sequence[int]) -> Probe | None:
+    """Sample pixels of `here` where these motion channels hold values, to look them up in `there`.
+
+    Returns None where there are too few of them, or nothing tells them apart.
+    """
     height, width, _ = here.motion.shape
     grid = np.arange(0, height * width, max(1, height * width // (GRID * SAMPLES)))
     y, x = np.divmod(grid, width)
     usable = (y > 0) & (y < height - 1) & (x > 0) & (x < width - 1)
-    usable &= np.isfinite(here.motion[y, x]).all(axis=-1)
+    usable &= np.isfinite(here.motion[y, x][:, list(channels)]).all(axis=-1)
     if here.gbuffer.depth is not None:
         usable &= np.isfinite(here.gbuffer.depth[y, x])
     if here.gbuffer.position is not None:

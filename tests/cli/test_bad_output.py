@@ -157,7 +157,7 @@ class TestOptions:
         exwarp("upsample", keys, "-o", tmp_path / "out", *options).refused(2, *words)
         assert shots.names(tmp_path) == []
 
-    @pytest.mark.parametrize("output", ["one.exr", "frames.####.png", "movie.mp4"])
+    @pytest.mark.parametrize("output", ["one.exr", "frames.####.png", "movie.webm"])
     def test_outputs_that_are_no_sequence_of_exr_files(self, keys, exwarp, tmp_path, output):
         exwarp("upsample", keys, "-o", tmp_path / output, "-m", "hold").refused(2, output)
         assert shots.names(tmp_path) == []

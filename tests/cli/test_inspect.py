@@ -80,7 +80,7 @@ class TestWhatIsShown:
             f"crypto_object00.{c}": plane for c, plane in rgba(4, 5, "float32").items()
         }
         shots.write(tmp_path / "a.0001.exr", {"": planes})
-        assert "Cryptomatte crypto_object\n" in exwarp("inspect", tmp_path).out
+        assert "Cryptomatte crypto_object (object): " in exwarp("inspect", tmp_path).out
 
 
 class TestChannelMaps:

@@ -16,7 +16,7 @@ Change = Callable[[Shot, int, Role, np.ndarray], np.ndarray]
 
 def changed_planes(monkeypatch, change: Change) -> None:
     """Let every frame be read through `change`, before anything cleans what was read."""
-    true = frames._read_planes
+    true = frames.read_planes
 
     def read_planes(shot, number, refs):
         planes, windows = true(shot, number, refs)
@@ -28,4 +28,4 @@ def changed_planes(monkeypatch, change: Change) -> None:
                     planes[ref] = np.ascontiguousarray(made[..., index])
         return planes, windows
 
-    monkeypatch.setattr(frames, "_read_planes", read_planes)
+    monkeypatch.setattr(frames, "read_planes", read_planes)

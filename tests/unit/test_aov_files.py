@@ -24,6 +24,9 @@ class TestParse:
             (r"depth=C:\z\####.exr:Z", Role.DEPTH, r"C:\z\####.exr", ("Z",)),
             (r"depth=C:\z\####.EXR", Role.DEPTH, r"C:\z\####.EXR", ()),
             (r"depth=C:\folder", Role.DEPTH, r"C:\folder", ()),
+            (r"depth=C:\my shot\z.%04d.exr:Z", Role.DEPTH, r"C:\my shot\z.%04d.exr", ("Z",)),
+            ("depth=50% grey/z %04d.exr", Role.DEPTH, "50% grey/z %04d.exr", ()),
+            ("color=a.exr:Y,Y,Y", Role.COLOUR, "a.exr", ("Y", "Y", "Y")),
             ("depth=C:/folder/z:Z", Role.DEPTH, "C:/folder/z", ("Z",)),
             ("depth=folder:depth.Z", Role.DEPTH, "folder", ("depth.Z",)),
             ("Depth=/a/z.1.exr:ray:hitPz.R", Role.DEPTH, "/a/z.1.exr", ("ray:hitPz.R",)),
@@ -46,6 +49,7 @@ class TestParse:
             (["depth=a.exr:R,G"], "names 2 channels for depth, which takes 1; write"),
             (["motion=a.exr:R"], "names 1 channel for motion, which takes 2 to 5"),
             (["depth=a", "depth=b"], "names depth twice"),
+            (["motion=a.exr:R,R"], "names the channel 'R' of motion twice"),
         ],
     )
     def test_what_is_refused(self, texts, told):

@@ -301,6 +301,65 @@ class TestUntested:
             calibrate(given, None, XYZW)
 
 
+def with_values(frames: list[Instant], channels: slice, value: float) -> list[Instant]:
+    """Put a value into channels of every frame."""
+    out = []
+    for frame in frames:
+        motion = frame.motion.copy()
+        motion[..., channels] = value
+        out.append(replace(frame, motion=motion))
+    return out
+
+
+class TestHalfWritten:
+    """Passes of which a part holds no vectors: it is never read as no motion."""
+
+    @pytest.mark.parametrize("value", [0.0, np.nan])
+    @pytest.mark.parametrize(
+        ("channels", "lost", "expected"),
+        [
+            (slice(2, 4), "Z,W", MotionConvention(BLENDER.to_previous)),
+            (slice(0, 2), "X,Y", MotionConvention(None, BLENDER.to_next)),
+        ],
+    )
+    def test_one_direction_alone_is_used_and_it_is_said(self, value, channels, lost, expected):
+        frames = with_values(instants(BLENDER, 4), channels, value)
+        found = calibrate(pairs_of(frames), BLENDER, XYZW)
+        assert (found.convention, found.source) == (expected, "calibrated")
+        assert found.evidence.endswith(f"; {lost} hold no vectors and are left out")
+
+    @pytest.mark.parametrize("bad", [0, 1])
+    def test_a_first_or_last_frame_without_vectors(self, bad):
+        frames = instants(BLENDER, 4)[:2]
+        frames[bad] = replace(frames[bad], motion=np.full_like(frames[bad].motion, np.nan))
+        found = calibrate(pairs_of(frames), BLENDER, XYZW)
+        assert (found.convention, found.source) == (BLENDER, "calibrated")
+        wrong = both(AxisMap(0, 1, 1, 1), AxisMap(2, 3, -1, -1))
+        corrected = calibrate(pairs_of(frames), wrong, XYZW)
+        one = BLENDER.to_next if bad else BLENDER.to_previous
+        assert one in (corrected.convention.to_previous, corrected.convention.to_next)
+        assert None in (corrected.convention.to_previous, corrected.convention.to_next)
+
+    def test_garbage_in_one_direction_is_no_small_error(self):
+        rng = np.random.default_rng(11)
+        frames = instants(BLENDER, 4)
+        for frame in frames:
+            frame.motion[..., 2:] = rng.normal(0, 9, frame.motion[..., 2:].shape)
+        with pytest.raises(MotionError, match=r"explains the motion .* one of the two directions"):
+            calibrate(pairs_of(frames), BLENDER, XYZW)
+
+    @pytest.mark.parametrize("guess", [None, BLENDER])
+    def test_no_numbers_at_all(self, guess):
+        frames = with_values(instants(BLENDER, 4), slice(None), np.nan)
+        with pytest.raises(MotionError, match=r"X, Y, Z, W of frames 0-1, 1-2 hold no numbers"):
+            calibrate(pairs_of(frames), guess, XYZW)
+
+    def test_nothing_to_measure_by(self):
+        frames = instants(BLENDER, 4, depth=None, position=None, colour=None)
+        found = calibrate(pairs_of(frames), BLENDER, XYZW)
+        assert found.source == "untested" and "nothing to measure by" in found.evidence
+
+
 class TestErrors:
     @pytest.mark.parametrize("guess", [None, BLENDER])
     def test_garbage_vectors(self, guess):

@@ -55,6 +55,9 @@ class TestRead:
         told = (found.producer, found.view, found.motion, found.depth_kind)
         assert told == ("House renderer", "right", "previous=X,-Y", DepthKind.RAY)
 
+    def test_the_mark_that_some_editors_begin_with(self, tmp_path):
+        assert read(tmp_path, "\ufeff" + FULL) == read(tmp_path, FULL)
+
     def test_nothing(self, tmp_path):
         assert read(tmp_path, "") == ChannelMap(tmp_path / "map.toml")
 
@@ -79,6 +82,18 @@ class TestRead:
             (
                 'depth_kind = "far"',
                 "depth_kind in the channel map {} is 'far'; write one of axis, ",
+            ),
+            (
+                '[channels]\nmotion = ["X", "X"]',
+                "channels.motion in the channel map {} names the channel 'X' of motion twice",
+            ),
+            (
+                '[channels]\ndepth = "a"\nDEPTH = "b"',
+                "channels.DEPTH in the channel map {} names depth twice",
+            ),
+            (
+                '[channels]\ndepth = "a"\n[aovs]\ndepth = "b"',
+                "the channel map {} names depth in [channels] and in [aovs]",
             ),
             ("view = right", "the channel map {} is not TOML (Invalid value (at line 1, "),
             ('view = "a"\nview = "b"', "the channel map {} is not TOML (Cannot overwrite"),

@@ -90,6 +90,18 @@ class TestBlender:
         for refs in layout.roles.values():
             assert {ref.name.split(".")[0] for ref in refs} == {first}
 
+    def test_geometry_of_another_view_layer_is_no_better_for_its_name(self):
+        layout = found("Fog.Vector.XYZW", "Fog.Depth.Z", "Main.Combined.RGBA", "Main.velocity.XY",
+                       "Main.hero_depth.Z")  # fmt: skip
+        assert names(layout, Role.MOTION) == expand("Main.velocity.XY")
+        assert names(layout, Role.DEPTH) == ["Main.hero_depth.Z"]
+
+    def test_passes_for_denoising_are_no_geometry(self):
+        # Blender follows mirrors in them, and the normals are the camera's.
+        layout = found("V.Combined.RGBA", "V.Denoising Normal.XYZ", "V.Denoising Depth.Z",
+                       "V.Denoising Albedo.RGB", "V.Noisy Image.RGBA")  # fmt: skip
+        assert set(layout.roles) == {Role.COLOUR}
+
     def test_geometry_comes_from_the_layer_of_the_colour_where_it_is(self):
         layout = found("Fog.Depth.Z", "Fog.Vector.XYZW", "Main.Combined.RGBA", "Main.Depth.Z")
         assert names(layout, Role.DEPTH) == ["Main.Depth.Z"]
@@ -168,6 +180,26 @@ class TestPlain:
     )  # fmt: skip
     def test_last_words_that_say_nothing(self, layer):
         assert set(found("RGB", layer).roles) == {Role.COLOUR}
+
+    @pytest.mark.parametrize(
+        "layer", ["shadow_depth.Z", "camera_normal.XYZ", "view position.XYZ", "rest_position.XYZ",
+                  "bump_normal.RGB", "variance_depth.Z", "id.RGB", "motion blur amount.RG"]
+    )  # fmt: skip
+    def test_what_only_sounds_like_geometry(self, layer):
+        assert set(found("RGB", layer).roles) == {Role.COLOUR}
+
+    def test_words_before_that_change_nothing(self):
+        layout = found("RGB", "camera_depth.Z", "shadow pass depth.Z", "object_world_position.XYZ")
+        assert names(layout, Role.DEPTH) == ["camera_depth.Z"]
+        assert names(layout, Role.POSITION) == expand("object_world_position.XYZ")
+
+    def test_a_beauty_without_shadows_and_noise(self):
+        layout = found("noisy_beauty.RGB", "shadow_beauty.RGB", "x_beauty.RGB")
+        assert names(layout, Role.COLOUR) == expand("x_beauty.RGB")
+
+    def test_a_bare_z_is_depth_before_pictures_of_it(self):
+        assert names(found("RGBA", "zdepth.R", "depth.RGB", "Z"), Role.DEPTH) == ["Z"]
+        assert Role.DEPTH not in found("XYZ")
 
     def test_words_for_components(self):
         layout = detect({"": channels(*(f"rgba.{c}" for c in ("red", "green", "blue", "alpha")))})

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from exwarp_cli.errors import DamagedFileError
+from exwarp_cli.io.cryptomatte import Cryptomatte, Kind
 from exwarp_cli.io.cryptomatte_ids import (
     LEAD,
     by_depth,
@@ -16,7 +17,8 @@ from exwarp_cli.io.cryptomatte_ids import (
     require_sound,
     surfaces,
 )
-from exwarp_cli.io.cryptomatte_manifest import id_of
+from exwarp_cli.io.cryptomatte_manifest import Dynamic, id_of
+from exwarp_cli.io.id_reading import IdReading
 from exwarp_cli.kernels.edges import SAME_DEPTH
 from tests.reference import ranked as reference
 from tests.unit.interpreted import same_when_interpreted
@@ -204,3 +206,27 @@ def test_compiled_and_interpreted_agree(tmp_path):
     same_when_interpreted(
         "tests.unit.ranked_cases", tmp_path / "found.npz", everything(), "RuntimeWarning"
     )
+
+
+class TestReadingFrames:
+    """A filtered pixel of neither lead, beside an object of its own depth."""
+
+    MATTE = Cryptomatte("", "crypto", Kind.OBJECT, ())
+
+    def ranks(self) -> np.ndarray:
+        ids = np.full((3, 4), id_of("box"), np.uint32).view(np.float32)
+        shares = np.ones((3, 4), np.float32)
+        shares[1, 2], ids[:, 3], shares[:, 3] = 0.5, 0, 0
+        none = np.zeros_like(shares)
+        return np.stack([ids, shares, none, none], axis=-1)
+
+    @pytest.mark.parametrize("moving", [None, (identity(id_of("box")),)])
+    def test_depth_decides_where_shares_do_not(self, moving):
+        dynamic = None if moving is None else Dynamic(moving, ("box",))
+        reading = IdReading(self.MATTE, dynamic=dynamic)
+        depth = np.full((3, 4), 5, np.float32)
+        depth[:, 3] = np.inf
+        found = [reading.read(self.ranks(), given, "it") for given in (depth, None)]
+        which = 1 if moving is None else 0
+        assert all(pair[1 - which] is None for pair in found)
+        assert [pair[which][1, 2] for pair in found] == [identity(id_of("box")), -1]

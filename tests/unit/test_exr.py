@@ -15,6 +15,7 @@ from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, Missing
 from exwarp_cli.io.exr import ExrReader
 from exwarp_cli.io.frames import read_image, read_plane
 from exwarp_cli.io.output import read_headers
+from tests.unit.cryptomatte_files import Style, write_cryptomatte
 from tests.unit.exr_files import (
     box,
     deep_part,
@@ -117,7 +118,26 @@ class TestStructure:
         assert (parts[0].tiled, parts[0].deep, parts[0].views) == (False, False, ())
 
 
+def test_attributes_of_every_part(tmp_path):
+    made = {
+        "rgba": (rgba(4, 5), {"shot:by": "Ada"}),
+        "z": ({"Z": plane(4, 5, 1)}, {"shot:take": 3}),
+    }
+    with ExrReader(write_parts(tmp_path / "a.exr", made)) as file:
+        first, second = file.headers
+    assert first["shot:by"] == "Ada" and "shot:by" not in second
+    assert second["shot:take"] == 3 and second["compression"] == "zip"
+
+
 class TestPixels:
+    def test_what_the_header_calls_ids_is_no_colour(self, tmp_path):
+        style = Style("rgb", told="rgb", spelling="upper")
+        path = write_cryptomatte(tmp_path / "a.exr", {"box": np.ones((4, 5))}, style, rgba(4, 5))
+        np.testing.assert_array_equal(read_image(path).pixels[..., 0], rgba(4, 5)["R"])
+        lone = write_cryptomatte(tmp_path / "b.exr", {"box": np.ones((4, 5))}, style)
+        with pytest.raises(LayoutError, match="no colour channels"):
+            read_image(lone)
+
     def test_parts_of_different_windows(self, tmp_path):
         path = write_parts(
             tmp_path / "a.exr",

@@ -10,8 +10,8 @@ import pytest
 
 from exwarp_cli.domain.frame import Float32, KeyFrame
 from exwarp_cli.domain.results import FrameKind
-from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.errors import LayoutError
+from exwarp_cli.pipeline.without_vectors import USUAL
 from exwarp_cli.synthesis.geometry import settle_motion
 from exwarp_cli.synthesis.interpolate import blend_by_depth
 from exwarp_cli.synthesis.interval import Interval
@@ -68,7 +68,7 @@ class TestRegistry:
             "blend": (True, False, None, None),
             "hold": (False, False, None, None),
         }
-        assert next(iter(METHODS)) == UpsampleSettings.method
+        assert next(iter(METHODS)) == USUAL
 
     @pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)
     def test_what_takes_a_path_and_what_makes_a_frame_itself(self, method):

@@ -51,6 +51,18 @@ class TestApply:
         for values in ((value, 0.6, 0, 1), (0.6, value, 0, 1)):
             assert np.isnan(MAPS["about the middle"].apply(raw(*values))).all()
 
+    def test_values_about_another_one_are_not_clipped(self):
+        # A writer's bias, or whole numbers about their middle, reach to both sides as far as any.
+        for still in (0.001, -1.0, 32768.0):
+            found = AxisMap(0, 1, 2.0, 2.0, still).apply(raw(still + 5, still - 7))
+            np.testing.assert_allclose(found[0, 0], (10, -14), rtol=1e-3)
+
+    def test_a_middle_of_8_bits_is_clipped_too(self):
+        for still in (127 / 255, 128 / 255):
+            found = AxisMap(0, 1, 9.0, 9.0, still)
+            assert np.isnan(found.apply(raw(1.0, 0.6))).all()
+            assert np.isfinite(found.apply(raw(0.999, 0.001))).all()
+
     @pytest.mark.parametrize("name", MAPS)
     def test_what_is_not_finite_is_unknown(self, name):
         for bad in (np.nan, np.inf, -np.inf):

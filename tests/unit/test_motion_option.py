@@ -2,17 +2,29 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from exwarp_cli.domain.frame import Window
 from exwarp_cli.domain.motion import AxisMap, MotionConvention
 from exwarp_cli.errors import UsageError
+from exwarp_cli.io.channels import ChannelRef, Layout, Role
 from exwarp_cli.io.producers import PRESETS
-from exwarp_cli.pipeline.motion_option import parse_motion
+from exwarp_cli.io.sequence import Sequence
+from exwarp_cli.io.shot import Shot
+from exwarp_cli.pipeline.motion_option import motion_names, parse_motion
 
 XYZW = ("X", "Y", "Z", "W")
 UV = ("forward.u", "forward.v", "backward.u", "backward.v")
+UV_BACK = ("forward.u", "forward.v", "back.u", "back.v")
+
+
+def shot_with(motion: tuple[ChannelRef, ...]) -> Shot:
+    sequence = Sequence(Path(), "a.", 4, ".exr", {1: Path("a.0001.exr")})
+    return Shot(sequence, {}, Layout({Role.MOTION: motion}), Window(0, 0, 4, 3))
 
 
 class TestParseMotion:
@@ -73,6 +85,10 @@ class TestParseMotion:
             "next=(X,Y)",
             "next=X*Q,Y*Q",
             "next=width*2*X,Y",
+            "next=X,Y next=X,Y",
+            "next=X,Y previous=",
+            "next=infinity*X,Y",
+            "next=nan*X,Y",
         ],
     )
     def test_what_is_not_understood(self, text):
@@ -138,6 +154,34 @@ class TestOtherForms:
         assert found == expected
 
 
+@pytest.mark.parametrize("text", ["next=1e999*R,G", "next=R,9e37*G", "next=1e28*width*R,G"])
+def test_factors_beyond_numbers_are_refused(text):
+    with pytest.raises(UsageError, match=r"has a factor above 1e\+30; correct it"):
+        parse_motion(text, RGBA, SIZE)
+
+
+class TestNames:
+    """Names of channels that --motion takes."""
+
+    @pytest.mark.parametrize(
+        ("refs", "expected"),
+        [
+            (("forward.u", "forward.v"), ("u", "v")),
+            (("a.forward.u", "a.forward.v", "a.back.u", "a.back.v"), UV_BACK),
+            (
+                ("A.Vec.X", "A.Vec.Y", "B.Vec.X", "B.Vec.Y"),
+                ("A.Vec.X", "A.Vec.Y", "B.Vec.X", "B.Vec.Y"),
+            ),
+            (("fore:R", "fore:G", "back:R", "back:G"), ("fore:R", "fore:G", "back:R", "back:G")),
+        ],
+    )
+    def test_as_short_as_tells_them_apart(self, refs, expected):
+        parts = (ref.rpartition(":") for ref in refs)
+        motion = tuple(ChannelRef(aov, name) for aov, _, name in parts)
+        found = motion_names(shot_with(motion))
+        assert found == expected and len(set(found)) == len(found)
+
+
 scales = st.floats(1e-6, 1e6).flatmap(lambda s: st.sampled_from([s, -s]))
 maps = st.builds(
     AxisMap,
@@ -149,6 +193,18 @@ maps = st.builds(
     st.sampled_from([None, 2]),
     st.sampled_from([None, 3]),
 )
+
+
+# Artists name layers: spaces, commas, signs and words of the notation itself are all met.
+@given(
+    maps,
+    st.one_of(st.none(), maps),
+    st.tuples(*(st.sampled_from(["u", "x y", "a,b", "é-1"]) for _ in range(4))),
+)
+def test_any_layer_s_name_reads_back(before, after, words):
+    names = tuple(f"{word}.{letter}" for word, letter in zip(words, "uvwz", strict=True))
+    convention = MotionConvention(before, after)
+    assert parse_motion(convention.describe(names), names) == convention
 
 
 @given(maps, st.one_of(st.none(), maps), st.booleans())

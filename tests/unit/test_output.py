@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -15,9 +16,21 @@ from hypothesis import strategies as st
 from exwarp_cli.domain.frame import Image, Window
 from exwarp_cli.errors import DamagedFileError, OutputError, UsageError
 from exwarp_cli.io import output
-from exwarp_cli.io.channels import ChannelRef
+from exwarp_cli.io.channels import ChannelRef, Role, detect
 from exwarp_cli.io.exr import ExrReader
 from exwarp_cli.io.frames import read_image
+from exwarp_cli.io.layers import layers_of
+from exwarp_cli.io.template import (
+    PIXEL_TYPES,
+    Plane,
+    PlaneKey,
+    Template,
+    ViewLayers,
+    quantise,
+    read_headers,
+    read_template,
+)
+from exwarp_cli.io.views import channels_of
 from tests.unit.exr_files import box, plane, rgba, write_parts, write_single
 
 RGBA = tuple(ChannelRef("", name) for name in "RGBA")
@@ -45,9 +58,14 @@ def image(seed: int = 0) -> Image:
     return Image(pixels(seed), WINDOW, Window(0, 0, 16, 10))
 
 
-def template(path: Path, dtype: type = np.float16, **attributes: object) -> output.Template:
+def beauty(*refs: ChannelRef) -> tuple[ViewLayers, ...]:
+    """What is written of a file without views, of which only the beauty is."""
+    return (ViewLayers("", "", refs or RGBA),)
+
+
+def template(path: Path, dtype: type = np.float16, **attributes: object) -> Template:
     write_single(path, rgba(3, 4, dtype), **attributes)
-    return output.read_template(path, RGBA)
+    return read_template(path, beauty())
 
 
 @pytest.fixture
@@ -61,35 +79,35 @@ def frame(tmp_path) -> Path:
 class TestTemplate:
     @pytest.mark.parametrize("name", CARRIED)
     def test_attributes_are_carried(self, frame, name):
-        found, value = output.read_headers(frame)[0][name], CARRIED[name]
+        found, value = read_headers(frame)[0][name], CARRIED[name]
         if isinstance(value, str | Fraction):
             assert found == value
         else:
             np.testing.assert_allclose(np.asarray(found), np.asarray(value), rtol=1e-6)
 
     def test_types_are_kept(self, frame, tmp_path):
-        before = output.read_headers(tmp_path / "in.exr")[0]
-        after = output.read_headers(frame)[0]
+        before = read_headers(tmp_path / "in.exr")[0]
+        after = read_headers(frame)[0]
         for name in CARRIED:
             assert type(after[name]) is type(before[name]), name
 
-    @pytest.mark.parametrize("name", ["framesPerSecond", "preview", "timeCode", "view"])
+    @pytest.mark.parametrize("name", ["framesPerSecond", "preview", "timeCode"])
     def test_what_belongs_to_the_source_alone_is_not(self, tmp_path, name):
-        values = {"framesPerSecond": Fraction(24), "view": "left"}
+        values = {"framesPerSecond": Fraction(24)}
         kept = template(tmp_path / "in.exr", **{k: v for k, v in values.items() if k == name})
-        assert name not in kept.header
+        assert name not in kept.parts[0].header
 
     @pytest.mark.parametrize("compression", ["none", "zips", "piz", "dwaa"])
     def test_compression_is_the_source_s(self, tmp_path, compression):
         constant = output.compression_of(compression)
         kept = template(tmp_path / "in.exr", compression=constant)
         output.write_frame(tmp_path / "out.exr", image(), kept, {})
-        assert output.read_headers(tmp_path / "out.exr")[0]["compression"] == constant
+        assert read_headers(tmp_path / "out.exr")[0]["compression"] == constant
 
     @pytest.mark.parametrize("dtype", [np.float16, np.float32])
     def test_pixel_types_are_the_source_s(self, tmp_path, dtype):
         kept = template(tmp_path / "in.exr", dtype)
-        assert kept.dtypes == (np.dtype(dtype),) * 4
+        assert [plane.dtype for plane in kept.colour] == [np.dtype(dtype)] * 4
         output.write_frame(tmp_path / "out.exr", image(), kept, {})
         with ExrReader(tmp_path / "out.exr") as file:
             types = {channel.pixel_type for channel in file.parts[0].channels}
@@ -109,9 +127,9 @@ class TestTemplate:
             },
         )
         colour = tuple(ChannelRef("", f"V.Combined.{c}") for c in "RGBA")
-        kept = output.read_template(path, colour)
-        assert kept.header["owner"] == "colour"
-        assert kept.channels == tuple(ref.name for ref in colour)
+        kept = read_template(path, beauty(*colour))
+        assert [part.header["owner"] for part in kept.parts] == ["colour"]
+        assert [plane.name for plane in kept.colour] == [ref.name for ref in colour]
         output.write_frame(tmp_path / "out.exr", image(), kept, {})
         np.testing.assert_array_equal(
             read_image(tmp_path / "out.exr").pixels, pixels().astype(np.float16)
@@ -120,9 +138,9 @@ class TestTemplate:
     def test_a_damaged_source(self, tmp_path):
         (tmp_path / "in.exr").write_bytes(b"\x76\x2f\x31\x01 and no more")
         with pytest.raises(DamagedFileError, match=r"in\.exr"):
-            output.read_template(tmp_path / "in.exr", RGBA)
+            read_template(tmp_path / "in.exr", beauty())
         with pytest.raises(DamagedFileError, match=r"in\.exr"):
-            output.read_headers(tmp_path / "in.exr")
+            read_headers(tmp_path / "in.exr")
 
 
 class TestFrame:
@@ -138,7 +156,7 @@ class TestFrame:
 
     def test_the_same_frame_gives_the_same_bytes(self, frame, tmp_path):
         again = tmp_path / "again.exr"
-        kept = output.read_template(tmp_path / "in.exr", RGBA)
+        kept = read_template(tmp_path / "in.exr", beauty())
         output.write_frame(again, image(), kept, {output.RECIPE: "abc", "exwarp:method": "s6"})
         assert again.read_bytes() == frame.read_bytes()
 
@@ -163,10 +181,10 @@ class TestFrame:
         kept = template(tmp_path / "in.exr", dtype)
         bright = image()
         bright.pixels[0, :3] = 7e4, -0.0, 1e-9, 0.1
-        rounded = output.quantise(bright.pixels, kept)
+        rounded = quantise(bright.pixels, kept)
         output.write_frame(tmp_path / "out.exr", bright, kept, {})
         np.testing.assert_array_equal(read_image(tmp_path / "out.exr").pixels, rounded)
-        np.testing.assert_array_equal(output.quantise(rounded, kept), rounded)
+        np.testing.assert_array_equal(quantise(rounded, kept), rounded)
 
     def test_nowhere_to_write(self, tmp_path):
         kept = template(tmp_path / "in.exr")
@@ -237,25 +255,137 @@ class TestSeal:
         assert output.read_text(data, "exwarp:nothing") is None
 
 
-class TestTightWindow:
-    def test_a_frame_that_filled_its_window_stays(self):
-        whole = image()
-        assert output.tight_window(whole, WINDOW) is whole
+class TestFilledWindow:
+    def test_a_part_that_filled_its_window_stays(self):
+        empty = Plane(np.zeros(WINDOW.shape, np.float32), WINDOW)
+        assert output.filled_window([empty], WINDOW) == WINDOW
 
     def test_the_rest_is_cropped_to_what_is_not_empty(self):
-        values = np.zeros((*WINDOW.shape, 4), np.float32)
-        values[3:5, 2] = 1
-        values[4, 7, 3] = -0.5
-        moved = Image(values, Window(-5, 10, 12, 9), WINDOW)
-        found = output.tight_window(moved, Window(0, 0, 3, 3))
-        assert found.data_window == Window(-3, 13, 6, 2) and found.display_window == WINDOW
-        np.testing.assert_array_equal(found.pixels, values[3:5, 2:8])
-        assert found.pixels.flags.c_contiguous
+        first, second = np.zeros((2, *WINDOW.shape), np.float32)
+        first[3:5, 2] = 1
+        second[4, 7] = -0.5
+        canvas = Window(-5, 10, 12, 9)
+        planes = [Plane(first, canvas), Plane(second, canvas)]
+        assert output.filled_window(planes, Window(0, 0, 3, 3)) == Window(-3, 13, 6, 2)
+
+    def test_planes_on_different_windows(self):
+        one = np.ones((2, 2), np.uint32)
+        planes = [Plane(one, Window(-4, 0, 2, 2)), Plane(0 * one, Window(9, 9, 2, 2))]
+        assert output.filled_window(planes, Window(0, 0, 3, 3)) == Window(-4, 0, 2, 2)
+        assert output.filled_window(planes, Window(-4, 0, 15, 11)) == Window(-4, 0, 15, 11)
 
     def test_nothing_is_one_pixel(self):
-        empty = Image(np.zeros((*WINDOW.shape, 4), np.float32), WINDOW, WINDOW)
-        found = output.tight_window(empty, Window(0, 0, 3, 3))
-        assert found.data_window == Window(0, 0, 1, 1) and found.pixels.shape == (1, 1, 4)
+        empty = Plane(np.zeros(WINDOW.shape, np.float32), Window(3, 4, 12, 9))
+        assert output.filled_window([empty], Window(0, 0, 3, 3)) == Window(3, 4, 1, 1)
+
+    def test_a_frame_is_cropped_when_it_is_written(self, tmp_path):
+        kept = template(tmp_path / "in.exr")
+        values = np.zeros((*WINDOW.shape, 4), np.float32)
+        values[3:5, 2:6] = pixels()[3:5, 2:6]
+        output.write_frame(tmp_path / "out.exr", Image(values, WINDOW, WINDOW), kept, {})
+        found = read_image(tmp_path / "out.exr")
+        assert found.data_window == Window(2, 3, 4, 2)
+        np.testing.assert_array_equal(found.pixels, values[3:5, 2:6].astype(np.float16))
+
+
+class TestParts:
+    """Frames of several layers and views; `pipeline.layers` makes their planes."""
+
+    @pytest.fixture
+    def source(self, tmp_path) -> Path:
+        """Beauty, ids and depth of two views; one part deep, as compositors leave them."""
+        made = {}
+        for view, x in (("left", 0), ("right", 3)):
+            window = {"view": view, "dataWindow": box(x, 1, 4, 3), "displayWindow": box(0, 0, 9, 7)}
+            made[f"rgba.{view}"] = (rgba(3, 4), window | {"owner": view})
+            made[f"id.{view}"] = ({"id.X": plane(3, 4, 7, np.uint32)}, window)
+            made[f"z.{view}"] = ({"Z": plane(3, 4, 2, np.float16)}, window)
+        return write_parts(tmp_path / "in.exr", made)
+
+    @staticmethod
+    def wanted(source: Path, *views: str) -> tuple[ViewLayers, ...]:
+        with ExrReader(source) as file:
+            parts = file.parts
+        found = []
+        for view in views:
+            channels = channels_of(parts, view)
+            layout = detect({"": tuple(replace(c, name=n) for n, c in channels.items())})
+            layers = layers_of({"": channels}, layout)
+            found.append(ViewLayers(view, view, layout.roles[Role.COLOUR], layers))
+        return tuple(found)
+
+    @staticmethod
+    def planes(kept: Template, window: Window, seed: int = 0) -> dict[PlaneKey, Plane]:
+        rng = np.random.default_rng(seed)
+        made = {}
+        for wanted in kept.planes:
+            high = 2**32 if wanted.dtype == np.uint32 else 9
+            values = rng.integers(1, high, window.shape, np.uint32)
+            made[wanted.key] = Plane(values.astype(wanted.dtype), window)
+        return made
+
+    def test_what_is_written_is_read_back(self, source, tmp_path):
+        kept = read_template(source, self.wanted(source, "left", "right"))
+        right = Window(-2, 0, 9, 7)
+        beside = self.planes(kept, WINDOW) | {
+            key: values for key, values in self.planes(kept, right, 1).items() if key[0] == "right"
+        }
+        out = tmp_path / "out.exr"
+        own = {output.RECIPE: "abc", "framesPerSecond": Fraction(96)}
+        output.write_frame(out, image(), kept, own, beside)
+        assert output.recipe_of(out) == "abc"
+        headers = read_headers(out)
+        assert [h["name"] for h in headers] == [h["name"] for h in read_headers(source)]
+        assert [h["view"] for h in headers] == ["left"] * 3 + ["right"] * 3
+        assert [h.get("owner") for h in headers] == ["left", None, None, "right", None, None]
+        assert [output.RECIPE in h for h in headers] == [True] + [False] * 5
+        assert {h["framesPerSecond"] for h in headers} == {Fraction(96)}
+        with ExrReader(out) as file:
+            assert [p.data_window for p in file.parts] == [WINDOW] * 3 + [right] * 3
+            for part, wanted in zip(file.parts, kept.parts, strict=True):
+                for channel, target in zip(part.channels, wanted.planes, strict=True):
+                    assert np.dtype(PIXEL_TYPES[channel.pixel_type]) == target.dtype
+                    if target not in kept.colour:
+                        found = file.read([channel])[channel]
+                        np.testing.assert_array_equal(found, beside[target.key].values)
+        np.testing.assert_array_equal(read_image(out).pixels, pixels().astype(np.float16))
+
+    def test_one_view_of_them(self, source, tmp_path):
+        kept = read_template(source, self.wanted(source, "right"))
+        output.write_frame(tmp_path / "o.exr", image(), kept, {}, self.planes(kept, WINDOW))
+        with ExrReader(tmp_path / "o.exr") as file:
+            assert [part.view for part in file.parts] == ["right"] * 3
+
+    def test_views_of_one_part_are_those_that_are_written(self, tmp_path):
+        planes = {f"{view}{c}": p for view in ("", "right.") for c, p in rgba(3, 4).items()}
+        source = write_single(tmp_path / "in.exr", planes, multiView=["left", "right"])
+        for views in (("left",), ("right",), ("left", "right")):
+            kept = read_template(source, self.wanted(source, *views))
+            output.write_frame(tmp_path / "o.exr", image(), kept, {}, self.planes(kept, WINDOW))
+            with ExrReader(tmp_path / "o.exr") as file:
+                (part,) = file.parts
+                assert part.views == views
+                assert len(part.channels) == 4 * len(views)
+            found = read_image(tmp_path / "o.exr", views[0]).pixels
+            np.testing.assert_array_equal(found, pixels().astype(np.float16))
+
+    def test_light_ends_at_the_largest_half_and_depth_does_not(self, source, tmp_path):
+        kept = read_template(source, self.wanted(source, "left"))
+        beside = {
+            target.key: Plane(np.full(WINDOW.shape, 1e5, np.float32), WINDOW)
+            for target in kept.planes
+        }
+        bright = Image(np.full((*WINDOW.shape, 4), 1e5, np.float32), WINDOW, WINDOW)
+        output.write_frame(tmp_path / "o.exr", bright, kept, {}, beside)
+        with ExrReader(tmp_path / "o.exr") as file:
+            found = {c.name: file.read([c])[c][0, 0] for p in file.parts for c in p.channels}
+        assert found["rgba.R"] == 65504 and np.isinf(found["z.Z"]) and found["id.X"] == 100000
+
+    def test_a_channel_that_is_gone(self, source, tmp_path):
+        kept = self.wanted(source, "left")
+        other = write_single(tmp_path / "b.exr", {f"rgba.{c}": p for c, p in rgba(3, 4).items()})
+        with pytest.raises(DamagedFileError, match=r"b\.exr .*channel 'id\.X' is gone"):
+            read_template(other, kept)
 
 
 class TestSmallThings:
@@ -282,7 +412,7 @@ class TestSmallThings:
     def test_display_windows_off_the_origin(self, tmp_path):
         source = tmp_path / "in.exr"
         write_single(source, rgba(3, 4), dataWindow=box(-7, -9, 4, 3))
-        kept = output.read_template(source, RGBA)
+        kept = read_template(source, beauty())
         shifted = Image(pixels(window=Window(-7, -9, 4, 3)), Window(-7, -9, 4, 3), WINDOW)
         output.write_frame(tmp_path / "out.exr", shifted, kept, {})
         assert read_image(tmp_path / "out.exr").data_window == Window(-7, -9, 4, 3)

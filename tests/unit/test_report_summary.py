@@ -27,6 +27,7 @@ CONTRACT: dict[str, Any] = {
     "input": {
         **dict.fromkeys(("pattern", "first", "last", "width", "height", "producer")),
         "motion": {"source": None, "evidence": None},
+        "dynamic": None,
     },
     "frames": dict.fromkeys(("key", "written", "generated", "dropped", "resumed")),
     "fps": dict.fromkeys(("base", "effective", "output", "throughput", "source")),
@@ -49,6 +50,9 @@ CONTRACT: dict[str, Any] = {
     "policy": None,
     "interpolator": None,
     "render_time": None,
+    "cuts": None,
+    "views": None,
+    "layers": None,
 }
 
 

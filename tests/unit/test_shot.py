@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import OpenEXR
 import pytest
@@ -11,11 +13,15 @@ from exwarp_cli.errors import LayoutError, MissingFrameError
 from exwarp_cli.io.aov_files import parse_aovs
 from exwarp_cli.io.channel_map import ChannelMap
 from exwarp_cli.io.channels import Role
+from exwarp_cli.io.cryptomatte_ids import identity
+from exwarp_cli.io.cryptomatte_manifest import id_of
 from exwarp_cli.io.depth import DepthKind
 from exwarp_cli.io.frames import read_image, read_raw
+from exwarp_cli.io.id_reading import IdReading
 from exwarp_cli.io.shot import open_shot, open_views
 from tests.stereo_layouts import LAYOUTS
 from tests.stereo_shots import arguments, eyes_at, write_stereo
+from tests.unit.cryptomatte_files import Style, write_cryptomatte
 from tests.unit.exr_files import (
     box,
     deep_part,
@@ -193,6 +199,23 @@ class TestAovs:
         raw = read_raw(shot, 1)
         assert (raw.gbuffer.depth == 3).all() and raw.path == split / "main" / "a.0001.exr"
         np.testing.assert_array_equal(raw.image.pixels[..., 0], rgba(4, 5, seed=1)["R"])
+
+    def test_ids_go_with_their_files(self, split):
+        one = {"box": np.ones((4, 5))}
+        for number in (1, 2):
+            others = {"Z": plane(4, 5, 3)}
+            path = split / "z" / f"a.{number:04d}.exr"
+            write_cryptomatte(path, one, Style("uCryptoThing", told="uCryptoThing"), others)
+        shot = self.open(split, "colour=main", spec="z")
+        (found,) = shot.cryptomattes
+        assert {ref.aov for ref in found.refs} == {found.aov} == {"main"}
+        assert Role.STENCIL not in shot.layout and shot.ids is None
+        raw = read_raw(replace(shot, ids=IdReading(found)), 2, objects=True)
+        assert (raw.gbuffer.objects == identity(id_of("box"))).all()
+        assert raw.gbuffer.stencil is None
+        assert read_raw(replace(shot, ids=IdReading(found)), 2).gbuffer.objects is None
+        joined = self.open(split, "stencil=z")
+        assert joined.cryptomattes[0].aov == "stencil" and Role.STENCIL not in joined.layout
 
     def test_more_frames_are_fine_and_fewer_are_not(self, split):
         write_single(split / "mv" / "a.0003.exr", rgba(4, 5))

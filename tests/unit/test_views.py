@@ -50,6 +50,10 @@ class TestViewsOf:
             ([ALL_NAMED], ("left", "right")),
             ([part("R", "right.R")], ()),
             ([part("left", "right")], ()),
+            # Lights named so, beside the beauty.
+            ([part(*"RGB", "left.R", "left.G", "right.R", "right.G")], ()),
+            ([part("Z", "left.R", "right.R")], ("left", "right")),
+            ([part("R", "left.R", "right.G")], ("left", "right")),
             ([part("left.x.R", "right.x.R")], ()),
             ([part("R", views=("mono",))], ("mono",)),
         ],

@@ -12,10 +12,11 @@ from exwarp_cli.domain.frame import Bool, Float32, place
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR, Slot
 from exwarp_cli.errors import MissingFrameError, UsageError
+from exwarp_cli.io.frame_files import quantised
 from exwarp_cli.io.frames import read_image
 from exwarp_cli.io.interpolator import OnnxInterpolator, load_interpolator
 from exwarp_cli.io.models import OnnxExtrapolator, load_extrapolator
-from exwarp_cli.io.output import file_digest, quantise
+from exwarp_cli.io.output import file_digest
 from exwarp_cli.io.policy_files import load_policy
 from exwarp_cli.io.vmaf import require_size
 from exwarp_cli.pipeline.bench.pictures import Pictures
@@ -168,7 +169,7 @@ class Opened:
         canvas, display = interval.key.image.data_window, self.source.keys.display
 
         def finish(pixels: Float32) -> Float32:
-            return place(quantise(pixels, loaded.template), canvas, display)
+            return place(quantised(pixels, loaded.template), canvas, display)
 
         return Pictures(
             interval,

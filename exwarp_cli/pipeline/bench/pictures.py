@@ -128,7 +128,8 @@ class Pictures:
     def _by_ffmpeg(self) -> tuple[Float32, ...]:
         if not self._between:
             interval = self.interval
-            assert interval.following is not None
+            if interval.following is None:  # before a cut, where ffmpeg repeats the frame as well
+                return tuple(_predicted(HOLD, interval, slot) for slot in SLOTS)
             older = interval.past[0].frame.image.pixels if interval.past else None
             before, after = interval.key.image.pixels, interval.following.image.pixels
             alpha = before[..., 3:]  # which ffmpeg does not make, and nobody judges

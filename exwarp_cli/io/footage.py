@@ -1,0 +1,310 @@
+"""Pictures without AOVs, a video's or a sequence of stills, in the place of rendered EXR frames."""
+
+from __future__ import annotations
+
+import os
+import threading
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import OpenEXR
+
+from exwarp_cli.domain.curves import SRGB
+from exwarp_cli.domain.frame import Image, Window
+from exwarp_cli.errors import LayoutError
+from exwarp_cli.io.channels import ChannelRef, Layout, Role
+from exwarp_cli.io.clip import Clip, ClipReader, is_clip, open_clip
+from exwarp_cli.io.exr import ExrReader
+from exwarp_cli.io.frame_files import FrameTemplate, read_picture
+from exwarp_cli.io.frame_names import split_name
+from exwarp_cli.io.output import file_digest
+from exwarp_cli.io.sequence import EXR, Sequence, find_sequence
+from exwarp_cli.io.shot import Shot
+from exwarp_cli.io.stills import STILLS, StillTemplate, read_still_template, still_size
+from exwarp_cli.io.template import PartTemplate, PlaneTemplate, Template
+from exwarp_cli.io.video import VideoLook
+
+CLIP_PADDING = 4
+"""Digits of the numbers that a clip's frames get as files; they count from 1."""
+
+
+class ClipFrames:
+    """Frames of a video by number, from 1; each thread that asks decodes for itself.
+
+    Parameters
+    ----------
+    clip
+        The video.
+    """
+
+    def __init__(self, clip: Clip) -> None:
+        self.clip = clip
+        self._readers: dict[int, ClipReader] = {}
+
+    @property
+    def display(self) -> Window:
+        """The window of every frame."""
+        return Window(0, 0, self.clip.width, self.clip.height)
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of the video's file, hexadecimal."""
+        return file_digest(self.clip.path)
+
+    def image(self, number: int) -> Image:
+        """Decode a frame, cheaply as long as numbers grow; raises DamagedFileError."""
+        thread = threading.get_ident()
+        if thread not in self._readers:
+            self._readers[thread] = ClipReader(self.clip).__enter__()
+        return Image(self._readers[thread].read(number - 1), self.display, self.display)
+
+    def close(self) -> None:
+        """Stop decoding; a later call begins again."""
+        for thread in list(self._readers):
+            self._readers.pop(thread).__exit__(None, None, None)
+
+
+@dataclass(frozen=True)
+class ClipSequence(Sequence):
+    """A video as the sequence that its frames would be as files, numbered from 1.
+
+    Every number's path is the video's own, and so is the folder, where no other file can lie.
+
+    Attributes
+    ----------
+    frames
+        What reads them.
+    """
+
+    frames: ClipFrames = field(compare=False, repr=False)
+
+    @classmethod
+    def of(cls, clip: Clip) -> ClipSequence:
+        """Number the frames of a video."""
+        files = dict.fromkeys(range(1, clip.count + 1), clip.path)
+        return cls(clip.path, f"{clip.path.stem}.", CLIP_PADDING, ".png", files, ClipFrames(clip))
+
+    @property
+    def pattern(self) -> str:
+        """Path of the video."""
+        return str(self.directory)
+
+
+def find_frames(spec: str) -> Sequence:
+    """Find a video, a sequence of stills, or one of EXR; in a folder that holds both, the EXR.
+
+    Raises
+    ------
+    InputError
+        When there is none, or several.
+    """
+    return find_plain(spec) or find_sequence(spec)
+
+
+def find_plain(spec: str) -> Sequence | None:
+    """Find a video or a sequence of stills; None where EXR is meant.
+
+    Raises
+    ------
+    InputError
+        When there are several, or a video cannot be read.
+    """
+    if is_clip(spec):
+        return ClipSequence.of(open_clip(Path(spec)))
+    path = Path(spec)
+    if spec and path.is_dir():
+        plain = not _holds(path, EXR) and _holds(path, STILLS)
+    else:
+        plain = path.suffix.lower() in STILLS
+    return find_sequence(spec, STILLS) if plain else None
+
+
+def is_plain(sequence: Sequence) -> bool:
+    """Whether a sequence is a video or one of stills."""
+    return sequence.suffix.lower() not in EXR
+
+
+def shot_of(sequence: Sequence) -> Shot:
+    """Return a video or a sequence of stills as a shot that has colour alone.
+
+    Raises
+    ------
+    InputError
+        When the first still cannot be read.
+    """
+    if isinstance(sequence, ClipSequence):
+        display, alpha, producer = sequence.frames.display, False, "video"
+    else:
+        first = next(iter(sequence.files.values()))
+        display, alpha = Window(0, 0, *still_size(first)), read_still_template(first).has_alpha
+        producer = f"{sequence.suffix.lstrip('.').upper()} images"
+    colour = tuple(ChannelRef("", name) for name in ("RGBA" if alpha else "RGB"))
+    return Shot(sequence, {}, Layout({Role.COLOUR: colour}, producer=producer), display)
+
+
+def picture(sequence: Sequence, number: int, view: str = "") -> Image:
+    """Read the colour of a frame of any kind of sequence.
+
+    Parameters
+    ----------
+    sequence
+        A video, stills or EXR.
+    number
+        Of the frame.
+    view
+        Which view of an EXR file; "" for the hero.
+
+    Raises
+    ------
+    InputError
+        When it is missing or damaged.
+    LayoutError
+        When no colour is recognised.
+    """
+    if isinstance(sequence, ClipSequence):
+        return sequence.frames.image(number)
+    return read_picture(sequence.files[number], view)
+
+
+def key_picture(shot: Shot, number: int) -> Image:
+    """Read a key frame of a video or of stills.
+
+    Raises
+    ------
+    LayoutError
+        When it has another size than the first, or has alpha where the first has none.
+    """
+    image = picture(shot.sequence, number)
+    found, channels = image.display_window, len(shot.layout.roles[Role.COLOUR])
+    if found != shot.display or image.pixels.shape[-1] != channels:
+        raise LayoutError(
+            f"{shot.sequence.files[number]} is {found.width}x{found.height} with "
+            f"{image.pixels.shape[-1]} channels, and the first frame is {shot.display.width}x"
+            f"{shot.display.height} with {channels}; write all frames alike"
+        )
+    return image
+
+
+def picture_size(sequence: Sequence) -> Window:
+    """Return the display window of any kind of sequence, by its first frame."""
+    if isinstance(sequence, ClipSequence):
+        return sequence.frames.display
+    first = next(iter(sequence.files.values()))
+    if is_plain(sequence):
+        return Window(0, 0, *still_size(first))
+    with ExrReader(first) as file:
+        return file.parts[0].display_window
+
+
+def digest_of(sequence: Sequence, number: int) -> str:
+    """Digest what a frame of a video or of stills depends on."""
+    if isinstance(sequence, ClipSequence):
+        return f"{sequence.frames.digest} {number}"
+    return file_digest(sequence.files[number])
+
+
+def plain_template(shot: Shot, number: int, suffix: str) -> FrameTemplate:
+    """Return what frames that are made of a video or of stills are written by.
+
+    Parameters
+    ----------
+    shot
+        The input.
+    number
+        Of the key frame.
+    suffix
+        Of the files to write. EXR is half and scene-linear, stills are as their key frame, and
+        frames of a video have sRGB codes of 8 bits, or of 16 if it has more than 8.
+    """
+    if suffix.lower() in EXR:
+        planes = tuple(
+            PlaneTemplate(("", ref), ref.name, np.dtype(np.float16), bounded=True)
+            for ref in shot.layout.roles[Role.COLOUR]
+        )
+        header = {"compression": OpenEXR.ZIP_COMPRESSION}
+        return Template((PartTemplate(header, planes, shot.display),), planes)
+    if isinstance(shot.sequence, ClipSequence):
+        dtype = np.dtype(np.uint16 if shot.sequence.frames.clip.deep else np.uint8)
+        return StillTemplate((), dtype, 8 * dtype.itemsize, 3, SRGB, premultiplied=False)
+    return read_still_template(shot.sequence.files[number])
+
+
+def own_rate(sequence: Sequence) -> Fraction | None:
+    """Return the frame rate that a video has; None for any other sequence."""
+    return sequence.frames.clip.rate if isinstance(sequence, ClipSequence) else None
+
+
+def look_of(sequence: Sequence, begin: Fraction, end: Fraction | None, note: str) -> VideoLook:
+    """Return what a video made of a sequence is like.
+
+    Parameters
+    ----------
+    sequence
+        The input.
+    begin, end
+        The part of its sound that goes along, in frames of the input from the first; to the end of
+        all for None, and none where it is empty.
+    note
+        See `VideoLook`.
+    """
+    if not isinstance(sequence, ClipSequence):
+        return VideoLook(note=note)
+    clip = sequence.frames.clip
+    sound = None if end is not None and end <= begin else clip.sound(begin, end)
+    return replace(clip.look, sound=sound, note=note)
+
+
+def facts_of(sequence: Sequence) -> dict[str, Any]:
+    """Return what is known of the pictures of a video or of stills, as plain data."""
+    if isinstance(sequence, ClipSequence):
+        clip = sequence.frames.clip
+        sound = () if clip.look.sound is None else clip.look.sound.codecs
+        colour = clip.look.colour
+        return {
+            "kind": "video",
+            "bits": 16 if clip.deep else 8,
+            "colour": f"{colour.matrix}, {'full' if colour.full_range else 'limited'} range",
+            "alpha": "left out" if clip.has_alpha else None,
+            "pixel_aspect": float(clip.look.pixel_aspect),
+            "sound": list(sound),
+        }
+    template = read_still_template(next(iter(sequence.files.values())))
+    return {
+        "kind": "stills",
+        "bits": template.bits,
+        "colour": f"{template.curve.name} curve",
+        "alpha": "kept" if template.has_alpha else None,
+        "pixel_aspect": 1.0,
+        "sound": [],
+    }
+
+
+def unevenness_of(sequence: Sequence) -> str | None:
+    """Say how a video whose own rate varies is taken; None where it is even."""
+    if not isinstance(sequence, ClipSequence) or not sequence.frames.clip.pacing.varies:
+        return None
+    clip = sequence.frames.clip
+    return (
+        f"the frame rate of {clip.path} varies; it is taken at {float(clip.rate):g} fps, with "
+        f"{clip.pacing.repeated} frames shown again and {clip.pacing.skipped} left out"
+    )
+
+
+def close(sequence: Sequence) -> None:
+    """Close what reading frames of a sequence left open."""
+    if isinstance(sequence, ClipSequence):
+        sequence.frames.close()
+
+
+def _holds(folder: Path, suffixes: tuple[str, ...]) -> bool:
+    """Whether a folder has frames with one of some suffixes."""
+    try:
+        with os.scandir(folder) as entries:
+            names = [entry.name for entry in entries if not entry.name.startswith(".")]
+    except OSError:
+        return False  # who looks for the sequence says why
+    return any(split_name(name, suffixes) is not None for name in names)

@@ -1,0 +1,145 @@
+"""What generated frames hold: which layers of a view, and where they come from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+from exwarp_cli.domain.motion import MotionConvention
+from exwarp_cli.io.channels import ChannelRef, Role
+from exwarp_cli.io.cryptomatte import find_cryptomattes
+from exwarp_cli.io.exr import ExrReader
+from exwarp_cli.io.layer_store import LayerStore
+from exwarp_cli.io.layers import ALL, BEAUTY, Kind, Layer, chosen, layers_of
+from exwarp_cli.io.shot import Shot, renamed
+from exwarp_cli.io.template import ViewLayers, read_headers
+from exwarp_cli.pipeline.source import Source
+
+POINTS = (Kind.POSITION, Kind.DEPTH)
+"""Layers whose values change as a point moves."""
+
+
+@dataclass(frozen=True)
+class Content:
+    """What is written of one view.
+
+    Attributes
+    ----------
+    source
+        The view.
+    layers
+        Layers to write; () for the beauty alone.
+    rendered
+        For layers that the slots' own files have too: the layer there, which is taken as it is.
+    leads
+        Whether decisions are made for this view.
+    """
+
+    source: Source
+    layers: tuple[Layer, ...] = ()
+    rendered: Mapping[str, Layer] = field(default_factory=dict)
+    leads: bool = True
+
+    @property
+    def wanted(self) -> ViewLayers:
+        """What a template is read for."""
+        shot = self.source.keys
+        within = shot.within.get("", "")
+        return ViewLayers(shot.view, within, shot.layout.roles[Role.COLOUR], self.layers)
+
+    @cached_property
+    def beside(self) -> tuple[Layer, ...]:
+        """The layers that have channels beside the beauty's own."""
+        colour = set(self.source.keys.layout.roles[Role.COLOUR])
+        return tuple(layer for layer in self.layers if not colour.issuperset(layer.refs))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of those."""
+        return tuple(dict.fromkeys(layer.name for layer in self.beside))
+
+    @property
+    def looks_back(self) -> bool:
+        """Whether the key frame before is of use where the next one is not."""
+        return self.source.finding is not None and any(
+            layer.kind in POINTS and layer.name not in self.rendered for layer in self.beside
+        )
+
+    @property
+    def convention(self) -> MotionConvention | None:
+        """How the key frames' vectors are read; None where that is not known."""
+        finding = self.source.finding if self.source.slots is None else None
+        return None if finding is None else finding.convention
+
+    @cached_property
+    def motion(self) -> tuple[ChannelRef, ...]:
+        """The motion channels that have to be read to write any of them; () without."""
+        if all(layer.kind is not Kind.MOTION for layer in self.beside) or self.convention is None:
+            return ()
+        return self.source.keys.layout.roles[Role.MOTION]
+
+    def stores(self) -> tuple[LayerStore, LayerStore | None]:
+        """Return what reads the layers of key frames, and of slots that have their own."""
+        keys = LayerStore(self.source.keys, self.beside, self.motion)
+        slots = self.source.slots
+        if slots is None or not self.rendered:
+            return keys, None
+        return keys, LayerStore(slots, self.rendered.values())
+
+
+def content_of(source: Source, text: str, leader: Content | None = None) -> Content:
+    """Choose the layers of a view.
+
+    Parameters
+    ----------
+    source
+        The view.
+    text
+        As `io.layers.chosen` takes it.
+    leader
+        Of the view that leads, for every other one: its layers have the same names, as far as this
+        view has them.
+
+    Raises
+    ------
+    UsageError
+        When a name matches nothing.
+    """
+    leads = leader is None
+    if text == BEAUTY:
+        return Content(source, leads=leads)
+    there = _layers_of(source.keys, main=True)
+    if leader is None:
+        layers = chosen(there, text, source.keys.layout)
+    else:
+        names = {layer.name for layer in leader.layers}
+        layers = tuple(layer for layer in there if layer.name in names or text == ALL)
+    slots = () if source.slots is None else _layers_of(source.slots, main=False)
+    found = {layer.name: layer.rendered_in(slots) for layer in layers}
+    rendered = {name: layer for name, layer in found.items() if layer is not None}
+    return Content(source, layers, rendered, leads)
+
+
+def contents_of(sources: tuple[Source, ...], text: str) -> tuple[Content, ...]:
+    """Choose the layers of every view, the one that leads first; see `content_of`."""
+    leader = content_of(sources[0], text)
+    return (leader, *(content_of(source, text, leader) for source in sources[1:]))
+
+
+def files_apart(shot: Shot) -> tuple[str, ...]:
+    """Return the AOVs whose layers lie in files of their own, which are not written."""
+    return tuple(aov for aov in shot.aovs if aov)
+
+
+def _layers_of(shot: Shot, main: bool) -> tuple[Layer, ...]:
+    """Return the layers of a shot's view in its first frame: of the main file, or of all."""
+    files, cryptomattes = {}, set()
+    for aov, path in shot.files(shot.sequence.numbers[0]).items():
+        if aov and main:
+            continue
+        with ExrReader(path) as file:
+            files[aov] = shot.channels(file.parts, aov)
+        known = find_cryptomattes({aov: renamed(files[aov])}, {aov: read_headers(path)})
+        cryptomattes |= {found.name for found in known}
+    return layers_of(files, shot.layout, cryptomattes)

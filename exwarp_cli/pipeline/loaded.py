@@ -1,0 +1,107 @@
+"""What was read of one key interval: nothing computed yet."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from exwarp_cli.domain.frame import GBuffer, Image, KeyFrame
+from exwarp_cli.io.frame_files import FrameTemplate
+from exwarp_cli.pipeline.layer_frames import LayerFrames
+from exwarp_cli.synthesis.interval import QUARTERS
+
+
+@dataclass(frozen=True)
+class Older:
+    """A key frame before the interval's own.
+
+    Attributes
+    ----------
+    frame
+        As read.
+    instants
+        With slot G-buffers those on the way to it, without surface: the key frame after it, the
+        slots between from the last to the first, and this key frame; motion reaches over one slot.
+        Empty in the key setting.
+    """
+
+    frame: KeyFrame
+    instants: tuple[GBuffer, ...]
+
+
+@dataclass(frozen=True)
+class Observed:
+    """A key frame's instant whose features a policy wants; neither G-buffer has settled motion.
+
+    Attributes
+    ----------
+    key
+        Index of the key frame.
+    now
+        Its geometry; with slot G-buffers motion reaches over one slot.
+    before
+        Geometry of the instant before, a key interval or a slot earlier; None at a shot's first.
+    """
+
+    key: int
+    now: GBuffer
+    before: GBuffer | None
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """One key interval as read: nothing computed yet.
+
+    Attributes
+    ----------
+    key
+        Index of the key frame.
+    frame, following
+        The key frames on both sides; `following` only for look-ahead methods, and not across a
+        cut. None where every slot of the interval was found written: nothing has to be computed.
+    slots
+        G-buffers of the slots after the key frame, empty in the key setting.
+    past
+        The key frames before in the same shot, the newest first, as far as motion leads back to
+        them; only for methods that extrapolate.
+    observed
+        The key frame's instant, and before it those of older key frames that no interval before
+        brought along; only for the policy.
+    truth
+        Ground truth by slot, where there is some.
+    truth_ends
+        The same at slot 0 and, counted on as a slot, at the next key frame's instant; only for
+        VMAF.
+    times
+        When the slots are, as in `Interval`.
+    template
+        What generated frames take over from the key frame's file.
+    recipes
+        For each slot, what its frame depends on, digested.
+    read_ms
+        Milliseconds that reading took.
+    followed
+        Whether a key frame of the same shot comes after it.
+    layers
+        Those that are written beside the beauty; None where there are none.
+    older
+        The key frame before, where layers are led on from there.
+    views
+        The same interval of the other views that are written.
+    """
+
+    key: int
+    frame: KeyFrame | None
+    following: KeyFrame | None
+    slots: tuple[GBuffer, ...]
+    past: tuple[Older, ...]
+    observed: tuple[Observed, ...]
+    truth: dict[int, Image]
+    template: FrameTemplate
+    recipes: dict[int, str]
+    read_ms: float
+    truth_ends: dict[int, Image] = field(default_factory=dict)
+    times: tuple[float, ...] = QUARTERS
+    followed: bool = True
+    layers: LayerFrames | None = None
+    older: KeyFrame | None = None
+    views: tuple[Loaded, ...] = ()

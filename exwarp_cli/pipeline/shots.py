@@ -1,0 +1,226 @@
+"""Shots within a sequence: nothing is taken across the cuts between them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+
+import numpy as np
+
+from exwarp_cli.domain.cuts import Cut, CutWish
+from exwarp_cli.domain.frame import Float32, GBuffer, KeyFrame
+from exwarp_cli.synthesis.cuts import cut_between
+from exwarp_cli.synthesis.glance import Glance, glance_at
+
+LEAP = 0.01
+"""Share of the frame's longer side from which a change of speed may come of a cut: 19 pixels of
+1920. Cameras that change so much within a key interval are rare, and what leads across a cut leads
+to another camera, mostly by a good part of the frame."""
+
+
+class Shots:
+    """Tells where shots begin, of every pair of key frames from those two alone.
+
+    So any part of the sequence finds the same, and so does every method: whoever reads key frames
+    shows them with the same channels.
+
+    Parameters
+    ----------
+    wish
+        What the user says about cuts.
+    numbers
+        Input numbers of all key frames.
+    read
+        Called with the index of a key frame that was not seen, or forgotten; shows it by `see`.
+
+    Raises
+    ------
+    MissingFrameError
+        When a cut is given at a frame that the sequence lacks.
+    """
+
+    def __init__(
+        self, wish: CutWish, numbers: Sequence[int], read: Callable[[int], object]
+    ) -> None:
+        self._wish = wish
+        self._numbers = numbers
+        self._given = wish.starts_in(numbers)
+        self._read = read
+        self._glances: dict[int, Glance] = {}
+        self._starts: dict[int, bool] = {}
+        self._crossing: dict[int, str] = {}
+        self._leader: Shots | None = None
+
+    def follow(self, leader: Shots) -> None:
+        """Let another view tell where shots begin: all views are cut alike."""
+        self._leader = leader
+
+    @property
+    def cuts(self) -> tuple[Cut, ...] | None:
+        """The cuts that were met so far; None where there are none by the user's will."""
+        if not self._wish.detect and not self._wish.numbers:
+            return None
+        return tuple(
+            Cut(self._numbers[key], "given" if key in self._given else "detected")
+            for key, found in sorted(self._starts.items())
+            if found
+        )
+
+    def see(self, key: int, frame: KeyFrame) -> None:
+        """Take a glance at a key frame.
+
+        Parameters
+        ----------
+        key
+            Its index.
+        frame
+            As it was read, with vectors over a key interval.
+        """
+        if self._wish.detect or self._at_given(key):
+            self._glances[key] = glance_at(frame)
+
+    def starts_at(self, key: int) -> bool:
+        """Whether a cut lies before a key frame; none does before the first."""
+        if self._leader is not None:
+            return self._leader.starts_at(key)
+        if key not in self._starts:
+            inside = 0 < key < len(self._numbers)
+            self._starts[key] = inside and (key in self._given or self._found(key))
+        return self._starts[key]
+
+    def begin(self, key: int, back: int) -> int:
+        """Return the first key frame of a shot, or the one so many before: the later of them."""
+        oldest = max(key - back, 0)
+        return next((i for i in range(key, oldest, -1) if self.starts_at(i)), oldest)
+
+    def within(self, key: int, gbuffer: GBuffer) -> GBuffer:
+        """Return a key frame's geometry without vectors that lead to another shot.
+
+        A shot that was rendered by itself has good vectors beyond its ends, so they go only where
+        those the other way are there too, and the two do not continue each other.
+        """
+        if gbuffer.to_next is None or gbuffer.to_previous is None:
+            return gbuffer
+        crossing = self._leading_across(key)
+        return gbuffer.without(crossing) if crossing else gbuffer
+
+    def told(self, key: int, back: int, used: Iterable[int]) -> list[str]:
+        """Say what frames after a key frame depend on; nothing where no cut is near.
+
+        Parameters
+        ----------
+        key
+            Its index.
+        back
+            How many key frames before it may be used.
+        used
+            The key frames whose vectors are.
+        """
+        begin = self.begin(key, back)
+        found = [f"begin {begin - key}"] if self.starts_at(begin) else []
+        found += ["end"] if self.starts_at(key + 1) else []
+        crossing = {i - key: self._leading_across(i) for i in sorted(set(used))}
+        return found + [f"{name} {offset}" for offset, name in crossing.items() if name]
+
+    def forget(self, oldest: int) -> None:
+        """Drop glances at key frames before one; what they told stays known."""
+        self._glances = {key: glance for key, glance in self._glances.items() if key >= oldest}
+
+    def _at_given(self, key: int) -> bool:
+        return key in self._given or key + 1 in self._given
+
+    def _glance(self, key: int) -> Glance:
+        if key not in self._glances:
+            self._read(key)
+        return self._glances[key]
+
+    def _found(self, key: int) -> bool:
+        """Look whether there is a cut before a key frame."""
+        if not self._wish.detect:
+            return False
+        return cut_between(self._glance(key - 1), self._glance(key)).found
+
+    def _leading_across(self, key: int) -> str:
+        """Return which vectors of a key frame lead to another shot; "" for none."""
+        if not self._wish.detect and not self._at_given(key):
+            return ""
+        if key not in self._crossing:
+            leap = _Leap.of(self._glance(key))
+            found = leap.crossing(self.starts_at(key), self.starts_at(key + 1)) if leap else ""
+            self._crossing[key] = found
+        return self._crossing[key]
+
+
+class _Leap:
+    """Vectors of one frame to both sides that do not continue each other.
+
+    Attributes
+    ----------
+    apart
+        How far they are apart: the median length of n + p, with n to the next frame and p to the
+        previous one. Lengths are in cells of a glance.
+    to_next, to_previous
+        Their own median lengths.
+    """
+
+    def __init__(self, apart: float, to_next: float, to_previous: float) -> None:
+        self.apart, self.to_next, self.to_previous = apart, to_next, to_previous
+
+    @classmethod
+    def of(cls, glance: Glance) -> _Leap | None:
+        """Compare the vectors of surfaces as rendered; None where they continue each other."""
+        after, before = glance.to_next, glance.to_previous
+        if after is None or before is None:
+            return None
+        known = np.isfinite(after).all(axis=-1) & np.isfinite(before).all(axis=-1)
+        if (known & glance.surface).any():
+            known &= glance.surface  # background has often none, whatever the camera does
+        if not known.any():
+            return None
+        apart, *lengths = (_length(v[known]) for v in (after + before, after, before))
+        return cls(apart, *lengths) if apart > LEAP * max(glance.light.shape) else None
+
+    def crossing(self, cut_before: bool, cut_after: bool) -> str:
+        """Return which vectors cross a cut: those that are not as the others foretell.
+
+        Between the two, the change has to be larger than what goes on inside the shot: a camera
+        that brakes or reverses changes by as much as it moves. Of a shot of one frame there is
+        nothing inside; the shorter ones stay there.
+        """
+        if cut_before and cut_after:
+            longer = "to_next" if self.to_next > self.to_previous else "to_previous"
+            return longer if self.apart > min(self.to_next, self.to_previous) else ""
+        if cut_after and self.apart > self.to_previous:
+            return "to_next"
+        if cut_before and self.apart > self.to_next:
+            return "to_previous"
+        return ""
+
+
+def _length(vectors: Float32) -> float:
+    """Median length of vectors [N, 2]."""
+    return float(np.median(np.linalg.norm(vectors, axis=-1)))
+
+
+def pairs_within(count: int, is_cut: Callable[[int], bool]) -> list[int]:
+    """Choose pairs of neighbouring frames to measure by: of the start, the middle and the end.
+
+    Parameters
+    ----------
+    count
+        Number of frames.
+    is_cut
+        Told a frame's index, says whether a cut lies before it. A pair across one gives way to the
+        nearest that is not.
+
+    Returns
+    -------
+    list of int
+        Indices of the earlier frames, ascending.
+    """
+    wanted = {0, (count - 1) // 2, count - 2}
+    firsts = range(count - 1)
+    found = {
+        next((i for i in sorted(firsts, key=lambda i: abs(i - first)) if not is_cut(i + 1)), -1)
+        for first in wanted
+    }
+    return sorted(found - {-1})

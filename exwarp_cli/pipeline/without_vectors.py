@@ -1,0 +1,114 @@
+"""Videos, stills and EXR without vectors: what methods can do there, and videos made of them."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from fractions import Fraction
+
+from exwarp_cli.domain.settings import UpsampleSettings
+from exwarp_cli.domain.timeline import Slot
+from exwarp_cli.errors import LayoutError, MissingExtraError, UsageError
+from exwarp_cli.io.footage import is_plain, look_of, own_rate
+from exwarp_cli.io.layers import BEAUTY
+from exwarp_cli.io.video import VideoLook, video_note
+from exwarp_cli.pipeline.recipes import Recipes
+from exwarp_cli.pipeline.source import Source
+from exwarp_cli.pipeline.targets import Targets
+from exwarp_cli.synthesis.methods import Method
+from exwarp_cli.synthesis.optical_flow import require_video
+
+USUAL, USUAL_ESTIMATED = "exwarp", "softsplat"
+"""Methods where none is named: with vectors, and where motion has to be estimated."""
+
+
+def usual_method(source: Source) -> str:
+    """Return the name of the method where the user names none."""
+    return USUAL_ESTIMATED if source.estimated else USUAL
+
+
+def require_able(source: Source, method: Method, settings: UpsampleSettings) -> None:
+    """Refuse before any work what cannot be done without AOVs.
+
+    Raises
+    ------
+    LayoutError
+        When the method wants vectors or surfaces, or OpenCV is missing and EXR could have vectors.
+    UsageError
+        When layers of a video or of stills are asked for.
+    MissingExtraError
+        When OpenCV is missing.
+    """
+    pattern, plain = source.keys.sequence.pattern, is_plain(source.keys.sequence)
+    if plain and settings.layers != BEAUTY:
+        raise UsageError(f"--layers is for EXR, and {pattern} has colour alone; leave it out")
+    if not source.estimated:
+        return
+    told = f"{pattern} has no motion vectors that are recognised; render the motion pass"
+    if method.extrapolates:
+        if not plain:
+            raise LayoutError(f"{told}, or use --method softsplat, for which it is estimated")
+        raise LayoutError(
+            f"--method {method.name} goes by depth, normals and materials, and {pattern} has "
+            "colour alone; use --method softsplat or s6"
+        )
+    try:
+        require_video()
+    except MissingExtraError as error:
+        if plain:
+            raise
+        raise LayoutError(
+            f'{told}, install what estimates it instead (pip install "exwarp[video]"), or use '
+            "--method hold or blend"
+        ) from error
+
+
+def video_look(source: Source, keys: tuple[int, ...], note: str = "") -> VideoLook:
+    """Return what a video of some key intervals is like, with the input's sound if it has one.
+
+    Parameters
+    ----------
+    source
+        The input.
+    keys
+        Indices of the key frames that are written. Sound goes along with those that lie side by
+        side, as cut up it would be of no use; and where the rate is the input's own.
+    note
+        What the video says of itself.
+    """
+    timeline = source.timeline
+    first, last = keys[0], keys[-1]
+    shown = [slot for slot in timeline.slots_of(first)] or [Slot(first, 0)]
+    begin = first + timeline.time(shown[0])
+    end: Fraction | None = Fraction(last + 1)
+    if last == len(timeline.numbers) - 1:
+        end = None
+    if last - first + 1 != len(keys) or source.fps != own_rate(source.keys.sequence):
+        end = begin
+    return look_of(source.keys.sequence, begin, end, note)
+
+
+def note_of(recipes: Recipes, settings: UpsampleSettings, keys: tuple[int, ...]) -> str:
+    """Digest what a video depends on that is written alone; it keeps that as its comment."""
+    source = recipes.source
+    count = len(source.timeline.numbers)
+    instants: list[Slot] = []
+    if source.slots is not None:
+        instants = [slot for key in range(count) for slot in source.timeline.between(key)]
+    found = {
+        "frames": recipes.of(keys[0], range(count), instants),
+        "keys": list(keys),
+        "exposure": settings.exposure,
+        "tail": settings.source.tail,
+        "cuts": repr(source.cuts),
+    }
+    digest = hashlib.sha256(json.dumps(found, sort_keys=True).encode()).hexdigest()
+    return f"ExWarp {digest}"
+
+
+def is_kept(targets: Targets, settings: UpsampleSettings, note: str) -> bool:
+    """Whether a video that is written alone is there already, as this run would make it."""
+    wanted = settings.skip_existing and settings.ground_truth is None
+    if not wanted or targets.frames is not None or targets.video is None:
+        return False
+    return video_note(targets.video) == note

@@ -1,0 +1,258 @@
+"""Plain video: upsampled by estimated motion, into a video, stills or EXR."""
+
+from __future__ import annotations
+
+import json
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from exwarp_cli import cli
+from exwarp_cli.io.clip import open_clip
+from tests.cli import pictures
+from tests.cli.pictures import TEST_RATE, clip, frame, psnr, shown
+from tests.cli.shots import changed_by, colour_of, contents, names, read
+
+KEYS = 5
+
+
+def panned(count: int, step: float = 1.0, seed: int = 0) -> list[np.ndarray]:
+    return [frame(i * step, seed) for i in range(count)]
+
+
+@pytest.fixture(scope="module")
+def keys(tmp_path_factory) -> Path:
+    """A clip of five frames with sound; read only."""
+    return clip(tmp_path_factory.mktemp("keys") / "pan.mp4", panned(KEYS))
+
+
+@pytest.fixture(scope="module")
+def truth(tmp_path_factory) -> Path:
+    """The same at four times the rate, up to the last frame; read only."""
+    folder = tmp_path_factory.mktemp("truth")
+    return clip(folder / "truth.mov", panned(4 * KEYS - 3, 0.25), 4 * TEST_RATE, sound=False)
+
+
+@pytest.fixture(scope="module")
+def made(keys, truth, tmp_path_factory) -> Path:
+    """A folder with out.mp4, made of the clip and scored, and its report; read only."""
+    folder = tmp_path_factory.mktemp("made")
+    scored = ("--ground-truth", str(truth), "--report", str(folder / "report"))
+    out = str(folder / "out.mp4")
+    quiet = ("--progress", "none", "--threads", "1")
+    assert cli.run(["upsample", str(keys), "-o", out, *scored, *quiet]) == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def whole(keys, tmp_path_factory) -> Path:
+    """Its frames as stills; read only."""
+    folder = tmp_path_factory.mktemp("whole")
+    assert cli.run(["upsample", str(keys), "-o", str(folder), "--progress", "none"]) == 0
+    return folder
+
+
+class TestVideo:
+    def test_frames_between_come_where_the_motion_leads(self, made):
+        found = shown(made / "out.mp4")
+        assert len(found) == 4 * KEYS
+        between = [i for i in range(4, 12) if i % 4]
+        assert min(psnr(frame(i / 4), found[i]) for i in between) > 38
+        faded = frame(1) / 2 + frame(2) / 2
+        assert psnr(frame(1.5), faded) < 30  # what a cross-fade has
+        assert min(psnr(frame(i), found[4 * i]) for i in range(KEYS)) > 36
+
+    def test_rate_and_sound_go_along(self, made):
+        clip = open_clip(made / "out.mp4")
+        assert clip.rate == 4 * TEST_RATE
+        assert clip.look.sound is not None and clip.look.sound.codecs == ("aac",)
+        assert clip.look.colour.transfer == "bt709"
+        assert names(made) == ["out.mp4", "report"]
+
+    def test_of_an_odd_rate_to_another(self, upsample, tmp_path):
+        source = clip(tmp_path / "pan.mp4", panned(4), "24000/1001", sound=False)
+        upsample(source, tmp_path / "out.mp4", "--to-fps", "59.94")
+        made = open_clip(tmp_path / "out.mp4")
+        assert made.rate == Fraction(60000, 1001)
+        assert made.count == 10  # 4 intervals of 2.5
+        found = shown(tmp_path / "out.mp4")
+        assert psnr(frame(2), found[5]) > 36  # passed through
+        assert psnr(frame(1.6), found[4]) > 30
+
+    def test_sound_of_a_part_begins_with_it(self, upsample, keys, tmp_path):
+        upsample(keys, tmp_path / "part.mp4", "--frames", "3-4")
+        assert len(shown(tmp_path / "part.mp4")) == 8
+        tone = pictures.ffmpeg("-i", tmp_path / "part.mp4", "-map", "0:a", "-f", "s16le", "-")
+        whole = pictures.ffmpeg("-i", keys, "-map", "0:a", "-f", "s16le", "-")
+        assert 0.2 < len(tone) / len(whole) < 0.7
+        upsample(keys, tmp_path / "gaps.mp4", "--frames", "1,3")
+        assert open_clip(tmp_path / "gaps.mp4").look.sound is None
+
+    def test_sound_is_left_out_where_the_rate_is_not_its_own(self, upsample, keys, tmp_path):
+        upsample(keys, tmp_path / "slow.mp4", "--fps", 12)
+        made = open_clip(tmp_path / "slow.mp4")
+        assert made.rate == 48 and made.look.sound is None
+
+    def test_beside_frames(self, upsample, keys, tmp_path):
+        upsample(keys, tmp_path / "out", "--video", tmp_path / "out.mov", "--no-tail")
+        assert len(names(tmp_path / "out")) == len(shown(tmp_path / "out.mov")) == 4 * KEYS - 3
+        assert open_clip(tmp_path / "out.mov").look.sound is not None
+
+    def test_a_good_one_is_kept(self, upsample, keys, tmp_path):
+        out = tmp_path / "out.mp4"
+        upsample(keys, out, "--factor", 2)
+        written = out.stat().st_mtime_ns
+        again = upsample(keys, out, "--factor", 2, "--skip-existing")
+        assert "is there already" in again.out and out.stat().st_mtime_ns == written
+        upsample(keys, out, "--factor", 2, "--skip-existing", "--exposure", 1)
+        assert out.stat().st_mtime_ns != written
+
+    def test_rendered_frames_can_become_one_alone(self, upsample, plain_shot, tmp_path):
+        upsample(plain_shot, tmp_path / "out.mp4", "-m", "s6", "--motion", "next=u,-v")
+        assert names(tmp_path) == ["out.mp4"]
+        assert open_clip(tmp_path / "out.mp4").count == 12
+
+
+class TestFrames:
+    def test_become_png_named_after_the_clip(self, keys, whole):
+        assert names(whole) == [f"pan.{n:04d}.png" for n in range(1, 4 * KEYS + 1)]
+        decoded = shown(keys)
+        for i in range(KEYS):
+            passed = pictures.codes_of(whole / f"pan.{4 * i + 1:04d}.png")
+            assert passed.dtype == np.uint8 and (passed == decoded[i]).all()
+
+    def test_are_half_and_linear_in_exr(self, upsample, keys, tmp_path):
+        upsample(keys, tmp_path / "a.###.exr", "--compression", "piz")
+        header, planes = read(tmp_path / "a.006.exr")
+        assert set(planes) == set("RGB") and planes["R"].dtype == np.float16
+        assert header["framesPerSecond"] == 4 * TEST_RATE
+        code = frame(1.0) / 255
+        linear = np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4)
+        assert np.abs(colour_of(tmp_path / "a.005.exr") - linear).max() < 0.02
+
+    def test_are_the_same_in_parts_and_resumed(self, upsample, keys, whole, tmp_path):
+        parts = tmp_path / "parts"
+        for part in ("4-5", "1-3"):
+            upsample(keys, parts, "--frames", part)
+        assert contents(whole) == contents(parts)
+        (parts / "pan.0006.png").write_bytes(b"damaged")
+        (parts / "pan.0009.png").unlink()
+        made = changed_by(lambda: upsample(keys, parts, "--skip-existing"), parts)
+        assert made == {6, 9} and contents(whole) == contents(parts)
+
+    def test_of_a_causal_method_know_nothing_of_what_comes(self, upsample, tmp_path):
+        ends = {"on": frame(2), "back": frame(0)}
+        for name, end in ends.items():
+            (tmp_path / name).mkdir()
+            source = clip(tmp_path / name / "pan.mkv", [*panned(2), end], sound=False)
+            upsample(source, tmp_path / f"{name}.out", "-m", "s6", "--frames", "1-2")
+        for number in range(1, 9):
+            codes = (
+                pictures.codes_of(tmp_path / f"{name}.out/pan.{number:04d}.png") for name in ends
+            )
+            assert np.array_equal(*codes)
+
+    def test_the_first_interval_of_a_causal_method_repeats(self, upsample, keys, tmp_path):
+        upsample(keys, tmp_path / "out", "-m", "s6", "--report", tmp_path / "report")
+        told = json.loads((tmp_path / "report" / "report.json").read_text())
+        assert told["frames"]["dropped"] == 3 and told["decisions"]["warp_share"] is None
+        moved = pictures.codes_of(tmp_path / "out" / "pan.0007.png")
+        assert psnr(frame(1.5), moved) > 30
+
+
+class TestCuts:
+    def test_nothing_is_taken_across(self, upsample, tmp_path):
+        source = clip(tmp_path / "two.mp4", [*panned(4), *panned(4, seed=7)], sound=False)
+        report = tmp_path / "report"
+        said = upsample(source, tmp_path / "out", "--report", report).out
+        assert "cut before key frame 5 (detected)" in said
+        told = json.loads((report / "report.json").read_text())
+        assert told["cuts"] == [{"frame": 5, "source": "detected"}]
+        for name, seed, first in (("before", 0, 0), ("after", 7, 16)):
+            alone = clip(tmp_path / f"{name}.mp4", panned(4, seed=seed), sound=False)
+            upsample(alone, tmp_path / name)
+            for i in range(1, 17):
+                codes = pictures.codes_of(tmp_path / "out" / f"two.{first + i:04d}.png")
+                expected = pictures.codes_of(tmp_path / name / f"{name}.{i:04d}.png")
+                assert np.array_equal(codes, expected), (name, i)
+
+
+class TestSaying:
+    def test_that_motion_is_estimated(self, upsample, keys, tmp_path):
+        said = upsample(keys, tmp_path / "out.mp4", "--frames", 1, "--progress", "plain").err
+        assert "5 key frames at 24 fps (file), no AOVs" in said
+        assert "motion estimated: from colour" in said
+
+    def test_in_the_report(self, made):
+        report = made / "report"
+        told = json.loads((report / "report.json").read_text())
+        assert told["method"] == "softsplat" and told["fps"]["source"] == "file"
+        assert told["input"]["motion"]["source"] == "estimated"
+        assert told["input"]["producer"] == "video"
+        assert told["quality"]["all"]["frames"] == 3 * (KEYS - 1)
+        assert told["quality"]["all"]["psnr_db"] > 25
+        page = (report / "report.html").read_text()
+        assert "from colour by optical flow" in page
+
+    def test_what_a_clip_is(self, exwarp, keys):
+        said = exwarp("inspect", keys)
+        assert said.code == 0, said.err
+        for words in ("5 frames (1-5), 64x48, 24 fps (file)", "sound aac", "estimates motion"):
+            assert words in said.out
+        told = json.loads(exwarp("inspect", keys, "--json").out)
+        assert told["motion"] is None and told["pictures"]["kind"] == "video"
+
+
+class TestRefusals:
+    @pytest.mark.parametrize(
+        ("options", "code", "words"),
+        [
+            (("-m", "exwarp"), 3, "colour alone; use --method softsplat or s6"),
+            (("-m", "s3"), 3, "depth, normals and materials"),
+            (("--gbuffers", "slots"), 2, "--gbuffers is for rendered EXR frames"),
+            (("--motion", "blender"), 2, "--motion is for rendered EXR frames"),
+            (("--view", "left"), 2, "--view is for rendered EXR frames"),
+            (("--layers", "all"), 2, "--layers is for EXR"),
+            (("--compression", "piz", "-o", "a.####.png"), 2, "--compression is for EXR"),
+            (("-o", "out.webm"), 2, "neither .mp4 nor .mov"),
+            (("-o", "out.mp4", "--video", "b.mp4"), 2, "-o names a video already"),
+            (("-o", "out.####.gif"), 2, "a pattern such as out.####.png"),
+        ],
+    )
+    def test_are_one_sentence(self, exwarp, keys, tmp_path, monkeypatch, options, code, words):
+        monkeypatch.chdir(tmp_path)
+        quiet = ("--progress", "none")
+        exwarp("upsample", keys, "-o", "out", *quiet, *options).refused(code, words)
+        assert names(tmp_path) == []
+
+    def test_the_input_itself_is_not_overwritten(self, exwarp, tmp_path):
+        source = clip(tmp_path / "pan.mp4", panned(2), sound=False)
+        was = source.read_bytes()
+        exwarp("upsample", source, "-o", source, "--overwrite").refused(5, "is the input itself")
+        exwarp("upsample", source, "-o", tmp_path / "other.mp4", "--fps", 30)
+        exwarp("upsample", source, "-o", tmp_path / "other.mp4").refused(6, "another -o")
+        assert source.read_bytes() == was
+
+    def test_without_opencv(self, exwarp, keys, tmp_path, without_opencv):
+        exwarp("upsample", keys, "-o", tmp_path / "out").refused(7, 'pip install "exwarp[video]"')
+        assert names(tmp_path) == []
+
+    def test_a_clip_that_ends_early_leaves_no_video(self, exwarp, tmp_path):
+        source = clip(tmp_path / "pan.mkv", panned(12), sound=False)
+        data = source.read_bytes()
+        source.write_bytes(data[: len(data) * 2 // 3])
+        result = exwarp("upsample", source, "-o", tmp_path / "out.mp4", "--progress", "none")
+        if result.code:  # the container may hide it, as a shorter video
+            result.refused(3, "cannot read the video")
+            assert names(tmp_path) == ["pan.mkv"]
+        else:
+            assert 4 <= len(shown(tmp_path / "out.mp4")) < 48
+
+
+def test_a_method_without_motion_needs_no_opencv(upsample, keys, tmp_path, without_opencv):
+    upsample(keys, tmp_path / "out.mp4", "-m", "blend")
+    found = shown(tmp_path / "out.mp4")
+    faded = frame(1) / 2 + frame(2) / 2
+    assert psnr(faded, found[6]) > 28
