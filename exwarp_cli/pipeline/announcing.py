@@ -90,8 +90,7 @@ def _announce_policy(
         progress.message("no object ids: what moves otherwise than the camera counts as an object")
     if decided.objects_from == "cryptomatte" and told is None:
         progress.message(
-            "nothing says what moves: of the Cryptomatte's objects those count that move otherwise "
-            "than the camera; --dynamic names them"
+            "of the Cryptomatte's objects those count as moving that move otherwise than the camera"
         )
     if decided.missing:
         progress.message(
@@ -159,6 +158,10 @@ def announce(
         listed = ", ".join(shown(name) for name in names[:SHOWN])
         more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
         progress.message(f"moving by name: {listed}{more}")
+    elif (source.slots or source.keys).ids is not None and method.needs_motion:
+        progress.message(
+            "the only ids are a Cryptomatte's, which do not say what moves; --dynamic does, by name"
+        )
     last = count - 1
     if method.lookahead and last in keys and len(source.timeline.slots_of(last)) > 1:
         fallback = "s6" if source.moves else "hold"

@@ -1,4 +1,6 @@
-"""Quality of every method and of two colour-only interpolators, on the same frames.
+"""Quality of every method, with and without vectors, and of two colour-only interpolators.
+
+All are scored on the same frames.
 
 ``python -m tests.bench.quality``: without options, on the rendered example.
 """
@@ -13,16 +15,18 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR
+from exwarp_cli.io.frame_files import read_picture
 from exwarp_cli.io.frames import read_image
 from exwarp_cli.io.sequence import find_sequence
 from exwarp_cli.metrics.registry import METRICS, score
 from exwarp_cli.pipeline.upsample import upsample
 from exwarp_cli.synthesis.methods import METHODS
-from tests.bench.peers import Frames, dis_flow, minterpolate
+from tests.bench.peers import Frames, dis_flow, minterpolate, to_bytes
 
 OWN = ("hold", "blend", "s6", "exwarp", "softsplat")
 PEERS = {"ffmpeg minterpolate": minterpolate, "OpenCV DIS flow": dis_flow}
@@ -33,6 +37,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _options(arguments)
     keys, truth = _frames(options.keys), _frames(options.truth)
     made = {name: _own(name, options.keys, options.gbuffers, len(keys)) for name in OWN}
+    made["no vectors"] = _estimated(keys)
     made |= {name: peer(keys) for name, peer in PEERS.items()}
     wanted = {
         (k, i): truth[FACTOR * k + i]
@@ -87,6 +92,21 @@ def _own(method: str, keys: str, gbuffers: str | None, count: int) -> Frames:
             (index // FACTOR, record.slot): _shown(Path(folder) / record.file)
             for index, record in enumerate(records)
             if record.slot and index // FACTOR < count - 1
+        }
+
+
+def _estimated(keys: Sequence[Float32]) -> Frames:
+    """Make frames of the key frames' beauty alone, as stills of 8 bits."""
+    with tempfile.TemporaryDirectory(prefix="exwarp-bench-") as folder:
+        stills, out = Path(folder) / "keys", Path(folder) / "out"
+        stills.mkdir()
+        for number, linear in enumerate(keys, 1):
+            Image.fromarray(to_bytes(linear)).save(stills / f"key.{number:04d}.png")
+        records = upsample(UpsampleSettings(SourceSettings(str(stills)), str(out))).frames
+        return {
+            (index // FACTOR, record.slot): read_picture(out / record.file).pixels
+            for index, record in enumerate(records)
+            if record.slot and index // FACTOR < len(keys) - 1
         }
 
 

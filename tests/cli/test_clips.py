@@ -100,6 +100,15 @@ class TestVideo:
         assert len(names(tmp_path / "out")) == len(shown(tmp_path / "out.mov")) == 4 * KEYS - 3
         assert open_clip(tmp_path / "out.mov").look.sound is not None
 
+    def test_beside_frames_that_are_there(self, upsample, keys, tmp_path):
+        out, video = tmp_path / "out", tmp_path / "out.mov"
+        upsample(keys, out, "--video", video, "--factor", 2)
+        was = shown(video)
+        video.unlink()
+        again = (out, "--video", video, "--factor", 2, "--skip-existing")
+        assert changed_by(lambda: upsample(keys, *again), out) == set()
+        assert np.array_equal(shown(video), was)
+
     def test_a_good_one_is_kept(self, upsample, keys, tmp_path):
         out = tmp_path / "out.mp4"
         upsample(keys, out, "--factor", 2)

@@ -12,6 +12,9 @@ import numpy as np
 import OpenEXR
 import pytest
 
+from exwarp_cli.io.channels import Role
+from exwarp_cli.io.shot import open_shot
+from exwarp_cli.pipeline.object_ids import read_ids
 from tests.cli import shots
 from tests.cli.shots import VECTORS
 from tests.cli.street import Street
@@ -131,10 +134,11 @@ class TestNamed:
             shots.write(path, {"": planes}, told)
 
         index = keys(tmp_path / "index", with_index(key_planes))
+        shot = open_shot(str(keys(tmp_path / "both", both)))
+        assert Role.STENCIL in read_ids(None, shot, None)[0].layout
+        assert Role.STENCIL not in read_ids("the*", shot, None)[0].layout
         upsample(index, tmp_path / "a", "-m", "s6", *VECTORS)
-        upsample(
-            keys(tmp_path / "both", both), tmp_path / "b", "-m", "s6", *VECTORS, "--dynamic", "the*"
-        )
+        upsample(tmp_path / "both", tmp_path / "b", "-m", "s6", *VECTORS, "--dynamic", "the*")
         same_pictures(tmp_path / "a", tmp_path / "b")
 
     def test_a_file_of_its_own(self, upsample, tmp_path):
@@ -243,7 +247,8 @@ class TestFeatures:
         assert "moving by name: 'the box', 'wall'" in err
         source, names, err = told("b")
         assert (source, names) == ("cryptomatte", None)
-        assert "nothing says what moves" in err and "moving by name" not in err
+        assert "which do not say what moves; --dynamic does" in err and "by name:" not in err
+        assert "of the Cryptomatte's objects those count as moving" in err
 
 
 def halves(folder: Path) -> Path:
@@ -316,6 +321,11 @@ def test_inspect_lists_names(exwarp, only_matte):
 
 def test_a_layer_that_only_the_header_knows_is_no_colour(exwarp, tmp_path):
     """Its channels look like a beauty's, and the sequence has none."""
-    style = Style("rgba", told="rgba")
-    sequence = keys(tmp_path / "keys", with_matte(lambda s, t: {}, style))
+    style = Style("light", told="light", spelling="upper")
+
+    def frame(path: Path, street: Street, time: float) -> None:
+        (layer,) = planes_of(shares(street, time), style, ranks=2).values()
+        shots.write(path, {"": layer}, shots.header(**attributes_of(NAMES, style)))
+
+    sequence = keys(tmp_path / "keys", frame)
     exwarp("upsample", sequence, "-o", tmp_path / "out").refused(3, "no colour channels")

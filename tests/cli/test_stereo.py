@@ -126,18 +126,22 @@ class TestStructure:
 
 class TestDecisions:
     def test_the_hero_decides_for_all(self, single, upsample, network, tmp_path):
-        """Decided by truth, which the hero alone has, and which is what path S3 makes of it."""
-        more = ("--extrapolator", network, "--no-tail")
+        """Decided by truth, which the hero alone has, and which is what path S1 makes of it.
+
+        S1 repeats what was shown before at slots 1 and 3, which layers have to follow.
+        """
+        more = ("--extrapolator", network, "--no-tail", "--layers", "all")
         for view in EYES:
-            upsample(single, tmp_path / view, "-m", "s3", "--view", view, *more)
+            upsample(single, tmp_path / view, "-m", "s1", "--view", view, *more)
         judged = ("-m", "oracle", "--ground-truth", tmp_path / "left")
         upsample(single, tmp_path / "all", "--view", "all", *judged, *more)
         for number in (2, 3, 4, 6, 7, 8):
             name = f"shot.{number:04d}.exr"
-            assert headers(tmp_path / "all" / name)[0]["exwarp:path"] == "S3"
+            assert headers(tmp_path / "all" / name)[0]["exwarp:path"] == "S1"
+            every = planes_of(tmp_path / "all" / name)
             for view in EYES:
-                ours = read_image(tmp_path / "all" / name, view).pixels
-                np.testing.assert_array_equal(ours, read_image(tmp_path / view / name, view).pixels)
+                for key, (pixels, _) in planes_of(tmp_path / view / name).items():
+                    np.testing.assert_array_equal(every[key][0], pixels)
 
     def test_scores_are_of_the_view_that_is_made(self, single, truth, upsample, tmp_path):
         report = tmp_path / "report"
@@ -204,6 +208,7 @@ class TestRuns:
         (out / "shot.0003.exr").unlink()
         assert run("--view", "all", "--ground-truth", truth) == {3}
         assert shots.contents(out) == before
+        assert run("--view", "left") == every
         assert run("--view", "right") == every
         assert (
             run("--view", "right", "--ground-truth", truth, "--video", tmp_path / "v.mp4") == set()

@@ -160,7 +160,8 @@ class TestBeautyAlone:
         for i in range(count):
             light = (gain * frame(i) / 255).astype(np.float16)
             alpha = np.full(light.shape[:2], 0.5, np.float16)
-            planes = {c: light[..., k] for k, c in enumerate("RGB")} | {"A": alpha}
+            planes = {c: np.ascontiguousarray(light[..., k]) for k, c in enumerate("RGB")}
+            planes["A"] = alpha
             shots.write(folder / f"pan.{i + 1:04d}.exr", {"": planes})
         return folder
 

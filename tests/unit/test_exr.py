@@ -15,7 +15,7 @@ from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, Missing
 from exwarp_cli.io.exr import ExrReader
 from exwarp_cli.io.frames import read_image, read_plane
 from exwarp_cli.io.output import read_headers
-from tests.unit.cryptomatte_files import Style, write_cryptomatte
+from tests.unit.cryptomatte_files import Style, attributes_of, planes_of, write_cryptomatte
 from tests.unit.exr_files import (
     box,
     deep_part,
@@ -134,7 +134,8 @@ class TestPixels:
         style = Style("rgb", told="rgb", spelling="upper")
         path = write_cryptomatte(tmp_path / "a.exr", {"box": np.ones((4, 5))}, style, rgba(4, 5))
         np.testing.assert_array_equal(read_image(path).pixels[..., 0], rgba(4, 5)["R"])
-        lone = write_cryptomatte(tmp_path / "b.exr", {"box": np.ones((4, 5))}, style)
+        (layer,) = planes_of({"box": np.ones((4, 5))}, style, ranks=2).values()
+        lone = write_single(tmp_path / "b.exr", layer, **attributes_of(["box"], style))
         with pytest.raises(LayoutError, match="no colour channels"):
             read_image(lone)
 

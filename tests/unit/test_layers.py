@@ -119,7 +119,8 @@ class TestKinds:
         assert {name: table[name] for name in expected} == expected
 
     def test_vectors_of_unknown_convention_are_data(self):
-        table = kinds(f"R G B {spelled('V.Vector', 'XYZW')} {spelled('velocity', 'XYZ')}")
+        blender = f"{spelled('V.Combined', 'RGBA')} {spelled('V.Vector', 'XYZW')}"
+        table = kinds(f"{blender} {spelled('velocity', 'XYZ')}")
         assert table["V.Vector"] is Kind.MOTION and table["velocity"] is Kind.DATA
 
     def test_the_header_tells_of_cryptomattes_by_any_name(self):

@@ -64,6 +64,18 @@ class TestMoving:
         assert agreement(moving(spoilt, before, now), box(1.0)) > 0.8
         assert agreement(moving(spoilt, before, None), box(1.0)) < 0.5
 
+    def test_mixtures_at_silhouettes_do_not_count(self):
+        now, before = bare(1.0), bare(0.0)
+        inside = box(1.0)
+        around = inside.copy()
+        for axis in (0, 1):
+            around |= np.roll(inside, 1, axis) | np.roll(inside, -1, axis)
+        around &= ~inside & ~now.background
+        assert around.sum() > 30
+        mixed = np.where(around[..., None], now.to_previous + np.float32(2), now.to_previous)
+        found = moving(settle_motion(now), before, replace(now, to_previous=mixed))
+        assert found[around].mean() < 0.2
+
     @pytest.mark.parametrize("lost", ["position", "to_previous", "both"])
     def test_without_two_cameras_the_vectors_tell(self, lost):
         now, before = bare(1.0), bare(0.0)

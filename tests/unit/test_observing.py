@@ -48,6 +48,13 @@ class TestIds:
         assert set(np.unique(found.stencil)) == {0, 1}
         assert count_objects(found.stencil) == 1
 
+    def test_of_objects_whole_ones_move(self):
+        true = raw(1.0).stencil
+        shown = replace(raw(1.0).without("stencil"), objects=np.where(true == BOX, 77, 5))
+        found = with_ids(settle_motion(shown), raw(0.0), shown)
+        assert found.objects is None
+        np.testing.assert_array_equal(found.stencil, np.where(true == BOX, 77, 0))
+
     def test_the_sky_never_moves(self):
         bare = settle_motion(raw(1.0).without("stencil"))
         sky = town(SIZE).view(1.0).surface == SKY

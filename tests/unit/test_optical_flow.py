@@ -207,6 +207,23 @@ class TestShownColour:
         assert SRGB.to_linear(shown_colour(light))[0, 0, 0] == pytest.approx(0.5, abs=1e-6)
 
 
+class TestExposure:
+    def test_a_scene_too_bright_for_a_display_moves_all_the_same(self):
+        before, after = shifted(3, 1)
+        there, _ = estimate(8 * before, 8 * after)
+        expected, _ = estimate(before, after)
+        inside = (slice(8, -8), slice(8, -8))
+        assert np.abs(there.motion[inside] - expected.motion[inside]).mean() < 0.1
+
+    def test_one_lamp_darkens_nothing(self):
+        before, after = shifted(3, 1)
+        plain = estimate(before, after)[0].motion
+        before[:4, :4] = after[:4, :4] = 1000.0
+        assert np.array_equal(optical_flow._exposure([before, after]), np.float32(1))
+        lit = estimate(before, after)[0].motion
+        assert np.abs(lit - plain)[16:, 16:].mean() < 0.1
+
+
 class TestMissingExtra:
     def test_one_sentence_says_what_to_install(self, monkeypatch):
         optical_flow._cv2.cache_clear()
