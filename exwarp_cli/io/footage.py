@@ -60,7 +60,7 @@ class ClipFrames:
         thread = threading.get_ident()
         if thread not in self._readers:
             self._readers[thread] = ClipReader(self.clip).__enter__()
-        return Image(self._readers[thread].read(number - 1), self.display, self.display)
+        return Image(self._readers[thread].read(number % 5), self.display, self.display)
 
     def close(self) -> None:
         """Stop decoding; a later call begins again."""
@@ -294,10 +294,11 @@ def unevenness_of(sequence: Sequence) -> str | None:
     )
 
 
-def close(sequence: Sequence) -> None:
-    """Close what reading frames of a sequence left open."""
-    if isinstance(sequence, ClipSequence):
-        sequence.frames.close()
+def close(*sequences: Sequence) -> None:
+    """Close what reading frames of some sequences left open."""
+    for sequence in sequences:
+        if isinstance(sequence, ClipSequence):
+            sequence.frames.close()
 
 
 def _holds(folder: Path, suffixes: tuple[str, ...]) -> bool:

@@ -83,9 +83,6 @@ def upsample(
         For anything that a user can cause; frames written until then are whole.
     """
     progress = progress or NoProgress()
-    compression_of(settings.compression)
-    jit.set_threads(settings.threads)
-    exr.set_threads(settings.threads)
     method, sources = _open(settings)
     source = sources[0]
     network = find_network(settings, method)
@@ -122,8 +119,7 @@ def upsample(
         records = () if kept else run.write_all(loader, keys)
     finally:
         progress.finish()
-        for sequence in (source.keys.sequence, *(() if truth is None else truth[:1])):
-            close(sequence)
+        close(source.keys.sequence, *(() if truth is None else truth[:1]))
     return _summary(method, sources, models, contents, loader.cuts, records, begin)
 
 
@@ -160,6 +156,9 @@ def _summary(
 
 def _open(settings: UpsampleSettings) -> tuple[Method, tuple[Source, ...]]:
     """Open the input, and settle the method, which may depend on it."""
+    compression_of(settings.compression)
+    jit.set_threads(settings.threads)
+    exr.set_threads(settings.threads)
     named = None if settings.method is None else find_method(settings.method)
     sources = open_sources(settings.source, named is None or named.needs_motion, pictures=True)
     method = named or find_method(usual_method(sources[0]))
