@@ -60,7 +60,7 @@ class ClipFrames:
         thread = threading.get_ident()
         if thread not in self._readers:
             self._readers[thread] = ClipReader(self.clip).__enter__()
-        return Image(self._readers[thread].read(number % 5), self.display, self.display)
+        return Image(self._readers[thread].read(number - 1), self.display, self.display)
 
     def close(self) -> None:
         """Stop decoding; a later call begins again."""

@@ -16,6 +16,7 @@ from exwarp_cli.domain.frame import (
     KeyFrame,
     Window,
     broken_pixels,
+    outside,
     place,
 )
 from exwarp_cli.domain.motion import MotionConvention
@@ -156,17 +157,33 @@ def _geometry(found: _Planes, shot: Shot, canvas: Window) -> GBuffer:
     if Role.STENCIL in found.refs:
         ref = found.refs[Role.STENCIL][0]
         stencil = place(clean_stencil(found.planes[ref]), found.windows[ref], canvas)
+    known = None if depth is None else clean_depth(shot.depth.distance(depth[..., 0]), normal)
     return GBuffer(
         canvas,
-        None if depth is None else clean_depth(shot.depth.distance(depth[..., 0]), normal),
+        known,
         normal,
-        found.stack(Role.POSITION, canvas),
+        _positions(found, canvas, known),
         stencil,
         albedo=_finite(found.stack(Role.ALBEDO, canvas)),
         specular=_finite(found.stack(Role.SPECULAR, canvas)),
         roughness=_only(_finite(found.stack(Role.ROUGHNESS, canvas))),
         metallic=_only(_finite(found.stack(Role.METALLIC, canvas))),
     )
+
+
+def _positions(found: _Planes, canvas: Window, depth: Float32 | None) -> Float32 | None:
+    """Return world positions, NaN where a surface is seen beyond the end of their window.
+
+    As zeros those pixels would be points at the world's origin, and be moved to where that is seen.
+    """
+    position = found.stack(Role.POSITION, canvas)
+    if position is None or depth is None:
+        return position
+    window = found.windows[found.refs[Role.POSITION][0]]
+    if window.covers(canvas):
+        return position
+    unknown = outside(canvas, window) & np.isfinite(depth)
+    return np.where(unknown[..., None], np.float32(np.nan), position)
 
 
 def _finite(planes: Float32 | None) -> Float32 | None:

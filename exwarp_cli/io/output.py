@@ -22,6 +22,7 @@ from exwarp_cli.domain.frame import Bool, Image, Window, place
 from exwarp_cli.errors import OutputError, UsageError
 from exwarp_cli.io.atomic import atomic_write_bytes
 from exwarp_cli.io.exr import damaged
+from exwarp_cli.io.header_text import as_it_was, plain
 from exwarp_cli.io.template import PartTemplate, Plane, PlaneKey, Template
 from exwarp_cli.io.template import ViewLayers as ViewLayers
 from exwarp_cli.io.template import quantise as quantise
@@ -159,18 +160,25 @@ def _write(path: Path, parts: list[Encoded]) -> None:
     """
     parts[0][0][CHECKSUM] = _ZEROS
     buffer = io.BytesIO()
+    headers = [_in_utf8(header) for header, _ in parts]
     try:
         if len(parts) == 1:
-            file = OpenEXR.File(*parts[0], num_threads=0)
+            file = OpenEXR.File(headers[0], parts[0][1], num_threads=0)
         else:
             made = [
-                OpenEXR.Part(header, planes, header.get("name", "")) for header, planes in parts
+                OpenEXR.Part(header, planes, header.get("name", ""))
+                for header, (_, planes) in zip(headers, parts, strict=True)
             ]
             file = OpenEXR.File(made, num_threads=0)
         file.write(buffer)
     except (RuntimeError, ValueError, TypeError) as error:
         raise OutputError(f"cannot encode {path}: {error}; try another --compression") from error
-    atomic_write_bytes(path, seal(buffer.getbuffer()))
+    data = as_it_was(buffer.getbuffer(), (header for header, _ in parts))
+    atomic_write_bytes(path, seal(data))
+
+
+def _in_utf8(header: dict[str, Any]) -> dict[str, Any]:
+    return {name: plain(v) if isinstance(v, str) else v for name, v in header.items()}
 
 
 def seal(data: memoryview | bytes) -> bytes:

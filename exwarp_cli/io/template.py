@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +14,7 @@ import OpenEXR
 from exwarp_cli.domain.frame import Float32, Window
 from exwarp_cli.io.channels import ChannelRef
 from exwarp_cli.io.exr import Channel, ExrReader, Part, damaged
+from exwarp_cli.io.header_text import in_utf8
 from exwarp_cli.io.layers import Kind, Layer
 from exwarp_cli.io.render_time import render_seconds
 from exwarp_cli.io.views import channels_of, views_of
@@ -228,12 +230,35 @@ def quantise(pixels: Float32, template: Template) -> Float32:
 
 
 def read_headers(path: Path) -> list[dict[str, Any]]:
-    """Read the header of every part."""
+    """Read the header of every part.
+
+    Text that is no UTF-8 keeps its bytes as lone surrogates. Left out is what has such a name, and
+    lists of such texts.
+
+    Raises
+    ------
+    DamagedFileError
+        When a header cannot be read.
+    """
     try:
-        with OpenEXR.File(str(path), header_only=True) as file:
-            return [dict(part.header) for part in file.parts]
+        try:
+            return _headers(str(path))
+        except UnicodeDecodeError:
+            data, otherwise = in_utf8(path.read_bytes())
+            headers = _headers(io.BytesIO(data))
     except (RuntimeError, ValueError, OSError) as error:
         raise damaged(path, str(error)) from error
+    for (part, name), text in otherwise.items():
+        if text is not None:
+            headers[part][name] = text
+        elif name != "channels":
+            headers[part].pop(name, None)
+    return headers
+
+
+def _headers(file: str | io.BytesIO) -> list[dict[str, Any]]:
+    with OpenEXR.File(file, header_only=True) as opened:
+        return [dict(part.header) for part in opened.parts]
 
 
 def _plane(key: PlaneKey, channel: Channel, bounded: bool) -> PlaneTemplate:

@@ -10,6 +10,7 @@ from exwarp_cli.domain.interpolator import Interpolator
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.pipeline.instants import between, without_surface
 from exwarp_cli.pipeline.loading import Loaded, Older
+from exwarp_cli.pipeline.moving_ids import Ids, MovingIds, with_stencils
 from exwarp_cli.synthesis.geometry import settle_motion
 from exwarp_cli.synthesis.history import Past
 from exwarp_cli.synthesis.interval import Interval
@@ -17,10 +18,15 @@ from exwarp_cli.synthesis.span import span_motion
 from exwarp_cli.synthesis.trajectory import displacement
 
 
+Basis = tuple[Window, Ids | None]
+"""What settled geometry goes by: the window, and which objects move, where the frames tell."""
+
+
 class Staging:
     """Makes intervals in order; what several of them share is settled once.
 
-    Data windows may differ from frame to frame, so what is shared goes by the window too.
+    Data windows may differ from frame to frame, and what moves from interval to interval, so what
+    is shared goes by these, too.
 
     Parameters
     ----------
@@ -45,65 +51,73 @@ class Staging:
         self._network = network
         self._interpolator = interpolator
         self._estimated = estimated
-        self._frames: dict[tuple[int, Window], KeyFrame] = {}
-        self._instants: dict[tuple[Slot, Window], GBuffer] = {}
-        self._motions: dict[tuple[int, Window], Float32] = {}
+        self._moving = MovingIds()
+        self._frames: dict[tuple[int, Basis], KeyFrame] = {}
+        self._instants: dict[tuple[Slot, Basis], GBuffer] = {}
+        self._motions: dict[tuple[int, Basis], Float32] = {}
 
     def interval(self, loaded: Loaded) -> Interval:
         """Bring what was read onto one window: the display's and the data of the frames around."""
         assert loaded.frame is not None
         canvas = self._display.union(loaded.frame.image.data_window)
-        following = None
         if loaded.following is not None:
             canvas = canvas.union(loaded.following.image.data_window)
-            following = self._frame(loaded.key + 1, loaded.following, canvas)
-        key = self._frame(loaded.key, loaded.frame, canvas)
-        slots = tuple(settle_motion(gbuffer.on(canvas)) for gbuffer in loaded.slots)
-        past = self._past(loaded, key, canvas)
-        self._keep(loaded.key, slots, canvas)
+        ids = self._moving.of(loaded, canvas)
+        return self._settled(with_stencils(loaded, ids), (canvas, ids))
+
+    def _settled(self, loaded: Loaded, basis: Basis) -> Interval:
+        """Settle what was read, on one window and with what moves as its stencil."""
+        assert loaded.frame is not None
+        following = None
+        if loaded.following is not None:
+            following = self._frame(loaded.key + 1, loaded.following, basis)
+        key = self._frame(loaded.key, loaded.frame, basis)
+        slots = tuple(settle_motion(gbuffer.on(basis[0])) for gbuffer in loaded.slots)
+        past = self._past(loaded, key, basis)
+        self._keep(loaded.key, slots, basis)
         networks = (self._network, self._interpolator)
         return Interval(
             key, following, slots, past, *networks, loaded.times, estimated=self._estimated
         )
 
-    def _frame(self, index: int, frame: KeyFrame, canvas: Window) -> KeyFrame:
-        if (index, canvas) not in self._frames:
-            placed = frame.extended(canvas)
+    def _frame(self, index: int, frame: KeyFrame, basis: Basis) -> KeyFrame:
+        if (index, basis) not in self._frames:
+            placed = frame.extended(basis[0])
             if placed.gbuffer is not None and not self._estimated:
                 placed = replace(placed, gbuffer=settle_motion(placed.gbuffer))
-            self._frames[index, canvas] = placed
-        return self._frames[index, canvas]
+            self._frames[index, basis] = placed
+        return self._frames[index, basis]
 
-    def _past(self, loaded: Loaded, key: KeyFrame, canvas: Window) -> tuple[Past, ...]:
+    def _past(self, loaded: Loaded, key: KeyFrame, basis: Basis) -> tuple[Past, ...]:
         found: list[Past] = []
         newer = key
         for index, older in zip(range(loaded.key - 1, -1, -1), loaded.past, strict=False):
-            if (index, canvas) not in self._motions:
-                self._motions[index, canvas] = self._motion(index, older, newer, canvas)
-            newer = self._frame(index, older.frame, canvas)
-            found.append(Past(newer, self._motions[index, canvas]))
+            if (index, basis) not in self._motions:
+                self._motions[index, basis] = self._motion(index, older, newer, basis)
+            newer = self._frame(index, older.frame, basis)
+            found.append(Past(newer, self._motions[index, basis]))
         return tuple(found)
 
-    def _motion(self, index: int, older: Older, newer: KeyFrame, canvas: Window) -> Float32:
+    def _motion(self, index: int, older: Older, newer: KeyFrame, basis: Basis) -> Float32:
         """Return the motion, float32 [H, W, 2], from a key frame to the one before it."""
         if not older.instants:
             assert newer.gbuffer is not None
             return displacement(newer.gbuffer, -1)
         *way, end = zip(between(index), older.instants, strict=True)
-        instants = [self._instant(slot, gbuffer, canvas) for slot, gbuffer in way]
-        return span_motion([*instants, end[1].on(canvas)], -1)
+        instants = [self._instant(slot, gbuffer, basis) for slot, gbuffer in way]
+        return span_motion([*instants, end[1].on(basis[0])], -1)
 
-    def _instant(self, slot: Slot, gbuffer: GBuffer, canvas: Window) -> GBuffer:
-        known = self._instants.get((slot, canvas))
-        return settle_motion(gbuffer.on(canvas)) if known is None else known
+    def _instant(self, slot: Slot, gbuffer: GBuffer, basis: Basis) -> GBuffer:
+        known = self._instants.get((slot, basis))
+        return settle_motion(gbuffer.on(basis[0])) if known is None else known
 
-    def _keep(self, key: int, slots: tuple[GBuffer, ...], canvas: Window) -> None:
+    def _keep(self, key: int, slots: tuple[GBuffer, ...], basis: Basis) -> None:
         """Drop what no later interval needs."""
         oldest = key + 1 - (HISTORY - 1 if self._network is not None else 0)
         self._frames = {place: f for place, f in self._frames.items() if place[0] >= oldest}
         self._motions = {place: m for place, m in self._motions.items() if place[0] >= oldest}
         if self._network is not None:
             self._instants = {
-                (Slot(key, i), canvas): without_surface(gbuffer)
+                (Slot(key, i), basis): without_surface(gbuffer)
                 for i, gbuffer in enumerate(slots, start=1)
             }

@@ -180,13 +180,23 @@ class _Maker:
             after = None if frames.after is None else self._light(frames.after, refs)
             return self._typed(refs, self.how.colour(before, after))
         if layer.kind in POINTS:
-            stacks = tuple(
-                None if planes is None else self._stack(planes, refs)
-                for planes in (frames.before, frames.after, frames.older)
-            )
-            fixed = layer.kind is Kind.POSITION
-            return self._typed(refs, self.how.moved(self.view.course, stacks, fixed))
+            return self._typed(refs, self._points(refs, fixed=layer.kind is Kind.POSITION))
         return {ref: self._copied(ref) for ref in refs}
+
+    def _points(self, refs: tuple[ChannelRef, ...], fixed: bool) -> Float32:
+        """Make a layer [H, W, C] whose values change as a point moves."""
+        frames, window = self.frames, self.view.window
+        # What a key frame does not tell of a point is no change: not that it went to 0.
+        before, after, older = (
+            None if planes is None else self._stack(planes, refs, np.nan)
+            for planes in (frames.before, frames.after, frames.older)
+        )
+        values = self.how.moved(self.view.course, (before, after, older), fixed)
+        for i, ref in enumerate(refs):
+            ends = [frame[ref].window for frame in (frames.before, frames.after) if frame]
+            if any(not end.covers(window) for end in ends):
+                values[self.how.data(*(outside(window, end) for end in ends)), i] = 0
+        return values
 
     @cached_property
     def _vectors(self) -> Float32:
@@ -205,11 +215,13 @@ class _Maker:
             after = self._placed(other).astype(before.values.dtype, copy=False)
         return self.how.data(self._placed(before), after)
 
-    def _placed(self, plane: Plane) -> np.ndarray:
-        return place(plane.values, plane.window, self.view.window)
+    def _placed(self, plane: Plane, fill: float = 0.0) -> np.ndarray:
+        return place(plane.values, plane.window, self.view.window, fill)
 
-    def _stack(self, planes: Planes, refs: tuple[ChannelRef, ...]) -> Float32:
-        return np.stack([self._placed(planes[ref]).astype(np.float32) for ref in refs], axis=-1)
+    def _stack(self, planes: Planes, refs: tuple[ChannelRef, ...], fill: float = 0.0) -> Float32:
+        return np.stack(
+            [self._placed(planes[ref], fill).astype(np.float32) for ref in refs], axis=-1
+        )
 
     def _light(self, planes: Planes, refs: tuple[ChannelRef, ...]) -> Float32:
         """Return a layer [H, W, C] for warping: what no data tells is unknown, as in the beauty."""

@@ -192,7 +192,7 @@ class IntervalLoader:
                 frame = self._colour(key)
                 self._shots.see(key, frame)
             elif source.slots is None:
-                raw = read_raw(source.keys, number, self._key_roles, self._observes)
+                raw = read_raw(source.keys, number, self._key_roles, objects=True)
                 frame = raw.key(convention)
                 self._shots.see(key, frame if self._normals_tell else frame.without("normal"))
                 if self._normals_tell and not self._wants_normals:
@@ -249,7 +249,7 @@ class IntervalLoader:
         assert source.slots is not None and number is not None
         convention = None if source.finding is None else source.finding.convention
         roles = (*GEOMETRY, *SURFACE) if self._method.extrapolates else GEOMETRY
-        gbuffer = read_raw(source.slots, number, roles, self._observes).settle(convention)
+        gbuffer = read_raw(source.slots, number, roles, objects=True).settle(convention)
         if self._method.extrapolates:
             self._instants[slot] = without_surface(gbuffer)
         if self._observes and slot.index in (0, FACTOR - 1):
@@ -307,7 +307,7 @@ class IntervalLoader:
             convention = None if source.finding is None else source.finding.convention
             # With colour, whose window may be smaller, as in the key frames that are at hand.
             roles = (Role.COLOUR, *GEOMETRY)
-            raw = read_raw(source.keys, number, roles, self._observes)
+            raw = read_raw(source.keys, number, roles, objects=True)
             self._shapes[slot] = raw.settle(convention)
         return self._shapes[slot]
 

@@ -89,13 +89,15 @@ class Observer:
         """Return what the states of an interval are made of that was read and staged.
 
         Motion settled on another window than the display's differs in its last digits, as other
-        points are looked at; so it is settled again then.
+        points are looked at; so it is settled again then. It is, too, where the interval took what
+        moves in it for ids: features are of an instant, whichever interval they are first seen in.
         """
         settled, slots = None, interval.slots
         whole = loaded.frame is not None and loaded.frame.image.data_window == self._display
-        if self._span == FACTOR and whole and interval.key.image.data_window == self._display:
+        alike = interval.key.image.data_window == self._display and not _shows_objects(loaded)
+        if self._span == FACTOR and whole and alike:
             settled = interval.key.gbuffer
-        if interval.key.image.data_window != self._display:
+        if not alike:
             slots = self.settled(loaded.slots)
         return self.surroundings(loaded.key, loaded.observed, slots, settled, loaded.slots)
 
@@ -124,3 +126,9 @@ def with_ids(
     if gbuffer.objects is not None:
         return replace(gbuffer, stencil=of_moving(gbuffer.objects, moves), objects=None)
     return replace(gbuffer, stencil=np.where(moves, MOVING, 0).astype(np.int32))
+
+
+def _shows_objects(loaded: Loaded) -> bool:
+    """Whether what was read has ids of whatever is shown."""
+    frame = None if loaded.frame is None else loaded.frame.gbuffer
+    return any(g is not None and g.objects is not None for g in (frame, *loaded.slots))

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
+import numpy.typing as npt
 
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, Int32
 from exwarp_cli.kernels import edges
 from exwarp_cli.synthesis.camera import Scene, scene_of, seen_by
 from exwarp_cli.synthesis.geometry import STATIC_TOLERANCE, depth_of, stands_still
 from exwarp_cli.synthesis.trajectory import stencil_of
+
+Indices = npt.NDArray[np.intp]
 
 SLOW = 0.1
 """Pixels by which the vector of a point inside a surface may miss the cameras' motion.
@@ -99,15 +104,55 @@ def of_moving(objects: Int32, moves: Bool) -> Int32:
     int32 [H, W]
         The id where at least `SHARE` of the object's pixels move, 0 elsewhere; negative ids stay.
     """
+    return chosen(objects, those(objects, moves))
+
+
+def those(objects: Int32, moves: Bool) -> frozenset[int]:
+    """Return the ids of the objects at least `SHARE` of whose pixels move.
+
+    Parameters
+    ----------
+    objects, moves
+        As in :func:`of_moving`.
+    """
+    values, sizes, starts = _runs(objects)
+    if not values.size:
+        return frozenset()
+    counts = np.add.reduceat(moves.ravel().astype(np.int64), starts)
+    ids, which = np.unique(values, return_inverse=True)
+    total = np.bincount(which, sizes)
+    found = ids[(np.bincount(which, counts) >= SHARE * total) & (ids > 0)]
+    return frozenset(found.tolist())
+
+
+def chosen(objects: Int32, ids: Collection[int]) -> Int32:
+    """Return a stencil of some objects.
+
+    Parameters
+    ----------
+    objects
+        As in :func:`of_moving`.
+    ids
+        Of the objects that move.
+
+    Returns
+    -------
+    int32 [H, W]
+        The id of those, 0 elsewhere; negative ids stay.
+    """
+    values, sizes, _ = _runs(objects)
+    kept = (values < 0) | np.isin(values, np.array(sorted(ids), np.int32))
+    found = np.repeat(np.where(kept, values, 0), sizes)
+    return np.asarray(found.reshape(objects.shape), dtype=np.int32)
+
+
+def _runs(objects: Int32) -> tuple[Int32, Indices, Indices]:
+    """Return the id, length and start of each run of equal ids.
+
+    Neighbours mostly have the same id: sorting runs of them takes a tenth of the time.
+    """
     flat = objects.ravel()
     if not flat.size:
-        return objects
-    # Neighbours mostly have the same id: sorting runs of them takes a tenth of the time.
+        return flat, np.zeros(0, np.intp), np.zeros(0, np.intp)
     starts = np.concatenate(([0], np.flatnonzero(flat[1:] != flat[:-1]) + 1))
-    sizes = np.diff(starts, append=flat.size)
-    counts = np.add.reduceat(moves.ravel().astype(np.int64), starts)
-    ids, which = np.unique(flat[starts], return_inverse=True)
-    total = np.bincount(which, sizes)
-    chosen = (np.bincount(which, counts) >= SHARE * total) & (ids > 0)
-    kept = np.where(chosen | (ids < 0), ids, 0)
-    return np.asarray(np.repeat(kept[which], sizes).reshape(objects.shape), dtype=np.int32)
+    return flat[starts], np.diff(starts, append=flat.size), starts

@@ -82,11 +82,11 @@ class TestVideo:
         assert psnr(frame(1.6), found[4]) > 30
 
     def test_sound_of_a_part_begins_with_it(self, upsample, keys, tmp_path):
-        upsample(keys, tmp_path / "part.mp4", "--frames", "3-4")
-        assert len(shown(tmp_path / "part.mp4")) == 8
+        upsample(keys, tmp_path / "part.mp4", "--frames", "2")
+        assert len(shown(tmp_path / "part.mp4")) == 4
         tone = pictures.ffmpeg("-i", tmp_path / "part.mp4", "-map", "0:a", "-f", "s16le", "-")
         whole = pictures.ffmpeg("-i", keys, "-map", "0:a", "-f", "s16le", "-")
-        assert 0.2 < len(tone) / len(whole) < 0.7
+        assert 0.15 < len(tone) / len(whole) < 0.6  # one frame of five; codecs cut in blocks
         upsample(keys, tmp_path / "gaps.mp4", "--frames", "1,3")
         assert open_clip(tmp_path / "gaps.mp4").look.sound is None
 
