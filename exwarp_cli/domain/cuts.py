@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from fileseq.frameset import FrameSet
-
-from exwarp_cli.domain.timeline import ranges
+from exwarp_cli.domain.timeline import listed, ranges
 from exwarp_cli.errors import MissingFrameError, UsageError
 
 AUTO, NONE = "auto", "none"
@@ -89,8 +87,8 @@ def parse_cuts(text: str) -> CutWish:
     if not named and AUTO in words:
         return CutWish()
     try:
-        found = list(FrameSet(named))
-    except (ValueError, TypeError, OverflowError) as error:
+        found = listed(named)
+    except ValueError as error:
         raise UsageError(f"--cuts {text!r} is not understood; {_EXAMPLE}") from error
     if not found or any(number != int(number) for number in found):
         raise UsageError(f"--cuts {text!r} names no whole frame; {_EXAMPLE}")

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import pairwise
+from typing import Any
 
 from fileseq.frameset import FrameSet
 
@@ -165,8 +167,8 @@ def parse_frames(text: str) -> list[int]:
         When the text is not a frame range.
     """
     try:
-        found = list(FrameSet(text.replace(":", "x")))
-    except (ValueError, TypeError, OverflowError) as error:
+        found = listed(text)
+    except ValueError as error:
         raise UsageError(
             f"--frames {text!r} is not a frame range; write for example 1001-1100, 1-10x2 or 1,5,9"
         ) from error
@@ -180,6 +182,22 @@ def parse_frames(text: str) -> list[int]:
             "key frames have whole numbers, and the slots between them come by themselves"
         )
     return sorted({int(number) for number in found})
+
+
+def listed(text: str) -> list[Any]:
+    """List the numbers of a frame range, whole or not; ``:`` means a step, the same as ``x``.
+
+    Raises
+    ------
+    ValueError
+        When the text is not a frame range.
+    """
+    if re.search(r"\d\s+\d", text):
+        raise ValueError(f"no comma between two numbers of {text!r}")  # one would be made of both
+    try:
+        return list(FrameSet(text.replace(":", "x")))
+    except (TypeError, OverflowError) as error:
+        raise ValueError(str(error)) from error
 
 
 def ranges(numbers: list[int]) -> str:

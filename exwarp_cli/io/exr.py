@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -29,8 +29,8 @@ class Channel:
     index
         Index of the channel in the part, in the order in which it is decoded.
     name
-        Name with the part's name in front where the channel does not carry its layer itself; the
-        part's view is not repeated in it.
+        Name with the part's name in front where the channel does not carry its layer itself, or a
+        part before has a channel of that name; the part's view is not repeated in it.
     raw_name
         Name as it stands in the file.
     pixel_type
@@ -129,7 +129,7 @@ class ExrReader:
             specs.append(spec)
         if not specs:
             raise damaged(self.path, "it holds no image")
-        return tuple(_part(i, spec, len(specs) > 1) for i, spec in enumerate(specs))
+        return _told_apart([_part(i, spec, len(specs) > 1) for i, spec in enumerate(specs)])
 
     @property
     def headers(self) -> list[dict[str, object]]:
@@ -223,6 +223,23 @@ def _part(index: int, spec: oiio.ImageSpec, multipart: bool) -> Part:
         spec.tile_width > 0,
         _strings(spec.getattribute("multiView")),
     )
+
+
+def _told_apart(parts: list[Part]) -> tuple[Part, ...]:
+    """Return parts whose channels have names of their own, among those of one view."""
+    taken: set[tuple[str, str]] = set()
+    found = []
+    for part in parts:
+        layer = _without(part.view, part.name)
+        own = {channel.name for channel in part.channels if (part.view, channel.name) in taken}
+        channels = tuple(
+            replace(channel, name=f"{layer}.{channel.name}") if channel.name in own else channel
+            for channel in part.channels
+        )
+        found.append(replace(part, channels=channels))
+        if not part.deep:
+            taken |= {(part.view, channel.name) for channel in channels}
+    return tuple(found)
 
 
 def _without(view: str, name: str) -> str:

@@ -119,7 +119,9 @@ def plain(text: str) -> str:
     return _LONE.sub(_STAND_IN, text)
 
 
-def as_it_was(data: bytes | memoryview, headers: Iterable[Mapping[str, object]]) -> bytes:
+def as_it_was(
+    data: bytes | memoryview, headers: Iterable[Mapping[str, object]]
+) -> bytes | memoryview:
     """Put back the text that a file was written without.
 
     Parameters
@@ -136,7 +138,7 @@ def as_it_was(data: bytes | memoryview, headers: Iterable[Mapping[str, object]])
         if isinstance(value, str) and plain(value) != value
     }
     if not lost:
-        return bytes(data)
+        return data
     out = bytearray(data)
     for one in attributes_in(data):
         raw = lost.get((one.part, one.name))

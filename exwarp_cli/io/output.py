@@ -23,13 +23,13 @@ from exwarp_cli.errors import OutputError, UsageError
 from exwarp_cli.io.atomic import atomic_write_bytes
 from exwarp_cli.io.exr import damaged
 from exwarp_cli.io.header_text import as_it_was, plain
+from exwarp_cli.io.template import PREFIX as PREFIX
 from exwarp_cli.io.template import PartTemplate, Plane, PlaneKey, Template
 from exwarp_cli.io.template import ViewLayers as ViewLayers
 from exwarp_cli.io.template import quantise as quantise
 from exwarp_cli.io.template import read_headers as read_headers
 from exwarp_cli.io.template import read_template as read_template
 
-PREFIX = "exwarp:"
 CHECKSUM = f"{PREFIX}sha256"
 RECIPE = f"{PREFIX}recipe"
 _ZEROS = "0" * 64
@@ -270,7 +270,8 @@ def filled_window(planes: Iterable[Plane], source: Window) -> Window:
 def _checksum_at(data: bytes | bytearray) -> int | None:
     """Return where the checksum's digits begin."""
     mark = CHECKSUM.encode() + b"\0string\0" + (64).to_bytes(4, "little")
-    at = data.find(mark, 0, 1 << 20)
+    # Anywhere: a Cryptomatte's manifest, which comes before it, may be megabytes long.
+    at = data.find(mark)
     return None if at < 0 or at + len(mark) + 64 > len(data) else at + len(mark)
 
 

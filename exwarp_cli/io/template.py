@@ -12,6 +12,7 @@ import numpy as np
 import OpenEXR
 
 from exwarp_cli.domain.frame import Float32, Window
+from exwarp_cli.errors import InputError, LayoutError
 from exwarp_cli.io.channels import ChannelRef
 from exwarp_cli.io.exr import Channel, ExrReader, Part, damaged
 from exwarp_cli.io.header_text import in_utf8
@@ -20,6 +21,9 @@ from exwarp_cli.io.render_time import render_seconds
 from exwarp_cli.io.views import channels_of, views_of
 
 HALF_MAX = 65504.0
+
+PREFIX = "exwarp:"
+"""Of ExWarp's own attributes, which tell of one generated frame."""
 
 # Structure, which the writer sets itself; and what belongs to the source frame's own pixels.
 _NOT_CARRIED = frozenset(
@@ -188,7 +192,9 @@ def read_template(path: Path, wanted: tuple[ViewLayers, ...]) -> Template:
     Raises
     ------
     DamagedFileError
-        When the header cannot be read, or channels are gone.
+        When the header cannot be read, or the colour is gone.
+    LayoutError
+        When a layer is gone.
     """
     with ExrReader(path) as file:
         parts = file.parts
@@ -199,8 +205,7 @@ def read_template(path: Path, wanted: tuple[ViewLayers, ...]) -> Template:
         for key, bounded in layers.keys.items():
             channel = channels.get(key[1].name)
             if channel is None:
-                what = "colour channels are" if bounded else f"channel {key[1].name!r} is"
-                raise damaged(path, f"its {what} gone")
+                raise _gone(path, key[1], layers)
             plane = _plane(key, channel, bounded)
             placed.setdefault(channel.part, {}).setdefault(channel.index, plane)
     views = [layers.within for layers in wanted]
@@ -261,6 +266,16 @@ def _headers(file: str | io.BytesIO) -> list[dict[str, Any]]:
         return [dict(part.header) for part in opened.parts]
 
 
+def _gone(path: Path, ref: ChannelRef, layers: ViewLayers) -> InputError:
+    """Build the error for a frame without a channel that another one of its shot has."""
+    if ref in layers.colour:
+        return damaged(path, "its colour channels are gone")
+    return LayoutError(
+        f"{path} has no channel {ref.name!r}, which the sequence's first frame has; render all "
+        "frames with the same passes, or leave that layer out of --layers"
+    )
+
+
 def _plane(key: PlaneKey, channel: Channel, bounded: bool) -> PlaneTemplate:
     dtype = np.dtype(PIXEL_TYPES.get(channel.pixel_type, np.float32))
     return PlaneTemplate(key, channel.raw_name, dtype, bounded)
@@ -287,7 +302,7 @@ def _views(parts: tuple[Part, ...], index: int, written: Iterable[str]) -> tuple
 
 
 def _writable(name: str, value: object) -> bool:
-    """Whether OpenEXR's bindings can write back what they read."""
-    if name == "name" and not value:
+    """Whether an attribute is no other frame's own, and OpenEXR can write back what it read."""
+    if name.startswith(PREFIX) or (name == "name" and not value):
         return False
     return not isinstance(value, OpenEXR.OpaqueAttribute)

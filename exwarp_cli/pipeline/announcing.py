@@ -163,7 +163,7 @@ def announce(
             "the only ids are a Cryptomatte's, which do not say what moves; --dynamic does, by name"
         )
     last = count - 1
-    if method.lookahead and last in keys and len(source.timeline.slots_of(last)) > 1:
+    if method.lookahead and last in keys and source.timeline.made_of(last):
         fallback = "s6" if source.moves else "hold"
         progress.message(
             f"after the last key frame there is no next one, so {method.name} falls back to "

@@ -174,7 +174,10 @@ class _Maker:
             return {ref: self._placed(rendered[ref]) for ref in refs}
         motion = self.view.content.motion
         if layer.kind is Kind.MOTION and motion:
-            return {ref: self._vectors[..., motion.index(ref)] for ref in refs if ref in motion}
+            return {
+                ref: self._vectors[..., motion.index(ref)] if ref in motion else self._copied(ref)
+                for ref in refs
+            }
         if layer.kind is Kind.COLOUR:
             before = self._light(frames.before, refs)
             after = None if frames.after is None else self._light(frames.after, refs)
@@ -212,7 +215,8 @@ class _Maker:
         before, after = self.frames.before[ref], None
         if self.frames.after is not None:
             other = self.frames.after[ref]
-            after = self._placed(other).astype(before.values.dtype, copy=False)
+            with np.errstate(invalid="ignore", over="ignore"):  # where the type changed on the way
+                after = self._placed(other).astype(before.values.dtype, copy=False)
         return self.how.data(self._placed(before), after)
 
     def _placed(self, plane: Plane, fill: float = 0.0) -> np.ndarray:

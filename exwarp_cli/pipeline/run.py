@@ -37,7 +37,6 @@ from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import Judge, Method, Predicted, take
 
 INTERVALS_AHEAD = 1
-FRAMES_BEHIND = 4
 
 
 @dataclass

@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TypeVar
 
+from exwarp_cli.errors import InputError
+
 T = TypeVar("T")
 
 
@@ -33,6 +35,7 @@ class WriteBehind:
     """Runs writes on their own threads, at most `depth` behind; a context manager.
 
     The first error stops everything: it is raised by the next call of `submit`, or at the end.
+    Where it is the input that cannot be used further on, what waits is still written.
     """
 
     def __init__(self, threads: int, depth: int) -> None:
@@ -50,7 +53,7 @@ class WriteBehind:
         self._waiting.append(self._pool.submit(write))
 
     def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
-        if kind is not None:
+        if kind is not None and not issubclass(kind, InputError):
             for future in self._waiting:
                 future.cancel()
         # What has begun is finished either way: a write is quick and leaves whole files.

@@ -1,4 +1,4 @@
-"""The main job: a key sequence in, a sequence at four times its rate out."""
+"""The main job: a key sequence in, a sequence at four times its rate out, or at another."""
 
 from __future__ import annotations
 

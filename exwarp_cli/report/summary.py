@@ -119,19 +119,20 @@ def _frames(frames: tuple[FrameRecord, ...]) -> dict[str, int]:
 def _fps(run: RunSummary) -> dict[str, Any]:
     """Base, effective and working speed.
 
-    Effective FPS is base x (mean number of rendered and generated frames that a key interval
-    shows), over intervals with all their slots: a repeated frame is none for the eye.
-    Throughput is frames that this very run wrote, per second of its wall time.
+    Effective FPS is the output's times the share of rendered and generated frames, over intervals
+    with all their slots: a repeated frame is none for the eye. At the paper's factor that is base
+    x (1 + mean number of generated frames per key interval). Throughput is frames that this very run wrote, per second of its wall time.
     """
     new = mean(
-        sum(frame.kind is not FrameKind.DROPPED for frame in interval)
+        frame.kind is not FrameKind.DROPPED
         for interval in complete_intervals(run)
+        for frame in interval
     )
     fresh = sum(not frame.resumed for frame in run.frames)
     timed = fresh > 0 and run.wall_seconds > 0
     return {
         "base": run.base_fps,
-        "effective": None if new is None else run.base_fps * new,
+        "effective": None if new is None else run.output_fps * new,
         "output": run.output_fps,
         "throughput": fresh / run.wall_seconds if timed else None,
         "source": run.fps_source,

@@ -272,7 +272,7 @@ def retiming(interval: Interval, slot: int, shown: Predicted) -> Retiming:
     """
     name, shape = shown.method, interval.key.image.pixels.shape[:2]
     path = PATHS.get(name.upper())
-    if path is not None:
+    if path is not None and HOLD in path.made_by:  # warps alone go to any number of slots
         while slot and path.made_by[slot - 1] == HOLD:
             slot -= 1  # a repeat of what the slot before showed
     if name == "hold" or slot == 0:

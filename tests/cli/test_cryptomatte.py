@@ -13,6 +13,7 @@ import OpenEXR
 import pytest
 
 from exwarp_cli.io.channels import Role
+from exwarp_cli.io.frames import read_image
 from exwarp_cli.io.shot import open_shot
 from exwarp_cli.pipeline.object_ids import read_ids
 from tests.cli import shots
@@ -69,6 +70,10 @@ def without_ids(path: Path, street: Street, time: float) -> None:
     shots.write(path, {"": key_planes(street, time)})
 
 
+def slots_without_ids(path: Path, street: Street, time: float) -> None:
+    shots.write(path, {"": slot_planes(street, time)})
+
+
 def keys(folder: Path, frame: shots.FrameWriter, count: int = 3) -> Path:
     return shots.sequence(folder, frame, range(1, count + 1), SMALL)
 
@@ -102,15 +107,10 @@ class TestNamed:
         index = keys(tmp_path / "index", with_index(key_planes))
         upsample(index, tmp_path / "a", "-m", "softsplat", *VECTORS)
         upsample(only_matte, tmp_path / "b", "-m", "softsplat", *VECTORS, "--dynamic", option)
-        upsample(only_matte, tmp_path / "c", "-m", "softsplat", *VECTORS)
+        upsample(only_matte, tmp_path / "c", "-m", "softsplat", *VECTORS, "--dynamic", "wall")
         same_pictures(tmp_path / "a", tmp_path / "b")
         with pytest.raises(AssertionError):
             same_pictures(tmp_path / "a", tmp_path / "c")
-
-    def test_without_a_word_frames_are_as_without_ids(self, upsample, only_matte, tmp_path):
-        upsample(keys(tmp_path / "bare", without_ids), tmp_path / "a", "-m", "s6", *VECTORS)
-        upsample(only_matte, tmp_path / "b", "-m", "s6", *VECTORS)
-        same_pictures(tmp_path / "a", tmp_path / "b")
 
     def test_slots_tell_of_ids_where_there_are_some(self, upsample, exwarp, tmp_path):
         colour = keys(tmp_path / "colour", shots.colour_only)
@@ -159,6 +159,43 @@ class TestNamed:
         same_pictures(tmp_path / "a", tmp_path / "b")
 
 
+class TestUnnamed:
+    """Nobody says what moves: it is decided by what an interval reads."""
+
+    @pytest.mark.parametrize("method", ["s6", "softsplat"])
+    def test_what_moves_is_the_stencil(self, upsample, only_matte, tmp_path, method):
+        upsample(only_matte, tmp_path / "a", "-m", method, *VECTORS, "--dynamic", "the box")
+        upsample(only_matte, tmp_path / "b", "-m", method, *VECTORS)
+        same_pictures(tmp_path / "a", tmp_path / "b")
+        upsample(keys(tmp_path / "bare", without_ids), tmp_path / "c", "-m", method, *VECTORS)
+        with pytest.raises(AssertionError):
+            same_pictures(tmp_path / "b", tmp_path / "c")
+
+    @pytest.mark.parametrize("method", ["s6", "exwarp"])
+    def test_so_it_is_by_slots(self, upsample, tmp_path, method):
+        colour = keys(tmp_path / "colour", shots.colour_only)
+        found = slots(tmp_path / "matte", with_matte(slot_planes))
+        given = ("-m", method, *VECTORS, "--gbuffers")
+        upsample(colour, tmp_path / "a", *given, found, "--dynamic", "the box")
+        upsample(colour, tmp_path / "b", *given, found)
+        upsample(colour, tmp_path / "c", *given, slots(tmp_path / "bare", slots_without_ids))
+        same_pictures(tmp_path / "a", tmp_path / "b")
+        with pytest.raises(AssertionError):
+            same_pictures(tmp_path / "b", tmp_path / "c")
+
+    @pytest.mark.parametrize("setting", ["key", "slot"])
+    def test_any_part_of_a_sequence_finds_what_the_whole_does(
+        self, upsample, only_matte, tmp_path, setting
+    ):
+        given: tuple[object, ...] = ("-m", "exwarp", *VECTORS)
+        if setting == "slot":
+            given = (*given, "--gbuffers", slots(tmp_path / "slots", with_matte(slot_planes)))
+        upsample(only_matte, tmp_path / "whole", *given)
+        for number in (3, 1, 2):
+            upsample(only_matte, tmp_path / "parts", *given, "--frames", number)
+        assert shots.contents(tmp_path / "whole") == shots.contents(tmp_path / "parts")
+
+
 class TestManifests:
     def late(self, folder: Path) -> Path:
         """Key frames of which only the last one's manifest knows the box."""
@@ -187,6 +224,25 @@ class TestManifests:
         upsample(only_matte, tmp_path / "a", *given)
         upsample(sequence, tmp_path / "b", *given)
         same_pictures(tmp_path / "a", tmp_path / "b")
+
+    def test_names_that_are_no_utf8(self, upsample, only_matte, tmp_path):
+        """As a program wrote it that took the artist's letters for Latin-1."""
+        sequence = keys(tmp_path / "keys", with_matte(key_planes))
+        told = b'"the box"', b'"th\xe9 box"'
+        for path in sequence.iterdir():
+            assert told[0] in (data := path.read_bytes())
+            path.write_bytes(data.replace(*told))
+        given = ("-m", "s6", *VECTORS)
+        upsample(only_matte, tmp_path / "a", *given)
+        again = lambda *more: upsample(sequence, tmp_path / "b", *given, "--layers", "all", *more)  # noqa: E731
+        again()
+        assert shots.names(tmp_path / "a") == shots.names(tmp_path / "b")
+        for name in shots.names(tmp_path / "b"):
+            written = tmp_path / "b" / name
+            assert told[1] in written.read_bytes()
+            expected = read_image(tmp_path / "a" / name).pixels
+            np.testing.assert_array_equal(read_image(written).pixels, expected)
+        assert shots.changed_by(lambda: again("--skip-existing"), tmp_path / "b") == set()
 
     def test_without_one_whole_names_do(self, upsample, exwarp, only_matte, tmp_path):
         none = replace(PLAIN, manifest="none")

@@ -152,6 +152,10 @@ def test_effective_fps_at_another_rate_counts_key_frames_that_are_shown() -> Non
     first, second = interval(1, "gg", 1), interval(2, "gg", 4)[1:]
     found = report(run(first + second, factor=Fraction(5, 2)))["fps"]
     assert (found["output"], found["effective"]) == (60.0, 60.0)
+    # An odd number of intervals shows no more than the output has.
+    assert report(run(first, factor=Fraction(5, 2)))["fps"]["effective"] == 60.0
+    held = interval(1, "dg", 1)
+    assert report(run(held, factor=Fraction(5, 2)))["fps"]["effective"] == 40.0
 
 
 def test_throughput_counts_what_this_run_wrote() -> None:

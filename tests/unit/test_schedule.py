@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import threading
 import time
+from functools import partial
 
 import pytest
 
+from exwarp_cli.errors import InputError
 from exwarp_cli.pipeline.schedule import WriteBehind, read_ahead
 
 SOON = 10.0
@@ -143,6 +145,16 @@ class TestWriteBehind:
 
         with pytest.raises(OSError, match="disk full"), WriteBehind(2, 4) as behind:
             behind.submit(fail)
+
+    def test_what_waits_is_written_where_the_input_ends_it(self):
+        done, gate = [], threading.Event()
+        with pytest.raises(InputError), WriteBehind(1, 8) as writer:
+            writer.submit(lambda: done.append(gate.wait(SOON)))
+            for number in range(5):
+                writer.submit(partial(done.append, number))
+            threading.Timer(0.02, gate.set).start()
+            raise InputError("the next frame is damaged")
+        assert done == [True, 0, 1, 2, 3, 4]
 
     def test_another_error_is_not_hidden_and_what_began_is_finished(self):
         begun, finished = threading.Event(), []
