@@ -121,7 +121,8 @@ def _fps(run: RunSummary) -> dict[str, Any]:
 
     Effective FPS is the output's times the share of rendered and generated frames, over intervals
     with all their slots: a repeated frame is none for the eye. At the paper's factor that is base
-    x (1 + mean number of generated frames per key interval). Throughput is frames that this very run wrote, per second of its wall time.
+    x (1 + mean number of generated frames per key interval). Throughput is frames that this very
+    run wrote, per second of its wall time.
     """
     new = mean(
         frame.kind is not FrameKind.DROPPED
