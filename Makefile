@@ -35,7 +35,7 @@ MODEL ?= models/extrapolator.onnx
 .PHONY: test check bench demo scenes blender train policy judge paper clean
 
 test: check
-	$(BIN)/pytest
+	$(BIN)/pytest --numprocesses auto --dist worksteal
 
 check: $(STAMP)
 	$(BIN)/ruff check

@@ -188,13 +188,16 @@ def command(
 
 def _print(summary: RunSummary, settings: UpsampleSettings, report_folder: Path | None) -> None:
     """Say in a few lines what was done."""
+    from exwarp_cli.io.clip import is_clip
     from exwarp_cli.report.page_parts import cuts_line
     from exwarp_cli.report.summary import report
 
     document = report(summary)
     frames, fps = document["frames"], document["fps"]
     if not frames["written"]:
-        click.echo(f"{settings.output} is there already, as this run would write it")
+        kept = f"{settings.output} is there already, as this run would write it"
+        # A video without frames is an error, so it was kept.
+        click.echo(kept if is_clip(settings.output) else f"no frame falls to {settings.output}")
         return
     many = "" if frames["written"] == 1 else "s"
     click.echo(

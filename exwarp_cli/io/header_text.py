@@ -21,7 +21,7 @@ BODY = 8
 
 _LONE = re.compile("[\udc80-\udcff]")
 _STAND_IN = "\x01"
-_TEXTS = frozenset([b"string", b"stringvector", b"chlist"])
+_TEXTS = frozenset([b"string", b"stringvector"])
 
 
 @dataclass(frozen=True)

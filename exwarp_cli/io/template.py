@@ -256,7 +256,7 @@ def read_headers(path: Path) -> list[dict[str, Any]]:
     for (part, name), text in otherwise.items():
         if text is not None:
             headers[part][name] = text
-        elif name != "channels":
+        else:
             headers[part].pop(name, None)
     return headers
 

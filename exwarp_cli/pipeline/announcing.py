@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from exwarp_cli.io.footage import is_plain, unevenness_of
 from exwarp_cli.io.interpolator import OnnxInterpolator
 from exwarp_cli.io.models import OnnxExtrapolator
 from exwarp_cli.io.policy_files import PolicyFile
+from exwarp_cli.io.sequence import Sequence
 from exwarp_cli.pipeline.contents import Content, files_apart
 from exwarp_cli.pipeline.progress import Progress
 from exwarp_cli.pipeline.source import Source
@@ -160,7 +162,8 @@ def announce(
         progress.message(f"moving by name: {listed}{more}")
     elif (source.slots or source.keys).ids is not None and method.needs_motion:
         progress.message(
-            "the only ids are a Cryptomatte's, which do not say what moves; --dynamic does, by name"
+            "the only ids are a Cryptomatte's: objects of which a tenth moves otherwise than the "
+            "camera count as moving; --dynamic says by name what does"
         )
     last = count - 1
     if method.lookahead and last in keys and source.timeline.made_of(last):
@@ -168,6 +171,16 @@ def announce(
         progress.message(
             f"after the last key frame there is no next one, so {method.name} falls back to "
             f"{fallback} there; --no-tail leaves those frames out"
+        )
+
+
+def announce_truth(progress: Progress, truth: Sequence, source: Source) -> None:
+    """Say where ground truth is longer than the output: it may be at another rate."""
+    count = math.ceil(len(source.timeline.numbers) * source.timeline.factor)
+    if len(truth.numbers) > count:
+        progress.message(
+            f"--ground-truth has {len(truth.numbers)} frames, and the whole output {count}; scores "
+            f"only hold if it is at {float(source.output_fps):g} fps, too"
         )
 
 

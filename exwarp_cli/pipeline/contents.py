@@ -38,7 +38,7 @@ class Content:
 
     source: Source
     layers: tuple[Layer, ...] = ()
-    rendered: Mapping[str, Layer] = field(default_factory=dict)
+    rendered: Mapping[Layer, Layer] = field(default_factory=dict)
     leads: bool = True
 
     @property
@@ -63,7 +63,7 @@ class Content:
     def looks_back(self) -> bool:
         """Whether the key frame before is of use where the next one is not."""
         return self.source.finding is not None and any(
-            layer.kind in POINTS and layer.name not in self.rendered for layer in self.beside
+            layer.kind in POINTS and layer not in self.rendered for layer in self.beside
         )
 
     @property
@@ -116,8 +116,9 @@ def content_of(source: Source, text: str, leader: Content | None = None) -> Cont
         names = {layer.name for layer in leader.layers}
         layers = tuple(layer for layer in there if layer.name in names or text == ALL)
     slots = () if source.slots is None else _layers_of(source.slots, main=False)
-    found = {layer.name: layer.rendered_in(slots) for layer in layers}
-    rendered = {name: layer for name, layer in found.items() if layer is not None}
+    # By the layers themselves, as two parts may have layers of one name.
+    found = {layer: layer.rendered_in(slots) for layer in layers}
+    rendered = {layer: other for layer, other in found.items() if other is not None}
     return Content(source, layers, rendered, leads)
 
 

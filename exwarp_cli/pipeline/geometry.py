@@ -17,7 +17,6 @@ from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.span import span_motion
 from exwarp_cli.synthesis.trajectory import displacement
 
-
 Basis = tuple[Window, Ids | None]
 """What settled geometry goes by: the window, and which objects move, where the frames tell."""
 

@@ -78,7 +78,7 @@ class LayerReader:
         """Return a slot's planes by the key frames' channels."""
         found: dict[ChannelRef, Plane] = {}
         for layer in self._content.beside:
-            other = self._content.rendered.get(layer.name)
+            other = self._content.rendered.get(layer)
             if other is not None:
                 own = {ref.component: ref for ref in other.refs}
                 found |= {ref: planes[own[ref.component]] for ref in layer.refs}

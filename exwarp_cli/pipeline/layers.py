@@ -223,9 +223,11 @@ class _Maker:
         return place(plane.values, plane.window, self.view.window, fill)
 
     def _stack(self, planes: Planes, refs: tuple[ChannelRef, ...], fill: float = 0.0) -> Float32:
-        return np.stack(
-            [self._placed(planes[ref], fill).astype(np.float32) for ref in refs], axis=-1
-        )
+        members = [
+            Plane(planes[ref].values.astype(np.float32, copy=False), planes[ref].window)
+            for ref in refs
+        ]
+        return np.stack([self._placed(plane, fill) for plane in members], axis=-1)
 
     def _light(self, planes: Planes, refs: tuple[ChannelRef, ...]) -> Float32:
         """Return a layer [H, W, C] for warping: what no data tells is unknown, as in the beauty."""

@@ -7,7 +7,7 @@ of a sequence comes to the same.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 from exwarp_cli.domain.frame import GBuffer, KeyFrame, Window
@@ -19,13 +19,15 @@ from exwarp_cli.synthesis.movers import chosen, moving, those
 
 Ids = frozenset[int]
 Instant = tuple[Slot, GBuffer]
+Place = tuple[tuple[Slot, Window], ...]
+"""One or two instants with their windows: a key frame's data may fill less than its G-buffer."""
 
 
 class MovingIds:
     """Finds what moves, interval by interval; what two of them look at is looked at once."""
 
     def __init__(self) -> None:
-        self._known: dict[tuple[Slot, Slot | None, Window], Ids] = {}
+        self._known: dict[tuple[Place, Window], Ids] = {}
 
     def of(self, loaded: Loaded, canvas: Window) -> Ids | None:
         """Return the ids of what moves between any two instants of an interval.
@@ -45,14 +47,11 @@ class MovingIds:
         instants = _instants(loaded)
         if all(gbuffer.objects is None for _, gbuffer in instants):
             return None
-        pairs = list(zip(instants[1:], instants, strict=False)) or [(instants[0], None)]
-        looked_at: dict[tuple[Slot, Slot | None, Window], Ids] = {}
-        for now, before in pairs:
-            place = (now[0], None if before is None else before[0], canvas)
+        looked_at: dict[tuple[Place, Window], Ids] = {}
+        for pair in _pairs(instants):
+            place = tuple((slot, gbuffer.window) for slot, gbuffer in pair), canvas
             found = self._known.get(place)
-            if found is None:
-                found = _between(now[1], None if before is None else before[1], canvas)
-            looked_at[place] = found
+            looked_at[place] = _in(canvas, *(g for _, g in pair)) if found is None else found
         self._known = looked_at
         return frozenset().union(*looked_at.values())
 
@@ -93,7 +92,12 @@ def with_stencils(loaded: Loaded, ids: Ids | None) -> Loaded:
     )
 
 
-def _between(now: GBuffer, before: GBuffer | None, canvas: Window) -> Ids:
+def _pairs(instants: list[Instant]) -> Iterable[tuple[Instant, ...]]:
+    """Pair each instant with the one before it; one that is alone with none."""
+    return zip(instants[1:], instants, strict=False) if instants[1:] else [(instants[0],)]
+
+
+def _in(canvas: Window, now: GBuffer, before: GBuffer | None = None) -> Ids:
     """Return the ids of what moves between two instants, or by the vectors of one alone."""
     if now.objects is None or not now.has_motion:
         return frozenset()

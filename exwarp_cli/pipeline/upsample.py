@@ -30,6 +30,7 @@ from exwarp_cli.pipeline.announcing import (
     announce,
     announce_contents,
     announce_models,
+    announce_truth,
     input_summary,
 )
 from exwarp_cli.pipeline.choosing import Chooser, always, by_policy, by_truth
@@ -100,6 +101,8 @@ def upsample(
     require_measurable(settings, source.keys.display, source.timeline.steps is not None)
     targets.prepare(settings, source.timeline, slots)
     announce(progress, settings, source, method, keys)
+    if truth is not None:
+        announce_truth(progress, truth[0], source)
     announce_contents(progress, contents)
     announce_models(progress, models, source)
     told = (models.extrapolator, None if policy is None else policy.checksum, models.interpolator)
@@ -161,7 +164,7 @@ def _open(settings: UpsampleSettings) -> tuple[Method, tuple[Source, ...]]:
     exr.set_threads(settings.threads)
     named = None if settings.method is None else find_method(settings.method)
     sources = open_sources(settings.source, named is None or named.needs_motion, pictures=True)
-    method = named or find_method(usual_method(sources[0]))
+    method = named or find_method(usual_method(sources[0], settings))
     return method, sources
 
 

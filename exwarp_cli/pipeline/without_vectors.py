@@ -12,7 +12,7 @@ from exwarp_cli.errors import LayoutError, MissingExtraError, UsageError
 from exwarp_cli.io.footage import is_plain, look_of, own_rate
 from exwarp_cli.io.layers import BEAUTY
 from exwarp_cli.io.video import VideoLook, video_note
-from exwarp_cli.pipeline.recipes import Recipes
+from exwarp_cli.pipeline.recipes import Recipes, key_recipe
 from exwarp_cli.pipeline.source import Source
 from exwarp_cli.pipeline.targets import Targets
 from exwarp_cli.synthesis.methods import Method
@@ -22,9 +22,13 @@ USUAL, USUAL_ESTIMATED = "exwarp", "softsplat"
 """Methods where none is named: with vectors, and where motion has to be estimated."""
 
 
-def usual_method(source: Source) -> str:
-    """Return the name of the method where the user names none."""
-    return USUAL_ESTIMATED if source.estimated else USUAL
+def usual_method(source: Source, settings: UpsampleSettings) -> str:
+    """Return the name of the method where the user names none.
+
+    Who names a network or a policy wants the usual one, and is told what it lacks.
+    """
+    networks = (settings.extrapolator, settings.policy)
+    return USUAL_ESTIMATED if source.estimated and networks == (None, None) else USUAL
 
 
 def require_able(source: Source, method: Method, settings: UpsampleSettings) -> None:
@@ -97,6 +101,8 @@ def note_of(recipes: Recipes, settings: UpsampleSettings, keys: tuple[int, ...])
         instants = [slot for key in range(count) for slot in source.timeline.between(key)]
     found = {
         "frames": recipes.of(keys[0], range(count), instants),
+        # Nothing may be made after the first one, and so nothing be told of it.
+        "key": key_recipe(source.keys, source.timeline.numbers[keys[0]]),
         "keys": list(keys),
         "exposure": settings.exposure,
         "tail": settings.source.tail,

@@ -191,7 +191,7 @@ class Gallery:
 
     def plan(self, groups: Sequence[Sequence[int]]) -> None:
         """Choose whole groups, evenly, the first and the last among them."""
-        size = max((len(group) for group in groups), default=1)
+        size = max((len(group) for group in groups), default=0) or 1  # groups may be empty
         for i in spread(len(groups), max(FRAMES // size, 1)):
             self._chosen.update(groups[i])
         self._key_of = {

@@ -247,6 +247,18 @@ def test_flicker_ends_at_the_cut(run, two, tmp_path):
     assert all(scores[0])
 
 
+def test_benchmarks_end_flicker_there_too(exwarp, run, two, tmp_path):
+    options = ("--ground-truth", two["truth"], "--metrics", "flicker", "--frames", "4", *VECTORS)
+    alone = ("--systems", "s6", "--jobs", 1, "--progress", "none")
+    found = exwarp("bench", two["keys"], "-o", tmp_path / "bench", *options, *alone)
+    assert found.code == 0, found.err
+    (part,) = (tmp_path / "bench" / "parts").glob("*/4.json")
+    measured = [slot["all"]["flicker"] for slot in json.loads(part.read_text())["systems"]["s6"]]
+    run("out", two["keys"], "s6", *options[:-2], "--report", tmp_path / "report")
+    rows = rows_of(tmp_path / "report")
+    assert measured == [float(rows[number]["flicker"]) for number in (14, 15, 16)]
+
+
 class TestConvention:
     """What crosses a cut is no motion, and says nothing of what vectors mean."""
 

@@ -283,9 +283,9 @@ class TestHistory:
         seen: Counter[Path] = Counter()
         true = loading.read_raw
 
-        def read_raw(given: Any, number: int, *rest: Any) -> Any:
+        def read_raw(given: Any, number: int, *rest: Any, **more: Any) -> Any:
             seen[given.sequence.files[number]] += 1
-            return true(given, number, *rest)
+            return true(given, number, *rest, **more)
 
         monkeypatch.setattr(loading, "read_raw", read_raw)
         make("out", "s3", setting=setting)
@@ -299,9 +299,9 @@ class TestHistory:
         asked: set[tuple[Role, ...]] = set()
         true = loading.read_raw
 
-        def read_raw(given: Any, number: int, roles: tuple[Role, ...]) -> Any:
+        def read_raw(given: Any, number: int, roles: tuple[Role, ...], **more: Any) -> Any:
             asked.add(roles)
-            return true(given, number, roles)
+            return true(given, number, roles, **more)
 
         monkeypatch.setattr(loading, "read_raw", read_raw)
         keys = shots.sequence(tmp_path / "keys", shots.blender4, (1, 2), SMALL)

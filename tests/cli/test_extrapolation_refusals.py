@@ -63,7 +63,7 @@ class TestRefusals:
         keys = shots.sequence(tmp_path / "keys", shots.colour_only, street=SMALL)
         options = ("-m", "s3", "--extrapolator", network, "--progress", "none")
         result = exwarp("upsample", keys, "-o", tmp_path / "out", *options)
-        result.refused(3, "no motion vectors", "hold or blend")
+        result.refused(3, "no motion vectors", "softsplat, for which it is estimated")
 
     @pytest.mark.parametrize("method", ["s3", "s6", "softsplat"])
     def test_slot_g_buffers_that_lead_only_forward(self, exwarp, shot, tmp_path, network, method):

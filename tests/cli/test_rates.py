@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from fractions import Fraction
 from pathlib import Path
 
@@ -104,6 +105,65 @@ def test_any_split_into_chunks_gives_the_same_bytes(upsample, keys, tmp_path):
         upsample(keys, tmp_path / "parts", "--frames", chunk, *options)
     assert shots.contents(tmp_path / "parts") == shots.contents(tmp_path / "whole")
     assert len(shots.names(tmp_path / "whole")) == 13
+
+
+def test_a_chunk_that_no_frame_falls_to_is_done(exwarp, keys, tmp_path):
+    """Of four key frames at 2.5 times the rate the last one is no output instant."""
+    few = tmp_path / "keys"
+    few.mkdir()
+    for number in range(1, 5):
+        shutil.copy(keys / f"shot.{number:04d}.exr", few)
+    options = ("--fps", 24, "--to-fps", 60, "--no-tail", "--frames", 4, "-m", "hold")
+    report = ("--report", tmp_path / "report", "--progress", "json")
+    found = exwarp("upsample", few, "-o", tmp_path / "out", *options, *report)
+    assert found.code == 0, found.err
+    assert found.out == f"no frame falls to {tmp_path / 'out'}\n"
+    assert json.loads((tmp_path / "report" / "report.json").read_text())["frames"]["written"] == 0
+    assert json.loads(found.err.splitlines()[-1]) == {"event": "finish", "done": 0, "total": 0}
+
+
+@pytest.mark.parametrize("rate", [("--factor", 8), ("--to-fps", 75), ("--to-fps", 40)])
+def test_all_layers_at_any_rate(upsample, keys, tmp_path, rate):
+    """Where softsplat falls back to s6, too."""
+    out = tmp_path / "out"
+    upsample(keys, out, "-m", "softsplat", *rate, "--layers", "all", "--frames", "4-5", *FORWARD)
+    for name in shots.names(out):
+        _, planes = shots.read(out / name)
+        assert planes.keys() == shots.read(keys / "shot.0001.exr")[1].keys()
+
+
+@pytest.mark.parametrize(("factor", "told"), [(2, True), (4, False)])
+def test_truth_that_may_be_at_another_rate_is_told(exwarp, keys, tmp_path, factor, told):
+    truth = truth_at(tmp_path / "truth", Fraction(4))
+    options = ("--factor", factor, "-m", "hold", "--frames", 1, "--progress", "plain")
+    found = exwarp("upsample", keys, "-o", tmp_path / "out", "--ground-truth", truth, *options)
+    assert found.code == 0, found.err
+    line = "--ground-truth has 17 frames, and the whole output 10; scores only hold if it is at 60"
+    assert (line in found.err) == told
+
+
+def test_that_there_is_no_next_key_frame_is_told_at_any_rate(exwarp, keys, tmp_path):
+    """The fourth key frame is no output instant of 24 to 30, and one frame is made after it."""
+    few = tmp_path / "keys"
+    few.mkdir()
+    for number in range(1, 5):
+        shutil.copy(keys / f"shot.{number:04d}.exr", few)
+    rate = ("--fps", 24, "--to-fps", 30, "-m", "blend", "--progress", "plain")
+    found = exwarp("upsample", few, "-o", tmp_path / "out", *rate)
+    assert "blend falls back to" in found.err
+
+
+def test_a_video_of_one_key_frame_is_made_anew_where_that_is_another(upsample, keys, tmp_path):
+    few, video = tmp_path / "keys", tmp_path / "out.mp4"
+    shutil.copytree(keys, few)
+    options = ("-m", "hold", "--no-tail", "--frames", 5, "--skip-existing")
+    upsample(few, video, *options)
+    before = video.read_bytes()
+    upsample(few, video, *options)
+    assert video.read_bytes() == before
+    shutil.copy(few / "shot.0001.exr", few / "shot.0005.exr")
+    upsample(few, video, *options)
+    assert video.read_bytes() != before
 
 
 def test_the_usual_rate_by_its_frames_per_second(upsample, keys, tmp_path):

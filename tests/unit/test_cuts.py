@@ -178,6 +178,19 @@ def test_vectors_that_are_wrong_throughout_make_no_cut() -> None:
     assert found.colour < 0.15
 
 
+@pytest.mark.parametrize(("gamma", "cut"), [(1.0, False), (1.5, True)])
+def test_what_shifts_half_explain_is_a_cut_where_tones_differ(gamma: float, cut: bool) -> None:
+    """A swaying picture with wrong vectors: shifts tell less of it than of a pan."""
+    wrong = np.broadcast_to(np.float32([25, 9]), (80, 128, 2))
+    before, _ = pan(0, wrong)
+    rows, columns = np.indices((80, 128))
+    swayed = np.clip(columns + 8 * np.sin(rows / 9), 0, 127).astype(int)
+    found = is_cut(before, shown(before, before.image.pixels[rows, swayed] ** gamma))
+    assert found.shifted is not None
+    assert 0.2 < found.shifted < 0.3
+    assert found.found is cut
+
+
 def test_vectors_of_flow_that_fit_anything_do_not_hide_a_cut() -> None:
     """They make the patterns of another shot agree, but do not lead back."""
     wide, rng = panorama(5), np.random.default_rng(6)
@@ -276,13 +289,14 @@ def test_evidence_is_told() -> None:
         (" 1101, 1045 ", CutWish(False, (1045, 1101))),
         ("AUTO,1045", CutWish(True, (1045,))),
         ("10-12", CutWish(False, (10, 11, 12))),
+        ("10-20:5", CutWish(False, (10, 15, 20))),
     ],
 )
 def test_cuts_are_read(text: str, wish: CutWish) -> None:
     assert parse_cuts(text) == wish
 
 
-@pytest.mark.parametrize("text", ["", "never", "10.5", "none,5", "5,,x"])
+@pytest.mark.parametrize("text", ["", "never", "10.5", "none,5", "5,,x", "1045 1101"])
 def test_what_is_no_list_of_cuts_is_refused(text: str) -> None:
     with pytest.raises(UsageError, match="--cuts"):
         parse_cuts(text)

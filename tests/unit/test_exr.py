@@ -72,6 +72,21 @@ class TestStructure:
         raw = {channel.raw_name for part in parts for channel in part.channels}
         assert "Z" in raw and "V.Normal.X" in raw
 
+    def test_parts_tell_channels_of_one_name_apart(self, tmp_path):
+        first, second, other = (rgba(3, 4, seed=seed) for seed in range(3))
+        named = [{f"diff.{c}": p[c] for c in "RGB"} for p in (first, second, other)]
+        path = write_parts(
+            tmp_path / "a.exr",
+            {
+                "key_left": (named[0], {"view": "left"}),
+                "rim_left": (named[1], {"view": "left"}),
+                "key_right": (named[2], {"view": "right"}),
+            },
+        )
+        parts, found = read_all(path)
+        assert [part.channels[0].name for part in parts] == ["diff.R", "rim.diff.R", "diff.R"]
+        np.testing.assert_array_equal(found["rim.diff.R"], second["R"])
+
     def test_views_are_known(self, tmp_path):
         path = write_parts(
             tmp_path / "a.exr",

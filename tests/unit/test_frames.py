@@ -122,6 +122,23 @@ class TestReadRaw:
         assert raw.motion is not None
         assert np.isfinite(raw.motion[1]).all() and np.isnan(np.delete(raw.motion, 1, 0)).all()
 
+    def test_a_surface_beyond_the_end_of_the_positions_is_nowhere(self, tmp_path):
+        """Not at the world's origin, to which it would be moved; background has no place anyway."""
+        display = {"displayWindow": box(0, 0, 8, 8)}
+        place = {f"P.{c}": plane(6, 5, v) for c, v in zip("XYZ", (1, 2, 3), strict=True)}
+        write_parts(
+            tmp_path / "a.0001.exr",
+            {
+                "rgba": (rgba(6, 6), display | {"dataWindow": box(1, 1, 6, 6)}),
+                "depth": ({"Z": plane(6, 6, 5)}, display | {"dataWindow": box(1, 3, 6, 6)}),
+                "P": (place, display | {"dataWindow": box(2, 1, 5, 6)}),
+            },
+        )
+        buffer = read_raw(open_shot(str(tmp_path)), 1).gbuffer
+        assert buffer.position is not None
+        assert (buffer.position[:, 1:] == (1, 2, 3)).all()
+        assert np.isnan(buffer.position[2:, 0]).all() and (buffer.position[:2, 0] == 0).all()
+
     def test_without_colour_the_display_window_counts(self, tmp_path):
         write_single(
             tmp_path / "a.0001.exr",

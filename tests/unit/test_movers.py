@@ -9,7 +9,7 @@ import pytest
 
 from exwarp_cli.domain.frame import GBuffer, Window
 from exwarp_cli.synthesis.geometry import settle_motion
-from exwarp_cli.synthesis.movers import SHARE, SLOW, moving, of_moving
+from exwarp_cli.synthesis.movers import SHARE, SLOW, chosen, moving, of_moving, those
 from tests.unit.scenes import town
 
 BOX = 3
@@ -110,6 +110,12 @@ class TestOfMoving:
         moves = np.zeros(ids.shape, bool)
         moves[0, 0] = True
         assert set(np.unique(of_moving(ids, moves))) == {-1, 0}
+
+    def test_background_and_mixtures_are_no_objects(self):
+        moves = np.ones(self.IDS.shape, bool)
+        assert those(self.IDS, moves) == {5, 7} and those(self.IDS, ~moves) == set()
+        assert chosen(self.IDS, {7}).tolist() == np.where(self.IDS == 5, 0, self.IDS).tolist()
+        assert those(self.IDS[:0], moves[:0]) == set() and chosen(self.IDS[:0], {7}).size == 0
 
     def test_it_agrees_with_counting_each(self):
         rng = np.random.default_rng(1)

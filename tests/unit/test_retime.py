@@ -131,6 +131,13 @@ class TestManner:
         made = self.of(path, 3)
         assert made.manner is Manner.WARP and made.time == 0.75
 
+    def test_a_warp_goes_beyond_the_slots_of_the_paper(self):
+        times = tuple(i / 8 for i in range(1, 8))
+        given = replace(interval(lookahead=False), times=times)
+        shown = Predicted(key(0).image.pixels, FrameKind.GENERATED, "s6", (1001,), WARP)
+        made = retiming(given, 7, shown)
+        assert made.manner is Manner.WARP and made.time == 7 / 8
+
     @pytest.mark.parametrize(("slot", "later"), [(1, False), (2, False), (3, True)])
     def test_a_cross_fade_takes_ids_from_the_nearer_key_frame(self, slot, later):
         made, _ = retimed("blend", slot)

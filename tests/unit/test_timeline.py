@@ -152,7 +152,7 @@ class TestParseFrames:
         assert parse_frames(text) == numbers
 
     @pytest.mark.parametrize(
-        "text", ["", " ", "a", "1-", "1-5x0", "1e3", "1-99999999999", "1..5", "1-3x", "+5"]
+        "text", ["", " ", "a", "1-", "1-5x0", "1e3", "1-99999999999", "1..5", "1-3x", "+5", "1-3 5"]
     )
     def test_other_text_is_refused_with_an_example(self, text):
         with pytest.raises(UsageError, match="1001-1100"):

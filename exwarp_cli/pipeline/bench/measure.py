@@ -54,12 +54,12 @@ def measure(opened: Opened, loaded: Loaded) -> dict[str, Any]:
     interval = opened.interval(loaded)
     surroundings = opened.look(loaded, interval)
     wanted = frozenset((*opened.settings.metrics, *JUDGED))
-    masks = opened.masks(interval)
+    masks, display = opened.masks(interval), opened.source.keys.display
     scores = Scores(
         opened.pictures(loaded, interval),
         opened.truth(loaded.key),
         masks,
-        steps_of(interval, opened.source.keys.display) if "flicker" in wanted else None,
+        steps_of(interval, display, loaded.followed) if "flicker" in wanted else None,
         wanted,
     )
     paths, gains = _paths(opened, scores, opened.decide(surroundings))

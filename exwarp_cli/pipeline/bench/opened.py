@@ -12,11 +12,10 @@ from exwarp_cli.domain.frame import Bool, Float32, place
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR, Slot
 from exwarp_cli.errors import MissingFrameError, UsageError
+from exwarp_cli.io.footage import digest_of, picture
 from exwarp_cli.io.frame_files import quantised
-from exwarp_cli.io.frames import read_image
 from exwarp_cli.io.interpolator import OnnxInterpolator, load_interpolator
 from exwarp_cli.io.models import OnnxExtrapolator, load_extrapolator
-from exwarp_cli.io.output import file_digest
 from exwarp_cli.io.policy_files import load_policy
 from exwarp_cli.io.vmaf import require_size
 from exwarp_cli.pipeline.bench.pictures import Pictures
@@ -184,14 +183,14 @@ class Opened:
         for index in range(FACTOR + 1):
             number = self._truth_number(key, index)
             if number is not None:
-                image = read_image(self._truth[0].files[number])
+                image = picture(self._truth[0], number, self.source.keys.view)
                 found[index] = image.on(image.display_window).pixels
         return found
 
     def truth_digests(self, key: int) -> list[str]:
-        """SHA-256 of the ground truth's files."""
+        """What the ground truth's frames depend on."""
         numbers = [self._truth_number(key, index) for index in range(FACTOR + 1)]
-        return [file_digest(self._truth[0].files[n]) for n in numbers if n is not None]
+        return [digest_of(self._truth[0], n) for n in numbers if n is not None]
 
     def masks(self, interval: Interval) -> dict[int, Bool]:
         """Holes of W at slots 1 to 3, on the display window."""

@@ -12,12 +12,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from exwarp_cli import cli
 from exwarp_cli.pipeline.bench import work
 from tests.cli import shots
 from tests.cli.decisions.conftest import KEYS, SETTINGS, take
+from tests.cli.pictures import write_still
 from tests.cli.street import Street
 from tests.unit import tiny_interpolators
 
@@ -88,6 +90,22 @@ def test_numbers_are_those_of_upsample(whole, judged, uneven, truth, tmp_path, s
             expected = run.report["quality"][where]
             for key in ("psnr_db", "ssim", "frames"):
                 assert ours[where][key] == pytest.approx(expected[key], abs=1e-9), (name, where)
+
+
+def test_truth_may_be_of_stills(exwarp, uneven, truth, tmp_path):
+    stills = tmp_path / "stills"
+    for name in shots.names(truth):
+        header, _ = shots.read(truth / name)
+        (left, top), (right, bottom) = header["displayWindow"]
+        grey = np.full((bottom - top + 1, right - left + 1, 3), 99, np.uint8)
+        write_still(stills / name.replace(".exr", ".png"), grey)
+    given = (*uneven["key"], "--ground-truth", stills, "--systems", "hold", "--frames", "1")
+    found = exwarp("bench", *given, "-o", tmp_path / "out", *QUICK)
+    assert found.code == 0, found.err
+    options = ("-m", "hold", "--ground-truth", stills, "--metrics", "psnr,ssim", "--frames", "1")
+    done = take(uneven["key"], tmp_path / "hold", *options)
+    measured = document_of(tmp_path / "out")["quality"][0]["systems"]["hold"]["all"]["psnr_db"]
+    assert measured == pytest.approx(done.report["quality"]["all"]["psnr_db"], abs=1e-9)
 
 
 @pytest.mark.parametrize("setting", SETTINGS)

@@ -63,5 +63,5 @@ def test_no_motion(exwarp, policies, network, tmp_path):
     keys = shots.sequence(tmp_path / "keys", shots.colour_only, street=shots.SMALL)
     options = ("--policy", policies("warp"), "--extrapolator", network, "--progress", "none")
     result = exwarp("upsample", keys, "-o", tmp_path / "out", *options)
-    result.refused(3, "no motion vectors", "hold or blend")
+    result.refused(3, "no motion vectors", "softsplat, for which it is estimated")
     assert not (tmp_path / "out").exists()
