@@ -73,8 +73,9 @@ class FrameRate(click.ParamType[Fraction]):
 @click.option(
     "--motion",
     metavar="CONVENTION",
-    help="Read vectors so, and measure nothing: a "
-    "preset (blender, unreal, forward, backward) or e.g. 'previous=X,-Y next=-Z,W'.",
+    help="Read vectors so, and measure nothing: a preset (blender, unreal, unreal-mrq, arnold, "
+    "vray, redshift, renderman, karma, moonray, nuke, reelsmart, twixtor, forward, backward, "
+    "forward+backward) or e.g. 'previous=X,-Y next=-Z,W'.",
 )
 @click.option(
     "--extrapolator",

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from exwarp_cli.commands.upsample import command
 from exwarp_cli.domain.frame import Window
 from exwarp_cli.domain.motion import AxisMap, MotionConvention
 from exwarp_cli.errors import UsageError
@@ -211,3 +213,8 @@ def test_any_layer_s_name_reads_back(before, after, words):
 def test_what_is_described_reads_back_as_itself(before, after, of_frame):
     convention = MotionConvention(before, after, of_frame)
     assert parse_motion(convention.describe(RGBA), RGBA) == convention
+
+
+def test_the_command_names_every_preset():
+    parameters = {parameter.name: parameter for parameter in command.params}
+    assert set(PRESETS) <= set(re.split(r"[(), ]+", parameters["motion"].help))

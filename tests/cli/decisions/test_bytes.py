@@ -108,9 +108,9 @@ class TestChunks:
         seen: list[Path] = []
         true = loading.read_raw
 
-        def read_raw(given: Any, number: int, *rest: Any) -> Any:
+        def read_raw(given: Any, number: int, *rest: Any, **more: Any) -> Any:
             seen.append(given.sequence.files[number])
-            return true(given, number, *rest)
+            return true(given, number, *rest, **more)
 
         monkeypatch.setattr(loading, "read_raw", read_raw)
         make("out", setting=setting)
