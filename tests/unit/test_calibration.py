@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import functools
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -13,66 +11,24 @@ from exwarp_cli.domain.motion import AxisMap, MotionConvention
 from exwarp_cli.errors import MotionError
 from exwarp_cli.io.producers import PRESETS
 from exwarp_cli.synthesis.calibration import Instant, calibrate
-from tests.unit.scenes import View, town
-
-XY, XYZW = ("X", "Y"), ("X", "Y", "Z", "W")
-BLENDER = PRESETS["blender"]
-
-
-@functools.cache
-def views() -> tuple[View, ...]:
-    return tuple(town().view(float(time)) for time in range(3))
-
-
-def raw_of(view: View, convention: MotionConvention, count: int, span: float = 1.0) -> np.ndarray:
-    """Write exact motion as a renderer of this convention would: the inverse of reading it."""
-    raw = np.zeros((*view.surface.shape, count), np.float32)
-    for axis_map, step in ((convention.to_previous, -span), (convention.to_next, span)):
-        if axis_map is not None:
-            motion = view.motion_to(view.time + step, sky=False)
-            raw[..., axis_map.x_channel] = motion[..., 0] / np.float32(axis_map.x_scale)
-            raw[..., axis_map.y_channel] = motion[..., 1] / np.float32(axis_map.y_scale)
-    return raw
-
-
-def instants(convention: MotionConvention, count: int, **without: None) -> list[Instant]:
-    out = []
-    for number, view in enumerate(views()):
-        colour = None if "colour" in without else view.colour
-        buffer = replace(
-            view.gbuffer(motion=False), **{k: v for k, v in without.items() if k != "colour"}
-        )
-        out.append(Instant(number, buffer, raw_of(view, convention, count), colour))
-    return out
-
-
-def pairs_of(frames: list[Instant]) -> list[tuple[Instant, Instant]]:
-    return list(pairwise(frames))
-
-
-def pairs(convention: MotionConvention, count: int = 2, **without: None):
-    return pairs_of(instants(convention, count, **without))
-
-
-def both(before: AxisMap, after: AxisMap) -> MotionConvention:
-    return MotionConvention(before, after)
-
-
-WIDTH, HEIGHT = views()[0].scene.size
-SIGNS = [(1, 1), (1, -1), (-1, 1), (-1, -1)]
-SCALES = {
-    "pixels": (1, 1),
-    "four frames' worth": (4, 4),
-    "a quarter": (0.25, 0.25),
-    "of width and height": (WIDTH, HEIGHT),
-    "of half of each": (WIDTH / 2, HEIGHT / 2),
-    "of width": (WIDTH, WIDTH),
-    "of twice the width and height": (2 * WIDTH, 2 * HEIGHT),
-}
-
-POSITION_ONLY = {"depth": None, "colour": None}
-DEPTH_ONLY = {"position": None, "colour": None}
-COLOUR_ONLY = {"position": None, "depth": None}
+from tests.unit.motion_pairs import (
+    BLENDER,
+    COLOUR_ONLY,
+    DEPTH_ONLY,
+    HEIGHT,
+    POSITION_ONLY,
+    SCALES,
+    SIGNS,
+    WIDTH,
+    XY,
+    XYZW,
+    both,
+    instants,
+    pairs,
+    pairs_of,
+    raw_of,
+)
+from tests.unit.scenes import town
 
 
 class TestRecovery:
@@ -275,165 +231,3 @@ class TestAgainstTheNames:
         found = calibrate(pairs_of(moving), BLENDER, XYZW)
         assert (found.convention, found.source) == (BLENDER, "calibrated")
         assert found.error is not None and found.error < 0.2
-
-
-def still_pairs() -> list[tuple[Instant, Instant]]:
-    seen = town().still().view(0.0)
-    raw = np.zeros((*seen.surface.shape, 4), np.float32)
-    frames = [Instant(n, seen.gbuffer(motion=False), raw, seen.colour) for n in (7, 8)]
-    return pairs_of(frames)
-
-
-class TestUntested:
-    def test_without_motion_the_names_stand(self):
-        found = calibrate(still_pairs(), BLENDER, XYZW)
-        assert (found.convention, found.source) == (BLENDER, "untested")
-        assert found.error is None and "7-8 hold too little motion" in found.evidence
-
-    def test_one_frame_alone(self):
-        found = calibrate([], BLENDER, XYZW)
-        assert (found.convention, found.source) == (BLENDER, "untested")
-        assert "one frame alone" in found.evidence
-
-    @pytest.mark.parametrize("given", [[], still_pairs()], ids=["one frame", "stills"])
-    def test_without_names_either_it_is_an_error(self, given):
-        with pytest.raises(MotionError, match=r"is unknown: .*; give --motion"):
-            calibrate(given, None, XYZW)
-
-
-def with_values(frames: list[Instant], channels: slice, value: float) -> list[Instant]:
-    """Put a value into channels of every frame."""
-    out = []
-    for frame in frames:
-        motion = frame.motion.copy()
-        motion[..., channels] = value
-        out.append(replace(frame, motion=motion))
-    return out
-
-
-class TestHalfWritten:
-    """Passes of which a part holds no vectors: it is never read as no motion."""
-
-    @pytest.mark.parametrize("value", [0.0, np.nan])
-    @pytest.mark.parametrize(
-        ("channels", "lost", "expected"),
-        [
-            (slice(2, 4), "Z,W", MotionConvention(BLENDER.to_previous)),
-            (slice(0, 2), "X,Y", MotionConvention(None, BLENDER.to_next)),
-        ],
-    )
-    def test_one_direction_alone_is_used_and_it_is_said(self, value, channels, lost, expected):
-        frames = with_values(instants(BLENDER, 4), channels, value)
-        found = calibrate(pairs_of(frames), BLENDER, XYZW)
-        assert (found.convention, found.source) == (expected, "calibrated")
-        assert found.evidence.endswith(f"; {lost} hold no vectors and are left out")
-
-    @pytest.mark.parametrize("bad", [0, 1])
-    def test_a_first_or_last_frame_without_vectors(self, bad):
-        frames = instants(BLENDER, 4)[:2]
-        frames[bad] = replace(frames[bad], motion=np.full_like(frames[bad].motion, np.nan))
-        found = calibrate(pairs_of(frames), BLENDER, XYZW)
-        assert (found.convention, found.source) == (BLENDER, "calibrated")
-        wrong = both(AxisMap(0, 1, 1, 1), AxisMap(2, 3, -1, -1))
-        corrected = calibrate(pairs_of(frames), wrong, XYZW)
-        one = BLENDER.to_next if bad else BLENDER.to_previous
-        assert one in (corrected.convention.to_previous, corrected.convention.to_next)
-        assert None in (corrected.convention.to_previous, corrected.convention.to_next)
-
-    def test_garbage_in_one_direction_is_no_small_error(self):
-        rng = np.random.default_rng(11)
-        frames = instants(BLENDER, 4)
-        for frame in frames:
-            frame.motion[..., 2:] = rng.normal(0, 9, frame.motion[..., 2:].shape)
-        with pytest.raises(MotionError, match=r"explains the motion .* one of the two directions"):
-            calibrate(pairs_of(frames), BLENDER, XYZW)
-
-    @pytest.mark.parametrize("guess", [None, BLENDER])
-    def test_no_numbers_at_all(self, guess):
-        frames = with_values(instants(BLENDER, 4), slice(None), np.nan)
-        with pytest.raises(MotionError, match=r"X, Y, Z, W of frames 0-1, 1-2 hold no numbers"):
-            calibrate(pairs_of(frames), guess, XYZW)
-
-    def test_nothing_to_measure_by(self):
-        frames = instants(BLENDER, 4, depth=None, position=None, colour=None)
-        found = calibrate(pairs_of(frames), BLENDER, XYZW)
-        assert found.source == "untested" and "nothing to measure by" in found.evidence
-
-
-class TestErrors:
-    @pytest.mark.parametrize("guess", [None, BLENDER])
-    def test_garbage_vectors(self, guess):
-        rng = np.random.default_rng(5)
-        frames = [
-            replace(f, motion=rng.normal(0, 9, f.motion.shape).astype(np.float32))
-            for f in instants(BLENDER, 4)
-        ]
-        with pytest.raises(MotionError, match="no reading of the motion channels explains"):
-            calibrate(pairs_of(frames), guess, XYZW)
-
-    @pytest.mark.parametrize("guess", [None, BLENDER])
-    def test_empty_vectors_in_a_moving_shot(self, guess):
-        frames = [replace(f, motion=np.zeros_like(f.motion)) for f in instants(BLENDER, 4)]
-        with pytest.raises(MotionError, match="no reading of the motion channels explains"):
-            calibrate(pairs_of(frames), guess, XYZW)
-
-    @pytest.mark.parametrize("letters", [("R", "G"), ("R", "G", "B"), ("R", "G", "A")])
-    def test_garbage_between_0_and_1(self, letters):
-        rng = np.random.default_rng(8)
-        frames = [
-            replace(f, motion=rng.random((*f.motion.shape[:2], len(letters))).astype(np.float32))
-            for f in instants(BLENDER, 4)
-        ]
-        with pytest.raises(MotionError, match="no reading of the motion channels explains"):
-            calibrate(pairs_of(frames), None, letters)
-
-    @pytest.mark.parametrize("value", [0.0, 0.5, 1.0])
-    def test_one_value_everywhere_in_a_moving_shot(self, value):
-        frames = [
-            replace(f, motion=np.full_like(f.motion[..., :2], value)) for f in instants(BLENDER, 4)
-        ]
-        with pytest.raises(MotionError, match="no reading of the motion channels explains"):
-            calibrate(pairs_of(frames), None, XY)
-
-    def test_random_directions_with_a_length(self):
-        rng = np.random.default_rng(9)
-        frames = []
-        for frame in instants(BLENDER, 4):
-            turn = rng.uniform(0, 7, frame.motion.shape[:2])
-            raw = np.stack([np.cos(turn), np.sin(turn), rng.uniform(0, 9, turn.shape)], -1)
-            frames.append(replace(frame, motion=raw.astype(np.float32)))
-        with pytest.raises(MotionError, match="no reading of the motion channels explains"):
-            calibrate(pairs_of(frames), PRESETS["arnold"], ("R", "G", "B"))
-
-    def test_unknown_names_and_nothing_that_separates_the_readings(self):
-        # Everything is one grey: any reading explains it as well as any other.
-        rng = np.random.default_rng(6)
-        frames = []
-        for frame in instants(BLENDER, 4, **COLOUR_ONLY):
-            assert frame.colour is not None
-            noise = rng.random(frame.colour.shape).astype(np.float32)
-            frames.append(replace(frame, colour=noise))
-        with pytest.raises(MotionError, match="--motion"):
-            calibrate(pairs_of(frames), None, XYZW)
-
-    def test_axis_that_does_not_move_and_no_names(self):
-        # A purely horizontal motion says nothing of the sign of y.
-        scene = town()
-        camera = replace(
-            scene.camera, velocity=np.array([0.3, 0, 0]), acceleration=np.zeros(3), yaw=0, pitch=0
-        )
-        quads = tuple(replace(quad, velocity=np.zeros(3)) for quad in scene.quads)
-        across = replace(scene, camera=camera, quads=quads)
-        truth = MotionConvention(to_previous=AxisMap(0, 1, 1.0, -1.0))
-        frames = []
-        for number in range(2):
-            seen = across.view(float(number))
-            raw = raw_of(seen, truth, 2)
-            frames.append(Instant(number, seen.gbuffer(motion=False), raw, seen.colour))
-        found = calibrate(pairs_of(frames), truth, XY)
-        assert found.convention == truth
-        # Without names either sign gives the same vectors, so either will do.
-        blind = calibrate(pairs_of(frames), None, XY).convention.to_previous
-        assert blind is not None
-        applied = blind.apply(frames[1].motion)
-        np.testing.assert_allclose(applied, truth.to_previous.apply(frames[1].motion), atol=1e-5)

@@ -1,0 +1,186 @@
+"""What calibration does with vectors that say little or nothing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from exwarp_cli.domain.motion import AxisMap, MotionConvention
+from exwarp_cli.errors import MotionError
+from exwarp_cli.io.producers import PRESETS
+from exwarp_cli.synthesis.calibration import Instant, calibrate
+from tests.unit.motion_pairs import (
+    BLENDER,
+    COLOUR_ONLY,
+    XY,
+    XYZW,
+    both,
+    instants,
+    pairs_of,
+    raw_of,
+)
+from tests.unit.scenes import town
+
+
+def still_pairs() -> list[tuple[Instant, Instant]]:
+    seen = town().still().view(0.0)
+    raw = np.zeros((*seen.surface.shape, 4), np.float32)
+    frames = [Instant(n, seen.gbuffer(motion=False), raw, seen.colour) for n in (7, 8)]
+    return pairs_of(frames)
+
+
+class TestUntested:
+    def test_without_motion_the_names_stand(self):
+        found = calibrate(still_pairs(), BLENDER, XYZW)
+        assert (found.convention, found.source) == (BLENDER, "untested")
+        assert found.error is None and "7-8 hold too little motion" in found.evidence
+
+    def test_one_frame_alone(self):
+        found = calibrate([], BLENDER, XYZW)
+        assert (found.convention, found.source) == (BLENDER, "untested")
+        assert "one frame alone" in found.evidence
+
+    @pytest.mark.parametrize("given", [[], still_pairs()], ids=["one frame", "stills"])
+    def test_without_names_either_it_is_an_error(self, given):
+        with pytest.raises(MotionError, match=r"is unknown: .*; give --motion"):
+            calibrate(given, None, XYZW)
+
+
+def with_values(frames: list[Instant], channels: slice, value: float) -> list[Instant]:
+    """Put a value into channels of every frame."""
+    out = []
+    for frame in frames:
+        motion = frame.motion.copy()
+        motion[..., channels] = value
+        out.append(replace(frame, motion=motion))
+    return out
+
+
+class TestHalfWritten:
+    """Passes of which a part holds no vectors: it is never read as no motion."""
+
+    @pytest.mark.parametrize("value", [0.0, np.nan])
+    @pytest.mark.parametrize(
+        ("channels", "lost", "expected"),
+        [
+            (slice(2, 4), "Z,W", MotionConvention(BLENDER.to_previous)),
+            (slice(0, 2), "X,Y", MotionConvention(None, BLENDER.to_next)),
+        ],
+    )
+    def test_one_direction_alone_is_used_and_it_is_said(self, value, channels, lost, expected):
+        frames = with_values(instants(BLENDER, 4), channels, value)
+        found = calibrate(pairs_of(frames), BLENDER, XYZW)
+        assert (found.convention, found.source) == (expected, "calibrated")
+        assert found.evidence.endswith(f"; {lost} hold no vectors and are left out")
+
+    @pytest.mark.parametrize("bad", [0, 1])
+    def test_a_first_or_last_frame_without_vectors(self, bad):
+        frames = instants(BLENDER, 4)[:2]
+        frames[bad] = replace(frames[bad], motion=np.full_like(frames[bad].motion, np.nan))
+        found = calibrate(pairs_of(frames), BLENDER, XYZW)
+        assert (found.convention, found.source) == (BLENDER, "calibrated")
+        wrong = both(AxisMap(0, 1, 1, 1), AxisMap(2, 3, -1, -1))
+        corrected = calibrate(pairs_of(frames), wrong, XYZW)
+        one = BLENDER.to_next if bad else BLENDER.to_previous
+        assert one in (corrected.convention.to_previous, corrected.convention.to_next)
+        assert None in (corrected.convention.to_previous, corrected.convention.to_next)
+
+    def test_garbage_in_one_direction_is_no_small_error(self):
+        rng = np.random.default_rng(11)
+        frames = instants(BLENDER, 4)
+        for frame in frames:
+            frame.motion[..., 2:] = rng.normal(0, 9, frame.motion[..., 2:].shape)
+        with pytest.raises(MotionError, match=r"explains the motion .* one of the two directions"):
+            calibrate(pairs_of(frames), BLENDER, XYZW)
+
+    @pytest.mark.parametrize("guess", [None, BLENDER])
+    def test_no_numbers_at_all(self, guess):
+        frames = with_values(instants(BLENDER, 4), slice(None), np.nan)
+        with pytest.raises(MotionError, match=r"X, Y, Z, W of frames 0-1, 1-2 hold no numbers"):
+            calibrate(pairs_of(frames), guess, XYZW)
+
+    def test_nothing_to_measure_by(self):
+        frames = instants(BLENDER, 4, depth=None, position=None, colour=None)
+        found = calibrate(pairs_of(frames), BLENDER, XYZW)
+        assert found.source == "untested" and "nothing to measure by" in found.evidence
+
+
+class TestErrors:
+    @pytest.mark.parametrize("guess", [None, BLENDER])
+    def test_garbage_vectors(self, guess):
+        rng = np.random.default_rng(5)
+        frames = [
+            replace(f, motion=rng.normal(0, 9, f.motion.shape).astype(np.float32))
+            for f in instants(BLENDER, 4)
+        ]
+        with pytest.raises(MotionError, match="no reading of the motion channels explains"):
+            calibrate(pairs_of(frames), guess, XYZW)
+
+    @pytest.mark.parametrize("guess", [None, BLENDER])
+    def test_empty_vectors_in_a_moving_shot(self, guess):
+        frames = [replace(f, motion=np.zeros_like(f.motion)) for f in instants(BLENDER, 4)]
+        with pytest.raises(MotionError, match="no reading of the motion channels explains"):
+            calibrate(pairs_of(frames), guess, XYZW)
+
+    @pytest.mark.parametrize("letters", [("R", "G"), ("R", "G", "B"), ("R", "G", "A")])
+    def test_garbage_between_0_and_1(self, letters):
+        rng = np.random.default_rng(8)
+        frames = [
+            replace(f, motion=rng.random((*f.motion.shape[:2], len(letters))).astype(np.float32))
+            for f in instants(BLENDER, 4)
+        ]
+        with pytest.raises(MotionError, match="no reading of the motion channels explains"):
+            calibrate(pairs_of(frames), None, letters)
+
+    @pytest.mark.parametrize("value", [0.0, 0.5, 1.0])
+    def test_one_value_everywhere_in_a_moving_shot(self, value):
+        frames = [
+            replace(f, motion=np.full_like(f.motion[..., :2], value)) for f in instants(BLENDER, 4)
+        ]
+        with pytest.raises(MotionError, match="no reading of the motion channels explains"):
+            calibrate(pairs_of(frames), None, XY)
+
+    def test_random_directions_with_a_length(self):
+        rng = np.random.default_rng(9)
+        frames = []
+        for frame in instants(BLENDER, 4):
+            turn = rng.uniform(0, 7, frame.motion.shape[:2])
+            raw = np.stack([np.cos(turn), np.sin(turn), rng.uniform(0, 9, turn.shape)], -1)
+            frames.append(replace(frame, motion=raw.astype(np.float32)))
+        with pytest.raises(MotionError, match="no reading of the motion channels explains"):
+            calibrate(pairs_of(frames), PRESETS["arnold"], ("R", "G", "B"))
+
+    def test_unknown_names_and_nothing_that_separates_the_readings(self):
+        # Everything is one grey: any reading explains it as well as any other.
+        rng = np.random.default_rng(6)
+        frames = []
+        for frame in instants(BLENDER, 4, **COLOUR_ONLY):
+            assert frame.colour is not None
+            noise = rng.random(frame.colour.shape).astype(np.float32)
+            frames.append(replace(frame, colour=noise))
+        with pytest.raises(MotionError, match="--motion"):
+            calibrate(pairs_of(frames), None, XYZW)
+
+    def test_axis_that_does_not_move_and_no_names(self):
+        # A purely horizontal motion says nothing of the sign of y.
+        scene = town()
+        camera = replace(
+            scene.camera, velocity=np.array([0.3, 0, 0]), acceleration=np.zeros(3), yaw=0, pitch=0
+        )
+        quads = tuple(replace(quad, velocity=np.zeros(3)) for quad in scene.quads)
+        across = replace(scene, camera=camera, quads=quads)
+        truth = MotionConvention(to_previous=AxisMap(0, 1, 1.0, -1.0))
+        frames = []
+        for number in range(2):
+            seen = across.view(float(number))
+            raw = raw_of(seen, truth, 2)
+            frames.append(Instant(number, seen.gbuffer(motion=False), raw, seen.colour))
+        found = calibrate(pairs_of(frames), truth, XY)
+        assert found.convention == truth
+        # Without names either sign gives the same vectors, so either will do.
+        blind = calibrate(pairs_of(frames), None, XY).convention.to_previous
+        assert blind is not None
+        applied = blind.apply(frames[1].motion)
+        np.testing.assert_allclose(applied, truth.to_previous.apply(frames[1].motion), atol=1e-5)
