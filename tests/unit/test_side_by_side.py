@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import signal
+import threading
 import time
 from multiprocessing import active_children
 from pathlib import Path
@@ -10,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from exwarp_cli.errors import ExwarpError, UsageError
+from exwarp_cli.pipeline.bench import side_by_side as side_by_side_module
 from exwarp_cli.pipeline.bench.side_by_side import follow_parent, side_by_side
 
 
@@ -38,6 +41,31 @@ def test_what_one_raises_ends_the_others(tmp_path):
 def test_a_process_that_is_ended_from_outside_is_one_sentence():
     with pytest.raises(ExwarpError, match="fewer --jobs"):
         list(side_by_side(os._exit, [(1,)], 1, follow_parent))
+
+
+def test_interruptions_wait_while_processes_begin():
+    """Also one that another thread takes, which this thread's mask keeps nothing from."""
+    heard: list[str] = []
+    started, told = threading.Event(), threading.Event()
+
+    def other() -> None:
+        started.wait()
+        signal.raise_signal(signal.SIGTERM)
+        told.set()
+
+    before = signal.signal(signal.SIGTERM, lambda *_: heard.append("terminated"))
+    try:
+        thread = threading.Thread(target=other)
+        thread.start()
+        with side_by_side_module._undisturbed():
+            started.set()
+            assert told.wait(10)
+            for _ in range(1000):  # handlers run between instructions of the main thread
+                assert heard == []
+        thread.join()
+        assert heard == ["terminated"]
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def touch_later(path: Path, seconds: float) -> None:

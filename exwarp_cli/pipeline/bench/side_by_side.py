@@ -71,16 +71,26 @@ def _undisturbed() -> Iterator[None]:
     """Put signals off while processes begin; they arrive afterwards.
 
     A terminal interrupts all processes at once, and one that is still importing prints a traceback;
-    nor can a pool be shut down that has begun by half. Processes inherit what is put off.
+    nor can a pool be shut down that has begun by half. Processes inherit what is put off. The mask
+    is that of this thread alone: what another one takes is kept until the end, too.
     """
     if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield
         return
+    came: list[int] = []
+    answers: dict[signal.Signals, Any] = {}
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, PUT_OFF)
     try:
+        if threading.current_thread() is threading.main_thread():
+            for number in PUT_OFF:
+                answers[number] = signal.signal(number, lambda n, _frame: came.append(n))
         yield
     finally:
+        for number, answer in answers.items():
+            signal.signal(number, signal.SIG_DFL if answer is None else answer)
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        if came:
+            signal.raise_signal(came[0])
 
 
 def follow_parent() -> None:
