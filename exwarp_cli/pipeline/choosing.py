@@ -13,7 +13,7 @@ from exwarp_cli.domain.decision import CHOICES, NODES, PATHS, Decision, Plan
 from exwarp_cli.domain.frame import Window
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.io.frame_files import quantised
-from exwarp_cli.pipeline.loading import Loaded
+from exwarp_cli.pipeline.loaded import Loaded
 from exwarp_cli.pipeline.observing import Observer
 from exwarp_cli.pipeline.oracle import outcomes_of
 from exwarp_cli.policy import outcomes

@@ -9,7 +9,7 @@ from exwarp_cli.domain.frame import Float32, GBuffer, KeyFrame, Window
 from exwarp_cli.domain.interpolator import Interpolator
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.pipeline.instants import between, without_surface
-from exwarp_cli.pipeline.loading import Loaded, Older
+from exwarp_cli.pipeline.loaded import Loaded, Older
 from exwarp_cli.pipeline.moving_ids import Ids, MovingIds, with_stencils
 from exwarp_cli.synthesis.geometry import settle_motion
 from exwarp_cli.synthesis.history import Past

@@ -23,9 +23,7 @@ from exwarp_cli.pipeline.contents import Content
 from exwarp_cli.pipeline.estimating import Estimates
 from exwarp_cli.pipeline.instants import between, over_interval, stretched, without_surface
 from exwarp_cli.pipeline.layer_frames import LayerReader
-from exwarp_cli.pipeline.loaded import Loaded as Loaded
-from exwarp_cli.pipeline.loaded import Observed as Observed
-from exwarp_cli.pipeline.loaded import Older as Older
+from exwarp_cli.pipeline.loaded import Loaded, Observed, Older
 from exwarp_cli.pipeline.recipes import Recipes
 from exwarp_cli.pipeline.shots import Shots
 from exwarp_cli.pipeline.source import FrameOf, Source
@@ -131,8 +129,9 @@ class IntervalLoader:
         return self._recipe(key, self._looks_ahead(key))
 
     def follow(self, leader: IntervalLoader) -> None:
-        """Take the cuts of another view: all views of a shot are cut alike."""
+        """Take the cuts of another view, as all are cut alike, and what is known of the files."""
         self._shots.follow(leader._shots)
+        self._recipes.share(leader._recipes)
 
     def look(self, key: int) -> tuple[tuple[Observed, ...], tuple[GBuffer, ...]]:
         """Read only what features of an interval come from: see `Loaded.observed`, and slots."""

@@ -10,7 +10,7 @@ import numpy as np
 from exwarp_cli.domain.features import Features
 from exwarp_cli.domain.frame import GBuffer, Window
 from exwarp_cli.domain.timeline import FACTOR
-from exwarp_cli.pipeline.loading import Loaded, Observed
+from exwarp_cli.pipeline.loaded import Loaded, Observed
 from exwarp_cli.policy.features import observe
 from exwarp_cli.policy.state import KEYS_BACK, Surroundings
 from exwarp_cli.synthesis.geometry import settle_motion

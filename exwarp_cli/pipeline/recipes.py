@@ -7,6 +7,7 @@ import json
 from collections import OrderedDict
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from exwarp_cli import __version__
@@ -22,6 +23,10 @@ from exwarp_cli.synthesis.optical_flow import flow_identity
 
 DIGESTS = 32
 """Files' digests that are kept: more than the frames that one interval depends on."""
+
+
+Token = tuple[int, tuple[tuple[str, Path], ...]]
+"""A frame's number, which tells frames of one video apart, and its files by AOV."""
 
 
 @dataclass
@@ -52,7 +57,11 @@ class Recipes:
     interpolator: InterpolatorSummary | None = None
     policy: str | None = None
     layers: tuple[str, ...] = ()
-    _digests: OrderedDict[tuple[int, int], str] = field(default_factory=OrderedDict, init=False)
+    _digests: OrderedDict[Token, str] = field(default_factory=OrderedDict, init=False)
+
+    def share(self, other: Recipes) -> None:
+        """Keep files' digests with those of another view, which may be of the same files."""
+        self._digests = other._digests
 
     def of(
         self,
@@ -130,7 +139,7 @@ class Recipes:
 
     def _digest(self, shot: Shot, number: int) -> str:
         """Digest all files of one frame; kept for the interval that shares it."""
-        token = (id(shot), number)
+        token = (number, tuple(shot.files(number).items()))
         if token not in self._digests:
             self._digests[token] = _digest_of(shot, number)
             while len(self._digests) > DIGESTS:

@@ -134,8 +134,7 @@ class Run:
         """Pass the key frame through."""
         number = self.source.timeline.numbers[loaded.key]
         output = self.source.timeline.number(Slot(loaded.key, 0))
-        keys = self.source.keys
-        path = keys.sequence.files[number]
+        path = self.source.keys.sequence.files[number]
         copied = self.sink.copies(path)
         resumed = self.sink.pass_key(output, path) if copied else self._write_key(output, loaded)
         name = self.sink.name(output)
@@ -145,8 +144,7 @@ class Run:
         self.records.append(replace(record, resumed=resumed, timing_ms=timing, render=render))
         watched = self.watcher is not None and self.watcher.wants(output, None)
         if watched or self.sink.shows:
-            shown = loaded.frame
-            image = picture(keys.sequence, number, keys.view) if shown is None else shown.image
+            image = self._key_image(loaded)
             if watched:
                 self._show(record, image, None, loaded)
             self.sink.show(image)
@@ -160,11 +158,6 @@ class Run:
         recipe = key_recipe(keys, number)
         if self.sink.has(output, recipe, masked=False):
             return True
-        image = (
-            picture(keys.sequence, number, keys.view)
-            if loaded.frame is None
-            else loaded.frame.image
-        )
         attributes = {
             "framesPerSecond": self.source.output_fps,
             f"{PREFIX}version": __version__,
@@ -172,8 +165,15 @@ class Run:
             f"{PREFIX}key": number,
             f"{PREFIX}recipe": recipe,
         }
-        self.sink.write(output, image, None, loaded.template, attributes)
+        self.sink.write(output, self._key_image(loaded), None, loaded.template, attributes)
         return False
+
+    def _key_image(self, loaded: Loaded) -> Image:
+        """Return a key frame's colour, from disk where nothing else of its interval was read."""
+        if loaded.frame is not None:
+            return loaded.frame.image
+        keys, number = self.source.keys, self.source.timeline.numbers[loaded.key]
+        return picture(keys.sequence, number, keys.view)
 
     def _show(
         self, record: FrameRecord, image: Image, interval: Interval | None, loaded: Loaded

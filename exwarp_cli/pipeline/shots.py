@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -150,6 +151,7 @@ class Shots:
         return self._crossing[key]
 
 
+@dataclass(frozen=True)
 class _Leap:
     """Vectors of one frame to both sides that do not continue each other.
 
@@ -162,8 +164,9 @@ class _Leap:
         Their own median lengths.
     """
 
-    def __init__(self, apart: float, to_next: float, to_previous: float) -> None:
-        self.apart, self.to_next, self.to_previous = apart, to_next, to_previous
+    apart: float
+    to_next: float
+    to_previous: float
 
     @classmethod
     def of(cls, glance: Glance) -> _Leap | None:

@@ -9,13 +9,13 @@ from contextlib import ExitStack
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from exwarp_cli.domain.frame import Bool, Image, Window
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.io.atomic import atomic_copy
 from exwarp_cli.io.frame_files import FrameTemplate, facts_in, read_picture, write_picture
+from exwarp_cli.io.held import Held
 from exwarp_cli.io.output import PREFIX, write_mask
 from exwarp_cli.io.template import Plane, PlaneKey
 from exwarp_cli.io.video import VideoLook, VideoWriter, to_display
@@ -25,7 +25,7 @@ from exwarp_cli.pipeline.targets import Targets, key_is_there, slot_is_there
 FRAMES_BEHIND = 4
 
 
-class Sink:
+class Sink(Held):
     """Takes the frames of a run, in order; a context manager.
 
     Parameters
@@ -63,29 +63,17 @@ class Sink:
         self._view = view
         self._behind = behind
         self._look = look
-        self._stack = ExitStack()
         self._video: VideoWriter | None = None
         self.write_ms: dict[int, float] = {}
         """Milliseconds that writing took, by the frame's number; complete at the end."""
 
-    def __enter__(self) -> Sink:
+    def _open(self, stack: ExitStack) -> None:
         threads = self._settings.threads or os.cpu_count() or 1
-        with ExitStack() as stack:
-            self._writer = stack.enter_context(WriteBehind(threads, self._behind + threads))
-            if self._targets.video is not None:
-                height, width = self._display.shape
-                video = VideoWriter(self._targets.video, width, height, self._fps, self._look)
-                self._video = stack.enter_context(video)
-            self._stack = stack.pop_all()
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._stack.__exit__(kind, error, trace)
+        self._writer = stack.enter_context(WriteBehind(threads, self._behind + threads))
+        if self._targets.video is not None:
+            height, width = self._display.shape
+            video = VideoWriter(self._targets.video, width, height, self._fps, self._look)
+            self._video = stack.enter_context(video)
 
     @property
     def shows(self) -> bool:

@@ -9,7 +9,8 @@ from dataclasses import replace
 from exwarp_cli.domain.cuts import Cut
 from exwarp_cli.domain.settings import SourceSettings
 from exwarp_cli.errors import UsageError
-from exwarp_cli.pipeline.loading import IntervalLoader, Loaded
+from exwarp_cli.pipeline.loaded import Loaded
+from exwarp_cli.pipeline.loading import IntervalLoader
 from exwarp_cli.pipeline.opening import each_view
 from exwarp_cli.pipeline.recipes import Recipes
 from exwarp_cli.pipeline.source import Source, open_source

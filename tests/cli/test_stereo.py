@@ -11,6 +11,7 @@ import OpenEXR
 import pytest
 
 from exwarp_cli.io.frames import read_image
+from exwarp_cli.pipeline import recipes
 from tests.cli import shots
 from tests.stereo_layouts import LAYOUTS
 from tests.stereo_shots import EYES, arguments, eyes_at, write_stereo
@@ -98,6 +99,18 @@ class TestStructure:
                     assert made.get(name) == wanted.get(name)
         # Measured: 33 dB of softsplat, 29 of s6; the other eye's truth is 20 dB away.
         assert min(scores(out, view) for view in EYES) > 27
+
+    def test_all_views_digest_their_files_once(self, single, upsample, monkeypatch, tmp_path):
+        seen: list[Path] = []
+        true = recipes.file_digest
+
+        def file_digest(path: Path) -> str:
+            seen.append(path)
+            return true(path)
+
+        monkeypatch.setattr(recipes, "file_digest", file_digest)
+        upsample(single, tmp_path / "out", "-m", "softsplat", "--view", "all")
+        assert sorted(seen) == sorted(single.iterdir())
 
     def test_one_view_is_that_part_of_all(self, stereo, upsample, tmp_path):
         more = ("-m", "softsplat", "--layers", "all", "--no-tail")

@@ -10,7 +10,7 @@ import pytest
 
 from exwarp_cli.domain.frame import GBuffer, Window
 from exwarp_cli.pipeline import observing
-from exwarp_cli.pipeline.loading import Observed
+from exwarp_cli.pipeline.loaded import Observed
 from exwarp_cli.pipeline.observing import Observer, with_ids
 from exwarp_cli.policy.features import count_objects, observe
 from exwarp_cli.synthesis.geometry import settle_motion

@@ -12,7 +12,8 @@ import pytest
 from exwarp_cli.domain.frame import GBuffer, KeyFrame, Window
 from exwarp_cli.pipeline import geometry
 from exwarp_cli.pipeline.geometry import Staging
-from exwarp_cli.pipeline.loading import Loaded, Older, without_surface
+from exwarp_cli.pipeline.instants import without_surface
+from exwarp_cli.pipeline.loaded import Loaded, Older
 from exwarp_cli.synthesis.interval import Interval
 from tests.unit.filled import Filled
 from tests.unit.scenes import View, town

@@ -15,7 +15,7 @@ from exwarp_cli.domain.results import Score
 from exwarp_cli.pipeline.bench.opened import Opened
 from exwarp_cli.pipeline.bench.pictures import FIXED_PATHS, makers_of, names_of
 from exwarp_cli.pipeline.bench.scoring import MIDDLE, Scored, Scores
-from exwarp_cli.pipeline.loading import Loaded
+from exwarp_cli.pipeline.loaded import Loaded
 from exwarp_cli.pipeline.scoring import SLOTS, steps_of
 from exwarp_cli.policy.outcomes import METRICS as JUDGED
 from exwarp_cli.policy.outcomes import best_psnr, best_return, returns

@@ -21,7 +21,8 @@ from exwarp_cli.io.vmaf import require_size
 from exwarp_cli.pipeline.bench.pictures import Pictures
 from exwarp_cli.pipeline.bench.plan import Subject
 from exwarp_cli.pipeline.geometry import Staging
-from exwarp_cli.pipeline.loading import IntervalLoader, Loaded
+from exwarp_cli.pipeline.loaded import Loaded
+from exwarp_cli.pipeline.loading import IntervalLoader
 from exwarp_cli.pipeline.observing import Observer
 from exwarp_cli.pipeline.scoring import SLOTS
 from exwarp_cli.pipeline.source import open_source

@@ -17,7 +17,7 @@ from typing import Any
 from exwarp_cli.domain.bench import POLICY, TIMED
 from exwarp_cli.pipeline.bench.opened import Opened
 from exwarp_cli.pipeline.bench.pictures import FIXED_PATHS, Pictures, names_of
-from exwarp_cli.pipeline.loading import Loaded
+from exwarp_cli.pipeline.loaded import Loaded
 from exwarp_cli.pipeline.scoring import SLOTS
 from exwarp_cli.synthesis.geometry import unmatched
 from exwarp_cli.synthesis.interval import Interval
