@@ -1,7 +1,7 @@
 """A stereo shot in the layouts of different writers, from one that Blender wrote.
 
 `python -m tests.stereo_layouts FROM TO` makes a folder of `LAYOUTS` each in TO, of the frames in
-FROM: those that `tests/blender_stereo.py` renders, or any with a part for every pass and view.
+FROM: those that `tests/blender/stereo_shot.py` renders, or any with a part for every pass and view.
 """
 
 from __future__ import annotations

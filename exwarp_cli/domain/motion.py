@@ -8,8 +8,9 @@ import numpy as np
 
 from exwarp_cli.domain.frame import Float32
 
-MIDDLE = 0.5, 0.01
-"""Middle of a range from 0 to 1, and how far from it 8 bits may put it: 127 / 255, 128 / 255."""
+MIDDLE, ABOUT = 0.5, 0.01
+"""What stands for no motion in vectors that were clamped to 0 … 1, and how far from it 8 bits may
+put it: 127 / 255, 128 / 255."""
 
 
 @dataclass(frozen=True)
@@ -55,8 +56,7 @@ class AxisMap:
         a range from 0 to 1.
         """
         axes = []
-        middle, about = MIDDLE
-        clipped = self.length is None and abs(self.still - middle) < about
+        clipped = self.length is None and abs(self.still - MIDDLE) < ABOUT
         pairs = ((self.x_channel, self.x_scale), (self.y_channel, self.y_scale))
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             for channel, scale in pairs:

@@ -15,7 +15,7 @@ import numpy as np
 
 from exwarp_cli.domain.motion import AxisMap, MotionConvention, MotionFinding
 from exwarp_cli.errors import MotionError
-from exwarp_cli.synthesis.evidence import CLEARLY_BETTER, Evidence, Key, gathered
+from exwarp_cli.synthesis.evidence import CLEARLY_BETTER, Evidence, Key, channel_pairs, gathered
 from exwarp_cli.synthesis.probing import Instant
 
 TIE_RATIO, TIE_FLOOR = 1.1, 0.01
@@ -62,11 +62,11 @@ def calibrate(
     if max(e.still() for e in measured.values()) < STILL_ERROR:
         return _untested(guess, f"frames {frames} hold too little motion to measure")
     written = {key: e for key, e in measured.items() if not e.empty}
-    if written and {channels for channels, _ in written} != set(_pairs(names)):
+    if written and {channels for channels, _ in written} != set(channel_pairs(names)):
         kept = {channels for channels, _ in written}
         measured = {key: e for key, e in measured.items() if key[0] in kept}
         return _settled(measured, _without(guess, kept), names, frames, kept)
-    return _settled(measured, guess, names, frames, _pairs(names))
+    return _settled(measured, guess, names, frames, channel_pairs(names))
 
 
 def _settled(
@@ -85,16 +85,11 @@ def _settled(
             better = scaled.error * CLEARLY_BETTER + TIE_FLOOR < verdict.error
             verdict = scaled if scaled.explains and better else verdict
     found = verdict.finding(measured, guess, names, frames)
-    lost = [f"{names[x]},{names[y]}" for x, y in _pairs(names) if (x, y) not in kept]
+    lost = [f"{names[x]},{names[y]}" for x, y in channel_pairs(names) if (x, y) not in kept]
     if not lost:
         return found
     said = f"{found.evidence}; {' and '.join(lost)} hold no vectors and are left out"
     return replace(found, evidence=said)
-
-
-def _pairs(names: tuple[str, ...]) -> list[tuple[int, int]]:
-    """Return the pairs of channels that may be one direction's."""
-    return [(first, first + 1) for first in range(0, len(names) - 1, 2)]
 
 
 def _without(

@@ -27,7 +27,6 @@ CLEARLY_BETTER, CLEAR_FLOOR = 1.25, 0.01
 """A usual scale stands unless another near it has an error that is smaller by this ratio, and
 more."""
 
-
 ALPHA = ("a", "alpha")
 """Names of a channel that others are premultiplied by."""
 
@@ -128,6 +127,11 @@ def _kind(axis_map: AxisMap) -> tuple[object, ...]:
     )
 
 
+def channel_pairs(names: tuple[str, ...]) -> list[tuple[int, int]]:
+    """Return the pairs of channels that may be one direction's."""
+    return [(first, first + 1) for first in range(0, len(names) - 1, 2)]
+
+
 def gathered(
     pairs: Sequence[tuple[Instant, Instant]], names: tuple[str, ...]
 ) -> dict[Key, Evidence]:
@@ -140,8 +144,7 @@ def gathered(
         else (odd, None)
     )
     out: dict[Key, Evidence] = {}
-    for first in range(0, len(names) - len(names) % 2, 2):
-        channels = (first, first + 1)
+    for channels in channel_pairs(names):
         used = [*channels, *(index for index in more if index is not None)]
         for later in (False, True):
             evidence = Evidence(channels, later, (width, height), more)

@@ -36,6 +36,12 @@ def blend_by_depth(before: Warped, after: Warped, time: float) -> Float32:
     return fill_background(Warped(out, depth, hole, before.fringe & after.fringe))
 
 
+def cross_fade(before: Float32, after: Float32, time: float) -> Float32:
+    """Mix two layers [H, W, C] at a time, 0 to 1; what is not finite is filled from around."""
+    first, second = repair(before), repair(after)
+    return (first + np.float32(time) * (second - first)).astype(np.float32)
+
+
 def as_shown(pixels: Float32) -> Float32:
     """Return scene-linear colour [H, W, 3 or 4] by the sRGB curve, alpha as it is.
 

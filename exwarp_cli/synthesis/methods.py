@@ -7,13 +7,17 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from functools import partial
 
-import numpy as np
-
 from exwarp_cli.domain.decision import EXTRAPOLATE, HOLD, PATHS, WARP
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.domain.interpolator import INTERPOLATE
 from exwarp_cli.domain.results import FrameKind
-from exwarp_cli.synthesis.interpolate import as_light, as_shown, between, blend_by_depth
+from exwarp_cli.synthesis.interpolate import (
+    as_light,
+    as_shown,
+    between,
+    blend_by_depth,
+    cross_fade,
+)
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.warp import fill_background, repair, warp
 
@@ -161,9 +165,8 @@ def _blend(interval: Interval, slot: int) -> Predicted:
     """Cross-fade the key frames."""
     if interval.following is None:
         return _causal(interval, slot)
-    share = np.float32(interval.time(slot))
-    before, after = repair(interval.key.image.pixels), repair(interval.following.image.pixels)
-    pixels = (before + share * (after - before)).astype(np.float32)
+    frames = (interval.key.image.pixels, interval.following.image.pixels)
+    pixels = cross_fade(*frames, interval.time(slot))
     sources = (interval.key.number, interval.following.number)
     return Predicted(pixels, FrameKind.GENERATED, "blend", sources, WARP)
 

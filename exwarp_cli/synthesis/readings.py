@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.domain.motion import AxisMap
+from exwarp_cli.domain.motion import MIDDLE, AxisMap
 
 F64 = npt.NDArray[np.float64]
 
@@ -23,9 +23,6 @@ TIME_SCALES = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 0.5, 0.25)
 
 SHARES = (1.0, 0.5, 2.0)
 """Vectors are normalised to the frame, to half of it, or to twice it."""
-
-MIDDLE = 0.5
-"""What stands for no motion in vectors that were clamped to 0 … 1."""
 
 USUAL = 0.75
 """Share of pixels that must look like a form: silhouettes are mixtures of two vectors."""

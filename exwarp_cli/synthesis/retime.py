@@ -20,7 +20,7 @@ from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.kernels import nearest
 from exwarp_cli.synthesis.camera import scene_of
 from exwarp_cli.synthesis.geometry import SlotField, depth_of, stands_still, unmatched
-from exwarp_cli.synthesis.interpolate import blend_by_depth
+from exwarp_cli.synthesis.interpolate import blend_by_depth, cross_fade
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import Predicted
 from exwarp_cli.synthesis.sources import Sources, in_place, moved_between, moved_from
@@ -288,9 +288,3 @@ def retiming(interval: Interval, slot: int, shown: Predicted) -> Retiming:
     assert following.gbuffer is not None
     depths = depth_of(key), depth_of(following.gbuffer)
     return Retiming(Manner.BLEND, time, moved_between(back, forward, depths, time), back, forward)
-
-
-def cross_fade(before: Float32, after: Float32, time: float) -> Float32:
-    """Mix two layers [H, W, C] at a time, 0 to 1; what is not finite is filled from around."""
-    first, second = repair(before), repair(after)
-    return (first + np.float32(time) * (second - first)).astype(np.float32)

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from exwarp_cli.domain.frame import Bool, Float32, Int32
-from exwarp_cli.kernels import fill, nearest
+from exwarp_cli.kernels import nearest
 from exwarp_cli.synthesis.geometry import SlotField
-from exwarp_cli.synthesis.warp import BEYOND, FILL_REACH
+from exwarp_cli.synthesis.warp import look_around
 
 FROM_KEY = np.float32(0)
 """Time at which the key frame before has all the weight."""
@@ -64,12 +64,9 @@ def moved_from(back: SlotField, key: Float32) -> Sources:
     key
         float32 [H, W]: the depth of the key frame's pixels, +inf background.
     """
-    nothing = SlotField(
-        np.zeros((0, 0, 2), np.float32),
-        np.zeros((0, 0), np.float32),
-        *(np.zeros((0, 0), np.bool_),) * 2,
-    )
-    return _chosen(_side(back, key), _side(nothing, nothing.depth), FROM_KEY)
+    depth, mask = np.zeros((0, 0), np.float32), np.zeros((0, 0), np.bool_)
+    nothing = np.zeros((0, 0, 2), np.float32), depth, depth, mask, mask
+    return _chosen(_side(back, key), nothing, FROM_KEY)
 
 
 def moved_between(
@@ -101,12 +98,7 @@ def _chosen(before: nearest.Side, after: nearest.Side, time: np.float32) -> Sour
     later, hole = np.empty(shape, np.bool_), np.empty(shape, np.bool_)
     nearest.choose(before, after, time, pixel, later, depth, hole)
     if hole.any():
-        finite = depth[np.isfinite(depth) & ~hole]
-        cap = BEYOND * float(finite.max()) if finite.size else 1.0
-        reach = min(int(FILL_REACH * max(shape)) + 1, 32000)
-        steps = np.empty((len(fill.WAYS), *shape), np.int16)
-        fill.look(hole, reach, steps)
-        nearest.adopt(pixel, later, depth, hole, np.float32(cap), steps)
+        nearest.adopt(pixel, later, depth, hole, *look_around(depth, hole))
     return Sources(pixel, later, hole)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from exwarp_cli.domain.frame import Bool, Float32, broken_pixels
 from exwarp_cli.kernels import fill, gather
@@ -93,12 +94,32 @@ def fill_background(warped: Warped) -> Float32:
     """
     if not warped.hole.any():
         return warped.pixels
-    finite = warped.depth[np.isfinite(warped.depth) & ~warped.hole]
-    cap = BEYOND * float(finite.max()) if finite.size else 1.0
-    height, width, _ = warped.pixels.shape
-    reach = min(int(FILL_REACH * max(height, width)) + 1, 32000)
-    steps = np.empty((len(fill.WAYS), height, width), np.int16)
-    fill.look(warped.hole, reach, steps)
+    cap, steps = look_around(warped.depth, warped.hole)
     out = np.empty_like(warped.pixels)
-    fill.fill(warped.pixels, warped.depth, warped.hole, np.float32(cap), steps, out)
+    fill.fill(warped.pixels, warped.depth, warped.hole, cap, steps, out)
     return out
+
+
+def look_around(depth: Float32, hole: Bool) -> tuple[np.float32, npt.NDArray[np.int16]]:
+    """Look for what is visible around holes.
+
+    Parameters
+    ----------
+    depth
+        float32 [H, W] of the surface shown, +inf background; NaN where nothing is known.
+    hole
+        bool [H, W].
+
+    Returns
+    -------
+    cap
+        Depth at which everything further counts as equally far, scene units.
+    steps
+        int16 [8, H, W], from :func:`exwarp_cli.kernels.fill.look`.
+    """
+    finite = depth[np.isfinite(depth) & ~hole]
+    cap = BEYOND * float(finite.max()) if finite.size else 1.0
+    reach = min(int(FILL_REACH * max(hole.shape)) + 1, 32000)
+    steps = np.empty((len(fill.WAYS), *hole.shape), np.int16)
+    fill.look(hole, reach, steps)
+    return np.float32(cap), steps

@@ -21,7 +21,6 @@ from exwarp_cli.domain.frame import Float32
 from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.io.frame_files import read_picture
-from exwarp_cli.io.frames import read_image
 from exwarp_cli.io.sequence import find_sequence
 from exwarp_cli.metrics.registry import METRICS, score
 from exwarp_cli.pipeline.upsample import upsample
@@ -79,20 +78,14 @@ def _frames(spec: str) -> list[Float32]:
 
 
 def _shown(path: Path) -> Float32:
-    image = read_image(path)
+    image = read_picture(path)
     return np.ascontiguousarray(image.on(image.display_window).pixels[..., :3])
 
 
 def _own(method: str, keys: str, gbuffers: str | None, count: int) -> Frames:
     """Make frames with exwarp, through files as a user does."""
     with tempfile.TemporaryDirectory(prefix="exwarp-bench-") as folder:
-        settings = UpsampleSettings(SourceSettings(keys, gbuffers), folder, method)
-        records = upsample(settings).frames
-        return {
-            (index // FACTOR, record.slot): _shown(Path(folder) / record.file)
-            for index, record in enumerate(records)
-            if record.slot and index // FACTOR < count - 1
-        }
+        return _upsampled(UpsampleSettings(SourceSettings(keys, gbuffers), folder, method), count)
 
 
 def _estimated(keys: Sequence[Float32]) -> Frames:
@@ -102,12 +95,16 @@ def _estimated(keys: Sequence[Float32]) -> Frames:
         stills.mkdir()
         for number, linear in enumerate(keys, 1):
             Image.fromarray(to_bytes(linear)).save(stills / f"key.{number:04d}.png")
-        records = upsample(UpsampleSettings(SourceSettings(str(stills)), str(out))).frames
-        return {
-            (index // FACTOR, record.slot): read_picture(out / record.file).pixels
-            for index, record in enumerate(records)
-            if record.slot and index // FACTOR < len(keys) - 1
-        }
+        return _upsampled(UpsampleSettings(SourceSettings(str(stills)), str(out)), len(keys))
+
+
+def _upsampled(settings: UpsampleSettings, count: int) -> Frames:
+    """Read what is made between so many key frames."""
+    return {
+        (index // FACTOR, record.slot): _shown(Path(settings.output) / record.file)
+        for index, record in enumerate(upsample(settings).frames)
+        if record.slot and index // FACTOR < count - 1
+    }
 
 
 def _mean(frames: Frames, truth: Frames, slots: list[tuple[int, int]]) -> dict[str, float]:

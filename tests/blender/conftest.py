@@ -31,9 +31,9 @@ def blender() -> str:
 
 @pytest.fixture(scope="session")
 def script(blender) -> Script:
-    """Run a scene's script."""
+    """Run a scene's script by its name, or any by its path; both go without the suffix."""
 
-    def run(name: str, *options: object) -> subprocess.CompletedProcess[str]:
+    def run(name: str | Path, *options: object) -> subprocess.CompletedProcess[str]:
         command = [blender, str(SCRIPTS / f"{name}.py"), *map(str, options)]
         return subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
 

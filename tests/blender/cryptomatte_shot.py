@@ -102,16 +102,16 @@ def _movers(last: int) -> None:
     motion.keyed(mesh.object(AWKWARD), lambda t: ((-0.4, 1.6, 1.9), (0, 0, math.pi * t)), last)
 
 
-def shoot(out: Path, keys: int, chosen: argparse.Namespace) -> None:
-    """Render keys and truth."""
-    last = (keys - 1) * STEP
+def shoot(chosen: argparse.Namespace) -> None:
+    """Render keys and truth, as `main` reads the command line."""
+    last = (chosen.keys - 1) * STEP
     for folder, step in (("keys", STEP), ("truth", 1)):
         build(last)  # anew, as Blender may crash when passes change
         product = render.Product(step, PASSES, True, chosen.samples)
         _settle(chosen.resolution, product)
-        (out / folder).mkdir(parents=True, exist_ok=True)
+        (chosen.out / folder).mkdir(parents=True, exist_ok=True)
         for frame in range(last // step + 1):
-            target = (out / folder / f"{NAME}.{frame + 1:04d}.exr").resolve()
+            target = (chosen.out / folder / f"{NAME}.{frame + 1:04d}.exr").resolve()
             if not target.exists():
                 render.render(frame * step, product, target, 1000)
             sys.stdout.write(f"{target}\n")
@@ -139,8 +139,7 @@ def main() -> None:
     parser.add_argument("--resolution", type=size, default=(160, 90))
     parser.add_argument("--samples", type=count, default=8)
     parser.add_argument("--keys", type=count, default=5)
-    chosen = parser.parse_args()
-    shoot(chosen.out, chosen.keys, chosen)
+    shoot(parser.parse_args())
 
 
 if __name__ == "__main__":

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -16,16 +15,15 @@ from tests.unit.cryptomatte_files import found_in, ranks_in
 
 pytestmark = [pytest.mark.blender, pytest.mark.slow]
 
-SCRIPT = Path(__file__).with_name("cryptomatte_shot.py")
+SCRIPT = Path(__file__).with_name("cryptomatte_shot")
 MOVERS = {"ball", "car", "car wheel.001", "car wheel.002", 'Würfel "B"\\2'}
 STANDING = {"ground", "house left", "house right", "fence", "pane"}
 
 
 @pytest.fixture(scope="module")
-def keys(blender, tmp_path_factory) -> list[Path]:
+def keys(script, tmp_path_factory) -> list[Path]:
     folder = tmp_path_factory.mktemp("crypto")
-    command = [blender, str(SCRIPT), str(folder), "--resolution", "96x54", "--keys", "2"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
+    done = script(SCRIPT, folder, "--resolution", "96x54", "--keys", 2)
     assert done.returncode == 0, done.stderr
     return sorted((folder / "keys").iterdir())
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -16,14 +15,13 @@ from tests.stereo_layouts import convert, read_eyes
 
 pytestmark = [pytest.mark.blender, pytest.mark.slow]
 
-SCRIPT = Path(__file__).with_name("stereo_shot.py")
+SCRIPT = Path(__file__).with_name("stereo_shot")
 
 
 @pytest.fixture(scope="module")
-def shot(blender, tmp_path_factory) -> Path:
+def shot(script, tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("stereo")
-    command = [blender, str(SCRIPT), str(folder), "--resolution", "96x54", "--keys", "2"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
+    done = script(SCRIPT, folder, "--resolution", "96x54", "--keys", 2)
     assert done.returncode == 0, done.stderr
     return folder
 

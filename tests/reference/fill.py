@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 WAYS = [(dy, dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1) if (dy, dx) != (0, 0)]
@@ -11,16 +13,22 @@ def look(hole: np.ndarray, reach: int) -> np.ndarray:
     """Return the steps to the first visible pixel in eight ways, int [8, H, W]."""
     height, width = hole.shape
     out = np.zeros((8, height, width), int)
-    for way, (dy, dx) in enumerate(WAYS):
-        for i, j in zip(*np.nonzero(hole), strict=True):
-            for step in range(1, reach + 1):
-                y, x = i + dy * step, j + dx * step
-                if not (0 <= y < height and 0 <= x < width):
-                    break
-                if not hole[y, x]:
-                    out[way, i, j] = step
-                    break
+    for i, j in zip(*np.nonzero(hole), strict=True):
+        for way, step, _, _ in seen_from(i, j, hole, reach):
+            out[way, i, j] = step
     return out
+
+
+def seen_from(i: int, j: int, hole: np.ndarray, reach: int) -> Iterator[tuple[int, int, int, int]]:
+    """The first visible pixel in each way that has one: the way, the steps, row and column."""
+    for way, (dy, dx) in enumerate(WAYS):
+        for step in range(1, reach + 1):
+            y, x = i + dy * step, j + dx * step
+            if not (0 <= y < hole.shape[0] and 0 <= x < hole.shape[1]):
+                break
+            if not hole[y, x]:
+                yield way, step, y, x
+                break
 
 
 def fill(
@@ -35,15 +43,8 @@ def fill(
     out = image.astype(np.float64)
     for i, j in zip(*np.nonzero(hole), strict=True):
         seen = []
-        for dy, dx in WAYS:
-            for step in range(1, reach + 1):
-                y, x = i + dy * step, j + dx * step
-                if not (0 <= y < hole.shape[0] and 0 <= x < hole.shape[1]):
-                    break
-                if not hole[y, x]:
-                    distance = np.hypot(dy * step, dx * step)
-                    seen.append((y, x, distance, min(float(depth[y, x]), cap)))
-                    break
+        for _, _, y, x in seen_from(i, j, hole, reach):
+            seen.append((y, x, np.hypot(y - i, x - j), min(float(depth[y, x]), cap)))
         wanted = min(float(depth[i, j]), cap)
         power = powers[0]
         if np.isnan(depth[i, j]):

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from tests.reference.fill import WAYS
+from tests.reference.fill import seen_from
 
 FRINGE = 0.02
 SAME_DEPTH = 0.1
@@ -70,16 +70,10 @@ def adopt(chosen: tuple[np.ndarray, ...], cap: float, reach: int) -> tuple[np.nd
     pixel, later, depth, hole = chosen
     out, side = pixel.copy(), later.copy()
     for i, j in zip(*np.nonzero(hole), strict=True):
-        seen = []
-        for dy, dx in WAYS:
-            for step in range(1, reach + 1):
-                y, x = i + dy * step, j + dx * step
-                if not (0 <= y < hole.shape[0] and 0 <= x < hole.shape[1]):
-                    break
-                if not hole[y, x]:
-                    far = min(float(depth[y, x]), cap)
-                    seen.append((step**2 * (dy**2 + dx**2), far, y, x))
-                    break
+        seen = [
+            ((y - i) ** 2 + (x - j) ** 2, min(float(depth[y, x]), cap), y, x)
+            for _, _, y, x in seen_from(i, j, hole, reach)
+        ]
         wanted = min(float(depth[i, j]), cap)
         if math.isnan(depth[i, j]):
             wanted = max((far for _, far, *_ in seen), default=0.0)

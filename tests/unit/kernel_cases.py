@@ -13,6 +13,12 @@ import numpy as np
 from tests.unit import kernel_calls as calls
 
 SHAPE = (37, 15)  # more rows than one band of the splat
+NOTHING = (
+    np.zeros((0, 0, 2), np.float32),
+    *(np.zeros((0, 0), np.float32),) * 2,
+    *(np.zeros((0, 0), np.bool_),) * 2,
+)
+"""What `seen_by` has, where there is no key frame."""
 
 
 def field(seed: int, spread: float = 2.0) -> np.ndarray:
@@ -133,10 +139,8 @@ def seen_by(seed: int) -> calls.Arrays:
 
 def choose(serial: bool) -> calls.Arrays:
     """With two key frames, and with one."""
-    none = (np.zeros((0, 0, 2), np.float32), *(np.zeros((0, 0), np.float32),) * 2)
-    none += (np.zeros((0, 0), np.bool_),) * 2
     both = calls.chosen(seen_by(50), seen_by(52), 0.5, serial)
-    return both + calls.chosen(seen_by(54), none, 0.0, serial)
+    return both + calls.chosen(seen_by(54), NOTHING, 0.0, serial)
 
 
 def adopt(serial: bool) -> calls.Arrays:

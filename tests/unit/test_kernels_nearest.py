@@ -8,13 +8,9 @@ import pytest
 from tests.reference import nearest as naive
 from tests.unit import kernel_cases as cases
 from tests.unit.kernel_calls import adopted, chosen, surface_sampled
+from tests.unit.kernel_cases import NOTHING
 
 SHAPE = (6, 9)
-NOTHING = (
-    np.zeros((0, 0, 2), np.float32),
-    *(np.zeros((0, 0), np.float32),) * 2,
-    *(np.zeros((0, 0), np.bool_),) * 2,
-)
 PIXELS = np.arange(SHAPE[0] * SHAPE[1]).reshape(SHAPE)
 
 
