@@ -26,10 +26,14 @@ COMMANDS = {
     "inspect": "Show what a sequence holds and how its motion is read.",
     "features": "Print what the policy sees of a sequence, as CSV.",
     "compare": "Score a sequence against ground truth.",
+    "merge-reports": "Join the reports of chunks into one.",
+    "farm": "Write jobs for render farms, and lists of chunks.",
     "bench": "Measure all methods: every table and figure of the paper.",
     "train": "Train the networks on rendered scenes (extra: train).",
     "models": "Make networks of others fit for upsample.",
     "policy": "Look into the learned policy and its accelerator.",
+    "doctor": "Check the installation.",
+    "completion": "Print what completes commands and options in a shell.",
 }
 """Every command by its module in `exwarp_cli.commands`, with what ``exwarp --help`` says of it."""
 
@@ -52,7 +56,7 @@ class LazyGroup(click.Group):
         """Import a command."""
         if cmd_name not in COMMANDS:
             return None
-        module = importlib.import_module(f"exwarp_cli.commands.{cmd_name}")
+        module = importlib.import_module(f"exwarp_cli.commands.{cmd_name.replace('-', '_')}")
         command: click.Command = module.command
         return command
 

@@ -13,6 +13,8 @@
         OutputExistsError       6   frames in the way, without --overwrite or --skip-existing
       MissingExtraError         7   an optional dependency that is not installed
       QualityError              8   a quality worse than a limit that the user set
+      ClusterError              9   a cluster that cannot be reached, or that loses its workers
+      InstallationError        10   an installation in which something does not work
 
 A message says what is wrong, where (the file, frame or option), and what to do about it, in one
 sentence. Exit code 1 is left for defects of ExWarp itself, 130 means interrupted by the user.
@@ -81,3 +83,15 @@ class QualityError(ExwarpError):
     """A quality is worse than a limit that the user set; everything else went well."""
 
     exit_code = 8
+
+
+class ClusterError(ExwarpError):
+    """A cluster cannot be reached, cannot do the work, or loses its workers."""
+
+    exit_code = 9
+
+
+class InstallationError(ExwarpError):
+    """Something that ExWarp needs does not work on this machine."""
+
+    exit_code = 10

@@ -1,0 +1,8 @@
+"""``exwarp completion``: under construction."""
+
+import click
+
+
+@click.command("completion")
+def command() -> None:
+    """Under construction."""

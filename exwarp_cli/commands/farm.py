@@ -1,0 +1,8 @@
+"""``exwarp farm``: under construction."""
+
+import click
+
+
+@click.command("farm")
+def command() -> None:
+    """Under construction."""

@@ -1,0 +1,1 @@
+"""Many machines: chunks of a sequence, job templates for render farms, and a cluster."""
