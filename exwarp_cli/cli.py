@@ -7,19 +7,24 @@ from __future__ import annotations
 
 import importlib
 import os
+import re
 import signal
 import sys
 import threading
 import traceback
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from types import FrameType
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 import click
 
 from exwarp_cli import __version__
+from exwarp_cli.domain.line import one_line
 from exwarp_cli.errors import INTERRUPTED, ExwarpError
+
+if TYPE_CHECKING:
+    from click.shell_completion import CompletionItem
 
 COMMANDS = {
     "upsample": "Write four frames for every rendered one.",
@@ -36,6 +41,19 @@ COMMANDS = {
     "completion": "Print what completes commands and options in a shell.",
 }
 """Every command by its module in `exwarp_cli.commands`, with what ``exwarp --help`` says of it."""
+
+EPILOG = """Run 'exwarp COMMAND --help' for the options of a command.
+
+Options may also stand in exwarp.toml, in the table of their command ([upsample] method =
+"softsplat"; paths are relative to the file), or in the environment
+(EXWARP_UPSAMPLE_METHOD=softsplat; switches are 1 or 0, several values have ';' between).
+The command line wins over the environment, that over the file of this folder or the nearest above,
+that over USERS_FILE. --no-NAME takes back what these say of --NAME, and 'exwarp doctor' shows it.
+
+Exit codes: 0 done, 2 options, 3 input, 4 motion convention unknown, 5 output, 6 frames in the way,
+7 missing extra, 8 quality below a limit, 9 cluster, 10 installation, 130 interrupted, 143
+terminated, 1 a defect of ExWarp.
+""".replace("USERS_FILE", f"{click.get_app_dir('exwarp')}/exwarp.toml")
 
 DEFECT = 1
 TERMINATED = 128 + signal.SIGTERM
@@ -56,15 +74,18 @@ class LazyGroup(click.Group):
         """Import a command."""
         if cmd_name not in COMMANDS:
             return None
+        from exwarp_cli.commands.configured import configured
+
         module = importlib.import_module(f"exwarp_cli.commands.{cmd_name.replace('-', '_')}")
-        command: click.Command = module.command
-        return command
+        return configured(module.command, (cmd_name,))
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """Find the command that the arguments name."""
         if args[0] not in COMMANDS:
+            if ctx.resilient_parsing:  # a shell asks for completions, and there are none
+                return args[0], click.Command(args[0]), []
             ctx.fail(f"there is no command {args[0]!r}; the commands are {', '.join(COMMANDS)}")
         return super().resolve_command(ctx, args)
 
@@ -73,16 +94,34 @@ class LazyGroup(click.Group):
         with formatter.section("Commands"):
             formatter.write_dl(list(COMMANDS.items()))
 
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        """Offer the commands without importing any, or the options."""
+        from click.shell_completion import CompletionItem
+
+        commands = [
+            CompletionItem(name, help=text)
+            for name, text in COMMANDS.items()
+            if name.startswith(incomplete)
+        ]
+        return commands + click.Command.shell_complete(self, ctx, incomplete)
+
 
 @click.group(
     cls=LazyGroup,
     invoke_without_command=True,
     context_settings={"help_option_names": ["-h", "--help"]},
-    epilog="Run 'exwarp COMMAND --help' for the options of a command.",
+    epilog=EPILOG,
+)
+@click.option(
+    "--config",
+    type=click.Path(),
+    metavar="FILE",
+    help="TOML file to take options from, or none; else EXWARP_CONFIG, or exwarp.toml in this "
+    "folder or one above.",
 )
 @click.version_option(__version__, prog_name="exwarp", message="%(prog)s %(version)s")
 @click.pass_context
-def exwarp(ctx: click.Context) -> None:
+def exwarp(ctx: click.Context, config: str | None) -> None:
     """Upsample rendered EXR sequences to four times their frame rate."""
     if ctx.invoked_subcommand is None:
         click.echo(ctx.get_help())
@@ -100,14 +139,15 @@ def main() -> NoReturn:
 
 def run(args: list[str]) -> int:
     """Run a command line and return the exit code; errors are printed to stderr."""
+    origins: dict[str, str] = {}  # of options that files and the environment set, by name
     try:
         with _terminable():
-            result = exwarp.main(args, prog_name="exwarp", standalone_mode=False)
+            result = exwarp.main(args, prog_name="exwarp", standalone_mode=False, obj=origins)
         return result if isinstance(result, int) else 0
     except ExwarpError as error:
-        return _fail(str(error), error.exit_code)
+        return _fail(_traced(str(error), origins), error.exit_code)
     except click.ClickException as error:
-        return _fail(_with_hint(error), error.exit_code)
+        return _fail(_with_hint(error, origins), error.exit_code)
     except (click.Abort, KeyboardInterrupt):
         return _fail(f"interrupted; {_afterwards(args)}", INTERRUPTED)
     except Terminated:
@@ -129,21 +169,31 @@ def _afterwards(args: list[str]) -> str:
     return {
         "upsample": "frames written so far are whole, and --skip-existing goes on from there",
         "bench": "what was measured so far is kept, and the same command goes on from there",
-    }.get(next(iter(args), ""), "what was written so far is whole; run the command again")
+    }.get(
+        next((word for word in args if word in COMMANDS), ""),
+        "what was written so far is whole; run the command again",
+    )
 
 
 def _fail(sentence: str, code: int) -> int:
     if os.environ.get("EXWARP_DEBUG", "0") not in ("", "0"):
         traceback.print_exc()
-    click.echo(f"exwarp: error: {sentence}", err=True)
+    click.echo(f"exwarp: error: {one_line(sentence)}", err=True)
     return code
 
 
-def _with_hint(error: click.ClickException) -> str:
+def _with_hint(error: click.ClickException, origins: Mapping[str, str]) -> str:
     """Name the help of the command in whose options the mistake is."""
-    sentence = error.format_message().rstrip(".")
+    sentence = _traced(error.format_message().rstrip("."), origins)
     context = error.ctx if isinstance(error, click.UsageError) else None
     return sentence if context is None else f"{sentence}; see {context.command_path} --help"
+
+
+def _traced(sentence: str, origins: Mapping[str, str]) -> str:
+    """Say where the options that a sentence names were set, if not on the command line."""
+    named = (name for name in origins if re.search(rf"(?<![\w-]){name}(?![\w-])", sentence))
+    where = [f"{name} is set by {origins[name]}" for name in named if origins[name] not in sentence]
+    return "; ".join((sentence, *where))
 
 
 @contextmanager

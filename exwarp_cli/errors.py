@@ -17,7 +17,8 @@
       InstallationError        10   an installation in which something does not work
 
 A message says what is wrong, where (the file, frame or option), and what to do about it, in one
-sentence. Exit code 1 is left for defects of ExWarp itself, 130 means interrupted by the user.
+sentence. Exit code 0 means that all went well, 1 is left for defects of ExWarp itself, 130 means
+interrupted by the user, 143 terminated, as in shells.
 """
 
 from __future__ import annotations

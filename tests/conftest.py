@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 
 from hypothesis import settings
@@ -14,3 +15,9 @@ settings.load_profile("exwarp")
 # from here: the tests that interrupt a command could only wait for its end.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+# What whoever runs the tests has set for themselves is no part of them.
+for name in [name for name in os.environ if name.startswith("EXWARP_")]:
+    if name not in ("EXWARP_ARTEFACTS", "EXWARP_BLENDER", "EXWARP_CHROMIUM"):
+        del os.environ[name]
+os.environ["EXWARP_CONFIG"] = "none"

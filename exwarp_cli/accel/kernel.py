@@ -160,7 +160,7 @@ class MlpKernel:
         if state.dtype != np.int32 or state.shape != self._shape:
             raise ValueError(f"a state is int32 {self._shape}, not {state.dtype} {state.shape}")
         warp, other = decide_one(*self._packed, state, self._width)
-        return (warp, other), int(other > warp)
+        return (int(warp), int(other)), int(other > warp)  # numpy's own where nothing is compiled
 
     def decide_many(self, states: I32) -> tuple[I32, I8]:
         """Run many inferences: of states int32 [N, n], return outputs [N, 2] and choices [N].

@@ -7,10 +7,11 @@ from pathlib import Path
 
 import click
 
+from exwarp_cli.commands.json_option import json_option, print_json
+from exwarp_cli.commands.progress_option import progress_option
 from exwarp_cli.commands.upsample import FrameRate
 from exwarp_cli.domain.bench import SETTINGS, SYSTEMS, BenchSettings
 from exwarp_cli.domain.settings import DEVICES
-from exwarp_cli.pipeline.progress import KINDS
 
 FILE = click.Path(path_type=Path)
 
@@ -53,13 +54,15 @@ FILE = click.Path(path_type=Path)
 @click.option("--clock", default="1GHz", metavar="RATE", help="Of the predictor's hardware.")
 @click.option("--jobs", type=click.IntRange(1), help="Key intervals at a time; default: all cores.")
 @click.option("--device", type=click.Choice(DEVICES), default=DEVICES[0])
-@click.option("--progress", type=click.Choice(KINDS), default=KINDS[0])
+@json_option
+@progress_option
 def command(
     scenes: str | None,
     setting: str,
     systems: str | None,
     metrics: str,
     clock: str,
+    as_json: bool,
     progress: str,
     fps: Fraction | None,
     **options: object,
@@ -67,26 +70,30 @@ def command(
     """Measure every method on DATA, or on SEQUENCE with its ground truth.
 
     DATA is a folder of rendered scenes (several for several resolutions). The output folder gets
-    bench.json, bench.md, report.html and a CSV a table. Stopped at any time, the same command goes
-    on; chunks by --frames into one folder are put together by the same command without it.
+    bench.json (which --json prints too), bench.md, report.html and a CSV a table. Stopped at any
+    time, the same command goes on; chunks by --frames into one folder are put together by the same
+    command without it.
     """
     from exwarp_cli.domain.metric import parse_metrics
     from exwarp_cli.pipeline.accelerator import clock_of
     from exwarp_cli.pipeline.bench.plan import listed, systems_of
     from exwarp_cli.pipeline.bench.work import run_benchmark
-    from exwarp_cli.pipeline.progress import make_progress
-    from exwarp_cli.report.bench.folder import write_benchmark
+    from exwarp_cli.pipeline.progress import reporting
+    from exwarp_cli.report.bench.folder import what_is_where, write_benchmark
 
-    hertz = clock_of(clock)
-    settings = BenchSettings(
-        scenes=listed(scenes),
-        settings=SETTINGS if setting == "both" else (setting,),
-        systems=systems_of(systems),
-        metrics=parse_metrics(metrics),
-        fps=fps,
-        **options,  # type: ignore[arg-type]
-    )
-    told = make_progress(progress)
-    found = run_benchmark(settings, told)
-    for line in write_benchmark(settings.output, found, hertz, told):
+    with reporting(progress, results_on_stdout=as_json) as told:
+        hertz = clock_of(clock)
+        settings = BenchSettings(
+            scenes=listed(scenes),
+            settings=SETTINGS if setting == "both" else (setting,),
+            systems=systems_of(systems),
+            metrics=parse_metrics(metrics),
+            fps=fps,
+            **options,  # type: ignore[arg-type]
+        )
+        written = write_benchmark(settings.output, run_benchmark(settings, told), hertz, told)
+    if as_json:
+        print_json(written)
+        return
+    for line in what_is_where(settings.output):
         click.echo(line)

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING
 
 import click
 
+from exwarp_cli.commands.json_option import json_option, print_json
 from exwarp_cli.commands.metrics_option import metrics_option
+from exwarp_cli.commands.progress_option import HELP
 from exwarp_cli.domain.metric import METRICS
 from exwarp_cli.domain.settings import PRESETS, MeasureSettings
 from exwarp_cli.domain.threshold import Threshold, parse_threshold
@@ -62,12 +64,12 @@ def _limits(
     callback=_limits,
     help="The same for flip, hdr-flip and flicker, of which less is better.",
 )
-@click.option("--json", "as_json", is_flag=True, help="Print JSON instead of a table.")
+@json_option
 @click.option(
     "--progress",
     "progress_kind",
     type=click.Choice(KINDS),
-    help="Default: a bar on a terminal, nothing elsewhere.",
+    help=f"{HELP} Default: a bar on a terminal, nothing elsewhere.",
 )
 def command(
     reference: str,
@@ -91,27 +93,27 @@ def command(
     A's own motion vectors.
     """
     from exwarp_cli.pipeline.evaluate import evaluate
-    from exwarp_cli.pipeline.progress import make_progress
+    from exwarp_cli.pipeline.progress import reporting
     from exwarp_cli.report.compare_page import REFERENCE, TEST
     from exwarp_cli.report.comparison import comparison
     from exwarp_cli.report.folder import prepare_comparison, write_comparison
     from exwarp_cli.report.gallery import Gallery
-    from exwarp_cli.report.summary import to_json
     from exwarp_cli.report.thresholds import require_quality
 
-    if folder is not None:
-        prepare_comparison(folder)
-    progress = make_progress(progress_kind or ("bar" if sys.stderr.isatty() else "none"))
-    measuring = MeasureSettings(metrics, preset, (*fail_below, *fail_above), view)
-    gallery = None if folder is None else Gallery(True, TEST, REFERENCE)
-    result = evaluate(reference, test, frames, holes, progress, measuring, gallery)
-    if folder is not None and gallery is not None:
-        write_comparison(folder, result, gallery.album)
-    if as_json:
-        click.echo(to_json(comparison(result)), nl=False)
-    else:
-        _print(result)
-    require_quality(result)
+    kind = progress_kind or ("bar" if sys.stderr.isatty() else "none")
+    with reporting(kind, results_on_stdout=as_json) as progress:
+        if folder is not None:
+            prepare_comparison(folder)
+        measuring = MeasureSettings(metrics, preset, (*fail_below, *fail_above), view)
+        gallery = None if folder is None else Gallery(True, TEST, REFERENCE)
+        result = evaluate(reference, test, frames, holes, progress, measuring, gallery)
+        if folder is not None and gallery is not None:
+            write_comparison(folder, result, gallery.album)
+        if as_json:
+            print_json(comparison(result))
+        else:
+            _print(result)
+        require_quality(result)
 
 
 def _print(result: Comparison) -> None:

@@ -1,8 +1,113 @@
-"""``exwarp doctor``: under construction."""
+"""``exwarp doctor``: whether this machine can do the work, and what is in force."""
+
+from __future__ import annotations
+
+import json
+import sys
+from importlib.util import find_spec
+from typing import TYPE_CHECKING
 
 import click
 
+if TYPE_CHECKING:
+    from exwarp_cli.domain.checkup import Check
+    from exwarp_cli.report.doctor import Row
+
 
 @click.command("doctor")
-def command() -> None:
-    """Under construction."""
+@click.option("-v", "--verbose", is_flag=True, help="List everything that was found.")
+@click.option(
+    "--skip-self-test",
+    is_flag=True,
+    help="Upsample nothing; where no kernel is compiled yet, that takes a minute.",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print JSON instead of a page.")
+@click.pass_context
+def command(ctx: click.Context, verbose: bool, skip_self_test: bool, as_json: bool) -> None:
+    """Check the installation, and tell what is in force.
+
+    Looks at the machine, the packages, the networks, the codecs and the caches, and upsamples a
+    tiny shot whose every pixel is known. All checks are made, whatever the first ones find; the
+    exit code is 10 if one failed. Warnings tell of what ExWarp can do its work without.
+    """
+    from exwarp_cli.errors import InstallationError
+    from exwarp_cli.pipeline.doctor.examine import examine
+    from exwarp_cli.pipeline.progress import NoProgress
+    from exwarp_cli.report.doctor import failures, heading, rows, verdict
+
+    found = examine(
+        NoProgress().message, not skip_self_test, {"configuration": lambda: _configuration(ctx)}
+    )
+    if as_json:
+        click.echo(json.dumps(found.as_dict(), indent=2))
+    else:
+        _print(heading(found), rows(found, verbose), verdict(found))
+    if found.outcome == "failed":
+        raise InstallationError(failures(found))
+
+
+def _configuration(ctx: click.Context) -> Check:
+    """Tell which options files and the environment set."""
+    from exwarp_cli.commands.configured import configuration
+    from exwarp_cli.domain.checkup import Check, failure, warning
+    from exwarp_cli.pipeline.doctor.environment import variables
+
+    there = configuration(ctx)
+    files = [f"{file.path} ({file.how})" for file in there.files]
+    lines = [
+        f"exwarp {' '.join(one.command)}: {one.option} {one.text} ({one.origin})"
+        for one in there.settings
+    ]
+    lines += [f"{name}={value}" for name, value in variables().items()]
+    facts = {
+        "files": [{"path": str(file.path), "how": file.how} for file in there.files],
+        "settings": [
+            {"command": list(o.command), "option": o.option, "text": o.text, "origin": o.origin}
+            for o in there.settings
+        ],
+        "environment": variables(),
+    }
+    count = len(there.settings)
+    told = ", ".join(files) or "no exwarp.toml"
+    told += f"; {count or 'no'} option{'' if count == 1 else 's'} set"
+    # Other commands only warn of a variable that they do not know; the rest stops them.
+    remarks = (warning(one) if _UNKNOWN in one else failure(one) for one in there.problems)
+    return Check(told, tuple(remarks), facts, tuple(lines))
+
+
+_UNKNOWN = "in the environment is no option of"
+"""Stands in what `configuration` says of such variables."""
+
+
+def _print(heading: str, page: list[Row], verdict: str | None) -> None:
+    """Print the page, in colour and wrapped where somebody looks at it."""
+    from exwarp_cli.report.doctor import plain
+
+    if not sys.stdout.isatty() or find_spec("rich") is None:
+        # At once, so that a reader who goes after the first lines does not break it off.
+        click.echo("\n".join([heading, *plain(page), *([verdict] if verdict else [])]))
+        return
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table.grid(padding=(0, 2))
+    for row in page:
+        style = _STYLES[row.outcome]
+        table.add_row(Text(row.outcome, style, no_wrap=True), row.name, Text(row.found))
+        rest = Table.grid(padding=(0, 1))
+        for text in row.remarks:
+            rest.add_row("-", Text(text, style))
+        for text in row.more:
+            rest.add_row("", Text(text, "dim", overflow="fold"))
+        if rest.row_count:
+            table.add_row("", "", rest)
+    console = Console(highlight=False)
+    console.print(Text(heading))
+    console.print(table)
+    if verdict:
+        console.print(Text(verdict))
+
+
+_STYLES = {"ok": "green", "warning": "yellow", "failed": "bold red", "skipped": "dim"}
+"""Of the outcomes, by name."""

@@ -1,8 +1,236 @@
-"""``exwarp farm``: under construction."""
+"""``exwarp farm``: upsample on machines that something else gives work to."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterator, Mapping
+from dataclasses import fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
+from exwarp_cli.commands import upsample
+from exwarp_cli.commands.group import HelpfulGroup
+from exwarp_cli.commands.json_option import json_option, print_json
+from exwarp_cli.domain.metric import METRICS
+from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
+from exwarp_cli.farm.chunks import DEFAULT_SIZE
 
-@click.command("farm")
+if TYPE_CHECKING:
+    from exwarp_cli.farm.calls import FarmJob
+    from exwarp_cli.farm.command_lines import CommandLines
+    from exwarp_cli.farm.openjd import JobTemplate
+
+HERE_ALONE = frozenset(
+    {"progress", "cluster", "workers", "chunk_size", "dry_run", "as_chunk", "as_json"}
+)
+"""Options of `upsample` that are for a run on this machine, or are set by the farm."""
+
+ADDED = frozenset({"frames", "skip_existing", "overwrite"})
+"""Options of `upsample` that each call gets of its own."""
+
+SCHEMA = "exwarp.chunks/1"
+"""Of what `commands` prints with ``--json``."""
+
+METRIC_OPTIONS = {metric.field: metric.option for metric in METRICS}
+
+
+def _shared() -> list[click.Parameter]:
+    """Return the argument and the options of `upsample` that a farm's job has, too."""
+    return [p for p in upsample.command.params if p.name not in HERE_ALONE]
+
+
+@click.group("farm", cls=HelpfulGroup)
 def command() -> None:
-    """Under construction."""
+    """Write jobs for render farms, and lists of chunks.
+
+    A chunk is a part of the key frames, done by one call of 'exwarp upsample' on any machine; all
+    together write the bytes of a single run. What upsample would refuse is refused here.
+    """
+
+
+def _absolute(_context: click.Context, _parameter: click.Parameter, program: str) -> str:
+    """Complete a path, as workers have another current folder; a name is looked up there."""
+    return str(Path(program).absolute()) if Path(program).name != program else program
+
+
+def _chunk_options(function: Any) -> Any:
+    """Add the options of both commands; each takes `chunk_size`, `program` and `as_json`."""
+    for option in (
+        json_option,
+        click.option(
+            "--command",
+            "program",
+            default="exwarp",
+            show_default=True,
+            metavar="NAME|PATH",
+            callback=_absolute,
+            help="What exwarp is called on the workers.",
+        ),
+        click.option(
+            "--chunk-size",
+            type=click.IntRange(1),
+            default=DEFAULT_SIZE,
+            show_default=True,
+            help="Key frames a chunk.",
+        ),
+    ):
+        function = option(function)
+    return function
+
+
+@command.command("openjd", params=_shared())
+@_chunk_options
+@click.option("--plain", is_flag=True, help="List the chunks, for engines without TASK_CHUNKING.")
+@click.option(
+    "--chunk-seconds",
+    type=click.IntRange(0),
+    default=0,
+    show_default=True,
+    help="Let the engine change the size until chunks take so long; 0 keeps it.",
+)
+@click.option("--name", "title", metavar="TEXT", help="Of the job; else the sequence's.")
+@click.option("--vcpus", type=click.IntRange(1), help="Cores that a worker needs at least.")
+@click.option(
+    "--memory",
+    type=click.FloatRange(0, min_open=True),
+    metavar="GIB",
+    help="Memory that a worker needs at least.",
+)
+@click.option(
+    "--bundle",
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="Write a job bundle there, for 'deadline bundle submit DIR'.",
+)
+def openjd(
+    plain: bool,
+    chunk_seconds: int,
+    title: str | None,
+    vcpus: int | None,
+    memory: float | None,
+    bundle: Path | None,
+    chunk_size: int,
+    program: str,
+    as_json: bool,
+    **options: Any,
+) -> None:
+    """Print a job template of Open Job Description.
+
+    Further options are those of 'exwarp upsample'. Files, key frames and the size of chunks become
+    parameters of the job, which can be changed when it is submitted.
+
+    Save the template in the current folder, 'exwarp farm openjd … > template.yaml': files below it
+    are named relative to the template. Others have to be named at submission; what to add is said.
+    """
+    from exwarp_cli.farm.bundle import write_bundle, yaml_text
+    from exwarp_cli.farm.openjd import Workers, job_template
+
+    job = _open(options, chunk_size, title)
+    gpus = int(options["device"] == "cuda")
+    workers = Workers(program, vcpus, memory, gpus, plain, chunk_seconds)
+    template = job_template(job, workers, Path.cwd() if bundle is None else None)
+    if bundle is not None:
+        write_bundle(bundle, template)
+    _tell(template, job, bundle)
+    if as_json:
+        print_json(template.document)
+    elif bundle is None:
+        click.echo(yaml_text(template.document).encode(), nl=False)  # UTF-8 wherever it goes
+    else:
+        click.echo(f"job bundle in {bundle}: deadline bundle submit {shlex.quote(str(bundle))}")
+
+
+@command.command("commands", params=_shared())
+@_chunk_options
+def commands(chunk_size: int, program: str, as_json: bool, **options: Any) -> None:
+    """Print a command line for each chunk.
+
+    Further options are those of 'exwarp upsample'. The commands may run in any order, side by side,
+    and again; paths in them are absolute. With --report or --video, what to run when all are done
+    is said on stderr.
+    """
+    from exwarp_cli.farm.command_lines import command_lines, shell_line
+
+    lines = command_lines(_open(options, chunk_size, None), program)
+    if as_json:
+        print_json(_document(lines))
+        return
+    for line in [shell_line(words) for _, words in lines.chunks]:
+        click.echo(line)
+    for words in lines.afterwards:
+        _say(f"when all are done: {shell_line(words)}")
+
+
+def _open(options: Mapping[str, Any], chunk_size: int, title: str | None) -> FarmJob:
+    """Look at everything now that the chunks will need."""
+    from exwarp_cli.farm.opening import open_farm_job
+
+    source = SourceSettings(**{f.name: options[f.name] for f in fields(SourceSettings)})
+    own = {f.name: options[f.name] for f in fields(UpsampleSettings) if f.name in options}
+    settings = UpsampleSettings(source, **own)
+    if options["report_folder"] is not None and not settings.overwrite:
+        _refuse_report(options["report_folder"], settings.skip_existing)
+    return open_farm_job(settings, list(_given(options)), chunk_size, title)
+
+
+def _refuse_report(folder: Path, go_on: bool) -> None:
+    """Refuse a folder whose report, or chunks' reports, the job would mix with its own."""
+    from exwarp_cli.errors import OutputExistsError
+    from exwarp_cli.report.folder import REPORT_FILE, chunk_reports
+
+    if not go_on and ((folder / REPORT_FILE).exists() or chunk_reports(folder)):
+        raise OutputExistsError(
+            f"{folder} holds a report already, or those of chunks; give --skip-existing to go on "
+            "with it, --overwrite to replace it, or another --report"
+        )
+
+
+def _given(options: Mapping[str, Any]) -> Iterator[tuple[str, str, str | None]]:
+    """Write down what differs from the defaults, wherever it was set: name, flag and value.
+
+    Defaults are left out, and a worker's environment may set what is of that machine alone.
+    """
+    for parameter in _shared():
+        name, value = str(parameter.name), options[str(parameter.name)]
+        if name in ADDED or value in (None, (), parameter.default):
+            continue
+        if isinstance(parameter, click.Argument):
+            yield name, "", str(value)
+            continue
+        assert isinstance(parameter, click.Option)
+        if parameter.is_flag:
+            yield name, (parameter.opts if value else parameter.secondary_opts)[-1], None
+        elif parameter.multiple:
+            yield from ((name, parameter.opts[-1], str(one)) for one in value)
+        else:
+            yield name, parameter.opts[-1], _text(value)
+
+
+def _text(value: object) -> str:
+    if isinstance(value, tuple):  # what --metrics made of its list
+        return ",".join(METRIC_OPTIONS[field] for field in value)
+    return str(value)
+
+
+def _document(lines: CommandLines) -> dict[str, Any]:
+    chunks = [{"frames": frames, "command": list(words)} for frames, words in lines.chunks]
+    afterwards = [list(words) for words in lines.afterwards]
+    return {"schema": SCHEMA, "chunks": chunks, "afterwards": afterwards}
+
+
+def _tell(template: JobTemplate, job: FarmJob, bundle: Path | None) -> None:
+    """Say what a user of the template has to know."""
+    if template.size > job.size:
+        _say(
+            f"chunks have {template.size} key frames, not {job.size}, as the list of chunks would "
+            "be too long for Open Job Description; without --plain any size does"
+        )
+    if template.values and bundle is None:
+        given = (f"-p {shlex.quote(f'{name}={value}')}" for name, value in template.values.items())
+        _say(f"add at submission, as these are not below the current folder: {' '.join(given)}")
+
+
+def _say(text: str) -> None:
+    click.echo(f"exwarp: {text}", err=True)

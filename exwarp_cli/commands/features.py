@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import click
 
+from exwarp_cli.commands.json_option import json_option, print_json
+from exwarp_cli.commands.progress_option import progress_option
 from exwarp_cli.commands.source_options import source_options
 from exwarp_cli.domain.cuts import AUTO
-from exwarp_cli.pipeline.progress import KINDS
 
 
 @click.command("features")
@@ -23,7 +24,8 @@ from exwarp_cli.pipeline.progress import KINDS
 )
 @click.option("--frames", metavar="RANGE", help="Key frames, by number: 1001-1100x2, 1-10:2.")
 @click.option("--threads", type=click.IntRange(1), help="Default: all cores.")
-@click.option("--progress", type=click.Choice(KINDS), default=KINDS[0], show_default=True)
+@json_option
+@progress_option
 def command(
     sequence: str,
     gbuffers: str | None,
@@ -35,27 +37,34 @@ def command(
     cuts: str,
     frames: str | None,
     threads: int | None,
+    as_json: bool,
     progress: str,
 ) -> None:
     """Print the features of SEQUENCE as CSV, a row for every decision of every key interval.
 
     N_d counts moving objects; EMD_Wn and EMD_Wp are distances of normals and positions from the
     instant before, Var_x and Var_y variances of motion (square pixels), all per slot; R is pixels.
-    `inputs` is what the network is given: 44 numbers in Q16.16 (see exwarp policy run).
+    `inputs` is what the network is given: 44 numbers in Q16.16 (see exwarp policy run). With
+    --json the same as a list of rows.
     """
     from exwarp_cli.domain.settings import SourceSettings
     from exwarp_cli.kernels import jit
     from exwarp_cli.pipeline.featuring import features
-    from exwarp_cli.pipeline.progress import make_progress
-    from exwarp_cli.report.features_csv import HEADER, row
+    from exwarp_cli.pipeline.progress import reporting
+    from exwarp_cli.report.features_table import HEADER, document, row
     from exwarp_cli.report.frames_csv import table
 
     jit.set_threads(threads)
-    settings = SourceSettings(
-        sequence, gbuffers, motion, view=view, aovs=aovs, channel_map=channel_map, cuts=cuts,
-        dynamic=dynamic,
-    )  # fmt: skip
-    for number, found in enumerate(features(settings, frames, make_progress(progress))):
-        if not number:  # not before: a sequence that cannot be used gives no table
-            click.echo(table(HEADER, ()), nl=False)
-        click.echo(table(row(found), ()), nl=False)
+    with reporting(progress, results_on_stdout=True) as told:
+        settings = SourceSettings(
+            sequence, gbuffers, motion, view=view, aovs=aovs, channel_map=channel_map, cuts=cuts,
+            dynamic=dynamic,
+        )  # fmt: skip
+        rows = features(settings, frames, told)
+        if as_json:
+            print_json(document(rows))
+            return
+        for number, found in enumerate(rows):
+            if not number:  # not before: a sequence that cannot be used gives no table
+                click.echo(table(HEADER, ()), nl=False)
+            click.echo(table(row(found), ()), nl=False)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from exwarp_cli.commands.json_option import json_option, print_json
 from exwarp_cli.commands.source_options import source_options
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     help="Write what is found as a TOML file for --channel-map, to correct and to keep.",
 )
 @click.option("--overwrite", is_flag=True, help="Replace the channel map if it exists.")
-@click.option("--json", "as_json", is_flag=True, help="Print JSON instead of tables.")
+@json_option
 def command(
     sequence: str,
     motion: str | None,
@@ -54,7 +54,7 @@ def command(
     if write_map is not None:
         save_channel_map(found, write_map, overwrite)
     if as_json:
-        click.echo(json.dumps(found.as_dict(), indent=2))
+        print_json(found.as_dict())
     else:
         _print(found)
 

@@ -7,8 +7,12 @@ from pathlib import Path
 import click
 
 from exwarp_cli.commands.group import HelpfulGroup
+from exwarp_cli.commands.json_option import json_option, print_json
 
 FILE = click.Path(path_type=Path)
+
+SCHEMA = "exwarp.model/1"
+"""Of what --json prints; `kind` is the option of exwarp upsample that takes the model."""
 
 
 @click.group("models", cls=HelpfulGroup)
@@ -20,7 +24,8 @@ def command() -> None:
 @click.argument("checkpoint", type=FILE)
 @click.argument("model", metavar="OUT.onnx", type=FILE)
 @click.option("--overwrite", is_flag=True, help="Replace OUT.onnx if it exists.")
-def import_extranet(checkpoint: Path, model: Path, overwrite: bool) -> None:
+@json_option
+def import_extranet(checkpoint: Path, model: Path, overwrite: bool, as_json: bool) -> None:
     """Turn the CHECKPOINT of ExtraNet's public release (medieval.pth.tar) into a model.
 
     Inputs are translated as far as they can be. ExtraNet divides by the base colour where ExWarp
@@ -33,7 +38,10 @@ def import_extranet(checkpoint: Path, model: Path, overwrite: bool) -> None:
     from exwarp_cli.training import checkpoint as release
 
     release.import_extranet(checkpoint, model, overwrite=overwrite)
-    click.echo(f"{model}: give it to exwarp upsample --extrapolator")
+    if as_json:
+        print_json({"schema": SCHEMA, "kind": "extrapolator", "model": str(model)})
+    else:
+        click.echo(f"{model}: give it to exwarp upsample --extrapolator")
 
 
 @command.command("interpolator-card", short_help="Write the card of an interpolation network.")
@@ -45,7 +53,8 @@ def import_extranet(checkpoint: Path, model: Path, overwrite: bool) -> None:
     help="Whose export it resembles.",
 )
 @click.option("--overwrite", is_flag=True, help="Replace the card if it exists.")
-def interpolator_card(model: Path, shape: str, overwrite: bool) -> None:
+@json_option
+def interpolator_card(model: Path, shape: str, overwrite: bool, as_json: bool) -> None:
     """Write FILE.json, which tells exwarp upsample --interpolator what FILE.onnx takes.
 
     Names of inputs and output come from the network; layout and padding from the shape. Look it
@@ -54,4 +63,8 @@ def interpolator_card(model: Path, shape: str, overwrite: bool) -> None:
     from exwarp_cli.io.interpolator import begin_card
 
     card = begin_card(model, shape, overwrite=overwrite)
-    click.echo(f"{card}: look it over, then give {model} to exwarp upsample --interpolator")
+    if as_json:
+        about = {"schema": SCHEMA, "kind": "interpolator", "model": str(model), "card": str(card)}
+        print_json(about)
+    else:
+        click.echo(f"{card}: look it over, then give {model} to exwarp upsample --interpolator")

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from exwarp_cli.commands.group import HelpfulGroup
+from exwarp_cli.commands.json_option import json_option, print_json
 
 MOST = 4096
 """Cores, or MAC units of a core: a slip of the pen must not fill the memory."""
@@ -30,7 +31,7 @@ def command() -> None:
 )
 @click.option("--cache", default="16KB", show_default=True, metavar="SIZE", help="Of each core.")
 @click.option("--policy", type=FILE, metavar="FILE", help="Default: the paper's network.")
-@click.option("--json", "as_json", is_flag=True, help="Print JSON instead of a table.")
+@json_option
 def cycles(
     clock: str, cores: int, macs: int, cache: str, policy: Path | None, as_json: bool
 ) -> None:
@@ -38,12 +39,12 @@ def cycles(
     from rich.console import Console
 
     from exwarp_cli.pipeline import accelerator
-    from exwarp_cli.report.accelerator import cycles_json, cycles_lines, cycles_table
+    from exwarp_cli.report.accelerator import cycles_document, cycles_lines, cycles_table
 
     rate = accelerator.clock_of(clock)
     found = accelerator.cycles(policy, cores, macs, cache)
     if as_json:
-        click.echo(cycles_json(found, rate), nl=False)
+        print_json(cycles_document(found, rate))
         return
     Console(highlight=False, soft_wrap=True).print(cycles_table(found))
     for line in cycles_lines(found, rate):
@@ -55,19 +56,28 @@ def cycles(
 @POLICY
 @click.option("--trace", is_flag=True, help="Show one inference layer by layer.")
 @click.option("--row", type=click.IntRange(1), help="Only this row; the header does not count.")
-def run(table: Path, policy: Path | None, trace: bool, row: int | None) -> None:
+@json_option
+def run(table: Path, policy: Path | None, trace: bool, row: int | None, as_json: bool) -> None:
     """Run the policy on every state of FEATURES.csv and print its outputs and decisions as CSV.
 
     The states stand in the column 'inputs', as frames.csv of a report and exwarp features write
     them: Q16.16 integers with spaces between. With --trace, the first of them, or that of --row.
     """
     from exwarp_cli.pipeline import accelerator
-    from exwarp_cli.report.accelerator import decisions_csv, trace_lines
+    from exwarp_cli.report import decided
 
     if trace:
-        click.echo("\n".join(trace_lines(accelerator.trace_row(table, policy, row))))
+        traced = accelerator.trace_row(table, policy, row)
+        if as_json:
+            print_json(decided.trace_document(traced))
+        else:
+            click.echo("\n".join(decided.trace_lines(traced)))
+        return
+    rows = accelerator.decide_rows(table, policy, row)
+    if as_json:
+        print_json(decided.decisions_document(rows))
     else:
-        click.echo(decisions_csv(accelerator.decide_rows(table, policy, row)), nl=False)
+        click.echo(decided.decisions_csv(rows), nl=False)
 
 
 @command.command("export", short_help="Write hex files for a Verilog test bench.")
@@ -84,12 +94,28 @@ def run(table: Path, policy: Path | None, trace: bool, row: int | None) -> None:
     "--seed", type=click.IntRange(0), default=0, show_default=True, help="Of the vectors."
 )
 @click.option("--overwrite", is_flag=True, help="Replace files of the same names.")
-def export(folder: Path, policy: Path | None, vectors: int, seed: int, overwrite: bool) -> None:
+@json_option
+def export(
+    folder: Path, policy: Path | None, vectors: int, seed: int, overwrite: bool, as_json: bool
+) -> None:
     """Write weights, biases, multipliers, shifts and test vectors into DIR for $readmemh.
 
     README.txt and manifest.json there say which core reads what, and where it lies.
     """
+    from exwarp_cli.pipeline.hardware_export import MANIFEST
     from exwarp_cli.pipeline.hardware_export import export as write
 
     files = write(folder, policy, vectors=vectors, seed=seed, overwrite=overwrite)
-    click.echo(f"{folder}: {len(files)} files, {vectors} test vectors; see README.txt")
+    if as_json:
+        print_json(
+            {
+                "schema": "exwarp.policy-export/1",
+                "folder": str(folder),
+                "manifest": MANIFEST,
+                "files": [path.name for path in files],
+                "vectors": vectors,
+                "seed": seed,
+            }
+        )
+    else:
+        click.echo(f"{folder}: {len(files)} files, {vectors} test vectors; see README.txt")

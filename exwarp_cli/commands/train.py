@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
 from exwarp_cli.commands.group import HelpfulGroup
+from exwarp_cli.commands.json_option import json_option, print_json
+from exwarp_cli.domain.line import one_line
 from exwarp_cli.training.settings import PolicySettings, TrainingSettings, require_sane_policy
 
 FOLDER = click.Path(path_type=Path)
@@ -44,6 +47,7 @@ def command() -> None:
 @click.option("--every", type=click.IntRange(1), default=500, help="Checkpoint.")
 @click.option("--cache", type=FOLDER, help="For crops; default: in the data folder's parent.")
 @click.option("--threads", type=click.IntRange(1), help="Default: all cores.")
+@json_option
 def extrapolator(
     data: Path,
     output: Path,
@@ -53,6 +57,7 @@ def extrapolator(
     cache: Path | None,
     threads: int | None,
     start: Path | None,
+    as_json: bool,
     **options: object,
 ) -> None:
     """Train the network that extrapolates, on a GPU where there is one.
@@ -63,6 +68,7 @@ def extrapolator(
     from exwarp_cli.training.extra import require_train
 
     require_train()
+    from exwarp_cli.training.curve import CURVE, last_row
     from exwarp_cli.training.extrapolator import train_extrapolator
     from exwarp_cli.training.selection import select
 
@@ -70,7 +76,10 @@ def extrapolator(
     settings = TrainingSettings(**options)  # type: ignore[arg-type]
     crops = cache or data.resolve().parent / "crops"
     model = train_extrapolator(chosen, output, crops, settings, every, threads, _say, start)
-    click.echo(f"{model}: give it to exwarp upsample --extrapolator")
+    if as_json:
+        print_json(_result("extrapolator", output, model, last_row(output / CURVE)))
+    else:
+        click.echo(f"{model}: give it to exwarp upsample --extrapolator")
 
 
 @command.command("policy", context_settings={"show_default": True})
@@ -89,6 +98,7 @@ def extrapolator(
 @click.option("--seed", type=click.IntRange(0), default=POLICY.seed)
 @click.option("--cache", type=FOLDER, help="For --data; default: in the data folder's parent.")
 @click.option("--jobs", type=click.IntRange(1), help="Scenes at a time; default: all cores.")
+@json_option
 def policy(
     data: tuple[Path, ...],
     tables: Path | None,
@@ -96,6 +106,7 @@ def policy(
     extrapolator: Path | None,
     cache: Path | None,
     jobs: int | None,
+    as_json: bool,
     **options: object,
 ) -> None:
     """Train the policy that chooses between warping and extrapolation.
@@ -103,6 +114,7 @@ def policy(
     With --data, both choices of every decision are tried on the benchmark scenes first, and kept
     as tables in the output folder. Each scene is left out of one training and judged by it.
     """
+    from exwarp_cli.io.policy_files import SHIPPED_POLICY
     from exwarp_cli.training.extra import require_train
 
     require_train()
@@ -114,8 +126,23 @@ def policy(
     require_sane_policy(settings)
     survey = Survey(data, extrapolator, cache, jobs)
     found = find_tables(survey, tables, output, _say)
-    click.echo(card(train_policy(found, output, settings, _say)))
+    scores = train_policy(found, output, settings, _say)
+    if as_json:
+        print_json(_result("policy", output, output / SHIPPED_POLICY, scores))
+    else:
+        click.echo(card(scores))
+
+
+def _result(kind: str, folder: Path, model: Path, scores: dict[str, Any]) -> dict[str, Any]:
+    """Return what --json prints: where things are, and how good the network is."""
+    return {
+        "schema": "exwarp.training/1",
+        "kind": kind,
+        "folder": str(folder),
+        "model": str(model),
+        "scores": scores,
+    }
 
 
 def _say(line: str) -> None:
-    click.echo(line, err=True)
+    click.echo(one_line(line), err=True)

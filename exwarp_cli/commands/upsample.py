@@ -2,21 +2,32 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
+from exwarp_cli.commands.farm_options import farm_options
+from exwarp_cli.commands.json_option import json_option, print_json
 from exwarp_cli.commands.metrics_option import metrics_option
+from exwarp_cli.commands.progress_option import progress_option
 from exwarp_cli.commands.source_options import source_options
-from exwarp_cli.domain.metric import METRICS
-from exwarp_cli.domain.settings import DEVICES, SourceSettings, UpsampleSettings
+from exwarp_cli.domain.settings import (
+    DEVICES,
+    ClusterSettings,
+    SourceSettings,
+    UpsampleSettings,
+)
 from exwarp_cli.domain.timeline import MOST
-from exwarp_cli.pipeline.progress import KINDS
+from exwarp_cli.errors import UsageError
 
 if TYPE_CHECKING:
     from exwarp_cli.domain.results import RunSummary
+    from exwarp_cli.pipeline.dry_run import DryRun
+    from exwarp_cli.pipeline.job import Job
+    from exwarp_cli.pipeline.progress import Progress
 
 
 class FrameRate(click.ParamType[Fraction]):
@@ -136,15 +147,18 @@ class FrameRate(click.ParamType[Fraction]):
 @click.option("--skip-existing", is_flag=True, help="Keep good frames of an earlier run.")
 @click.option("--overwrite", is_flag=True, help="Replace frames that exist.")
 @click.option("--threads", type=click.IntRange(1), help="Default: all cores.")
-@click.option(
-    "--progress",
-    type=click.Choice(KINDS),
-    default=KINDS[0],
-    show_default=True,
-)
+@farm_options
+@json_option
+@progress_option
 def command(
     report_folder: Path | None,
+    as_chunk: bool,
+    dry_run: bool,
+    as_json: bool,
     progress: str,
+    workers: int | None,
+    cluster: str | None,
+    chunk_size: int | None,
     sequence: str,
     gbuffers: str | None,
     motion: str | None,
@@ -168,80 +182,101 @@ def command(
     It may also be a video, or PNG, JPEG, TIFF, DPX and other stills, or EXR without vectors: motion
     is then estimated from colour, which needs the extra 'video' and is far less exact.
     """
-    from exwarp_cli.pipeline.progress import make_progress
-    from exwarp_cli.pipeline.upsample import upsample
-    from exwarp_cli.report.folder import prepare_report, write_report
-    from exwarp_cli.report.gallery import Gallery
+    from exwarp_cli.pipeline.job import open_job
+    from exwarp_cli.pipeline.progress import reporting
 
     rate = (fps, start_frame, tail, factor, to_fps)
     source = SourceSettings(
         sequence, gbuffers, motion, *rate, view, aovs, channel_map, cuts, dynamic
     )
     settings = UpsampleSettings(source, **options)  # type: ignore[arg-type]
-    if report_folder is not None:
-        prepare_report(report_folder, replace=settings.overwrite or settings.skip_existing)
-    gallery = None if report_folder is None else Gallery(settings.ground_truth is not None)
-    summary = upsample(settings, make_progress(progress), gallery)
-    if report_folder is not None and gallery is not None:
-        write_report(report_folder, summary, gallery.album)
-    _print(summary, settings, report_folder)
+    where = ClusterSettings(workers, cluster, chunk_size)
+    with reporting(progress, results_on_stdout=as_json) as told:
+        job = open_job(settings)
+        place = _report_place(report_folder, as_chunk, job)
+        if dry_run:
+            _tell(_foreseen(job, where, place, told), as_json)
+            return
+        _print(_run(job, where, place, told), settings, place, as_json)
 
 
-def _print(summary: RunSummary, settings: UpsampleSettings, report_folder: Path | None) -> None:
-    """Say in a few lines what was done."""
+def _report_place(folder: Path | None, as_chunk: bool, job: Job) -> Path | None:
+    """Return the folder of the report: of a chunk, one of its own."""
+    from exwarp_cli.report.folder import chunk_folder
+
+    if folder is None and as_chunk:
+        raise UsageError(
+            "--as-chunk says where the report goes; give --report too, or leave it out"
+        )
+    return chunk_folder(folder, job.key_numbers) if folder is not None and as_chunk else folder
+
+
+def _run(job: Job, where: ClusterSettings, place: Path | None, told: Progress) -> RunSummary:
+    """Do the job, in this process or others, and write its report."""
+    from exwarp_cli.pipeline.upsample import run_job
+    from exwarp_cli.report.folder import prepare_report, write_report
+    from exwarp_cli.report.gallery import Gallery
+
+    settings = job.settings
+    if place is not None:
+        prepare_report(place, replace=settings.overwrite or settings.skip_existing)
+    gallery = None if place is None else Gallery(settings.ground_truth is not None)
+    if where.spread:
+        from exwarp_cli.farm.cluster import run_on_cluster
+
+        summary = run_on_cluster(job, where, told, gallery)
+    else:
+        summary = run_job(job, told, gallery)
+    if place is not None and gallery is not None:
+        write_report(place, summary, gallery.album)
+    return summary
+
+
+def _foreseen(job: Job, where: ClusterSettings, place: Path | None, told: Progress) -> DryRun:
+    """Find out what the job would do."""
+    from exwarp_cli.pipeline.dry_run import foresee
+    from exwarp_cli.report.folder import refuse_report
+
+    if place is not None:
+        refuse_report(place, replace=job.settings.overwrite or job.settings.skip_existing)
+    found = foresee(job)
+    if where.spread:
+        from exwarp_cli.farm.cluster import foresee_on_cluster
+
+        found = foresee_on_cluster(job, where, found)
+    job.announce(told)
+    return replace(found, report=place)
+
+
+def _tell(found: DryRun, as_json: bool) -> None:
+    """Say what would be done."""
+    from exwarp_cli.report.dry_run import dry_run_document, dry_run_lines
+
+    if as_json:
+        print_json(dry_run_document(found))
+        return
+    for line in dry_run_lines(found):
+        click.echo(line)
+
+
+def _print(
+    summary: RunSummary, settings: UpsampleSettings, place: Path | None, as_json: bool
+) -> None:
+    """Say in a few lines what was done, or give the report's document."""
+    from exwarp_cli.commands.summary_lines import summary_lines
     from exwarp_cli.io.clip import is_clip
-    from exwarp_cli.report.page_parts import cuts_line
     from exwarp_cli.report.summary import report
 
     document = report(summary)
-    frames, fps = document["frames"], document["fps"]
-    if not frames["written"]:
+    if as_json:
+        print_json(document)
+        return
+    if not document["frames"]["written"]:
         kept = f"{settings.output} is there already, as this run would write it"
         # A video without frames is an error, so it was kept.
         click.echo(kept if is_clip(settings.output) else f"no frame falls to {settings.output}")
         return
-    many = "" if frames["written"] == 1 else "s"
-    click.echo(
-        f"{frames['written']} frame{many} in {settings.output}: {frames['key']} rendered, "
-        f"{frames['generated']} generated, {frames['dropped']} repeated"
-    )
-    effective = "" if fps["effective"] is None else f", effective {fps['effective']:g}"
-    click.echo(f"{fps['base']:g} fps in, {fps['output']:g} out{effective}")
-    if document["cuts"]:
-        click.echo(cuts_line(document["cuts"]))
-    taken = {name: count for name, count in document["decisions"]["paths"].items() if count}
-    if taken:
-        listed = ", ".join(f"{name} {count}" for name, count in taken.items())
-        share = document["decisions"]["warp_share"]
-        click.echo(f"paths of the key intervals: {listed}; {share:.0%} of the decisions are warps")
-    if document["holes"]["mean_fraction"] is not None:
-        click.echo(f"holes {document['holes']['mean_fraction']:.1%} of the pixels on average")
-    if settings.ground_truth is not None and frames["written"] > frames["key"]:
-        click.echo(f"against ground truth{_scores(document['quality']['all'])}")
-    if document["render_time"] is not None:
-        click.echo(_saved(document["render_time"]))
-    if report_folder is not None:
-        click.echo(f"report in {report_folder}")
-
-
-def _scores(quality: dict[str, Any]) -> str:
-    """Say how good the frames between the rendered ones are."""
-    if not quality["frames"]:
-        return ": it has none of the frames between the rendered ones"
-    values = (
-        f"{metric.name} {metric.with_unit(quality[metric.field])}"
-        for metric in METRICS
-        if quality[metric.field] is not None
-    )
-    return f" ({quality['frames']} frames): {', '.join(values)}"
-
-
-def _saved(found: dict[str, Any]) -> str:
-    """Say what rendering would have taken, by the renderer's own times."""
-    from exwarp_cli.report.page_parts import time_text
-
-    return (
-        f"render time saved: {time_text(found['saved_s'])} ({found['saved_share']:.0%}); a key "
-        f"frame took {time_text(found['key_frame_s'])} to render, a new one takes "
-        f"{time_text(found['generated_frame_s'])}"
-    )
+    for line in summary_lines(document, settings.output, settings.ground_truth is not None):
+        click.echo(line)
+    if place is not None:
+        click.echo(f"report in {place}")

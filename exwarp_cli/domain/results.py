@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from fractions import Fraction
 
+from exwarp_cli import __version__
 from exwarp_cli.domain.cuts import Cut
 from exwarp_cli.domain.decision import Decision
 from exwarp_cli.domain.metric import METRICS
@@ -145,6 +146,8 @@ class InputSummary:
         How the motion convention was found; None without motion.
     dynamic
         Names of what moves, as ``--dynamic`` found them; None where nothing was said.
+    step
+        From each key frame's number to the next one's.
     """
 
     pattern: str
@@ -156,6 +159,12 @@ class InputSummary:
     motion_source: str | None
     motion_evidence: str | None
     dynamic: tuple[str, ...] | None = None
+    step: int = 1
+
+    @property
+    def numbers(self) -> range:
+        """Input numbers of all key frames of the sequence."""
+        return range(self.first, self.last + 1, self.step)
 
 
 @dataclass(frozen=True)
@@ -249,7 +258,7 @@ class RunSummary:
         Frames per second of the input, and where that number came from: "option", "header" or
         "assumed".
     wall_seconds
-        Wall time of the streaming part.
+        Wall time of the streaming part; of several runs that were joined, their sum.
     frames
         One record a written frame, ascending.
     decides
@@ -270,6 +279,10 @@ class RunSummary:
         there are none.
     layers
         Names of the layers that generated frames hold beside the beauty.
+    keys
+        Input numbers of the key frames that were selected, ascending; see `selected`.
+    version
+        Of the ExWarp that made the frames.
     """
 
     method: str
@@ -288,6 +301,13 @@ class RunSummary:
     cuts: tuple[Cut, ...] | None = None
     views: tuple[str, ...] = ()
     layers: tuple[str, ...] = ()
+    keys: tuple[int, ...] = ()
+    version: str = __version__
+
+    @property
+    def selected(self) -> tuple[int, ...]:
+        """Input numbers of the selected key frames; where none were told, those with frames."""
+        return self.keys or tuple(sorted({frame.key for frame in self.frames}))
 
     @property
     def output_fps(self) -> float:

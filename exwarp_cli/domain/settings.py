@@ -8,6 +8,7 @@ from fractions import Fraction
 from exwarp_cli.domain.cuts import AUTO
 from exwarp_cli.domain.metric import DEFAULT_METRICS, METRICS
 from exwarp_cli.domain.threshold import Threshold
+from exwarp_cli.errors import UsageError
 
 
 @dataclass(frozen=True)
@@ -128,6 +129,39 @@ class UpsampleSettings:
     def measured(self) -> tuple[str, ...]:
         """What is measured against ground truth."""
         return DEFAULT_METRICS if self.metrics is None else self.metrics
+
+
+@dataclass(frozen=True)
+class ClusterSettings:
+    """Where the chunks of a run are done, if not in the process itself.
+
+    Attributes
+    ----------
+    workers
+        Processes on this machine; None without.
+    address
+        Of a running Dask scheduler; None without.
+    chunk_size
+        Key frames that a worker is given at a time; None for what suits.
+    """
+
+    workers: int | None = None
+    address: str | None = None
+    chunk_size: int | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse contradictions; raises UsageError."""
+        if self.workers is not None and self.address is not None:
+            raise UsageError(
+                "--workers is for this machine and --cluster for a running scheduler; give one"
+            )
+        if self.chunk_size is not None and not self.spread:
+            raise UsageError("--chunk-size is for --workers and --cluster; give one of them")
+
+    @property
+    def spread(self) -> bool:
+        """Whether the work is spread at all."""
+        return self.workers is not None or self.address is not None
 
 
 EXTRANET = "extranet"

@@ -138,6 +138,27 @@ def make_folder(path: Path) -> None:
         raise output_error(path, error) from error
 
 
+@contextmanager
+def marked(folder: Path) -> Iterator[Path]:
+    """Yield an empty temporary file in a folder, by which other machines know it for the same.
+
+    Raises
+    ------
+    OutputError
+        When it cannot be written.
+    """
+    mark = folder / _temporary_name("mark")
+    try:
+        mark.touch()
+    except OSError as error:
+        raise output_error(mark, error) from error
+    try:
+        yield mark
+    finally:
+        with suppress(OSError):
+            mark.unlink(missing_ok=True)
+
+
 def remove_leftovers(folder: Path) -> int:
     """Delete the temporaries of dead runs from a folder.
 

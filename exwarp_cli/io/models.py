@@ -291,6 +291,16 @@ def _open(path: Path, data: bytes, threads: int, device: str) -> Any:
     return session
 
 
+def runtime_version() -> str:
+    """Return the version of onnxruntime; MissingExtraError without it."""
+    return str(_runtime().__version__)
+
+
+def providers() -> tuple[str, ...]:
+    """Return what onnxruntime could run networks on, by its names; MissingExtraError without it."""
+    return tuple(_runtime().get_available_providers())
+
+
 def _unusable(path: Path, data: bytes, error: Exception) -> InputError:
     """Say why a file is no model that runs."""
     if _ELSEWHERE in data:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 from exwarp_cli.domain.results import (
@@ -228,6 +229,7 @@ def input_summary(source: Source) -> InputSummary:
         motion_source=None if motion is None else motion[0],
         motion_evidence=None if motion is None else motion[1],
         dynamic=_dynamic(source),
+        step=next((b - a for a, b in pairwise(source.timeline.numbers)), 1),
     )
 
 

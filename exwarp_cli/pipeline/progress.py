@@ -1,4 +1,7 @@
-"""How a long run tells how far it is: always on stderr, since stdout carries results."""
+"""How a long run tells how far it is.
+
+On stderr, since stdout carries results; only ``openjd`` speaks on stdout, where farms listen.
+"""
 
 from __future__ import annotations
 
@@ -6,26 +9,25 @@ import json
 import os
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Protocol, TextIO
 
-from exwarp_cli.errors import UsageError
+from exwarp_cli.domain.line import one_line
+from exwarp_cli.errors import ExwarpError, UsageError
+from exwarp_cli.pipeline.estimate import Clock, Estimate, PacedEstimate, named
 
 if TYPE_CHECKING:
     from rich.progress import Progress as RichProgress
     from rich.progress import TaskID
-
-PLAIN_INTERVAL_S = 5.0
-"""Least seconds between two plain lines: a farm's log stays readable, a person sees life."""
-
-Clock = Callable[[], float]
 
 
 class Progress(Protocol):
     """What a pipeline tells while it works.
 
     `start` comes once and first; `finish` comes last and always, after an error too, so call it in
-    a ``finally``. `message` may come at any time.
+    a ``finally``. `message` may come at any time. `fail` is for :func:`reporting` alone, after all
+    others. Texts may hold anything: a reporter sees to it that they stay on their line.
     """
 
     def start(self, total: int) -> None:
@@ -40,45 +42,8 @@ class Progress(Protocol):
     def finish(self) -> None:
         """Stop reporting."""
 
-
-class Estimate:
-    """Counts frames and foretells the rest.
-
-    The first frame is left out of the rate as soon as there are others: it pays for compiling the
-    kernels and filling caches, and on short runs would double the estimate.
-    """
-
-    def __init__(self, clock: Clock = time.monotonic) -> None:
-        self._clock = clock
-        self._begin = self._first = clock()
-        self.total = 0
-        self.done = 0
-
-    def start(self, total: int) -> None:
-        """Set the count and start the clock."""
-        self.total, self.done = total, 0
-        self._begin = self._first = self._clock()
-
-    def advance(self) -> None:
-        """Count one frame."""
-        self.done += 1
-        if self.done == 1:
-            self._first = self._clock()
-
-    @property
-    def percent(self) -> int:
-        """Whole percents done; 100 only at the end."""
-        return 100 * self.done // self.total if self.total else 100
-
-    @property
-    def eta_s(self) -> float | None:
-        """Seconds that the rest will take; None before the first frame."""
-        rest = max(self.total - self.done, 0)
-        if self.done == 0:
-            return None
-        if self.done == 1:
-            return rest * (self._first - self._begin)
-        return rest * (self._clock() - self._first) / (self.done - 1)
+    def fail(self, text: str, exit_code: int) -> None:
+        """Tell a program that watches why the command fails, and what it will exit with."""
 
 
 class NoProgress:
@@ -100,49 +65,73 @@ class NoProgress:
     def finish(self) -> None:
         """Say nothing."""
 
+    def fail(self, text: str, exit_code: int) -> None:
+        """Say nothing: the command prints the sentence itself."""
 
-class PlainProgress:
+
+class PlainProgress(NoProgress):
     """Lines such as ``exwarp:  25% 10/40, frame 1010, 1:20 left``, for logs."""
 
     def __init__(self, stream: TextIO | None = None, clock: Clock = time.monotonic) -> None:
-        self._stream = stream or sys.stderr
-        self._clock = clock
-        self._estimate = Estimate(clock)
-        self._printed_at = -PLAIN_INTERVAL_S
+        super().__init__(stream)
+        self._estimate = PacedEstimate(clock)
 
     def start(self, total: int) -> None:
         """Say how many frames there are to do."""
         self._estimate.start(total)
-        self._printed_at = self._clock()
-        self.message(f"{total} frame{'' if total == 1 else 's'} to do")
+        self.message(self._estimate.to_do)
 
     def advance(self, frame: int, note: str | None = None) -> None:
         """Print a line for the first and the last frame, and now and then between."""
-        estimate, now = self._estimate, self._clock()
+        estimate = self._estimate
         estimate.advance()
-        ends = estimate.done == 1 or estimate.done == estimate.total
-        if not ends and now - self._printed_at < PLAIN_INTERVAL_S:
-            return
-        self._printed_at = now
-        tail = f" ({note})" if note else ""
-        self.message(
-            f"{estimate.percent:3d}% {estimate.done}/{estimate.total}, frame {frame}{tail}, "
-            f"{_clock_text(estimate.eta_s or 0.0)} left"
-        )
+        if estimate.due():
+            self.message(f"{estimate.percent:3d}% {estimate.state(frame, note)}")
 
-    def message(self, text: str) -> None:
-        """Print a line."""
-        _print_line(self._stream, f"exwarp: {text}")
 
-    def finish(self) -> None:
-        """Say nothing: the last frame had its line."""
+class OpenJdProgress(NoProgress):
+    """Lines of Open Job Description's sessions, for farms that run its jobs.
+
+    ``openjd_progress: 25.0`` and ``openjd_status: 10/40, frame 1010, 1:20 left`` come together, as
+    often as plain lines; ``openjd_fail: SENTENCE`` at the end of a command that fails. Messages are
+    plain lines of the log: as a status each would stand there until the next one, though it is no
+    state. The specification lets actions write to stdout or stderr ("How Jobs Are Run", Stdout and
+    Stderr Messages), and there are runners that read stdout alone.
+    """
+
+    def __init__(self, stream: TextIO | None = None, clock: Clock = time.monotonic) -> None:
+        super().__init__(stream or sys.stdout)
+        self._estimate = PacedEstimate(clock)
+
+    def start(self, total: int) -> None:
+        """Tell how many frames there are to do."""
+        self._estimate.start(total)
+        self._tell(self._estimate.to_do)
+
+    def advance(self, frame: int, note: str | None = None) -> None:
+        """Tell of the first and the last frame, and now and then between."""
+        estimate = self._estimate
+        estimate.advance()
+        if estimate.due():
+            ended = estimate.done == estimate.total
+            self._tell(f"{estimate.frames} done" if ended else estimate.state(frame, note))
+
+    def fail(self, text: str, exit_code: int) -> None:
+        """Tell why; the runner learns the exit code from the process itself."""
+        # Never empty: a runner takes no line that ends with the colon.
+        _print_line(self._stream, f"openjd_fail: {one_line(text) or f'exit code {exit_code}'}")
+
+    def _tell(self, status: str) -> None:
+        _print_line(self._stream, f"openjd_progress: {self._estimate.tenths}")
+        _print_line(self._stream, f"openjd_status: {status}")
 
 
 class JsonProgress:
     """One JSON object a line, flushed, for machines.
 
-    Keys: ``event`` ("start", "frame", "message" or "finish"), ``done``, ``total``; with "frame"
-    also ``frame``, ``note`` and ``eta_s``; with "message" also ``text``.
+    Keys: ``event`` ("start", "frame", "message", "finish" or "fail"), ``done``, ``total``; with
+    "frame" also ``frame``, ``note`` and ``eta_s``; with "message" and "fail" also ``text``; with
+    "fail" also ``exit_code``.
     """
 
     def __init__(self, stream: TextIO | None = None, clock: Clock = time.monotonic) -> None:
@@ -168,16 +157,22 @@ class JsonProgress:
         """Write the event "finish"; `done` below `total` means that the run broke off."""
         self._write("finish")
 
+    def fail(self, text: str, exit_code: int) -> None:
+        """Write the event "fail"."""
+        self._write("fail", text=text, exit_code=exit_code)
+
     def _write(self, event: str, **rest: object) -> None:
         record = {"event": event, "done": self._estimate.done, "total": self._estimate.total}
-        _print_line(self._stream, json.dumps(record | rest))
+        # JSON spells out line ends itself, and a line that is cut would be no JSON.
+        self._stream.write(json.dumps(record | rest) + "\n")
+        self._stream.flush()
 
 
-class BarProgress:
+class BarProgress(NoProgress):
     """A bar with the time left, for a terminal."""
 
     def __init__(self, stream: TextIO | None = None) -> None:
-        self._stream = stream or sys.stderr
+        super().__init__(stream)
         self._bar: RichProgress | None = None
         self._task: TaskID | None = None
 
@@ -206,15 +201,14 @@ class BarProgress:
     def advance(self, frame: int, note: str | None = None) -> None:
         """Move the bar."""
         if self._bar is not None and self._task is not None:
-            text = f"frame {frame}" + (f" ({note})" if note else "")
-            self._bar.update(self._task, advance=1, description=text)
+            self._bar.update(self._task, advance=1, description=one_line(named(frame, note)))
 
     def message(self, text: str) -> None:
         """Print a line above the bar."""
         if self._bar is None:
-            _print_line(self._stream, f"exwarp: {text}")
+            super().message(text)
         else:
-            self._bar.console.print(f"exwarp: {text}", markup=False, highlight=False)
+            self._bar.console.print(one_line(f"exwarp: {text}"), markup=False, highlight=False)
 
     def finish(self) -> None:
         """Leave the bar as it stands and give the cursor back."""
@@ -227,6 +221,7 @@ REPORTERS: dict[str, Callable[[], Progress]] = {
     "bar": BarProgress,
     "plain": PlainProgress,
     "json": JsonProgress,
+    "openjd": OpenJdProgress,
     "none": NoProgress,
 }
 """Every way of reporting by its name in ``--progress``."""
@@ -235,13 +230,16 @@ KINDS = ("auto", *REPORTERS)
 """Choices of ``--progress``."""
 
 
-def make_progress(kind: str = "auto") -> Progress:
+def make_progress(kind: str = "auto", *, results_on_stdout: bool = False) -> Progress:
     """Make the reporter that ``--progress`` names.
 
     Parameters
     ----------
     kind
         A name in `REPORTERS`, or "auto": the bar on a terminal, plain lines elsewhere.
+    results_on_stdout
+        Whether the command prints a table or a JSON document there, which a program reads: then
+        ``openjd`` goes to stderr too.
 
     Raises
     ------
@@ -253,15 +251,40 @@ def make_progress(kind: str = "auto") -> Progress:
         kind = "bar" if is_terminal else "plain"
     if kind not in REPORTERS:
         raise UsageError(f"--progress {kind!r} is unknown; choose one of {', '.join(KINDS)}")
+    if kind == "openjd" and results_on_stdout:
+        return OpenJdProgress(sys.stderr)
     return REPORTERS[kind]()
 
 
-def _print_line(stream: TextIO, line: str) -> None:
+@contextmanager
+def reporting(kind: str = "auto", *, results_on_stdout: bool = False) -> Iterator[Progress]:
+    """Make a reporter for a block, which is told why when the block raises.
+
+    Interruptions are no failure: whoever sent them knows. Parameters and errors are those of
+    :func:`make_progress`; what the block raises goes on.
+    """
+    progress = make_progress(kind, results_on_stdout=results_on_stdout)
+    try:
+        yield progress
+    except Exception as error:
+        # Whoever does not listen any more must not hide what went wrong.
+        with suppress(OSError):
+            progress.fail(*_reason(error))
+        raise
+
+
+def _reason(error: Exception) -> tuple[str, int]:
+    """Return a sentence and the exit code; those of defects are told in full on stderr."""
+    if isinstance(error, ExwarpError):
+        return str(error), error.exit_code
+    if isinstance(error, MemoryError):
+        return "the memory does not suffice", ExwarpError.exit_code
+    return f"unexpected {type(error).__name__}: {error}", ExwarpError.exit_code
+
+
+def _print_line(stream: TextIO, text: str) -> None:
+    """Write one line that the stream can encode, and flush it: who reads it reads it now."""
+    encoding = getattr(stream, "encoding", None) or "utf-8"
+    line = one_line(text).encode(encoding, "backslashreplace").decode(encoding)
     stream.write(line + "\n")
     stream.flush()
-
-
-def _clock_text(seconds: float) -> str:
-    minutes, rest = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"

@@ -57,9 +57,6 @@ class Run:
 
     def write_all(self, loader: JointLoader, keys: tuple[int, ...]) -> tuple[FrameRecord, ...]:
         """Work through the intervals: reading ahead, computing here, writing behind."""
-        if self.watcher is not None:
-            timeline = self.source.timeline
-            self.watcher.plan([[timeline.number(s) for s in timeline.slots_of(k)] for k in keys])
         tasks = (partial(loader.load, key, self._needed) for key in keys)
         with self.sink:
             for loaded in read_ahead(tasks, INTERVALS_AHEAD):

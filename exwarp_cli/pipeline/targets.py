@@ -74,16 +74,25 @@ class Targets:
         OutputError
             When a folder cannot be made or written to.
         """
+        self.refuse(settings, timeline, slots)
+        for folder in self.folders:
+            make_folder(folder)
+            remove_leftovers(folder)
+
+    @property
+    def folders(self) -> tuple[Path, ...]:
+        """The folders in which files are written."""
+        found = [pattern.folder for pattern in (self.frames, self.holes) if pattern is not None]
+        if self.video is not None:
+            found.append(self.video.parent)
+        return tuple(dict.fromkeys(found))
+
+    def refuse(self, settings: UpsampleSettings, timeline: Timeline, slots: list[Slot]) -> None:
+        """Refuse to overwrite, and touch nothing; see `prepare`."""
         if settings.overwrite and settings.skip_existing:
             raise UsageError("--overwrite and --skip-existing contradict each other; give one")
         if not (settings.overwrite or settings.skip_existing):
             self._refuse(timeline, slots)
-        folders = {p.folder for p in (self.frames, self.holes) if p is not None}
-        if self.video is not None:
-            folders.add(self.video.parent)
-        for folder in folders:
-            make_folder(folder)
-            remove_leftovers(folder)
 
     def _refuse(self, timeline: Timeline, slots: list[Slot]) -> None:
         for pattern in (self.frames, self.holes):

@@ -1,33 +1,21 @@
-"""What ``exwarp policy`` prints: the schedule as tables and as JSON, decisions, and traces."""
+"""What ``exwarp policy cycles`` prints: the schedule as a table, in words, and as JSON."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import asdict
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
 from rich import box
 from rich.table import Table
 
-from exwarp_cli.accel.fixed_point import MOST_ACTIVATION, from_fixed
 from exwarp_cli.accel.mac_array import COMPARE_CYCLES, PAPER_LATENCY_NS, Schedule
-from exwarp_cli.domain.decision import CHOICES
-from exwarp_cli.io.states import IDENTITY
-from exwarp_cli.pipeline.accelerator import Decided, Trace
-from exwarp_cli.report.frames_csv import table
-from exwarp_cli.report.summary import to_json
 
 SCHEMA = "exwarp.cycles/1"
 
-SHOWN = 8
-"""Numbers of each layer that a trace shows."""
 
-
-def cycles_json(found: Schedule, clock_hz: float) -> str:
-    """Write a schedule as JSON text, schema ``exwarp.cycles/1``."""
-    document = {
+def cycles_document(found: Schedule, clock_hz: float) -> dict[str, Any]:
+    """Turn a schedule into the dictionary that is printed as JSON."""
+    return {
         "schema": SCHEMA,
         "machine": asdict(found.array),
         "sizes": found.sizes,
@@ -45,7 +33,6 @@ def cycles_json(found: Schedule, clock_hz: float) -> str:
         "core_refill_bytes": found.core_refill_bytes,
         "refill_bytes": found.refill_bytes,
     }
-    return to_json(document)
 
 
 def cycles_table(found: Schedule) -> Table:
@@ -103,47 +90,3 @@ def cycles_lines(found: Schedule, clock_hz: float) -> list[str]:
         f"need {needed:,.0f} GHz for that, so it cannot be a whole inference on these MACs",
         cache,
     ]
-
-
-def decisions_csv(rows: list[Decided]) -> str:
-    """Write decisions as CSV text: which row, its outputs, and the choice."""
-    names = [name for name in IDENTITY if name in rows[0].row.identity]
-    header = ("row", *names, "output_warp", "output_extrapolate", "decision")
-    return table(
-        header,
-        (
-            (found.row.row, *found.row.identity.values(), *found.outputs, CHOICES[found.choice])
-            for found in rows
-        ),
-    )
-
-
-def trace_lines(trace: Trace) -> Iterator[str]:
-    """Tell an inference layer by layer."""
-    found, plan = trace.inference, trace.schedule
-    named = ", ".join(f"{name} {value}" for name, value in trace.row.identity.items() if value)
-    yield f"row {trace.row.row}{f' ({named})' if named else ''}"
-    yield f"input stage: {found.inputs.size} numbers, {plan.inputs.cycles} cycles"
-    yield f"  Q16.16 {_first(trace.row.state)}"
-    yield f"  as     {' '.join(f'{value:.4f}' for value in from_fixed(trace.row.state)[:SHOWN])}"
-    yield f"  int8   {_first(found.inputs)}"
-    layers = zip(plan.layers, found.accumulators, strict=True)
-    for k, (layer, sums) in enumerate(layers):
-        yield f"layer {k}: {layer.fan_in} to {layer.neurons}, {layer.cycles} cycles"
-        yield f"  accumulators {int(sums.min())} to {int(sums.max())}"
-        yield f"  int32  {_first(sums)}"
-        if k < len(found.activations):
-            values = found.activations[k]
-            yield f"  int8   {_first(values)}"
-            zeros, most = int((values == 0).sum()), int((values == MOST_ACTIVATION).sum())
-            yield f"  {zeros} are 0, {most} saturate at {MOST_ACTIVATION}"
-    warp, extrapolate = found.outputs.tolist()
-    yield f"outputs: warp {warp}, extrapolate {extrapolate}"
-    yield f"decision: {CHOICES[int(found.choices)]}, {COMPARE_CYCLES} cycle"
-    yield f"in all {plan.cycles} cycles on the paper's machine"
-
-
-def _first(values: npt.NDArray[np.integer[Any]]) -> str:
-    """Write the first numbers."""
-    more = " …" if values.size > SHOWN else ""
-    return " ".join(str(value) for value in values[:SHOWN].tolist()) + more

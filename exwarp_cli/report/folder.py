@@ -1,7 +1,15 @@
-"""The folder of a report: which files it holds, each written whole or not at all."""
+"""The folder of a report: which files it holds, each written whole or not at all.
+
+Chunks of one run have their reports in folders of their own below it, until they are merged::
+
+    REPORT/chunks/1001-1010/report.json …     named by the first and the last key frame
+    REPORT/chunks/1011-1020/report.json …
+    REPORT/report.json …                      by `exwarp merge-reports REPORT`
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from exwarp_cli.domain.results import RunSummary
@@ -19,10 +27,46 @@ from exwarp_cli.report.upsample_page import upsample_page
 REPORT_FILE = "report.json"
 FRAMES_FILE = "frames.csv"
 PAGE_FILE = "report.html"
+CHUNKS = "chunks"
 
 
-def prepare_report(folder: Path, replace: bool) -> None:
+def chunk_folder(report: Path, keys: Sequence[int]) -> Path:
+    """Return where the report of a chunk lies.
+
+    Two chunks of the same name share key frames, so that no two of one run get in each other's way.
+
+    Parameters
+    ----------
+    report
+        The folder of the whole run's report.
+    keys
+        Input numbers of the chunk's key frames, at least one.
+
+    Returns
+    -------
+    Path
+        ``chunks/1001-1010`` in it, or ``chunks/1001`` for a single key frame.
+    """
+    first, last = min(keys), max(keys)
+    return report / CHUNKS / (f"{first}-{last}" if last > first else f"{first}")
+
+
+def chunk_reports(report: Path) -> list[Path]:
+    """Return the folders of the chunks' reports that are there, whole ones alone."""
+    return sorted(path.parent for path in (report / CHUNKS).glob(f"*/{REPORT_FILE}"))
+
+
+def prepare_report(folder: Path, replace: bool, option: str = "--report") -> None:
     """Make the folder before the work, and refuse to replace a report unless asked.
+
+    Parameters
+    ----------
+    folder
+        Of the report, or of a chunk's: see `chunk_folder`.
+    replace
+        Whether a report that is there may go.
+    option
+        What names the folder on the command line.
 
     Raises
     ------
@@ -31,12 +75,17 @@ def prepare_report(folder: Path, replace: bool) -> None:
     OutputError
         When the folder cannot be made.
     """
-    if (folder / REPORT_FILE).exists() and not replace:
-        raise OutputExistsError(
-            f"{folder} holds a report already; give --overwrite to replace it, or another --report"
-        )
+    refuse_report(folder, replace, option)
     make_folder(folder)
     remove_leftovers(folder)
+
+
+def refuse_report(folder: Path, replace: bool, option: str = "--report") -> None:
+    """Refuse to replace a report unless asked, and touch nothing; see `prepare_report`."""
+    if (folder / REPORT_FILE).exists() and not replace:
+        raise OutputExistsError(
+            f"{folder} holds a report already; give --overwrite to replace it, or another {option}"
+        )
 
 
 def prepare_comparison(folder: Path) -> None:

@@ -29,9 +29,15 @@ COLUMNS = (
     "inputs",
     *LATER_SCORES,
     *LATER_HOLE_SCORES,
-    "render_s",
+    *("render_s", "render_source", "rendered_width", "rendered_height", "distance"),
+    *("scored", "scored_holes"),
 )
-"""After these come the timed steps, each as ``<step>_ms``."""
+"""A column that is new goes to the end: a line of this table is read by position, too.
+
+`rendered_width`, `rendered_height` and `distance` belong to the features: R is the product of the
+first two, EMD_Wp is judged by the last. `scored` and `scored_holes` are true where there was ground
+truth, whatever was measured. After these columns come the timed steps, each as ``<step>_ms``.
+"""
 
 
 def frames_csv(frames: tuple[FrameRecord, ...]) -> str:
@@ -51,8 +57,10 @@ def table(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(header)
     writer.writerows([cell(value) for value in row] for row in rows)
-    # A file name need not be valid Unicode; what cannot be encoded is spelled out.
-    return text.getvalue().encode("utf-8", "backslashreplace").decode("utf-8")
+    # A file name need not be valid Unicode; what cannot be encoded is spelled out. So is a carriage
+    # return, which older versions of the writer do not quote and every reader ends a row at.
+    plain = text.getvalue().replace("\r", "\\r")
+    return plain.encode("utf-8", "backslashreplace").decode("utf-8")
 
 
 def cell(value: Any) -> str:
@@ -89,6 +97,12 @@ def decision_cells(decision: Decision | None) -> tuple[Any, ...]:
     )
 
 
+def seen_cells(decision: Decision | None) -> tuple[float | None, ...]:
+    """Width, height and distance of what a decision's features were taken of."""
+    seen = None if decision is None else decision.features
+    return (None,) * 3 if seen is None else (seen.width, seen.height, seen.distance)
+
+
 def _row(frame: FrameRecord, steps: list[str]) -> list[Any]:
     return [
         *(frame.number, frame.file, frame.key, frame.slot, frame.kind.value, frame.method),
@@ -100,6 +114,8 @@ def _row(frame: FrameRecord, steps: list[str]) -> list[Any]:
         *(frame.made_by, frame.path),
         *decision_cells(frame.decision),
         *later_cells(frame.score, frame.hole_score),
-        None if frame.render is None else frame.render[0],
+        *(frame.render or (None, None)),
+        *seen_cells(frame.decision),
+        *(frame.score is not None, frame.hole_score is not None),
         *(frame.timing_ms.get(step) for step in steps),
     ]

@@ -171,6 +171,9 @@ class Gallery:
     metric that is known while frames are at hand (all but VMAF and flicker), which the viewer
     starts with.
 
+    Of a run that is done in parts by several processes, one gallery hears the plan; each part is
+    watched by what `share` returned, which can be pickled, and `adopt` takes over what it kept.
+
     Parameters
     ----------
     output, truth
@@ -188,17 +191,42 @@ class Gallery:
         self._worst: tuple[float, int] | None = None
         self._key: tuple[int, Picture] | None = None
         self._key_of: dict[int, int] = {}
+        self._shared = False
+
+    def share(self) -> Gallery:
+        """Return an empty gallery for a part of the run, with the plan of the whole.
+
+        What it hears as a plan is its part's alone, and does not count.
+        """
+        part = Gallery(self._has_truth, self._output, self._truth)
+        part._chosen, part._key_of = self._chosen, self._key_of
+        part.album.room = self.album.room
+        part._shared = True
+        return part
+
+    def adopt(self, part: Gallery) -> None:
+        """Take over what a shared gallery kept of its part of the run; parts come in any order."""
+        self.album.frames |= part.album.frames
+        known = [one._worst for one in (self, part) if one._worst is not None]
+        if not known:
+            return
+        # Of equally bad frames the first in the run is kept, as by one gallery alone.
+        first, *others = sorted(known, key=lambda entry: (-entry[0], entry[1]))
+        for _, number in others:
+            if number != first[1] and number not in self._chosen:
+                self.album.frames.pop(number, None)
+        self._worst, self.album.start = first, first[1]
 
     def plan(self, groups: Sequence[Sequence[int]]) -> None:
         """Choose whole groups, evenly, the first and the last among them."""
-        size = max((len(group) for group in groups), default=0) or 1  # groups may be empty
-        for i in spread(len(groups), max(FRAMES // size, 1)):
+        if self._shared:
+            return
+        for i in evenly(groups):
             self._chosen.update(groups[i])
         self._key_of = {
             number: group[0] for group in groups for number in group if number in self._chosen
         }
-        # Of a frame, the output, the truth and, half as large, the error.
-        self.album.room = min(ROOM, int(BUDGET / (2.5 * max(len(self._chosen) + 1, 1))))
+        self.album.room = room_for(len(self._chosen) + 1)
 
     def wants(self, number: int, score: Score | None) -> bool:
         """Whether a frame was chosen, or is the worst so far, which then replaces the last one."""
@@ -225,6 +253,17 @@ class Gallery:
                 kept.pictures[self._truth] = kept.pictures[self._output]
         if self._key is not None and self._key[0] == self._key_of.get(number):
             kept.pictures[KEY] = self._key[1]
+
+
+def evenly(groups: Sequence[Sequence[int]]) -> list[int]:
+    """Return the indices of as many groups of frames as a page has room for, evenly spread."""
+    size = max((len(group) for group in groups), default=0) or 1  # groups may be empty
+    return spread(len(groups), max(FRAMES // size, 1))
+
+
+def room_for(frames: int) -> int:
+    """Return the bytes that a picture may take: a frame has output, truth and half of an error."""
+    return min(ROOM, int(BUDGET / (2.5 * max(frames, 1))))
 
 
 def spread(count: int, limit: int) -> list[int]:

@@ -5,12 +5,17 @@ from __future__ import annotations
 import base64
 import io
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from exwarp_cli.domain.frame import Bool, Float32, UInt8
 from exwarp_cli.metrics.display import PEAK, encode
+
+WEBP, PNG = "image/webp", "image/png"
+"""Media types of colour and errors, and of masks."""
 
 LONGEST = 640
 """Longest side of a picture, pixels."""
@@ -35,7 +40,7 @@ class Picture:
     Attributes
     ----------
     media
-        "image/webp" or "image/png".
+        WEBP or PNG.
     data
         The file.
     width, height
@@ -53,6 +58,30 @@ class Picture:
     def plain(self) -> dict[str, str | int]:
         """Return what the page's script reads."""
         return {"url": self.url, "width": self.width, "height": self.height, "peak": self.peak}
+
+    @classmethod
+    def of(cls, told: Mapping[str, Any]) -> Picture:
+        """Return the picture that `plain` told of.
+
+        Raises
+        ------
+        KeyError, TypeError, ValueError
+            When it tells of none.
+        """
+        media, _, text = told["url"].removeprefix("data:").partition(";base64,")
+        if media not in (WEBP, PNG):
+            raise ValueError(f"{media} is no kind of picture")
+        data = base64.b64decode(text, validate=True)
+        return cls(media, data, int(told["width"]), int(told["height"]), int(told["peak"]))
+
+    def within(self, room: int) -> Picture:
+        """Return the same in at most about `room` bytes; what is larger is encoded once more."""
+        if self.media != WEBP or len(self.data) <= room:
+            return self
+        from PIL import Image
+
+        with Image.open(io.BytesIO(self.data)) as image:
+            return _webp(np.asarray(image.convert("RGB")), room, self.peak)
 
     @property
     def url(self) -> str:
@@ -131,7 +160,7 @@ def mask_picture(mask: Bool, longest: int = LONGEST) -> Picture:
     Image.fromarray(np.where(holes, 255, 0).astype(np.uint8)).convert("1").save(
         file, "PNG", optimize=True
     )
-    return Picture("image/png", file.getvalue(), holes.shape[1], holes.shape[0])
+    return Picture(PNG, file.getvalue(), holes.shape[1], holes.shape[0])
 
 
 def _shrunk(plane: Float32, longest: int) -> Float32:
@@ -165,7 +194,7 @@ def _webp(pixels: UInt8, room: int, peak: int) -> Picture:
             file = io.BytesIO()
             image.save(file, "WEBP", quality=quality, method=2)
             if file.tell() <= room:
-                return Picture("image/webp", file.getvalue(), *image.size, peak)
+                return Picture(WEBP, file.getvalue(), *image.size, peak)
         if max(image.size) <= 32:
-            return Picture("image/webp", file.getvalue(), *image.size, peak)
+            return Picture(WEBP, file.getvalue(), *image.size, peak)
         image = image.resize((max(image.width // 2, 1), max(image.height // 2, 1)))

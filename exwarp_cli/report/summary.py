@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from exwarp_cli import __version__
-from exwarp_cli.domain.results import FrameKind, FrameRecord, InputSummary, RunSummary
+from exwarp_cli.domain.results import FrameKind, FrameRecord, RunSummary
+from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.report.decisions import decisions, quality_by_decision
 from exwarp_cli.report.quality import mean, quality
 from exwarp_cli.report.render_time import render_time
@@ -33,11 +33,11 @@ def report(run: RunSummary) -> dict[str, Any]:
     shown = tuple(frame for frame in run.frames if frame.slot)
     found = {
         "schema": SCHEMA,
-        "version": __version__,
+        "version": run.version,
         "method": run.method,
         "setting": run.setting,
         "lookahead": run.lookahead,
-        "input": _input(run.input),
+        "input": _input(run),
         "frames": _frames(run.frames),
         "fps": _fps(run),
         "holes": _holes(shown),
@@ -53,6 +53,7 @@ def report(run: RunSummary) -> dict[str, Any]:
         else [{"frame": cut.number, "source": cut.source} for cut in run.cuts],
         "views": list(run.views),
         "layers": list(run.layers),
+        "wall_s": run.wall_seconds,
     }
     plain: dict[str, Any] = finite(found)
     return plain
@@ -91,7 +92,9 @@ def to_json(document: dict[str, Any]) -> str:
     return json.dumps(document, indent=2, allow_nan=False) + "\n"
 
 
-def _input(source: InputSummary) -> dict[str, Any]:
+def _input(run: RunSummary) -> dict[str, Any]:
+    """Name the input, and as ``selected`` the range of key frames that the run was for."""
+    source = run.input
     return {
         "pattern": source.pattern,
         "first": source.first,
@@ -101,6 +104,8 @@ def _input(source: InputSummary) -> dict[str, Any]:
         "producer": source.producer,
         "motion": {"source": source.motion_source, "evidence": source.motion_evidence},
         "dynamic": None if source.dynamic is None else list(source.dynamic),
+        "step": source.step,
+        "selected": ranges(list(run.selected)) or None,
     }
 
 
@@ -122,7 +127,8 @@ def _fps(run: RunSummary) -> dict[str, Any]:
     Effective FPS is the output's times the share of rendered and generated frames, over intervals
     with all their slots: a repeated frame is none for the eye. At the paper's factor that is base
     x (1 + mean number of generated frames per key interval). Throughput is frames that this very
-    run wrote, per second of its wall time.
+    run wrote, per second of its wall time; of joined runs, per second of all their machines.
+    ``factor`` is a fraction as text, such as 4 or 5/2, so that nothing of it is lost.
     """
     new = mean(
         frame.kind is not FrameKind.DROPPED
@@ -137,6 +143,7 @@ def _fps(run: RunSummary) -> dict[str, Any]:
         "output": run.output_fps,
         "throughput": fresh / run.wall_seconds if timed else None,
         "source": run.fps_source,
+        "factor": str(run.factor),
     }
 
 

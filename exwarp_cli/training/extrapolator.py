@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 import os
@@ -22,6 +21,7 @@ from exwarp_cli.io.dataset import RenderedScene
 from exwarp_cli.io.output import file_digest
 from exwarp_cli.pipeline.schedule import read_ahead
 from exwarp_cli.training.crops import Batch, Crops
+from exwarp_cli.training.curve import CURVE, add_row
 from exwarp_cli.training.export import export_extrapolator
 from exwarp_cli.training.growth import grown
 from exwarp_cli.training.losses import decibels, loss_of
@@ -32,7 +32,6 @@ from exwarp_cli.training.settings import TrainingSettings, require_sane
 from exwarp_cli.training.tensors import read_tensors
 
 CHECKPOINT = "checkpoint.pt"
-CURVE = "curve.csv"
 SETTINGS = "settings.json"
 MODEL = "extrapolator.onnx"
 
@@ -51,8 +50,6 @@ TOGETHER = 16
 
 CLIPPED = 0.3
 """Largest norm of a gradient."""
-
-COLUMNS = ("step", "seconds", "loss", "rate", "gain_db", "gain_holes_db")
 
 Say = Callable[[str], None]
 
@@ -208,19 +205,9 @@ class Training:
             torch.save(content, temporary)
 
     def _record(self, loss: float, gain: float, in_holes: float) -> None:
-        """Add a line to the curve, from which later ones of a broken run are removed."""
-        path = self.folder / CURVE
-        rows = []
-        if path.exists():
-            with path.open(newline="", encoding="utf-8") as file:
-                rows = [row for row in csv.DictReader(file) if int(row["step"]) < self.step]
-        values = (self.step, round(self.seconds), loss, self._rate(), gain, in_holes)
-        formatted = (v if isinstance(v, int) else f"{v:.5g}" for v in values)
-        rows.append(dict(zip(COLUMNS, map(str, formatted), strict=True)))
-        with atomic_path(path) as temporary, temporary.open("w", newline="") as file:
-            writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(rows)
+        """Add a row to the curve, and tell of it."""
+        values = (round(self.seconds), loss, self._rate(), gain, in_holes)
+        add_row(self.folder / CURVE, self.step, values)
         left = self.seconds / self.step * (self.settings.steps - self.step) / 60
         self.say(
             f"step {self.step} of {self.settings.steps}: loss {loss:.4f}, held-out scenes "

@@ -109,6 +109,7 @@ class TestErrors:
             "ExwarpError": 1, "UsageError": 2, "InputError": 3, "MissingFrameError": 3,
             "DamagedFileError": 3, "LayoutError": 3, "MotionError": 4, "OutputError": 5,
             "OutputExistsError": 6, "MissingExtraError": 7, "QualityError": 8,
+            "ClusterError": 9, "InstallationError": 10,
         }  # fmt: skip
 
     @pytest.mark.parametrize("kind", every_error())
@@ -148,9 +149,10 @@ class TestErrors:
             ("compare", ""),
         ],
     )
-    def test_what_an_interruption_leaves(self, fails_with, capsys, command, resumes):
+    @pytest.mark.parametrize("before", [(), ("--config", "none")])
+    def test_what_an_interruption_leaves(self, fails_with, capsys, command, resumes, before):
         fails_with(KeyboardInterrupt())
-        assert cli.run([command]) == 130
+        assert cli.run([*before, command]) == 130
         told = capsys.readouterr().err
         assert resumes in told and ("goes on" in told) == bool(resumes)
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import csv
 from pathlib import Path
 
 import pytest
 
 from exwarp_cli.cli import run
+from tests.cli.documents import strict
 from tests.unit.analytic_scene import write_scene
 
 SMALL = ["--steps", "2", "--every", "1", "--batch", "2", "--patch", "32", "--side", "64"]
@@ -36,8 +38,20 @@ def test_a_network_is_trained_and_named(data, tmp_path, capsys):
     assert "judged" not in err
     files = {"checkpoint.pt", "curve.csv", "extrapolator.onnx", "settings.json"}
     assert {p.name for p in (tmp_path / "run").iterdir()} == files
-    assert train(data, tmp_path / "run", *SMALL) == 0
-    assert "going on at step 2 of 2" in capsys.readouterr().err
+    assert train(data, tmp_path / "run", *SMALL, "--json") == 0
+    out, err = capsys.readouterr()
+    assert "going on at step 2 of 2" in err
+    found = strict(out)
+    scores = found.pop("scores")
+    assert found == {
+        "schema": "exwarp.training/1",
+        "kind": "extrapolator",
+        "folder": str(tmp_path / "run"),
+        "model": str(tmp_path / "run" / "extrapolator.onnx"),
+    }
+    *_, last = csv.DictReader((tmp_path / "run" / "curve.csv").read_text().splitlines())
+    assert list(scores) == list(last) and scores["step"] == 2
+    assert scores["loss"] == float(last["loss"])
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,7 @@ from exwarp_cli.training import measuring
 from exwarp_cli.training.measuring import View
 from exwarp_cli.training.policy_table import load_table, save_table
 from exwarp_cli.training.variant import Variant
+from tests.cli.documents import document_of
 from tests.unit.policy_tables import tempting
 
 MINIATURE = Path(__file__).parents[1] / "data" / "miniature" / "variety-0074"
@@ -70,10 +71,14 @@ def test_tables_are_trained_on(exwarp, tables, tmp_path):
     assert "without lab: training on town" in result.err
     settings = json.loads((tmp_path / "out" / "policy.json").read_bytes())["settings"]
     assert (settings["steps"], settings["batch"], settings["seed"]) == (5, 16, 0)
-    again = train(exwarp, tmp_path / "again", "--tables", tables, "--seed", 1, "--rate", 0.01)
-    assert again.code == 0
-    settings = json.loads((tmp_path / "again" / "policy.json").read_bytes())["settings"]
-    assert (settings["seed"], settings["rate"]) == (1, 0.01)
+    out = tmp_path / "again"
+    again = train(exwarp, out, "--tables", tables, "--seed", 1, "--rate", 0.01, "--json")
+    found = document_of(again, "exwarp.training/1")
+    assert (found["kind"], found["folder"]) == ("policy", str(out))
+    assert found["model"] == str(out / "policy.npz")
+    scores = json.loads((out / "policy.json").read_bytes())
+    assert found["scores"] == scores
+    assert (scores["settings"]["seed"], scores["settings"]["rate"]) == (1, 0.01)
 
 
 def test_rendered_scenes_are_measured_once_and_trained_on(exwarp, network, tmp_path, monkeypatch):

@@ -98,7 +98,9 @@ def run_all() -> dict[str, np.ndarray]:
         if sizes == PAPER_SIZES:
             given = given[:: len(given) // FEW]
         kernel = MlpKernel(made)
-        found[f"{name} one"] = np.array([kernel.decide(state)[0] for state in given])
+        one = [kernel.decide(state)[0] for state in given]
+        assert {type(output) for both in one for output in both} == {int}  # JSON takes no others
+        found[f"{name} one"] = np.array(one)
         found[f"{name} many"] = kernel.decide_many(given)[0]
         found[f"{name} array"] = infer_as_array(MacArray(), made, given)[0]
     return found

@@ -1,4 +1,4 @@
-"""What a run tells on stderr while it works."""
+"""What a run tells while it works."""
 
 from __future__ import annotations
 
@@ -7,17 +7,22 @@ import json
 
 import pytest
 
-from exwarp_cli.errors import UsageError
+from exwarp_cli.errors import MissingFrameError, UsageError
+from exwarp_cli.pipeline.estimate import INTERVAL_S, Estimate
 from exwarp_cli.pipeline.progress import (
     KINDS,
     REPORTERS,
     BarProgress,
-    Estimate,
     JsonProgress,
     NoProgress,
+    OpenJdProgress,
     PlainProgress,
     make_progress,
+    reporting,
 )
+
+NASTY = "shot\nopenjd_env: PATH=/evil\r\x85openjd_fail: no\u2028\x1b[2J\udcff"
+"""A name that a farm, or a terminal, would obey."""
 
 
 class FakeClock:
@@ -47,14 +52,21 @@ class TestEstimate:
         estimate.start(1000)
         for _ in range(999):
             estimate.advance()
-        assert estimate.percent == 99
+        assert (estimate.percent, estimate.tenths) == (99, 99.9)
         estimate.advance()
-        assert (estimate.percent, estimate.eta_s) == (100, 0)
+        assert (estimate.percent, estimate.tenths, estimate.eta_s) == (100, 100, 0)
+
+    def test_more_than_all_is_all(self):
+        estimate = Estimate(FakeClock())
+        estimate.start(1)
+        estimate.advance()
+        estimate.advance()
+        assert (estimate.tenths, estimate.eta_s) == (100, 0)
 
     def test_nothing_to_do_is_done(self):
         estimate = Estimate(FakeClock())
         estimate.start(0)
-        assert estimate.percent == 100
+        assert (estimate.percent, estimate.tenths) == (100, 100)
 
 
 class TestPlain:
@@ -114,6 +126,85 @@ class TestJson:
         }  # fmt: skip
         assert lines[3]["note"] == "skipped"
 
+    def test_a_failure_is_an_event(self):
+        stream = io.StringIO()
+        progress = JsonProgress(stream)
+        progress.start(9)
+        progress.finish()
+        progress.fail(NASTY, 3)
+        (line,) = stream.getvalue().splitlines()[2:]
+        assert json.loads(line) == {
+            "event": "fail", "done": 0, "total": 9, "text": NASTY, "exit_code": 3
+        }  # fmt: skip
+
+
+class TestOpenJd:
+    """Lines of https://github.com/OpenJobDescription/openjd-specifications, How Jobs Are Run."""
+
+    def test_progress_and_status_go_together_and_messages_are_the_log_s(self):
+        stream, clock = io.StringIO(), FakeClock()
+        progress = OpenJdProgress(stream, clock)
+        progress.message("motion as Blender writes it")
+        progress.start(3)
+        for frame, note in ((1001, "key"), (1002, None), (1003, "skipped")):
+            clock.now += 30
+            progress.advance(frame, note)
+        progress.finish()
+        assert stream.getvalue().splitlines() == [
+            "exwarp: motion as Blender writes it",
+            "openjd_progress: 0.0",
+            "openjd_status: 3 frames to do",
+            "openjd_progress: 33.3",
+            "openjd_status: 1/3, frame 1001 (key), 1:00 left",
+            "openjd_progress: 66.6",
+            "openjd_status: 2/3, frame 1002, 0:30 left",
+            "openjd_progress: 100.0",
+            "openjd_status: 3 frames done",
+        ]
+
+    def test_a_farm_s_log_stays_readable(self):
+        stream, clock = io.StringIO(), FakeClock()
+        progress = OpenJdProgress(stream, clock)
+        progress.start(1000)
+        for frame in range(1000):
+            clock.now += 4 * INTERVAL_S / 1000
+            progress.advance(frame)
+        lines = stream.getvalue().splitlines()
+        told = [line for line in lines if line.startswith("openjd_progress: ")]
+        assert 2 * len(told) == len(lines)
+        assert 5 <= len(told) <= 7
+        assert lines[-2:] == ["openjd_progress: 100.0", "openjd_status: 1000 frames done"]
+
+    def test_nothing_to_do(self):
+        stream = io.StringIO()
+        progress = OpenJdProgress(stream)
+        progress.start(0)
+        progress.finish()
+        assert stream.getvalue() == "openjd_progress: 100.0\nopenjd_status: 0 frames to do\n"
+
+    def test_names_put_in_no_lines_of_their_own(self):
+        stream = io.StringIO()
+        progress = OpenJdProgress(stream)
+        progress.message(f"reading {NASTY}")
+        progress.start(1)
+        progress.advance(1, NASTY)
+        progress.fail(f"{NASTY} is damaged", 3)
+        kinds = [line.split(": ")[0] for line in stream.getvalue().splitlines()]
+        pair = ["openjd_progress", "openjd_status"]
+        assert kinds == ["exwarp", *pair, *pair, "openjd_fail"]
+
+    @pytest.mark.parametrize("text", ["", "\n", "  "])
+    def test_a_failure_has_a_reason(self, text):
+        stream = io.StringIO()
+        OpenJdProgress(stream).fail(text, 5)
+        assert stream.getvalue() == "openjd_fail: exit code 5\n"
+
+    def test_streams_that_cannot_write_everything(self):
+        raw = io.BytesIO()
+        stream = io.TextIOWrapper(raw, encoding="ascii", errors="strict")
+        OpenJdProgress(stream).message("größer \udcff 東")
+        assert raw.getvalue() == b"exwarp: gr\\xf6\\xdfer \\udcff \\u6771\n"
+
 
 class TestBar:
     def test_it_counts_and_ends_with_the_last_frame(self):
@@ -122,25 +213,37 @@ class TestBar:
         progress.message("before")
         progress.start(2)
         progress.advance(1001)
-        progress.message("[not] markup")
+        progress.message("[not] markup\nor \x1b[2J lines")
         progress.advance(1002, "skipped")
         progress.finish()
         progress.finish()
         told = stream.getvalue()
-        assert "exwarp: before" in told and "exwarp: [not] markup" in told
+        assert "exwarp: before" in told and "exwarp: [not] markup or \\x1b[2J lines\n" in told
         assert "2/2" in told and "frame 1002 (skipped)" in told
 
 
 class TestMakeProgress:
+    @pytest.mark.parametrize("results", [False, True])
     @pytest.mark.parametrize("kind", REPORTERS)
-    def test_each_kind_works_from_start_to_finish_on_stderr_alone(self, kind, capsys):
-        progress = make_progress(kind)
+    def test_each_kind_works_from_start_to_end_on_one_stream(self, kind, results, capsys):
+        progress = make_progress(kind, results_on_stdout=results)
         progress.start(1)
         progress.message("told")
         progress.advance(1)
         progress.finish()
+        progress.fail("wrong", 1)
         out, err = capsys.readouterr()
+        if kind == "openjd" and not results:
+            out, err = err, out
         assert out == "" and "told" in err
+        assert ("wrong" in err) == (kind in ("json", "openjd"))
+
+    @pytest.mark.parametrize("kind", [kind for kind in REPORTERS if kind != "json"])
+    def test_a_message_is_a_line_whatever_it_holds(self, kind, capsys):
+        progress = make_progress(kind)
+        progress.message(NASTY)
+        (line,) = "".join(capsys.readouterr()).splitlines()
+        assert line == ("exwarp: shot openjd_env: PATH=/evil openjd_fail: no \\x1b[2J\\udcff")
 
     def test_no_progress_says_nothing_by_itself(self, capsys):
         progress = make_progress("none")
@@ -164,6 +267,61 @@ class TestMakeProgress:
         assert isinstance(make_progress("auto"), kind)
 
     def test_other_names_are_refused(self):
-        with pytest.raises(UsageError, match="auto, bar, plain, json, none"):
+        with pytest.raises(UsageError, match="auto, bar, plain, json, openjd, none"):
             make_progress("fancy")
         assert KINDS[0] == "auto"
+
+
+class TestReporting:
+    @staticmethod
+    def events(capsys):
+        return [json.loads(line) for line in capsys.readouterr().err.splitlines()]
+
+    def test_a_block_that_succeeds_is_no_failure(self, capsys):
+        with reporting("json") as progress:
+            progress.start(1)
+            progress.finish()
+        assert [told["event"] for told in self.events(capsys)] == ["start", "finish"]
+
+    @pytest.mark.parametrize(
+        ("error", "text", "code"),
+        [
+            (
+                MissingFrameError("frame 7 is missing; render it"),
+                "frame 7 is missing; render it",
+                3,
+            ),
+            (ZeroDivisionError("oops"), "unexpected ZeroDivisionError: oops", 1),
+            (MemoryError(), "the memory does not suffice", 1),
+        ],
+    )
+    def test_what_goes_wrong_is_told_last_and_goes_on(self, capsys, error, text, code):
+        with pytest.raises(type(error)) as raised, reporting("json") as progress:
+            progress.start(1)
+            try:
+                raise error
+            finally:
+                progress.finish()
+        assert raised.value is error
+        *_, finish, fail = self.events(capsys)
+        assert (finish["event"], fail["event"]) == ("finish", "fail")
+        assert (fail["text"], fail["exit_code"]) == (text, code)
+
+    def test_an_interruption_is_no_failure(self, capsys):
+        with pytest.raises(KeyboardInterrupt), reporting("json"):
+            raise KeyboardInterrupt
+        assert capsys.readouterr() == ("", "")
+
+    def test_a_listener_that_left_does_not_hide_the_reason(self, monkeypatch):
+        class Closed(io.StringIO):
+            def write(self, text):
+                raise BrokenPipeError
+
+        monkeypatch.setattr("sys.stdout", Closed())
+        with pytest.raises(MissingFrameError), reporting("openjd"):
+            raise MissingFrameError("frame 7 is missing; render it")
+
+    def test_results_have_stdout_for_themselves(self, capsys):
+        with pytest.raises(UsageError), reporting("openjd", results_on_stdout=True):
+            raise UsageError("--frames x is no range")
+        assert capsys.readouterr() == ("", "openjd_fail: --frames x is no range\n")

@@ -26,7 +26,8 @@ COLUMNS = [
     *("made_by", "path", "node", "choice", "output_warp", "output_extrapolate"),
     *("N_d", "EMD_Wn", "EMD_Wp", "Var_x", "Var_y", "R", "inputs"),
     *("hdr_flip", "vmaf", "flicker", "hdr_flip_holes", "flicker_holes"),
-    "render_s",
+    *("render_s", "render_source", "rendered_width", "rendered_height", "distance"),
+    *("scored", "scored_holes"),
 ]
 STEPS = ("read", "features", "decide", "warp", "holes", "extrapolate", "write")
 TIMES = [f"{step}_ms" for step in STEPS]
@@ -99,19 +100,26 @@ def test_every_value_has_its_cell() -> None:
         "hdr_flip_holes": "0.625",
         "flicker_holes": "7.5",
         "render_s": "42.5",
+        "render_source": "RenderTime",
+        "rendered_width": "64",
+        "rendered_height": "32",
+        "distance": "7.0",
+        "scored": "true",
+        "scored_holes": "true",
         "warp_ms": "1.5",
         "score_ms": "7.0",
     }
     assert key["psnr_db"] == key["hole_fraction"] == key["warp_ms"] == ""
     assert (key["kind"], key["resumed"]) == ("key", "false")
-    assert all(key[name] == "" for name in COLUMNS[COLUMNS.index("made_by") :])
+    assert key["scored"] == key["scored_holes"] == "false"
+    assert all(key[name] == "" for name in COLUMNS[COLUMNS.index("made_by") : -2])
 
 
 def test_a_decision_without_features_has_no_cells_for_them() -> None:
     frame = interval(1001, "ggg", 1001)[1]
     bare = Decision("d2", "warp", outputs=(34.5, 30.25))
     (row,) = rows_of(frames_csv((replace(frame, decision=bare),)))
-    filled = {name: row[name] for name in COLUMNS[COLUMNS.index("made_by") :] if row[name]}
+    filled = {name: row[name] for name in COLUMNS[COLUMNS.index("made_by") : -2] if row[name]}
     assert filled == {
         "node": "d2", "choice": "warp", "output_warp": "34.5", "output_extrapolate": "30.25"
     }  # fmt: skip
@@ -129,9 +137,9 @@ def test_unmeasured_cells_are_empty(value: float | None) -> None:
 
 
 def test_file_names_that_csv_could_break_on_come_back() -> None:
-    frame = replace(interval(1001, "", 1001)[0], file='a, "b" \udcff.exr')
+    frame = replace(interval(1001, "", 1001)[0], file='a, "b"\n\r \udcff.exr')
     text = frames_csv((frame,))
-    assert rows_of(text)[0]["file"] == 'a, "b" \\udcff.exr'
+    assert rows_of(text)[0]["file"] == 'a, "b"\n\\r \\udcff.exr'
 
 
 def test_folder_is_made_and_files_are_whole(tmp_path: Path) -> None:

@@ -27,10 +27,10 @@ CONTRACT: dict[str, Any] = {
     "input": {
         **dict.fromkeys(("pattern", "first", "last", "width", "height", "producer")),
         "motion": {"source": None, "evidence": None},
-        "dynamic": None,
+        **dict.fromkeys(("dynamic", "step", "selected")),
     },
     "frames": dict.fromkeys(("key", "written", "generated", "dropped", "resumed")),
-    "fps": dict.fromkeys(("base", "effective", "output", "throughput", "source")),
+    "fps": dict.fromkeys(("base", "effective", "output", "throughput", "source", "factor")),
     "holes": dict.fromkeys(("mean_fraction", "p95_fraction", "histogram")),
     "decisions": {
         "nodes": {f"d{i}": {"warp": None, "extrapolate": None} for i in range(1, 6)},
@@ -53,6 +53,7 @@ CONTRACT: dict[str, Any] = {
     "cuts": None,
     "views": None,
     "layers": None,
+    "wall_s": None,
 }
 
 
@@ -129,8 +130,9 @@ def test_outside_the_tree_nothing_was_decided() -> None:
 def test_an_empty_run_is_reported() -> None:
     found = report(run([]))
     assert set(found["frames"].values()) == {0}
-    rates = {"base": 24.0, "effective": None, "output": 96.0}
+    rates = {"base": 24.0, "effective": None, "output": 96.0, "factor": "4"}
     assert found["fps"] == {**rates, "throughput": None, "source": "header"}
+    assert found["input"]["selected"] is None
     assert report(path_run("S6", 0))["decisions"]["warp_share"] is None
 
 

@@ -20,10 +20,9 @@ from exwarp_cli.io.models import load_extrapolator
 from exwarp_cli.metrics.registry import score
 from exwarp_cli.training import crops as batches
 from exwarp_cli.training.crops import Batch, Crops, varied
+from exwarp_cli.training.curve import COLUMNS, CURVE
 from exwarp_cli.training.extrapolator import (
     CHECKPOINT,
-    COLUMNS,
-    CURVE,
     Training,
     train_extrapolator,
 )

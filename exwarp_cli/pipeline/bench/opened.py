@@ -20,13 +20,13 @@ from exwarp_cli.io.policy_files import load_policy
 from exwarp_cli.io.vmaf import require_size
 from exwarp_cli.pipeline.bench.pictures import Pictures
 from exwarp_cli.pipeline.bench.plan import Subject
+from exwarp_cli.pipeline.finding import find_truth, require_state
 from exwarp_cli.pipeline.geometry import Staging
 from exwarp_cli.pipeline.loaded import Loaded
 from exwarp_cli.pipeline.loading import IntervalLoader
 from exwarp_cli.pipeline.observing import Observer
 from exwarp_cli.pipeline.scoring import SLOTS
 from exwarp_cli.pipeline.source import open_source
-from exwarp_cli.pipeline.upsample import find_truth, require_state
 from exwarp_cli.policy.policies import LearnedPolicy
 from exwarp_cli.policy.state import Surroundings
 from exwarp_cli.synthesis.interval import Interval

@@ -13,7 +13,7 @@ from exwarp_cli.report.bench.album import albums
 from exwarp_cli.report.bench.choices import feature_points
 from exwarp_cli.report.bench.document import document
 from exwarp_cli.report.bench.markdown import markdown
-from exwarp_cli.report.bench.naming import identify
+from exwarp_cli.report.bench.naming import Document, identify
 from exwarp_cli.report.bench.page import bench_page
 from exwarp_cli.report.bench.tables import tables_of
 from exwarp_cli.report.folder import PAGE_FILE
@@ -26,13 +26,13 @@ JSON_FILE, MARKDOWN_FILE = "bench.json", "bench.md"
 
 def write_benchmark(
     folder: Path, found: Benchmark, clock_hz: float, progress: Progress
-) -> list[str]:
+) -> Document:
     """Write bench.json, bench.md, a CSV file a table, and the page.
 
     Returns
     -------
-    list of str
-        Lines that tell the user what is where.
+    dict
+        What bench.json holds.
 
     Raises
     ------
@@ -52,6 +52,11 @@ def write_benchmark(
     atomic_write_text(folder / PAGE_FILE, render(bench_page(found, plain, albums(found))))
     # The document last: who sees it then finds what belongs to it.
     atomic_write_text(folder / JSON_FILE, to_json(plain))
+    return plain
+
+
+def what_is_where(folder: Path) -> list[str]:
+    """Tell the user in lines what lies in a benchmark's folder."""
     return [
         f"tables in {folder / MARKDOWN_FILE}, {folder / JSON_FILE} and CSV files beside them",
         f"page to look at: {folder / PAGE_FILE}",

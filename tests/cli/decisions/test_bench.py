@@ -19,6 +19,7 @@ from exwarp_cli import cli
 from exwarp_cli.pipeline.bench import work
 from tests.cli import shots
 from tests.cli.decisions.conftest import KEYS, SETTINGS, take
+from tests.cli.documents import document_of
 from tests.cli.pictures import write_still
 from tests.cli.street import Street
 from tests.unit import tiny_interpolators
@@ -62,7 +63,7 @@ def whole(tmp_path_factory, uneven, truth, network, policies) -> Callable[[str],
     return find
 
 
-def document_of(folder: Path) -> dict[str, Any]:
+def document_in(folder: Path) -> dict[str, Any]:
     return json.loads((folder / "bench.json").read_text())
 
 
@@ -78,7 +79,7 @@ def rows(path: Path) -> list[dict[str, str]]:
 @pytest.mark.parametrize("setting", SETTINGS)
 def test_numbers_are_those_of_upsample(whole, judged, uneven, truth, tmp_path, setting):
     folder = whole(setting)
-    (found,) = document_of(folder)["quality"]
+    (found,) = document_in(folder)["quality"]
     paths = {"key": ("s2", "s5"), "slot": ("s4",)}[setting]
     done = {name: judged(name, setting) for name in (*paths, "s6", "oracle", "watching")}
     for name in ("softsplat", "hold"):
@@ -104,7 +105,7 @@ def test_truth_may_be_of_stills(exwarp, uneven, truth, tmp_path):
     assert found.code == 0, found.err
     options = ("-m", "hold", "--ground-truth", stills, "--metrics", "psnr,ssim", "--frames", "1")
     done = take(uneven["key"], tmp_path / "hold", *options)
-    measured = document_of(tmp_path / "out")["quality"][0]["systems"]["hold"]["all"]["psnr_db"]
+    measured = document_in(tmp_path / "out")["quality"][0]["systems"]["hold"]["all"]["psnr_db"]
     assert measured == pytest.approx(done.report["quality"]["all"]["psnr_db"], abs=1e-9)
 
 
@@ -116,7 +117,7 @@ def test_paths_are_those_of_upsample(whole, judged, setting):
         taken = [part["paths"][chooser] for part in parts]
         assert taken == judged(name, setting).paths[:-1]
         assert len(set(taken)) > 1
-    effective = document_of(whole(setting))["fps"][0]["effective"]
+    effective = document_in(whole(setting))["fps"][0]["effective"]
     assert (effective["s1"], effective["s2"], effective["s6"]) == (60, 90, 120)
 
 
@@ -154,6 +155,15 @@ def test_a_second_run_measures_nothing_and_writes_the_same(bench, monkeypatch):
     second, _ = bench(*FEW)
     assert second == first
     assert {path: path.read_bytes() for path in before} == before
+
+
+@pytest.mark.parametrize("kind", ["none", "openjd"])
+def test_its_document_is_that_of_the_file(exwarp, uneven, truth, tmp_path, kind):
+    how = ("--jobs", 1, "--metrics", "psnr", "--systems", "hold", "--progress", kind, "--json")
+    line = ("bench", *uneven["key"], "--ground-truth", truth, "--frames", "1", *how)
+    result = exwarp(*line, "-o", tmp_path / "bench")
+    assert document_of(result, "exwarp.bench/1") == document_in(tmp_path / "bench")
+    assert ("openjd_status: 1 frame done" in result.err.splitlines()) == (kind == "openjd")
 
 
 def test_chunks_and_workers_find_what_one_process_finds(bench, monkeypatch):

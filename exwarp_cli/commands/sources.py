@@ -1,0 +1,87 @@
+"""Where the settings of a command come from: which files and tables hold, the strongest first."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import click
+
+from exwarp_cli.commands.layers import Layer, configurable, environment_layer, file_layer
+from exwarp_cli.commands.option_values import long_name
+from exwarp_cli.io.config_file import FoundFile, found_files, read_config_file
+
+UPSAMPLE = ("upsample",)
+
+AS_UPSAMPLE = (("farm", "openjd"), ("farm", "commands"))
+"""Commands that write runs of upsample into jobs: where nothing is set for themselves, what is set
+for upsample holds, so that a job gives the frames that the command gives in the same folder."""
+
+OWN_OF_JOBS = frozenset({"progress", "chunk-size", "json", "dry-run", "as-chunk"})
+"""Options that say how a command itself runs, and so are not taken over."""
+
+
+def config_files(ctx: click.Context, named: str | None) -> tuple[FoundFile, ...]:
+    """Find the config files: those of the command line, the environment, the folders, the user."""
+    how = "--config"
+    if named is None:
+        named = ctx.find_root().params.get("config")
+    if named is None and (variable := os.environ.get("EXWARP_CONFIG")):
+        named, how = variable, "EXWARP_CONFIG"
+    return found_files(named, how, Path(click.get_app_dir("exwarp")))
+
+
+def readers(
+    ctx: click.Context,
+    files: tuple[FoundFile, ...],
+    command: click.Command,
+    path: tuple[str, ...],
+) -> list[Callable[[], Layer]]:
+    """Return what reads the layers of a command, the strongest first."""
+    groups = _groups(ctx)
+    own = partial(environment_layer, os.environ, command, path)
+    readers: list[list[Callable[[], Layer]]] = [[own]]
+    readers += [[partial(_file_layer, file, groups, command, path)] for file in files]
+    if path in AS_UPSAMPLE:
+        names, model = groups[:1], _command(ctx.find_root(), UPSAMPLE)
+        taken = partial(_taken_over, command)
+        readers[0].append(partial(taken, partial(environment_layer, os.environ, model, UPSAMPLE)))
+        for file, one in zip(files, readers[1:], strict=True):
+            one.append(partial(taken, partial(_file_layer, file, names, model, UPSAMPLE)))
+    return [read for source in readers for read in source]
+
+
+def _file_layer(
+    file: FoundFile, groups: list[list[str]], command: click.Command, path: tuple[str, ...]
+) -> Layer:
+    return file_layer(read_config_file(file.path), groups, command, path)
+
+
+def _taken_over(command: click.Command, read: Callable[[], Layer]) -> Layer:
+    """Keep of another command's settings those that this one has, too."""
+    names = {long_name(option): option.name or "" for option in configurable(command)}
+    return {
+        name: replace(setting, parameter=names[name])
+        for name, setting in read().items()
+        if name in names and name not in OWN_OF_JOBS
+    }
+
+
+def _command(root: click.Context, path: tuple[str, ...]) -> click.Command:
+    assert isinstance(root.command, click.Group)
+    command = root.command.get_command(root, path[0])
+    assert command is not None
+    return command
+
+
+def _groups(ctx: click.Context) -> list[list[str]]:
+    """Return the names that there are on each level above a command."""
+    above = []
+    while ctx.parent is not None:
+        ctx = ctx.parent
+        assert isinstance(ctx.command, click.Group)
+        above.append(ctx.command.list_commands(ctx))
+    return above[::-1]

@@ -1,0 +1,73 @@
+"""What a run did, in the few lines that commands print at their end."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from exwarp_cli.domain.metric import METRICS
+
+
+def summary_lines(
+    document: dict[str, Any], place: str = "", scored: bool | None = None
+) -> list[str]:
+    """Say in a few lines what was done.
+
+    Parameters
+    ----------
+    document
+        What report.json holds; at least one frame was written.
+    place
+        Where the frames are; empty where that is not known.
+    scored
+        Whether ground truth was given; None to tell by the scores that are there.
+    """
+    from exwarp_cli.report.page_parts import cuts_line
+
+    frames, fps, quality = document["frames"], document["fps"], document["quality"]["all"]
+    many = "" if frames["written"] == 1 else "s"
+    effective = "" if fps["effective"] is None else f", effective {fps['effective']:g}"
+    lines = [
+        f"{frames['written']} frame{many}{place and f' in {place}'}: {frames['key']} rendered, "
+        f"{frames['generated']} generated, {frames['dropped']} repeated",
+        f"{fps['base']:g} fps in, {fps['output']:g} out{effective}",
+    ]
+    if document["cuts"]:
+        lines.append(cuts_line(document["cuts"]))
+    taken = {name: count for name, count in document["decisions"]["paths"].items() if count}
+    if taken:
+        listed = ", ".join(f"{name} {count}" for name, count in taken.items())
+        share = document["decisions"]["warp_share"]
+        lines.append(
+            f"paths of the key intervals: {listed}; {share:.0%} of the decisions are warps"
+        )
+    if document["holes"]["mean_fraction"] is not None:
+        lines.append(f"holes {document['holes']['mean_fraction']:.1%} of the pixels on average")
+    compared = bool(quality["frames"]) if scored is None else scored
+    if compared and frames["written"] > frames["key"]:
+        lines.append(f"against ground truth{_scores(quality)}")
+    if document["render_time"] is not None:
+        lines.append(_saved(document["render_time"]))
+    return lines
+
+
+def _scores(quality: dict[str, Any]) -> str:
+    """Say how good the frames between the rendered ones are."""
+    if not quality["frames"]:
+        return ": it has none of the frames between the rendered ones"
+    values = (
+        f"{metric.name} {metric.with_unit(quality[metric.field])}"
+        for metric in METRICS
+        if quality[metric.field] is not None
+    )
+    return f" ({quality['frames']} frames): {', '.join(values)}"
+
+
+def _saved(found: dict[str, Any]) -> str:
+    """Say what rendering would have taken, by the renderer's own times."""
+    from exwarp_cli.report.page_parts import time_text
+
+    return (
+        f"render time saved: {time_text(found['saved_s'])} ({found['saved_share']:.0%}); a key "
+        f"frame took {time_text(found['key_frame_s'])} to render, a new one takes "
+        f"{time_text(found['generated_frame_s'])}"
+    )

@@ -1,0 +1,228 @@
+"""One job on many processes: chunks of it on the workers of a Dask cluster.
+
+The coordinator opens the job, refuses what it has to, makes the folders, and gives chunks to
+workers, which open the same files. Frames do not travel: workers write them where a single run
+would. Any split gives the same bytes, so that the frames, the video and the report are those of a
+single run.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+import uuid
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from exwarp_cli import __version__
+from exwarp_cli.domain.cuts import Cut
+from exwarp_cli.domain.results import RunSummary
+from exwarp_cli.domain.settings import ClusterSettings
+from exwarp_cli.domain.timeline import ranges
+from exwarp_cli.errors import UsageError
+from exwarp_cli.farm.chunks import DEFAULT_SIZE, split
+from exwarp_cli.farm.cluster_client import connected, require_cluster, threads_each
+from exwarp_cli.farm.shared_paths import absolute, inputs_of
+from exwarp_cli.io.atomic import marked, remove_leftovers
+from exwarp_cli.pipeline.dry_run import DryRun
+from exwarp_cli.pipeline.filming import Film
+from exwarp_cli.pipeline.job import Job
+from exwarp_cli.pipeline.progress import NoProgress, Progress
+
+if TYPE_CHECKING:  # they import Dask, which may not be there
+    from exwarp_cli.farm.cluster_dispatch import Dispatch
+    from exwarp_cli.farm.cluster_work import Chunk, Done, SharedWatcher
+
+ROUNDS = 3
+"""Chunks for each worker, where there are not so many key frames that the largest ones are more:
+the last to finish keeps the others waiting for a third of its share at most."""
+
+
+def run_on_cluster(
+    job: Job, where: ClusterSettings, progress: Progress, watcher: SharedWatcher | None = None
+) -> RunSummary:
+    """Do a job that is open on the workers of a cluster.
+
+    Parameters
+    ----------
+    job
+        What is done.
+    where
+        Which cluster.
+    progress
+        Told of every frame.
+    watcher
+        Shown frames that it wants to see, by parts of it in the workers; None for nobody.
+
+    Returns
+    -------
+    RunSummary
+        That of a single run, times excepted.
+
+    Raises
+    ------
+    ClusterError
+        When the cluster cannot be reached, cannot do the work, or loses its workers.
+    ExwarpError
+        As `pipeline.upsample.upsample` raises; frames written until then are whole.
+    """
+    _require_frames(job)
+    job.targets.refuse(job.settings, job.source.timeline, job.slots)
+    with connected(where, job.settings.threads) as client:
+        return _Coordinator(job, where, progress, watcher).run(client)
+
+
+def foresee_on_cluster(job: Job, where: ClusterSettings, found: DryRun) -> DryRun:
+    """Add to what a run would do how it would be spread.
+
+    Raises
+    ------
+    ClusterError
+        When the cluster cannot be reached, or cannot do the work.
+    """
+    _require_frames(job)
+    require_cluster()
+    if where.address is None:
+        workers = where.workers or 1
+    else:
+        with connected(where, job.settings.threads) as client:
+            workers = _Coordinator(job, where, NoProgress()).dispatch(client, ()).muster()
+    chunks = chunks_of(job.key_numbers, where, workers)
+    return replace(found, chunks=chunks, spread=_spread(where, workers, job.settings.threads))
+
+
+def chunks_of(
+    keys: tuple[int, ...], where: ClusterSettings, workers: int
+) -> tuple[tuple[int, ...], ...]:
+    """Cut key frames into chunks.
+
+    Without a wish they are so small that each worker gets some of them in turn, so that a lost one
+    costs little, and of `DEFAULT_SIZE` key frames at most; each chunk reads what it has in common
+    with the one before anew, so that they are no smaller than that needs.
+    """
+    usual = min(DEFAULT_SIZE, max(1, math.ceil(len(keys) / (ROUNDS * workers))))
+    return split(keys, where.chunk_size or usual)
+
+
+def _spread(where: ClusterSettings, workers: int, threads: int | None) -> str:
+    """Say over what the work is spread."""
+    many = f"{workers} worker{'' if workers == 1 else 's'}"
+    if where.address is not None:
+        return f"{many} of {where.address}"
+    each = threads_each(workers, threads)
+    return f"{many} on this machine, {each} thread{'' if each == 1 else 's'} each"
+
+
+def _require_frames(job: Job) -> None:
+    """Refuse a video alone, whose frames would be nowhere."""
+    if job.targets.frames is None:
+        raise UsageError(
+            f"-o {job.settings.output} is a video alone, and workers write frames; name a folder "
+            "in -o and the video in --video, or leave out --workers and --cluster"
+        )
+
+
+class _Coordinator:
+    """Does one job on a cluster; see `run_on_cluster`."""
+
+    def __init__(
+        self,
+        job: Job,
+        where: ClusterSettings,
+        progress: Progress,
+        watcher: SharedWatcher | None = None,
+    ) -> None:
+        self._job, self._where = job, where
+        self._progress, self._watcher = progress, watcher
+        self._chunks: tuple[Chunk, ...] = ()
+        self._film: Film | None = None
+        self._filmed = 0
+        self._done: dict[int, Done] = {}
+
+    def run(self, client: Any) -> RunSummary:
+        """Do the job by a client that is connected."""
+        job = self._job
+        job.prepare()
+        with ExitStack() as stack:
+            for folder in job.targets.folders:
+                stack.callback(remove_leftovers, folder)  # of workers that were lost
+            marks = tuple(stack.enter_context(marked(f)) for f in job.targets.folders)
+            dispatch = self.dispatch(client, marks)
+            workers = dispatch.muster()
+            self._chunks = self._cut(workers)
+            job.announce(self._progress)
+            self._say_spread(workers)
+            begin = time.perf_counter()
+            self._progress.start(len(job.slots))
+            stack.callback(self._progress.finish)
+            if self._watcher is not None:
+                self._watcher.plan(job.groups)
+            if job.targets.video is not None:
+                self._film = stack.enter_context(Film(job))
+            dispatch.run(self._with_watchers())
+        return self._summary(time.perf_counter() - begin)
+
+    def dispatch(self, client: Any, marks: tuple[Path, ...]) -> Dispatch:
+        """Return what gives chunks to workers that see the files of the job."""
+        from exwarp_cli.farm.cluster_dispatch import Dispatch
+        from exwarp_cli.farm.cluster_work import Needs
+
+        needs = Needs(__version__, inputs_of(self._job), tuple(str(m.absolute()) for m in marks))
+        say, advance = self._progress.message, self._progress.advance
+        return Dispatch(client, needs, advance, self._take, say, self._name)
+
+    def _cut(self, workers: int) -> tuple[Chunk, ...]:
+        """Make the chunks."""
+        from exwarp_cli.farm.cluster_work import Chunk
+
+        run, job = uuid.uuid4().hex, self._job
+        # What the coordinator sees to itself: which key frames, the video, and what is in the way.
+        settings = replace(absolute(job.settings), frames=None, video=None)
+        if self._where.address is None:
+            settings = replace(settings, threads=None)  # the worker was started with its share
+        return tuple(
+            Chunk(run, f"exwarp-{run}", index, 0, settings, keys, None)
+            for index, keys in enumerate(chunks_of(job.keys, self._where, workers))
+        )
+
+    def _with_watchers(self) -> list[Chunk]:
+        if self._watcher is None:
+            return list(self._chunks)
+        return [replace(chunk, watcher=self._watcher.share()) for chunk in self._chunks]
+
+    def _say_spread(self, workers: int) -> None:
+        spread = _spread(self._where, workers, self._job.settings.threads)
+        count = len(self._chunks)
+        self._progress.message(f"{count} chunk{'' if count == 1 else 's'} for {spread}")
+
+    def _name(self, chunk: Chunk) -> str:
+        """Name a chunk by its frames."""
+        timeline = self._job.source.timeline
+        slots = (slot for key in chunk.keys for slot in timeline.slots_of(key))
+        return ranges([timeline.number(slot) for slot in slots])
+
+    def _take(self, chunk: Chunk, done: Done) -> None:
+        """Take over what a chunk came to, and film what is complete from the beginning on."""
+        self._done[chunk.index] = done
+        if self._watcher is not None and done.watcher is not None:
+            self._watcher.adopt(done.watcher)
+            self._done[chunk.index] = replace(done, watcher=None)
+        while self._film is not None and self._filmed in self._done:
+            self._film.append(self._chunks[self._filmed].keys)
+            self._filmed += 1
+
+    def _summary(self, seconds: float) -> RunSummary:
+        """Join what the chunks found out: as a single run would have, in order."""
+        done = [self._done[chunk.index] for chunk in self._chunks]
+        frames = tuple(record for one in done for record in one.frames)
+        return self._job.summary(frames, _joined([one.cuts for one in done]), seconds)
+
+
+def _joined(each: list[tuple[Cut, ...] | None]) -> tuple[Cut, ...] | None:
+    """Join the cuts that chunks met; two of them meet those between them."""
+    if any(cuts is None for cuts in each):
+        return None
+    found = {cut for cuts in each if cuts is not None for cut in cuts}
+    return tuple(sorted(found, key=lambda cut: cut.number))

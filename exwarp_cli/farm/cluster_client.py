@@ -1,0 +1,206 @@
+"""Connecting to a Dask cluster: a running one, or one of this machine's processes."""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import sys
+import tempfile
+import warnings
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
+from multiprocessing import resource_tracker
+from typing import Any
+
+from exwarp_cli.domain.settings import ClusterSettings
+from exwarp_cli.errors import ClusterError, MissingExtraError
+
+CONNECT_S = 10.0
+"""Seconds that a scheduler has to answer."""
+
+LOOPBACK = "127.0.0.1"
+
+STOP_S = 10.0
+"""Seconds that they have to end before they are killed."""
+
+_LATE = (OSError, TimeoutError, RuntimeError)
+"""What Dask raises where somebody does not answer in time, or its event loop has ended."""
+
+
+def require_cluster() -> Any:
+    """Return the module `distributed`; MissingExtraError where it is not installed."""
+    try:
+        import distributed
+    except ImportError as error:
+        raise MissingExtraError(
+            "--workers and --cluster need Dask, which is not installed; install it with pip "
+            'install "exwarp[cluster]"'
+        ) from error
+    return distributed
+
+
+def threads_each(workers: int, threads: int | None) -> int:
+    """Share threads out: how many each of some processes has."""
+    return max(1, (threads or _cores()) // workers)
+
+
+@contextmanager
+def connected(where: ClusterSettings, threads: int | None) -> Iterator[Any]:
+    """Yield a client of the cluster; a local one lives as long as the block.
+
+    Parameters
+    ----------
+    where
+        Which cluster.
+    threads
+        That processes of this machine share; None for all cores.
+
+    Yields
+    ------
+    distributed.Client
+        With a connection.
+
+    Raises
+    ------
+    ClusterError
+        When the scheduler does not answer, or processes do not start.
+    MissingExtraError
+        When Dask is not installed.
+    """
+    distributed = require_cluster()
+    with ExitStack() as stack:
+        stack.enter_context(_quiet())
+        if where.address is None:
+            address = stack.enter_context(_local(distributed, where.workers or 1, threads))
+        else:
+            address = where.address
+        yield stack.enter_context(_client(distributed, address))
+
+
+@contextmanager
+def _client(distributed: Any, address: Any) -> Iterator[Any]:
+    """Connect, without becoming what Dask uses for everything else in this process."""
+    try:
+        client = _whole(
+            partial(distributed.Client, address, timeout=CONNECT_S, set_as_default=False), _leave
+        )
+    except (OSError, ValueError, ImportError, RuntimeError) as error:
+        raise ClusterError(
+            f"cannot reach a Dask scheduler at {address} ({_reason(error)}); check the address, "
+            "which is like tcp://host:8786, and that 'dask scheduler' runs there"
+        ) from error
+    try:
+        yield client
+    finally:
+        _leave(client)
+
+
+@contextmanager
+def _local(distributed: Any, workers: int, threads: int | None) -> Iterator[Any]:
+    """Start processes that end with the block, or with this process, however it ends."""
+    if sys.platform != "win32":
+        # It would lift the block of `_deafen` where the first process begins it.
+        resource_tracker.ensure_running()
+    with ExitStack() as stack:
+        scratch = tempfile.TemporaryDirectory(prefix="exwarp-", ignore_cleanup_errors=True)
+        folder = stack.enter_context(scratch)
+        make = partial(
+            distributed.LocalCluster,
+            n_workers=workers,
+            threads_per_worker=threads_each(workers, threads),
+            processes=True,
+            host=LOOPBACK,
+            scheduler_kwargs={"dashboard": False, "dashboard_address": f"{LOOPBACK}:0"},
+            memory_limit=None,
+            silence_logs=logging.CRITICAL,
+            local_directory=folder,
+            preload=["exwarp_cli.farm.cluster_preload"],
+        )
+        try:
+            cluster = _whole(make, _end)
+        except (OSError, RuntimeError) as error:
+            raise ClusterError(
+                f"cannot start {workers} worker processes on this machine ({_reason(error)}); use "
+                "fewer --workers, or none"
+            ) from error
+        stack.callback(_end, cluster)
+        yield cluster
+
+
+def _whole(make: Callable[[], Any], end: Callable[[Any], None]) -> Any:
+    """Make something in a thread, and end it again if this one is interrupted meanwhile.
+
+    An interruption that reached Dask itself would leave processes half begun.
+    """
+    with ThreadPoolExecutor(1, initializer=_deafen) as pool:
+        future = pool.submit(make)
+        try:
+            return future.result()
+        except BaseException:
+            with suppress(Exception):  # its own, which is raised anyway
+                end(future.result())
+            raise
+
+
+def _deafen() -> None:
+    """Keep Ctrl-C from processes that this thread will begin, and the threads that it begins.
+
+    A terminal sends it to every process of the command, and workers would print where they were.
+    """
+    if sys.platform != "win32":
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+
+
+def _leave(client: Any) -> None:
+    """Disconnect."""
+    with suppress(*_LATE):
+        client.close(timeout=STOP_S)
+
+
+def _end(cluster: Any) -> None:
+    """End a local cluster's processes: nothing is lost by it, as what they wrote is whole."""
+    processes = [nanny.pid for nanny in cluster.workers.values() if nanny.pid]
+    try:
+        cluster.close(timeout=STOP_S)
+    except _LATE:
+        for process in processes:
+            with suppress(OSError):  # ended meanwhile
+                os.kill(process, signal.SIGTERM if os.name == "nt" else signal.SIGKILL)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep to ourselves what Dask says: whatever matters ends in a sentence of our own."""
+    import dask
+
+    # Its loggers have levels of their own, and one handler.
+    handlers = [(handler, handler.level) for handler in logging.getLogger("distributed").handlers]
+    settings = {
+        "distributed.comm.timeouts.connect": f"{CONNECT_S}s",
+        # Of processes of our own: nobody looks at their pages.
+        "distributed.scheduler.http.routes": [],
+        "distributed.worker.http.routes": [],
+    }
+    try:
+        for handler, _ in handlers:
+            handler.setLevel(logging.CRITICAL + 1)
+        with dask.config.set(settings), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        for handler, level in handlers:
+            handler.setLevel(level)
+
+
+def _reason(error: BaseException) -> str:
+    return str(error).splitlines()[0] if str(error) else type(error).__name__
+
+
+def _cores() -> int:
+    try:
+        return len(os.sched_getaffinity(0))
+    except AttributeError:  # not on macOS and Windows
+        return os.cpu_count() or 1

@@ -1,0 +1,191 @@
+"""The files and folders that options of `upsample` name: what a farm has to carry or to map."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from enum import Enum
+from pathlib import Path
+
+from exwarp_cli.errors import InputError
+from exwarp_cli.io.aov_files import parse_aovs
+from exwarp_cli.io.clip import is_clip
+from exwarp_cli.io.frame_names import NamePattern
+
+
+class Flow(Enum):
+    """Whether a job reads a place or writes it, by the names of Open Job Description."""
+
+    READ = "IN"
+    WRITTEN = "OUT"
+
+
+class Form(Enum):
+    """What an option takes."""
+
+    SEQUENCE = "a folder, a pattern, or any one frame"
+    AOV = "a role, and a sequence, and names of channels"
+    FILE = "one file"
+    FOLDER = "one folder"
+
+
+@dataclass(frozen=True)
+class Purpose:
+    """What an option's files are for.
+
+    Attributes
+    ----------
+    name
+        Of the job's parameter, as an identifier.
+    label
+        For people.
+    form
+        What the option takes.
+    flow
+        Whether the job reads or writes it.
+    """
+
+    name: str
+    label: str
+    form: Form
+    flow: Flow = Flow.READ
+
+
+PURPOSES: Mapping[str, Purpose] = {
+    "sequence": Purpose("Sequence", "Key frames", Form.SEQUENCE),
+    "gbuffers": Purpose("GBuffers", "G-buffers at the output rate", Form.SEQUENCE),
+    "aovs": Purpose("Aov", "AOV", Form.AOV),
+    "channel_map": Purpose("ChannelMap", "Channel map", Form.FILE),
+    "ground_truth": Purpose("GroundTruth", "Ground truth", Form.SEQUENCE),
+    "extrapolator": Purpose("Extrapolator", "Network that extrapolates", Form.FILE),
+    "interpolator": Purpose("Interpolator", "Network that interpolates", Form.FILE),
+    "policy": Purpose("Policy", "Policy", Form.FILE),
+    "output": Purpose("Output", "Output frames", Form.SEQUENCE, Flow.WRITTEN),
+    "write_holes": Purpose("Holes", "Hole masks", Form.SEQUENCE, Flow.WRITTEN),
+    "report_folder": Purpose("Report", "Report", Form.FOLDER, Flow.WRITTEN),
+    "video": Purpose("Video", "Video", Form.FILE, Flow.WRITTEN),
+}
+"""By the name of the parameter in `upsample`; all others name no files."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """A file or folder of a job, and how an option names it.
+
+    Attributes
+    ----------
+    purpose
+        What it is for.
+    name, label
+        As in `Purpose`, with the role where it is an AOV's.
+    path
+        Of the folder or file, absolute.
+    is_file
+        Whether `path` is a file.
+    pattern
+        The rest of the path, below the folder; "" where the folder itself is named.
+    before, after
+        What the option's value has around the path.
+    beside
+        A file that is read with this one, without being named; None without.
+    """
+
+    purpose: Purpose
+    name: str
+    label: str
+    path: Path
+    is_file: bool = False
+    pattern: str = ""
+    before: str = ""
+    after: str = ""
+    beside: Path | None = None
+
+    @property
+    def rest(self) -> str:
+        """What follows the path within the option's value.
+
+        Folders for frames end in a slash: without it ``out.exr`` would be taken for a file.
+        """
+        ends = self.purpose.form is Form.SEQUENCE and self.purpose.flow is Flow.WRITTEN
+        slash = "/" if self.pattern or ends else ""
+        return f"{slash}{self.pattern}{self.after}"
+
+    @property
+    def text(self) -> str:
+        """The option's value with the whole path."""
+        return f"{self.before}{self.path}{self.rest}"
+
+
+def locate(parameter: str, text: str) -> Place:
+    """Read the value of an option that names files.
+
+    Parameters
+    ----------
+    parameter
+        A name in `PURPOSES`.
+    text
+        What the user wrote; inputs are there.
+
+    Raises
+    ------
+    InputError
+        When the path is no text that a job can hold.
+    """
+    purpose = PURPOSES[parameter]
+    if not _is_text(text):
+        raise InputError(
+            f"the path {text!r} holds bytes that are no UTF-8, which no job can carry; rename it"
+        )
+    if purpose.form is Form.AOV:
+        return _aov(purpose, text)
+    place = Place(purpose, purpose.name, purpose.label, Path(text).absolute())
+    if purpose.form is Form.FOLDER:
+        return place
+    if purpose.form is Form.FILE:
+        return replace(place, is_file=True, beside=_card(parameter, place.path))
+    if purpose.flow is Flow.WRITTEN:
+        folder, pattern = _written(text, place.path)
+    elif is_clip(text) and place.path.is_file():
+        return replace(place, is_file=True)
+    else:
+        folder, pattern = _read(place.path)
+    return replace(place, path=folder, pattern=pattern)
+
+
+def _aov(purpose: Purpose, text: str) -> Place:
+    (aov,) = parse_aovs([text])
+    folder, pattern = _read(Path(aov.pattern).absolute())
+    role = aov.role.value
+    after = f":{','.join(aov.channels)}" if aov.channels else ""
+    name = f"{purpose.name}{''.join(word.capitalize() for word in role.split('_'))}"
+    label = f"{purpose.label} {role}"
+    return Place(purpose, name, label, folder, False, pattern, f"{role}=", after)
+
+
+def _read(path: Path) -> tuple[Path, str]:
+    """Part a path into a folder that is there, and the rest: ``%V`` may stand for a folder, too."""
+    folder = next(place for place in (path, *path.parents) if place.is_dir())
+    return folder, "" if folder == path else path.relative_to(folder).as_posix()
+
+
+def _written(text: str, path: Path) -> tuple[Path, str]:
+    """Part a path as `upsample` does, whose folder need not be there."""
+    is_folder = text.endswith(("/", os.sep)) or path.is_dir()
+    if is_folder or NamePattern.parse(path.name) is None:
+        return path, ""
+    return path.parent, path.name
+
+
+def _card(parameter: str, path: Path) -> Path | None:
+    """Return the description that is read beside a network that interpolates."""
+    card = path.with_suffix(".json")
+    return card if parameter == "interpolator" and card.is_file() else None
+
+
+def _is_text(text: str) -> bool:
+    try:
+        text.encode("utf-8")
+    except UnicodeEncodeError:
+        return False
+    return True

@@ -1,0 +1,1 @@
+"""The work behind ``exwarp doctor``: one module for each kind of check."""

@@ -1,0 +1,152 @@
+"""Whether the compiled kernels work, and where they are kept from run to run."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+from llvmlite import binding  # type: ignore[import-untyped]
+
+from exwarp_cli.domain.checkup import Check, Remark, failure, warning
+from exwarp_cli.io.machine import Folder, cached_files, look_at
+from exwarp_cli.kernels import jit
+from exwarp_cli.kernels.gather import gather_bilinear, gather_bilinear_serial
+from exwarp_cli.pipeline.doctor.compilation import cache_folders, cache_use
+from exwarp_cli.pipeline.doctor.wording import counted, size_text
+
+FOLDER_VARIABLE = "NUMBA_CACHE_DIR"
+"""Names where compiled kernels go, before numba looks for a folder itself."""
+
+LEAST_FREE = 64 << 20
+"""Bytes on the disk of the compiled kernels, several times what they take."""
+
+
+def check_kernels() -> Check:
+    """Compile and run a kernel in both its builds, on motion by whole pixels."""
+    jit.set_threads(None)
+    remarks = []
+    if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
+        remarks.append(
+            warning(
+                "NUMBA_DISABLE_JIT is set, so that nothing is compiled and everything takes "
+                "hundreds of times as long; unset it"
+            )
+        )
+    wrong = [name for name, kernel in _BUILDS.items() if not moves_exactly(kernel)]
+    if wrong:
+        remarks.append(
+            failure(
+                f"the {' and the '.join(wrong)} build of a kernel gives wrong pixels; delete the "
+                "folder of compiled kernels, and if that does not help install numba again"
+            )
+        )
+    layer = _layer()
+    facts = {
+        "numba": numba.__version__,
+        "llvmlite": metadata.version("llvmlite"),
+        "jit": not numba.config.DISABLE_JIT,  # type: ignore[attr-defined]
+        "cpu": binding.get_host_cpu_name(),
+        "threads": numba.get_num_threads(),
+        "threading_layer": layer,
+    }
+    threads = counted(facts["threads"], "thread") + ("" if layer is None else f" by {layer}")
+    found = f"numba {numba.__version__} on numpy {np.__version__}, {threads}"
+    lines = (f"llvmlite {facts['llvmlite']}, which takes this CPU for {facts['cpu']}",)
+    return Check(found, tuple(remarks), facts, lines)
+
+
+def moves_exactly(kernel: Callable[..., Any]) -> bool:
+    """Whether a gather along whole pixels copies every bit."""
+    rng = np.random.default_rng(0)
+    image = rng.normal(size=(24, 40, 3)).astype(np.float32)
+    field = np.full((24, 40, 2), (-3, 2), np.float32)
+    out, hole = np.empty_like(image), np.empty(image.shape[:2], np.bool_)
+    kernel(image, field, out, hole)
+    expected = np.ones_like(hole)
+    expected[:-2, 3:] = False
+    return np.array_equal(out[:-2, 3:], image[2:, :-3]) and np.array_equal(hole, expected)
+
+
+def check_cache() -> Check:
+    """Look at the folders of compiled kernels; meant for the end, when kernels have been used."""
+    if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
+        return Check("not used, as NUMBA_DISABLE_JIT is set", facts={"folders": [], "warm": False})
+    folders = [look_at(path) for path in cache_folders()]
+    hits, misses = cache_use()
+    if not folders:
+        text = (
+            "no folder for compiled kernels can be written, so that every run compiles them; name "
+            "one in NUMBA_CACHE_DIR"
+        )
+        facts = {"folders": [], "kernels": 0, "bytes": 0, "warm": False, "compiled": misses}
+        return Check("none", (warning(text),), facts)
+    kernels = sum(cached_files(folder.path, ".nbi")[0] for folder in folders)
+    size = sum(cached_files(f.path, suffix)[1] for f in folders for suffix in (".nbi", ".nbc"))
+    facts = {
+        "folders": [{"path": str(f.path), "place": place_of(f.path)} for f in folders],
+        "writable": all(folder.problem is None for folder in folders),
+        "free": min((f.free for f in folders if f.free is not None), default=None),
+        "kernels": kernels,
+        "bytes": size,
+        "warm": misses == 0,
+        "loaded": hits,
+        "compiled": misses,
+    }
+    state = _state(hits, misses)
+    places = " and ".join(dict.fromkeys(place_of(folder.path) for folder in folders))
+    found = f"{state}; {counted(kernels, 'kernel')}, {size_text(size)}, {places}"
+    lines = tuple(str(folder.path) for folder in folders)
+    return Check(found, tuple(_cache_remarks(folders)), facts, lines)
+
+
+def _state(hits: int, misses: int) -> str:
+    """Say how the cache was found, by what this run took from it and what it had to compile."""
+    if not misses:
+        return "warm" if hits else "not used"
+    return "partly cold until now" if hits else "cold until now"
+
+
+def place_of(folder: Path) -> str:
+    """Say where a folder of compiled kernels is: numba looks for one that can be written."""
+    named = os.environ.get(FOLDER_VARIABLE)
+    if named and Path(named).resolve() in folder.resolve().parents:
+        return f"in {FOLDER_VARIABLE}"
+    beside = Path(jit.__file__).resolve().parents[1] in folder.resolve().parents
+    return "beside the source" if beside else "in the user's cache"
+
+
+def _cache_remarks(folders: list[Folder]) -> Iterator[Remark]:
+    named = os.environ.get(FOLDER_VARIABLE)
+    if named and not all(place_of(folder.path).endswith(FOLDER_VARIABLE) for folder in folders):
+        yield warning(
+            f"{FOLDER_VARIABLE} names {named}, which cannot be written, so that kernels are kept "
+            f"{place_of(folders[0].path)}; correct it, or unset it"
+        )
+    for folder in folders:
+        if folder.problem is not None:
+            yield warning(
+                f"cannot write to {folder.path} ({folder.problem}), so that kernels are compiled "
+                "for every run; name another folder in NUMBA_CACHE_DIR"
+            )
+        elif folder.free is not None and folder.free < LEAST_FREE:
+            yield warning(
+                f"the disk of {folder.path} is full, and compiled kernels go there; make room, or "
+                "name another folder in NUMBA_CACHE_DIR"
+            )
+
+
+def _layer() -> str | None:
+    """Return what numba's threads are made with; known once a parallel kernel ran."""
+    try:
+        name: str = numba.threading_layer()  # type: ignore[attr-defined]
+    except ValueError:
+        return None
+    return {"omp": "OpenMP", "tbb": "TBB", "workqueue": "numba's own queue"}.get(name, name)
+
+
+_BUILDS = {"parallel": gather_bilinear, "serial": gather_bilinear_serial}

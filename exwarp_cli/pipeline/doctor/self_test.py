@@ -1,0 +1,213 @@
+"""A tiny shot, upsampled by the real pipeline, of which every pixel is known beforehand.
+
+A textured plane before a camera that moves along it: what it shows moves by whole pixels from slot
+to slot, so that warping and splatting copy pixels and must get them right in every bit.
+"""
+
+from __future__ import annotations
+
+import io
+import tempfile
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from exwarp_cli.domain.checkup import Check, Remark, failure
+from exwarp_cli.domain.frame import Float32
+from exwarp_cli.domain.results import RunSummary
+from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
+from exwarp_cli.domain.timeline import FACTOR
+from exwarp_cli.errors import ExwarpError
+from exwarp_cli.io.specimens import differing, read_exr, write_exr
+from exwarp_cli.pipeline.doctor.compilation import cache_use
+from exwarp_cli.pipeline.doctor.wording import counted, listed
+from exwarp_cli.pipeline.progress import NoProgress
+from exwarp_cli.pipeline.upsample import upsample
+
+HEIGHT, WIDTH, KEYS = 48, 80, 3
+RIGHT, DOWN = 2, -1
+"""Pixels from slot to slot."""
+
+DEPTH, FOCAL = 5.0, 80.0
+
+MARGIN = FACTOR * max(abs(RIGHT), abs(DOWN)) + 4
+"""Pixels along the rim that are not judged: what comes into the picture is known to nobody."""
+
+EXTRAPOLATED = 0.05
+"""Most that a network may be off by there, scene-linear; it was 0.006."""
+
+EXACT = ("s6", "softsplat")
+"""Methods that move pixels and compute none."""
+
+CONVENTION = "previous=X,-Y next=-Z,W"
+"""Of the vectors as they are written here, Blender's; measuring must find it."""
+
+ADVICE = (
+    "install ExWarp and its packages again, and delete the folder of compiled kernels; if that "
+    "does not help, report it with what 'exwarp doctor --json' prints"
+)
+
+Planes = dict[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One run of the pipeline.
+
+    Attributes
+    ----------
+    problem
+        What is wrong with what it made; None where nothing is.
+    seconds
+        How long it took.
+    frames
+        How many it wrote.
+    """
+
+    problem: str | None
+    seconds: float
+    frames: int
+
+
+def check_self_test() -> Check:
+    """Upsample the shot by three methods, and in chunks."""
+    begin, compiled = time.perf_counter(), cache_use()[1]
+    with tempfile.TemporaryDirectory("-exwarp") as name:
+        folder = Path(name)
+        write_shot(folder / "keys")
+        trials = {"s6": _trial(folder, "s6", None)}
+        trials |= {m: _trial(folder, m, CONVENTION) for m in ("softsplat", "exwarp")}
+        trials["chunks"] = _chunks(folder, "exwarp")
+    seconds, compiled = time.perf_counter() - begin, cache_use()[1] - compiled
+    remarks = tuple(_remark(name, t.problem) for name, t in trials.items() if t.problem is not None)
+    good = [name for name, trial in trials.items() if trial.problem is None]
+    facts = {
+        "seconds": round(seconds, 3),
+        "compiled": compiled,
+        "runs": {
+            name: {"ok": t.problem is None, "seconds": round(t.seconds, 3), "frames": t.frames}
+            for name, t in trials.items()
+        },
+    }
+    many = "is" if len(good) == 1 else "are"
+    told = f"{listed(good)} {many} right" if good else "nothing is right"
+    told += f"; {seconds:.1f} s"
+    if compiled:
+        told += f", {counted(compiled, 'kernel')} compiled"
+    lines = tuple(
+        f"{n}: {counted(t.frames, 'frame')}, {t.seconds:.2f} s" for n, t in trials.items()
+    )
+    return Check(told, remarks, facts, lines)
+
+
+def write_shot(folder: Path) -> None:
+    """Write the key frames, in Blender's names."""
+    folder.mkdir()
+    for key in range(KEYS):
+        channels = {**colour(key * FACTOR), **_geometry(key * FACTOR)}
+        write_exr(folder / f"shot.{key + 1:04d}.exr", channels, "zip")
+
+
+def colour(slot: int) -> Planes:
+    """R, G, B, A of a slot, half [H, W]; values beyond 1 among them."""
+    u, v = _surface(slot)
+    waves = (
+        np.sin(0.31 * u + 0.17 * v) + np.cos(0.11 * u - 0.43 * v),
+        np.sin(0.23 * u - 0.29 * v + 1) + np.cos(0.09 * u + 0.19 * v),
+        np.cos(0.37 * u + 0.05 * v) + np.sin(0.13 * v + 0.5),
+    )
+    rgb = {name: 1.2 + 0.5 * wave for name, wave in zip("RGB", waves, strict=True)}
+    return {name: np.asarray(p, np.float16) for name, p in {**rgb, "A": np.ones_like(u)}.items()}
+
+
+def _geometry(slot: int) -> Planes:
+    u, v = _surface(slot)
+    right, up = FACTOR * RIGHT, -FACTOR * DOWN
+    values: Mapping[str, float | npt.NDArray[np.float64]] = {
+        "Depth.Z": DEPTH,
+        "IndexOB.X": 1.0,
+        # To where it was, from where it will be: the frame before minus this, this minus the next.
+        **dict(zip(("Vector.X", "Vector.Y"), (-right, -up), strict=True)),
+        **dict(zip(("Vector.Z", "Vector.W"), (-right, -up), strict=True)),
+        **dict(zip(("Normal.X", "Normal.Y", "Normal.Z"), (0.0, 0.0, 1.0), strict=True)),
+        "Position.X": u * DEPTH / FOCAL,
+        "Position.Y": -v * DEPTH / FOCAL,
+        "Position.Z": DEPTH,
+    }
+    return {name: np.full((HEIGHT, WIDTH), value, np.float32) for name, value in values.items()}
+
+
+def _surface(slot: int) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Return which point of the plane each pixel shows."""
+    y, x = np.mgrid[:HEIGHT, :WIDTH].astype(np.float64)
+    return x - RIGHT * slot, y - DOWN * slot
+
+
+def _trial(folder: Path, method: str, motion: str | None) -> Trial:
+    """Upsample the whole shot and judge every frame; without a convention measure it."""
+    begin = time.perf_counter()
+    try:
+        summary = _upsample(folder, method, method, motion)
+        problem = _wrong_motion(summary) or _wrong_frames(folder, method)
+    except ExwarpError as error:
+        return Trial(str(error), time.perf_counter() - begin, 0)
+    return Trial(problem, time.perf_counter() - begin, len(summary.frames))
+
+
+def _chunks(folder: Path, method: str) -> Trial:
+    """Upsample the shot in two pieces, which must equal the whole that is there already."""
+    begin, frames = time.perf_counter(), 0
+    try:
+        for number, piece in enumerate(("1", f"2-{KEYS}")):
+            frames += len(_upsample(folder, f"chunk{number}", method, CONVENTION, piece).frames)
+        pieces = [folder / f"chunk{number}" for number in range(2)]
+        differ = differing(folder / method, pieces)
+    except ExwarpError as error:
+        return Trial(str(error), time.perf_counter() - begin, frames)
+    problem = f"{listed(differ)} differ from those of the whole" if differ else None
+    return Trial(problem, time.perf_counter() - begin, frames)
+
+
+def _upsample(
+    folder: Path, output: str, method: str, motion: str | None, frames: str | None = None
+) -> RunSummary:
+    source = SourceSettings(str(folder / "keys"), motion=motion)
+    settings = UpsampleSettings(source, str(folder / output), method=method, threads=1)
+    return upsample(replace(settings, frames=frames), NoProgress(io.StringIO()))
+
+
+def _wrong_motion(summary: RunSummary) -> str | None:
+    """Say what is wrong with how the vectors were read."""
+    evidence = summary.input.motion_evidence or ""
+    if evidence.startswith(CONVENTION):
+        return None
+    return f"the vectors were read as {evidence or 'nothing'!r}, and they are {CONVENTION!r}"
+
+
+def _wrong_frames(folder: Path, method: str) -> str | None:
+    """Say which frames are not what they must be."""
+    wrong = []
+    for slot in range(KEYS * FACTOR):
+        name = f"shot.{slot + 1:04d}.exr"
+        found, truth = _inner(read_exr(folder / method / name)), _inner(colour(slot))
+        allowed = 0.0 if method in EXACT or slot % FACTOR == 0 else EXTRAPOLATED
+        if not np.abs(found - truth).max() <= allowed:
+            wrong.append(name)
+    if not wrong:
+        return None
+    return f"{counted(len(wrong), 'frame')} of {KEYS * FACTOR} have wrong pixels, {wrong[0]} first"
+
+
+def _inner(planes: Mapping[str, np.ndarray]) -> Float32:
+    """Stack R, G, B, A without the rim."""
+    image = np.stack([planes[name] for name in "RGBA"], axis=-1).astype(np.float32)
+    return image[MARGIN:-MARGIN, MARGIN:-MARGIN]
+
+
+def _remark(name: str, problem: str) -> Remark:
+    what = "upsampling in chunks" if name == "chunks" else f"upsampling by {name}"
+    return failure(f"{what} goes wrong: {problem.rstrip('.')}; {ADVICE}")

@@ -1,0 +1,182 @@
+"""What a run would do, found out without doing it: nothing is written, no folder is made."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+
+from exwarp_cli.domain.cuts import Cut
+from exwarp_cli.domain.results import RunSummary
+from exwarp_cli.domain.timeline import Slot
+from exwarp_cli.errors import OutputError
+from exwarp_cli.pipeline.job import Job
+from exwarp_cli.pipeline.loaded import Loaded
+from exwarp_cli.pipeline.recipes import key_recipe
+from exwarp_cli.pipeline.sink import Sink
+from exwarp_cli.pipeline.targets import key_is_there
+from exwarp_cli.pipeline.upsample import make_loader
+from exwarp_cli.pipeline.without_vectors import is_kept, note_of
+
+
+class Fate(Enum):
+    """What would become of a frame's file."""
+
+    WRITE = "write"
+    """There is none, and one would be written."""
+
+    REPLACE = "replace"
+    """There is one, and another would take its place."""
+
+    KEEP = "keep"
+    """There is one that an earlier run wrote as this one would."""
+
+
+@dataclass(frozen=True)
+class ForeseenFrame:
+    """One frame that a run would give.
+
+    Attributes
+    ----------
+    number
+        Of the output.
+    rendered
+        Whether it is a key frame that passes through, and not made.
+    fate
+        Of its file, and of its hole mask if masks are written.
+    """
+
+    number: int
+    rendered: bool
+    fate: Fate
+
+
+@dataclass(frozen=True)
+class DryRun:
+    """What a run would do.
+
+    Attributes
+    ----------
+    head
+        The run's summary, without frames.
+    frames
+        What it would write, ascending.
+    output, holes, video
+        Where: patterns of frames and masks, and the video; None for what is not written.
+    cuts_looked_for, cuts
+        Whether cuts are looked for, and those that are known: given by hand, and met while frames
+        that are there were compared.
+    chunks
+        Input numbers of each chunk's key frames; () where the work is not spread.
+    spread
+        Over what, in words; None where it is not.
+    report
+        Folder of the report; None without.
+    """
+
+    head: RunSummary
+    frames: tuple[ForeseenFrame, ...]
+    output: Path | None
+    holes: Path | None
+    video: Path | None
+    cuts_looked_for: bool
+    cuts: tuple[Cut, ...]
+    chunks: tuple[tuple[int, ...], ...] = ()
+    spread: str | None = None
+    report: Path | None = None
+
+
+def foresee(job: Job) -> DryRun:
+    """Find out what a job would write, and refuse what it would refuse.
+
+    Raises
+    ------
+    OutputExistsError
+        When frames are in the way.
+    OutputError
+        When a folder could not be made or written to.
+    """
+    targets = job.targets
+    targets.refuse(job.settings, job.source.timeline, job.slots)
+    require_writable(targets.folders)
+    try:
+        frames, met = _compared(job) if job.settings.skip_existing else (_plain(job), None)
+    finally:
+        job.close()
+    wish, numbers = job.source.cuts, job.source.timeline.numbers
+    given = tuple(Cut(numbers[key], "given") for key in sorted(wish.starts_in(numbers)))
+    return DryRun(
+        head=job.summary((), None, 0.0),
+        frames=frames,
+        output=None if targets.frames is None else targets.frames.folder / targets.frames.name,
+        holes=None if targets.holes is None else targets.holes.folder / targets.holes.name,
+        video=targets.video,
+        cuts_looked_for=wish.detect,
+        cuts=tuple(sorted({*given, *(met or ())}, key=lambda cut: cut.number)),
+    )
+
+
+def require_writable(folders: Iterable[Path]) -> None:
+    """Refuse folders that could not be made or written to, as far as that shows without trying.
+
+    Raises
+    ------
+    OutputError
+        For the first of them.
+    """
+    for folder in folders:
+        there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+        if not there.is_dir():
+            raise OutputError(
+                f"cannot write {folder}: a part of the path is a file, not a folder; check the path"
+            )
+        if not os.access(there, os.W_OK | os.X_OK):
+            raise OutputError(
+                f"cannot write {folder}: permission denied; change the rights of the folder or "
+                "write elsewhere"
+            )
+
+
+def _plain(job: Job) -> tuple[ForeseenFrame, ...]:
+    """Foresee frames without looking into those that are there."""
+    return tuple(_foreseen(job, slot, kept=False) for slot in job.slots)
+
+
+def _compared(job: Job) -> tuple[tuple[ForeseenFrame, ...], tuple[Cut, ...] | None]:
+    """Foresee frames where good ones are kept; return the cuts that were met, too."""
+    loader = make_loader(job)
+    if job.targets.frames is None:
+        note = note_of(loader.leading_recipes, job.settings, job.keys)
+        kept = is_kept(job.targets, job.settings, note)
+        return tuple(_foreseen(job, slot, kept) for slot in job.slots), None
+    keys = job.source.keys
+    sink = Sink(job.targets, job.settings, keys.display, job.source.output_fps, keys.view)
+    frames = []
+    for key in job.keys:
+        loaded = loader.load(key, lambda *_: False)
+        for slot in job.source.timeline.slots_of(key):
+            frames.append(_foreseen(job, slot, _is_there(job, sink, slot, loaded)))
+    return tuple(frames), loader.cuts
+
+
+def _is_there(job: Job, sink: Sink, slot: Slot, loaded: Loaded) -> bool:
+    """Whether a slot's files are there as this run would write them."""
+    number = job.source.timeline.number(slot)
+    if slot.index:
+        return sink.has(number, loaded.recipes[slot.index])
+    keys, key_number = job.source.keys, job.source.timeline.numbers[slot.key]
+    path = keys.sequence.files[key_number]
+    if sink.copies(path):
+        assert job.targets.frames is not None
+        return key_is_there(job.targets.frames.path(number), path)
+    return sink.has(number, key_recipe(keys, key_number), masked=False)
+
+
+def _foreseen(job: Job, slot: Slot, kept: bool) -> ForeseenFrame:
+    number, targets = job.source.timeline.number(slot), job.targets
+    path = targets.video if targets.frames is None else targets.frames.path(number)
+    there = path is not None and path.exists()
+    fate = Fate.KEEP if kept else Fate.REPLACE if there else Fate.WRITE
+    return ForeseenFrame(number, slot.index == 0, fate)

@@ -1,0 +1,60 @@
+"""A video of frames that are written already, by whomever."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from functools import partial
+
+from exwarp_cli.domain.frame import Image
+from exwarp_cli.domain.timeline import Slot
+from exwarp_cli.io.footage import picture
+from exwarp_cli.io.frame_files import read_picture
+from exwarp_cli.io.held import Held
+from exwarp_cli.io.video import VideoWriter, to_display
+from exwarp_cli.pipeline.job import Job
+from exwarp_cli.pipeline.schedule import WriteBehind
+from exwarp_cli.pipeline.without_vectors import video_look
+
+
+class Film(Held):
+    """Appends key intervals to a job's video, in order, behind the caller; a context manager.
+
+    The video is whole, or not there, as `VideoWriter` has it. It equals the one of a single run
+    where files hold what was made, so without a compression that loses something.
+
+    Parameters
+    ----------
+    job
+        With frames and a video among its targets.
+    """
+
+    def __init__(self, job: Job) -> None:
+        assert job.targets.video is not None
+        self._job = job
+        self._path = job.targets.video
+
+    def _open(self, stack: ExitStack) -> None:
+        job, (height, width) = self._job, self._job.source.keys.display.shape
+        look = video_look(job.source, job.keys)
+        video = VideoWriter(self._path, width, height, job.source.output_fps, look)
+        self._video = stack.enter_context(video)
+        self._writer = stack.enter_context(WriteBehind(1, len(job.slots)))
+
+    def append(self, keys: tuple[int, ...]) -> None:
+        """Append the frames of some key intervals (indices), all of which are there."""
+        for key in keys:
+            for slot in self._job.source.timeline.slots_of(key):
+                self._writer.submit(partial(self._write, slot))
+
+    def _write(self, slot: Slot) -> None:
+        pixels = self._shown(slot).on(self._job.source.keys.display).pixels
+        self._video.write(to_display(pixels, self._job.settings.exposure))
+
+    def _shown(self, slot: Slot) -> Image:
+        """Read a frame: a rendered one from where it was rendered to."""
+        source, frames = self._job.source, self._job.targets.frames
+        if not slot.index:
+            number = source.timeline.numbers[slot.key]
+            return picture(source.keys.sequence, number, source.keys.view)
+        assert frames is not None
+        return read_picture(frames.path(source.timeline.number(slot)), source.keys.view)

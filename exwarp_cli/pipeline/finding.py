@@ -1,0 +1,163 @@
+"""Finding what options name: the method, its networks and policy, and ground truth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from exwarp_cli.domain.settings import UpsampleSettings
+from exwarp_cli.domain.timeline import FACTOR
+from exwarp_cli.errors import LayoutError, UsageError
+from exwarp_cli.io.footage import find_frames, picture_size
+from exwarp_cli.io.interpolator import OnnxInterpolator, load_interpolator
+from exwarp_cli.io.models import OnnxExtrapolator, load_extrapolator
+from exwarp_cli.io.policy_files import PolicyFile, load_policy
+from exwarp_cli.io.sequence import Sequence
+from exwarp_cli.io.views import expand
+from exwarp_cli.pipeline.source import FrameOf, Source, align
+from exwarp_cli.policy.state import INPUTS, STATE_VERSION
+from exwarp_cli.synthesis.methods import METHODS, Judge, Method
+
+
+def find_method(name: str) -> Method:
+    """Return a method by name; UsageError when there is none."""
+    if name not in METHODS:
+        raise UsageError(f"--method {name} is not one of {', '.join(METHODS)}")
+    return METHODS[name]
+
+
+def find_network(settings: UpsampleSettings, method: Method) -> OnnxExtrapolator | None:
+    """Load the network that a method needs; None for methods that do not extrapolate.
+
+    Raises
+    ------
+    UsageError
+        When options ask for a network that the method would not use.
+    InputError, MissingExtraError
+        When the network cannot be used.
+    """
+    _refuse_network_options(settings, method)
+    if not method.extrapolates:
+        return None
+    path = None if settings.extrapolator is None else Path(settings.extrapolator)
+    return load_extrapolator(path, settings.threads, settings.device)
+
+
+def find_interpolator(settings: UpsampleSettings, method: Method) -> OnnxInterpolator | None:
+    """Load the network that a method interpolates with; None for methods that do without.
+
+    Raises
+    ------
+    UsageError
+        When none is named.
+    InputError, MissingExtraError
+        When it or its card cannot be used.
+    """
+    if not method.interpolates:
+        return None
+    if settings.interpolator is None:
+        raise UsageError(
+            f"--method {method.name} has no network of its own; name an ONNX file with "
+            "--interpolator, or use --method softsplat"
+        )
+    return load_interpolator(Path(settings.interpolator), settings.threads, settings.device)
+
+
+def _refuse_network_options(settings: UpsampleSettings, method: Method) -> None:
+    """Refuse options of networks that the method does not run."""
+    extrapolating = [m for m in METHODS.values() if m.extrapolates]
+    interpolating = [m for m in METHODS.values() if m.interpolates]
+    either = [m for m in METHODS.values() if m in extrapolating or m in interpolating]
+    other_device = settings.device != UpsampleSettings.device
+    rules = (
+        ("--extrapolator", settings.extrapolator is not None, "extrapolate", extrapolating),
+        ("--interpolator", settings.interpolator is not None, "interpolate so", interpolating),
+        ("--device", other_device, "run a network", either),
+    )
+    for option, given, what, users in rules:
+        if given and method not in users:
+            names = ", ".join(user.name for user in users)
+            raise UsageError(
+                f"{option} is for methods that {what}, and --method {method.name} does not; "
+                f"leave it out, or use {'one of ' if len(users) > 1 else ''}{names}"
+            )
+
+
+def find_policy(settings: UpsampleSettings, method: Method) -> PolicyFile | None:
+    """Load the policy that a method asks; None for methods that ask none.
+
+    Raises
+    ------
+    UsageError
+        When options name a policy that the method would not ask.
+    InputError
+        When it cannot be used.
+    """
+    path = None if settings.policy is None else Path(settings.policy)
+    if method.judge is Judge.POLICY:
+        return require_state(load_policy(path))
+    if path is not None:
+        raise UsageError(
+            f"--policy is for --method exwarp, and --method {method.name} asks no policy; leave "
+            "it out"
+        )
+    return None
+
+
+def require_state(policy: PolicyFile) -> PolicyFile:
+    """Refuse a policy that was trained on other inputs than a state has."""
+    inputs, version = policy.network.sizes[0], policy.metadata.get("state")
+    if (inputs, version) != (INPUTS, STATE_VERSION):
+        raise LayoutError(
+            f"{policy.path} takes {inputs} inputs of version {version!r}, and a state has {INPUTS} "
+            f"of version {STATE_VERSION}; train the policy again"
+        )
+    return policy
+
+
+def require_truth(settings: UpsampleSettings, method: Method) -> None:
+    """Refuse an oracle without ground truth."""
+    if method.needs_truth and settings.ground_truth is None:
+        raise UsageError(
+            f"--method {method.name} decides by ground truth; give it with --ground-truth, or use "
+            "--method exwarp"
+        )
+
+
+def is_usual(source: Source) -> bool:
+    """Whether there are decisions: for the paper's factor alone, and along a renderer's motion."""
+    return source.timeline.factor == FACTOR and not source.estimated
+
+
+def require_factor(
+    source: Source, method: Method, interpolator: OnnxInterpolator | None = None
+) -> None:
+    """Refuse a factor at which a method makes no frames; raises UsageError."""
+    timeline = source.timeline
+    if not (method.any_factor or is_usual(source)):
+        names = ", ".join(other.name for other in METHODS.values() if other.any_factor)
+        raise UsageError(
+            f"--method {method.name} decides between slots of {FACTOR} times the rate, and "
+            f"{float(timeline.factor):g} times are asked for; use one of {names}"
+        )
+    if interpolator is None:
+        return
+    times = {timeline.time(slot) for key in range(3) for slot in timeline.between(key)}
+    if out := sorted(t for t in times if not interpolator.reaches(t)):
+        raise UsageError(
+            f"--interpolator {interpolator.name} is not told the time and makes the middle frame "
+            f"only, so it does not reach {out[0]} of a key interval; give --factor 2, 4 or 8, or a "
+            "network with an input for the time"
+        )
+
+
+def find_truth(spec: str, source: Source) -> tuple[Sequence, FrameOf]:
+    """Find ground truth of any kind, and refuse one of another size before any work."""
+    sequence = find_frames(expand(spec, source.keys.view or None)[0])
+    frame_of = align(source.timeline, sequence, "--ground-truth")
+    window, display = picture_size(sequence), source.keys.display
+    if window.shape != display.shape:
+        raise LayoutError(
+            f"--ground-truth {sequence.pattern} is {window.width}x{window.height} and the "
+            f"input is {display.width}x{display.height}; give one of the same resolution"
+        )
+    return sequence, frame_of

@@ -1,0 +1,209 @@
+"""A job: settings with everything opened that they name, before any frame is made."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from exwarp_cli.domain.cuts import Cut
+from exwarp_cli.domain.results import FrameRecord, InterpolatorSummary, NetworkSummary, RunSummary
+from exwarp_cli.domain.settings import UpsampleSettings
+from exwarp_cli.domain.timeline import Slot
+from exwarp_cli.io import exr
+from exwarp_cli.io.footage import close
+from exwarp_cli.io.interpolator import OnnxInterpolator
+from exwarp_cli.io.models import OnnxExtrapolator
+from exwarp_cli.io.output import compression_of
+from exwarp_cli.io.policy_files import PolicyFile
+from exwarp_cli.io.sequence import Sequence
+from exwarp_cli.kernels import jit
+from exwarp_cli.pipeline.announcing import (
+    Models,
+    announce,
+    announce_contents,
+    announce_models,
+    announce_truth,
+    input_summary,
+)
+from exwarp_cli.pipeline.contents import Content, contents_of
+from exwarp_cli.pipeline.finding import (
+    find_interpolator,
+    find_method,
+    find_network,
+    find_policy,
+    find_truth,
+    is_usual,
+    require_factor,
+    require_truth,
+)
+from exwarp_cli.pipeline.progress import Progress
+from exwarp_cli.pipeline.scoring import require_measurable
+from exwarp_cli.pipeline.source import FrameOf, Source
+from exwarp_cli.pipeline.targets import Targets
+from exwarp_cli.pipeline.views import open_sources
+from exwarp_cli.pipeline.without_vectors import require_able, usual_method
+from exwarp_cli.synthesis.methods import Method
+
+
+@dataclass(frozen=True)
+class Job:
+    """What a run works with.
+
+    Attributes
+    ----------
+    settings
+        What the user asked for.
+    method
+        Makes the frames.
+    sources
+        The input, one a view; the first decides, and is scored.
+    network, interpolator, policy
+        What the method needs of them; None for what it does without.
+    models
+        The same three as the report names them.
+    contents
+        What is written of each view.
+    keys
+        Indices of the key frames to do.
+    targets
+        The files to write.
+    truth
+        Ground truth and its frame for a slot; None without.
+    """
+
+    settings: UpsampleSettings
+    method: Method
+    sources: tuple[Source, ...]
+    network: OnnxExtrapolator | None
+    interpolator: OnnxInterpolator | None
+    policy: PolicyFile | None
+    models: Models
+    contents: tuple[Content, ...]
+    keys: tuple[int, ...]
+    targets: Targets
+    truth: tuple[Sequence, FrameOf] | None
+
+    @property
+    def source(self) -> Source:
+        """The view that decides."""
+        return self.sources[0]
+
+    @property
+    def key_numbers(self) -> tuple[int, ...]:
+        """Input numbers of the key frames to do."""
+        return tuple(self.source.timeline.numbers[key] for key in self.keys)
+
+    @property
+    def slots(self) -> list[Slot]:
+        """The output instants that are written, in order."""
+        return [slot for key in self.keys for slot in self.source.timeline.slots_of(key)]
+
+    @property
+    def groups(self) -> list[list[int]]:
+        """The output numbers of each key interval, as a `Watcher` plans by them."""
+        timeline = self.source.timeline
+        return [[timeline.number(slot) for slot in timeline.slots_of(key)] for key in self.keys]
+
+    @property
+    def told(self) -> tuple[NetworkSummary | None, str | None, InterpolatorSummary | None]:
+        """What networks and policy frames depend on, as `IntervalLoader` takes it."""
+        checksum = None if self.policy is None else self.policy.checksum
+        return self.models.extrapolator, checksum, self.models.interpolator
+
+    def of(self, keys: tuple[int, ...]) -> Job:
+        """Return the same job for other key frames."""
+        return replace(self, keys=keys)
+
+    def prepare(self) -> None:
+        """Refuse to overwrite, and make the folders; see `Targets.prepare`."""
+        self.targets.prepare(self.settings, self.source.timeline, self.slots)
+
+    def announce(self, progress: Progress) -> None:
+        """Say what was found, and what is going to happen."""
+        announce(progress, self.settings, self.source, self.method, self.keys)
+        if self.truth is not None:
+            announce_truth(progress, self.truth[0], self.source)
+        announce_contents(progress, self.contents)
+        announce_models(progress, self.models, self.source)
+
+    def close(self) -> None:
+        """Close what reading left open; a later read opens it again."""
+        close(self.source.keys.sequence, *(() if self.truth is None else self.truth[:1]))
+
+    def summary(
+        self, frames: tuple[FrameRecord, ...], cuts: tuple[Cut, ...] | None, seconds: float
+    ) -> RunSummary:
+        """Put together what a run of this job found out.
+
+        Parameters
+        ----------
+        frames
+            One record a written frame, ascending.
+        cuts
+            Those that were met; None where none were looked for or given.
+        seconds
+            Wall time of the streaming part.
+        """
+        source = self.source
+        return RunSummary(
+            method=self.method.name,
+            setting=source.setting,
+            lookahead=self.method.lookahead,
+            input=input_summary(source),
+            base_fps=float(source.fps),
+            fps_source=source.fps_source,
+            wall_seconds=seconds,
+            frames=frames,
+            decides=self.method.decides and is_usual(source),
+            extrapolator=self.models.extrapolator,
+            policy=self.models.policy,
+            interpolator=self.models.interpolator,
+            factor=source.timeline.factor,
+            cuts=cuts,
+            views=tuple(s.keys.view for s in self.sources if s.keys.view),
+            layers=self.contents[0].names,
+            keys=self.key_numbers,
+        )
+
+
+def open_job(settings: UpsampleSettings) -> Job:
+    """Open all that settings name; nothing is written.
+
+    Raises
+    ------
+    ExwarpError
+        For anything that a user can cause, but for what is in the way of the output.
+    """
+    compression_of(settings.compression)
+    use_threads(settings.threads)
+    method, sources = _open_input(settings)
+    source = sources[0]
+    network = find_network(settings, method)
+    interpolator = find_interpolator(settings, method)
+    policy = find_policy(settings, method)
+    require_truth(settings, method)
+    require_able(source, method, settings)
+    require_factor(source, method, interpolator)
+    contents = contents_of(sources, settings.layers)
+    models = Models.of(source, network, interpolator, policy)
+    keys = source.timeline.select(settings.frames)
+    targets = Targets.of(settings, source.keys.sequence)
+    truth = None if settings.ground_truth is None else find_truth(settings.ground_truth, source)
+    require_measurable(settings, source.keys.display, source.timeline.steps is not None)
+    return Job(
+        settings, method, sources, network, interpolator, policy, models, contents, keys, targets,
+        truth,
+    )  # fmt: skip
+
+
+def use_threads(count: int | None) -> None:
+    """Set how many threads compute and decode, from this thread; None for all cores."""
+    jit.set_threads(count)
+    exr.set_threads(count)
+
+
+def _open_input(settings: UpsampleSettings) -> tuple[Method, tuple[Source, ...]]:
+    """Open the input, and settle the method, which may depend on it."""
+    named = None if settings.method is None else find_method(settings.method)
+    sources = open_sources(settings.source, named is None or named.needs_motion, pictures=True)
+    method = named or find_method(usual_method(sources[0], settings))
+    return method, sources

@@ -1,0 +1,287 @@
+"""A report read back from its files: report.json and frames.csv hold all that a run found out."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import re
+from collections.abc import Callable, Mapping
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, TypeVar
+
+from exwarp_cli import __version__
+from exwarp_cli.domain.cuts import Cut
+from exwarp_cli.domain.decision import Decision
+from exwarp_cli.domain.features import Features
+from exwarp_cli.domain.results import (
+    FrameKind,
+    FrameRecord,
+    InputSummary,
+    InterpolatorSummary,
+    NetworkSummary,
+    PolicySummary,
+    RunSummary,
+    Score,
+)
+from exwarp_cli.domain.timeline import listed
+from exwarp_cli.errors import DamagedFileError, InputError
+from exwarp_cli.report.comparison import SCHEMA as COMPARISON
+from exwarp_cli.report.folder import FRAMES_FILE, REPORT_FILE
+from exwarp_cli.report.frames_csv import (
+    FIRST_SCORES,
+    LATER_HOLE_SCORES,
+    LATER_SCORES,
+    frames_csv,
+)
+from exwarp_cli.report.summary import SCHEMA, report
+
+Model = TypeVar("Model", NetworkSummary, InterpolatorSummary)
+
+HOLES = "_holes"
+STEP = "_ms"
+"""Endings of columns: scores within holes, and times of steps."""
+
+CLOSE = 1e-9
+"""How near to each other two computers' means of the same numbers are, relatively."""
+
+
+def read_report(folder: Path) -> RunSummary:
+    """Read back what `exwarp_cli.report.folder.write_report` wrote.
+
+    Returns
+    -------
+    RunSummary
+        Of which `report` and `frames_csv` make the same files again. A file name that is no valid
+        Unicode is spelled out, as it is in frames.csv.
+
+    Raises
+    ------
+    InputError
+        When a file cannot be read, or the report is one of another kind.
+    DamagedFileError
+        When a file is damaged or was changed, or is of a version that wrote something else.
+    """
+    document = _document(folder / REPORT_FILE)
+    text = _text(folder / FRAMES_FILE)
+    try:
+        run = _run(document, frames_of(text))
+        whole = frames_csv(run.frames) == text and _alike(report(run), document)
+    except _NONSENSE as error:
+        raise _unusable(folder, document) from error
+    if not whole:
+        raise _unusable(folder, document)
+    return run
+
+
+def frames_of(text: str) -> tuple[FrameRecord, ...]:
+    """Read what `frames_csv` wrote.
+
+    Raises
+    ------
+    KeyError, ValueError, csv.Error
+        When it is no such table.
+    """
+    rows = csv.DictReader(io.StringIO(text, newline=""), strict=True)
+    return tuple(_frame(row) for row in rows)
+
+
+def _document(path: Path) -> dict[str, Any]:
+    """Read report.json, as far as to know that it is one of `upsample`."""
+    try:
+        found = json.loads(_text(path))
+    except ValueError as error:
+        raise DamagedFileError(f"{path} is damaged; {_AGAIN}") from error
+    schema = found.get("schema") if isinstance(found, dict) else None
+    if schema == COMPARISON:
+        raise InputError(
+            f"{path} is the report of a comparison, which has no parts; name reports of upsample"
+        )
+    if schema != SCHEMA:
+        raise InputError(
+            f"{path} is no report of schema {SCHEMA}; name folders that upsample --report wrote"
+        )
+    return dict(found)
+
+
+_NONSENSE = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError, csv.Error)
+"""What is raised on the way by files that hold something else."""
+
+_AGAIN = "do its key frames again with --report, or leave it out"
+
+
+def _text(path: Path) -> str:
+    """Return a file's text, line ends as they are."""
+    try:
+        return path.read_bytes().decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise DamagedFileError(f"{path} is damaged; {_AGAIN}") from error
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror or error}; {_AGAIN}") from error
+
+
+def _unusable(folder: Path, document: Mapping[str, Any]) -> DamagedFileError:
+    """Say why a report cannot be read: its version, else damage."""
+    version = document.get("version")
+    if version != __version__:
+        return DamagedFileError(
+            f"the report in {folder} was written by ExWarp {version}, and {__version__} cannot "
+            "read all of it; merge reports with the version that wrote them"
+        )
+    return DamagedFileError(
+        f"{REPORT_FILE} and {FRAMES_FILE} in {folder} do not go together, as if one was damaged or "
+        f"changed; {_AGAIN}"
+    )
+
+
+def _alike(one: Any, other: Any) -> bool:
+    """Whether two documents are equal, but for the last digits of what was averaged."""
+    if isinstance(one, dict) and isinstance(other, dict):
+        return one.keys() == other.keys() and all(_alike(one[key], other[key]) for key in one)
+    if isinstance(one, list) and isinstance(other, list):
+        return len(one) == len(other) and all(map(_alike, one, other))
+    if isinstance(one, float) and isinstance(other, int | float):
+        return math.isclose(one, other, rel_tol=CLOSE, abs_tol=CLOSE)
+    return bool(one == other)
+
+
+def _run(document: Mapping[str, Any], frames: tuple[FrameRecord, ...]) -> RunSummary:
+    """Put a run together from its document and its frames."""
+    fps, cuts, wall = document["fps"], document["cuts"], document["wall_s"]
+    return RunSummary(
+        method=document["method"],
+        setting=document["setting"],
+        lookahead=document["lookahead"],
+        input=_input(document["input"]),
+        base_fps=fps["base"],
+        fps_source=fps["source"],
+        wall_seconds=math.nan if wall is None else wall,
+        frames=frames,
+        # A count, even of none, is one of a run that decides.
+        decides=None not in document["decisions"]["paths"].values(),
+        extrapolator=_model(NetworkSummary, document["extrapolator"]),
+        policy=_policy(document["policy"]),
+        interpolator=_model(InterpolatorSummary, document["interpolator"]),
+        factor=Fraction(fps["factor"]),
+        cuts=None if cuts is None else tuple(Cut(int(cut["frame"]), cut["source"]) for cut in cuts),
+        views=tuple(document["views"]),
+        layers=tuple(document["layers"]),
+        keys=tuple(map(int, listed(document["input"]["selected"] or ""))),
+        version=document["version"],
+    )
+
+
+def _input(told: Mapping[str, Any]) -> InputSummary:
+    motion, dynamic = told["motion"], told["dynamic"]
+    numbers = {name: int(told[name]) for name in ("first", "last", "width", "height", "step")}
+    if numbers["step"] < 1:
+        raise ValueError(f"key frames in steps of {numbers['step']}")
+    return InputSummary(
+        pattern=told["pattern"],
+        producer=told["producer"],
+        **numbers,
+        motion_source=motion["source"],
+        motion_evidence=motion["evidence"],
+        dynamic=None if dynamic is None else tuple(dynamic),
+    )
+
+
+def _model(kind: Callable[..., Model], told: Mapping[str, Any] | None) -> Model | None:
+    return None if told is None else kind(**told)
+
+
+def _policy(told: Mapping[str, Any] | None) -> PolicySummary | None:
+    return None if told is None else PolicySummary(**{**told, "missing": tuple(told["missing"])})
+
+
+def _frame(row: Mapping[str, str]) -> FrameRecord:
+    """Read a row; its cells are as `frames_csv` writes them."""
+    pixels = _number(row["nonfinite_pixels"])
+    return FrameRecord(
+        number=int(row["frame"]),
+        file=row["file"],
+        key=int(row["key"]),
+        slot=int(row["slot"]),
+        kind=FrameKind(row["kind"]),
+        method=row["method"],
+        sources=_integers(row["sources"]),
+        hole_fraction=_number(row["hole_fraction"]),
+        nonfinite_pixels=None if pixels is None else int(pixels),
+        score=_score(row, "scored", (*FIRST_SCORES, *LATER_SCORES)),
+        hole_score=_score(row, f"scored{HOLES}", _HOLE_SCORES, HOLES),
+        resumed=_truth(row["resumed"]),
+        timing_ms=_timing(row),
+        made_by=row["made_by"] or None,
+        path=row["path"] or None,
+        decision=_decision(row),
+        render=_render(row),
+    )
+
+
+_HOLE_SCORES = (*FIRST_SCORES, *(name.removesuffix(HOLES) for name in LATER_HOLE_SCORES))
+
+
+def _score(
+    row: Mapping[str, str], scored: str, names: tuple[str, ...], ending: str = ""
+) -> Score | None:
+    if not _truth(row[scored]):
+        return None
+    return Score(**{name: _number(row[f"{name}{ending}"]) for name in names})
+
+
+def _timing(row: Mapping[str, str]) -> dict[str, float]:
+    steps = {name.removesuffix(STEP): text for name, text in row.items() if name.endswith(STEP)}
+    return {step: _value(text) for step, text in steps.items() if text}
+
+
+def _decision(row: Mapping[str, str]) -> Decision | None:
+    if not row["node"]:
+        return None
+    warp, extrapolate = _number(row["output_warp"]), _number(row["output_extrapolate"])
+    return Decision(
+        row["node"],
+        row["choice"],
+        _features(row),
+        _integers(row["inputs"]),
+        None if warp is None or extrapolate is None else (warp, extrapolate),
+    )
+
+
+def _features(row: Mapping[str, str]) -> Features | None:
+    if not row["N_d"]:
+        return None
+    return Features(
+        objects=int(row["N_d"]),
+        emd_normal=_value(row["EMD_Wn"]),
+        emd_position=_value(row["EMD_Wp"]),
+        var_x=_value(row["Var_x"]),
+        var_y=_value(row["Var_y"]),
+        width=int(row["rendered_width"]),
+        height=int(row["rendered_height"]),
+        distance=_value(row["distance"]),
+    )
+
+
+def _render(row: Mapping[str, str]) -> tuple[float, str] | None:
+    seconds = _number(row["render_s"])
+    return None if seconds is None else (seconds, row["render_source"])
+
+
+def _truth(text: str) -> bool:
+    return {"true": True, "false": False}[text]
+
+
+def _integers(text: str) -> tuple[int, ...]:
+    return tuple(map(int, text.split()))
+
+
+def _number(text: str) -> float | None:
+    """Read a cell; nothing is what was not measured."""
+    return _value(text) if text else None
+
+
+def _value(text: str) -> float:
+    """Read a number: integers stay integers, so that the same text is written again."""
+    return int(text) if re.fullmatch("-?[0-9]+", text) else float(text)

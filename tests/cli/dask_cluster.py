@@ -1,0 +1,68 @@
+"""A Dask scheduler and its workers as they run on a farm: processes of their own."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+
+class DaskCluster:
+    """A scheduler without workers, until they are started; a context manager."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._stack = ExitStack()
+        self.workers: list[subprocess.Popen[bytes]] = []
+
+    def __enter__(self) -> DaskCluster:
+        self._folder.mkdir(parents=True, exist_ok=True)
+        told = self._folder / "scheduler.json"
+        self._start("scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", told)
+        deadline = time.monotonic() + 60
+        while not told.exists() or not told.read_text():
+            assert time.monotonic() < deadline, (self._folder / "log").read_text()
+            time.sleep(0.05)
+        self.address: str = json.loads(told.read_text())["address"]
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._stack.__exit__(kind, error, trace)
+
+    def start_worker(
+        self, *options: object, cwd: Path | None = None, preload: str = ""
+    ) -> subprocess.Popen[bytes]:
+        """Start a worker with one thread, and code of its own that runs before all."""
+        told: list[object] = ["--nthreads", "1", "--no-nanny", "--death-timeout", "30"]
+        if preload:
+            script = self._folder / f"preload_{len(self.workers)}.py"
+            script.write_text(preload)
+            told += ["--preload", script]
+        told += ["--local-directory", self._folder, *options, self.address]
+        self.workers.append(self._start("worker", *told, cwd=cwd))
+        return self.workers[-1]
+
+    def _start(self, kind: str, *options: object, **more: Any) -> subprocess.Popen[bytes]:
+        module = f"distributed.cli.dask_{kind}"
+        command = [sys.executable, "-m", module, "--no-dashboard", *map(str, options)]
+        log = self._stack.enter_context((self._folder / "log").open("ab"))
+        environment = os.environ | {"PYTHONWARNINGS": "ignore"}
+        process = subprocess.Popen(command, stdout=log, stderr=log, env=environment, **more)
+        self._stack.callback(_end, process)
+        return process
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    process.kill()
+    process.wait()

@@ -1,0 +1,41 @@
+"""``exwarp doctor`` in a known environment, and single checks of it."""
+
+from __future__ import annotations
+
+import json
+import os
+from typing import Any
+
+import pytest
+
+from exwarp_cli.pipeline.doctor import examine
+from exwarp_cli.pipeline.doctor.compilation import COMPILING
+
+
+@pytest.fixture(autouse=True)
+def plain_environment(monkeypatch, tmp_path) -> None:
+    """Neither files nor variables of whoever runs the tests."""
+    for name in list(os.environ):
+        if name.startswith(("EXWARP_", "NUMBA_CACHE_DIR", "IMAGEIO_")):
+            monkeypatch.delenv(name)
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture
+def examined(exwarp, monkeypatch):
+    """Run some of the checks; return the exit code and the document."""
+
+    def run(*names: str) -> tuple[int, dict[str, Any]]:
+        chosen = {name: examine.CHECKS[name] for name in names}
+        with monkeypatch.context() as patch:
+            patch.setattr(examine, "CHECKS", chosen)
+            result = exwarp("doctor", "--json")
+        document = json.loads(result.out)
+        assert list(document["checks"]) == ["configuration", *names]
+        if result.code:
+            told = [line for line in result.err.splitlines() if line != f"exwarp: {COMPILING}"]
+            assert len(told) == 1 and told[0].startswith("exwarp: error: "), result.err
+        return result.code, document
+
+    return run

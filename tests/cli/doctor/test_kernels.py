@@ -1,0 +1,161 @@
+"""Kernels, their cache, and the self test."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from exwarp_cli.errors import UsageError
+from exwarp_cli.io.machine import Folder
+from exwarp_cli.pipeline.doctor import compilation, kernels, self_test
+from exwarp_cli.synthesis import warp
+from tests.cli.doctor.judging import failed, healthy, warned
+
+
+class TestKernels:
+    @pytest.mark.parametrize("build", ["parallel", "serial"])
+    def test_wrong_pixels(self, examined, monkeypatch, build):
+        real = kernels._BUILDS[build]
+
+        def wrong(image: Any, field: Any, out: Any, hole: Any) -> None:
+            real(image, field, out, hole)
+            out[4, 9, 1] += np.float32(1e-6)
+
+        monkeypatch.setitem(kernels._BUILDS, build, wrong)
+        failed(examined("kernels"), "kernels", f"the {build} build", "wrong pixels", "delete")
+
+    def test_interpreted_kernels(self, examined, monkeypatch):
+        monkeypatch.setattr(kernels.numba.config, "DISABLE_JIT", 1)
+        found = examined("kernels", "kernel_cache")
+        warned(found, "kernels", "NUMBA_DISABLE_JIT")
+        assert found[1]["checks"]["kernel_cache"]["found"].startswith("not used")
+
+    def test_no_cache(self, examined, monkeypatch):
+        monkeypatch.setattr(kernels, "cache_folders", list)
+        found = examined("kernel_cache")
+        warned(found, "kernel_cache", "every run compiles", "NUMBA_CACHE_DIR")
+
+    def test_a_cache_that_cannot_be_written(self, examined, monkeypatch, tmp_path):
+        monkeypatch.setattr(kernels, "cache_folders", lambda: [tmp_path])
+        monkeypatch.setattr(kernels, "look_at", lambda p: Folder(p, "Read-only file system", 1))
+        found = examined("kernel_cache")
+        warned(found, "kernel_cache", str(tmp_path), "Read-only file system", "NUMBA_CACHE_DIR")
+        assert found[1]["checks"]["kernel_cache"]["facts"]["writable"] is False
+
+    def test_a_full_disk(self, examined, monkeypatch, tmp_path):
+        monkeypatch.setattr(kernels, "cache_folders", lambda: [tmp_path])
+        monkeypatch.setattr(kernels, "look_at", lambda p: Folder(p, None, 1 << 20))
+        warned(examined("kernel_cache"), "kernel_cache", "is full")
+
+    def test_a_named_folder_that_is_not_taken(self, examined, monkeypatch, tmp_path):
+        monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "elsewhere"))
+        warned(examined("kernels", "kernel_cache"), "kernel_cache", "elsewhere", "unset it")
+
+    def test_where_the_cache_is(self, monkeypatch, tmp_path):
+        source = Path(kernels.jit.__file__).parent / "__pycache__"
+        assert kernels.place_of(source) == "beside the source"
+        assert kernels.place_of(tmp_path / "numba" / "kernels_1") == "in the user's cache"
+        monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+        assert kernels.place_of(tmp_path / "kernels_1") == "in NUMBA_CACHE_DIR"
+
+    def test_what_came_from_the_cache_is_counted(self, examined, monkeypatch):
+        _, document = examined("kernels", "kernel_cache")
+        facts = document["checks"]["kernel_cache"]["facts"]
+        assert facts["loaded"] + facts["compiled"] >= 2
+        assert facts["kernels"] >= 2 and facts["bytes"] > 1000
+        monkeypatch.setattr(kernels, "cache_use", lambda: (5, 3))
+        _, document = examined("kernel_cache")
+        told = document["checks"]["kernel_cache"]
+        assert told["found"].startswith("partly cold until now;")
+        assert told["facts"]["warm"] is False and told["facts"]["compiled"] == 3
+        monkeypatch.setattr(kernels, "cache_use", lambda: (0, 3))
+        _, document = examined("kernel_cache")
+        assert document["checks"]["kernel_cache"]["found"].startswith("cold until now;")
+
+    def test_whoever_waits_for_compilation_is_told_once(self, monkeypatch):
+        told: list[str] = []
+        misses = iter(range(1000))
+        monkeypatch.setattr(compilation, "cache_use", lambda: (0, next(misses)))
+        with compilation.telling_of_compilation(told.append, after=0.01):
+            time.sleep(0.3)
+        assert told == [compilation.COMPILING]
+
+    def test_nobody_is_told_where_nothing_is_compiled(self, monkeypatch):
+        told: list[str] = []
+        monkeypatch.setattr(compilation, "cache_use", lambda: (9, 4))
+        with compilation.telling_of_compilation(told.append, after=0.01):
+            time.sleep(0.1)
+        assert told == []
+
+
+class TestSelfTest:
+    def test_frames_and_chunks_are_right(self, examined):
+        found = examined("self_test")
+        healthy(found, "self_test")
+        runs = found[1]["checks"]["self_test"]["facts"]["runs"]
+        assert {name: run["frames"] for name, run in runs.items()} == {
+            "s6": 12, "softsplat": 12, "exwarp": 12, "chunks": 12,
+        }  # fmt: skip
+
+    def test_wrong_pixels(self, examined, monkeypatch):
+        """The smallest step of a half float, in one pixel of each warp, is found."""
+        real = warp.gather.gather_bilinear
+
+        def wrong(image: Any, field: Any, out: Any, hole: Any) -> None:
+            real(image, field, out, hole)
+            out[24, 40] *= np.float32(1 + 2**-9)
+
+        monkeypatch.setattr(warp.gather, "gather_bilinear", wrong)
+        found = examined("self_test")
+        failed(found, "self_test", "upsampling by s6 goes wrong", "9 frames of 12", "shot.0002.exr")
+        assert found[1]["checks"]["self_test"]["facts"]["runs"]["chunks"]["ok"]
+
+    def test_vectors_that_are_read_otherwise(self, examined, monkeypatch):
+        real = self_test._geometry
+
+        def turned(slot: int) -> dict[str, np.ndarray]:
+            planes = real(slot)
+            return planes | {f"Vector.{c}": -planes[f"Vector.{c}"] for c in "XYZW"}
+
+        monkeypatch.setattr(self_test, "_geometry", turned)
+        found = examined("self_test")
+        failed(found, "self_test", "upsampling by s6", "the vectors were read as")
+
+    def test_chunks_that_differ(self, examined, monkeypatch):
+        real = self_test._upsample
+
+        def other(folder: Path, output: str, *rest: Any) -> Any:
+            summary = real(folder, output, *rest)
+            if output == "chunk1":
+                path = folder / output / "shot.0007.exr"
+                path.write_bytes(path.read_bytes() + b"\0")
+                (folder / output / "shot.0012.exr").unlink()
+            return summary
+
+        monkeypatch.setattr(self_test, "_upsample", other)
+        failed(
+            examined("self_test"),
+            "self_test",
+            "in chunks",
+            "shot.0007.exr and shot.0012.exr differ",
+        )
+
+    def test_a_run_that_fails(self, examined, monkeypatch):
+        def refuses(*_: Any) -> None:
+            raise UsageError("the network is out of order; mend it")
+
+        monkeypatch.setattr(self_test, "upsample", refuses)
+        found = examined("self_test")
+        failed(found, "self_test", "by s6 goes wrong: the network is out of order; mend it;")
+        assert found[1]["checks"]["self_test"]["found"].startswith("nothing is right")
+
+    def test_the_shot_moves_by_whole_pixels(self):
+        before, after = self_test.colour(0), self_test.colour(1)
+        right, down = self_test.RIGHT, self_test.DOWN
+        assert right > 0 > down
+        for name in "RGBA":
+            np.testing.assert_array_equal(after[name][:down, right:], before[name][-down:, :-right])

@@ -1,0 +1,133 @@
+"""What a run would do: told without writing, and refused where the run itself would refuse."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.cli import shots
+from tests.cli.shots import FORWARD
+
+HOW = ("-m", "s6", *FORWARD)
+
+
+@pytest.fixture
+def foresee(exwarp, plain_shot, tmp_path):
+    """Run ``--dry-run --json``, and see that nothing in the folder changes by it."""
+
+    def run(out: Path, *options: object) -> dict[str, Any]:
+        before = sorted(tmp_path.rglob("*"))
+        told = ("--dry-run", "--json", "--progress", "none")
+        result = exwarp("upsample", plain_shot, "-o", out, *(options or HOW), *told)
+        assert result.code == 0, result.err
+        assert sorted(tmp_path.rglob("*")) == before
+        found: dict[str, Any] = json.loads(result.out)
+        return found
+
+    return run
+
+
+def numbers(found: dict[str, Any]) -> dict[str, str]:
+    return {name: some["numbers"] for name, some in found["frames"].items() if name != "count"}
+
+
+class TestTelling:
+    def test_a_new_folder(self, foresee, plain_shot, tmp_path):
+        options = ("--write-holes", tmp_path / "holes", "--video", tmp_path / "a.mp4")
+        found = foresee(tmp_path / "out", *HOW, *options, "--report", tmp_path / "report")
+        assert found["schema"] == "exwarp.dry-run/1"
+        assert (found["method"], found["setting"], found["frames"]["count"]) == ("s6", "key", 12)
+        generated = "2-4,6-8,10-12"
+        nothing = {"replace": "", "keep": ""}
+        assert numbers(found) == {
+            "key": "1-9x4",
+            "generated": generated,
+            "write": "1-12",
+            **nothing,
+        }
+        assert found["output"] == str(tmp_path / "out" / "shot.####.exr")
+        assert found["holes"] == str(tmp_path / "holes" / "shot.####.exr")
+        assert found["video"] == str(tmp_path / "a.mp4")
+        assert found["report"] == str(tmp_path / "report")
+        assert found["input"]["motion"]["source"] == "given"
+        assert found["fps"] == {"base": 30, "output": 120, "source": "header", "factor": "4"}
+        assert found["cuts"] == {"detect": True, "known": []} and found["chunks"] == []
+
+    def test_what_is_kept_and_what_is_replaced(self, foresee, upsample, plain_shot, tmp_path):
+        out = tmp_path / "out"
+        upsample(plain_shot, out, *HOW, "--frames", "1-2")
+        (out / "shot.0003.exr").write_bytes(b"damaged")
+        (out / "shot.0005.exr").unlink()
+        found = numbers(foresee(out, *HOW, "--skip-existing"))
+        assert (found["keep"], found["replace"], found["write"]) == ("1-2,4,6-8", "3", "5,9-12")
+        found = numbers(foresee(out, *HOW, "--overwrite"))
+        assert (found["keep"], found["replace"], found["write"]) == ("", "1-4,6-8", "5,9-12")
+        upsample(plain_shot, out, *HOW, "--skip-existing")
+        assert numbers(foresee(out, *HOW, "--skip-existing"))["keep"] == "1-12"
+
+    def test_chunks_and_where_a_chunk_reports(self, foresee, tmp_path):
+        spread = ("--workers", 2, "--chunk-size", 2, "--threads", 4)
+        found = foresee(tmp_path / "out", *HOW, *spread)
+        assert found["chunks"] == ["1-2", "3"]
+        assert found["spread"] == "2 workers on this machine, 2 threads each"
+        chunk = ("--frames", "2-3", "--report", tmp_path / "report", "--as-chunk")
+        found = foresee(tmp_path / "out", *HOW, *chunk)
+        assert found["report"] == str(tmp_path / "report" / "chunks" / "2-3")
+
+    def test_cuts_that_are_given(self, foresee, tmp_path):
+        found = foresee(tmp_path / "out", *HOW, "--cuts", "2")
+        assert found["cuts"] == {"detect": False, "known": [{"frame": 2, "source": "given"}]}
+
+    def test_lines_for_people(self, exwarp, plain_shot, tmp_path):
+        result = exwarp("upsample", plain_shot, "-o", tmp_path / "out", *HOW, "--dry-run")
+        first, *rest = result.out.splitlines()
+        assert "nothing is written: 12 frames, 1-12, in" in first
+        assert "  3 rendered: 1-9x4" in rest and "  9 generated: 2-4,6-8,10-12" in rest
+        assert "motion given" in result.err and shots.names(tmp_path) == []
+
+
+class TestRefusals:
+    """The same sentence and the same exit code as without ``--dry-run``."""
+
+    def alike(self, exwarp, code: int, *arguments: object) -> None:
+        dry = exwarp("upsample", *arguments, "--dry-run")
+        dry.refused(code)
+        wet = exwarp("upsample", *arguments)
+        assert (wet.code, wet.err) == (dry.code, dry.err)
+
+    def test_frames_in_the_way(self, exwarp, upsample, plain_shot, tmp_path):
+        upsample(plain_shot, tmp_path / "out", *HOW)
+        self.alike(exwarp, 6, plain_shot, "-o", tmp_path / "out", *HOW)
+
+    def test_a_report_in_the_way(self, exwarp, plain_shot, tmp_path):
+        (tmp_path / "report").mkdir()
+        (tmp_path / "report" / "report.json").touch()
+        options = ("-o", tmp_path / "out", *HOW, "--report", tmp_path / "report")
+        self.alike(exwarp, 6, plain_shot, *options)
+
+    def test_a_file_where_a_folder_should_be(self, exwarp, plain_shot, tmp_path):
+        (tmp_path / "file").touch()
+        out = tmp_path / "file" / "out"
+        exwarp("upsample", plain_shot, "-o", out, *HOW, "--dry-run").refused(5, str(out))
+        exwarp("upsample", plain_shot, "-o", out, *HOW).refused(5, str(out))
+
+    def test_input_and_options(self, exwarp, plain_shot, tmp_path):
+        out = tmp_path / "out"
+        self.alike(exwarp, 3, tmp_path / "none", "-o", out)
+        self.alike(exwarp, 3, plain_shot, "-o", out, *HOW, "--frames", "1-9")
+        self.alike(exwarp, 2, plain_shot, "-o", out, "-m", "fastest")
+        self.alike(exwarp, 2, plain_shot, "-o", out, *HOW, "--overwrite", "--skip-existing")
+
+
+class TestDocument:
+    def test_a_run_prints_its_report(self, exwarp, plain_shot, tmp_path):
+        report = tmp_path / "report"
+        options = (*HOW, "--json", "--report", report, "--as-chunk", "--frames", "1-2")
+        result = exwarp("upsample", plain_shot, "-o", tmp_path / "out", *options)
+        assert result.code == 0, result.err
+        written = report / "chunks" / "1-2" / "report.json"
+        assert json.loads(result.out) == json.loads(written.read_text())
+        assert json.loads(result.out)["frames"]["written"] == 8

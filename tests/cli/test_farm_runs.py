@@ -1,0 +1,185 @@
+"""Jobs run by Open Job Description's own engine: the bytes of a single run, whatever happens."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from exwarp_cli.io.atomic import MARK
+from exwarp_cli.io.output import is_intact
+from tests.cli import shots
+from tests.cli.farm_engine import EXWARP, Ended, environment, openjd
+from tests.cli.shots import FORWARD, SMALL
+from tests.cli.test_farm_openjd import HOSTILE
+
+pytestmark = [
+    pytest.mark.slow,  # every chunk starts exwarp anew
+    pytest.mark.skipif(os.name == "nt", reason="signals of POSIX"),
+]
+
+HOW = (*FORWARD, "--threads", 1)
+TIMES = {"wall_s", "timing_ms", "throughput", "saved_s", "saved_share", "generated_frame_s"}
+
+
+@pytest.fixture
+def job(exwarp, tmp_path, monkeypatch):
+    """Write a job's template into the current folder."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("EXWARP_CONFIG", "")
+
+    def write(*options: object) -> Path:
+        result = exwarp("farm", "openjd", *options, *HOW, "--command", EXWARP)
+        assert result.code == 0, result.err
+        path = tmp_path / "template.yaml"
+        path.write_text(result.out, encoding="utf-8")
+        return path
+
+    return write
+
+
+@pytest.fixture
+def ran(job, tmp_path):
+    """Write a job and run it."""
+
+    def run(*options: object) -> Ended:
+        return openjd("run", job(*options), cwd=tmp_path)
+
+    return run
+
+
+def untimed(document: Any) -> Any:
+    """Return a document without what takes time, and without the input's path."""
+    if isinstance(document, dict):
+        return {k: untimed(v) for k, v in document.items() if k not in TIMES | {"pattern"}}
+    return [untimed(one) for one in document] if isinstance(document, list) else document
+
+
+def rows(report: Path) -> list[list[str]]:
+    """Return frames.csv without its columns of times."""
+    table = [line.split(",") for line in (report / "frames.csv").read_text().splitlines()]
+    timed = [i for i, name in enumerate(table[0]) if name.endswith("_ms")]
+    return [[cell for i, cell in enumerate(row) if i not in timed] for row in table]
+
+
+class TestSameBytes:
+    def test_eight_chunks_with_report_and_video(self, ran, upsample, tmp_path):
+        keys = shots.sequence(tmp_path / "keys", shots.plain, range(1, 17), SMALL)
+        truth = ("--ground-truth", shots.truth(tmp_path / "truth", 16, street=SMALL))
+        both = ("-m", "softsplat", *truth)
+        last = ("--report", "report", "--video", "a.mp4")
+        ended = ran("keys", "-o", "out", "--chunk-size", 2, *both, *last)
+        assert ended.code == 0 and ended.log.count("--------- Running Task") == 10, ended.log
+        single = ("--report", "single-report", "--video", "single.mp4")
+        upsample(keys, tmp_path / "single", *both, *FORWARD, *single)
+        assert len(shots.names(tmp_path / "report" / "chunks")) == 8
+        assert shots.contents(tmp_path / "out") == shots.contents(tmp_path / "single")
+        assert (tmp_path / "a.mp4").read_bytes() == (tmp_path / "single.mp4").read_bytes()
+        merged, whole = (
+            json.loads((tmp_path / name / "report.json").read_text())
+            for name in ("report", "single-report")
+        )
+        assert untimed(merged) == untimed(whole) and whole["quality"]["all"]["frames"] == 45
+        assert rows(tmp_path / "report") == rows(tmp_path / "single-report")
+        assert "openjd_progress: 100.0" in ended.log and "openjd_status: " in ended.log
+
+    def test_a_plain_template_of_frames_in_steps(self, ran, upsample, tmp_path):
+        keys = shots.sequence(tmp_path / "keys", shots.plain, (-4, 0, 4), SMALL)
+        ended = ran("keys", "-o", "out", "--chunk-size", 2, "--plain", "-m", "s6")
+        assert ended.code == 0 and ended.log.count("--------- Running Task") == 2, ended.log
+        upsample(keys, tmp_path / "single", *FORWARD, "-m", "s6")
+        assert shots.contents(tmp_path / "out") == shots.contents(tmp_path / "single")
+
+    def test_chunks_of_frames_in_steps_with_hostile_names(self, ran, upsample, tmp_path):
+        folder = tmp_path / HOSTILE
+        for i, number in enumerate((-4, 0, 4)):
+            shots.plain(folder / f"{HOSTILE}.{number:04d}.exr", SMALL, i)
+        out = f"out {HOSTILE}/"
+        ended = ran(f"{HOSTILE}/", "-o", out, "--chunk-size", 2, "-m", "s6")
+        assert ended.code == 0 and ended.log.count("--------- Running Task") == 2, ended.log
+        upsample(folder, tmp_path / "single", *FORWARD, "-m", "s6")
+        assert shots.contents(tmp_path / out) == shots.contents(tmp_path / "single")
+
+    def test_a_bundle_elsewhere(self, exwarp, upsample, tmp_path, monkeypatch):
+        """What submits a bundle hands its values over, as here by hand."""
+        keys = shots.sequence(tmp_path / "keys", shots.plain, (1, 2), SMALL)
+        (tmp_path / "jobs").mkdir()
+        monkeypatch.chdir(tmp_path)
+        options = ("--command", EXWARP, "-m", "s6", *HOW)
+        exwarp("farm", "openjd", "keys", "-o", "out", *options, "--bundle", "jobs/one")
+        values = (f"-p{name}={tmp_path / place}" for name, place in
+                  (("SequenceFolder", "keys"), ("OutputFolder", "new")))  # fmt: skip
+        ended = openjd("run", "one/template.yaml", *values, cwd=tmp_path / "jobs")
+        assert ended.code == 0, ended.log
+        upsample(keys, tmp_path / "single", *FORWARD, "-m", "s6")
+        assert shots.contents(tmp_path / "new") == shots.contents(tmp_path / "single")
+
+
+class TestTrouble:
+    @pytest.fixture
+    def keys(self, tmp_path) -> Path:
+        return shots.sequence(tmp_path / "keys", shots.plain, range(1, 13), SMALL)
+
+    @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+    def test_a_job_that_broke_off_goes_on(self, keys, job, upsample, tmp_path, number):
+        template = job("keys", "-o", "out", "--chunk-size", 6, "-m", "softsplat")
+        words = [sys.executable, "-m", "openjd", "run", str(template)]
+        with subprocess.Popen(
+            words,
+            cwd=tmp_path,
+            env=environment(tmp_path),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        ) as engine:
+            await_frames(engine, tmp_path / "out", 5)
+            if number == signal.SIGKILL:
+                strike(tmp_path / "out")
+            else:
+                engine.send_signal(number)
+            engine.communicate(timeout=120)
+        assert engine.returncode != 0
+        before = shots.contents(tmp_path / "out")
+        assert len(before) < 48
+        for name, data in before.items():
+            frame = data in shots.contents(keys).values() or is_intact(data)
+            assert frame or (MARK in name and number == signal.SIGKILL)
+        ended = openjd("run", template, cwd=tmp_path)
+        assert ended.code == 0, ended.log
+        upsample(keys, tmp_path / "single", *FORWARD, "-m", "softsplat")
+        assert shots.contents(tmp_path / "out") == shots.contents(tmp_path / "single")
+
+    def test_a_task_that_fails_says_why(self, keys, job, tmp_path):
+        template = job("keys", "-o", "out", "--chunk-size", 6, "-m", "softsplat")
+        (keys / "shot.0009.exr").write_bytes(b"damaged")
+        ended = openjd("run", template, cwd=tmp_path)
+        assert ended.code != 0
+        (told,) = (line for line in ended.log.splitlines() if "openjd_fail: " in line)
+        assert "shot.0009.exr" in told and "openjd_progress" in ended.log
+
+
+def await_frames(engine: subprocess.Popen[str], folder: Path, count: int) -> None:
+    """Wait until a folder has so many files."""
+    for _ in range(12000):
+        if engine.poll() is not None or len(shots.names(folder)) >= count:
+            return
+        time.sleep(0.005)
+    pytest.fail(f"{folder} never had {count} files")
+
+
+def strike(output: Path) -> None:
+    """Kill the process that upsamples into a folder, as a machine that fails would."""
+    for entry in Path("/proc").iterdir():
+        try:
+            words = (entry / "cmdline").read_bytes().split(b"\0")
+        except OSError:
+            continue
+        if b"upsample" in words and f"{output}/".encode() in words:
+            os.kill(int(entry.name), signal.SIGKILL)

@@ -1,0 +1,341 @@
+"""``exwarp merge-reports``: chunks in any split tell what a single run tells."""
+
+from __future__ import annotations
+
+import csv
+import json
+import random
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from exwarp_cli import cli
+from exwarp_cli.domain.timeline import parse_frames, ranges
+from exwarp_cli.report.folder import chunk_folder
+from exwarp_cli.report.gallery import OUTPUT, TRUTH
+from tests.cli import shots
+from tests.cli.documents import strict
+from tests.cli.shots import VECTORS
+from tests.cli.street import Street
+
+KEYS = 6
+CUT = 4
+"""First key frame of the second shot."""
+
+STREET = Street(64, 36)
+
+
+def of_two_shots(frame: shots.FrameWriter) -> shots.FrameWriter:
+    """Write frames of two shots that look at other parts of the street, CUT - 1 intervals each."""
+
+    def write(path: Path, street: Street, time: float) -> None:
+        frame(path, street, time + (6.0 if time >= CUT - 1 else -20.0))
+
+    return write
+
+
+@pytest.fixture(scope="module")
+def shot(tmp_path_factory) -> dict[str, Path]:
+    """Six key frames of two shots with all passes, and truth up to the last one; read only."""
+    root = tmp_path_factory.mktemp("merging")
+    keys, truth = of_two_shots(shots.blender4), of_two_shots(shots.colour_only)
+    slots = range(1, 4 * KEYS - 2)
+    return {
+        "keys": shots.sequence(root / "keys", keys, range(1, KEYS + 1), STREET),
+        "truth": shots.sequence(root / "truth", truth, slots, STREET, 0.25),
+    }
+
+
+Run = Callable[..., Path]
+
+
+@pytest.fixture
+def do(upsample, shot, tmp_path) -> Run:
+    """Do some key frames of the shot; return the folder of their report."""
+
+    def run(name: str, *options: object, frames: str | None = None) -> Path:
+        report = tmp_path / f"{name}-report"
+        part = ()
+        if frames is not None:
+            report = chunk_folder(report, parse_frames(frames))
+            part = ("--frames", frames)
+        more = ("--report", report, *VECTORS, *options)
+        upsample(shot["keys"], tmp_path / name, *part, *more)
+        return report
+
+    return run
+
+
+def unmeasured(folder: Path) -> dict[str, Any]:
+    """Return a report without what depends on how long the work took."""
+    document = json.loads((folder / "report.json").read_text())
+    del document["timing_ms"], document["wall_s"], document["fps"]["throughput"]
+    saved = document["render_time"] or {}
+    for name in ("generated_frame_s", "saved_s", "saved_share"):
+        saved.pop(name, None)
+    return document
+
+
+def wall(folder: Path) -> float:
+    """Return a report's seconds of work."""
+    return float(json.loads((folder / "report.json").read_text())["wall_s"])
+
+
+def rows(folder: Path) -> list[dict[str, str]]:
+    """Return frames.csv without the times of steps."""
+    with (folder / "frames.csv").open(newline="") as file:
+        found = list(csv.DictReader(file))
+    return [{k: v for k, v in row.items() if not k.endswith("_ms")} for row in found]
+
+
+def album(folder: Path) -> dict[str, Any]:
+    """Return what the viewer of a page reads."""
+    begin, text = '<script type="application/json">', (folder / "report.html").read_text()
+    told: dict[str, Any] = json.loads(text.split(begin)[1].split("</script>")[0])
+    return told
+
+
+def split(seed: int) -> list[str]:
+    """Deal the key frames to three chunks at random; they need not be neighbours."""
+    rng = random.Random(seed)
+    owners = [0, 1, 2, *(rng.randrange(3) for _ in range(KEYS - 3))]
+    rng.shuffle(owners)
+    parts = [[k + 1 for k in range(KEYS) if owners[k] == i] for i in range(3)]
+    return [ranges(part) for part in parts]
+
+
+CASES = {
+    "exwarp": (True, "-m", "exwarp", "--metrics", "all"),
+    "s6 without tail": (True, "-m", "s6", "--no-tail"),
+    "softsplat, layers": (True, "-m", "softsplat", "--layers", "all", "--metrics", "ssim,flicker"),
+    "oracle": (True, "-m", "oracle"),
+    "hold": (False, "-m", "hold", "--cuts", "none"),
+    "24 to 60": (False, "-m", "s6", "--fps", "24", "--to-fps", "60", "--no-tail"),
+    "given cut": (False, "-m", "s3", "--cuts", "auto,3"),
+}
+
+
+@pytest.fixture
+def options(shot, network) -> Callable[[str], tuple[object, ...]]:
+    """Return the options of a case."""
+
+    def found(name: str) -> tuple[object, ...]:
+        scored, *rest = CASES[name]
+        if rest[1] in ("exwarp", "oracle", "s3"):
+            rest += ["--extrapolator", network]
+        return (*rest, *(("--ground-truth", shot["truth"]) if scored else ()))
+
+    return found
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_chunks_tell_what_a_single_run_tells(exwarp, do, options, tmp_path, name):
+    single = do("single", *options(name))
+    seed = list(CASES).index(name)
+    chunks = [do("parts", *options(name), frames=part) for part in split(seed)]
+    random.Random(seed).shuffle(chunks)
+    merged = tmp_path / "merged"
+    result = exwarp("merge-reports", *chunks, "-o", merged)
+    assert result.code == 0 and result.err == ""
+    assert unmeasured(merged) == unmeasured(single)
+    assert rows(merged) == rows(single)
+    assert album(merged) == album(single), "the same pictures, byte for byte"
+    assert wall(merged) == pytest.approx(sum(map(wall, chunks)))
+    assert shots.contents(tmp_path / "parts") == shots.contents(tmp_path / "single")
+
+
+def test_cases_are_what_they_are_called(do, options):
+    """Cuts are met, frames dropped or scored, and layers written: else equality says little."""
+    found = unmeasured(do("exwarp", *options("exwarp")))
+    assert found["cuts"] == [{"frame": CUT, "source": "detected"}]
+    assert found["quality"]["all"]["vmaf"] and found["quality"]["holes"]["ssim"]
+    assert found["policy"] and found["extrapolator"] and found["input"]["selected"] == "1-6"
+    found = unmeasured(do("softsplat", *options("softsplat, layers")))
+    assert len(found["layers"]) > 3
+    found = unmeasured(do("60", *options("24 to 60")))
+    assert found["fps"]["factor"] == "5/2" and found["frames"]["key"] == 3
+
+
+def test_frames_that_were_kept_are_told_alike(exwarp, do, options, tmp_path):
+    chosen = (*options("s6 without tail"), "--skip-existing")
+    for name in ("single", "parts"):
+        do(name, "-m", "s6", "--no-tail")
+    (tmp_path / "single" / "shot.0006.exr").unlink()
+    (tmp_path / "parts" / "shot.0006.exr").unlink()
+    single = do("single", *chosen)
+    for part in ("1", "2-4", "5-6"):
+        do("parts", *chosen, frames=part)
+    merged = tmp_path / "parts-report"
+    assert exwarp("merge-reports", merged, "--overwrite").code == 0
+    assert unmeasured(merged) == unmeasured(single)
+    assert rows(merged) == rows(single)
+    assert [row["frame"] for row in rows(merged) if row["resumed"] == "false"] == ["6"]
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory, shot) -> Path:
+    """The report's folder of three chunks against the truth; key frame 4 is in none; read only."""
+    root = tmp_path_factory.mktemp("chunks")
+    for part in ("1-2", "3", "5-6"):
+        code = cli.run(
+            [
+                *("upsample", str(shot["keys"]), "-o", str(root / "out"), "-m", "s6", *VECTORS),
+                *("--ground-truth", str(shot["truth"]), "--frames", part),
+                *("--report", str(chunk_folder(root / "report", parse_frames(part)))),
+                *("--progress", "none", "--threads", "1"),
+            ]
+        )
+        assert code == 0
+    return root / "report"
+
+
+@pytest.fixture
+def chunks(done, tmp_path) -> tuple[Path, list[Path]]:
+    """A copy of these chunks: the folder of the report, and theirs in it."""
+    report = shutil.copytree(done, tmp_path / "chunks-report")
+    return report, [chunk_folder(report, keys) for keys in ([1, 2], [3], [5, 6])]
+
+
+def test_chunks_are_joined_where_they_lie(exwarp, chunks):
+    report, folders = chunks
+    assert [folder.name for folder in folders] == ["1-2", "3", "5-6"]
+    result = exwarp("merge-reports", report)
+    assert result.code == 0 and result.err == ""
+    lines = result.out.splitlines()
+    assert lines[0] == "20 frames: 5 rendered, 15 generated, 0 repeated"
+    assert "30 fps in, 120 out, effective 120" in lines
+    assert any(line.startswith("against ground truth (12 frames): PSNR ") for line in lines)
+    assert any(line.startswith("3 reports joined, ") for line in lines)
+    assert "key frames of the sequence that are in no report: 4" in lines
+    assert lines[-1] == f"report in {report}"
+    again = exwarp("merge-reports", report)
+    again.refused(6, str(report), "--overwrite", "-o")
+    # A late chunk is joined with the others, and the joined report is none of them.
+    assert exwarp("merge-reports", report, "--overwrite").out == result.out
+
+
+def test_json_is_the_document_and_what_is_told_of_the_merging(exwarp, chunks, tmp_path):
+    report, folders = chunks
+    (folders[1] / "report.html").unlink()
+    result = exwarp("merge-reports", report, "--json", "-o", tmp_path / "joined")
+    assert result.code == 0 and result.err == ""
+    found = strict(result.out)
+    assert found.pop("merged") == {
+        "reports": 3, "missing": "4", "without_pictures": [str(folders[1])]
+    }  # fmt: skip
+    assert found == json.loads((tmp_path / "joined" / "report.json").read_text())
+    assert parse_frames(found["input"]["selected"]) == [1, 2, 3, 5, 6]
+
+
+def test_a_joined_report_is_joined_with_others(exwarp, chunks, do, shot, tmp_path):
+    report, _ = chunks
+    late = do("late", "-m", "s6", "--ground-truth", shot["truth"], frames="4")
+    assert exwarp("merge-reports", report).code == 0
+    result = exwarp("merge-reports", report, late, late, "-o", tmp_path / "all")
+    assert result.code == 0 and "in no report" not in result.out
+    single = do("single", "-m", "s6", "--ground-truth", shot["truth"])
+    assert unmeasured(tmp_path / "all") == unmeasured(single)
+    assert album(tmp_path / "all") == album(single)
+
+
+@pytest.mark.parametrize("harm", ["absent", "version", "album", "picture", "bytes", "no viewer"])
+def test_pages_that_cannot_be_read_leave_out_their_pictures(exwarp, chunks, harm):
+    report, folders = chunks
+    page = folders[0] / "report.html"
+    text = page.read_text()
+    version = text.split('content="ExWarp ')[1].split('"')[0]
+    if harm == "absent":
+        page.unlink()
+    elif harm == "bytes":
+        page.write_bytes(b"\xff\xfe")
+    elif harm == "picture":
+        page.write_text(text.replace("data:image/webp;base64,", "data:image/svg+xml;base64,"))
+    elif harm == "no viewer":
+        page.write_text(text.replace("application/json", "text/plain"))
+    else:
+        change = (f'content="ExWarp {version}"', 'content="ExWarp 0"')
+        page.write_text(text.replace(*(change if harm == "version" else ('"frames":', '"f":'))))
+    result = exwarp("merge-reports", report)
+    assert result.code == 0 and result.err == ""
+    told = any(line.startswith("without pictures") for line in result.out.splitlines())
+    assert told == (harm not in ("picture", "no viewer"))
+    assert str(folders[0]) in result.out or not told
+    shown = album(report)
+    assert [frame["number"] for frame in shown["frames"]] == [*range(9, 13), *range(17, 25)]
+    assert (shown["before"], shown["after"]) == (OUTPUT, TRUTH)
+    assert len(rows(report)) == 20
+
+
+def test_a_run_without_any_page_has_a_report(exwarp, chunks):
+    report, folders = chunks
+    for folder in folders:
+        (folder / "report.html").unlink()
+    assert exwarp("merge-reports", report).code == 0
+    assert 'id="viewer"' not in (report / "report.html").read_text()
+
+
+class TestRefusals:
+    def test_a_frame_twice(self, exwarp, chunks, do, shot, tmp_path):
+        _, folders = chunks
+        more = do("more", "-m", "s6", "--ground-truth", shot["truth"], frames="2-3")
+        result = exwarp("merge-reports", *folders, more, "-o", tmp_path / "joined")
+        result.refused(3, "frame 5 is in", str(folders[0]), str(more), "leave one of them out")
+        assert not (tmp_path / "joined").exists()
+
+    def test_another_method(self, exwarp, chunks, do, tmp_path):
+        _, folders = chunks
+        other = do("other", "-m", "hold", frames="4")
+        result = exwarp("merge-reports", *folders, other, "-o", tmp_path / "joined")
+        result.refused(3, str(folders[0]), str(other), "the method is s6")
+
+    def test_a_comparison(self, exwarp, chunks, shot, tmp_path):
+        _, folders = chunks
+        compared = tmp_path / "compared"
+        assert exwarp("compare", shot["truth"], shot["truth"], "--report", compared).code == 0
+        result = exwarp("merge-reports", folders[0], compared, "-o", tmp_path / "joined")
+        result.refused(3, str(compared / "report.json"), "comparison")
+
+    def test_a_damaged_table(self, exwarp, chunks):
+        report, folders = chunks
+        table = folders[2] / "frames.csv"
+        table.write_text(table.read_text()[:-30])
+        exwarp("merge-reports", report).refused(3, str(folders[2]), "do its key frames again")
+
+    def test_nothing_to_join(self, exwarp, tmp_path):
+        exwarp("merge-reports", tmp_path).refused(3, str(tmp_path), "chunks")
+        named = exwarp("merge-reports", tmp_path, "-o", tmp_path / "joined")
+        named.refused(3, f"{tmp_path} holds no report.json")
+
+    def test_farms_are_told_why(self, exwarp, tmp_path):
+        result = exwarp("merge-reports", tmp_path, "--progress", "openjd")
+        assert result.code == 3
+        (line,) = result.out.splitlines()
+        assert line == f"openjd_fail: {result.err.strip().removeprefix('exwarp: error: ')}"
+
+    def test_no_place_to_write(self, exwarp, chunks):
+        _, folders = chunks
+        exwarp("merge-reports", *folders).refused(2, "-o")
+        assert exwarp("merge-reports").code == 2
+
+    def test_onto_one_of_them(self, exwarp, chunks):
+        _, folders = chunks
+        before = shots.contents(folders[0])
+        result = exwarp("merge-reports", *folders, "-o", folders[0], "--overwrite")
+        result.refused(2, f"-o {folders[0]}")
+        assert shots.contents(folders[0]) == before
+
+    def test_onto_a_report(self, exwarp, chunks, do, tmp_path):
+        _, folders = chunks
+        other = do("other", "-m", "hold")
+        exwarp("merge-reports", *folders, "-o", other).refused(6, str(other), "another -o")
+
+
+@pytest.mark.parametrize(
+    ("keys", "name"),
+    [([1001], "1001"), ([1001, 1002, 1010], "1001-1010"), ([-5, -3], "-5--3"), ([0], "0")],
+)
+def test_folders_of_chunks(keys, name):
+    assert chunk_folder(Path("r"), keys) == Path("r") / "chunks" / name
