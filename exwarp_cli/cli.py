@@ -21,7 +21,8 @@ import click
 
 from exwarp_cli import __version__
 from exwarp_cli.domain.line import one_line
-from exwarp_cli.errors import INTERRUPTED, ExwarpError
+from exwarp_cli.errors import INTERRUPTED, ExwarpError, OutputError, system_error
+from exwarp_cli.io.standard_streams import prepare_streams
 
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
@@ -74,7 +75,7 @@ class LazyGroup(click.Group):
         """Import a command."""
         if cmd_name not in COMMANDS:
             return None
-        from exwarp_cli.commands.configured import configured
+        from exwarp_cli.commands.config.configured import configured
 
         module = importlib.import_module(f"exwarp_cli.commands.{cmd_name.replace('-', '_')}")
         return configured(module.command, (cmd_name,))
@@ -129,11 +130,12 @@ def exwarp(ctx: click.Context, config: str | None) -> None:
 
 def main() -> NoReturn:
     """Run the command line of this process and exit with its code."""
+    prepare_streams()
     code = run(sys.argv[1:])
     try:
         sys.stdout.flush()
-    except BrokenPipeError:  # as in `exwarp inspect … | head`: the reader has what it wanted
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except OutputError as error:
+        code = code or _fail(str(error), error.exit_code)
     sys.exit(code)
 
 
@@ -156,12 +158,21 @@ def run(args: list[str]) -> int:
         return _fail(
             "the memory does not suffice; close other programs, or use fewer threads", DEFECT
         )
+    except OSError as error:
+        known = system_error(error)
+        if known is None:
+            return _defect(error)
+        return _fail(_traced(str(known), origins), known.exit_code)
     except Exception as error:
-        return _fail(
-            f"unexpected {type(error).__name__}: {error}; this is a defect of ExWarp, please "
-            "report it with the details that EXWARP_DEBUG=1 in the environment shows",
-            DEFECT,
-        )
+        return _defect(error)
+
+
+def _defect(error: Exception) -> int:
+    return _fail(
+        f"unexpected {type(error).__name__}: {error}; this is a defect of ExWarp, please report it "
+        "with the details that EXWARP_DEBUG=1 in the environment shows",
+        DEFECT,
+    )
 
 
 def _afterwards(args: list[str]) -> str:
@@ -178,7 +189,8 @@ def _afterwards(args: list[str]) -> str:
 def _fail(sentence: str, code: int) -> int:
     if os.environ.get("EXWARP_DEBUG", "0") not in ("", "0"):
         traceback.print_exc()
-    click.echo(f"exwarp: error: {one_line(sentence)}", err=True)
+    if sentence:
+        click.echo(f"exwarp: error: {one_line(sentence)}", err=True)
     return code
 
 

@@ -23,6 +23,8 @@ interrupted by the user, 143 terminated, as in shells.
 
 from __future__ import annotations
 
+import errno
+
 INTERRUPTED = 130
 
 
@@ -96,3 +98,24 @@ class InstallationError(ExwarpError):
     """Something that ExWarp needs does not work on this machine."""
 
     exit_code = 10
+
+
+_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG)
+"""What only who writes is told."""
+
+
+def system_error(error: OSError) -> ExwarpError | None:
+    """Put into a sentence what the system refuses, where nothing nearer to the file did.
+
+    A folder that may not be entered, a network share that went away and a name that is too long
+    are met wherever somebody looks whether a file is there.
+
+    Returns
+    -------
+    ExwarpError or None
+        None where no file is named.
+    """
+    if not isinstance(error.filename, str) or error.strerror is None:
+        return None
+    kind = OutputError if error.errno in _NO_ROOM else InputError
+    return kind(f"cannot use {error.filename}: {error.strerror}; check the path and its rights")

@@ -55,7 +55,7 @@ FILE = click.Path(path_type=Path)
 @click.option("--jobs", type=click.IntRange(1), help="Key intervals at a time; default: all cores.")
 @click.option("--device", type=click.Choice(DEVICES), default=DEVICES[0])
 @json_option
-@progress_option
+@progress_option()
 def command(
     scenes: str | None,
     setting: str,

@@ -10,11 +10,11 @@ import click
 
 from exwarp_cli.commands.json_option import json_option, print_json
 from exwarp_cli.commands.metrics_option import metrics_option
-from exwarp_cli.commands.progress_option import HELP
+from exwarp_cli.commands.progress_option import HELP, progress_option
 from exwarp_cli.domain.metric import METRICS
 from exwarp_cli.domain.settings import PRESETS, MeasureSettings
 from exwarp_cli.domain.threshold import Threshold, parse_threshold
-from exwarp_cli.pipeline.progress import KINDS
+from exwarp_cli.domain.wording import counted
 
 if TYPE_CHECKING:
     from exwarp_cli.pipeline.evaluate import Comparison
@@ -65,12 +65,7 @@ def _limits(
     help="The same for flip, hdr-flip and flicker, of which less is better.",
 )
 @json_option
-@click.option(
-    "--progress",
-    "progress_kind",
-    type=click.Choice(KINDS),
-    help=f"{HELP} Default: a bar on a terminal, nothing elsewhere.",
-)
+@progress_option(f"{HELP} Default: a bar on a terminal, nothing elsewhere.", default=None)
 def command(
     reference: str,
     test: str,
@@ -83,7 +78,7 @@ def command(
     fail_below: tuple[Threshold, ...],
     fail_above: tuple[Threshold, ...],
     as_json: bool,
-    progress_kind: str | None,
+    progress: str | None,
 ) -> None:
     """Score sequence B against A, the ground truth.
 
@@ -100,13 +95,13 @@ def command(
     from exwarp_cli.report.gallery import Gallery
     from exwarp_cli.report.thresholds import require_quality
 
-    kind = progress_kind or ("bar" if sys.stderr.isatty() else "none")
-    with reporting(kind, results_on_stdout=as_json) as progress:
+    kind = progress or ("bar" if sys.stderr.isatty() else "none")
+    with reporting(kind, results_on_stdout=as_json) as told:
         if folder is not None:
             prepare_comparison(folder)
         measuring = MeasureSettings(metrics, preset, (*fail_below, *fail_above), view)
         gallery = None if folder is None else Gallery(True, TEST, REFERENCE)
-        result = evaluate(reference, test, frames, holes, progress, measuring, gallery)
+        result = evaluate(reference, test, frames, holes, told, measuring, gallery)
         if folder is not None and gallery is not None:
             write_comparison(folder, result, gallery.album)
         if as_json:
@@ -134,8 +129,7 @@ def _print(result: Comparison) -> None:
         table.add_row(name, *cells, str(values["frames"]))
     click.echo(f"reference {result.reference.pattern}")
     click.echo(f"test      {result.test.pattern}")
-    count = len(result.frames)
-    click.echo(f"{count} frame{'' if count == 1 else 's'}, matched by {result.matched_by}")
+    click.echo(f"{counted(len(result.frames), 'frame')}, matched by {result.matched_by}")
     for note in result.notes:
         click.echo(note)
     Console().print(table)

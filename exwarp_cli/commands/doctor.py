@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from exwarp_cli.commands.json_option import json_option
+
 if TYPE_CHECKING:
     from exwarp_cli.domain.checkup import Check
     from exwarp_cli.report.doctor import Row
@@ -21,7 +23,7 @@ if TYPE_CHECKING:
     is_flag=True,
     help="Upsample nothing; where no kernel is compiled yet, that takes a minute.",
 )
-@click.option("--json", "as_json", is_flag=True, help="Print JSON instead of a page.")
+@json_option
 @click.pass_context
 def command(ctx: click.Context, verbose: bool, skip_self_test: bool, as_json: bool) -> None:
     """Check the installation, and tell what is in force.
@@ -39,6 +41,7 @@ def command(ctx: click.Context, verbose: bool, skip_self_test: bool, as_json: bo
         NoProgress().message, not skip_self_test, {"configuration": lambda: _configuration(ctx)}
     )
     if as_json:
+        # Not by `print_json`, which needs numpy, and that may be what is broken.
         click.echo(json.dumps(found.as_dict(), indent=2))
     else:
         _print(heading(found), rows(found, verbose), verdict(found))
@@ -48,7 +51,7 @@ def command(ctx: click.Context, verbose: bool, skip_self_test: bool, as_json: bo
 
 def _configuration(ctx: click.Context) -> Check:
     """Tell which options files and the environment set."""
-    from exwarp_cli.commands.configured import configuration
+    from exwarp_cli.commands.config.configured import configuration
     from exwarp_cli.domain.checkup import Check, failure, warning
     from exwarp_cli.pipeline.doctor.environment import variables
 
@@ -70,13 +73,8 @@ def _configuration(ctx: click.Context) -> Check:
     count = len(there.settings)
     told = ", ".join(files) or "no exwarp.toml"
     told += f"; {count or 'no'} option{'' if count == 1 else 's'} set"
-    # Other commands only warn of a variable that they do not know; the rest stops them.
-    remarks = (warning(one) if _UNKNOWN in one else failure(one) for one in there.problems)
-    return Check(told, tuple(remarks), facts, tuple(lines))
-
-
-_UNKNOWN = "in the environment is no option of"
-"""Stands in what `configuration` says of such variables."""
+    remarks = (*map(failure, there.problems), *map(warning, there.warnings))
+    return Check(told, remarks, facts, tuple(lines))
 
 
 def _print(heading: str, page: list[Row], verdict: str | None) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterator, Mapping
-from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +13,6 @@ from exwarp_cli.commands import upsample
 from exwarp_cli.commands.group import HelpfulGroup
 from exwarp_cli.commands.json_option import json_option, print_json
 from exwarp_cli.domain.metric import METRICS
-from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.farm.chunks import DEFAULT_SIZE
 
 if TYPE_CHECKING:
@@ -167,9 +165,7 @@ def _open(options: Mapping[str, Any], chunk_size: int, title: str | None) -> Far
     """Look at everything now that the chunks will need."""
     from exwarp_cli.farm.opening import open_farm_job
 
-    source = SourceSettings(**{f.name: options[f.name] for f in fields(SourceSettings)})
-    own = {f.name: options[f.name] for f in fields(UpsampleSettings) if f.name in options}
-    settings = UpsampleSettings(source, **own)
+    settings = upsample.settings_of(options)
     if options["report_folder"] is not None and not settings.overwrite:
         _refuse_report(options["report_folder"], settings.skip_existing)
     return open_farm_job(settings, list(_given(options)), chunk_size, title)
@@ -190,7 +186,7 @@ def _refuse_report(folder: Path, go_on: bool) -> None:
 def _given(options: Mapping[str, Any]) -> Iterator[tuple[str, str, str | None]]:
     """Write down what differs from the defaults, wherever it was set: name, flag and value.
 
-    Defaults are left out, and a worker's environment may set what is of that machine alone.
+    Defaults are left out: calls are isolated, so that a worker sets nothing but its own threads.
     """
     for parameter in _shared():
         name, value = str(parameter.name), options[str(parameter.name)]

@@ -25,7 +25,7 @@ from exwarp_cli.domain.cuts import AUTO
 @click.option("--frames", metavar="RANGE", help="Key frames, by number: 1001-1100x2, 1-10:2.")
 @click.option("--threads", type=click.IntRange(1), help="Default: all cores.")
 @json_option
-@progress_option
+@progress_option()
 def command(
     sequence: str,
     gbuffers: str | None,

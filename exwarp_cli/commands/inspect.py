@@ -9,6 +9,7 @@ import click
 
 from exwarp_cli.commands.json_option import json_option, print_json
 from exwarp_cli.commands.source_options import source_options
+from exwarp_cli.domain.wording import counted
 
 if TYPE_CHECKING:
     from exwarp_cli.pipeline.inspect import Inspection
@@ -148,5 +149,4 @@ def _matte(one: dict[str, Any]) -> str:
     names, count = one["names"], len(one["names"])
     listed = ", ".join(shown(each) for each in names[:SHOWN])
     more = f" and {count - SHOWN} more" if count > SHOWN else ""
-    counted = f"{count} name{'' if count == 1 else 's'}"
-    return f"Cryptomatte {name} ({one['kind']}), {counted}: {listed}{more}"
+    return f"Cryptomatte {name} ({one['kind']}), {counted(count, 'name')}: {listed}{more}"

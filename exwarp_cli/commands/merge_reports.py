@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from exwarp_cli.commands.json_option import json_option, print_json
+from exwarp_cli.commands.progress_option import progress_option
 from exwarp_cli.commands.summary_lines import summary_lines
-from exwarp_cli.pipeline.progress import KINDS
+from exwarp_cli.domain.wording import counted
 
 if TYPE_CHECKING:
     from exwarp_cli.report.merging import Merged
@@ -31,20 +33,15 @@ NAMED = 3
 )
 @click.option("--overwrite", is_flag=True, help="Replace a report that is there.")
 @json_option
-@click.option(
-    "--progress",
-    type=click.Choice(KINDS),
-    default=KINDS[0],
-    show_default=True,
-    help="How programs are told why it fails: openjd for farms, json for others.",
-)
+@progress_option("How programs are told why it fails: openjd for farms, json for others.")
 def command(
     folders: tuple[Path, ...], output: Path | None, overwrite: bool, as_json: bool, progress: str
 ) -> None:
     """Join the reports of chunks into the report of the whole run.
 
     FOLDER is what upsample --report FOLDER --as-chunk reported to: chunks/*/ in it are joined into
-    FOLDER itself. With -o any reports are joined, in any order, if no frame is in two of them.
+    FOLDER itself; of a key frame that is in two of them, as after a job with chunks of another
+    size, the newer tells. With -o any reports are joined, in any order, if no frame is in two.
 
     The joined report.json, frames.csv and report.html are those of a single run, but for measured
     times: the wall time is the sum of the chunks', so that frames per second are those of one
@@ -69,14 +66,20 @@ def _print(merged: Merged, output: Path) -> None:
     if document["frames"]["written"]:
         for line in summary_lines(document):
             click.echo(line)
-    many = "" if merged.reports == 1 else "s"
-    click.echo(f"{merged.reports} report{many} joined, {time_text(document['wall_s'])} of work")
+    joined = counted(merged.reports, "report")
+    click.echo(f"{joined} joined, {time_text(document['wall_s'])} of work")
     if merged.missing is not None:
         click.echo(f"key frames of the sequence that are in no report: {merged.missing}")
+    if merged.superseded:
+        named = _named(merged.superseded)
+        click.echo(f"older reports, of key frames that newer ones tell of: {named}")
     if merged.unseen:
-        named = ", ".join(map(str, merged.unseen[:NAMED]))
-        more = f" and {len(merged.unseen) - NAMED} more" if len(merged.unseen) > NAMED else ""
-        click.echo(
-            f"without pictures, as report.html is not there or cannot be read: {named}{more}"
-        )
+        named = _named(merged.unseen)
+        click.echo(f"without pictures, as report.html is not there or cannot be read: {named}")
     click.echo(f"report in {output}")
+
+
+def _named(folders: Sequence[Path]) -> str:
+    """Name the first of some folders."""
+    more = f" and {len(folders) - NAMED} more" if len(folders) > NAMED else ""
+    return f"{', '.join(map(str, folders[:NAMED]))}{more}"

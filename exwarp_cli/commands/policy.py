@@ -64,20 +64,20 @@ def run(table: Path, policy: Path | None, trace: bool, row: int | None, as_json:
     them: Q16.16 integers with spaces between. With --trace, the first of them, or that of --row.
     """
     from exwarp_cli.pipeline import accelerator
-    from exwarp_cli.report import decided
+    from exwarp_cli.report import policy_run
 
     if trace:
         traced = accelerator.trace_row(table, policy, row)
         if as_json:
-            print_json(decided.trace_document(traced))
+            print_json(policy_run.trace_document(traced))
         else:
-            click.echo("\n".join(decided.trace_lines(traced)))
+            click.echo("\n".join(policy_run.trace_lines(traced)))
         return
     rows = accelerator.decide_rows(table, policy, row)
     if as_json:
-        print_json(decided.decisions_document(rows))
+        print_json(policy_run.decisions_document(rows))
     else:
-        click.echo(decided.decisions_csv(rows), nl=False)
+        click.echo(policy_run.decisions_csv(rows), nl=False)
 
 
 @command.command("export", short_help="Write hex files for a Verilog test bench.")

@@ -17,8 +17,18 @@ HELP = (
 )
 
 
-def progress_option(command: Command) -> Command:
-    """Give a command the option; it takes `progress`, for `pipeline.progress.reporting`."""
+def progress_option(
+    text: str = HELP, default: str | None = KINDS[0]
+) -> Callable[[Command], Command]:
+    """Give a command the option; it takes `progress`, for `pipeline.progress.reporting`.
+
+    Parameters
+    ----------
+    text
+        What its help says.
+    default
+        One of `KINDS`; None for a command that chooses itself.
+    """
     return click.option(
-        "--progress", type=click.Choice(KINDS), default=KINDS[0], show_default=True, help=HELP
-    )(command)
+        "--progress", type=click.Choice(KINDS), default=default, show_default=True, help=text
+    )

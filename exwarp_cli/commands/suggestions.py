@@ -16,7 +16,7 @@ import click
 from click.shell_completion import CompletionItem
 from click.types import StringParamType
 
-from exwarp_cli.commands.option_values import long_name, names_paths
+from exwarp_cli.commands.option_names import long_name, names_paths
 from exwarp_cli.domain.bench import SYSTEMS
 from exwarp_cli.domain.metric import ALL, BY_OPTION, METRICS
 from exwarp_cli.domain.threshold import SCOPES

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from exwarp_cli.domain.metric import METRICS
+from exwarp_cli.domain.wording import counted
 
 
 def summary_lines(
@@ -24,11 +25,10 @@ def summary_lines(
     from exwarp_cli.report.page_parts import cuts_line
 
     frames, fps, quality = document["frames"], document["fps"], document["quality"]["all"]
-    many = "" if frames["written"] == 1 else "s"
     effective = "" if fps["effective"] is None else f", effective {fps['effective']:g}"
     lines = [
-        f"{frames['written']} frame{many}{place and f' in {place}'}: {frames['key']} rendered, "
-        f"{frames['generated']} generated, {frames['dropped']} repeated",
+        f"{counted(frames['written'], 'frame')}{place and f' in {place}'}: "
+        f"{frames['key']} rendered, {frames['generated']} generated, {frames['dropped']} repeated",
         f"{fps['base']:g} fps in, {fps['output']:g} out{effective}",
     ]
     if document["cuts"]:

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import fields, replace
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from exwarp_cli.commands.farm_options import farm_options
 from exwarp_cli.commands.json_option import json_option, print_json
 from exwarp_cli.commands.metrics_option import metrics_option
 from exwarp_cli.commands.progress_option import progress_option
 from exwarp_cli.commands.source_options import source_options
+from exwarp_cli.commands.spread_options import spread_options
 from exwarp_cli.domain.settings import (
     DEVICES,
     ClusterSettings,
@@ -147,9 +148,12 @@ class FrameRate(click.ParamType[Fraction]):
 @click.option("--skip-existing", is_flag=True, help="Keep good frames of an earlier run.")
 @click.option("--overwrite", is_flag=True, help="Replace frames that exist.")
 @click.option("--threads", type=click.IntRange(1), help="Default: all cores.")
-@farm_options
+@spread_options
+@click.option(
+    "--dry-run", is_flag=True, help="Open everything and say what would be done; write nothing."
+)
 @json_option
-@progress_option
+@progress_option()
 def command(
     report_folder: Path | None,
     as_chunk: bool,
@@ -159,20 +163,7 @@ def command(
     workers: int | None,
     cluster: str | None,
     chunk_size: int | None,
-    sequence: str,
-    gbuffers: str | None,
-    motion: str | None,
-    fps: Fraction | None,
-    start_frame: int | None,
-    tail: bool,
-    factor: int | None,
-    to_fps: Fraction | None,
-    view: str | None,
-    aovs: tuple[str, ...],
-    channel_map: str | None,
-    cuts: str,
-    dynamic: str | None,
-    **options: object,
+    **options: Any,
 ) -> None:
     """Write SEQUENCE at four times its frame rate, or another.
 
@@ -185,11 +176,7 @@ def command(
     from exwarp_cli.pipeline.job import open_job
     from exwarp_cli.pipeline.progress import reporting
 
-    rate = (fps, start_frame, tail, factor, to_fps)
-    source = SourceSettings(
-        sequence, gbuffers, motion, *rate, view, aovs, channel_map, cuts, dynamic
-    )
-    settings = UpsampleSettings(source, **options)  # type: ignore[arg-type]
+    settings = settings_of(options)
     where = ClusterSettings(workers, cluster, chunk_size)
     with reporting(progress, results_on_stdout=as_json) as told:
         job = open_job(settings)
@@ -198,6 +185,13 @@ def command(
             _tell(_foreseen(job, where, place, told), as_json)
             return
         _print(_run(job, where, place, told), settings, place, as_json)
+
+
+def settings_of(options: Mapping[str, Any]) -> UpsampleSettings:
+    """Return the settings that options of `command` make: those that have a field of their name."""
+    source = {field.name: options[field.name] for field in fields(SourceSettings)}
+    own = {f.name: options[f.name] for f in fields(UpsampleSettings) if f.name in options}
+    return UpsampleSettings(SourceSettings(**source), **own)
 
 
 def _report_place(folder: Path | None, as_chunk: bool, job: Job) -> Path | None:
@@ -234,11 +228,12 @@ def _run(job: Job, where: ClusterSettings, place: Path | None, told: Progress) -
 
 def _foreseen(job: Job, where: ClusterSettings, place: Path | None, told: Progress) -> DryRun:
     """Find out what the job would do."""
-    from exwarp_cli.pipeline.dry_run import foresee
+    from exwarp_cli.pipeline.dry_run import foresee, require_writable
     from exwarp_cli.report.folder import refuse_report
 
     if place is not None:
         refuse_report(place, replace=job.settings.overwrite or job.settings.skip_existing)
+        require_writable((place,))
     found = foresee(job)
     if where.spread:
         from exwarp_cli.farm.cluster import foresee_on_cluster

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -123,8 +123,27 @@ def join(runs: Sequence[RunSummary], names: Sequence[str] = ()) -> RunSummary:
         parts[0].run,
         frames=frames,
         keys=tuple(sorted(keys)),
-        cuts=_cuts(parts),
+        cuts=join_cuts(part.run.cuts for part in parts),
         wall_seconds=sum(part.run.wall_seconds for part in parts),
+    )
+
+
+def part_of(run: RunSummary, keys: Collection[int]) -> RunSummary:
+    """Return what a run tells of some of its key frames.
+
+    Of cuts these are the ones that the key frames themselves meet, before or behind them; of the
+    wall time it is the share of their frames.
+    """
+    frames = tuple(frame for frame in run.frames if frame.key in keys)
+    met = {number + behind for number in keys for behind in (0, run.input.step)}
+    cuts = None if run.cuts is None else tuple(cut for cut in run.cuts if cut.number in met)
+    share = len(frames) / len(run.frames) if run.frames else 0.0
+    return replace(
+        run,
+        frames=frames,
+        keys=tuple(key for key in run.selected if key in keys),
+        cuts=cuts,
+        wall_seconds=run.wall_seconds * share,
     )
 
 
@@ -132,6 +151,24 @@ def missing_keys(run: RunSummary) -> list[int]:
     """Return the input numbers of the key frames of its sequence that a run is not for."""
     there = set(run.selected)
     return [number for number in run.input.numbers if number not in there]
+
+
+def join_cuts(each: Iterable[tuple[Cut, ...] | None]) -> tuple[Cut, ...] | None:
+    """Unite the cuts that parts met; neighbours both meet the one between them.
+
+    Parameters
+    ----------
+    each
+        Of every part; None where none were looked for or given, as then in all of them.
+    """
+    met: set[Cut] = set()
+    for cuts in each:
+        if cuts is None:
+            return None
+        met.update(cuts)
+    # A cut that was given in one part and found in another is given: that word comes last.
+    by_number = {cut.number: cut for cut in sorted(met, key=lambda c: (c.number, c.source))}
+    return tuple(by_number.values())
 
 
 @dataclass(frozen=True)
@@ -177,13 +214,3 @@ def _frames(parts: Sequence[_Part]) -> tuple[FrameRecord, ...]:
                 "them out"
             )
     return tuple(frame for frame, _ in found)
-
-
-def _cuts(parts: Sequence[_Part]) -> tuple[Cut, ...] | None:
-    """Unite the cuts that the parts met: neighbours both see the one between them."""
-    if parts[0].run.cuts is None:
-        return None
-    met = {cut for part in parts for cut in part.run.cuts or ()}
-    # A cut that was given in one part and found in another is given: that word comes last.
-    by_number = {cut.number: cut for cut in sorted(met, key=lambda c: (c.number, c.source))}
-    return tuple(by_number.values())

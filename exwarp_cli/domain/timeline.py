@@ -195,7 +195,7 @@ def listed(text: str) -> list[Any]:
     if re.search(r"\d\s+\d", text):
         raise ValueError(f"no comma between two numbers of {text!r}")  # one would be made of both
     try:
-        return list(FrameSet(text.replace(":", "x")))
+        return list(FrameSet(re.sub(r"\s", "", text).replace(":", "x")))
     except (TypeError, OverflowError) as error:
         raise ValueError(str(error)) from error
 

@@ -8,8 +8,8 @@ from enum import Enum
 
 from exwarp_cli.farm.places import Place
 
-ALONE = ("--config", "none")
-"""What keeps a file of settings in a worker's folder from changing the job."""
+ALONE = ("--isolated",)
+"""What keeps a worker's environment, and files of settings there, from changing the job."""
 
 SCORING = ("ground_truth", "metrics")
 LAST = ("report_folder", "video")

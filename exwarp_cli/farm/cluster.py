@@ -17,10 +17,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from exwarp_cli import __version__
-from exwarp_cli.domain.cuts import Cut
+from exwarp_cli.domain.joining import join_cuts
 from exwarp_cli.domain.results import RunSummary
 from exwarp_cli.domain.settings import ClusterSettings
 from exwarp_cli.domain.timeline import ranges
+from exwarp_cli.domain.wording import counted
 from exwarp_cli.errors import UsageError
 from exwarp_cli.farm.chunks import DEFAULT_SIZE, split
 from exwarp_cli.farm.cluster_client import connected, require_cluster, threads_each
@@ -70,7 +71,10 @@ def run_on_cluster(
     """
     _require_frames(job)
     job.targets.refuse(job.settings, job.source.timeline, job.slots)
-    with connected(where, job.settings.threads) as client:
+    with ExitStack() as stack:
+        for folder in job.targets.folders:  # of workers that were lost, once the others have ended
+            stack.callback(remove_leftovers, folder)
+        client = stack.enter_context(connected(where, job.settings.threads))
         return _Coordinator(job, where, progress, watcher).run(client)
 
 
@@ -108,11 +112,11 @@ def chunks_of(
 
 def _spread(where: ClusterSettings, workers: int, threads: int | None) -> str:
     """Say over what the work is spread."""
-    many = f"{workers} worker{'' if workers == 1 else 's'}"
+    many = counted(workers, "worker")
     if where.address is not None:
         return f"{many} of {where.address}"
-    each = threads_each(workers, threads)
-    return f"{many} on this machine, {each} thread{'' if each == 1 else 's'} each"
+    each = counted(threads_each(workers, threads), "thread")
+    return f"{many} on this machine, {each} each"
 
 
 def _require_frames(job: Job) -> None:
@@ -146,8 +150,7 @@ class _Coordinator:
         job = self._job
         job.prepare()
         with ExitStack() as stack:
-            for folder in job.targets.folders:
-                stack.callback(remove_leftovers, folder)  # of workers that were lost
+            stack.callback(job.close)  # of which the video shows the rendered frames
             marks = tuple(stack.enter_context(marked(f)) for f in job.targets.folders)
             dispatch = self.dispatch(client, marks)
             workers = dispatch.muster()
@@ -194,8 +197,7 @@ class _Coordinator:
 
     def _say_spread(self, workers: int) -> None:
         spread = _spread(self._where, workers, self._job.settings.threads)
-        count = len(self._chunks)
-        self._progress.message(f"{count} chunk{'' if count == 1 else 's'} for {spread}")
+        self._progress.message(f"{counted(len(self._chunks), 'chunk')} for {spread}")
 
     def _name(self, chunk: Chunk) -> str:
         """Name a chunk by its frames."""
@@ -217,12 +219,4 @@ class _Coordinator:
         """Join what the chunks found out: as a single run would have, in order."""
         done = [self._done[chunk.index] for chunk in self._chunks]
         frames = tuple(record for one in done for record in one.frames)
-        return self._job.summary(frames, _joined([one.cuts for one in done]), seconds)
-
-
-def _joined(each: list[tuple[Cut, ...] | None]) -> tuple[Cut, ...] | None:
-    """Join the cuts that chunks met; two of them meet those between them."""
-    if any(cuts is None for cuts in each):
-        return None
-    found = {cut for cuts in each if cuts is not None for cut in cuts}
-    return tuple(sorted(found, key=lambda cut: cut.number))
+        return self._job.summary(frames, join_cuts(one.cuts for one in done), seconds)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import os
 import signal
@@ -16,7 +17,9 @@ from multiprocessing import resource_tracker
 from typing import Any
 
 from exwarp_cli.domain.settings import ClusterSettings
+from exwarp_cli.domain.wording import first_line
 from exwarp_cli.errors import ClusterError, MissingExtraError
+from exwarp_cli.io.machine import processors
 
 CONNECT_S = 10.0
 """Seconds that a scheduler has to answer."""
@@ -44,7 +47,7 @@ def require_cluster() -> Any:
 
 def threads_each(workers: int, threads: int | None) -> int:
     """Share threads out: how many each of some processes has."""
-    return max(1, (threads or _cores()) // workers)
+    return max(1, (threads or processors().allowed) // workers)
 
 
 @contextmanager
@@ -84,10 +87,8 @@ def connected(where: ClusterSettings, threads: int | None) -> Iterator[Any]:
 def _client(distributed: Any, address: Any) -> Iterator[Any]:
     """Connect, without becoming what Dask uses for everything else in this process."""
     try:
-        client = _whole(
-            partial(distributed.Client, address, timeout=CONNECT_S, set_as_default=False), _leave
-        )
-    except (OSError, ValueError, ImportError, RuntimeError) as error:
+        client = _whole(partial(_join, distributed, address), _leave)
+    except Exception as error:  # whatever comes of what speaks another language, or none
         raise ClusterError(
             f"cannot reach a Dask scheduler at {address} ({_reason(error)}); check the address, "
             "which is like tcp://host:8786, and that 'dask scheduler' runs there"
@@ -98,15 +99,43 @@ def _client(distributed: Any, address: Any) -> Iterator[Any]:
         _leave(client)
 
 
+def _join(distributed: Any, address: Any) -> Any:
+    """Make a client, once somebody has answered: one that fails half way holds on to its loop."""
+    if isinstance(address, str):
+        asyncio.run(asyncio.wait_for(_greet(distributed, address), CONNECT_S))
+    return distributed.Client(address, timeout=CONNECT_S, set_as_default=False)
+
+
+async def _greet(distributed: Any, address: str) -> None:
+    """Ask who listens at an address; raises ValueError where it is no scheduler."""
+    told = distributed.Security().get_connection_args("client")
+    async with distributed.rpc(address, connection_args=told) as somebody:
+        kind = (await somebody.identity())["type"]
+    if kind != "Scheduler":
+        raise ValueError(f"a {kind.lower()} of a cluster listens there")
+
+
+def _reason(error: Exception) -> str:
+    if isinstance(error, TimeoutError):
+        return f"no answer for {CONNECT_S:g} seconds"
+    if isinstance(error, MemoryError):  # what was not meant for it, Dask may read as a size
+        return "what listens there does not speak Dask's language"
+    return first_line(error)
+
+
 @contextmanager
 def _local(distributed: Any, workers: int, threads: int | None) -> Iterator[Any]:
     """Start processes that end with the block, or with this process, however it ends."""
+    import dask
+
     if sys.platform != "win32":
         # It would lift the block of `_deafen` where the first process begins it.
         resource_tracker.ensure_running()
     with ExitStack() as stack:
         scratch = tempfile.TemporaryDirectory(prefix="exwarp-", ignore_cleanup_errors=True)
         folder = stack.enter_context(scratch)
+        # Else some of its parts make a folder for all runs, which nobody removes.
+        stack.enter_context(dask.config.set({"temporary-directory": folder}))
         make = partial(
             distributed.LocalCluster,
             n_workers=workers,
@@ -123,8 +152,8 @@ def _local(distributed: Any, workers: int, threads: int | None) -> Iterator[Any]
             cluster = _whole(make, _end)
         except (OSError, RuntimeError) as error:
             raise ClusterError(
-                f"cannot start {workers} worker processes on this machine ({_reason(error)}); use "
-                "fewer --workers, or none"
+                f"cannot start {workers} worker processes on this machine ({first_line(error)}); "
+                "use fewer --workers, or none"
             ) from error
         stack.callback(_end, cluster)
         yield cluster
@@ -193,14 +222,3 @@ def _quiet() -> Iterator[None]:
     finally:
         for handler, level in handlers:
             handler.setLevel(level)
-
-
-def _reason(error: BaseException) -> str:
-    return str(error).splitlines()[0] if str(error) else type(error).__name__
-
-
-def _cores() -> int:
-    try:
-        return len(os.sched_getaffinity(0))
-    except AttributeError:  # not on macOS and Windows
-        return os.cpu_count() or 1

@@ -87,9 +87,12 @@ class Dispatch:
     _waiting: deque[Chunk] = field(default_factory=deque)
     _losses: Counter[int] = field(default_factory=Counter)
     _news: queue.SimpleQueue[tuple[Any, ...]] = field(default_factory=queue.SimpleQueue)
+    _topics: set[str] = field(default_factory=set)
     _told: set[int] = field(default_factory=set)
     _looked_at: float = -float("inf")
     _alone_since: float | None = None
+    _unanswered_since: float | None = None
+    _said_busy: bool = False
     _mustered: bool = False
 
     def muster(self) -> int:
@@ -125,9 +128,8 @@ class Dispatch:
             As the first chunk raised it that failed.
         """
         self._waiting.extend(chunks)
-        topics = {chunk.topic for chunk in self._waiting}
-        for topic in topics:
-            self.client.subscribe_topic(topic, lambda event: self._news.put(("event", event[1])))
+        self._topics.update(chunk.topic for chunk in self._waiting)
+        self._listen()
         try:
             while self._waiting or self._tasks:
                 self._look()
@@ -135,8 +137,24 @@ class Dispatch:
                 self._hear()
         finally:
             self._call_off()
-            for topic in topics:
-                self.client.unsubscribe_topic(topic)
+
+    def _listen(self) -> None:
+        """Hear what workers tell: what was subscribed to ends with the client, or a scheduler."""
+        for topic in self._topics:
+            self._ask("subscribe_topic", topic, lambda event: self._news.put(("event", event[1])))
+
+    def _ask(self, what: str, *about: Any, **more: Any) -> Any:
+        """Call a method of the client; raises ClusterError where there is no scheduler any more."""
+        try:
+            return getattr(self.client, what)(*about, **more)
+        except Exception as error:
+            # How a client fails that has given up differs between methods and versions of Dask.
+            if not isinstance(error, _GONE) and self.client.status == "running":
+                raise
+            raise ClusterError(
+                "the Dask scheduler went away; frames written so far are whole, and "
+                "--skip-existing goes on from there"
+            ) from error
 
     def _look(self) -> None:
         """See who is there: find fit workers among new ones, and chunks of lost ones."""
@@ -144,13 +162,7 @@ class Dispatch:
         if now - self._looked_at < POLL_S:
             return
         self._looked_at = now
-        try:
-            there = set(self.client.nthreads())
-        except _GONE as error:
-            raise ClusterError(
-                "the Dask scheduler went away; frames written so far are whole, and "
-                "--skip-existing goes on from there"
-            ) from error
+        there = set(self._ask("nthreads"))
         self._left_out = {w: answer for w, answer in self._left_out.items() if w in there}
         self._asked = {worker: asked for worker, asked in self._asked.items() if worker in there}
         for worker in sorted(there - self._fit - set(self._left_out) - set(self._asked)):
@@ -165,7 +177,7 @@ class Dispatch:
     def _submit(self, function: Callable[..., Any], argument: object, worker: str) -> Any:
         """Have something done by one worker and no other."""
         key = f"exwarp-{function.__name__}-{uuid.uuid4().hex}"
-        return self.client.submit(function, argument, key=key, workers=[worker], pure=False)
+        return self._ask("submit", function, argument, key=key, workers=[worker], pure=False)
 
     def _note(self, kind: str, worker: str, future: Any) -> None:
         """Take down that a task has come to an end, from whichever thread tells."""
@@ -194,14 +206,21 @@ class Dispatch:
         self.say(f"worker {worker} is left out: it {answer}")
 
     def _wait_for_some(self, now: float, any_there: bool) -> None:
-        """Be patient while there is no worker; raises ClusterError when that takes too long."""
-        if self._fit:
-            self._alone_since = None
-        elif self._alone_since is None:
-            self._alone_since = now
-            if not any_there and not self._losses:
-                self.say("waiting for a worker to join the cluster")
-        elif now - self._alone_since > PATIENCE_S:
+        """Be patient while no worker takes work; raises ClusterError when none is there for long.
+
+        Those that are there and do not answer are busy with other things, however long these take;
+        the scheduler itself gives up dead ones.
+        """
+        unanswered = not self._fit and bool(self._asked)
+        alone = not self._fit and not self._asked
+        self._unanswered_since = (self._unanswered_since or now) if unanswered else None
+        self._alone_since = (self._alone_since or now) if alone else None
+        if now - (self._unanswered_since or now) > ANSWER_S and not self._said_busy:
+            self._said_busy = True
+            self.say("waiting for a worker to be free: none has answered yet")
+        if self._alone_since == now and not any_there and not self._losses:
+            self.say("waiting for a worker to join the cluster")
+        elif now - (self._alone_since or now) > PATIENCE_S:
             raise ClusterError(
                 f"the cluster has had no worker that can do this for {PATIENCE_S:g} seconds; start "
                 "some with 'dask worker ADDRESS', and go on with --skip-existing"
@@ -279,7 +298,9 @@ class Dispatch:
             )
         self.say(f"worker {task.worker} was lost; frames {name} are done again")
         if again:
-            task.future.cancel()
+            # A scheduler that was started anew knows neither the chunk nor who listens.
+            self._listen()
+            self._ask("cancel", [task.future])
             self._waiting.appendleft(task.chunk)
 
     def _call_off(self) -> None:
@@ -289,8 +310,10 @@ class Dispatch:
         self._tasks.clear()
         if not futures:
             return
-        with suppress(*_GONE):  # who is not told notices that nobody waits for it
-            self.client.cancel(futures)
+        try:
+            self._ask("cancel", futures)
+        except ClusterError:  # workers notice themselves that nobody waits for them
+            return
         deadline = time.monotonic() + CALL_OFF_S
         while under_way and (left := deadline - time.monotonic()) > 0:
             with suppress(queue.Empty):

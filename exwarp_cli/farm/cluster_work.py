@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,6 +21,8 @@ from exwarp_cli import __version__
 from exwarp_cli.domain.cuts import Cut
 from exwarp_cli.domain.results import FrameRecord
 from exwarp_cli.domain.settings import UpsampleSettings
+from exwarp_cli.errors import OutputError
+from exwarp_cli.io.atomic import make_folder
 from exwarp_cli.pipeline.job import Job, open_job
 from exwarp_cli.pipeline.upsample import write_intervals
 from exwarp_cli.pipeline.watching import Watcher
@@ -220,7 +222,7 @@ async def unfit(needs: Needs) -> str | None:
     if needs.version != __version__:
         return f"runs ExWarp {__version__}, and this is {needs.version}; install the same on all"
     for path, size in needs.inputs:
-        if not _is_there(path, lambda found: found.st_size, size):
+        if not _has_size(path, size):
             return f"does not see {path} as it is here; use a folder that all machines share"
     deadline = time.monotonic() + MARK_S
     while hidden := [mark for mark in needs.marks if not Path(mark).exists()]:
@@ -228,11 +230,16 @@ async def unfit(needs: Needs) -> str | None:
             folder = Path(hidden[0]).parent
             return f"does not see the folder {folder}; write to one that all machines share"
         await asyncio.sleep(0.1)
+    try:
+        for mark in needs.marks:
+            make_folder(Path(mark).parent)  # it is there: whether this machine may write to it
+    except OutputError as error:
+        return str(error)
     return None
 
 
-def _is_there(path: str, of: Callable[[Any], int], wanted: int) -> bool:
+def _has_size(path: str, size: int) -> bool:
     try:
-        return of(Path(path).stat()) == wanted
+        return Path(path).stat().st_size == size
     except OSError:
         return False

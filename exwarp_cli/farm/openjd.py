@@ -166,7 +166,7 @@ class _Steps:
 
     def _chunked(self, size: int) -> Data:
         """Leave the cutting to the engine, by parameters of the job."""
-        add, dense = self._parameters.add, is_dense(self._job.numbers)
+        add = self._parameters.add
         self._everything = add(
             "Frames",
             "STRING",
@@ -175,14 +175,7 @@ class _Steps:
             description="By their numbers, such as 1001-1100, 10-90:4 or 1,5,9-12.",
             group="Chunks",
         )
-        count = add(
-            "ChunkSize",
-            "INT",
-            size,
-            "Key frames a chunk",
-            minValue=1,
-            group="Chunks",
-        )
+        count = add("ChunkSize", "INT", size, "Key frames a chunk", minValue=1, group="Chunks")
         seconds = add(
             "ChunkSeconds",
             "INT",
@@ -197,7 +190,7 @@ class _Steps:
             "defaultTaskCount": count,
             "targetRuntimeSeconds": seconds,
             # Of frames numbered 10, 14, 18 … each would be a contiguous range of its own.
-            "rangeConstraint": "CONTIGUOUS" if dense else "NONCONTIGUOUS",
+            "rangeConstraint": "CONTIGUOUS" if is_dense(self._job.numbers) else "NONCONTIGUOUS",
         }
         frames = {"name": "Frames", "type": "CHUNK[INT]", "range": self._everything}
         return {"taskParameterDefinitions": [{**frames, "chunks": chunks}]}

@@ -3,33 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
+from typing import Any
 
-from exwarp_cli.domain.settings import UpsampleSettings
+from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
+from exwarp_cli.farm.places import PURPOSES, Flow, Form
 from exwarp_cli.pipeline.job import Job
 
 
 def absolute(settings: UpsampleSettings) -> UpsampleSettings:
     """Return settings whose paths do not depend on the folder in which a process runs."""
-    source = settings.source
-    return replace(
-        settings,
-        source=replace(
-            source,
-            sequence=_placed(source.sequence),
-            gbuffers=_maybe(source.gbuffers),
-            aovs=tuple(_aov(text) for text in source.aovs),
-            channel_map=_maybe(source.channel_map),
-        ),
-        output=_placed(settings.output),
-        ground_truth=_maybe(settings.ground_truth),
-        write_holes=_maybe(settings.write_holes),
-        video=_maybe(settings.video),
-        extrapolator=_maybe(settings.extrapolator),
-        interpolator=_maybe(settings.interpolator),
-        policy=_maybe(settings.policy),
-    )
+    source = replace(settings.source, **_placed_in(settings.source))
+    return replace(settings, source=source, **_placed_in(settings))
 
 
 def inputs_of(job: Job) -> tuple[tuple[str, int], ...]:
@@ -50,24 +36,28 @@ def _files(job: Job) -> Iterator[Path]:
     if job.truth is not None:
         files = job.truth[0].files
         yield from (files[min(files)], files[max(files)])
-    settings = job.settings
-    named = (
-        settings.source.channel_map,
-        settings.extrapolator,
-        settings.interpolator,
-        settings.policy,
-    )
-    yield from (Path(path) for path in named if path is not None)
+    for name, purpose in PURPOSES.items():
+        if purpose.form is Form.FILE and purpose.flow is Flow.READ:
+            owner = job.settings if hasattr(job.settings, name) else job.settings.source
+            named = getattr(owner, name)
+            if named is not None:
+                yield Path(named)
+
+
+def _placed_in(settings: UpsampleSettings | SourceSettings) -> dict[str, Any]:
+    """Return the options of these settings that name files, each beginning at the root."""
+    given = {f.name: getattr(settings, f.name) for f in fields(settings) if f.name in PURPOSES}
+    return {
+        name: tuple(map(_aov, value)) if PURPOSES[name].form is Form.AOV else _placed(value)
+        for name, value in given.items()
+        if value is not None
+    }
 
 
 def _placed(text: str) -> str:
     """Let a path or pattern begin at the root; a slash at its end stays, as it says something."""
     # Not by `Path`, which drops that slash; and `..` stays, as links could lead elsewhere.
     return text if Path(text).is_absolute() else f"{Path.cwd()}/{text}"
-
-
-def _maybe(text: str | None) -> str | None:
-    return None if text is None else _placed(text)
 
 
 def _aov(text: str) -> str:

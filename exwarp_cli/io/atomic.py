@@ -54,6 +54,20 @@ def output_error(path: Path, error: OSError) -> OutputError:
     return OutputError(f"cannot write {path}: {reason}; {remedy}")
 
 
+def is_there(path: Path) -> bool:
+    """Whether something is where a file or a folder is to be written.
+
+    Raises
+    ------
+    OutputError
+        When that cannot be seen, as a folder above may not be entered.
+    """
+    try:
+        return path.exists()
+    except OSError as error:
+        raise output_error(path, error) from error
+
+
 @contextmanager
 def atomic_path(path: Path) -> Iterator[Path]:
     """Yield a temporary path beside `path`; rename it into place when the block succeeds.

@@ -8,7 +8,6 @@ the names that ``exwarp inspect`` prints: with their layer, without their view, 
 from __future__ import annotations
 
 import json
-import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -25,6 +24,7 @@ from exwarp_cli.io.aov_files import AovFile, check_count, parse_aovs, role_of
 from exwarp_cli.io.atomic import atomic_write_text
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.depth import DepthKind
+from exwarp_cli.io.toml_file import read_toml
 
 SCHEMA = "exwarp.channel-map/1"
 
@@ -81,15 +81,14 @@ def read_channel_map(path: Path) -> ChannelMap:
         When a role, or its number of channels, cannot be.
     """
     try:
-        # Some editors begin a file with a mark.
-        told = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        told = read_toml(path)
     except OSError as error:
         raise InputError(
             f"cannot read the channel map {path}: {error.strerror or error}; check the path"
         ) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except ValueError as error:
         raise DamagedFileError(
-            f"the channel map {path} is not TOML ({_first_line(error)}); correct it, or write a "
+            f"the channel map {path} is not TOML ({error}); correct it, or write a "
             "new one with 'exwarp inspect SEQ --write-channel-map FILE'"
         ) from error
     _check(told, path)
@@ -237,7 +236,3 @@ def _kind(told: Mapping[str, Any], path: Path) -> DepthKind | None:
         return None if text is None else DepthKind(text)
     known = ", ".join(kind.value for kind in DepthKind)
     raise _wrong(path, "depth_kind", f"is {text!r}; write one of {known}")
-
-
-def _first_line(error: Exception) -> str:
-    return str(error).splitlines()[0]

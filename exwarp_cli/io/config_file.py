@@ -16,13 +16,13 @@ What the tables may hold is for the commands to say; here files are found and re
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from exwarp_cli.errors import UsageError
+from exwarp_cli.io.toml_file import read_toml
 
 NAME = "exwarp.toml"
 """What the file is called, in a project's folder and in the user's own."""
@@ -84,7 +84,7 @@ def found_files(named: str | None, how: str, user_folder: Path) -> tuple[FoundFi
     Raises
     ------
     UsageError
-        When there is no file of that name, or the current folder is gone.
+        When there is no file of that name, or it cannot be reached.
     """
     if named is not None and named.strip().lower() in NONE:
         return ()
@@ -105,16 +105,15 @@ def read_config_file(path: Path) -> ConfigFile:
         When it cannot be read, or is not TOML.
     """
     try:
-        # Some editors begin a file with a mark.
-        return ConfigFile(path, tomllib.loads(path.read_text(encoding="utf-8-sig")))
+        return ConfigFile(path, read_toml(path))
     except OSError as error:
         raise UsageError(
             f"cannot read the config file {path}: {error.strerror or error}; check its rights, or "
             "go without it by --config none"
         ) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except ValueError as error:
         raise UsageError(
-            f"the config file {path} is not TOML: {_reason(error)}; correct it, or go without it "
+            f"the config file {path} is not TOML: {error}; correct it, or go without it "
             "by --config none"
         ) from error
 
@@ -130,24 +129,24 @@ def _nearest() -> FoundFile | None:
 
 
 def _named(named: str, how: str) -> Path:
-    path = Path(named).expanduser().absolute()
-    if _is_file(path):
-        return path
-    found = "is a folder" if path.is_dir() else "does not exist"
-    raise UsageError(f"{how} names {path}, which {found}; name a TOML file, or none to go without")
+    remedy = "name a TOML file, or none to go without"
+    try:
+        path = Path(named).expanduser().absolute()
+        if path.exists() and not path.is_dir():  # also a pipe, as in ``--config <(generate)``
+            return path
+        found = "is a folder" if path.is_dir() else "does not exist"
+    except RuntimeError as error:
+        raise UsageError(f"{how} names {named}, and nobody has that home; {remedy}") from error
+    except OSError as error:
+        raise UsageError(
+            f"{how} names {named}, which cannot be reached: {error.strerror or error}; {remedy}"
+        ) from error
+    raise UsageError(f"{how} names {path}, which {found}; {remedy}")
 
 
 def _is_file(path: Path) -> bool:
-    """Whether there is a file; also a pipe, as in ``--config <(generate)``."""
+    """Whether there is a file that may be one of settings."""
     try:
         return path.exists() and not path.is_dir()
     except OSError:  # a folder above that may not be entered has nothing for us
         return False
-
-
-def _reason(error: tomllib.TOMLDecodeError | UnicodeDecodeError) -> str:
-    """Say what the reader stumbled over: its first line, which tells line and column."""
-    if isinstance(error, UnicodeDecodeError):
-        return f"byte {error.start} is no UTF-8"
-    first = str(error).splitlines()[0]
-    return first[:1].lower() + first[1:].rstrip(".")

@@ -14,6 +14,7 @@ from exwarp_cli.domain.results import (
     PolicySummary,
 )
 from exwarp_cli.domain.settings import UpsampleSettings
+from exwarp_cli.domain.wording import counted
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.cryptomatte_manifest import SHOWN, shown
 from exwarp_cli.io.footage import is_plain, unevenness_of
@@ -145,7 +146,7 @@ def announce(
     """Say what was found and what is going to happen."""
     count = len(source.timeline.numbers)
     progress.message(
-        f"{source.keys.sequence.pattern}: {count} key frame{'' if count == 1 else 's'} at "
+        f"{source.keys.sequence.pattern}: {counted(count, 'key frame')} at "
         f"{float(source.fps):g} fps ({source.fps_source}), {_geometry(source)}"
     )
     if (uneven := unevenness_of(source.keys.sequence)) is not None:
@@ -205,10 +206,8 @@ def announce_contents(progress: Progress, contents: tuple[Content, ...]) -> None
                 found = f"motion {finding.source}: {finding.evidence}"
                 progress.message(f"{content.source.keys.view}: {found}")
     if leader.names:
-        count = len(leader.names)
-        progress.message(
-            f"{count} layer{'' if count == 1 else 's'} beside the beauty: {', '.join(leader.names)}"
-        )
+        many = counted(len(leader.names), "layer")
+        progress.message(f"{many} beside the beauty: {', '.join(leader.names)}")
     if leader.layers and (apart := files_apart(shot)):
         progress.message(
             f"layers in files of their own are not written: {', '.join(apart)}; generated frames "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -11,7 +12,7 @@ from pathlib import Path
 from exwarp_cli.domain.cuts import Cut
 from exwarp_cli.domain.results import RunSummary
 from exwarp_cli.domain.timeline import Slot
-from exwarp_cli.errors import OutputError
+from exwarp_cli.io.atomic import is_there, output_error
 from exwarp_cli.pipeline.job import Job
 from exwarp_cli.pipeline.loaded import Loaded
 from exwarp_cli.pipeline.recipes import key_recipe
@@ -127,16 +128,14 @@ def require_writable(folders: Iterable[Path]) -> None:
         For the first of them.
     """
     for folder in folders:
-        there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+        there = next(path for path in (folder, *folder.absolute().parents) if is_there(path))
+        number = 0
         if not there.is_dir():
-            raise OutputError(
-                f"cannot write {folder}: a part of the path is a file, not a folder; check the path"
-            )
-        if not os.access(there, os.W_OK | os.X_OK):
-            raise OutputError(
-                f"cannot write {folder}: permission denied; change the rights of the folder or "
-                "write elsewhere"
-            )
+            number = errno.EEXIST if there == folder else errno.ENOTDIR
+        elif not os.access(there, os.W_OK | os.X_OK):
+            number = errno.EACCES
+        if number:
+            raise output_error(folder, OSError(number, ""))
 
 
 def _plain(job: Job) -> tuple[ForeseenFrame, ...]:
@@ -177,6 +176,6 @@ def _is_there(job: Job, sink: Sink, slot: Slot, loaded: Loaded) -> bool:
 def _foreseen(job: Job, slot: Slot, kept: bool) -> ForeseenFrame:
     number, targets = job.source.timeline.number(slot), job.targets
     path = targets.video if targets.frames is None else targets.frames.path(number)
-    there = path is not None and path.exists()
+    there = path is not None and is_there(path)
     fate = Fate.KEEP if kept else Fate.REPLACE if there else Fate.WRITE
     return ForeseenFrame(number, slot.index == 0, fate)

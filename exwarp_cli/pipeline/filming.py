@@ -7,6 +7,7 @@ from functools import partial
 
 from exwarp_cli.domain.frame import Image
 from exwarp_cli.domain.timeline import Slot
+from exwarp_cli.io.awaited import await_file
 from exwarp_cli.io.footage import picture
 from exwarp_cli.io.frame_files import read_picture
 from exwarp_cli.io.held import Held
@@ -57,4 +58,6 @@ class Film(Held):
             number = source.timeline.numbers[slot.key]
             return picture(source.keys.sequence, number, source.keys.view)
         assert frames is not None
-        return read_picture(frames.path(source.timeline.number(slot)), source.keys.view)
+        path = frames.path(source.timeline.number(slot))
+        await_file(path)  # another machine wrote it just now
+        return read_picture(path, source.keys.view)

@@ -14,8 +14,8 @@ from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Protocol, TextIO
 
 from exwarp_cli.domain.line import one_line
-from exwarp_cli.errors import ExwarpError, UsageError
-from exwarp_cli.pipeline.estimate import Clock, Estimate, PacedEstimate, named
+from exwarp_cli.errors import ExwarpError, OutputError, UsageError, system_error
+from exwarp_cli.pipeline.eta import Clock, Estimate, PacedEstimate, named
 
 if TYPE_CHECKING:
     from rich.progress import Progress as RichProgress
@@ -268,15 +268,16 @@ def reporting(kind: str = "auto", *, results_on_stdout: bool = False) -> Iterato
         yield progress
     except Exception as error:
         # Whoever does not listen any more must not hide what went wrong.
-        with suppress(OSError):
+        with suppress(OSError, OutputError):
             progress.fail(*_reason(error))
         raise
 
 
 def _reason(error: Exception) -> tuple[str, int]:
     """Return a sentence and the exit code; those of defects are told in full on stderr."""
-    if isinstance(error, ExwarpError):
-        return str(error), error.exit_code
+    known = system_error(error) if isinstance(error, OSError) else error
+    if isinstance(known, ExwarpError):
+        return str(known), known.exit_code
     if isinstance(error, MemoryError):
         return "the memory does not suffice", ExwarpError.exit_code
     return f"unexpected {type(error).__name__}: {error}", ExwarpError.exit_code

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import filecmp
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,7 +10,7 @@ from pathlib import Path
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import Slot, Timeline, ranges
 from exwarp_cli.errors import OutputError, OutputExistsError, UsageError
-from exwarp_cli.io.atomic import make_folder, remove_leftovers
+from exwarp_cli.io.atomic import is_there, make_folder, output_error, remove_leftovers
 from exwarp_cli.io.clip import is_clip
 from exwarp_cli.io.footage import is_plain
 from exwarp_cli.io.frame_files import recipe_in
@@ -91,6 +92,8 @@ class Targets:
         """Refuse to overwrite, and touch nothing; see `prepare`."""
         if settings.overwrite and settings.skip_existing:
             raise UsageError("--overwrite and --skip-existing contradict each other; give one")
+        if self.video is not None and is_there(self.video) and self.video.is_dir():
+            raise output_error(self.video, IsADirectoryError(errno.EISDIR, ""))
         if not (settings.overwrite or settings.skip_existing):
             self._refuse(timeline, slots)
 
@@ -99,13 +102,13 @@ class Targets:
             if pattern is None:
                 continue
             numbers = [timeline.number(slot) for slot in slots]
-            there = [n for n in numbers if pattern.path(n).exists()]
+            there = [n for n in numbers if is_there(pattern.path(n))]
             if there:
                 raise OutputExistsError(
                     f"{pattern.folder} has frame {ranges(there)} of {pattern.name} already; give "
                     "--skip-existing to keep good ones, --overwrite to replace them, or another -o"
                 )
-        if self.video is not None and self.video.exists():
+        if self.video is not None and is_there(self.video):
             option = "--video" if self.frames is not None else "-o"
             raise OutputExistsError(
                 f"{self.video} exists already; give --overwrite to replace it, or another {option}"

@@ -30,7 +30,10 @@ GENERATOR = f'<meta name="generator" content="ExWarp {__version__}">'
 BEGIN, END = '<script type="application/json">', "</script>"
 """What stands around the album in a page; see `page.viewer_data`."""
 
-_NONSENSE = (AttributeError, LookupError, OSError, TypeError, ValueError)
+_NONSENSE = (
+    *(ArithmeticError, AttributeError, LookupError, OSError, RecursionError, TypeError),
+    ValueError,
+)
 """What is raised on the way by a page that is not there, or holds something else."""
 
 
@@ -50,17 +53,28 @@ class PageAlbums:
     unreadable: tuple[Path, ...]
 
     @classmethod
-    def of(cls, pages: Sequence[Path]) -> PageAlbums:
-        """Look through pages, one at a time."""
+    def of(
+        cls, pages: Sequence[Path], asked: Sequence[Collection[int]] | None = None
+    ) -> PageAlbums:
+        """Look through pages, one at a time.
+
+        Parameters
+        ----------
+        pages
+            Of the reports that are joined.
+        asked
+            Numbers of the frames that each report is asked for; None where no two have the same.
+        """
         found: dict[int, Path] = {}
         unreadable = []
-        for page in pages:
+        for i, page in enumerate(pages):
             try:
                 numbers = [int(frame["number"]) for frame in _told(page)["frames"]]
             except _NONSENSE:
                 unreadable.append(page)
             else:
-                found |= dict.fromkeys(numbers, page)
+                wanted = (n for n in numbers if asked is None or n in asked[i])
+                found |= dict.fromkeys(wanted, page)
         return cls(found, tuple(unreadable))
 
     def album(self, run: RunSummary) -> Album:
@@ -75,7 +89,8 @@ class PageAlbums:
         room = room_for(len(numbers) + 1)
         shown: dict[int, Shown] = {}
         for page in dict.fromkeys(self.pages[number] for number in numbers):
-            shown |= {frame.number: frame for frame in _frames(page, numbers, room)}
+            own = [number for number in numbers if self.pages[number] == page]
+            shown |= {frame.number: frame for frame in _frames(page, own, room)}
         has_truth = any(TRUTH in frame.pictures for frame in shown.values())
         first = (OUTPUT, TRUTH) if has_truth else (KEY, OUTPUT)
         return Album(SOURCES, *first, room=room, frames=shown)

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from exwarp_cli.domain.checkup import Checkup, Outcome
+from exwarp_cli.domain.wording import enumerated
 
 _TITLES = {"exr": "EXR"}
 
@@ -79,7 +80,7 @@ def verdict(checkup: Checkup) -> str | None:
     if not warnings:
         left_out = checkup.names(Outcome.SKIPPED)
         return "everything that was tried works" if left_out else "everything works"
-    return f"everything that is needed works; see the warnings on {_listed(warnings)}"
+    return f"everything that is needed works; see the warnings on {enumerated(warnings)}"
 
 
 def failures(checkup: Checkup) -> str:
@@ -87,10 +88,6 @@ def failures(checkup: Checkup) -> str:
     failed = [title(name) for name in checkup.names(Outcome.FAILED)]
     many = "" if len(failed) == 1 else "s"
     return (
-        f"{len(failed)} of {len(checkup.checks)} checks failed ({_listed(failed)}); do what the "
+        f"{len(failed)} of {len(checkup.checks)} checks failed ({enumerated(failed)}); do what the "
         f"line{many} under {'it' if len(failed) == 1 else 'them'} say{'' if many else 's'}"
     )
-
-
-def _listed(names: list[str]) -> str:
-    return " and ".join((", ".join(names[:-1]), names[-1])) if len(names) > 1 else "".join(names)

@@ -10,10 +10,14 @@ from collections.abc import Iterable
 from typing import Any
 
 from exwarp_cli.domain.timeline import ranges
+from exwarp_cli.domain.wording import counted
 from exwarp_cli.pipeline.dry_run import DryRun, Fate, ForeseenFrame
 from exwarp_cli.report.summary import report
 
 SCHEMA = "exwarp.dry-run/1"
+
+LONGEST = 60
+"""Characters of a list of frames in a line; generated ones lie between all others."""
 
 _SAME = ("version", "method", "setting", "lookahead", "input", "views", "layers")
 _MODELS = ("extrapolator", "policy", "interpolator")
@@ -44,7 +48,7 @@ def dry_run_lines(found: DryRun) -> list[str]:
     """Tell in a few lines what a run would do, beside what it says of its input."""
     fates = {fate: [f for f in found.frames if f.fate is fate] for fate in Fate}
     where = found.output or found.video
-    lines = [f"dry run, nothing is written: {_counted(found.frames)} in {where}"]
+    lines = [f"dry run, nothing is written: {_how_many(found.frames)} in {where}"]
     lines += [f"  {line}" for line in _kinds(found.frames)]
     said = {Fate.REPLACE: "replaced", Fate.KEEP: "there already and kept"}
     for fate, words in said.items():
@@ -58,7 +62,7 @@ def dry_run_lines(found: DryRun) -> list[str]:
     lines.append(f"method {found.head.method}; {fps['base']:g} fps in, {fps['output']:g} out")
     lines.append(_cuts(found))
     if found.spread is not None:
-        many = f"{len(found.chunks)} chunk{'' if len(found.chunks) == 1 else 's'}"
+        many = counted(len(found.chunks), "chunk")
         sizes = sorted({len(chunk) for chunk in found.chunks})
         lines.append(f"{found.spread}: {many} of {' or '.join(map(str, sizes))} key frames")
     return lines
@@ -96,10 +100,6 @@ def _cuts(found: DryRun) -> str:
     return f"cuts: {'; '.join(text for text in (known, looked) if text)}"
 
 
-LONGEST = 60
-"""Characters of a list of frames in a line; generated ones lie between all others."""
-
-
 def _ranges(frames: Iterable[ForeseenFrame]) -> str:
     text = ranges([frame.number for frame in frames])
     if len(text) <= LONGEST:
@@ -107,7 +107,7 @@ def _ranges(frames: Iterable[ForeseenFrame]) -> str:
     return f"{text[:LONGEST].rpartition(',')[0]} …"
 
 
-def _counted(frames: tuple[ForeseenFrame, ...]) -> str:
+def _how_many(frames: tuple[ForeseenFrame, ...]) -> str:
     if not frames:
         return "no frame"
-    return f"{len(frames)} frame{'' if len(frames) == 1 else 's'}, {_ranges(frames)},"
+    return f"{counted(len(frames), 'frame')}, {_ranges(frames)},"

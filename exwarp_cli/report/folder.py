@@ -2,7 +2,7 @@
 
 Chunks of one run have their reports in folders of their own below it, until they are merged::
 
-    REPORT/chunks/1001-1010/report.json …     named by the first and the last key frame
+    REPORT/chunks/1001-1010/report.json …     named by the key frames
     REPORT/chunks/1011-1020/report.json …
     REPORT/report.json …                      by `exwarp merge-reports REPORT`
 """
@@ -10,11 +10,13 @@ Chunks of one run have their reports in folders of their own below it, until the
 from __future__ import annotations
 
 from collections.abc import Sequence
+from hashlib import sha256
 from pathlib import Path
 
 from exwarp_cli.domain.results import RunSummary
+from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.errors import OutputExistsError
-from exwarp_cli.io.atomic import atomic_write_text, make_folder, remove_leftovers
+from exwarp_cli.io.atomic import atomic_write_text, is_there, make_folder, remove_leftovers
 from exwarp_cli.pipeline.evaluate import Comparison
 from exwarp_cli.report.compare_page import compare_page
 from exwarp_cli.report.comparison import SCHEMA, comparison, comparison_csv
@@ -29,11 +31,14 @@ FRAMES_FILE = "frames.csv"
 PAGE_FILE = "report.html"
 CHUNKS = "chunks"
 
+LONGEST_NAME = 100
+"""Characters of a chunk's key frames in the name of its folder."""
+
 
 def chunk_folder(report: Path, keys: Sequence[int]) -> Path:
     """Return where the report of a chunk lies.
 
-    Two chunks of the same name share key frames, so that no two of one run get in each other's way.
+    Chunks of other key frames have another name, so that none gets in another's way.
 
     Parameters
     ----------
@@ -45,10 +50,13 @@ def chunk_folder(report: Path, keys: Sequence[int]) -> Path:
     Returns
     -------
     Path
-        ``chunks/1001-1010`` in it, or ``chunks/1001`` for a single key frame.
+        ``chunks/1001-1010`` in it, ``chunks/1001`` for a single key frame, ``chunks/10-90x4`` or
+        ``chunks/1,5,9-12`` for others. Names that would be too long are cut, and end in a checksum.
     """
-    first, last = min(keys), max(keys)
-    return report / CHUNKS / (f"{first}-{last}" if last > first else f"{first}")
+    name = ranges(list(keys))
+    if len(name) > LONGEST_NAME:
+        name = f"{name[:LONGEST_NAME]}~{sha256(name.encode()).hexdigest()[:12]}"
+    return report / CHUNKS / name
 
 
 def chunk_reports(report: Path) -> list[Path]:
@@ -82,7 +90,7 @@ def prepare_report(folder: Path, replace: bool, option: str = "--report") -> Non
 
 def refuse_report(folder: Path, replace: bool, option: str = "--report") -> None:
     """Refuse to replace a report unless asked, and touch nothing; see `prepare_report`."""
-    if (folder / REPORT_FILE).exists() and not replace:
+    if is_there(folder / REPORT_FILE) and not replace:
         raise OutputExistsError(
             f"{folder} holds a report already; give --overwrite to replace it, or another {option}"
         )
@@ -98,13 +106,21 @@ def prepare_comparison(folder: Path) -> None:
     OutputError
         When the folder cannot be made.
     """
-    report = folder / REPORT_FILE
-    if report.exists() and SCHEMA not in report.read_text(encoding="utf-8", errors="replace")[:200]:
+    if is_there(folder / REPORT_FILE) and not _is_comparison(folder / REPORT_FILE):
         raise OutputExistsError(
             f"{folder} holds a report that is no comparison's; give another --report"
         )
     make_folder(folder)
     remove_leftovers(folder)
+
+
+def _is_comparison(report: Path) -> bool:
+    """Whether a report says at its beginning that it is one; what cannot be read does not."""
+    try:
+        with report.open("rb") as file:
+            return SCHEMA.encode() in file.read(200)
+    except OSError:
+        return False
 
 
 def write_report(folder: Path, run: RunSummary, album: Album | None = None) -> None:

@@ -20,7 +20,7 @@ from exwarp_cli.report.folder import (
     prepare_report,
     write_report,
 )
-from exwarp_cli.report.reading import read_report
+from exwarp_cli.report.newest import Asked, newest
 from exwarp_cli.report.summary import report
 
 
@@ -39,12 +39,15 @@ class Merged:
     unseen
         Folders of reports whose pictures are not in the page, as their own pages are not there,
         are damaged, or are of another version.
+    superseded
+        Folders of chunks' reports of which newer ones tell some key frames or all.
     """
 
     run: RunSummary
     reports: int
     missing: str | None
     unseen: tuple[Path, ...]
+    superseded: tuple[Path, ...] = ()
 
     @property
     def document(self) -> dict[str, Any]:
@@ -53,6 +56,7 @@ class Merged:
             "reports": self.reports,
             "missing": self.missing,
             "without_pictures": [str(folder) for folder in self.unseen],
+            "superseded": [str(folder) for folder in self.superseded],
         }
         return report(self.run) | {"merged": merged}
 
@@ -66,7 +70,7 @@ def merge_reports(
     ----------
     folders
         Of reports, or of what chunks reported to: a folder without a report of its own stands for
-        those in its ``chunks``.
+        those in its ``chunks``, of which the newest tell; see `newest`.
     output
         The folder to write to; None for the only one of `folders`, whose ``chunks`` are joined.
     replace
@@ -81,36 +85,42 @@ def merge_reports(
     OutputError
         When the report cannot be written; OutputExistsError when one is there.
     """
-    reports, target = _resolved(folders, output)
-    run = join([read_report(folder) for folder in reports], [str(folder) for folder in reports])
+    asked, superseded, target = _resolved(folders, output)
+    runs = [one.read() for one in asked]
+    run = join(runs, [str(one.folder) for one in asked])
     prepare_report(target, replace, "-o")
-    pages = PageAlbums.of([folder / PAGE_FILE for folder in reports])
+    shown = [{frame.number for frame in one.frames} for one in runs]
+    pages = PageAlbums.of([one.folder / PAGE_FILE for one in asked], shown)
     write_report(target, run, pages.album(run))
+    unseen = tuple(page.parent for page in pages.unreadable)
     missing = ranges(missing_keys(run)) or None
-    return Merged(run, len(reports), missing, tuple(page.parent for page in pages.unreadable))
+    return Merged(run, len(asked), missing, unseen, tuple(superseded))
 
 
-def _resolved(folders: Sequence[Path], output: Path | None) -> tuple[list[Path], Path]:
-    """Return the folders of the reports that are joined, each once, and the one to write to."""
+def _resolved(folders: Sequence[Path], output: Path | None) -> tuple[list[Asked], list[Path], Path]:
+    """Return the reports that are joined, each once, those left aside, and where to write."""
     if output is None:
         if len(folders) > 1:
             raise UsageError("several reports are named; say with -o where the joined one goes")
-        return _chunks_in(folders[0]), folders[0]
-    found = [report for folder in folders for report in _reports_in(folder)]
-    by_path = {report.resolve(): report for report in found}
+        return *newest(_chunks_in(folders[0])), folders[0]
+    each = [_reports_in(folder) for folder in folders]
+    by_path = {one.folder.resolve(): one for asked, _ in each for one in asked}
+    superseded = {folder.resolve(): folder for _, older in each for folder in older}
     if output.resolve() in by_path:
         raise UsageError(f"-o {output} is one of the reports that are joined; name another folder")
-    return list(by_path.values()), output
+    return list(by_path.values()), list(superseded.values()), output
 
 
-def _reports_in(folder: Path) -> list[Path]:
+def _reports_in(folder: Path) -> tuple[list[Asked], list[Path]]:
     """Return the reports that a folder stands for: its own, else those of chunks in it."""
-    found = [folder] if (folder / REPORT_FILE).exists() else chunk_reports(folder)
+    if (folder / REPORT_FILE).exists():
+        return [Asked(folder)], []
+    found = chunk_reports(folder)
     if not found:
         raise InputError(
             f"{folder} holds no {REPORT_FILE}; name folders that upsample --report wrote"
         )
-    return found
+    return newest(found)
 
 
 def _chunks_in(folder: Path) -> list[Path]:

@@ -10,7 +10,8 @@ import re
 from collections.abc import Callable, Mapping
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, TypeVar
+from types import UnionType
+from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 from exwarp_cli import __version__
 from exwarp_cli.domain.cuts import Cut
@@ -44,6 +45,11 @@ HOLES = "_holes"
 STEP = "_ms"
 """Endings of columns: scores within holes, and times of steps."""
 
+SETTINGS = ("key", "slot")
+
+MOST_KEYS = 10_000_000
+"""Key frames of a sequence, as many as a range of frames can name."""
+
 CLOSE = 1e-9
 """How near to each other two computers' means of the same numbers are, relatively."""
 
@@ -76,6 +82,21 @@ def read_report(folder: Path) -> RunSummary:
     return run
 
 
+def reported_keys(folder: Path) -> frozenset[int]:
+    """Read of which key frames a report tells, by their input numbers, and nothing else of it.
+
+    Raises
+    ------
+    InputError
+        As `read_report` does.
+    """
+    document = _document(folder / REPORT_FILE)
+    try:
+        return frozenset(map(int, listed(document["input"]["selected"] or "")))
+    except _NONSENSE as error:
+        raise _unusable(folder, document) from error
+
+
 def frames_of(text: str) -> tuple[FrameRecord, ...]:
     """Read what `frames_csv` wrote.
 
@@ -92,7 +113,7 @@ def _document(path: Path) -> dict[str, Any]:
     """Read report.json, as far as to know that it is one of `upsample`."""
     try:
         found = json.loads(_text(path))
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise DamagedFileError(f"{path} is damaged; {_AGAIN}") from error
     schema = found.get("schema") if isinstance(found, dict) else None
     if schema == COMPARISON:
@@ -106,7 +127,10 @@ def _document(path: Path) -> dict[str, Any]:
     return dict(found)
 
 
-_NONSENSE = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError, csv.Error)
+_NONSENSE = (
+    *(ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError),
+    csv.Error,
+)
 """What is raised on the way by files that hold something else."""
 
 _AGAIN = "do its key frames again with --report, or leave it out"
@@ -150,7 +174,7 @@ def _alike(one: Any, other: Any) -> bool:
 def _run(document: Mapping[str, Any], frames: tuple[FrameRecord, ...]) -> RunSummary:
     """Put a run together from its document and its frames."""
     fps, cuts, wall = document["fps"], document["cuts"], document["wall_s"]
-    return RunSummary(
+    made = RunSummary(
         method=document["method"],
         setting=document["setting"],
         lookahead=document["lookahead"],
@@ -171,6 +195,35 @@ def _run(document: Mapping[str, Any], frames: tuple[FrameRecord, ...]) -> RunSum
         keys=tuple(map(int, listed(document["input"]["selected"] or ""))),
         version=document["version"],
     )
+    if made.setting not in SETTINGS:
+        raise ValueError(f"the setting {made.setting}")
+    for part in (made, made.input, made.extrapolator, made.policy, made.interpolator):
+        _require_types(part)
+    return made
+
+
+def _require_types(part: Any) -> None:
+    """Refuse a part of a run whose fields hold something else than they may.
+
+    Equality with the document does not tell: what is copied is equal, whatever it is.
+    """
+    if part is None:
+        return
+    kinds = get_type_hints(type(part))
+    wrong = [name for name, kind in kinds.items() if not _fits(getattr(part, name), kind)]
+    if wrong:
+        raise TypeError(f"{wrong[0]} of {type(part).__name__}")
+
+
+def _fits(value: Any, kind: Any) -> bool:
+    """Whether a value is of an annotated type: a class, a union, or a tuple of any length."""
+    if isinstance(kind, UnionType):
+        return any(_fits(value, one) for one in get_args(kind))
+    if get_origin(kind) is tuple:
+        return isinstance(value, tuple) and all(_fits(one, get_args(kind)[0]) for one in value)
+    if kind is float:
+        return isinstance(value, int | float) and not isinstance(value, bool)
+    return type(value) is kind
 
 
 def _input(told: Mapping[str, Any]) -> InputSummary:
@@ -178,6 +231,8 @@ def _input(told: Mapping[str, Any]) -> InputSummary:
     numbers = {name: int(told[name]) for name in ("first", "last", "width", "height", "step")}
     if numbers["step"] < 1:
         raise ValueError(f"key frames in steps of {numbers['step']}")
+    if (numbers["last"] - numbers["first"]) // numbers["step"] >= MOST_KEYS:
+        raise ValueError(f"key frames up to {numbers['last']}")
     return InputSummary(
         pattern=told["pattern"],
         producer=told["producer"],

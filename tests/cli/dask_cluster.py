@@ -24,7 +24,8 @@ class DaskCluster:
     def __enter__(self) -> DaskCluster:
         self._folder.mkdir(parents=True, exist_ok=True)
         told = self._folder / "scheduler.json"
-        self._start("scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", told)
+        where = ("--host", "127.0.0.1", "--port", "0", "--scheduler-file", told)
+        self._scheduler = self._start("scheduler", *where)
         deadline = time.monotonic() + 60
         while not told.exists() or not told.read_text():
             assert time.monotonic() < deadline, (self._folder / "log").read_text()
@@ -52,6 +53,10 @@ class DaskCluster:
         told += ["--local-directory", self._folder, *options, self.address]
         self.workers.append(self._start("worker", *told, cwd=cwd))
         return self.workers[-1]
+
+    def kill_scheduler(self) -> None:
+        """Kill the scheduler, without a word to anybody."""
+        _end(self._scheduler)
 
     def _start(self, kind: str, *options: object, **more: Any) -> subprocess.Popen[bytes]:
         module = f"distributed.cli.dask_{kind}"

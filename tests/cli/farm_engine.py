@@ -15,6 +15,9 @@ from openjd.model import decode_job_template
 EXWARP = Path(sys.executable).parent / "exwarp"
 """The command as workers have it."""
 
+HOSTILE = "a 'b\" {{Param.Frames}} x: # [é] 日本 $HOME `id` 1e3 %"
+"""A name of which shells, YAML and format strings would each make something else."""
+
 
 @dataclass(frozen=True)
 class Ended:

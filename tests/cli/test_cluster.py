@@ -2,27 +2,34 @@
 
 from __future__ import annotations
 
-import copy
 import json
 import os
-import re
 import shutil
 import signal
+import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import psutil
 import pytest
+from distributed import Client
 
-from exwarp_cli.farm import cluster_client, cluster_dispatch
-from exwarp_cli.io.atomic import MARK
+from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
+from exwarp_cli.errors import ClusterError
+from exwarp_cli.farm import cluster_client, cluster_dispatch, cluster_work
+from exwarp_cli.io.atomic import MARK, _host
+from exwarp_cli.pipeline.filming import Film
+from exwarp_cli.pipeline.job import open_job
 from tests.cli import shots
 from tests.cli.dask_cluster import DaskCluster
 from tests.cli.pictures import clip, frame
+from tests.cli.reports import album, rows, unmeasured
 from tests.cli.shots import FORWARD, SMALL
 from tests.stereo_shots import arguments, write_stereo
 
@@ -51,27 +58,6 @@ def farm(tmp_path_factory) -> Iterator[str]:
         yield cluster.address
 
 
-def timeless(report: Path) -> dict[str, Any]:
-    """What a report says, without how long it took."""
-    document = copy.deepcopy(json.loads((report / "report.json").read_text()))
-    for key in ("timing_ms", "wall_s", "render_time"):
-        del document[key]
-    del document["fps"]["throughput"]
-    return document
-
-
-def pictures(report: Path) -> list[str]:
-    """The pictures of a report's page, in order."""
-    return re.findall(r"data:image/[^\"]+", (report / "report.html").read_text())
-
-
-def rows(report: Path) -> list[str]:
-    """The rows of frames.csv up to the times."""
-    lines = (report / "frames.csv").read_text().splitlines()
-    count = sum(not name.endswith("_ms") for name in lines[0].split(","))
-    return [",".join(line.split(",")[:count]) for line in lines]
-
-
 def agree(one: Path, other: Path) -> None:
     """Judge that two folders hold the same frames, masks, videos and reports."""
     assert shots.names(one) == shots.names(other)
@@ -81,9 +67,8 @@ def agree(one: Path, other: Path) -> None:
     if (one / "a.mp4").exists():
         assert (one / "a.mp4").read_bytes() == (other / "a.mp4").read_bytes()
     if (one / "report").exists():
-        assert timeless(one / "report") == timeless(other / "report")
-        assert rows(one / "report") == rows(other / "report")
-        assert pictures(one / "report") == pictures(other / "report")
+        for told in (unmeasured, rows, album):
+            assert told(one / "report") == told(other / "report")
 
 
 Both = Callable[..., tuple[Path, Path]]
@@ -119,13 +104,13 @@ class TestSame:
         truth = shots.truth(tmp_path_factory.mktemp("five") / "truth", shots.KEYS, 1, SMALL)
         told = (*rest, "-m", method, "--extrapolator", network, "--ground-truth", truth)
         one, other = both(sequence, *told, "--report", "@report", size=1)
-        assert any(timeless(one / "report")["decisions"]["paths"].values())
+        assert any(unmeasured(one / "report")["decisions"]["paths"].values())
         agree(one, other)
 
     def test_a_selection_with_cuts_and_without_tail(self, both, keys):
         options = ("--frames", "2-6", "--cuts", "auto,4", "--no-tail", "--report", "@report")
         one, other = both(keys, "-m", "softsplat", *FORWARD, *options)
-        assert timeless(other / "report")["cuts"] == [{"frame": 4, "source": "given"}]
+        assert unmeasured(other / "report")["cuts"] == [{"frame": 4, "source": "given"}]
         agree(one, other)
 
     @pytest.mark.slow
@@ -140,7 +125,23 @@ class TestSame:
         pytest.importorskip("cv2")
         film = tmp_path_factory.mktemp("clip") / "film.mp4"
         clip(film, [frame(time) for time in range(5)])
-        agree(*both(film, "--video", "@a.mp4"))
+        agree(*both(film, "--video", "@a.mp4", "--frames", "1-3"))
+        family = psutil.Process().children(recursive=True)
+        assert not [one for one in family if "ffmpeg" in one.name()]
+
+    def test_the_video_waits_for_frames_to_show(self, upsample, keys, tmp_path):
+        out, single = tmp_path / "out", tmp_path / "single.mp4"
+        upsample(keys, out, "-m", "hold", "--video", single, "--frames", "1-2")
+        video = str(tmp_path / "a.mp4")
+        source = SourceSettings(str(keys))
+        settings = UpsampleSettings(source, str(out), method="hold", frames="1-2", video=video)
+        (out / "shot.0003.exr").rename(tmp_path / "hidden")
+        shows = threading.Timer(0.5, (tmp_path / "hidden").rename, [out / "shot.0003.exr"])
+        shows.start()
+        job = open_job(settings)
+        with Film(job) as film:
+            film.append(job.keys)
+        assert Path(video).read_bytes() == single.read_bytes()
 
     def test_what_is_there_is_kept(self, both, exwarp, farm, keys, tmp_path):
         one, other = both(keys, "-m", "s6", *FORWARD)
@@ -161,7 +162,7 @@ class TestSame:
         done = exwarp("upsample", "shot", "-o", "out", *options, "--cluster", farm)
         assert done.code == 0, done.err
         assert len(shots.names(tmp_path / "out")) == 4 * KEYS
-        assert timeless(tmp_path / "report")["input"]["pattern"] == "shot/shot.####.exr"
+        assert unmeasured(tmp_path / "report")["input"]["pattern"] == "shot/shot.####.exr"
         assert "frames in out:" in done.out and "2 workers of tcp://" in done.err
 
     def test_progress_tells_each_frame_once(self, exwarp, farm, keys, tmp_path):
@@ -194,10 +195,36 @@ class TestRefusals:
         assert time.monotonic() - begin < 20
         assert not (tmp_path / "out").exists()
 
-    @pytest.mark.parametrize("address", ["nonsense://x:1", "tcp://127.0.0.1:notaport"])
+    @pytest.mark.parametrize(
+        "address",
+        ["nonsense://x:1", "tcp://127.0.0.1:notaport", "127.0.0.1", "tls://127.0.0.1:9", "inproc:"],
+    )
     def test_what_is_no_address(self, exwarp, keys, tmp_path, address, monkeypatch):
         monkeypatch.setattr(cluster_client, "CONNECT_S", 1.0)
         self.run(exwarp, keys, tmp_path / "out", "--cluster", address).refused(9, address)
+
+    @pytest.mark.parametrize("greeting", [b"HTTP/1.0 400 Bad Request\r\n\r\n" + 80 * b"x", b""])
+    def test_somebody_else_listens(self, exwarp, keys, tmp_path, monkeypatch, greeting):
+        monkeypatch.setattr(cluster_client, "CONNECT_S", 1.0)
+        with socket.create_server(("127.0.0.1", 0)) as server:
+            threading.Thread(target=greet, args=(server, greeting), daemon=True).start()
+            address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+            self.run(exwarp, keys, tmp_path / "out", "--cluster", address).refused(9, address)
+
+    def test_a_worker_is_no_scheduler(self, exwarp, farm, keys, tmp_path):
+        with Client(farm, set_as_default=False) as client:
+            client.wait_for_workers(1, timeout=60)
+            worker = min(client.nthreads())
+        result = self.run(exwarp, keys, tmp_path / "out", "--cluster", worker)
+        result.refused(9, worker, "a worker of a cluster listens there")
+
+    def test_a_client_that_gave_up(self, farm):
+        with Client(farm, set_as_default=False) as client:
+            pass
+        needs = cluster_work.Needs("0", ())
+        dispatch = cluster_dispatch.Dispatch(client, needs, *4 * [lambda *_: None])
+        with pytest.raises(ClusterError, match="scheduler went away"):
+            dispatch.muster()
 
     def test_without_dask(self, exwarp, keys, tmp_path, monkeypatch):
         monkeypatch.setitem(sys.modules, "distributed", None)
@@ -261,14 +288,48 @@ class TestRefusals:
             assert shots.names(tmp_path / "out") == []
             assert worker.poll() is None
 
+    def test_a_worker_that_may_not_write_is_left_out(self, exwarp, keys, tmp_path):
+        read_only = (
+            "import errno; from pathlib import Path\n"
+            "def touch(path, *a, **k): raise OSError(errno.EROFS, 'read-only', str(path))\n"
+            "Path.touch = touch"
+        )
+        with DaskCluster(tmp_path / "dask") as cluster:
+            cluster.start_worker(preload=read_only)
+            cluster.start_worker()
+            with Client(cluster.address, set_as_default=False) as client:
+                client.wait_for_workers(2, timeout=60)
+            options = ("--cluster", cluster.address, "--chunk-size", 1)
+            done = self.run(exwarp, keys, tmp_path / "out", *options)
+        assert done.code == 0, done.err
+        assert "is left out: it cannot write" in done.err and "read-only" in done.err
+
+    def test_busy_workers_are_waited_for(self, exwarp, keys, tmp_path, monkeypatch):
+        monkeypatch.setattr(cluster_dispatch, "PATIENCE_S", 1.0)
+        monkeypatch.setattr(cluster_dispatch, "ANSWER_S", 1.0)
+        with (
+            DaskCluster(tmp_path / "dask") as cluster,
+            Client(cluster.address, set_as_default=False) as client,
+        ):
+            cluster.start_worker()
+            client.wait_for_workers(1, timeout=60)
+            other = client.submit(time.sleep, 5)
+            done = self.run(exwarp, keys, tmp_path / "out", "--cluster", cluster.address)
+            assert other.done()
+        assert done.code == 0, done.err
+        assert done.err.count("waiting for a worker to be free") == 1
+
 
 class TestLosses:
-    def test_a_worker_that_is_killed_on_the_way(self, upsample, keys, tmp_path):
+    def test_a_worker_that_is_killed_on_the_way(self, upsample, keys, tmp_path, monkeypatch):
         one, other = tmp_path / "one", tmp_path / "other"
         beside = [(root / "a.mp4", root / "report") for root in (one, other)]
         how = ("-m", "softsplat", *FORWARD)
         upsample(keys, one / "frames", *how, "--video", beside[0][0], "--report", beside[0][1])
         more = ("--video", beside[1][0], "--report", beside[1][1], "--chunk-size", 3)
+        scratch = tmp_path / "scratch"
+        scratch.mkdir()
+        monkeypatch.setenv("TMPDIR", str(scratch))
         with start(keys, other / "frames", *how, *more, "--workers", 2) as process:
             await_frames(process, other / "frames", 2)
             victim = worker_processes(process)[0]
@@ -278,6 +339,7 @@ class TestLosses:
         assert "was lost; frames" in err and "are done again" in err
         assert f"{4 * KEYS} frames in" in out
         assert [line for line in err.splitlines() if not line.startswith("exwarp: ")] == []
+        assert not [name for name in shots.names(scratch) if "exwarp" in name or "dask" in name]
         agree(one, other)
 
     @pytest.mark.parametrize(
@@ -305,6 +367,47 @@ class TestLosses:
         assert exwarp("upsample", keys, "-o", out, *how, "--skip-existing").code == 0
         assert exwarp("upsample", keys, "-o", tmp_path / "whole", *how).code == 0
         assert shots.contents(out) == shots.contents(tmp_path / "whole")
+
+    @pytest.mark.slow
+    def test_what_a_hung_worker_leaves_is_removed(self, keys, tmp_path):
+        out = tmp_path / "out"
+        with start(keys, out, "-m", "s6", *FORWARD, "--workers", 1) as process:
+            await_frames(process, out, 1)
+            (worker,) = worker_processes(process)
+            worker.suspend()
+            begun = out / f".shot.0009.exr.{_host()}-{worker.pid}-99{MARK}"
+            begun.touch()
+            process.send_signal(signal.SIGINT)
+            _, err = process.communicate(timeout=60)
+        assert process.returncode == 130, err
+        assert not worker.is_running() and not begun.exists()
+
+    @pytest.mark.slow
+    def test_a_scheduler_that_is_killed(self, keys, tmp_path):
+        out = tmp_path / "out"
+        how = ("-m", "softsplat", *FORWARD)
+        with DaskCluster(tmp_path / "dask") as cluster:
+            cluster.start_worker()
+            options = (*how, "--cluster", cluster.address, "--chunk-size", 2)
+            with start(keys, out, *options) as process:
+                await_frames(process, out, 1)
+                cluster.kill_scheduler()
+                _, err = process.communicate(timeout=120)
+        assert [line for line in err.splitlines() if not line.startswith("exwarp: ")] == []
+        assert process.returncode == 9 and "the Dask scheduler went away" in err
+
+
+def greet(server: socket.socket, greeting: bytes) -> None:
+    """Answer whoever comes, or never; ends with the server."""
+    silent = []
+    with suppress(OSError):
+        while True:
+            somebody, _ = server.accept()
+            somebody.sendall(greeting)
+            if greeting:
+                somebody.close()
+            else:
+                silent.append(somebody)
 
 
 def start(keys: Path, out: Path, *options: object) -> subprocess.Popen[str]:

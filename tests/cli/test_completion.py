@@ -17,6 +17,7 @@ from click.shell_completion import BashComplete
 from exwarp_cli import cli
 from exwarp_cli.commands import suggestions
 from exwarp_cli.commands.completion import SHELLS
+from tests.cli.config.commands import EVERY_OPTION
 
 SCRIPT = """#!/bin/sh
 exec {python} -m exwarp_cli "$@"
@@ -111,8 +112,6 @@ class TestOffers:
         assert tuple(role.value for role in Role) == suggestions.ROLES
 
     def test_every_suggestion_is_for_an_option(self):
-        from tests.cli.test_config import EVERY_OPTION
-
         names = {one.id.rpartition(":")[2] for one in EVERY_OPTION}
         assert set(suggestions.VALUES) <= names
 

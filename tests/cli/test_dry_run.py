@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from exwarp_cli.domain.timeline import parse_frames
 from tests.cli import shots
 from tests.cli.shots import FORWARD
 
@@ -89,6 +90,65 @@ class TestTelling:
         assert "motion given" in result.err and shots.names(tmp_path) == []
 
 
+CASES: dict[str, tuple[object, ...]] = {
+    "all": (),
+    "without tail": ("--no-tail",),
+    "renumbered": ("--start-frame", -3),
+    "some": ("--frames", "1,3"),
+    "24 to 60": ("--fps", 24, "--to-fps", 60, "--no-tail"),
+    "masks": ("--write-holes", "holes"),
+    "a video beside": ("--video", "a.mp4", "--frames", "2"),
+    "going on": ("--skip-existing",),
+    "going on elsewhere": ("--skip-existing", "--frames", "3"),
+    "again": ("--overwrite", "--frames", "1-2"),
+    "other layers": ("--skip-existing", "--layers", "all"),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_run_does_what_was_foreseen(exwarp, upsample, plain_shot, tmp_path, monkeypatch, name):
+    """Frame by frame, with what an earlier run left; and until then nothing changes anywhere."""
+    monkeypatch.chdir(tmp_path)
+    options = (*HOW, *CASES[name])
+    if "--skip-existing" in options or "--overwrite" in options:
+        upsample(plain_shot, "out", *HOW, "--frames", "1-2")
+        Path("out/shot.0004.exr").unlink()
+        Path("out/shot.0006.exr").write_bytes(b"damaged")
+    before = states(tmp_path, plain_shot)
+    dry = exwarp("upsample", plain_shot, "-o", "out", *options, "--dry-run", "--json")
+    assert dry.code == 0 and states(tmp_path, plain_shot) == before
+    found = json.loads(dry.out)
+    upsample(plain_shot, "out", *options)
+    after = states(tmp_path)
+    old, new = (
+        {int(path.stem.split(".")[1]): state for path, state in some.items() if path.parts[-2:-1]
+         == ("out",)}
+        for some in (before, after)
+    )  # fmt: skip
+    fates = {fate: set(frames_in(found, fate)) for fate in ("write", "replace", "keep")}
+    assert new.keys() - old.keys() == fates["write"]
+    assert {n for n in old if new[n] != old[n]} == fates["replace"]
+    assert old.keys() >= fates["keep"] and fates["keep"] <= new.keys()
+    assert sum(map(len, fates.values())) == found["frames"]["count"]
+    holes = {int(path.stem.split(".")[1]) for path in after if path.parent.name == "holes"}
+    assert holes == (set(frames_in(found, "generated")) if found["holes"] else set())
+    assert (tmp_path / "a.mp4" in after) == (found["video"] is not None)
+
+
+def frames_in(found: dict[str, Any], kind: str) -> list[int]:
+    """Return the numbers of some of the frames that a dry run tells of."""
+    text = found["frames"][kind]["numbers"]
+    numbers = parse_frames(text) if text else []
+    assert len(numbers) == found["frames"][kind]["count"]
+    return numbers
+
+
+def states(*folders: Path) -> dict[Path, tuple[int, int, int]]:
+    """Return what tells files that were written again, and folders that were touched."""
+    found = {path: path.stat() for folder in folders for path in (folder, *folder.rglob("*"))}
+    return {path: (s.st_ino, s.st_mtime_ns, s.st_size) for path, s in found.items()}
+
+
 class TestRefusals:
     """The same sentence and the same exit code as without ``--dry-run``."""
 
@@ -111,8 +171,22 @@ class TestRefusals:
     def test_a_file_where_a_folder_should_be(self, exwarp, plain_shot, tmp_path):
         (tmp_path / "file").touch()
         out = tmp_path / "file" / "out"
-        exwarp("upsample", plain_shot, "-o", out, *HOW, "--dry-run").refused(5, str(out))
-        exwarp("upsample", plain_shot, "-o", out, *HOW).refused(5, str(out))
+        self.alike(exwarp, 5, plain_shot, "-o", out, *HOW)
+
+    @pytest.mark.parametrize("place", ["file", "file/report"])
+    def test_a_file_where_the_report_should_be(self, exwarp, plain_shot, tmp_path, place):
+        (tmp_path / "file").touch()
+        options = ("-o", tmp_path / "out", *HOW, "--report", tmp_path / place)
+        self.alike(exwarp, 5, plain_shot, *options)
+        assert shots.names(tmp_path) == ["file"]
+
+    def test_a_folder_where_the_video_should_be(self, exwarp, plain_shot, tmp_path):
+        """Not after all frames are made, and not as something that --overwrite would replace."""
+        (tmp_path / "a.mp4").mkdir()
+        options = ("-o", tmp_path / "out", *HOW, "--video", tmp_path / "a.mp4")
+        for more in ((), ("--overwrite",)):
+            self.alike(exwarp, 5, plain_shot, *options, *more)
+        assert shots.names(tmp_path) == ["a.mp4"]
 
     def test_input_and_options(self, exwarp, plain_shot, tmp_path):
         out = tmp_path / "out"

@@ -30,8 +30,8 @@ class TestLines:
         lines = [shlex.split(line) for line in result.out.splitlines()]
         assert [line[-1] for line in lines] == ["1-2", "3-4", "5"]
         for line in lines:
-            assert line[:5] == ["exwarp", "upsample", "--config", "none", str(shot)]
-            assert line[5:7] == ["--output", f"{tmp_path / 'out'}/"]
+            assert line[:4] == ["exwarp", "upsample", "--isolated", str(shot)]
+            assert line[4:6] == ["--output", f"{tmp_path / 'out'}/"]
             assert "--skip-existing" in line
 
     def test_what_comes_afterwards_is_told(self, shot, exwarp, tmp_path):
@@ -39,7 +39,7 @@ class TestLines:
         result = exwarp("farm", "commands", NAME, "-o", "out", *more, *FORWARD)
         assert "--as-chunk" in result.out and "--video" not in result.out
         merging, filming = result.err.splitlines()
-        assert f"merge-reports --config none {tmp_path / 'report'} --overwrite" in merging
+        assert f"merge-reports --isolated {tmp_path / 'report'} --overwrite" in merging
         assert f"--video {tmp_path / 'a.mp4'} --frames 1-5" in filming
 
     def test_json(self, shot, exwarp):

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import inspect
 import json
+from dataclasses import fields
 from pathlib import Path
 
 import click
@@ -10,12 +12,12 @@ import pytest
 import yaml
 
 from exwarp_cli.commands import farm, upsample
+from exwarp_cli.commands.option_names import names_paths
+from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.farm.places import PURPOSES
 from tests.cli import shots
-from tests.cli.farm_engine import call, checked, parameters
+from tests.cli.farm_engine import HOSTILE, call, checked, parameters
 from tests.cli.shots import FORWARD, SMALL
-
-HOSTILE = "a 'b\" {{Param.Frames}} x: # [é] 日本 $HOME `id` 1e3 %"
 
 
 @pytest.fixture
@@ -88,8 +90,8 @@ class TestChunks:
 class TestCalls:
     def test_a_task_goes_on_and_tells(self, shot, template):
         words = call(template("keys", "-o", "out", "-m", "s6", "--no-tail"), "Upsample")
-        assert words[:4] == ["exwarp", "upsample", "--config", "none"]
-        assert words[4:8] == ["keys", "--output", "out/", "--method"] and "--no-tail" in words
+        assert words[:3] == ["exwarp", "upsample", "--isolated"]
+        assert words[3:7] == ["keys", "--output", "out/", "--method"] and "--no-tail" in words
         assert words[-5:] == [
             "--skip-existing", "--frames", "{{Task.Param.Frames}}", "--progress", "openjd",
         ]  # fmt: skip
@@ -111,7 +113,7 @@ class TestCalls:
         chunk, report, video = (call(made, s) for s in ("Upsample", "Report", "Video"))
         assert chunk[chunk.index("--report") + 1 :][:2] == ["report", "--as-chunk"]
         assert "--video" not in chunk and chunk[chunk.index("--metrics") + 1] == "psnr,flicker"
-        joining = ["exwarp", "merge-reports", "--config", "none", "report", "--overwrite"]
+        joining = ["exwarp", "merge-reports", "--isolated", "report", "--overwrite"]
         assert report == [*joining, "--progress", "openjd"]
         assert {"--skip-existing", "--exposure", "-1.5", "a.mp4"} < set(video)
         # what is there already needs neither judging nor its masks
@@ -316,11 +318,14 @@ class TestOptions:
 
     def test_those_that_name_files_have_a_purpose(self):
         for parameter in farm._shared():
-            told = parameter.metavar or ""
-            names = isinstance(parameter.type, click.Path) or any(
-                word in told for word in ("FILE", "DIR", "SEQ", "PATTERN")
-            )
-            assert names <= (parameter.name in PURPOSES), parameter.name
+            named = parameter.name == "sequence" or names_paths(parameter)
+            assert named == (parameter.name in PURPOSES), parameter.name
+
+    def test_each_is_part_of_the_settings_or_the_commands_own(self):
+        settled = {f.name for kind in (SourceSettings, UpsampleSettings) for f in fields(kind)}
+        own = set(inspect.signature(upsample.command.callback).parameters) - {"options"}
+        assert not settled & own
+        assert settled - {"source"} | own == {p.name for p in upsample.command.params}
 
     def test_they_are_written_as_they_were_given(self):
         words = ["keys"]

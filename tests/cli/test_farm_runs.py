@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from exwarp_cli.io.atomic import MARK
 from exwarp_cli.io.output import is_intact
 from tests.cli import shots
-from tests.cli.farm_engine import EXWARP, Ended, environment, openjd
+from tests.cli.farm_engine import EXWARP, HOSTILE, Ended, environment, openjd
+from tests.cli.processes import await_files
+from tests.cli.reports import rows, unmeasured
 from tests.cli.shots import FORWARD, SMALL
-from tests.cli.test_farm_openjd import HOSTILE
 
 pytestmark = [
     pytest.mark.slow,  # every chunk starts exwarp anew
@@ -26,7 +24,6 @@ pytestmark = [
 ]
 
 HOW = (*FORWARD, "--threads", 1)
-TIMES = {"wall_s", "timing_ms", "throughput", "saved_s", "saved_share", "generated_frame_s"}
 
 
 @pytest.fixture
@@ -55,20 +52,6 @@ def ran(job, tmp_path):
     return run
 
 
-def untimed(document: Any) -> Any:
-    """Return a document without what takes time, and without the input's path."""
-    if isinstance(document, dict):
-        return {k: untimed(v) for k, v in document.items() if k not in TIMES | {"pattern"}}
-    return [untimed(one) for one in document] if isinstance(document, list) else document
-
-
-def rows(report: Path) -> list[list[str]]:
-    """Return frames.csv without its columns of times."""
-    table = [line.split(",") for line in (report / "frames.csv").read_text().splitlines()]
-    timed = [i for i, name in enumerate(table[0]) if name.endswith("_ms")]
-    return [[cell for i, cell in enumerate(row) if i not in timed] for row in table]
-
-
 class TestSameBytes:
     def test_eight_chunks_with_report_and_video(self, ran, upsample, tmp_path):
         keys = shots.sequence(tmp_path / "keys", shots.plain, range(1, 17), SMALL)
@@ -82,11 +65,10 @@ class TestSameBytes:
         assert len(shots.names(tmp_path / "report" / "chunks")) == 8
         assert shots.contents(tmp_path / "out") == shots.contents(tmp_path / "single")
         assert (tmp_path / "a.mp4").read_bytes() == (tmp_path / "single.mp4").read_bytes()
-        merged, whole = (
-            json.loads((tmp_path / name / "report.json").read_text())
-            for name in ("report", "single-report")
-        )
-        assert untimed(merged) == untimed(whole) and whole["quality"]["all"]["frames"] == 45
+        merged, whole = (unmeasured(tmp_path / name) for name in ("report", "single-report"))
+        assert merged["input"].pop("pattern") == "keys/shot.####.exr"  # as the job names it
+        assert whole["input"].pop("pattern") == f"{keys}/shot.####.exr"
+        assert merged == whole and whole["quality"]["all"]["frames"] == 45
         assert rows(tmp_path / "report") == rows(tmp_path / "single-report")
         assert "openjd_progress: 100.0" in ended.log and "openjd_status: " in ended.log
 
@@ -139,7 +121,7 @@ class TestTrouble:
             stderr=subprocess.STDOUT,
             text=True,
         ) as engine:
-            await_frames(engine, tmp_path / "out", 5)
+            await_files(engine, tmp_path / "out", 5)
             if number == signal.SIGKILL:
                 strike(tmp_path / "out")
             else:
@@ -156,6 +138,34 @@ class TestTrouble:
         upsample(keys, tmp_path / "single", *FORWARD, "-m", "softsplat")
         assert shots.contents(tmp_path / "out") == shots.contents(tmp_path / "single")
 
+    def test_a_job_is_submitted_again_when_a_frame_is_mended(
+        self, keys, job, upsample, tmp_path, monkeypatch
+    ):
+        """With other chunks, and to machines that set what the job leaves as it is."""
+        more = ("-m", "s6", "--report", "report", "--chunk-size", 6)
+        template = job("keys", "-o", "out", *more)
+        good = (keys / "shot.0011.exr").read_bytes()
+        (keys / "shot.0011.exr").write_bytes(good[:500])
+        broken = openjd("run", template, cwd=tmp_path)
+        assert broken.code != 0 and broken.chunks == ["1-6", "7-12"], broken.log
+        (keys / "shot.0011.exr").write_bytes(good)
+        for name, text in {"LAYERS": "all", "NO_TAIL": "1", "MOTION": "x", "TAIL": "what"}.items():
+            monkeypatch.setenv(f"EXWARP_UPSAMPLE_{name}", text)
+        ended = openjd("run", template, "-p", "ChunkSize=4", cwd=tmp_path)
+        assert ended.code == 0, ended.log
+        assert ended.chunks == ["1-4", "5-8", "9-12"]
+        assert f"newer ones tell of: {tmp_path / 'report' / 'chunks' / '1-6'}" in ended.log
+        for name in ("LAYERS", "NO_TAIL", "MOTION", "TAIL"):
+            monkeypatch.delenv(f"EXWARP_UPSAMPLE_{name}")
+        upsample(keys, tmp_path / "single", *FORWARD, "-m", "s6", "--report", tmp_path / "whole")
+        assert shots.contents(tmp_path / "out") == shots.contents(tmp_path / "single")
+        told = ("frame", "kind", "hole_fraction")  # kept frames tell no times
+        merged, whole = (
+            [[row[name] for name in told] for row in rows(tmp_path / folder)]
+            for folder in ("report", "whole")
+        )
+        assert merged == whole and len(whole) == 48
+
     def test_a_task_that_fails_says_why(self, keys, job, tmp_path):
         template = job("keys", "-o", "out", "--chunk-size", 6, "-m", "softsplat")
         (keys / "shot.0009.exr").write_bytes(b"damaged")
@@ -163,15 +173,6 @@ class TestTrouble:
         assert ended.code != 0
         (told,) = (line for line in ended.log.splitlines() if "openjd_fail: " in line)
         assert "shot.0009.exr" in told and "openjd_progress" in ended.log
-
-
-def await_frames(engine: subprocess.Popen[str], folder: Path, count: int) -> None:
-    """Wait until a folder has so many files."""
-    for _ in range(12000):
-        if engine.poll() is not None or len(shots.names(folder)) >= count:
-            return
-        time.sleep(0.005)
-    pytest.fail(f"{folder} never had {count} files")
 
 
 def strike(output: Path) -> None:

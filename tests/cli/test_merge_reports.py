@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import csv
 import json
+import os
 import random
 import shutil
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -18,6 +17,7 @@ from exwarp_cli.report.folder import chunk_folder
 from exwarp_cli.report.gallery import OUTPUT, TRUTH
 from tests.cli import shots
 from tests.cli.documents import strict
+from tests.cli.reports import album, rows, unmeasured
 from tests.cli.shots import VECTORS
 from tests.cli.street import Street
 
@@ -69,33 +69,9 @@ def do(upsample, shot, tmp_path) -> Run:
     return run
 
 
-def unmeasured(folder: Path) -> dict[str, Any]:
-    """Return a report without what depends on how long the work took."""
-    document = json.loads((folder / "report.json").read_text())
-    del document["timing_ms"], document["wall_s"], document["fps"]["throughput"]
-    saved = document["render_time"] or {}
-    for name in ("generated_frame_s", "saved_s", "saved_share"):
-        saved.pop(name, None)
-    return document
-
-
 def wall(folder: Path) -> float:
     """Return a report's seconds of work."""
     return float(json.loads((folder / "report.json").read_text())["wall_s"])
-
-
-def rows(folder: Path) -> list[dict[str, str]]:
-    """Return frames.csv without the times of steps."""
-    with (folder / "frames.csv").open(newline="") as file:
-        found = list(csv.DictReader(file))
-    return [{k: v for k, v in row.items() if not k.endswith("_ms")} for row in found]
-
-
-def album(folder: Path) -> dict[str, Any]:
-    """Return what the viewer of a page reads."""
-    begin, text = '<script type="application/json">', (folder / "report.html").read_text()
-    told: dict[str, Any] = json.loads(text.split(begin)[1].split("</script>")[0])
-    return told
 
 
 def split(seed: int) -> list[str]:
@@ -224,7 +200,7 @@ def test_json_is_the_document_and_what_is_told_of_the_merging(exwarp, chunks, tm
     assert result.code == 0 and result.err == ""
     found = strict(result.out)
     assert found.pop("merged") == {
-        "reports": 3, "missing": "4", "without_pictures": [str(folders[1])]
+        "reports": 3, "missing": "4", "without_pictures": [str(folders[1])], "superseded": []
     }  # fmt: skip
     assert found == json.loads((tmp_path / "joined" / "report.json").read_text())
     assert parse_frames(found["input"]["selected"]) == [1, 2, 3, 5, 6]
@@ -333,9 +309,83 @@ class TestRefusals:
         exwarp("merge-reports", *folders, "-o", other).refused(6, str(other), "another -o")
 
 
+class TestSubmittedAgain:
+    """Jobs whose chunks have another size leave reports of the same key frames: the newer tells."""
+
+    @pytest.fixture
+    def again(self, do, options) -> Callable[..., list[Path]]:
+        """Do chunks as a job that was submitted so many times before would."""
+
+        def run(time: int, *parts: str, case: str = "s6 without tail") -> list[Path]:
+            found = []
+            for part in parts:
+                folder = do("parts", *options(case), "--overwrite", frames=part)
+                os.utime(folder / "report.json", (time, time))
+                found.append(folder)
+            return found
+
+        return run
+
+    def test_chunks_of_another_size(self, exwarp, again, do, options, tmp_path):
+        older = again(1, "1-2", "3-4", "5-6")
+        newer = again(2, "1-3", "4-6")
+        single = do("single", *options("s6 without tail"))
+        merged = tmp_path / "parts-report"
+        result = exwarp("merge-reports", merged)
+        assert result.code == 0 and "2 reports joined, " in result.out
+        named = ", ".join(map(str, older))
+        assert f"older reports, of key frames that newer ones tell of: {named}\n" in result.out
+        assert unmeasured(merged) == unmeasured(single) and rows(merged) == rows(single)
+        assert album(merged) == album(single)
+        assert wall(merged) == pytest.approx(sum(map(wall, newer)))
+        assert all((folder / "report.json").exists() for folder in older), "nothing is deleted"
+
+    def test_a_part_of_a_chunk(self, exwarp, again, do, options, tmp_path):
+        (older,) = again(1, "1-6")
+        table = older / "frames.csv"
+        table.write_text(table.read_text().replace("shot.0006.exr", "old.0006.exr"))
+        (newer,) = again(2, "2-4")
+        merged = tmp_path / "parts-report"
+        result = exwarp("merge-reports", merged, "--json")
+        assert result.code == 0
+        told = strict(result.out)["merged"]
+        assert told["superseded"] == [str(older)] and told["reports"] == 2
+        single = do("single", *options("s6 without tail"))
+        assert unmeasured(merged) == unmeasured(single) and rows(merged) == rows(single)
+        assert album(merged) == album(single)
+        kept = 21 - 12
+        assert wall(merged) == pytest.approx(wall(newer) + wall(older) * kept / 21)
+
+    def test_older_ones_of_another_run_are_in_the_way_only_where_they_tell(self, exwarp, again):
+        (older,) = again(1, "1-4", case="hold")
+        (newer,) = again(2, "3-6")
+        report = older.parent.parent
+        exwarp("merge-reports", report).refused(3, str(older), str(newer), "the method is hold")
+        again(3, "1-3")
+        assert exwarp("merge-reports", report).code == 0
+
+    def test_of_the_same_moment_none_is_newer(self, exwarp, again):
+        one, other = again(1, "1-2", "2-3")
+        exwarp("merge-reports", one.parent.parent).refused(3, "frame 5 is in", str(one), str(other))
+
+
 @pytest.mark.parametrize(
     ("keys", "name"),
-    [([1001], "1001"), ([1001, 1002, 1010], "1001-1010"), ([-5, -3], "-5--3"), ([0], "0")],
+    [
+        ([1001], "1001"),
+        ([1001, 1002, 1003], "1001-1003"),
+        ([1001, 1002, 1010], "1001-1002,1010"),
+        ([10, 14, 18], "10-18x4"),
+        ([-5, -4, -3], "-5--3"),
+        ([0], "0"),
+    ],
 )
 def test_folders_of_chunks(keys, name):
     assert chunk_folder(Path("r"), keys) == Path("r") / "chunks" / name
+
+
+def test_folders_of_other_chunks_have_other_names():
+    """Else a report would be lost: they may begin and end alike."""
+    many = [key for key in range(2000) if key % 7 in (0, 1, 3)]
+    names = {chunk_folder(Path("r"), keys).name for keys in (many, [*many[:-2], many[-1]])}
+    assert len(names) == 2 and all(len(name) < 128 for name in names)

@@ -232,8 +232,9 @@ class TestProgress:
         result = exwarp("upsample", plain_shot, "-o", tmp_path / "out", *options)
         *lines, last = result.err.splitlines()
         assert result.code == 5 and last.startswith("exwarp: error: ")
-        finish = json.loads(lines[-1])
-        assert finish["event"] == "finish"
+        finish, fail = (json.loads(line) for line in lines[-2:])
+        assert (finish["event"], fail["event"], fail["exit_code"]) == ("finish", "fail", 5)
+        assert last == f"exwarp: error: {fail['text']}"
 
     def test_plain(self, told):
         lines = told("plain").err.splitlines()
@@ -280,11 +281,11 @@ class TestMemory:
 
     @pytest.mark.parametrize("method", ["softsplat", "s3", "exwarp"])
     def test_it_does_not_grow_with_the_sequence(self, tmp_path, method):
-        """A frame of 128x72 is 0.3 MiB of passes, so 180 more that were kept would be 50."""
+        """A frame of 128x72 is 0.3 MiB of passes, so 90 more that were kept would be 25; 2 are."""
         street = Street(128, 72)
         short = shots.sequence(tmp_path / "short", shots.plain, range(1, 21), street, 0.1)
         long = shots.sequence(tmp_path / "long", shots.plain, range(1, 21), street, 0.1)
-        for number in range(21, 201):
+        for number in range(21, 111):
             source = long / f"shot.{number - 20:04d}.exr"
             (long / f"shot.{number:04d}.exr").write_bytes(source.read_bytes())
         options = ["-m", method]
@@ -293,4 +294,4 @@ class TestMemory:
         few, many = (
             self.peak(keys, tmp_path / f"o-{keys.name}", *options) for keys in (short, long)
         )
-        assert many < few + 15
+        assert many < few + 7.5

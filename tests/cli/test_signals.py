@@ -15,6 +15,7 @@ import pytest
 from exwarp_cli.io.atomic import MARK
 from exwarp_cli.io.output import is_intact
 from tests.cli import shots
+from tests.cli.processes import await_files
 from tests.cli.street import Street
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
@@ -38,15 +39,6 @@ def arguments(keys: Path, root: Path, *more: str) -> list[str]:
 def start(*options: str) -> subprocess.Popen[str]:
     command = [sys.executable, "-m", "exwarp_cli", *options]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-
-
-def await_files(process: subprocess.Popen[str], folder: Path, count: int) -> None:
-    """Wait until a folder has so many entries, temporaries included, or the process is done."""
-    for _ in range(6000):
-        if process.poll() is not None or len(shots.names(folder)) >= count:
-            return
-        time.sleep(0.005)
-    pytest.fail(f"{folder} never had {count} files")
 
 
 def kill_and_go_on(keys: Path, root: Path, kills: int, seed: int, exwarp) -> None:

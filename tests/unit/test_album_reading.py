@@ -13,7 +13,7 @@ from PIL import Image
 
 from exwarp_cli.domain.results import FrameRecord, RunSummary, Score
 from exwarp_cli.report import gallery as galleries
-from exwarp_cli.report.album_reading import PageAlbums
+from exwarp_cli.report.album_reading import BEGIN, END, PageAlbums
 from exwarp_cli.report.gallery import BUDGET, FRAMES, KEY, OUTPUT, TRUTH, Gallery
 from exwarp_cli.report.page import Page, Section, Viewer, render, viewer_data
 from exwarp_cli.report.pictures import Picture, colour_picture, mask_picture
@@ -142,3 +142,21 @@ def test_what_is_no_picture_is_refused(change: dict[str, object]) -> None:
     told = mask_picture(np.ones((4, 4), np.bool_)).plain()
     with pytest.raises((TypeError, ValueError)):
         Picture.of(told | change)
+
+
+@pytest.mark.parametrize(
+    "album",
+    [
+        "[" * 200_000,
+        "[]",
+        '{"frames": 5, "images": []}',
+        '{"frames": [{"number": 1e400, "holes": null}], "images": []}',
+        f'{{"frames": [{{"number": {"9" * 5000}}}], "images": []}}',
+    ],
+)
+def test_albums_of_another_shape_are_left_out(tmp_path: Path, album: str) -> None:
+    file = page(tmp_path, [0])
+    text = file.read_text()
+    begin = text.index(BEGIN) + len(BEGIN)
+    file.write_text(text[:begin] + album + text[text.index(END, begin) :])
+    assert PageAlbums.of([file]).unreadable == (file,)

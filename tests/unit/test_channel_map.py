@@ -95,8 +95,8 @@ class TestRead:
                 '[channels]\ndepth = "a"\n[aovs]\ndepth = "b"',
                 "the channel map {} names depth in [channels] and in [aovs]",
             ),
-            ("view = right", "the channel map {} is not TOML (Invalid value (at line 1, "),
-            ('view = "a"\nview = "b"', "the channel map {} is not TOML (Cannot overwrite"),
+            ("view = right", "the channel map {} is not TOML (invalid value (at line 1, "),
+            ('view = "a"\nview = "b"', "the channel map {} is not TOML (cannot overwrite"),
         ],
     )
     def test_what_is_wrong_is_said_with_file_and_key(self, tmp_path, text, told):

@@ -8,7 +8,7 @@ import json
 import pytest
 
 from exwarp_cli.errors import MissingFrameError, UsageError
-from exwarp_cli.pipeline.estimate import INTERVAL_S, Estimate
+from exwarp_cli.pipeline.eta import INTERVAL_S, Estimate
 from exwarp_cli.pipeline.progress import (
     KINDS,
     REPORTERS,

@@ -11,6 +11,7 @@ import imageio_ffmpeg
 import OpenImageIO as oiio
 
 from exwarp_cli.domain.checkup import Check, failure, warning
+from exwarp_cli.domain.wording import counted, first_line
 from exwarp_cli.errors import UsageError
 from exwarp_cli.io.ffmpeg import FfmpegError
 from exwarp_cli.io.output import COMPRESSIONS
@@ -24,7 +25,6 @@ from exwarp_cli.io.specimens import (
     vmaf_problem,
 )
 from exwarp_cli.io.stills import STILLS
-from exwarp_cli.pipeline.doctor.wording import counted, first_line
 
 ENCODERS = ("libx264", "aac")
 """What videos are written with."""

@@ -12,9 +12,9 @@ from collections.abc import Callable
 
 from exwarp_cli import __version__
 from exwarp_cli.domain.checkup import Check, Checkup, failure
+from exwarp_cli.domain.wording import first_line
 from exwarp_cli.errors import ExwarpError
 from exwarp_cli.pipeline.doctor.compilation import telling_of_compilation
-from exwarp_cli.pipeline.doctor.wording import first_line
 
 CHECKS = {
     "machine": "machine:check_machine",

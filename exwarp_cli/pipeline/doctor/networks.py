@@ -7,12 +7,12 @@ import numpy as np
 from exwarp_cli.accel.kernel import MlpKernel
 from exwarp_cli.accel.quantised_mlp import infer_reference
 from exwarp_cli.domain.checkup import Check, Remark, failure, warning
+from exwarp_cli.domain.wording import counted, enumerated
 from exwarp_cli.errors import ExwarpError
 from exwarp_cli.io.models import CUDA, load_extrapolator, providers, runtime_version, shipped_folder
 from exwarp_cli.io.policy_files import load_policy
 from exwarp_cli.io.shipped import IntegerPolicy, judge_shipped
 from exwarp_cli.pipeline.accelerator import sample_states
-from exwarp_cli.pipeline.doctor.wording import counted, listed
 
 STATES = 96
 """Made-up states that are decided: of any size, and at which bits carry."""
@@ -51,10 +51,10 @@ def check_network() -> Check:
         "providers": list(offered),
         "devices": {device: said is None for device, said in problems.items()},
     }
-    told = f"onnxruntime {runtime_version()}"
-    told += (
-        f" runs the extrapolator on {listed(good)}" if good else " does not run the extrapolator"
+    runs = (
+        f"runs the extrapolator on {enumerated(good)}" if good else "does not run the extrapolator"
     )
+    told = f"onnxruntime {runtime_version()} {runs}"
     lines = [f"offers {', '.join(_PROVIDERS.get(name, name) for name in offered)}"]
     if CUDA not in offered:
         told += "; no CUDA"

@@ -15,7 +15,7 @@ from packaging.requirements import Requirement
 
 from exwarp_cli import __version__
 from exwarp_cli.domain.checkup import Check, Remark, failure, warning
-from exwarp_cli.pipeline.doctor.wording import first_line, listed
+from exwarp_cli.domain.wording import enumerated, first_line
 
 DISTRIBUTION = "exwarp"
 
@@ -124,9 +124,9 @@ def check_extras() -> Check:
     there = [name for name, packages in extras.items() if all(p.installed for p in packages)]
     missing = [name for name, packages in extras.items() if not any(p.installed for p in packages)]
     remarks = [remark for name in names for remark in _extra_remarks(name, extras[name])]
-    told = [f"{listed(there)} installed"] if there else []
+    told = [f"{enumerated(there)} installed"] if there else []
     if missing:
-        told.append(f"{listed(missing)} not ({pip_command(missing)})")
+        told.append(f"{enumerated(missing)} not ({pip_command(missing)})")
     facts = {
         "extras": {
             name: {

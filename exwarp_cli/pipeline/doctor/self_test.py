@@ -21,10 +21,10 @@ from exwarp_cli.domain.frame import Float32
 from exwarp_cli.domain.results import RunSummary
 from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR
+from exwarp_cli.domain.wording import counted, enumerated
 from exwarp_cli.errors import ExwarpError
 from exwarp_cli.io.specimens import differing, read_exr, write_exr
 from exwarp_cli.pipeline.doctor.compilation import cache_use
-from exwarp_cli.pipeline.doctor.wording import counted, listed
 from exwarp_cli.pipeline.progress import NoProgress
 from exwarp_cli.pipeline.upsample import upsample
 
@@ -94,7 +94,7 @@ def check_self_test() -> Check:
         },
     }
     many = "is" if len(good) == 1 else "are"
-    told = f"{listed(good)} {many} right" if good else "nothing is right"
+    told = f"{enumerated(good)} {many} right" if good else "nothing is right"
     told += f"; {seconds:.1f} s"
     if compiled:
         told += f", {counted(compiled, 'kernel')} compiled"
@@ -168,7 +168,7 @@ def _chunks(folder: Path, method: str) -> Trial:
         differ = differing(folder / method, pieces)
     except ExwarpError as error:
         return Trial(str(error), time.perf_counter() - begin, frames)
-    problem = f"{listed(differ)} differ from those of the whole" if differ else None
+    problem = f"{enumerated(differ)} differ from those of the whole" if differ else None
     return Trial(problem, time.perf_counter() - begin, frames)
 
 

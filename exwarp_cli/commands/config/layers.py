@@ -14,11 +14,12 @@ from dataclasses import dataclass
 
 import click
 
-from exwarp_cli.commands.option_values import Value, from_environment, from_toml, long_name
+from exwarp_cli.commands.config.values import Value, from_environment, from_toml
+from exwarp_cli.commands.option_names import long_name
 from exwarp_cli.errors import UsageError
 from exwarp_cli.io.config_file import ConfigFile
 
-NOT_CONFIGURED = frozenset({"help", "version", "config"})
+NOT_CONFIGURED = frozenset({"help", "version", "config", "isolated"})
 """Options that neither files nor the environment set."""
 
 RIVALS = (

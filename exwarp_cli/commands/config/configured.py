@@ -15,7 +15,7 @@ from typing import Any
 
 import click
 
-from exwarp_cli.commands.layers import (
+from exwarp_cli.commands.config.layers import (
     Layer,
     Setting,
     configurable,
@@ -25,8 +25,8 @@ from exwarp_cli.commands.layers import (
     unknown_variables,
     variable_name,
 )
-from exwarp_cli.commands.option_values import long_name
-from exwarp_cli.commands.sources import config_files, readers
+from exwarp_cli.commands.config.sources import config_files, environment_of, readers
+from exwarp_cli.commands.option_names import long_name
 from exwarp_cli.commands.suggestions import suggesting
 from exwarp_cli.errors import UsageError
 from exwarp_cli.io.config_file import FoundFile
@@ -38,6 +38,8 @@ OTHER_VARIABLES = frozenset(
     f"EXWARP_{name}" for name in ("ARTEFACTS", "BLENDER", "CHROMIUM", "CONFIG", "DEBUG")
 )
 """Variables that set no option of a command."""
+
+ISOLATED = "isolated"
 
 _SETTINGS = "exwarp.settings"
 _WARNINGS = "exwarp.warnings"
@@ -54,12 +56,15 @@ class Configuration:
     settings
         What holds; what something stronger hides is left out.
     problems
-        What is wrong in them, a sentence each.
+        What stops commands, a sentence each.
+    warnings
+        Variables that no command knows, of which they only warn.
     """
 
     files: tuple[FoundFile, ...]
     settings: tuple[Setting, ...]
     problems: tuple[str, ...]
+    warnings: tuple[str, ...]
 
 
 def configured(command: click.Command, path: tuple[str, ...]) -> click.Command:
@@ -81,7 +86,7 @@ def configured(command: click.Command, path: tuple[str, ...]) -> click.Command:
     options = configurable(command)
     made.params += [_taking_back(option) for option in options if not option.secondary_opts]
     if options:
-        made.params.append(ConfigOption(command, path))
+        made.params += [_isolated(), ConfigOption(command, path)]
         made.epilog = _epilog(command, options, path)
     if made.callback is not None:
         made.callback = _announcing(made.callback)
@@ -117,17 +122,20 @@ class ConfigOption(click.Option):
         if ctx.resilient_parsing:  # a shell asks for completions
             return result
         given = _given(ctx, self._command, opts)
+        isolated = bool(opts.get(ISOLATED))
+        environment = environment_of(self._path, isolated)
         try:
-            files = config_files(ctx, opts.get(self.name or ""))
-            layers = [read() for read in readers(ctx, files, self._command, self._path)]
+            files = config_files(ctx, opts.get(self.name or ""), isolated)
+            reading = readers(ctx, files, self._command, self._path, environment)
+            layers = [read() for read in reading]
         except UsageError:
             if self._path not in TOLERANT:
                 raise
-            layers = [_environment_alone(self._command, self._path)]
+            layers = [_environment_alone(environment, self._command, self._path)]
         settings = in_force(layers, given)
         ctx.default_map = {setting.parameter: setting.value for setting in settings}
         ctx.meta[_SETTINGS] = settings
-        ctx.meta[_WARNINGS] = unknown_variables(os.environ, self._command, self._path)
+        ctx.meta[_WARNINGS] = unknown_variables(environment, self._command, self._path)
         origins = ctx.find_root().ensure_object(dict)
         origins.update({f"--{setting.option}": setting.origin for setting in settings})
         return result
@@ -136,6 +144,7 @@ class ConfigOption(click.Option):
 def configuration(ctx: click.Context) -> Configuration:
     """Find all that files and the environment set, for every command, with what is wrong in it."""
     problems: dict[str, None] = {}
+    warnings: list[str] = []
     try:
         files = config_files(ctx, None)
     except UsageError as error:
@@ -145,21 +154,36 @@ def configuration(ctx: click.Context) -> Configuration:
     known = set(OTHER_VARIABLES)
     for below, command, path in _every_command(ctx.find_root()):
         known.update(name for name in os.environ if name.startswith(variable_name(path)))
-        problems |= dict.fromkeys(unknown_variables(os.environ, command, path))
+        warnings += unknown_variables(os.environ, command, path)
         layers: list[Layer] = []
-        for read in readers(below, files, command, path):
+        for read in readers(below, files, command, path, os.environ):
             try:
                 layers.append(read())
             except UsageError as error:
                 problems[str(error)] = None
-        settings += in_force(layers, {})
+        found = in_force(layers, {})
+        problems |= dict.fromkeys(_unfit(below, command, found))
+        # What is set for upsample comes again with the commands that write runs of it into jobs.
+        seen = {(one.command, one.option, one.origin) for one in settings}
+        settings += [one for one in found if (one.command, one.option, one.origin) not in seen]
     strange = sorted(name for name in os.environ if name.startswith("EXWARP_"))
-    problems |= {
-        f"{name} in the environment is no option of any command": None
+    warnings += [
+        f"{name} in the environment is no option of any command"
         for name in strange
         if name not in known
-    }
-    return Configuration(files, tuple(settings), tuple(problems))
+    ]
+    return Configuration(files, tuple(settings), tuple(problems), tuple(warnings))
+
+
+def _unfit(ctx: click.Context, command: click.Command, settings: list[Setting]) -> Iterator[str]:
+    """Say which settings a command would refuse by itself: values of no use to their options."""
+    options = {long_name(option): option for option in configurable(command)}
+    for setting in settings:
+        try:
+            options[setting.option].process_value(ctx, setting.value)
+        except (click.UsageError, UsageError) as error:
+            said = error.format_message() if isinstance(error, click.UsageError) else str(error)
+            yield f"{said.rstrip('.')}; --{setting.option} is set by {setting.origin}"
 
 
 def _given(ctx: click.Context, command: click.Command, opts: Mapping[str, Any]) -> dict[str, bool]:
@@ -194,6 +218,17 @@ def _taking_back(option: click.Option) -> click.Option:
     return click.Option([name, _back(option)], is_flag=True, expose_value=False, hidden=True)
 
 
+def _isolated() -> click.Option:
+    """Make ``--isolated``, which `ConfigOption` follows."""
+    return click.Option(
+        ["--isolated"],
+        is_flag=True,
+        expose_value=False,
+        help="Take options from here alone: no config file but one that is named, and nothing of "
+        "the environment but --threads and --progress. Calls in farm jobs have it.",
+    )
+
+
 def _epilog(command: click.Command, options: list[click.Option], path: tuple[str, ...]) -> str:
     """Say by an example how the options of a command are called elsewhere."""
     usual = next((one for one in options if not one.required and not one.is_flag), options[0])
@@ -204,9 +239,11 @@ def _epilog(command: click.Command, options: list[click.Option], path: tuple[str
     return f"{command.epilog}\n\n{rule}" if command.epilog else rule
 
 
-def _environment_alone(command: click.Command, path: tuple[str, ...]) -> Layer:
+def _environment_alone(
+    environment: Mapping[str, str], command: click.Command, path: tuple[str, ...]
+) -> Layer:
     try:
-        return environment_layer(os.environ, command, path)
+        return environment_layer(environment, command, path)
     except UsageError:
         return {}
 
@@ -237,7 +274,7 @@ def _announcing(callback: Callable[..., Any]) -> Callable[..., Any]:
         if settings:
             lines.append(f"options {told(settings)}")
         for line in lines:
-            _tell(line, parameters.get("progress", parameters.get("progress_kind")))
+            _tell(line, parameters.get("progress"))
         return callback(**parameters)
 
     return run

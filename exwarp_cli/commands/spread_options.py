@@ -10,10 +10,10 @@ import click
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 
-def farm_options(command: Command) -> Command:
-    """Add --workers, --cluster, --chunk-size, --as-chunk and --dry-run.
+def spread_options(command: Command) -> Command:
+    """Add --workers, --cluster, --chunk-size and --as-chunk.
 
-    The command takes `workers`, `cluster`, `chunk_size`, `as_chunk` and `dry_run`.
+    The command takes `workers`, `cluster`, `chunk_size` and `as_chunk`.
     """
     for option in reversed(
         [
@@ -42,11 +42,6 @@ def farm_options(command: Command) -> Command:
                 is_flag=True,
                 help="This is one chunk of a job: put its report into a folder of its own below "
                 "--report, which 'exwarp merge-reports' joins.",
-            ),
-            click.option(
-                "--dry-run",
-                is_flag=True,
-                help="Open everything and say what would be done; write nothing.",
             ),
         ]
     ):

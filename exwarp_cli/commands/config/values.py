@@ -7,23 +7,19 @@ them as they judge the command line; switches become True and False.
 from __future__ import annotations
 
 import os
-import re
 from datetime import date, datetime, time
 from pathlib import Path
 from typing import Any
 
 import click
-from click.types import StringParamType
 
+from exwarp_cli.commands.option_names import names_paths, takes_list
 from exwarp_cli.errors import UsageError
 
 Value = bool | str | tuple[str, ...]
 
 SEPARATOR = ";"
 """Between the values of one variable: paths and channels may hold commas, colons and spaces."""
-
-PATH_WORDS = frozenset({"SEQ", "SEQUENCE", "FILE", "DIR", "FOLDER", "PATTERN", "VIDEO", "PATH"})
-LIST_WORDS = frozenset({"LIST", "RANGE"})
 
 _SWITCH = {
     **dict.fromkeys(("1", "true", "yes", "on"), True),
@@ -42,27 +38,6 @@ _KINDS: dict[type, str] = {
 }
 _INTEGER = (click.IntRange, type(click.INT))
 _NUMBER = (click.FloatRange, type(click.FLOAT))
-
-
-def long_name(option: click.Option) -> str:
-    """Return the name that an option goes by: the first long one, without dashes."""
-    long = [name for name in option.opts if name.startswith("--")]
-    return (long or option.opts)[0].lstrip("-")
-
-
-def names_paths(parameter: click.Parameter) -> bool:
-    """Whether a parameter names files, folders or sequences, by its type or its metavar."""
-    if isinstance(parameter.type, click.Path | click.File):
-        return True
-    words = set(re.split(r"[^A-Z]+", parameter.metavar or ""))
-    return isinstance(parameter.type, StringParamType) and bool(words & PATH_WORDS)
-
-
-def takes_list(option: click.Option) -> bool:
-    """Whether one value of an option holds several, with commas between."""
-    metavar = option.metavar or ""
-    words = set(re.split(r"[^A-Z]+", metavar))
-    return isinstance(option.type, StringParamType) and bool(words & LIST_WORDS or "," in metavar)
 
 
 def from_toml(option: click.Option, value: object, folder: Path, where: str) -> Value:

@@ -1,4 +1,4 @@
-"""How findings are put into words."""
+"""How counts, sizes, names and errors are put into words."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def size_text(count: int) -> str:
     return f"{value:.1f} {_UNITS[unit]}" if unit and value < 10 else f"{value:.0f} {_UNITS[unit]}"
 
 
-def listed(names: Sequence[str]) -> str:
+def enumerated(names: Sequence[str]) -> str:
     """Write names as a sentence has them: a, b and c."""
     return " and ".join((", ".join(names[:-1]), names[-1])) if len(names) > 1 else "".join(names)
 

@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 import click
 
-from exwarp_cli.commands.layers import Layer, configurable, environment_layer, file_layer
-from exwarp_cli.commands.option_values import long_name
+from exwarp_cli.commands.config.layers import (
+    Layer,
+    configurable,
+    environment_layer,
+    file_layer,
+    variable_name,
+)
+from exwarp_cli.commands.option_names import long_name
 from exwarp_cli.io.config_file import FoundFile, found_files, read_config_file
 
 UPSAMPLE = ("upsample",)
@@ -24,11 +30,27 @@ OWN_OF_JOBS = frozenset({"progress", "chunk-size", "json", "dry-run", "as-chunk"
 """Options that say how a command itself runs, and so are not taken over."""
 
 
-def config_files(ctx: click.Context, named: str | None) -> tuple[FoundFile, ...]:
+OF_MACHINES = frozenset({"threads", "progress"})
+"""Options that change nothing of what a command makes, so that a machine may always set them."""
+
+
+def environment_of(path: tuple[str, ...], isolated: bool) -> Mapping[str, str]:
+    """Return the variables that a command looks at; where it is isolated, only of `OF_MACHINES`."""
+    if not isolated:
+        return os.environ
+    wanted = {variable_name(path, name) for name in OF_MACHINES}
+    return {name: text for name, text in os.environ.items() if name in wanted}
+
+
+def config_files(
+    ctx: click.Context, named: str | None, isolated: bool = False
+) -> tuple[FoundFile, ...]:
     """Find the config files: those of the command line, the environment, the folders, the user."""
     how = "--config"
     if named is None:
         named = ctx.find_root().params.get("config")
+    if named is None and isolated:
+        return ()
     if named is None and (variable := os.environ.get("EXWARP_CONFIG")):
         named, how = variable, "EXWARP_CONFIG"
     return found_files(named, how, Path(click.get_app_dir("exwarp")))
@@ -39,16 +61,17 @@ def readers(
     files: tuple[FoundFile, ...],
     command: click.Command,
     path: tuple[str, ...],
+    environment: Mapping[str, str],
 ) -> list[Callable[[], Layer]]:
     """Return what reads the layers of a command, the strongest first."""
     groups = _groups(ctx)
-    own = partial(environment_layer, os.environ, command, path)
+    own = partial(environment_layer, environment, command, path)
     readers: list[list[Callable[[], Layer]]] = [[own]]
     readers += [[partial(_file_layer, file, groups, command, path)] for file in files]
     if path in AS_UPSAMPLE:
         names, model = groups[:1], _command(ctx.find_root(), UPSAMPLE)
         taken = partial(_taken_over, command)
-        readers[0].append(partial(taken, partial(environment_layer, os.environ, model, UPSAMPLE)))
+        readers[0].append(partial(taken, partial(environment_layer, environment, model, UPSAMPLE)))
         for file, one in zip(files, readers[1:], strict=True):
             one.append(partial(taken, partial(_file_layer, file, names, model, UPSAMPLE)))
     return [read for source in readers for read in source]

@@ -5,6 +5,8 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
+from exwarp_cli.domain.wording import counted
+
 INTERVAL_S = 5.0
 """Least seconds between two lines of a log: a farm's stays readable, a person sees life."""
 
@@ -65,7 +67,7 @@ class Estimate:
     @property
     def frames(self) -> str:
         """How many there are in all, in words."""
-        return f"{self.total} frame{'' if self.total == 1 else 's'}"
+        return counted(self.total, "frame")
 
     @property
     def to_do(self) -> str:

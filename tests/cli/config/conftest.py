@@ -1,0 +1,44 @@
+"""A folder without settings of anybody's, and what a command would be given there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from exwarp_cli import cli
+from exwarp_cli.commands.config import configured
+from tests.cli.config.commands import Parse
+
+
+@pytest.fixture
+def project(tmp_path, monkeypatch) -> Path:
+    """A folder to work in, with no config file in or above it, and an empty home."""
+    folder = tmp_path / "project"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    monkeypatch.delenv("EXWARP_CONFIG")
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "home"))
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    return folder
+
+
+@pytest.fixture
+def parse(project, monkeypatch, capsys) -> Parse:
+    """Run a command line up to where the command would begin; return what it would be given."""
+    taken: list[dict[str, Any]] = []
+
+    def instead(callback: object) -> Callable[..., None]:
+        return lambda **parameters: taken.append(parameters)
+
+    monkeypatch.setattr(configured, "_announcing", instead)
+
+    def run(*arguments: object) -> dict[str, Any]:
+        taken.clear()
+        code = cli.run([str(argument) for argument in arguments])
+        assert code == 0, capsys.readouterr().err
+        return taken[0]
+
+    return run
