@@ -25,7 +25,10 @@ METHODS = (
     "exwarp", "s1", "s2", "s3", "s4", "s5", "s6", "oracle", "oracle-return", "softsplat", "onnx",
     "blend", "hold",
 )  # fmt: skip
-COMPRESSIONS = ("none", "rle", "zips", "zip", "piz", "pxr24", "b44", "b44a", "dwaa", "dwab")
+COMPRESSIONS = (
+    "none", "rle", "zips", "zip", "piz", "pxr24", "b44", "b44a", "dwaa", "dwab",
+    "zips:4", "zip:4", "pxr24:4",
+)  # fmt: skip
 CONVENTIONS = (
     "blender", "unreal", "unreal-mrq", "arnold", "vray", "redshift", "renderman", "karma",
     "moonray", "nuke", "reelsmart", "twixtor", "forward", "backward", "forward+backward",

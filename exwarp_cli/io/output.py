@@ -8,7 +8,6 @@ that digests sources and settings shows whether the frame is the one that this r
 from __future__ import annotations
 
 import hashlib
-import io
 from collections.abc import Iterable, Mapping
 from fractions import Fraction
 from functools import reduce
@@ -22,6 +21,7 @@ from exwarp_cli.domain.frame import Bool, Image, Window, place
 from exwarp_cli.errors import OutputError, UsageError
 from exwarp_cli.io.atomic import atomic_write_bytes
 from exwarp_cli.io.exr import damaged
+from exwarp_cli.io.exr_encoding import Smaller, encoded
 from exwarp_cli.io.header_text import as_it_was, plain
 from exwarp_cli.io.template import PREFIX as PREFIX
 from exwarp_cli.io.template import PartTemplate, Plane, PlaneKey, Template
@@ -47,6 +47,9 @@ COMPRESSIONS: dict[str, Any] = {
     "dwab": OpenEXR.DWAB_COMPRESSION,
 }
 
+SMALLER = {f"{name}:4": Smaller(COMPRESSIONS[name]) for name in ("zips", "zip", "pxr24")}
+"""Compressions that can also be had as OpenEXR makes them; `io.exr_encoding` has what each takes."""
+
 
 def frame_rate(header: Mapping[str, Any]) -> Fraction | None:
     """Return framesPerSecond from a header, None when absent or not positive."""
@@ -57,7 +60,7 @@ def frame_rate(header: Mapping[str, Any]) -> Fraction | None:
 
 
 def compression_of(name: str | None) -> Any:
-    """Return OpenEXR's constant for a compression; None for None.
+    """Return OpenEXR's constant for a compression, maybe a `Smaller` one; None for None.
 
     Raises
     ------
@@ -66,9 +69,10 @@ def compression_of(name: str | None) -> Any:
     """
     if name is None:
         return None
-    if name not in COMPRESSIONS:
-        raise UsageError(f"--compression {name} is not one of {', '.join(COMPRESSIONS)}")
-    return COMPRESSIONS[name]
+    known = COMPRESSIONS | SMALLER
+    if name not in known:
+        raise UsageError(f"--compression {name} is not one of {', '.join(known)}")
+    return known[name]
 
 
 def write_frame(
@@ -154,26 +158,13 @@ def _structure(data: Window, display: Window) -> dict[str, Any]:
 
 
 def _write(path: Path, parts: list[Encoded]) -> None:
-    """Encode in memory, seal, and write.
-
-    One thread encodes: frames are written side by side, which shares the cores better.
-    """
+    """Encode in memory, seal, and write."""
     parts[0][0][CHECKSUM] = _ZEROS
-    buffer = io.BytesIO()
-    headers = [_in_utf8(header) for header, _ in parts]
     try:
-        if len(parts) == 1:
-            file = OpenEXR.File(headers[0], parts[0][1], num_threads=0)
-        else:
-            made = [
-                OpenEXR.Part(header, planes, header.get("name", ""))
-                for header, (_, planes) in zip(headers, parts, strict=True)
-            ]
-            file = OpenEXR.File(made, num_threads=0)
-        file.write(buffer)
+        data = encoded([(_in_utf8(header), planes) for header, planes in parts])
     except (RuntimeError, ValueError, TypeError) as error:
         raise OutputError(f"cannot encode {path}: {error}; try another --compression") from error
-    data = as_it_was(buffer.getbuffer(), (header for header, _ in parts))
+    data = as_it_was(data, (header for header, _ in parts))
     atomic_write_bytes(path, seal(data))
 
 

@@ -102,12 +102,12 @@ class TestOffers:
 
     def test_names_are_those_of_the_registries(self):
         from exwarp_cli.io.channels import Role
-        from exwarp_cli.io.output import COMPRESSIONS
+        from exwarp_cli.io.output import COMPRESSIONS, SMALLER
         from exwarp_cli.io.producers import PRESETS
         from exwarp_cli.synthesis.methods import METHODS
 
         assert tuple(METHODS) == suggestions.METHODS
-        assert tuple(COMPRESSIONS) == suggestions.COMPRESSIONS
+        assert (*COMPRESSIONS, *SMALLER) == suggestions.COMPRESSIONS
         assert tuple(PRESETS) == suggestions.CONVENTIONS
         assert tuple(role.value for role in Role) == suggestions.ROLES
 

@@ -1,0 +1,270 @@
+"""EXR files whose chunks are compressed here: what OpenEXR writes, but for the compressed bytes."""
+
+from __future__ import annotations
+
+import io
+import shutil
+import struct
+import subprocess
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import OpenEXR
+import OpenImageIO as oiio
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from exwarp_cli.io.exr_encoding import (
+    LINES,
+    Part,
+    Smaller,
+    encoded,
+    encoded_by_openexr,
+    is_encoded_here,
+)
+from exwarp_cli.io.header_text import attributes_in
+from tests.unit.exr_files import box
+
+HERE = list(LINES)
+LONG = "a.name.of.more.than.thirty-one.letters.Z"
+EVERY_KIND: dict[str, Any] = {
+    "owner": "Zoë",
+    "take": 3,
+    "exposure": 0.25,
+    "screenWindowCenter": np.array([0.5, -0.5], np.float32),
+    "gate": np.array([36, 24], np.int32),
+    "offset": np.array([1.5, 2.5]),
+    "up": np.array([0, 0, 1], np.float32),
+    "axes": np.eye(3, dtype=np.float32),
+    "camera": np.arange(16, dtype=np.float64).reshape(4, 4),
+    "area": (np.array([0, 1], np.float32), np.array([2, 3], np.float32)),
+    "chromaticities": (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329),
+    "framesPerSecond": Fraction(24000, 1001),
+    "wrapmodes": "clamp",
+    "keywords": ["one", "two"],
+    "weights": [0.5, 0.25],
+    "timeCode": OpenEXR.TimeCode(1, 2, 3, 4, *[0] * 14),
+    "keyCode": OpenEXR.KeyCode(1, 2, 3, 4, 5, 4, 64),
+    "envmap": OpenEXR.ENVMAP_LATLONG,
+    LONG: 1,
+}
+
+
+def header(compression: Any, data: tuple[int, int, int, int], **more: Any) -> dict[str, Any]:
+    return {
+        "compression": compression,
+        "type": OpenEXR.scanlineimage,
+        "dataWindow": box(*data),
+        "displayWindow": box(-3, 5, 40, 30),
+        **more,
+    }
+
+
+def channel(rng: np.random.Generator, kind: str, shape: tuple[int, int]) -> np.ndarray:
+    """Any bits that are no NaN, smooth ones, or few values."""
+    dtype = np.dtype(kind)
+    bits = rng.integers(0, 1 << 8 * dtype.itemsize, shape, f"u{dtype.itemsize}")
+    look = rng.integers(3)
+    if look == 1:
+        bits = np.full_like(bits, 7) + np.arange(shape[1], dtype=bits.dtype)
+    elif look == 2:
+        bits = bits % 3
+    out = bits.view(dtype)
+    return np.where(np.isnan(out), dtype.type(1), out)
+
+
+def decoded(data: bytes) -> list[dict[str, np.ndarray]]:
+    with OpenEXR.File(io.BytesIO(bytes(data)), separate_channels=True) as file:
+        return [{n: c.pixels for n, c in part.channels.items()} for part in file.parts]
+
+
+def attributes(data: bytes) -> list[tuple[int, bytes, bytes, bytes]]:
+    data = bytes(data)
+    return [(a.part, a.name, a.kind, data[a.begin : a.end]) for a in attributes_in(data)]
+
+
+def agree(parts: list[Part]) -> bytes:
+    """See that a file is encoded here, and is OpenEXR's in every attribute and bit."""
+    assert all(is_encoded_here(*part) for part in parts)
+    ours, theirs = bytes(encoded(parts)), bytes(encoded_by_openexr(parts))
+    assert ours[:8] == theirs[:8]
+    assert attributes(ours) == attributes(theirs)
+    for mine, expected in zip(decoded(ours), decoded(theirs), strict=True):
+        assert mine.keys() == expected.keys()
+        for name, plane in mine.items():
+            assert plane.dtype == expected[name].dtype
+            assert plane.tobytes() == expected[name].tobytes(), name
+    return ours
+
+
+def by_openimageio(path: Path, part: int = 0) -> dict[str, np.ndarray]:
+    """Every channel in its own type, as the other reader has it."""
+    source = oiio.ImageInput.open(str(path))
+    spec = source.spec(part, 0)
+    planes = {
+        name: source.read_image(part, 0, c, c + 1, spec.channelformat(c))[..., 0]
+        for c, name in enumerate(spec.channelnames)
+    }
+    assert not source.geterror()
+    source.close()
+    return planes
+
+
+SETTINGS = settings(
+    derandomize=True,
+    max_examples=60,
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
+SIZES = st.one_of(st.integers(1, 5), st.integers(1, 70))
+KINDS = st.sampled_from(["f2", "f4", "u4"])
+
+
+class TestAgainstOpenEXR:
+    @SETTINGS
+    @given(
+        st.sampled_from([c for c in HERE if c != OpenEXR.PXR24_COMPRESSION]),
+        SIZES,
+        SIZES,
+        st.tuples(st.integers(-50, 50), st.integers(-50, 50)),
+        st.dictionaries(st.sampled_from(["R", "b", "A.Z", "Z", "é", LONG]), KINDS, min_size=1),
+        st.integers(0, 2**32 - 1),
+    )
+    def test_any_window_and_channels(self, compression, height, width, origin, kinds, seed):
+        rng = np.random.default_rng(seed)
+        planes = {n: channel(rng, k, (height, width)) for n, k in kinds.items()}
+        agree([(header(compression, (*origin, width, height)), planes)])
+
+    @SETTINGS
+    @given(
+        st.integers(1, 50),
+        st.sampled_from([256, 257, 700]),
+        st.lists(KINDS, min_size=1, max_size=4),
+        st.integers(0, 2**32 - 1),
+    )
+    def test_pxr24(self, height, width, kinds, seed):
+        rng = np.random.default_rng(seed)
+        planes = {f"c{i}": channel(rng, k, (height, width)) for i, k in enumerate(kinds)}
+        part = header(OpenEXR.PXR24_COMPRESSION, (0, 0, width, height)), planes
+        if is_encoded_here(*part):
+            agree([part])
+        else:
+            assert "f4" in kinds
+
+    def test_pxr24_s_rounding(self):
+        """Infinity, NaN, what rounds up to the next exponent, and what would round to infinity."""
+        bits = np.random.default_rng(0).integers(0, 2**32, (64, 256), np.uint32)
+        bits[0, :8] = [0x7F800000, 0xFF800000, 0x7F800001, 0xFFFFFFFF, 0x7F7FFFFF, 0x3FFFFFFF, 0x80, 1]
+        bits[1, :3] = [0x7F8000FF, 0x7FC12345, 0xFF7FFF80]
+        data = agree([(header(OpenEXR.PXR24_COMPRESSION, (0, 0, 256, 64)), {"Z": bits.view("f4")})])
+        assert np.isinf(decoded(data)[0]["Z"][0, :2]).all()
+
+    @pytest.mark.parametrize("compression", HERE)
+    def test_every_attribute(self, compression):
+        planes = {"Y": np.ones((3, 4), np.float16)}
+        data = agree([(header(compression, (2, -1, 4, 3), **EVERY_KIND), planes)])
+        assert EVERY_KIND.keys() <= {name.decode() for _, name, _, _ in attributes(data)}
+
+    @pytest.mark.parametrize("compression", HERE)
+    def test_parts(self, compression, tmp_path):
+        rng = np.random.default_rng(0)
+        parts = [
+            (header(compression, (0, 0, 33, 40), name="one"), {"R": channel(rng, "f2", (40, 33))}),
+            (
+                header(OpenEXR.ZIPS_COMPRESSION, (-9, 3, 5, 18), name="two", view="left"),
+                {"Z": channel(rng, "f4", (18, 5)), "id": channel(rng, "u4", (18, 5))},
+            ),
+        ]
+        (tmp_path / "a.exr").write_bytes(agree(parts))
+        for i, (_, planes) in enumerate(parts):
+            found = by_openimageio(tmp_path / "a.exr", i)
+            assert {n: p.tobytes() for n, p in found.items()} == {
+                n: p.tobytes() for n, p in planes.items()
+            }
+
+
+class TestReaders:
+    @pytest.fixture(params=HERE, ids=lambda c: c.name)
+    def file(self, request, tmp_path) -> tuple[Path, dict[str, np.ndarray]]:
+        rng = np.random.default_rng(0)
+        smooth = np.linspace(0, 1, 90 * 300).reshape(90, 300)
+        planes = {
+            "R": smooth.astype(np.float16),
+            "G": rng.random((90, 300)).astype(np.float16),
+            "B": np.zeros((90, 300), np.float16),
+            "id": np.arange(90 * 300, dtype=np.uint32).reshape(90, 300) // 100,
+        }
+        path = tmp_path / "frame.exr"
+        path.write_bytes(encoded([(header(request.param, (-7, -9, 300, 90)), planes)]))
+        return path, planes
+
+    def test_openimageio(self, file):
+        path, planes = file
+        found = by_openimageio(path)
+        for name, plane in planes.items():
+            np.testing.assert_array_equal(found[name], plane)
+
+    @pytest.mark.skipif(shutil.which("exrinfo") is None, reason="wants OpenEXR's exrinfo")
+    def test_openexr_s_own_tools(self, file):
+        """A third reader, of a distribution's version: its strict mode checks header and chunks."""
+        done = subprocess.run(
+            ["exrinfo", "-s", str(file[0])], capture_output=True, text=True, timeout=60
+        )
+        assert done.returncode == 0, done.stderr
+        assert "error" not in (done.stdout + done.stderr).lower()
+
+    def test_chunks_lie_where_the_table_says(self, file):
+        path, planes = file
+        data = path.read_bytes()
+        at = list(attributes_in(data))[-1].end + 1
+        step = {"NONE": 1, "ZIPS": 1}.get(oiio_compression(path), 16)
+        starts = np.frombuffer(data, "<u8", -(-90 // step), at).tolist()
+        at += 8 * len(starts)
+        for i, start in enumerate(starts):
+            line, size = struct.unpack_from("<ii", data, start)
+            assert (start, line) == (at, -9 + i * step)
+            at += 8 + size
+        assert at == len(data)
+
+
+def oiio_compression(path: Path) -> str:
+    source = oiio.ImageInput.open(str(path))
+    return str(source.spec().getattribute("compression")).upper()
+
+
+class TestWhatIsLeftToOpenEXR:
+    @pytest.mark.parametrize(
+        ("changed", "planes"),
+        [
+            ({"compression": OpenEXR.PIZ_COMPRESSION}, {"Y": np.ones((3, 4), np.float16)}),
+            ({"compression": Smaller(OpenEXR.ZIP_COMPRESSION)}, {"Y": np.ones((3, 4), np.float16)}),
+            ({"lineOrder": OpenEXR.DECREASING_Y}, {"Y": np.ones((3, 4), np.float16)}),
+            ({"compression": OpenEXR.PXR24_COMPRESSION}, {"Y": np.full((3, 4), 0.1, np.float32)}),
+        ],
+        ids=["piz", "smaller", "lines from below", "few floats in PXR24"],
+    )
+    def test_it_is_written_by_it(self, changed, planes):
+        part = {**header(OpenEXR.ZIP_COMPRESSION, (0, 0, 4, 3)), **changed}, planes
+        assert not is_encoded_here(*part)
+        assert bytes(encoded([part])) == bytes(encoded_by_openexr([part]))
+
+    def test_smaller_is_smaller(self):
+        planes = {"Z": np.sqrt(np.arange(60000, dtype=np.float32) // 7).reshape(200, 300)}
+        window = (0, 0, 300, 200)
+        fast = encoded([(header(OpenEXR.ZIP_COMPRESSION, window), planes)])
+        small = encoded([(header(Smaller(OpenEXR.ZIP_COMPRESSION), window), planes)])
+        assert len(small) < len(fast) < planes["Z"].nbytes
+        assert attributes(small) == attributes(fast)
+
+    def test_noise_is_stored_as_it_is(self):
+        noise = np.random.default_rng(0).integers(0, 2**32, (40, 64), np.uint32)
+        data = encoded([(header(OpenEXR.ZIP_COMPRESSION, (0, 0, 64, 40)), {"id": noise})])
+        assert noise[:16].tobytes() in bytes(data)
+
+    def test_what_openexr_refuses_is_refused(self):
+        bad = header(OpenEXR.ZIP_COMPRESSION, (0, 0, 4, 3), pixelAspectRatio=-1.0)
+        with pytest.raises((RuntimeError, ValueError)):
+            encoded([(bad, {"Y": np.ones((3, 4), np.float16)})])
