@@ -48,7 +48,7 @@ COMPRESSIONS: dict[str, Any] = {
 }
 
 SMALLER = {f"{name}:4": Smaller(COMPRESSIONS[name]) for name in ("zips", "zip", "pxr24")}
-"""Compressions that can also be had as OpenEXR makes them; `io.exr_encoding` has what each takes."""
+"""Those that can also be had as OpenEXR makes them; see `io.exr_encoding` for what that takes."""
 
 
 def frame_rate(header: Mapping[str, Any]) -> Fraction | None:

@@ -19,6 +19,7 @@ from exwarp_cli.io.header_text import in_utf8
 from exwarp_cli.io.layers import Kind, Layer
 from exwarp_cli.io.render_time import render_seconds
 from exwarp_cli.io.views import channels_of, views_of
+from exwarp_cli.kernels.half import to_half
 
 HALF_MAX = 65504.0
 
@@ -128,6 +129,10 @@ class PlaneTemplate:
         """Return values [H, W] in the channel's type."""
         if self.dtype != np.float16:
             return np.ascontiguousarray(values, dtype=self.dtype)
+        if values.dtype == np.float32 and values.ndim == 2:
+            bits = np.empty(values.shape, np.uint16)
+            to_half(values.view(np.uint32), self.bounded, bits)
+            return bits.view(np.float16)
         if self.bounded:
             values = np.clip(values, -HALF_MAX, HALF_MAX)
         with np.errstate(over="ignore"):

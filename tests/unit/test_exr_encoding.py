@@ -157,7 +157,16 @@ class TestAgainstOpenEXR:
     def test_pxr24_s_rounding(self):
         """Infinity, NaN, what rounds up to the next exponent, and what would round to infinity."""
         bits = np.random.default_rng(0).integers(0, 2**32, (64, 256), np.uint32)
-        bits[0, :8] = [0x7F800000, 0xFF800000, 0x7F800001, 0xFFFFFFFF, 0x7F7FFFFF, 0x3FFFFFFF, 0x80, 1]
+        bits[0, :8] = [
+            0x7F800000,
+            0xFF800000,
+            0x7F800001,
+            0xFFFFFFFF,
+            0x7F7FFFFF,
+            0x3FFFFFFF,
+            0x80,
+            1,
+        ]
         bits[1, :3] = [0x7F8000FF, 0x7FC12345, 0xFF7FFF80]
         data = agree([(header(OpenEXR.PXR24_COMPRESSION, (0, 0, 256, 64)), {"Z": bits.view("f4")})])
         assert np.isinf(decoded(data)[0]["Z"][0, :2]).all()
@@ -217,7 +226,7 @@ class TestReaders:
         assert "error" not in (done.stdout + done.stderr).lower()
 
     def test_chunks_lie_where_the_table_says(self, file):
-        path, planes = file
+        path, _ = file
         data = path.read_bytes()
         at = list(attributes_in(data))[-1].end + 1
         step = {"NONE": 1, "ZIPS": 1}.get(oiio_compression(path), 16)
