@@ -112,7 +112,7 @@ def is_encoded_here(header: Header, planes: Planes) -> bool:
         return True
     ((height, width),) = shapes
     lines = (height - 1) % LINES[compression] + 1
-    return 4 * floats * width * lines >= _LEAST
+    return bool(4 * floats * width * lines >= _LEAST)
 
 
 def encoded_by_openexr(parts: Sequence[Part]) -> memoryview:
@@ -137,8 +137,8 @@ def _with_constant(header: Header) -> dict[str, Any]:
 
 def _head(parts: Sequence[Part], counts: Sequence[int]) -> bytearray:
     """Return everything before the tables of chunks, of which each part has so many."""
-    out = bytearray(encoded_by_openexr([_one_pixel(header, planes) for header, planes in parts]))
-    found = list(attributes_in(out))
+    plain = encoded_by_openexr([_one_pixel(header, planes) for header, planes in parts])
+    out, found = bytearray(plain), list(attributes_in(plain))
     for one in found:
         _put_back(out, one, parts[one.part][0], counts[one.part])
     return out[: found[-1].end + min(len(parts), 2)]
