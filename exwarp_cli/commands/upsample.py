@@ -144,7 +144,11 @@ class FrameRate(click.ParamType[Fraction]):
 @click.option("--video", metavar="FILE", help="Also write an MP4 or MOV.")
 @click.option("--exposure", type=float, default=0.0, show_default=True, help="Of the video, stops.")
 @click.option("--write-holes", metavar="DIR|PATTERN", help="Also write the hole masks.")
-@click.option("--compression", metavar="NAME", help="Of generated frames: zip, piz, dwaa, none …")
+@click.option(
+    "--compression",
+    metavar="NAME",
+    help="Of generated frames: zip, piz, dwaa, none …; zip:4 is slower and mostly smaller.",
+)
 @click.option("--skip-existing", is_flag=True, help="Keep good frames of an earlier run.")
 @click.option("--overwrite", is_flag=True, help="Replace frames that exist.")
 @click.option("--threads", type=click.IntRange(1), help="Default: all cores.")

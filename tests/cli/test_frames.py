@@ -58,6 +58,18 @@ class TestGeneratedFrames:
             assert header["exwarp:setting"] == "key"
             assert 0 <= header["exwarp:holeFraction"] < 0.3
 
+    def test_openexr_s_own_encoder_on_demand(self, artist_shot, upsample, tmp_path):
+        """Other bytes, the same pixels; the header names no level, as OpenEXR knows none there."""
+        found = []
+        for name in ("zip", "zip:4"):
+            upsample(artist_shot, tmp_path / name, "-m", "s6", "--compression", name)
+            header, planes = shots.read(tmp_path / name / "shot.0002.exr")
+            assert header["compression"] == OpenEXR.ZIP_COMPRESSION
+            found.append({channel: plane.tobytes() for channel, plane in planes.items()})
+        assert found[0] == found[1]
+        files = [(tmp_path / name / "shot.0002.exr").read_bytes() for name in ("zip", "zip:4")]
+        assert files[0] != files[1]
+
     @pytest.mark.parametrize("name", ["none", "piz", "zips", "dwaa"])
     def test_compression_on_demand(self, artist_shot, upsample, tmp_path, name):
         upsample(artist_shot, tmp_path, "-m", "hold", "--compression", name, "--frames", "1")

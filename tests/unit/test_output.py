@@ -17,6 +17,7 @@ from exwarp_cli.errors import DamagedFileError, OutputError, UsageError
 from exwarp_cli.io import output
 from exwarp_cli.io.channels import ChannelRef
 from exwarp_cli.io.exr import ExrReader
+from exwarp_cli.io.exr_encoding import Smaller
 from exwarp_cli.io.frames import read_image
 from exwarp_cli.io.template import (
     Plane,
@@ -273,6 +274,7 @@ class TestSmallThings:
     def test_compressions_by_name(self):
         assert output.compression_of(None) is None
         assert output.compression_of("zip") == OpenEXR.ZIP_COMPRESSION
+        assert output.compression_of("zip:4") == Smaller(OpenEXR.ZIP_COMPRESSION)
         with pytest.raises(UsageError, match=r"--compression lzma is not one of none, rle"):
             output.compression_of("lzma")
 
