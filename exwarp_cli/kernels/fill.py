@@ -8,11 +8,12 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.kernels.jit import parallel, serial
+from exwarp_cli.kernels.jit import inlined, parallel, serial
 
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
 I16 = npt.NDArray[np.int16]
+I32 = npt.NDArray[np.int32]
 I64 = npt.NDArray[np.int64]
 B8 = npt.NDArray[np.bool_]
 
@@ -22,92 +23,252 @@ ways scored the same, and a walk along each of them took 20 times as long as the
 
 LEAST_WEIGHT = 1e-6
 
+INFINITE = np.int32(0x7F800000)
+"""The bits of infinity; those of NaN are greater."""
+
 
 @serial
-def look_along(way: int, hole: B8, reach: int, steps: I16) -> None:
-    """Write one way of :func:`look_text`; it goes against the way, so pixels ask a neighbour."""
-    height, width = hole.shape
-    dy, dx = WAYS[way]
-    for row in range(height):
-        i = row if dy <= 0 else height - 1 - row
-        for column in range(width):
-            j = column if dx <= 0 else width - 1 - column
-            if not hole[i, j]:
-                continue
-            steps[i, j] = 0
-            y, x = i + dy, j + dx
-            if y < 0 or x < 0 or y >= height or x >= width:
-                continue
-            if not hole[y, x]:
-                steps[i, j] = 1
-            elif 0 < steps[y, x] < reach:
-                steps[i, j] = np.int16(steps[y, x] + np.int16(1))
+def count_row(hole: B8, bits: I32) -> tuple[np.int32, np.int32]:
+    """Return how many holes a row has, and the greatest of its other pixels' finite depths."""
+    count, most = np.int32(0), np.int32(0)
+    for j in range(hole.size):
+        count += np.int32(hole[j])
+        most = max(most, bits[j] if (not hole[j]) & (bits[j] < INFINITE) else np.int32(0))
+    return count, most
 
 
-def look_text(hole: B8, reach: int, steps: I16) -> None:
-    """Find the first visible pixel that a hole sees in each of eight ways.
+def count_holes_text(hole: B8, bits: I32, counts: I32, furthest: I32) -> None:
+    """Count each row's holes, and find how far the surfaces reach that it shows.
 
     Parameters
     ----------
     hole
         bool [H, W].
-    reach
-        How many steps to look, below 32,767.
-    steps
-        int16 [8, H, W], written in holes: how many steps away it is; 0 where there is none.
+    bits
+        int32 [H, W], the bits of the depth, float32, not negative; +inf background, NaN unknown.
+        They are in the order of the depths, and the greatest of them is found without branches.
+    counts
+        int32 [H], written.
+    furthest
+        int32 [H], written: the bits of the greatest finite depth outside the holes, or of 0.
     """
-    for way in numba.prange(len(WAYS)):
-        look_along(np.int64(way), hole, reach, steps[way])
+    height, _ = hole.shape
+    for row in numba.prange(height):
+        i = np.int64(row)
+        counts[i], furthest[i] = count_row(hole[i], bits[i])
+
+
+def list_holes_text(hole: B8, first: I32, column: I32) -> None:
+    """List the holes' columns.
+
+    Parameters
+    ----------
+    hole
+        bool [H, W].
+    first
+        int32 [H + 1]: how many holes there are in all rows above each.
+    column
+        int32 [N], written, row by row, ascending.
+    """
+    height, width = hole.shape
+    for row in numba.prange(height):
+        i = np.int64(row)
+        place, end = first[i], first[i + 1]
+        for j in range(width):
+            if place == end:
+                break
+            if hole[i, j]:
+                column[place] = j
+                place += 1
 
 
 @serial
-def find_seen(
-    i: int, j: int, depth: F32, cap: np.float32, steps: I16, weights: F64, places: I64
-) -> int:
-    """Write weight and place (row, column) of what a hole pixel sees; return how many."""
-    wanted = np.float64(depth[i, j])
-    known = not math.isnan(wanted)
-    count = 0
-    furthest = np.float64(0.0)
+def look_along(
+    way: int, size: tuple[int, int], first: I32, column: I32, reach: int, steps: I16
+) -> None:
+    """Write one way of :func:`look_text`; it goes against the way, so pixels ask a neighbour.
+
+    Two rows are kept of what a pixel answers: 1 if it is visible, else a step more than it has
+    itself; 0 where nothing is in reach, and beyond the frame.
+    """
+    height, width = size
+    dy, dx = WAYS[way]
+    answers = np.ones((2, width + 2), np.int16)
+    answers[:, 0] = answers[:, width + 1] = 0
+    beyond = np.zeros(width + 2, np.int16)
+    for row in range(height):
+        i = row if dy <= 0 else height - 1 - row
+        own, asked = answers[row % 2], answers[1 - row % 2]
+        if row >= 2:
+            last = i + 2 * dy if dy != 0 else i - 2
+            for k in range(first[last], first[last + 1]):
+                own[column[k] + 1] = 1
+        if dy == 0:
+            asked = own
+        elif row == 0:
+            asked = beyond
+        count = first[i + 1] - first[i]
+        for n in range(count):
+            k = first[i] + n if dx <= 0 else first[i + 1] - 1 - n
+            place = column[k] + 1
+            step = asked[place + dx]
+            steps[k] = step
+            own[place] = np.int16(step + 1) if 0 < step < reach else np.int16(0)
+
+
+def look_text(size: tuple[int, int], first: I32, column: I32, reach: int, steps: I16) -> None:
+    """Find the first visible pixel that a hole sees in each of eight ways.
+
+    Parameters
+    ----------
+    size
+        H, W.
+    first, column
+        The holes, from :func:`list_holes_text`.
+    reach
+        How many steps to look, 1 to 32,766.
+    steps
+        int16 [8, N], written: how many steps away it is; 0 where there is none.
+    """
+    for way in numba.prange(len(WAYS)):
+        look_along(np.int64(way), size, first, column, reach, steps[way])
+
+
+@serial
+def write_depths(
+    at: int, stride: int, depth: F32, columns: I32, cap: np.float32, steps: I16, far: F32, most: F64
+) -> None:
+    """Write how far what a row's holes see in one way is, and raise the greatest so far, `most`.
+
+    `depth` is float32 [H W]; the row begins at `at`, and a step is `stride` pixels on.
+    """
+    for n in range(columns.size):
+        away = np.int64(steps[n])
+        seen = min(depth[at + columns[n] + away * stride], cap)
+        far[n] = seen if away > 0 else np.float32(-1)
+        most[n] = max(most[n], np.float64(far[n]))
+
+
+@serial
+def write_wanted(at: int, depth: F32, columns: I32, cap: np.float32, most: F64, known: B8) -> None:
+    """Replace the greatest depth that holes see by that of their own surface, where it is known."""
+    for n in range(columns.size):
+        own = np.float64(depth[at + columns[n]])
+        known[n] = not math.isnan(own)
+        most[n] = min(own, np.float64(cap)) if known[n] else most[n]
+
+
+@serial
+def write_weights(squared: int, far: F32, wanted: F64, known: B8, steps: I16, weights: F64) -> None:
+    """Write the weights of what a row's holes see in one way; 0 where they see nothing.
+
+    `squared` is the squared length of a step.
+    """
+    for n in range(weights.size):
+        away = np.float64(steps[n])
+        most = max(np.float64(far[n]), wanted[n])
+        ratio = min(np.float64(far[n]), wanted[n]) / most if most > 0 else 1.0
+        alike = ratio * ratio
+        alike = alike * alike if known[n] else alike
+        weight = (alike + LEAST_WEIGHT) / (away * away * np.float64(squared))
+        weights[n] = weight if away > 0 else 0.0
+
+
+@inlined
+def add_seen(
+    row: tuple[int, int, int],
+    count: int,
+    columns: I32,
+    steps: I16,
+    weights: F64,
+    pixels: F32,
+    sums: F64,
+) -> None:
+    """Add what a row's holes see in one way to the weighted sums of channels and to the weights'.
+
+    Parameters
+    ----------
+    row
+        Where the row begins in the frame, how many pixels a step is, and C.
+    count
+        C once more, a constant where the caller has one.
+    columns, steps, weights
+        Of the holes, [N].
+    pixels
+        float32 [H W C].
+    sums
+        float64 [N (C + 1)], changed.
+    """
+    at, stride, channels = row
+    for n in range(weights.size):
+        weight = weights[n]
+        if weight == 0:
+            continue
+        p = np.uint64((at + columns[n] + np.int64(steps[n]) * stride) * channels)
+        q = np.uint64(n * (channels + 1))
+        for c in range(count):
+            sums[q + np.uint64(c)] += weight * np.float64(pixels[p + np.uint64(c)])
+        sums[q + np.uint64(count)] += weight
+
+
+@serial
+def fill_row(
+    at: int,
+    size: tuple[int, int],
+    depth: F32,
+    holes: tuple[int, int],
+    column: I32,
+    cap: np.float32,
+    steps: I16,
+    pixels: F32,
+) -> None:
+    """Fill the holes of a row; `size` is W and C, `at` where it begins in `depth` [H W]."""
+    width, channels = size
+    begin, end = holes
+    columns, count = column[begin:end], end - begin
+    far, weights = np.empty((len(WAYS), count), np.float32), np.empty(count, np.float64)
+    wanted, known = np.zeros(count, np.float64), np.empty(count, np.bool_)
+    sums = np.zeros(count * (channels + 1), np.float64)
+    for way in range(len(WAYS)):
+        stride = WAYS[way][0] * width + WAYS[way][1]
+        write_depths(at, stride, depth, columns, cap, steps[way][begin:end], far[way], wanted)
+    write_wanted(at, depth, columns, cap, wanted, known)
     for way in range(len(WAYS)):
         dy, dx = WAYS[way]
-        away = np.int64(steps[way, i, j])
-        if away > 0:
-            y, x = i + dy * away, j + dx * away
-            far = np.float64(min(depth[y, x], cap))
-            furthest = max(furthest, far)
-            places[count, 0], places[count, 1] = y, x
-            places[count, 2] = away * away * (dy * dy + dx * dx)
-            weights[count] = far
-            count += 1
-    wanted = min(wanted, np.float64(cap)) if known else furthest
-    for k in range(count):
-        most = max(weights[k], wanted)
-        alike = (min(weights[k], wanted) / most) ** 2 if most > 0 else 1.0
-        # Squares: a power known only at run time took half of the whole fill.
-        alike = alike * alike if known else alike
-        weights[k] = (alike + LEAST_WEIGHT) / np.float64(places[k, 2])
-    return count
+        away = steps[way][begin:end]
+        write_weights(dy * dy + dx * dx, far[way], wanted, known, away, weights)
+        seen_from = (at, dy * width + dx, channels)
+        # Written out, as the compiler unrolls the loop over channels for constants only.
+        if channels == 3:
+            add_seen(seen_from, 3, columns, away, weights, pixels, sums)
+        elif channels == 4:
+            add_seen(seen_from, 4, columns, away, weights, pixels, sums)
+        else:
+            add_seen(seen_from, channels, columns, away, weights, pixels, sums)
+    for n in range(count):
+        total = sums[n * (channels + 1) + channels]
+        p = (at + columns[n]) * channels
+        for c in range(channels):
+            value = sums[n * (channels + 1) + c]
+            pixels[p + c] = np.float32(value / total) if total > 0 else np.float32(0)
 
 
-def fill_text(image: F32, depth: F32, hole: B8, cap: np.float32, steps: I16, out: F32) -> None:
+def fill_text(image: F32, depth: F32, first: I32, column: I32, cap: np.float32, steps: I16) -> None:
     """Fill holes from the visible pixels around them.
 
     Parameters
     ----------
     image
-        float32 [H, W, C].
+        float32 [H, W, C], changed in holes; what stands there does not matter.
     depth
         float32 [H, W], of the visible surface, +inf background. In holes: of the surface that
         ought to be there, NaN where that is not known.
-    hole
-        bool [H, W].
+    first, column
+        The holes, from :func:`list_holes_text`.
     cap
         Depth at which everything further counts as equally far, scene units.
     steps
-        int16 [8, H, W], from :func:`look_text`.
-    out
-        float32 [H, W, C], written: `image`, with holes replaced.
+        int16 [8, N], from :func:`look_text`.
 
     Notes
     -----
@@ -116,29 +277,22 @@ def fill_text(image: F32, depth: F32, hole: B8, cap: np.float32, steps: I16, out
     fourth power of that to the surface which belongs there, or, where it is not known, squared, of
     that to the furthest candidate, since a disocclusion shows what lies behind. (Squares for both
     lost 0.1 dB with known depth, fourth powers for both 0.04 dB without.) Nothing found gives 0.
+
+    Rows of flags were looked through eight times and every pixel was copied: 6 times as long.
     """
     height, width, channels = image.shape
+    flat, pixels = depth.reshape(-1), image.reshape(-1)
     for row in numba.prange(height):
         i = np.int64(row)
-        weights = np.empty(len(WAYS), np.float64)
-        places = np.empty((len(WAYS), 3), np.int64)
-        for j in range(width):
-            count = -1
-            if hole[i, j]:
-                count = find_seen(i, j, depth, cap, steps, weights, places)
-            total = np.float64(0.0)
-            for k in range(count):
-                total += weights[k]
-            for c in range(channels):
-                if count < 0:
-                    out[i, j, c] = image[i, j, c]
-                    continue
-                value = np.float64(0.0)
-                for k in range(count):
-                    value += weights[k] * np.float64(image[places[k, 0], places[k, 1], c])
-                out[i, j, c] = np.float32(value / total) if total > 0 else np.float32(0)
+        if first[i] < first[i + 1]:
+            holes = (np.int64(first[i]), np.int64(first[i + 1]))
+            fill_row(i * width, (width, channels), flat, holes, column, cap, steps, pixels)
 
 
+count_holes = parallel(count_holes_text)
+count_holes_serial = serial(count_holes_text)
+list_holes = parallel(list_holes_text)
+list_holes_serial = serial(list_holes_text)
 look = parallel(look_text)
 look_serial = serial(look_text)
 fill = parallel(fill_text)

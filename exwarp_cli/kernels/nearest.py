@@ -125,17 +125,20 @@ def choose_text(
 
 
 @serial
-def neighbour(i: int, j: int, depth: F32, cap: np.float32, steps: I16) -> tuple[np.int64, np.int64]:
+def neighbour(
+    i: int, j: int, depth: F32, cap: np.float32, steps: I16, hole: int
+) -> tuple[np.int64, np.int64]:
     """Return the visible pixel (row, column) that a hole pixel belongs to; (-1, -1) without one.
 
-    Of those seen in eight ways the nearest that is about as like as the likest in depth: to the
-    surface that belongs there, or, where that is not known, to the furthest.
+    `hole` is its place in the list. Of those seen in eight ways the nearest that is about as like
+    as the likest in depth: to the surface that belongs there, or, where that is not known, to the
+    furthest.
     """
     known = not math.isnan(depth[i, j])
     wanted = np.float64(min(depth[i, j], cap)) if known else np.float64(0)
     if not known:
         for way in range(len(WAYS)):
-            away = np.int64(steps[way, i, j])
+            away = np.int64(steps[way, hole])
             if away > 0:
                 seen = depth[i + WAYS[way][0] * away, j + WAYS[way][1] * away]
                 wanted = max(wanted, np.float64(min(seen, cap)))
@@ -143,7 +146,7 @@ def neighbour(i: int, j: int, depth: F32, cap: np.float32, steps: I16) -> tuple[
     for step in range(2):  # first the best likeness, then who comes near it
         for way in range(len(WAYS)):
             dy, dx = WAYS[way]
-            away = np.int64(steps[way, i, j])
+            away = np.int64(steps[way, hole])
             if away == 0:
                 continue
             far = np.float64(min(depth[i + dy * away, j + dx * away], cap))
@@ -158,7 +161,9 @@ def neighbour(i: int, j: int, depth: F32, cap: np.float32, steps: I16) -> tuple[
     return y, x
 
 
-def adopt_text(pixel: I32, later: B8, depth: F32, hole: B8, cap: np.float32, steps: I16) -> None:
+def adopt_text(
+    pixel: I32, later: B8, depth: F32, first: I32, column: I32, cap: np.float32, steps: I16
+) -> None:
     """Give holes the source of the visible pixel around them that they belong to.
 
     Parameters
@@ -166,20 +171,21 @@ def adopt_text(pixel: I32, later: B8, depth: F32, hole: B8, cap: np.float32, ste
     pixel, later
         From :func:`choose_text`, changed in holes; a pixel that sees nothing around it gets the
         pixel of the key frame before at its own place.
-    depth, hole
+    depth
         From there, too.
+    first, column
+        The holes, from :func:`exwarp_cli.kernels.fill.list_holes`.
     cap
         Depth at which everything further counts as equally far, scene units.
     steps
-        int16 [8, H, W], from :func:`exwarp_cli.kernels.fill.look`.
+        int16 [8, N], from :func:`exwarp_cli.kernels.fill.look`.
     """
-    height, width = hole.shape
+    height, width = depth.shape
     for row in numba.prange(height):
         i = np.int64(row)
-        for j in range(width):
-            if not hole[i, j]:
-                continue
-            y, x = neighbour(i, j, depth, cap, steps)
+        for hole in range(first[i], first[i + 1]):
+            j = np.int64(column[hole])
+            y, x = neighbour(i, j, depth, cap, steps, hole)
             if y < 0:
                 pixel[i, j] = np.int32(i * width + j)
                 later[i, j] = False

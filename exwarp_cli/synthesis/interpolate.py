@@ -33,7 +33,7 @@ def blend_by_depth(before: Warped, after: Warped, time: float) -> Float32:
     hole = np.empty_like(before.hole)
     sides = [(side.pixels, side.depth, side.hole, side.fringe) for side in (before, after)]
     blend.blend(*sides, np.float32(time), out, depth, hole)
-    return fill_background(Warped(out, depth, hole, before.fringe & after.fringe))
+    return fill_background(Warped(out, depth, hole, before.fringe), kept=False)
 
 
 def cross_fade(before: Float32, after: Float32, time: float) -> Float32:

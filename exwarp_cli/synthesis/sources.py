@@ -97,8 +97,9 @@ def _chosen(before: nearest.Side, after: nearest.Side, time: np.float32) -> Sour
     pixel, depth = np.empty(shape, np.int32), np.empty(shape, np.float32)
     later, hole = np.empty(shape, np.bool_), np.empty(shape, np.bool_)
     nearest.choose(before, after, time, pixel, later, depth, hole)
-    if hole.any():
-        nearest.adopt(pixel, later, depth, hole, *look_around(depth, hole))
+    around = look_around(depth, hole)
+    if around is not None:
+        nearest.adopt(pixel, later, depth, *around)
     return Sources(pixel, later, hole)
 
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.domain.frame import Bool, Float32, broken_pixels
+from exwarp_cli.domain.frame import Bool, Float32, Int32, broken_pixels
 from exwarp_cli.kernels import fill, gather
 from exwarp_cli.synthesis.geometry import SlotField
 
@@ -83,25 +84,55 @@ def repair(pixels: Float32) -> Float32:
         return pixels
     clean = np.where(broken[..., None], np.float32(0), pixels)
     flat = np.ones(broken.shape, np.float32)
-    return fill_background(Warped(clean, flat, broken, np.zeros_like(broken)))
+    return fill_background(Warped(clean, flat, broken, np.zeros_like(broken)), kept=False)
 
 
-def fill_background(warped: Warped) -> Float32:
+def fill_background(warped: Warped, kept: bool = True) -> Float32:
     """Return the warped frame with its holes filled from what is visible around them.
 
     Where the surface in a hole is known (slot G-buffers, or a source outside the frame) it is
     filled from the same surface, else from the background.
+
+    Parameters
+    ----------
+    warped
+        A frame with holes.
+    kept
+        Whether it is to stay as it is. Else its own pixels are changed and returned, which spares
+        a copy of the frame.
     """
-    if not warped.hole.any():
+    depth = np.ascontiguousarray(warped.depth)
+    around = look_around(depth, warped.hole)
+    if around is None:
         return warped.pixels
-    cap, steps = look_around(warped.depth, warped.hole)
-    out = np.empty_like(warped.pixels)
-    fill.fill(warped.pixels, warped.depth, warped.hole, cap, steps, out)
+    out = warped.pixels.copy() if kept else warped.pixels
+    fill.fill(out, depth, around.first, around.column, around.cap, around.steps)
     return out
 
 
-def look_around(depth: Float32, hole: Bool) -> tuple[np.float32, npt.NDArray[np.int16]]:
-    """Look for what is visible around holes.
+class Around(NamedTuple):
+    """The holes of a frame, and what is visible around them.
+
+    Attributes
+    ----------
+    first
+        int32 [H + 1]: how many holes there are in all rows above each.
+    column
+        int32 [N]: their columns, row by row.
+    cap
+        Depth at which everything further counts as equally far, scene units.
+    steps
+        int16 [8, N], from :func:`exwarp_cli.kernels.fill.look`.
+    """
+
+    first: Int32
+    column: Int32
+    cap: np.float32
+    steps: npt.NDArray[np.int16]
+
+
+def look_around(depth: Float32, hole: Bool) -> Around | None:
+    """Look for what is visible around holes; None without any.
 
     Parameters
     ----------
@@ -109,17 +140,18 @@ def look_around(depth: Float32, hole: Bool) -> tuple[np.float32, npt.NDArray[np.
         float32 [H, W] of the surface shown, +inf background; NaN where nothing is known.
     hole
         bool [H, W].
-
-    Returns
-    -------
-    cap
-        Depth at which everything further counts as equally far, scene units.
-    steps
-        int16 [8, H, W], from :func:`exwarp_cli.kernels.fill.look`.
     """
-    finite = depth[np.isfinite(depth) & ~hole]
-    cap = BEYOND * float(finite.max()) if finite.size else 1.0
+    counts, bits = np.empty(len(hole), np.int32), np.empty(len(hole), np.int32)
+    fill.count_holes(hole, np.ascontiguousarray(depth).view(np.int32), counts, bits)
+    first = np.zeros(len(hole) + 1, np.int32)
+    np.cumsum(counts, out=first[1:])
+    if first[-1] == 0:
+        return None
+    column = np.empty(first[-1], np.int32)
+    fill.list_holes(hole, first, column)
+    furthest = float(bits.max(keepdims=True).view(np.float32)[0])
+    cap = BEYOND * furthest if furthest > 0 else 1.0
     reach = min(int(FILL_REACH * max(hole.shape)) + 1, 32000)
-    steps = np.empty((len(fill.WAYS), *hole.shape), np.int16)
-    fill.look(hole, reach, steps)
-    return np.float32(cap), steps
+    steps = np.empty((len(fill.WAYS), len(column)), np.int16)
+    fill.look(hole.shape, first, column, reach, steps)
+    return Around(first, column, np.float32(cap), steps)

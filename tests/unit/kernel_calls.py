@@ -90,9 +90,26 @@ def marked(
     return (hole,)
 
 
+def listed(hole: np.ndarray, serial: bool = False) -> Arrays:
+    """Where each row's holes begin in the list, and their columns."""
+    counts, _ = holes_counted(hole, np.ones(hole.shape, np.float32), serial)
+    first = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
+    column = np.full(first[-1], -1, np.int32)
+    build(fill, "list_holes", serial)(hole, first, column)
+    return first, column
+
+
+def holes_counted(hole: np.ndarray, depth: np.ndarray, serial: bool = False) -> Arrays:
+    counts, furthest = np.full(len(hole), -1, np.int32), np.full(len(hole), -1, np.int32)
+    build(fill, "count_holes", serial)(hole, depth.view(np.int32), counts, furthest)
+    return counts, furthest.view(np.float32)
+
+
 def seen(hole: np.ndarray, reach: int, serial: bool = False) -> Arrays:
-    steps = np.full((8, *hole.shape), -1, np.int16)
-    build(fill, "look", serial)(hole, reach, steps)
+    """The steps from each hole, [8, N]."""
+    first, column = listed(hole, serial)
+    steps = np.full((8, len(column)), -1, np.int16)
+    build(fill, "look", serial)(hole.shape, first, column, reach, steps)
     return (steps,)
 
 
@@ -104,9 +121,9 @@ def filled(
     reach: int,
     serial: bool = False,
 ) -> Arrays:
-    out = np.full_like(image, np.nan)
+    out = image.copy()
     (steps,) = seen(hole, reach, serial)
-    build(fill, "fill", serial)(image, depth, hole, np.float32(cap), steps, out)
+    build(fill, "fill", serial)(out, depth, *listed(hole, serial), np.float32(cap), steps)
     return (out,)
 
 
@@ -246,7 +263,7 @@ def adopted(
     cap, reach = limits
     (steps,) = seen(hole, reach, serial)
     out, side = pixel.copy(), later.copy()
-    build(nearest, "adopt", serial)(out, side, depth, hole, np.float32(cap), steps)
+    build(nearest, "adopt", serial)(out, side, depth, *listed(hole, serial), np.float32(cap), steps)
     return out, side
 
 
