@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli.domain.frame import Float32, GBuffer
+from exwarp_cli.kernels import lookup
 
 F64 = npt.NDArray[np.float64]
 
@@ -51,13 +52,16 @@ class Probe:
         """Return the mean error of displacements [N, 2], 0 (all find themselves) to 1."""
         part = slice(None) if count is None else slice(None, None, max(1, len(self.xy) // count))
         target = self.xy[part] + displacement
-        losses = []
-        for here, there, tolerance in zip(self.here, self.there, self.tolerance, strict=True):
-            found, wanted = _bilinear(there, target), here[part]
+        losses = np.empty((len(self.here), len(target)))
+        for loss, here, there, whole in zip(
+            losses, self.here, self.there, self.tolerance, strict=True
+        ):
+            wanted, tolerance = np.ascontiguousarray(here[part]), np.ascontiguousarray(whole[part])
+            found = np.empty_like(wanted)
+            lookup.look_up(there, target, found)
             if wanted.shape[1] == 1:
-                wanted = _depth_later(wanted, found, self.xy[part], tolerance[part])
-            distance = np.linalg.norm(found - wanted, axis=1) / tolerance[part]
-            losses.append(np.where(np.isfinite(distance), np.minimum(distance, 1.0), 1.0))
+                wanted = _depth_later(wanted, found, self.xy[part], tolerance)
+            lookup.count_misses(found, wanted, tolerance, loss)
         return float(np.mean(losses))
 
 
@@ -92,7 +96,7 @@ def probe(here: Instant, there: Instant, channels: Sequence[int]) -> Probe | Non
         np.stack([x, y], axis=1).astype(np.float64),
         here.motion[y, x].astype(np.float64),
         [v[0] for v in values],
-        [v[1] for v in values],
+        [np.ascontiguousarray(v[1]) for v in values],
         [v[2] for v in values],
     )
 
@@ -155,20 +159,3 @@ def _pixel_size(position: Float32, y: npt.NDArray[np.intp], x: npt.NDArray[np.in
 def _perceived(colour: Float32) -> Float32:
     """Scene-linear RGB compressed roughly as the eye does, float32 [H, W, 3]."""
     return np.sqrt(np.maximum(np.nan_to_num(colour[..., :3], posinf=0, neginf=0), 0))
-
-
-def _bilinear(image: Float32, target: F64) -> F64:
-    """Sample an image [H, W, C] at (x, y) positions [N, 2]; NaN outside it."""
-    height, width = image.shape[:2]
-    corner = np.floor(target)
-    inside = ((target >= 0) & (target <= (width - 1, height - 1))).all(axis=1)
-    x = np.where(inside, corner[:, 0], 0).astype(np.intp)
-    y = np.where(inside, corner[:, 1], 0).astype(np.intp)
-    x1, y1 = np.minimum(x + 1, width - 1), np.minimum(y + 1, height - 1)
-    fx, fy = (target - corner)[:, :1], (target - corner)[:, 1:]
-    with np.errstate(invalid="ignore"):
-        upper = image[y, x] * (1 - fx) + image[y, x1] * fx
-        lower = image[y1, x] * (1 - fx) + image[y1, x1] * fx
-        found: F64 = np.asarray(upper * (1 - fy) + lower * fy, dtype=np.float64)
-    found[~inside] = np.nan
-    return found

@@ -16,6 +16,7 @@ from exwarp_cli.kernels import (
     gather,
     holes,
     labelling,
+    lookup,
     nearest,
     parabola,
     project,
@@ -210,6 +211,18 @@ def labelled(stencil: np.ndarray) -> Arrays:
     areas = np.full(labelling.label(stencil, labels) + 1, -1, np.int64)
     labelling.measure_areas(labels, areas)
     return labels, areas
+
+
+def looked_up(image: np.ndarray, target: np.ndarray) -> Arrays:
+    found = np.full((len(target), image.shape[2]), -1.0)
+    lookup.look_up(image, target, found)
+    return (found,)
+
+
+def missed(found: np.ndarray, wanted: np.ndarray, tolerance: np.ndarray) -> Arrays:
+    losses = np.full(len(found), -1.0)
+    lookup.count_misses(found, wanted, tolerance, losses)
+    return (losses,)
 
 
 def decoded(image: np.ndarray, serial: bool = False) -> Arrays:

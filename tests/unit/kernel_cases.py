@@ -169,6 +169,10 @@ def differ(serial: bool) -> calls.Arrays:
     return calls.differing(*views, serial)
 
 
+def scattered(seed: int) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(-3, 40, (50, 2))
+
+
 CASES: dict[str, Callable[[bool], calls.Arrays]] = {
     "gather_bilinear": lambda serial: calls.gathered(image(1), field(1), serial),
     "follow": follow,
@@ -200,6 +204,8 @@ CASES: dict[str, Callable[[bool], calls.Arrays]] = {
 }
 
 ONE_BUILD: dict[str, Callable[[], calls.Arrays]] = {
+    "look_up": lambda: calls.looked_up(image(58), scattered(59)),
+    "count_misses": lambda: calls.missed(scattered(60), scattered(61), scattered(62)[:, 0] ** 2),
     "label": lambda: calls.labelled(ids(38) * ids(39)),
 }
 """Kernels that are only serial: compiled and interpreted."""
