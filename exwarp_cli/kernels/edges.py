@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import Any
 
@@ -21,6 +22,15 @@ SAME_DEPTH = np.float32(0.05)
 
 SEARCH = 2
 """How far to look for an unmixed pixel of the same surface, pixels."""
+
+AROUND = tuple(
+    sorted(
+        itertools.product(range(-SEARCH, SEARCH + 1), repeat=2),
+        key=lambda step: step[0] ** 2 + step[1] ** 2,
+    )
+)
+"""Steps (rows, columns) to the pixels so far around, the nearest first; equally near ones row by
+row."""
 
 ROWS_PER_BAND = 16
 
@@ -195,16 +205,15 @@ def nearest_unmixed(
 ) -> tuple[int, int]:
     """Return the nearest pixel of the same surface that is not at its edge, (-1, -1) if none."""
     height, width = depth.shape
-    best = 1 << 30
-    found_y, found_x = -1, -1
-    for y in range(max(i - SEARCH, 0), min(i + SEARCH + 1, height)):
-        for x in range(max(j - SEARCH, 0), min(j + SEARCH + 1, width)):
-            distance = (y - i) ** 2 + (x - j) ** 2
-            if edge[y, x] or distance >= best or not math.isfinite(vectors[y, x, 0]):
-                continue
-            if same_surface(depth, stencil, i, j, y, x):
-                best, found_y, found_x = distance, y, x
-    return found_y, found_x
+    for k in range(len(AROUND)):
+        y, x = i + AROUND[k][0], j + AROUND[k][1]
+        if y < 0 or x < 0 or y >= height or x >= width:
+            continue
+        if edge[y, x] or not math.isfinite(vectors[y, x, 0]):
+            continue
+        if same_surface(depth, stencil, i, j, y, x):
+            return y, x
+    return -1, -1
 
 
 @serial
