@@ -55,6 +55,8 @@ class AxisMap:
         What is not finite gives NaN, and so does what was clipped, where `still` is the middle of
         a range from 0 to 1.
         """
+        if not self.still and self.length is None and self.alpha is None:
+            return self._scaled(raw)
         axes = []
         clipped = self.length is None and abs(self.still - MIDDLE) < ABOUT
         pairs = ((self.x_channel, self.x_scale), (self.y_channel, self.y_scale))
@@ -73,6 +75,16 @@ class AxisMap:
                 axes.append(value * np.float32(scale))
             out = np.stack(axes, axis=-1)
             out[~np.isfinite(axes[0] + axes[1])] = np.nan
+        return out
+
+    def _scaled(self, raw: Float32) -> Float32:
+        """Read plain displacements: in a third of the time that passes over the frame take."""
+        from exwarp_cli.kernels.vectors import scale_vectors  # numba: not for `exwarp --help`
+
+        out = np.empty((*raw.shape[:-1], 2), np.float32)
+        rows = np.ascontiguousarray(raw, np.float32).reshape(-1, raw.shape[-1])
+        scales = np.float32(self.x_scale), np.float32(self.y_scale)
+        scale_vectors(rows, (self.x_channel, self.y_channel), scales, out.reshape(-1, 2))
         return out
 
     def write(self, displacement: Float32, raw: Float32) -> Float32:

@@ -15,12 +15,14 @@ from exwarp_cli.kernels import (
     follow,
     gather,
     holes,
+    ids,
     labelling,
     lookup,
     nearest,
     parabola,
     project,
     splat,
+    vectors,
 )
 
 Arrays = tuple[np.ndarray, ...]
@@ -211,6 +213,19 @@ def labelled(stencil: np.ndarray) -> Arrays:
     areas = np.full(labelling.label(stencil, labels) + 1, -1, np.int64)
     labelling.measure_areas(labels, areas)
     return labels, areas
+
+
+def scaled(raw: np.ndarray, axes: tuple[int, int], scales: tuple[float, float]) -> Arrays:
+    out = np.zeros((len(raw), 2), np.float32)
+    x, y = scales
+    vectors.scale_vectors(raw, axes, (np.float32(x), np.float32(y)), out)
+    return (out,)
+
+
+def rounded(values: np.ndarray) -> Arrays:
+    out = np.full(values.shape, -9, np.int32)
+    ids.whole_ids(values, out)
+    return (out,)
 
 
 def looked_up(image: np.ndarray, target: np.ndarray) -> Arrays:

@@ -204,6 +204,8 @@ CASES: dict[str, Callable[[bool], calls.Arrays]] = {
 }
 
 ONE_BUILD: dict[str, Callable[[], calls.Arrays]] = {
+    "scale_vectors": lambda: calls.scaled(image(63).reshape(-1, 4), (3, 1), (0.5, -3)),
+    "whole_ids": lambda: calls.rounded(image(64).reshape(-1).round(1)),
     "look_up": lambda: calls.looked_up(image(58), scattered(59)),
     "count_misses": lambda: calls.missed(scattered(60), scattered(61), scattered(62)[:, 0] ** 2),
     "label": lambda: calls.labelled(ids(38) * ids(39)),
