@@ -231,8 +231,13 @@ def outside(canvas: Window, window: Window) -> Bool:
 def broken_pixels(pixels: Float32) -> Bool:
     """bool [H, W]: pixels [H, W, C] with a NaN or infinity in any channel."""
     with np.errstate(invalid="ignore"):
-        total = pixels.sum(dtype=np.float64)
-    if np.isfinite(total):  # eight times as fast as looking at each, and nearly always so
+        # Nearly always finite: the ends, in a fourteenth of the time that looking at each pixel
+        # takes, or the sum, which is faster where pixels lie apart.
+        if pixels.flags.c_contiguous:
+            found = pixels.max(initial=0) - pixels.min(initial=0).astype(np.float64)
+        else:
+            found = pixels.sum(dtype=np.float64)
+    if np.isfinite(found):
         return np.zeros(pixels.shape[:2], np.bool_)
     return np.asarray(~np.isfinite(pixels).all(axis=-1))
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from exwarp_cli import __version__
 from exwarp_cli.domain.decision import Plan
-from exwarp_cli.domain.frame import Bool, Float32, Image, broken_pixels, place
+from exwarp_cli.domain.frame import Bool, Image, broken_pixels, place
 from exwarp_cli.domain.results import FrameKind, FrameRecord
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import Slot
@@ -54,6 +54,7 @@ class Run:
     watcher: Watcher | None = None
     records: list[FrameRecord] = field(default_factory=list)
     _scoring: IntervalScores | None = None
+    _broken: dict[int, int] = field(default_factory=dict)
 
     def write_all(self, loader: JointLoader, keys: tuple[int, ...]) -> tuple[FrameRecord, ...]:
         """Work through the intervals: reading ahead, computing here, writing behind."""
@@ -81,6 +82,7 @@ class Run:
 
     def _interval(self, loaded: Loaded) -> None:
         """Pass the key frame through and make the slots after it."""
+        self._broken.clear()
         if self.source.timeline.shows(loaded.key):
             self._pass_key(loaded)
         begin = time.perf_counter()
@@ -215,7 +217,7 @@ class Run:
             method=predicted.method,
             sources=predicted.sources,
             hole_fraction=_fraction(mask),
-            nonfinite_pixels=_nonfinite(loaded, predicted.sources),
+            nonfinite_pixels=_nonfinite(loaded, predicted.sources, self._broken),
             timing_ms={predicted.made_by: elapsed} | ({"layers": layers_ms} if beside else {}),
             made_by=predicted.made_by,
             path=None if plan is None else plan.path,
@@ -360,13 +362,12 @@ class Run:
 
 def _fraction(mask: Bool | None) -> float | None:
     """Share of holes, rounded to float32 as the header of the frame keeps it."""
-    return None if mask is None else float(np.float32(mask.mean()))
+    return None if mask is None else float(np.float32(np.count_nonzero(mask) / mask.size))
 
 
-def _nonfinite(loaded: Loaded, sources: tuple[int, ...]) -> int:
-    """How many pixels of the source frames are NaN or infinite."""
-    frames = (loaded.frame, loaded.following, *(older.frame for older in loaded.past))
-    pixels: list[Float32] = [
-        frame.image.pixels for frame in frames if frame is not None and frame.number in sources
-    ]
-    return int(sum(broken_pixels(p).sum() for p in pixels))
+def _nonfinite(loaded: Loaded, sources: tuple[int, ...], known: dict[int, int]) -> int:
+    """How many pixels of the source frames are NaN or infinite; `known` keeps it by number."""
+    for frame in (loaded.frame, loaded.following, *(older.frame for older in loaded.past)):
+        if frame is not None and frame.number in sources and frame.number not in known:
+            known[frame.number] = int(np.count_nonzero(broken_pixels(frame.image.pixels)))
+    return sum(known.get(number, 0) for number in sources)
