@@ -59,3 +59,17 @@ def fill(
             value += weight * image[y, x]
         out[i, j] = value / total if total > 0 else 0.0
     return out
+
+
+def count_holes(hole: np.ndarray, depth: np.ndarray) -> tuple[list[int], list[float]]:
+    """Return each row's number of holes, and the greatest finite depth outside them, or 0."""
+    furthest = [
+        max((float(z) for z, h in zip(*row, strict=True) if not h and np.isfinite(z)), default=0.0)
+        for row in zip(depth, hole, strict=True)
+    ]
+    return [sum(map(bool, row)) for row in hole], furthest
+
+
+def list_holes(hole: np.ndarray) -> list[int]:
+    """Return the columns of all holes, row by row."""
+    return [j for row in hole for j, is_hole in enumerate(row) if is_hole]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.reference import fill as naive
-from tests.unit.kernel_calls import filled, seen
+from tests.unit.kernel_calls import filled, holes_counted, listed, seen
 
 SHAPE = (14, 17)
 WALL = np.full(SHAPE, 5, np.float32)
@@ -22,6 +22,17 @@ class TestFill:
         hole[4:9, 3:12] = True
         depth[hole & (rng.random(SHAPE) < 0.5)] = np.nan
         return image, depth, hole
+
+    @pytest.mark.parametrize("seed", [0, 1])
+    def test_counting_and_listing_equal_the_naive_twins(self, seed):
+        _, depth, hole = self.scene(seed)
+        hole[2], depth[5] = True, np.inf
+        counts, furthest = holes_counted(hole, depth)
+        expected = naive.count_holes(hole, depth)
+        assert (counts.tolist(), furthest.tolist()) == expected
+        first, column = listed(hole)
+        assert column.tolist() == naive.list_holes(hole)
+        assert np.diff(first).tolist() == expected[0]
 
     @pytest.mark.parametrize("seed", [0, 1])
     @pytest.mark.parametrize("reach", [2, 20])
