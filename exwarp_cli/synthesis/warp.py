@@ -105,7 +105,9 @@ def fill_background(warped: Warped, kept: bool = True) -> Float32:
     around = look_around(depth, warped.hole)
     if around is None:
         return warped.pixels
-    out = warped.pixels.copy() if kept else warped.pixels
+    # A network's frames are views of what it was padded to.
+    apart = kept or not warped.pixels.flags.c_contiguous
+    out = warped.pixels.copy(order="C") if apart else warped.pixels
     fill.fill(out, depth, around.first, around.column, around.cap, around.steps)
     return out
 
