@@ -6,6 +6,7 @@ import io
 import shutil
 import struct
 import subprocess
+import threading
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -193,6 +194,30 @@ class TestAgainstOpenEXR:
             assert {n: p.tobytes() for n, p in found.items()} == {
                 n: p.tobytes() for n, p in planes.items()
             }
+
+
+class TestSameBytes:
+    def test_wherever_the_compressor_keeps_its_state(self):
+        """ISA-L hashes an address of its own; with one-shot calls, 1 of 430 streams differed."""
+        flat = np.zeros((1, 48), np.float16)
+        part = header(OpenEXR.ZIPS_COMPRESSION, (0, 0, 48, 1)), {"Y": flat}
+        done, found = threading.Event(), set()
+
+        def encode() -> None:
+            found.add(bytes(encoded([part])))
+            done.wait()
+
+        usual = threading.stack_size(256 * 1024)
+        threads = [threading.Thread(target=encode) for _ in range(1000)]
+        try:
+            for thread in threads:
+                thread.start()
+        finally:
+            done.set()
+            threading.stack_size(usual)
+        for thread in threads:
+            thread.join()
+        assert len(found) == 1
 
 
 class TestReaders:
