@@ -78,7 +78,7 @@ class LazyGroup(click.Group):
         from exwarp_cli.commands.config.configured import configured
 
         module = importlib.import_module(f"exwarp_cli.commands.{cmd_name.replace('-', '_')}")
-        return configured(module.command, (cmd_name,))
+        return configured(module.command, (cmd_name,), completing=ctx.resilient_parsing)
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]

@@ -55,20 +55,20 @@ def _configuration(ctx: click.Context) -> Check:
     from exwarp_cli.domain.checkup import Check, failure, warning
     from exwarp_cli.pipeline.doctor.environment import variables
 
-    there = configuration(ctx)
+    there, environment = configuration(ctx), variables()
     files = [f"{file.path} ({file.how})" for file in there.files]
     lines = [
         f"exwarp {' '.join(one.command)}: {one.option} {one.text} ({one.origin})"
         for one in there.settings
     ]
-    lines += [f"{name}={value}" for name, value in variables().items()]
+    lines += [f"{name}={value}" for name, value in environment.items()]
     facts = {
         "files": [{"path": str(file.path), "how": file.how} for file in there.files],
         "settings": [
             {"command": list(o.command), "option": o.option, "text": o.text, "origin": o.origin}
             for o in there.settings
         ],
-        "environment": variables(),
+        "environment": environment,
     }
     count = len(there.settings)
     told = ", ".join(files) or "no exwarp.toml"

@@ -180,7 +180,7 @@ class _Part:
 
 
 def _name(run: RunSummary) -> str:
-    return f"the run of key frames {ranges(list(run.selected)) or 'none'}"
+    return f"the run of key frames {ranges(run.selected) or 'none'}"
 
 
 def _require_alike(one: _Part, other: _Part) -> None:

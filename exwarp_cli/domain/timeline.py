@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Collection
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import pairwise
@@ -146,7 +147,7 @@ class Timeline:
         if absent:
             raise MissingFrameError(
                 f"frame {ranges(absent)} of --frames {frames} is not in the sequence, "
-                f"which has {ranges(list(self.numbers))}"
+                f"which has {ranges(self.numbers)}"
             )
         return tuple(index[number] for number in wanted)
 
@@ -200,7 +201,7 @@ def listed(text: str) -> list[Any]:
         raise ValueError(str(error)) from error
 
 
-def ranges(numbers: list[int]) -> str:
+def ranges(numbers: Collection[int]) -> str:
     """Write frame numbers compactly, for messages: ``1-4,7``."""
     return str(FrameSet(sorted(set(numbers)))) if numbers else ""
 

@@ -10,7 +10,7 @@ import yaml
 
 from exwarp_cli.errors import OutputExistsError
 from exwarp_cli.farm.openjd import JobTemplate
-from exwarp_cli.io.atomic import atomic_write_text, make_folder
+from exwarp_cli.io.atomic import atomic_write_text, is_there, make_folder
 
 TEMPLATE_FILE = "template.yaml"
 VALUES_FILE = "parameter_values.yaml"
@@ -50,7 +50,7 @@ def write_bundle(folder: Path, template: JobTemplate) -> None:
         When it cannot be written.
     """
     for name in (TEMPLATE_FILE, VALUES_FILE):
-        if (folder / name).exists():
+        if is_there(folder / name):
             raise OutputExistsError(
                 f"{folder} has a {name} already; remove it, or name another folder with --bundle"
             )

@@ -70,7 +70,7 @@ def run_on_cluster(
         As `pipeline.upsample.upsample` raises; frames written until then are whole.
     """
     _require_frames(job)
-    job.targets.refuse(job.settings, job.source.timeline, job.slots)
+    job.refuse()
     with ExitStack() as stack:
         for folder in job.targets.folders:  # of workers that were lost, once the others have ended
             stack.callback(remove_leftovers, folder)
@@ -148,7 +148,7 @@ class _Coordinator:
     def run(self, client: Any) -> RunSummary:
         """Do the job by a client that is connected."""
         job = self._job
-        job.prepare()
+        job.targets.make_folders()
         with ExitStack() as stack:
             stack.callback(job.close)  # of which the video shows the rendered frames
             marks = tuple(stack.enter_context(marked(f)) for f in job.targets.folders)

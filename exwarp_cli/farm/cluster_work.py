@@ -23,12 +23,14 @@ from exwarp_cli.domain.results import FrameRecord
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.errors import OutputError
 from exwarp_cli.io.atomic import make_folder
+from exwarp_cli.io.awaited import LOOK_S, shows
 from exwarp_cli.pipeline.job import Job, open_job
 from exwarp_cli.pipeline.upsample import write_intervals
 from exwarp_cli.pipeline.watching import Watcher
 
 MARK_S = 2.0
-"""Seconds that a new file may take to show on another machine's view of a network share."""
+"""Seconds for which a worker looks for the marks: it has not looked before, so that they should
+show at once."""
 
 KEPT_S = 300.0
 """Seconds that a job stays open, with its networks loaded, while no chunk of it comes."""
@@ -225,11 +227,11 @@ async def unfit(needs: Needs) -> str | None:
         if not _has_size(path, size):
             return f"does not see {path} as it is here; use a folder that all machines share"
     deadline = time.monotonic() + MARK_S
-    while hidden := [mark for mark in needs.marks if not Path(mark).exists()]:
+    while hidden := [mark for mark in needs.marks if not shows(Path(mark))]:
         if time.monotonic() > deadline:
             folder = Path(hidden[0]).parent
             return f"does not see the folder {folder}; write to one that all machines share"
-        await asyncio.sleep(0.1)
+        await asyncio.sleep(LOOK_S)
     try:
         for mark in needs.marks:
             make_folder(Path(mark).parent)  # it is there: whether this machine may write to it

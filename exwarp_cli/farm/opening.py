@@ -49,13 +49,12 @@ def open_farm_job(
     job = open_job(replace(settings, device=UpsampleSettings.device))  # of a worker, not of here
     try:
         _require_network(settings, job)
-        job.targets.refuse(job.settings, job.source.timeline, job.slots)
-        timeline, sequence = job.source.timeline, job.source.keys.sequence
+        job.refuse()
         return FarmJob(
             tuple(_given((*options, *_mapped(settings)))),
-            tuple(timeline.numbers[key] for key in job.keys),
+            job.key_numbers,
             size,
-            title or f"exwarp {Path(sequence.pattern).name}",
+            title or f"exwarp {Path(job.source.keys.sequence.pattern).name}",
             settings.overwrite,
             job.method.needs_truth,
         )
@@ -65,9 +64,10 @@ def open_farm_job(
 
 def _given(options: Iterable[tuple[str, str, str | None]]) -> Iterable[Given]:
     for parameter, flag, text in options:
-        names_files = parameter in PURPOSES and text is not None
-        value = locate(parameter, text) if names_files and text is not None else text
-        yield Given(parameter, flag, value)
+        if text is None or parameter not in PURPOSES:
+            yield Given(parameter, flag, text)
+        else:
+            yield Given(parameter, flag, locate(parameter, text))
 
 
 def _mapped(settings: UpsampleSettings) -> Iterable[tuple[str, str, str]]:
@@ -78,8 +78,7 @@ def _mapped(settings: UpsampleSettings) -> Iterable[tuple[str, str, str]]:
     given = {aov.role for aov in parse_aovs(settings.source.aovs)}
     for aov in read_channel_map(Path(path)).aovs:
         if aov.role not in given:
-            channels = f":{','.join(aov.channels)}" if aov.channels else ""
-            yield "aovs", "--aov", f"{aov.role.value}={aov.pattern}{channels}"
+            yield "aovs", "--aov", f"{aov.role.value}={aov.pattern}{aov.chosen}"
 
 
 def _require_network(settings: UpsampleSettings, job: Job) -> None:

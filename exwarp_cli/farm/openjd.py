@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from exwarp_cli import __version__
+from exwarp_cli.domain.wording import counted
 from exwarp_cli.errors import UsageError
 from exwarp_cli.farm.calls import Blank, FarmJob, Word
 from exwarp_cli.farm.chunks import frames_text, is_dense, split
@@ -234,7 +235,6 @@ def _title(text: str) -> str:
 
 
 def _description(job: FarmJob, size: int) -> str:
-    count = len(split(job.numbers, size))
-    frames = f"{len(job.numbers)} key frame{'s' * (len(job.numbers) != 1)}"
-    chunks = f"{count} chunk{'s' * (count != 1)}"
+    frames = counted(len(job.numbers), "key frame")
+    chunks = counted(len(split(job.numbers, size)), "chunk")
     return f"{frames} upsampled in {chunks}, as ExWarp {__version__} wrote it."

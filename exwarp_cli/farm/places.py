@@ -157,10 +157,9 @@ def _aov(purpose: Purpose, text: str) -> Place:
     (aov,) = parse_aovs([text])
     folder, pattern = _read(Path(aov.pattern).absolute())
     role = aov.role.value
-    after = f":{','.join(aov.channels)}" if aov.channels else ""
     name = f"{purpose.name}{''.join(word.capitalize() for word in role.split('_'))}"
     label = f"{purpose.label} {role}"
-    return Place(purpose, name, label, folder, False, pattern, f"{role}=", after)
+    return Place(purpose, name, label, folder, False, pattern, f"{role}=", aov.chosen)
 
 
 def _read(path: Path) -> tuple[Path, str]:

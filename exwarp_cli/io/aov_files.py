@@ -48,6 +48,11 @@ class AovFile:
         """Name it for a message."""
         return f"--aov {self.role.value}={self.pattern}"
 
+    @property
+    def chosen(self) -> str:
+        """Its channels as they follow the pattern; "" for those that are recognised."""
+        return f":{','.join(self.channels)}" if self.channels else ""
+
 
 def parse_aovs(texts: Iterable[str]) -> tuple[AovFile, ...]:
     """Read ``ROLE=PATTERN[:CHANNELS]``, for example ``motion=vec/shot.####.exr:R,G``.

@@ -14,13 +14,20 @@ LOOK_S = 0.1
 
 
 def await_file(path: Path, patience: float = SHOWS_S) -> None:
-    """Wait until a file shows, but not for ever: who reads it says that it is missing.
+    """Wait until a file shows, but not for ever: who reads it says that it is missing."""
+    deadline = time.monotonic() + patience
+    while not shows(path) and time.monotonic() < deadline:
+        time.sleep(LOOK_S)
+
+
+def shows(path: Path) -> bool:
+    """Whether a file shows by now.
 
     Shares keep in mind that a file was not there when somebody looked, NFS for half a minute; it is
     the opening of the folder that makes them ask again.
     """
-    deadline = time.monotonic() + patience
-    while not path.exists() and time.monotonic() < deadline:
-        with suppress(OSError), os.scandir(path.parent) as entries:
-            next(entries, None)
-        time.sleep(LOOK_S)
+    if path.exists():
+        return True
+    with suppress(OSError), os.scandir(path.parent) as entries:
+        next(entries, None)
+    return path.exists()

@@ -171,8 +171,7 @@ def channel_map_text(
     lines += ["", "# Roles in sequences of their own, as --aov takes them: PATTERN[:CHANNELS]."]
     lines.append("[aovs]")
     for aov in aovs:
-        chosen = f":{','.join(aov.channels)}" if aov.channels else ""
-        lines.append(f"{aov.role.value} = {quoted(aov.pattern + chosen)}")
+        lines.append(f"{aov.role.value} = {quoted(aov.pattern + aov.chosen)}")
     return "\n".join(lines) + "\n"
 
 

@@ -271,18 +271,15 @@ def clean_depth(depth: Float32, normal: Float32 | None) -> Float32:
 
 
 def clean_stencil(ids: np.ndarray) -> Int32:
-    """Return ids as int32, -1 where a fraction tells of mixed ids in one pixel."""
+    """Return ids, uint32 or float32, as int32; -1 where a fraction tells of mixed ones."""
     if ids.dtype == np.uint32:
         return (ids & np.uint32(0x7FFFFFFF)).astype(np.int32)
-    if ids.dtype == np.float32:  # as decoded; passes over the frame took 15 times as long
-        from exwarp_cli.kernels.ids import whole_ids  # numba: not for what only lists channels
+    from exwarp_cli.kernels.ids import whole_ids  # numba: not for what only lists channels
 
-        out = np.empty(ids.shape, np.int32)
-        whole_ids(np.ascontiguousarray(ids).reshape(-1), out.reshape(-1))
-        return out
-    finite = np.where(np.isfinite(ids), ids, -1.0)
-    rounded = np.clip(np.rint(finite), -1, 2**31 - 128)
-    return np.where(np.abs(finite - rounded) < 0.02, rounded, -1).astype(np.int32)
+    # Passes over the frame took 15 times as long.
+    out = np.empty(ids.shape, np.int32)
+    whole_ids(np.ascontiguousarray(ids, np.float32).reshape(-1), out.reshape(-1))
+    return out
 
 
 def _refuse_broken(pixels: Float32, path: Path) -> None:

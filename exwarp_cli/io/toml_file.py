@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +18,8 @@ def read_toml(path: Path) -> dict[str, Any]:
     ValueError
         When it is not TOML; the text says why and where, in one line.
     """
+    import tomllib  # every command looks for config files, and most find none
+
     try:
         return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except UnicodeDecodeError as error:

@@ -17,7 +17,8 @@ U16 = npt.NDArray[np.uint16]
 U32 = npt.NDArray[np.uint32]
 
 
-def halves_text(lines: U8, chunk: int, out: U8) -> None:
+@serial
+def halves(lines: U8, chunk: int, out: U8) -> None:
     """Sort each chunk's even bytes before its odd ones, and take each byte's rise over the last.
 
     Parameters
@@ -60,7 +61,8 @@ def float24(bits: np.uint32) -> np.uint32:
     return np.uint32(out | (sign >> np.uint32(8)))
 
 
-def halfs24_text(plane: U16, out: U8) -> None:
+@serial
+def halfs24(plane: U16, out: U8) -> None:
     """Write the rises of half floats [H, W] along each row as two planes of bytes [H, 2 W]."""
     height, width = plane.shape
     for y in range(height):
@@ -72,7 +74,8 @@ def halfs24_text(plane: U16, out: U8) -> None:
             low[x] = np.uint8(rise)
 
 
-def floats24_text(plane: U32, out: U8) -> None:
+@serial
+def floats24(plane: U32, out: U8) -> None:
     """Write the rises of 24-bit floats, given as bits [H, W], as three planes [H, 3 W]."""
     height, width = plane.shape
     for y in range(height):
@@ -85,7 +88,8 @@ def floats24_text(plane: U32, out: U8) -> None:
             low[x] = np.uint8(rise)
 
 
-def uints24_text(plane: U32, out: U8) -> None:
+@serial
+def uints24(plane: U32, out: U8) -> None:
     """Write the rises of whole numbers [H, W] as four planes of bytes [H, 4 W]."""
     height, width = plane.shape
     for y in range(height):
@@ -94,9 +98,3 @@ def uints24_text(plane: U32, out: U8) -> None:
             rise = np.uint32(plane[y, x] - before)
             for k in range(4):
                 out[y, k * width + x] = np.uint8(rise >> np.uint32(24 - 8 * k))
-
-
-halves = serial(halves_text)
-halfs24 = serial(halfs24_text)
-floats24 = serial(floats24_text)
-uints24 = serial(uints24_text)

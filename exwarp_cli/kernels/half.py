@@ -18,7 +18,8 @@ def rounded(bits: np.uint32, kept: np.uint32, dropped: np.uint32) -> np.uint32:
     return np.uint32(np.uint32(bits + half + (kept & np.uint32(1))) >> dropped)
 
 
-def to_half_text(values: U32, bounded: bool, out: U16) -> None:
+@serial
+def to_half(values: U32, bounded: bool, out: U16) -> None:
     """Round single floats to half ones; a third of what numpy takes to clip and convert.
 
     Parameters
@@ -51,6 +52,3 @@ def to_half_text(values: U32, bounded: bool, out: U16) -> None:
                 half = rounded(digits, digits >> drop, drop)
                 half = half if size >= np.uint32(0x33000000) else np.uint32(0)
             out[y, x] = np.uint16(half | sign)
-
-
-to_half = serial(to_half_text)

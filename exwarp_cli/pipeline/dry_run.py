@@ -17,7 +17,6 @@ from exwarp_cli.pipeline.job import Job
 from exwarp_cli.pipeline.loaded import Loaded
 from exwarp_cli.pipeline.recipes import key_recipe
 from exwarp_cli.pipeline.sink import Sink
-from exwarp_cli.pipeline.targets import key_is_there
 from exwarp_cli.pipeline.upsample import make_loader
 from exwarp_cli.pipeline.without_vectors import is_kept, note_of
 
@@ -100,7 +99,7 @@ def foresee(job: Job) -> DryRun:
         When a folder could not be made or written to.
     """
     targets = job.targets
-    targets.refuse(job.settings, job.source.timeline, job.slots)
+    job.refuse()
     require_writable(targets.folders)
     try:
         frames, met = _compared(job) if job.settings.skip_existing else (_plain(job), None)
@@ -168,8 +167,7 @@ def _is_there(job: Job, sink: Sink, slot: Slot, loaded: Loaded) -> bool:
     keys, key_number = job.source.keys, job.source.timeline.numbers[slot.key]
     path = keys.sequence.files[key_number]
     if sink.copies(path):
-        assert job.targets.frames is not None
-        return key_is_there(job.targets.frames.path(number), path)
+        return sink.has_copy(number, path)
     return sink.has(number, key_recipe(keys, key_number), masked=False)
 
 

@@ -9,12 +9,10 @@ from exwarp_cli.domain.frame import Image
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.io.awaited import await_file
 from exwarp_cli.io.footage import picture
-from exwarp_cli.io.frame_files import read_picture
 from exwarp_cli.io.held import Held
-from exwarp_cli.io.video import VideoWriter, to_display
 from exwarp_cli.pipeline.job import Job
 from exwarp_cli.pipeline.schedule import WriteBehind
-from exwarp_cli.pipeline.without_vectors import video_look
+from exwarp_cli.pipeline.upsample import make_sink
 
 
 class Film(Held):
@@ -30,16 +28,11 @@ class Film(Held):
     """
 
     def __init__(self, job: Job) -> None:
-        assert job.targets.video is not None
         self._job = job
-        self._path = job.targets.video
 
     def _open(self, stack: ExitStack) -> None:
-        job, (height, width) = self._job, self._job.source.keys.display.shape
-        look = video_look(job.source, job.keys)
-        video = VideoWriter(self._path, width, height, job.source.output_fps, look)
-        self._video = stack.enter_context(video)
-        self._writer = stack.enter_context(WriteBehind(1, len(job.slots)))
+        self._sink = stack.enter_context(make_sink(self._job))
+        self._writer = stack.enter_context(WriteBehind(1, len(self._job.slots)))
 
     def append(self, keys: tuple[int, ...]) -> None:
         """Append the frames of some key intervals (indices), all of which are there."""
@@ -48,8 +41,7 @@ class Film(Held):
                 self._writer.submit(partial(self._write, slot))
 
     def _write(self, slot: Slot) -> None:
-        pixels = self._shown(slot).on(self._job.source.keys.display).pixels
-        self._video.write(to_display(pixels, self._job.settings.exposure))
+        self._sink.show(self._shown(slot))
 
     def _shown(self, slot: Slot) -> Image:
         """Read a frame: a rendered one from where it was rendered to."""
@@ -58,6 +50,6 @@ class Film(Held):
             number = source.timeline.numbers[slot.key]
             return picture(source.keys.sequence, number, source.keys.view)
         assert frames is not None
-        path = frames.path(source.timeline.number(slot))
-        await_file(path)  # another machine wrote it just now
-        return read_picture(path, source.keys.view)
+        number = source.timeline.number(slot)
+        await_file(frames.path(number))  # another machine wrote it just now
+        return self._sink.read(number)

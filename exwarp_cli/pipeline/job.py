@@ -113,9 +113,9 @@ class Job:
         """Return the same job for other key frames."""
         return replace(self, keys=keys)
 
-    def prepare(self) -> None:
-        """Refuse to overwrite, and make the folders; see `Targets.prepare`."""
-        self.targets.prepare(self.settings, self.source.timeline, self.slots)
+    def refuse(self) -> None:
+        """Refuse to overwrite, and touch nothing; see `Targets.refuse`."""
+        self.targets.refuse(self.settings, self.source.timeline, self.slots)
 
     def announce(self, progress: Progress) -> None:
         """Say what was found, and what is going to happen."""

@@ -110,6 +110,10 @@ class Sink(Held):
         frames = self._targets.frames
         return frames is not None and frames.suffix.lower() == source.suffix.lower()
 
+    def has_copy(self, number: int, source: Path) -> bool:
+        """Whether an earlier run copied a key frame's file, and it is kept."""
+        return self._settings.skip_existing and key_is_there(self._frame_path(number), source)
+
     def pass_key(self, number: int, source: Path) -> bool:
         """Copy a key frame's file: its bytes, so all its layers and attributes.
 
@@ -118,10 +122,9 @@ class Sink(Held):
         bool
             Whether an earlier run had copied it.
         """
-        target = self._frame_path(number)
-        resumed = self._settings.skip_existing and key_is_there(target, source)
+        resumed = self.has_copy(number, source)
         if not resumed:
-            self._submit(number, partial(atomic_copy, source, target))
+            self._submit(number, partial(atomic_copy, source, self._frame_path(number)))
         return resumed
 
     def write(

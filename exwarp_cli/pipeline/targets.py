@@ -65,17 +65,14 @@ class Targets:
                 raise OutputError(f"the video {video} is the input itself; name another")
         return cls(frames, holes, video)
 
-    def prepare(self, settings: UpsampleSettings, timeline: Timeline, slots: list[Slot]) -> None:
-        """Refuse to overwrite, make the folders, and clear what dead runs left there.
+    def make_folders(self) -> None:
+        """Make the folders, and clear what dead runs left there.
 
         Raises
         ------
-        OutputExistsError
-            When something is in the way and neither --overwrite nor --skip-existing was given.
         OutputError
-            When a folder cannot be made or written to.
+            When one cannot be made or written to.
         """
-        self.refuse(settings, timeline, slots)
         for folder in self.folders:
             make_folder(folder)
             remove_leftovers(folder)
@@ -89,7 +86,15 @@ class Targets:
         return tuple(dict.fromkeys(found))
 
     def refuse(self, settings: UpsampleSettings, timeline: Timeline, slots: list[Slot]) -> None:
-        """Refuse to overwrite, and touch nothing; see `prepare`."""
+        """Refuse to overwrite, and touch nothing.
+
+        Raises
+        ------
+        OutputExistsError
+            When something is in the way and neither --overwrite nor --skip-existing was given.
+        OutputError
+            When a folder is where the video would be.
+        """
         if settings.overwrite and settings.skip_existing:
             raise UsageError("--overwrite and --skip-existing contradict each other; give one")
         if self.video is not None and is_there(self.video) and self.video.is_dir():

@@ -52,7 +52,8 @@ def upsample(
 
 def run_job(job: Job, progress: Progress, watcher: Watcher | None = None) -> RunSummary:
     """Do a job that is open; see `upsample`."""
-    job.prepare()
+    job.refuse()
+    job.targets.make_folders()
     job.announce(progress)
     begin = time.perf_counter()
     progress.start(len(job.slots))
@@ -106,7 +107,8 @@ def _run_of(job: Job, note: str, progress: Progress, watcher: Watcher | None) ->
         for source in job.sources
     )
     beside = Beside(job.contents, tuple(others))
-    sink = make_sink(job, beside, note)
+    # Frames with all their layers are large, and few may wait.
+    sink = make_sink(job, note, 0 if beside.anything else FRAMES_BEHIND)
     chooser = make_chooser(job)
     return Run(
         job.settings, job.source, job.method, sink, progress, staging, beside, chooser, watcher
@@ -135,9 +137,8 @@ def make_loader(job: Job) -> JointLoader:
     return JointLoader(leader, tuple(others))
 
 
-def make_sink(job: Job, beside: Beside, note: str) -> Sink:
-    """Return where frames go; those with all their layers are large, and few may wait."""
-    behind = 0 if beside.anything else FRAMES_BEHIND
+def make_sink(job: Job, note: str = "", behind: int = FRAMES_BEHIND) -> Sink:
+    """Return where frames go; `note` is what a video that is written alone says of itself."""
     keys, fps = job.source.keys, job.source.output_fps
     look = video_look(job.source, job.keys, note)
     return Sink(job.targets, job.settings, keys.display, fps, keys.view, behind, look)

@@ -18,6 +18,7 @@ from exwarp_cli.report.gallery import (
     Shown,
     evenly,
     room_for,
+    worst_of,
 )
 from exwarp_cli.report.pictures import Picture
 
@@ -113,14 +114,8 @@ class PageAlbums:
 
     def _worst(self, run: RunSummary) -> set[int]:
         """Return the worst frame that a page shows, if any is scored."""
-        known = [
-            (frame.score.badness, -frame.number)
-            for frame in run.frames
-            if frame.number in self.pages
-            and frame.score is not None
-            and frame.score.badness is not None
-        ]
-        return {-max(known)[1]} if known else set()
+        worst = worst_of(frame for frame in run.frames if frame.number in self.pages)
+        return set() if worst is None else {worst}
 
 
 def _told(page: Path) -> dict[str, Any]:

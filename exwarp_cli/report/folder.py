@@ -53,7 +53,7 @@ def chunk_folder(report: Path, keys: Sequence[int]) -> Path:
         ``chunks/1001-1010`` in it, ``chunks/1001`` for a single key frame, ``chunks/10-90x4`` or
         ``chunks/1,5,9-12`` for others. Names that would be too long are cut, and end in a checksum.
     """
-    name = ranges(list(keys))
+    name = ranges(keys)
     if len(name) > LONGEST_NAME:
         name = f"{name[:LONGEST_NAME]}~{sha256(name.encode()).hexdigest()[:12]}"
     return report / CHUNKS / name

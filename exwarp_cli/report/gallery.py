@@ -18,12 +18,12 @@ A source that a frame lacks is missing from its `pictures`. `peak` is the M of `
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from exwarp_cli.domain.frame import Bool, Float32
-from exwarp_cli.domain.results import Score
+from exwarp_cli.domain.results import FrameRecord, Score
 from exwarp_cli.report.pictures import (
     LONGEST,
     Picture,
@@ -253,6 +253,16 @@ class Gallery:
                 kept.pictures[self._truth] = kept.pictures[self._output]
         if self._key is not None and self._key[0] == self._key_of.get(number):
             kept.pictures[KEY] = self._key[1]
+
+
+def worst_of(frames: Iterable[FrameRecord]) -> int | None:
+    """Return the number of the worst frame, the first of equally bad ones; None if none is scored.
+
+    By all metrics of the finished run, VMAF and flicker among them.
+    """
+    known = [(f.score.badness, -f.number) for f in frames if f.score is not None]
+    measured = [(badness, number) for badness, number in known if badness is not None]
+    return -max(measured)[1] if measured else None
 
 
 def evenly(groups: Sequence[Sequence[int]]) -> list[int]:

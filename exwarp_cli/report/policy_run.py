@@ -12,7 +12,6 @@ from exwarp_cli import __version__
 from exwarp_cli.accel.fixed_point import MOST_ACTIVATION, from_fixed
 from exwarp_cli.accel.mac_array import COMPARE_CYCLES
 from exwarp_cli.domain.decision import CHOICES
-from exwarp_cli.io.states import IDENTITY
 from exwarp_cli.pipeline.accelerator import Decided, Trace
 from exwarp_cli.report.frames_csv import table
 
@@ -25,19 +24,11 @@ SHOWN = 8
 
 def decisions_document(rows: list[Decided]) -> dict[str, Any]:
     """Return all rows under ``rows``, keys and values as in :func:`decisions_csv`."""
+    header = _header(rows)
     return {
         "schema": DECISIONS,
         "version": __version__,
-        "rows": [
-            {
-                "row": found.row.row,
-                **found.row.identity,
-                "output_warp": found.outputs[0],
-                "output_extrapolate": found.outputs[1],
-                "decision": CHOICES[found.choice],
-            }
-            for found in rows
-        ],
+        "rows": [dict(zip(header, _values(found), strict=True)) for found in rows],
     }
 
 
@@ -79,15 +70,7 @@ def trace_document(trace: Trace) -> dict[str, Any]:
 
 def decisions_csv(rows: list[Decided]) -> str:
     """Write decisions as CSV text: which row, its outputs, and the choice."""
-    names = [name for name in IDENTITY if name in rows[0].row.identity]
-    header = ("row", *names, "output_warp", "output_extrapolate", "decision")
-    return table(
-        header,
-        (
-            (found.row.row, *found.row.identity.values(), *found.outputs, CHOICES[found.choice])
-            for found in rows
-        ),
-    )
+    return table(_header(rows), map(_values, rows))
 
 
 def trace_lines(trace: Trace) -> Iterator[str]:
@@ -113,6 +96,16 @@ def trace_lines(trace: Trace) -> Iterator[str]:
     yield f"outputs: warp {warp}, extrapolate {extrapolate}"
     yield f"decision: {CHOICES[int(found.choices)]}, {COMPARE_CYCLES} cycle"
     yield f"in all {plan.cycles} cycles on the paper's machine"
+
+
+def _header(rows: list[Decided]) -> tuple[str, ...]:
+    """Name the columns; all rows of a table have those of the first."""
+    return ("row", *rows[0].row.identity, "output_warp", "output_extrapolate", "decision")
+
+
+def _values(found: Decided) -> tuple[Any, ...]:
+    row = found.row
+    return (row.row, *row.identity.values(), *found.outputs, CHOICES[found.choice])
 
 
 def _first(values: npt.NDArray[np.integer[Any]]) -> str:

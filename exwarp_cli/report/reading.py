@@ -92,7 +92,7 @@ def reported_keys(folder: Path) -> frozenset[int]:
     """
     document = _document(folder / REPORT_FILE)
     try:
-        return frozenset(map(int, listed(document["input"]["selected"] or "")))
+        return frozenset(_selected(document))
     except _NONSENSE as error:
         raise _unusable(folder, document) from error
 
@@ -192,7 +192,7 @@ def _run(document: Mapping[str, Any], frames: tuple[FrameRecord, ...]) -> RunSum
         cuts=None if cuts is None else tuple(Cut(int(cut["frame"]), cut["source"]) for cut in cuts),
         views=tuple(document["views"]),
         layers=tuple(document["layers"]),
-        keys=tuple(map(int, listed(document["input"]["selected"] or ""))),
+        keys=_selected(document),
         version=document["version"],
     )
     if made.setting not in SETTINGS:
@@ -200,6 +200,11 @@ def _run(document: Mapping[str, Any], frames: tuple[FrameRecord, ...]) -> RunSum
     for part in (made, made.input, made.extrapolator, made.policy, made.interpolator):
         _require_types(part)
     return made
+
+
+def _selected(document: Mapping[str, Any]) -> tuple[int, ...]:
+    """Return the input numbers of the key frames that the run was for."""
+    return tuple(map(int, listed(document["input"]["selected"] or "")))
 
 
 def _require_types(part: Any) -> None:

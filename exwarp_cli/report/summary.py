@@ -105,7 +105,7 @@ def _input(run: RunSummary) -> dict[str, Any]:
         "motion": {"source": source.motion_source, "evidence": source.motion_evidence},
         "dynamic": None if source.dynamic is None else list(source.dynamic),
         "step": source.step,
-        "selected": ranges(list(run.selected)) or None,
+        "selected": ranges(run.selected) or None,
     }
 
 

@@ -7,7 +7,7 @@ from typing import Any
 from exwarp_cli.domain.decision import HOLD, NODES, WARP
 from exwarp_cli.domain.features import FEATURES
 from exwarp_cli.domain.results import FrameKind, FrameRecord, RunSummary
-from exwarp_cli.report.gallery import Album
+from exwarp_cli.report.gallery import Album, worst_of
 from exwarp_cli.report.page import Block, Cell, Number, Page, Section, Table, Viewer
 from exwarp_cli.report.page_parts import (
     cuts_line,
@@ -70,12 +70,7 @@ def upsample_page(run: RunSummary, document: dict[str, Any], album: Album | None
 
 def _start_at_worst(album: Album, frames: tuple[FrameRecord, ...]) -> None:
     """Show the worst frame first, if it was kept: VMAF and flicker are known only at the end."""
-    known = {f.number: f.score.badness for f in frames if f.score is not None}
-    worst = max(
-        (number for number, badness in known.items() if badness is not None),
-        key=lambda number: known[number] or 0.0,
-        default=None,
-    )
+    worst = worst_of(frames)
     if worst in album.frames:
         album.start = worst
 

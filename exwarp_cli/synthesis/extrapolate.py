@@ -13,7 +13,7 @@ from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.synthesis.geometry import SlotField
 from exwarp_cli.synthesis.history import LookBack, Past
 from exwarp_cli.synthesis.modulation import decode, encode, modulation_of
-from exwarp_cli.synthesis.warp import Warped, fill_background, sampled, warp
+from exwarp_cli.synthesis.warp import fill_holes, sampled, warp
 
 UNKNOWN_DEPTH = 0.5
 UNKNOWN_ROUGHNESS = 0.5
@@ -50,7 +50,7 @@ class Prepared:
             colour = colour * self.modulation
         if self.alpha.size:
             colour = np.where(self.empty[..., None], np.float32(0), colour)
-        return np.concatenate([colour, self.alpha], axis=-1).astype(np.float32)
+        return np.concatenate([colour, self.alpha], axis=-1).astype(np.float32, order="C")
 
 
 def prepare(
@@ -70,7 +70,7 @@ def prepare(
     modulation = _modulation(seen)
     demodulated = modulation is not None
     last = warp(_shading(key, demodulated), back)
-    filled, visible = fill_background(last), ~last.hole
+    filled, visible = fill_holes(last.pixels.copy(), last.depth, last.hole), ~last.hole
     history = [_picture(last.pixels, visible)]
     for step, field, hidden in zip(past, seen.fields, seen.hidden, strict=False):
         history.append(_moved(_shading(step.frame, demodulated), field, hidden))
@@ -148,5 +148,4 @@ def _modulation(seen: LookBack) -> Float32 | None:
     if modulation is None or not seen.unknown.any():
         return modulation
     assert seen.surface.depth is not None
-    nothing = np.zeros_like(seen.unknown)
-    return fill_background(Warped(modulation, seen.surface.depth, seen.unknown, nothing))
+    return fill_holes(modulation, seen.surface.depth, seen.unknown)

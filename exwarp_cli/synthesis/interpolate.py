@@ -8,7 +8,7 @@ from exwarp_cli.domain.curves import SRGB
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.domain.interpolator import Interpolator
 from exwarp_cli.kernels import blend
-from exwarp_cli.synthesis.warp import Warped, fill_background, repair
+from exwarp_cli.synthesis.warp import Warped, fill_holes, repair
 
 
 def blend_by_depth(before: Warped, after: Warped, time: float) -> Float32:
@@ -33,7 +33,7 @@ def blend_by_depth(before: Warped, after: Warped, time: float) -> Float32:
     hole = np.empty_like(before.hole)
     sides = [(side.pixels, side.depth, side.hole, side.fringe) for side in (before, after)]
     blend.blend(*sides, np.float32(time), out, depth, hole)
-    return fill_background(Warped(out, depth, hole, before.fringe), kept=False)
+    return fill_holes(out, depth, hole)
 
 
 def cross_fade(before: Float32, after: Float32, time: float) -> Float32:

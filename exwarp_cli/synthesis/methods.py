@@ -137,7 +137,7 @@ def take(path: str, interval: Interval, slot: int) -> Predicted:
         pixels, sources = interval.extrapolated(slot), _seen(interval)
     elif slot == 3 and made_by[1] == EXTRAPOLATE:
         moved = warp(interval.extrapolated(2), interval.step_back(3))
-        pixels, sources = fill_background(moved, kept=False), _seen(interval)
+        pixels, sources = fill_background(moved), _seen(interval)
     else:
         return replace(_warp(interval, slot), method=name)
     return Predicted(pixels, FrameKind.GENERATED, name, sources, maker)
@@ -147,7 +147,7 @@ def _warp(interval: Interval, slot: int) -> Predicted:
     """Warp the key frame: the paper's path S6."""
     if interval.estimated and not interval.has_motion:
         return _hold(interval, slot)  # nothing comes before it by which motion could be estimated
-    pixels = fill_background(warp(interval.key.image.pixels, interval.back(slot)), kept=False)
+    pixels = fill_background(warp(interval.key.image.pixels, interval.back(slot)))
     return Predicted(pixels, FrameKind.GENERATED, "s6", (interval.key.number,), WARP)
 
 

@@ -182,7 +182,7 @@ class Retiming:
         if self.back is not None:
             moved = warp(before, self.back)
             if self.forward is None:
-                return fill_background(moved, kept=False)
+                return fill_background(moved)
             assert after is not None
             return blend_by_depth(moved, warp(after, self.forward), self.time)
         if self.manner is Manner.REPEAT:

@@ -84,30 +84,35 @@ def repair(pixels: Float32) -> Float32:
         return pixels
     clean = np.where(broken[..., None], np.float32(0), pixels)
     flat = np.ones(broken.shape, np.float32)
-    return fill_background(Warped(clean, flat, broken, np.zeros_like(broken)), kept=False)
+    return fill_holes(clean, flat, broken)
 
 
-def fill_background(warped: Warped, kept: bool = True) -> Float32:
-    """Return the warped frame with its holes filled from what is visible around them.
+def fill_background(warped: Warped) -> Float32:
+    """Return the warped frame with its holes filled as by `fill_holes`; its pixels are changed."""
+    return fill_holes(warped.pixels, warped.depth, warped.hole)
+
+
+def fill_holes(pixels: Float32, depth: Float32, hole: Bool) -> Float32:
+    """Return a frame with its holes filled from what is visible around them.
 
     Where the surface in a hole is known (slot G-buffers, or a source outside the frame) it is
     filled from the same surface, else from the background.
 
     Parameters
     ----------
-    warped
-        A frame with holes.
-    kept
-        Whether it is to stay as it is. Else its own pixels are changed and returned, which spares
-        a copy of the frame.
+    pixels
+        float32 [H, W, C], changed and returned, which spares a copy of the frame; in another layout
+        than C's a copy is.
+    depth
+        float32 [H, W] of the surface shown, +inf background; NaN where nothing is known.
+    hole
+        bool [H, W].
     """
-    depth = np.ascontiguousarray(warped.depth)
-    around = look_around(depth, warped.hole)
+    depth = np.ascontiguousarray(depth)
+    around = look_around(depth, hole)
     if around is None:
-        return warped.pixels
-    # A network's frames are views of what it was padded to.
-    apart = kept or not warped.pixels.flags.c_contiguous
-    out = warped.pixels.copy(order="C") if apart else warped.pixels
+        return pixels
+    out = np.ascontiguousarray(pixels)
     fill.fill(out, depth, around.first, around.column, around.cap, around.steps)
     return out
 
@@ -144,7 +149,7 @@ def look_around(depth: Float32, hole: Bool) -> Around | None:
         bool [H, W].
     """
     counts, bits = np.empty(len(hole), np.int32), np.empty(len(hole), np.int32)
-    fill.count_holes(hole, np.ascontiguousarray(depth).view(np.int32), counts, bits)
+    fill.count_holes(hole, depth.view(np.int32), counts, bits)
     first = np.zeros(len(hole) + 1, np.int32)
     np.cumsum(counts, out=first[1:])
     if first[-1] == 0:

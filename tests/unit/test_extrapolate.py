@@ -126,6 +126,10 @@ def test_high_dynamic_range_and_alpha_come_through(interval):
     plain = given_alpha.without("albedo", "specular")
     np.testing.assert_allclose(plain.extrapolated(2), expected, rtol=1e-4, atol=1e-3)
     assert given_alpha.extrapolated(2).shape == bright.shape
+    # Not the network's planes: every kernel would copy those.
+    assert (
+        given_alpha.extrapolated(2).flags.c_contiguous and plain.extrapolated(2).flags.c_contiguous
+    )
 
 
 def seen_as(interval: Interval, pixels: Float32) -> Interval:

@@ -27,7 +27,6 @@ from exwarp_cli.commands.config.layers import (
 )
 from exwarp_cli.commands.config.sources import config_files, environment_of, readers
 from exwarp_cli.commands.option_names import long_name
-from exwarp_cli.commands.suggestions import suggesting
 from exwarp_cli.errors import UsageError
 from exwarp_cli.io.config_file import FoundFile
 
@@ -67,7 +66,9 @@ class Configuration:
     warnings: tuple[str, ...]
 
 
-def configured(command: click.Command, path: tuple[str, ...]) -> click.Command:
+def configured(
+    command: click.Command, path: tuple[str, ...], *, completing: bool = False
+) -> click.Command:
     """Return a command as it is, but that files and the environment set its options too.
 
     Parameters
@@ -76,13 +77,17 @@ def configured(command: click.Command, path: tuple[str, ...]) -> click.Command:
         A command, or a group with all that is below it.
     path
         Its name, behind those of its groups.
+    completing
+        Whether a shell asks for completions; only then do its parameters have some to offer.
     """
     made = copy.copy(command)
     if isinstance(made, click.Group):
         below = made.commands.items()
-        made.commands = {name: configured(one, (*path, name)) for name, one in below}
+        made.commands = {
+            name: configured(one, (*path, name), completing=completing) for name, one in below
+        }
         return made
-    made.params = [suggesting(parameter) for parameter in command.params]
+    made.params = _suggesting(command) if completing else list(command.params)
     options = configurable(command)
     made.params += [_taking_back(option) for option in options if not option.secondary_opts]
     if options:
@@ -91,6 +96,13 @@ def configured(command: click.Command, path: tuple[str, ...]) -> click.Command:
     if made.callback is not None:
         made.callback = _announcing(made.callback)
     return made
+
+
+def _suggesting(command: click.Command) -> list[click.Parameter]:
+    # Imported here: what is suggested takes 8 ms to load, which other calls need not pay.
+    from exwarp_cli.commands.suggestions import suggesting
+
+    return [suggesting(parameter) for parameter in command.params]
 
 
 class ConfigOption(click.Option):

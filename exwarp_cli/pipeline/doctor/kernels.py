@@ -85,8 +85,11 @@ def check_cache() -> Check:
         )
         facts = {"folders": [], "kernels": 0, "bytes": 0, "warm": False, "compiled": misses}
         return Check("none", (warning(text),), facts)
-    kernels = sum(cached_files(folder.path, ".nbi")[0] for folder in folders)
-    size = sum(cached_files(f.path, suffix)[1] for f in folders for suffix in (".nbi", ".nbc"))
+    indices, builds = (
+        [cached_files(folder.path, suffix) for folder in folders] for suffix in (".nbi", ".nbc")
+    )
+    kernels = sum(count for count, _ in indices)
+    size = sum(taken for _, taken in (*indices, *builds))
     facts = {
         "folders": [{"path": str(f.path), "place": place_of(f.path)} for f in folders],
         "writable": all(folder.problem is None for folder in folders),

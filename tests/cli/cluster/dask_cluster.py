@@ -9,37 +9,28 @@ import sys
 import time
 from contextlib import ExitStack
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
+from exwarp_cli.io.held import Held
 
-class DaskCluster:
+
+class DaskCluster(Held):
     """A scheduler without workers, until they are started; a context manager."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._stack = ExitStack()
         self.workers: list[subprocess.Popen[bytes]] = []
 
-    def __enter__(self) -> DaskCluster:
+    def _open(self, stack: ExitStack) -> None:
         self._folder.mkdir(parents=True, exist_ok=True)
         told = self._folder / "scheduler.json"
         where = ("--host", "127.0.0.1", "--port", "0", "--scheduler-file", told)
-        self._scheduler = self._start("scheduler", *where)
+        self._scheduler = self._start(stack, "scheduler", *where)
         deadline = time.monotonic() + 60
         while not told.exists() or not told.read_text():
             assert time.monotonic() < deadline, (self._folder / "log").read_text()
             time.sleep(0.05)
         self.address: str = json.loads(told.read_text())["address"]
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._stack.__exit__(kind, error, trace)
 
     def start_worker(
         self, *options: object, cwd: Path | None = None, preload: str = ""
@@ -51,20 +42,22 @@ class DaskCluster:
             script.write_text(preload)
             told += ["--preload", script]
         told += ["--local-directory", self._folder, *options, self.address]
-        self.workers.append(self._start("worker", *told, cwd=cwd))
+        self.workers.append(self._start(self._stack, "worker", *told, cwd=cwd))
         return self.workers[-1]
 
     def kill_scheduler(self) -> None:
         """Kill the scheduler, without a word to anybody."""
         _end(self._scheduler)
 
-    def _start(self, kind: str, *options: object, **more: Any) -> subprocess.Popen[bytes]:
+    def _start(
+        self, stack: ExitStack, kind: str, *options: object, **more: Any
+    ) -> subprocess.Popen[bytes]:
         module = f"distributed.cli.dask_{kind}"
         command = [sys.executable, "-m", module, "--no-dashboard", *map(str, options)]
-        log = self._stack.enter_context((self._folder / "log").open("ab"))
+        log = stack.enter_context((self._folder / "log").open("ab"))
         environment = os.environ | {"PYTHONWARNINGS": "ignore"}
         process = subprocess.Popen(command, stdout=log, stderr=log, env=environment, **more)
-        self._stack.callback(_end, process)
+        stack.callback(_end, process)
         return process
 
 

@@ -1,0 +1,174 @@
+"""Clusters that cannot be reached or cannot do a job, and jobs that no cluster does."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import socket
+import sys
+import threading
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+from distributed import Client
+
+from exwarp_cli.errors import ClusterError
+from exwarp_cli.farm import cluster_client, cluster_dispatch, cluster_work
+from tests.cli import shots
+from tests.cli.cluster.dask_cluster import DaskCluster
+from tests.cli.shots import FORWARD
+
+pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+
+
+class TestRefusals:
+    def run(self, exwarp, keys: Path, out: object, *options: object) -> Any:
+        return exwarp("upsample", keys, "-o", out, "-m", "s6", *FORWARD, *options)
+
+    def test_nobody_listens(self, exwarp, keys, tmp_path, monkeypatch):
+        monkeypatch.setattr(cluster_client, "CONNECT_S", 1.0)
+        begin = time.monotonic()
+        result = self.run(exwarp, keys, tmp_path / "out", "--cluster", "tcp://127.0.0.1:9")
+        result.refused(9, "tcp://127.0.0.1:9", "dask scheduler")
+        assert time.monotonic() - begin < 20
+        assert not (tmp_path / "out").exists()
+
+    @pytest.mark.parametrize(
+        "address",
+        ["nonsense://x:1", "tcp://127.0.0.1:notaport", "127.0.0.1", "tls://127.0.0.1:9", "inproc:"],
+    )
+    def test_what_is_no_address(self, exwarp, keys, tmp_path, address, monkeypatch):
+        monkeypatch.setattr(cluster_client, "CONNECT_S", 1.0)
+        self.run(exwarp, keys, tmp_path / "out", "--cluster", address).refused(9, address)
+
+    @pytest.mark.parametrize("greeting", [b"HTTP/1.0 400 Bad Request\r\n\r\n" + 80 * b"x", b""])
+    def test_somebody_else_listens(self, exwarp, keys, tmp_path, monkeypatch, greeting):
+        monkeypatch.setattr(cluster_client, "CONNECT_S", 1.0)
+        with socket.create_server(("127.0.0.1", 0)) as server:
+            threading.Thread(target=greet, args=(server, greeting), daemon=True).start()
+            address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+            self.run(exwarp, keys, tmp_path / "out", "--cluster", address).refused(9, address)
+
+    def test_a_worker_is_no_scheduler(self, exwarp, farm, keys, tmp_path):
+        with Client(farm, set_as_default=False) as client:
+            client.wait_for_workers(1, timeout=60)
+            worker = min(client.nthreads())
+        result = self.run(exwarp, keys, tmp_path / "out", "--cluster", worker)
+        result.refused(9, worker, "a worker of a cluster listens there")
+
+    def test_a_client_that_gave_up(self, farm):
+        with Client(farm, set_as_default=False) as client:
+            pass
+        needs = cluster_work.Needs("0", ())
+        dispatch = cluster_dispatch.Dispatch(client, needs, *4 * [lambda *_: None])
+        with pytest.raises(ClusterError, match="scheduler went away"):
+            dispatch.muster()
+
+    def test_without_dask(self, exwarp, keys, tmp_path, monkeypatch):
+        monkeypatch.setitem(sys.modules, "distributed", None)
+        for options in (
+            ("--workers", 2),
+            ("--cluster", "tcp://a:1"),
+            ("--workers", 2, "--dry-run"),
+        ):
+            result = self.run(exwarp, keys, tmp_path / "out", *options)
+            result.refused(7, 'pip install "exwarp[cluster]"')
+
+    @pytest.mark.parametrize(
+        ("options", "words"),
+        [
+            (("--workers", 2, "--cluster", "tcp://a:1"), ("--workers", "--cluster")),
+            (("--chunk-size", 2), ("--chunk-size", "--workers")),
+            (("--as-chunk",), ("--as-chunk", "--report")),
+        ],
+    )
+    def test_options_that_do_not_go_together(self, exwarp, keys, tmp_path, options, words):
+        self.run(exwarp, keys, tmp_path / "out", *options).refused(2, *words)
+        assert not (tmp_path / "out").exists()
+
+    def test_a_video_alone(self, exwarp, keys, tmp_path):
+        result = self.run(exwarp, keys, tmp_path / "a.mp4", "--workers", 2)
+        result.refused(2, "a.mp4", "--video")
+
+    def test_frames_in_the_way(self, exwarp, farm, keys, tmp_path):
+        (tmp_path / "out").mkdir()
+        (tmp_path / "out" / "shot.0003.exr").touch()
+        self.run(exwarp, keys, tmp_path / "out", "--cluster", farm).refused(6, "frame 3")
+        assert shots.names(tmp_path / "out") == ["shot.0003.exr"]
+
+    def test_a_chunk_that_fails(self, exwarp, farm, keys, tmp_path):
+        broken = Path(shutil.copytree(keys, tmp_path / "keys"))
+        data = (broken / "shot.0005.exr").read_bytes()
+        (broken / "shot.0005.exr").write_bytes(data[: len(data) - 200])
+        result = self.run(exwarp, broken, tmp_path / "out", "--cluster", farm, "--chunk-size", 1)
+        result.refused(3, "shot.0005.exr")
+        whole = tmp_path / "whole"
+        assert self.run(exwarp, keys, whole).code == 0
+        good, there = shots.contents(whole), shots.contents(tmp_path / "out")
+        assert there and all(good[name] == data for name, data in there.items())
+
+    def test_workers_that_cannot(self, exwarp, keys, tmp_path, monkeypatch):
+        """First one of another version; then one that sees other files; then a good one too."""
+        other = "import exwarp_cli; exwarp_cli.__version__ = '0.0.1'"
+        blind = (
+            "from pathlib import Path; real = Path.exists\n"
+            "Path.exists = lambda path, **k: 'exwarp-tmp' not in path.name and real(path, **k)"
+        )
+        with DaskCluster(tmp_path / "dask") as cluster:
+            cluster.start_worker(preload=other)
+            result = self.run(exwarp, keys, tmp_path / "out", "--cluster", cluster.address)
+            result.refused(9, "runs ExWarp 0.0.1", "install the same")
+            cluster.workers[0].kill()
+            worker = cluster.start_worker(preload=blind)
+            monkeypatch.setattr(cluster_dispatch, "PATIENCE_S", 60.0)
+            result = self.run(exwarp, keys, tmp_path / "out", "--cluster", cluster.address)
+            result.refused(9, str(tmp_path / "out"), "machines share")
+            assert shots.names(tmp_path / "out") == []
+            assert worker.poll() is None
+
+    def test_a_worker_that_may_not_write_is_left_out(self, exwarp, keys, tmp_path):
+        read_only = (
+            "import errno; from pathlib import Path\n"
+            "def touch(path, *a, **k): raise OSError(errno.EROFS, 'read-only', str(path))\n"
+            "Path.touch = touch"
+        )
+        with DaskCluster(tmp_path / "dask") as cluster:
+            cluster.start_worker(preload=read_only)
+            cluster.start_worker()
+            with Client(cluster.address, set_as_default=False) as client:
+                client.wait_for_workers(2, timeout=60)
+            options = ("--cluster", cluster.address, "--chunk-size", 1)
+            done = self.run(exwarp, keys, tmp_path / "out", *options)
+        assert done.code == 0, done.err
+        assert "is left out: it cannot write" in done.err and "read-only" in done.err
+
+    def test_busy_workers_are_waited_for(self, exwarp, keys, tmp_path, monkeypatch):
+        monkeypatch.setattr(cluster_dispatch, "PATIENCE_S", 1.0)
+        monkeypatch.setattr(cluster_dispatch, "ANSWER_S", 1.0)
+        with (
+            DaskCluster(tmp_path / "dask") as cluster,
+            Client(cluster.address, set_as_default=False) as client,
+        ):
+            cluster.start_worker()
+            client.wait_for_workers(1, timeout=60)
+            other = client.submit(time.sleep, 5)
+            done = self.run(exwarp, keys, tmp_path / "out", "--cluster", cluster.address)
+            assert other.done()
+        assert done.code == 0, done.err
+        assert done.err.count("waiting for a worker to be free") == 1
+
+
+def greet(server: socket.socket, greeting: bytes) -> None:
+    """Answer whoever comes, or never; ends with the server."""
+    silent = []
+    with suppress(OSError):
+        while True:
+            somebody, _ = server.accept()
+            somebody.sendall(greeting)
+            if greeting:
+                somebody.close()
+            else:
+                silent.append(somebody)
