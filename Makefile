@@ -1,6 +1,9 @@
 # make test     lint, types, layers and all tests, in a virtual environment made on first use
 # make check    the same without the tests
-# make bench    quality beside other interpolators, and run times beside OpenCV and the codecs
+# make bench    quality beside other interpolators, and run times beside OpenCV, the codecs and
+#               others, with their goals; BENCHES='kernels policy' for some
+# make bench-check  the same run times; fails where one misses its goal by more than a fifth
+# make profile  where the time of upsample goes, as a table in tests/bench/PROFILE.md (10 minutes)
 # make demo     upsample the example, score it against its ground truth, make a video
 # make scenes   render the benchmark scenes and the training shots with Blender's module (hours;
 #               goes on where it stopped); SCENES='lab town' for some, OPTIONS='--resolution 480p'
@@ -27,12 +30,13 @@ BLENDER ?= .blender
 BLENDER_PYTHON ?= python3.11
 SCENES ?= lab tropical village town slum variety
 OPTIONS ?=
+BENCHES ?=
 DATA ?= $(HOME)/.cache/exwarp/scenes
 TRAINING ?= $(HOME)/.cache/exwarp/training
 POLICY ?= build/policy
 MODEL ?= models/extrapolator.onnx
 
-.PHONY: test check bench demo scenes blender train policy judge paper clean
+.PHONY: test check bench bench-check profile demo scenes blender train policy judge paper clean
 
 test: check
 	$(BIN)/pytest --numprocesses auto --dist worksteal
@@ -45,10 +49,13 @@ check: $(STAMP)
 
 bench: $(STAMP)
 	$(BIN)/python -m tests.bench.quality
-	$(BIN)/python -m tests.bench.bench_kernels
-	$(BIN)/python -m tests.bench.bench_exr
-	$(BIN)/python -m tests.bench.bench_command
-	$(BIN)/python -m tests.bench.bench_policy
+	$(BIN)/python -m tests.bench $(BENCHES)
+
+bench-check: $(STAMP)
+	$(BIN)/python -m tests.bench $(BENCHES) --check
+
+profile: $(STAMP)
+	$(BIN)/python -m tests.bench.profile_command $(OPTIONS)
 
 demo: $(STAMP)
 	@test -n "$(EXAMPLE)" || { echo "make: no examples/*/keys folder; see examples/" >&2; exit 1; }

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import fields, replace
 from fractions import Fraction
+from importlib import import_module
 from pathlib import Path
+from threading import Thread
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -29,6 +32,7 @@ if TYPE_CHECKING:
     from exwarp_cli.pipeline.dry_run import DryRun
     from exwarp_cli.pipeline.job import Job
     from exwarp_cli.pipeline.progress import Progress
+    from exwarp_cli.report.gallery import Gallery
 
 
 class FrameRate(click.ParamType[Fraction]):
@@ -182,8 +186,11 @@ def command(
 
     settings = settings_of(options)
     where = ClusterSettings(workers, cluster, chunk_size)
+    runs = not (dry_run or where.spread)
+    if runs:
+        Thread(target=_import_run, name="exwarp-import").start()
     with reporting(progress, results_on_stdout=as_json) as told:
-        job = open_job(settings)
+        job = open_job(settings, runs)
         place = _report_place(report_folder, as_chunk, job)
         if dry_run:
             _tell(_foreseen(job, where, place, told), as_json)
@@ -198,44 +205,63 @@ def settings_of(options: Mapping[str, Any]) -> UpsampleSettings:
     return UpsampleSettings(SourceSettings(**source), **own)
 
 
+def _import_run() -> None:
+    """Import what makes frames, while the main thread waits for the frames that motion is found by.
+
+    What fails here fails again where it is used, and is told there.
+    """
+    with suppress(Exception):
+        import_module("exwarp_cli.pipeline.upsample")
+
+
 def _report_place(folder: Path | None, as_chunk: bool, job: Job) -> Path | None:
     """Return the folder of the report: of a chunk, one of its own."""
-    from exwarp_cli.report.folder import chunk_folder
-
-    if folder is None and as_chunk:
+    if not as_chunk:
+        return folder
+    if folder is None:
         raise UsageError(
             "--as-chunk says where the report goes; give --report too, or leave it out"
         )
-    return chunk_folder(folder, job.key_numbers) if folder is not None and as_chunk else folder
+    from exwarp_cli.report.folder import chunk_folder
+
+    return chunk_folder(folder, job.key_numbers)
 
 
 def _run(job: Job, where: ClusterSettings, place: Path | None, told: Progress) -> RunSummary:
-    """Do the job, in this process or others, and write its report."""
-    from exwarp_cli.pipeline.upsample import run_job
+    """Do the job, and write its report."""
+    if place is None:
+        return _done(job, where, told)
     from exwarp_cli.report.folder import prepare_report, write_report
     from exwarp_cli.report.gallery import Gallery
 
     settings = job.settings
-    if place is not None:
-        prepare_report(place, replace=settings.overwrite or settings.skip_existing)
-    gallery = None if place is None else Gallery(settings.ground_truth is not None)
+    prepare_report(place, replace=settings.overwrite or settings.skip_existing)
+    gallery = Gallery(settings.ground_truth is not None)
+    summary = _done(job, where, told, gallery)
+    write_report(place, summary, gallery.album)
+    return summary
+
+
+def _done(
+    job: Job, where: ClusterSettings, told: Progress, gallery: Gallery | None = None
+) -> RunSummary:
+    """Do the job, in this process or others."""
     if where.spread:
         from exwarp_cli.farm.cluster import run_on_cluster
 
-        summary = run_on_cluster(job, where, told, gallery)
-    else:
-        summary = run_job(job, told, gallery)
-    if place is not None and gallery is not None:
-        write_report(place, summary, gallery.album)
-    return summary
+        return run_on_cluster(job, where, told, gallery)
+    from exwarp_cli.pipeline.upsample import run_job
+
+    return run_job(job, told, gallery)
 
 
 def _foreseen(job: Job, where: ClusterSettings, place: Path | None, told: Progress) -> DryRun:
     """Find out what the job would do."""
     from exwarp_cli.pipeline.dry_run import foresee, require_writable
-    from exwarp_cli.report.folder import refuse_report
 
     if place is not None:
+        from exwarp_cli.report.folder import refuse_report
+
         refuse_report(place, replace=job.settings.overwrite or job.settings.skip_existing)
         require_writable((place,))
     found = foresee(job)

@@ -58,6 +58,55 @@ class NetworkInputs:
         """The picture inputs by name, without the batch axis."""
         return {name: getattr(self, name) for name in INPUTS}
 
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width."""
+        height, width = self.mask.shape[1:]
+        return height, width
+
+    def part(self, rows: slice, columns: slice) -> NetworkInputs:
+        """Return the inputs of some rows and columns; views of these."""
+        parts = {name: planes[:, rows, columns] for name, planes in self.pictures.items()}
+        return NetworkInputs(**parts, time=self.time)
+
+
+class Inputs(Protocol):
+    """What a network is given for one slot, as a whole or part by part as it is wanted.
+
+    The properties are those of `NetworkInputs`, of the whole frame.
+    """
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width."""
+
+    @property
+    def time(self) -> float:
+        """Of the slot in its key interval."""
+
+    @property
+    def warped(self) -> Float32:
+        """float32 [6, H, W]."""
+
+    @property
+    def mask(self) -> Float32:
+        """float32 [1, H, W]."""
+
+    @property
+    def features(self) -> Float32:
+        """float32 [6, H, W]."""
+
+    @property
+    def history(self) -> Float32:
+        """float32 [12, H, W]."""
+
+    @property
+    def pictures(self) -> dict[str, Float32]:
+        """The picture inputs by name."""
+
+    def part(self, rows: slice, columns: slice) -> NetworkInputs:
+        """Return the inputs of some rows and columns."""
+
 
 class Extrapolator(Protocol):
     """A network that is ready to run."""
@@ -66,5 +115,5 @@ class Extrapolator(Protocol):
     def checksum(self) -> str:
         """SHA-256 of the model's file, in hexadecimal digits."""
 
-    def __call__(self, inputs: NetworkInputs) -> Float32:
+    def __call__(self, inputs: Inputs) -> Float32:
         """Return the slot's colour, float32 [3, H, W], encoded as the inputs are; any H and W."""

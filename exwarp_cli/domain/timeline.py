@@ -10,8 +10,6 @@ from fractions import Fraction
 from itertools import pairwise
 from typing import Any
 
-from fileseq.frameset import FrameSet
-
 from exwarp_cli.errors import MissingFrameError, UsageError
 
 FACTOR = 4
@@ -195,6 +193,8 @@ def listed(text: str) -> list[Any]:
     """
     if re.search(r"\d\s+\d", text):
         raise ValueError(f"no comma between two numbers of {text!r}")  # one would be made of both
+    from fileseq.frameset import FrameSet  # not for `exwarp --help`, nor where all is done
+
     try:
         return list(FrameSet(re.sub(r"\s", "", text).replace(":", "x")))
     except (TypeError, OverflowError) as error:
@@ -203,6 +203,8 @@ def listed(text: str) -> list[Any]:
 
 def ranges(numbers: Collection[int]) -> str:
     """Write frame numbers compactly, for messages: ``1-4,7``."""
+    from fileseq.frameset import FrameSet
+
     return str(FrameSet(sorted(set(numbers)))) if numbers else ""
 
 

@@ -215,7 +215,7 @@ def _job(chunk: Chunk) -> Job:
     if _opened is None or _opened[0] != chunk.run:
         _opened = None
         threads = chunk.settings.threads or int(get_worker().state.nthreads)
-        _opened = chunk.run, open_job(replace(chunk.settings, threads=threads))
+        _opened = chunk.run, open_job(replace(chunk.settings, threads=threads), runs=False)
     return _opened[1]
 
 

@@ -46,7 +46,8 @@ def open_farm_job(
             f"-o {settings.output} is a video, which no chunk can write alone; name a folder for "
             "the frames in -o, and the video with --video"
         )
-    job = open_job(replace(settings, device=UpsampleSettings.device))  # of a worker, not of here
+    # With the device of a worker, not of here.
+    job = open_job(replace(settings, device=UpsampleSettings.device), runs=False)
     try:
         _require_network(settings, job)
         job.refuse()

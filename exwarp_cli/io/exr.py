@@ -1,13 +1,14 @@
 """Reading OpenEXR files: their structure, and the pixels of chosen channels.
 
-OpenImageIO decodes the pixels: it reads single parts of a multi-part file, without the interpreter
-lock, and reports damage as an error where OpenEXR's own bindings print and drop the part.
+`io.exr_decoding` decodes the common kinds. OpenImageIO tells the structure and decodes the rest: it
+reads single parts of a multi-part file, without the interpreter lock, and reports damage as an
+error where OpenEXR's own bindings print and drop the part.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,6 +17,8 @@ import OpenImageIO as oiio
 
 from exwarp_cli.domain.frame import Window
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, MissingFrameError
+from exwarp_cli.io import exr_decoding
+from exwarp_cli.io.exr_decoding import ScanLines, Wanted
 
 
 @dataclass(frozen=True)
@@ -111,6 +114,7 @@ class ExrReader:
             file.close()
             raise damaged(path, f"its content is {file.format_name()}")
         self._file: oiio.ImageInput = file
+        self._scan_lines: ScanLines | None = None
         self.parts = self._parts()
 
     def __enter__(self) -> ExrReader:
@@ -118,6 +122,8 @@ class ExrReader:
 
     def __exit__(self, *exc: object) -> None:
         self._file.close()
+        if self._scan_lines is not None:
+            self._scan_lines.close()
 
     def _parts(self) -> tuple[Part, ...]:
         """Describe every part."""
@@ -140,19 +146,59 @@ class ExrReader:
         specs = (self._file.spec(part.index, 0) for part in self.parts)
         return [{one.name: one.value for one in spec.extra_attribs} for spec in specs]
 
-    def read(self, channels: Iterable[Channel]) -> dict[Channel, np.ndarray]:
+    def read(self, *groups: Iterable[Channel]) -> dict[Channel, np.ndarray]:
         """Decode channels: [H, W] arrays on their part's data window.
 
         Half and float become float32; uint stays uint32, as ids above 2^24 need it. Each part is
         decoded once, whatever the number of its channels.
+
+        Parameters
+        ----------
+        *groups
+            Channels of one group are used together: those of one part and type lie interleaved in
+            one array, in the order given, where the part is decoded here.
         """
+        wanted: dict[tuple[int, int, bool], list[Channel]] = {}
+        seen: set[Channel] = set()
+        for number, group in enumerate(groups):
+            for channel in group:
+                if channel not in seen:
+                    key = number, channel.part, channel.pixel_type == "uint"
+                    wanted.setdefault(key, []).append(channel)
+                    seen.add(channel)
+        if any(self.parts[part].deep for _, part, _ in wanted):
+            raise deep_only(self.path)
+        out: dict[Channel, np.ndarray] = {}
+        left: list[Channel] = []
+        for members, pixels in zip(wanted.values(), self._decoded(wanted), strict=True):
+            if pixels is None:
+                left += members
+            else:
+                out |= {channel: pixels[..., i] for i, channel in enumerate(members)}
+        return out | self._by_openimageio(left)
+
+    def _decoded(
+        self, wanted: Mapping[tuple[int, int, bool], Sequence[Channel]]
+    ) -> list[np.ndarray | None]:
+        """Decode what can be decoded here: float32 or uint32 [H, W, C] of each, else None."""
+        if self._scan_lines is None:
+            try:
+                self._scan_lines = ScanLines(self.path)
+            except OSError:
+                return [None] * len(wanted)
+        asked = [
+            Wanted(part, self.parts[part].data_window, tuple(c.raw_name for c in members), integer)
+            for (_, part, integer), members in wanted.items()
+        ]
+        return self._scan_lines.read(asked)
+
+    def _by_openimageio(self, channels: Iterable[Channel]) -> dict[Channel, np.ndarray]:
+        """Decode channels of any kind, or say why they cannot be decoded."""
         wanted: dict[tuple[int, bool], list[Channel]] = {}
         for channel in channels:
             wanted.setdefault((channel.part, channel.pixel_type == "uint"), []).append(channel)
         out: dict[Channel, np.ndarray] = {}
         for (part, integer), members in sorted(wanted.items(), key=lambda item: item[0]):
-            if self.parts[part].deep:
-                raise deep_only(self.path)
             begin = min(c.index for c in members)
             end = max(c.index for c in members) + 1
             pixels = self._file.read_image(part, 0, begin, end, "uint" if integer else "float")
@@ -261,3 +307,4 @@ def set_threads(count: int | None) -> None:
     """Set how many threads decode; None for all cores."""
     oiio.attribute("threads", count or 0)
     oiio.attribute("exr_threads", count or 0)
+    exr_decoding.set_threads(count)

@@ -11,9 +11,6 @@ from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from fileseq.constants import PAD_STYLE_HASH1
-from fileseq.filesequence import FileSequence
-
 _TOKEN = re.compile(r"#+|@+|%[0-9]{0,2}d|\$F[0-9]{0,2}")
 _NUMBER = re.compile(r"-?[0-9]+")
 _TRAILING_NUMBER = re.compile(r"(?P<base>.*?)(?P<number>-?[0-9]+)", re.DOTALL)
@@ -46,6 +43,9 @@ class NamePattern:
         tokens = list(_TOKEN.finditer(name))
         if not tokens:
             return None
+        from fileseq.constants import PAD_STYLE_HASH1  # costs more than a folder's frames
+        from fileseq.filesequence import FileSequence
+
         token = tokens[-1]
         padding = FileSequence.getPaddingNum(token[0], pad_style=PAD_STYLE_HASH1)
         return cls(name[: token.start()], max(padding, 1), name[token.end() :])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -24,6 +24,7 @@ from exwarp_cli.errors import DamagedFileError, LayoutError
 from exwarp_cli.io.channels import ChannelRef, Role, detect, require
 from exwarp_cli.io.cryptomatte import find_cryptomattes
 from exwarp_cli.io.exr import ExrReader
+from exwarp_cli.io.lent_memory import lent
 from exwarp_cli.io.shot import Shot as Shot
 from exwarp_cli.io.shot import open_shot as open_shot
 from exwarp_cli.io.shot import plain, renamed
@@ -109,8 +110,7 @@ def read_raw(
     if ids is not None and ids.dynamic is None and not objects:
         ids = None
     ranks = () if ids is None else ids.cryptomatte.stencil
-    wanted = [ref for group in (*refs.values(), ranks) for ref in group]
-    found = _Planes(*read_planes(shot, number, wanted), refs)
+    found = _Planes(*read_planes(shot, number, *refs.values(), ranks), refs)
     path = shot.sequence.files[number]
     canvas = found.windows[refs[Role.COLOUR][0]] if Role.COLOUR in refs else shot.display
     image = None
@@ -263,11 +263,15 @@ def clean_depth(depth: Float32, normal: Float32 | None) -> Float32:
 
     Background is written as 0, 1e10, infinity or NaN; Unreal marks it by the normal (-1, -1, -1).
     """
-    with np.errstate(invalid="ignore"):
-        background = ~((depth > 0) & (depth < FAR))
+    from exwarp_cli.kernels.depths import known_depths  # numba: not for what only lists channels
+
+    out: Float32 = lent(depth.shape, np.float32)
+    known_depths(
+        np.ascontiguousarray(depth, np.float32).reshape(-1), np.float32(FAR), out.reshape(-1)
+    )
     if normal is not None:
-        background |= (normal == -1).all(axis=-1)
-    return np.where(background, np.float32(np.inf), depth).astype(np.float32)
+        out[(normal == -1).all(axis=-1)] = np.inf
+    return out
 
 
 def clean_stencil(ids: np.ndarray) -> Int32:
@@ -277,12 +281,15 @@ def clean_stencil(ids: np.ndarray) -> Int32:
     from exwarp_cli.kernels.ids import whole_ids  # numba: not for what only lists channels
 
     # Passes over the frame took 15 times as long.
-    out = np.empty(ids.shape, np.int32)
+    out: Int32 = lent(ids.shape, np.int32)
     whole_ids(np.ascontiguousarray(ids, np.float32).reshape(-1), out.reshape(-1))
     return out
 
 
 def _refuse_broken(pixels: Float32, path: Path) -> None:
+    # Where the first half is sound, no share of the rest is too large.
+    if not broken_pixels(pixels[: len(pixels) // 2 + 1]).any():
+        return
     share = float(broken_pixels(pixels).mean())
     if share > MAX_BROKEN:
         raise DamagedFileError(
@@ -291,12 +298,13 @@ def _refuse_broken(pixels: Float32, path: Path) -> None:
 
 
 def read_planes(
-    shot: Shot, number: int, refs: list[ChannelRef]
+    shot: Shot, number: int, *groups: Sequence[ChannelRef]
 ) -> tuple[dict[ChannelRef, np.ndarray], dict[ChannelRef, Window]]:
-    """Read channels of one frame, with the data window of each."""
+    """Read channels of one frame, with the data window of each; those of a group are joined."""
     planes: dict[ChannelRef, np.ndarray] = {}
     windows: dict[ChannelRef, Window] = {}
     files = shot.files(number)
+    refs = [ref for group in groups for ref in group]
     for aov in sorted({ref.aov for ref in refs}):
         path = files[aov]
         with ExrReader(path) as file:
@@ -309,7 +317,9 @@ def read_planes(
                         f"{path} has no channel {ref.name!r}, which the sequence's first frame "
                         "has; render all frames with the same passes"
                     )
-            pixels = file.read(channels[ref.name] for ref in mine)
+            pixels = file.read(
+                *([channels[ref.name] for ref in group if ref.aov == aov] for group in groups)
+            )
             for ref in mine:
                 channel = channels[ref.name]
                 planes[ref] = pixels[channel]

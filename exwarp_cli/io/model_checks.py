@@ -11,10 +11,13 @@ from pathlib import Path
 from typing import Any
 
 from exwarp_cli.domain.extrapolator import INPUTS, INTERFACE, OUTPUT, TIME
-from exwarp_cli.errors import LayoutError
+from exwarp_cli.errors import DamagedFileError, InputError, LayoutError
 
 STRIDE_KEY, INTERFACE_KEY = "exwarp.stride", "exwarp.interface"
 DEFAULT_STRIDE, MOST_STRIDE = 8, 256
+
+_ELSEWHERE = b"\n\x08location\x12"
+"""How ONNX files write the key under which they name the file of weights that are kept apart."""
 
 REQUIRED = ("warped", "mask")
 """Inputs that a network must have; it may do without the others."""
@@ -66,6 +69,26 @@ def require_nodes(path: Path, inputs: Mapping[str, Any], outputs: Mapping[str, A
 def written_shape(shape: Sequence[Any]) -> str:
     """Write a shape; free sizes by their name or as ``?``."""
     return f"[{', '.join('?' if size is None else str(size) for size in shape)}]"
+
+
+def unusable(path: Path, data: bytes, error: Exception) -> InputError:
+    """Say why a file is no model that runs."""
+    if _ELSEWHERE in data:
+        return LayoutError(
+            f"{path} keeps weights in other files, and one file is read only; save it with its "
+            "weights inside"
+        )
+    return DamagedFileError(
+        f"{path} is no ONNX model that onnxruntime can run ({reason(error)}); check the path, or "
+        "export it again"
+    )
+
+
+def reason(error: Exception) -> str:
+    """First line of what onnxruntime says, without its codes."""
+    line = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+    text = line.rsplit(" : ", 1)[-1].strip().rstrip(".")
+    return text if len(text) <= 160 else text[:157] + "..."
 
 
 def _require_names(path: Path, inputs: Mapping[str, Any], outputs: Mapping[str, Any]) -> None:

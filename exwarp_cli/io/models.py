@@ -3,41 +3,47 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import os
+from collections.abc import Mapping
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from exwarp_cli.domain.extrapolator import INPUTS, OUTPUT, TIME, NetworkInputs
+from exwarp_cli.domain.extrapolator import INPUTS, OUTPUT, TIME, Inputs, NetworkInputs
 from exwarp_cli.domain.frame import Float32
-from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, MissingExtraError
+from exwarp_cli.domain.tiles import Span, Tile, cut
+from exwarp_cli.errors import InputError, LayoutError, MissingExtraError
 from exwarp_cli.io.model_checks import (
     STRIDE_KEY,
+    reason,
     require_interface,
     require_nodes,
     stated_stride,
+    unusable,
     written_shape,
 )
+from exwarp_cli.io.model_files import CHECKSUMS as CHECKSUMS
+from exwarp_cli.io.model_files import read_model as read_model
+from exwarp_cli.io.model_files import shipped_folder as shipped_folder
+from exwarp_cli.io.reach import reach_of
 
 SHIPPED = "extrapolator.onnx"
 """Name of the network that comes with ExWarp."""
-
-CHECKSUMS = "checksums.json"
-"""Beside the shipped models: SHA-256 by file name."""
 
 PIXELS_PER_THREAD = 256
 """Pixels of the coarsest scale that a thread must get. With 107 and less, onnxruntime was seen to
 split the sums of a convolution elsewhere, so that the rounding went by the number of threads."""
 
+MOST_PIXELS = 2**20
+"""Of a picture that a network is given whole; a larger one is cut into tiles. The shipped network
+takes 560 bytes a pixel while it runs."""
+
 MOST_ENCODED = 80.0
 """Largest answer that is taken for colour: coded as log(1 + x), it is near float32's limit."""
 
 CUDA = "CUDAExecutionProvider"
-
-_ELSEWHERE = b"\n\x08location\x12"
-"""How ONNX files write the key under which they name the file of weights that are kept apart."""
 
 
 def load_extrapolator(path: Path | None, threads: int | None, device: str) -> OnnxExtrapolator:
@@ -64,13 +70,6 @@ def load_extrapolator(path: Path | None, threads: int | None, device: str) -> On
     network = OnnxExtrapolator(path, data, threads or os.cpu_count() or 1, device)
     network.judge()
     return network
-
-
-def shipped_folder() -> Path:
-    """Return where the models that come with ExWarp lie: in the package, or in a clone beside."""
-    package = Path(__file__).resolve().parents[1]
-    inside = package / "_models"
-    return inside if inside.is_dir() else package.parent / "models"
 
 
 class OnnxNetwork:
@@ -140,7 +139,7 @@ class OnnxNetwork:
             if "alloc" in str(error):
                 raise MemoryError from error
             raise LayoutError(
-                f"{self.path} fails on {width}x{height} pixels ({_reason(error)}); {advice}"
+                f"{self.path} fails on {width}x{height} pixels ({reason(error)}); {advice}"
             ) from error
         return out
 
@@ -158,19 +157,38 @@ class OnnxExtrapolator(OnnxNetwork):
         super().__init__(path, data, threads, device)
         self._stride = stated_stride(self.path, self._metadata)
 
-    def __call__(self, inputs: NetworkInputs) -> Float32:
+    def __call__(self, inputs: Inputs) -> Float32:
         """Return the slot's colour, float32 [3, H, W], encoded as the inputs are; any H and W."""
-        height, width = inputs.mask.shape[1:]
+        height, width = inputs.shape
+        out = np.empty((3, height, width), np.float32)
+        for rows, columns in self._tiles(_up(height, self._stride), _up(width, self._stride)):
+            answer = self._made_of(inputs.part(rows.seen, columns.seen))
+            place = out[:, rows.kept, columns.kept]
+            place[:] = answer[:, rows.inside, columns.inside][:, : place.shape[1], : place.shape[2]]
+        return out
+
+    def _tiles(self, height: int, width: int) -> tuple[Tile, ...]:
+        """Return what of a picture the network is given at a time; all of a small one."""
+        if height * width > MOST_PIXELS and self._reach is not None:
+            return cut((height, width), self._stride, self._reach, MOST_PIXELS)
+        return ((Span(0, height, 0, height), Span(0, width, 0, width)),)
+
+    @cached_property
+    def _reach(self) -> int | None:
+        """How far the network sees, pixels; None for what takes pictures whole."""
+        return reach_of(lambda pictures: self._raw(pictures, 0.5)[0], self._stride)
+
+    def _made_of(self, part: NetworkInputs) -> Float32:
+        """Return the network's answer to a part of the inputs, as they are in both directions."""
+        height, width = part.shape
         down, right = -height % self._stride, -width % self._stride
-        feeds = {
-            name: np.pad(planes, ((0, 0), (0, down), (0, right)), mode="edge")[None]
-            for name, planes in inputs.pictures.items()
-            if name in self.inputs
-        }
-        if TIME in self.inputs:
-            feeds[TIME] = np.array([inputs.time], np.float32)
-        out = self._run(feeds, height + down, width + right)
-        return np.ascontiguousarray(out[0, :, :height, :width])
+        pictures = part.pictures
+        if down or right:
+            around = ((0, 0), (0, down), (0, right))
+            pictures = {name: np.pad(p, around, mode="edge") for name, p in pictures.items()}
+        out = self._raw(pictures, part.time)
+        self._require_colour(out, height + down, width + right)
+        return np.asarray(out[0])
 
     def judge(self) -> None:
         """Refuse a network that does not fit, by what it declares and by running it once."""
@@ -181,81 +199,38 @@ class OnnxExtrapolator(OnnxNetwork):
         blank = {name: np.zeros((count, *shape), np.float32) for name, count in INPUTS.items()}
         self(NetworkInputs(**blank, time=0.5))
 
-    def _run(self, feeds: dict[str, Float32], height: int, width: int) -> Float32:
+    def _raw(self, pictures: Mapping[str, Float32], time: float) -> Float32:
         """Run the network on pictures of a size that is a multiple of its stride."""
+        height, width = pictures["mask"].shape[1:]
+        given = {name: np.ascontiguousarray(planes) for name, planes in pictures.items()}
+        feeds = {name: planes[None] for name, planes in given.items() if name in self.inputs}
+        if TIME in self.inputs:
+            feeds[TIME] = np.array([time], np.float32)
         advice = (
             f"export it with any height and width that are multiples of {self._stride}, or state "
             f"another {STRIDE_KEY} in its metadata"
         )
         out = self._answer(OUTPUT, feeds, (height, width), self._stride, advice)
+        return np.asarray(out)
+
+    def _require_colour(self, out: Float32, height: int, width: int) -> None:
+        """Refuse an answer that is no colour, or of another size."""
         if out.shape != (1, 3, height, width):
             raise LayoutError(
                 f"{self.path} gives {written_shape(list(out.shape))} for {width}x{height} pixels; "
                 f"export it so that it gives {written_shape([1, 3, height, width])}"
             )
-        if not np.abs(out).max() <= MOST_ENCODED:
+        # The ends alone: the largest magnitude of all took a copy of the picture.
+        if not (out.max() <= MOST_ENCODED and out.min() >= -MOST_ENCODED):
             raise InputError(
                 f"{self.path} gives NaN, infinite or far too bright colour for {width}x{height} "
                 "pixels; use another model"
             )
-        return np.asarray(out)
 
 
-def read_model(path: Path | None, shipped: str, option: str) -> tuple[Path, bytes]:
-    """Read a model's file.
-
-    Parameters
-    ----------
-    path
-        What the user named; None for what comes with ExWarp, whose checksum is verified.
-    shipped
-        Name of the file that comes with ExWarp.
-    option
-        By which the user may name another.
-
-    Returns
-    -------
-    Path and bytes
-        Where it lies, and its content.
-
-    Raises
-    ------
-    InputError
-        When there is no such file, it cannot be read, or its checksum is missing or differs.
-    """
-    if path is not None:
-        return path, _read(path)
-    path = shipped_folder() / shipped
-    return path, _read_shipped(path, option)
-
-
-def _read(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except FileNotFoundError as error:
-        raise InputError(f"there is no model {path}; check the path") from error
-    except OSError as error:
-        raise InputError(
-            f"cannot read the model {path}: {error.strerror}; check the path and its rights"
-        ) from error
-
-
-def _read_shipped(path: Path, option: str) -> bytes:
-    """Read a model that comes with ExWarp, and make sure that it is that one."""
-    try:
-        data = path.read_bytes()
-        expected = json.loads((path.parent / CHECKSUMS).read_bytes())[path.name]
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(
-            f"the model {path}, which comes with ExWarp, is missing or has no checksum beside it; "
-            f"install ExWarp again, or name a model with {option}"
-        ) from error
-    if hashlib.sha256(data).hexdigest() != expected:
-        raise DamagedFileError(
-            f"the model {path} is not the one that came with ExWarp, its checksum differs; install "
-            f"ExWarp again, or name this model with {option}"
-        )
-    return data
+def _up(pixels: int, stride: int) -> int:
+    """Return the next multiple of a stride."""
+    return -(-pixels // stride) * stride
 
 
 def _open(path: Path, data: bytes, threads: int, device: str) -> Any:
@@ -271,6 +246,8 @@ def _open(path: Path, data: bytes, threads: int, device: str) -> Any:
     options.intra_op_num_threads, options.inter_op_num_threads = threads, 1
     options.execution_mode = runtime.ExecutionMode.ORT_SEQUENTIAL
     options.use_deterministic_compute = True
+    # Planned as one block, what is computed on the way took twice the memory, and no less time.
+    options.enable_mem_pattern = False
     # Threads that wait in a loop took a third more of the processor, and were no faster.
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     # A search by time may choose other algorithms, and round otherwise, in every run.
@@ -281,7 +258,7 @@ def _open(path: Path, data: bytes, threads: int, device: str) -> Any:
             data, options, providers=[*providers, "CPUExecutionProvider"], enable_fallback=False
         )
     except _failures() as error:
-        raise _unusable(path, data, error) from error
+        raise unusable(path, data, error) from error
     if device == "cuda" and CUDA not in session.get_providers():
         raise MissingExtraError(
             "--device cuda was asked for, but onnxruntime cannot start CUDA here; check the "
@@ -299,19 +276,6 @@ def runtime_version() -> str:
 def providers() -> tuple[str, ...]:
     """Return what onnxruntime could run networks on, by its names; MissingExtraError without it."""
     return tuple(_runtime().get_available_providers())
-
-
-def _unusable(path: Path, data: bytes, error: Exception) -> InputError:
-    """Say why a file is no model that runs."""
-    if _ELSEWHERE in data:
-        return LayoutError(
-            f"{path} keeps weights in other files, and one file is read only; save it with its "
-            "weights inside"
-        )
-    return DamagedFileError(
-        f"{path} is no ONNX model that onnxruntime can run ({_reason(error)}); check the path, or "
-        "export it again"
-    )
 
 
 def _runtime() -> Any:
@@ -333,10 +297,3 @@ def _failures() -> tuple[type[Exception], ...]:
     kinds = [kind for kind in vars(state).values() if isinstance(kind, type)]
     own = [kind for kind in kinds if issubclass(kind, Exception)]
     return (*own, RuntimeError, ValueError)
-
-
-def _reason(error: Exception) -> str:
-    """First line of what onnxruntime says, without its codes."""
-    line = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
-    text = line.rsplit(" : ", 1)[-1].strip().rstrip(".")
-    return text if len(text) <= 160 else text[:157] + "..."

@@ -8,6 +8,7 @@ that digests sources and settings shows whether the frame is the one that this r
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Iterable, Mapping
 from fractions import Fraction
 from functools import reduce
@@ -20,8 +21,9 @@ import OpenEXR
 from exwarp_cli.domain.frame import Bool, Image, Window, place
 from exwarp_cli.errors import OutputError, UsageError
 from exwarp_cli.io.atomic import atomic_write_bytes
+from exwarp_cli.io.channel_rows import Channel
 from exwarp_cli.io.exr import damaged
-from exwarp_cli.io.exr_encoding import Smaller, encoded
+from exwarp_cli.io.exr_encoding import Buffer, Smaller, encoded
 from exwarp_cli.io.header_text import as_it_was, plain
 from exwarp_cli.io.template import PREFIX as PREFIX
 from exwarp_cli.io.template import PartTemplate, Plane, PlaneKey, Template
@@ -129,7 +131,7 @@ def write_mask(
     _write(path, [(header, {"holes": mask.astype(np.float16)})])
 
 
-Encoded = tuple[dict[str, Any], dict[str, np.ndarray]]
+Encoded = tuple[dict[str, Any], dict[str, Channel]]
 """Header and channels of one part."""
 
 
@@ -143,7 +145,7 @@ def _encoded(
     members = {plane: planes[plane.key] for plane in part.planes}
     window = filled_window(members.values(), part.window)
     channels = {
-        template.name: template.encoded(place(plane.values, plane.window, window))
+        template.name: template.channel(place(plane.values, plane.window, window))
         for template, plane in members.items()
     }
     return {**part.header, **attributes, **_structure(window, display)}, channels
@@ -161,25 +163,37 @@ def _write(path: Path, parts: list[Encoded]) -> None:
     """Encode in memory, seal, and write."""
     parts[0][0][CHECKSUM] = _ZEROS
     try:
-        data = encoded([(_in_utf8(header), planes) for header, planes in parts])
+        head, *pieces = encoded([(_in_utf8(header), planes) for header, planes in parts])
     except (RuntimeError, ValueError, TypeError) as error:
         raise OutputError(f"cannot encode {path}: {error}; try another --compression") from error
-    data = as_it_was(data, (header for header, _ in parts))
-    atomic_write_bytes(path, seal(data))
+    head = as_it_was(memoryview(head), (header for header, _ in parts))
+    atomic_write_bytes(path, *seal(head, *pieces))
 
 
 def _in_utf8(header: dict[str, Any]) -> dict[str, Any]:
     return {name: plain(v) if isinstance(v, str) else v for name, v in header.items()}
 
 
-def seal(data: memoryview | bytes) -> bytes:
-    """Put the checksum of an encoded file into its header."""
-    sealed = bytearray(data)
-    start = _checksum_at(sealed)
+def seal(head: Buffer, *rest: Buffer) -> list[Buffer]:
+    """Put the checksum of an encoded file into its header.
+
+    Parameters
+    ----------
+    head, rest
+        What the file has one after the other; the header is in the first, which is changed where it
+        can be.
+    """
+    start = _checksum_at(head)
     if start is None:
         raise ValueError("no place for the checksum")
-    sealed[start : start + 64] = hashlib.sha256(sealed).hexdigest().encode()
-    return bytes(sealed)
+    sealed = memoryview(head)
+    if sealed.readonly:
+        sealed = memoryview(bytearray(head))
+    digest = hashlib.sha256()
+    for piece in (sealed, *rest):
+        digest.update(piece)
+    sealed[start : start + 64] = digest.hexdigest().encode()
+    return [sealed, *rest]
 
 
 def is_intact(data: bytes) -> bool:
@@ -187,10 +201,11 @@ def is_intact(data: bytes) -> bool:
     start = _checksum_at(data)
     if start is None:
         return False
-    plain = bytearray(data)
-    written = bytes(plain[start : start + 64])
-    plain[start : start + 64] = _ZEROS.encode()
-    return hashlib.sha256(plain).hexdigest().encode() == written
+    whole = memoryview(data)
+    digest = hashlib.sha256(whole[:start])
+    digest.update(_ZEROS.encode())
+    digest.update(whole[start + 64 :])
+    return digest.hexdigest().encode() == whole[start : start + 64]
 
 
 def recipe_of(path: Path) -> str | None:
@@ -258,12 +273,14 @@ def filled_window(planes: Iterable[Plane], source: Window) -> Window:
     )
 
 
-def _checksum_at(data: bytes | bytearray) -> int | None:
+_CHECKSUM = re.compile(CHECKSUM.encode() + b"\0string\0" + re.escape((64).to_bytes(4, "little")))
+
+
+def _checksum_at(data: Buffer) -> int | None:
     """Return where the checksum's digits begin."""
-    mark = CHECKSUM.encode() + b"\0string\0" + (64).to_bytes(4, "little")
     # Anywhere: a Cryptomatte's manifest, which comes before it, may be megabytes long.
-    at = data.find(mark)
-    return None if at < 0 or at + len(mark) + 64 > len(data) else at + len(mark)
+    found = _CHECKSUM.search(data)
+    return None if found is None or found.end() + 64 > len(data) else found.end()
 
 
 def _box(window: Window) -> tuple[np.ndarray, np.ndarray]:

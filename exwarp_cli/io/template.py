@@ -13,13 +13,14 @@ import OpenEXR
 
 from exwarp_cli.domain.frame import Float32, Window
 from exwarp_cli.errors import InputError, LayoutError
+from exwarp_cli.io.channel_rows import Channel as Written
+from exwarp_cli.io.channel_rows import Unrounded
 from exwarp_cli.io.channels import ChannelRef
 from exwarp_cli.io.exr import Channel, ExrReader, Part, damaged
 from exwarp_cli.io.header_text import in_utf8
 from exwarp_cli.io.layers import Kind, Layer
 from exwarp_cli.io.render_time import render_seconds
 from exwarp_cli.io.views import channels_of, views_of
-from exwarp_cli.kernels.half import to_half
 
 HALF_MAX = 65504.0
 
@@ -125,14 +126,12 @@ class PlaneTemplate:
     dtype: np.dtype[Any]
     bounded: bool
 
-    def encoded(self, values: np.ndarray) -> np.ndarray:
-        """Return values [H, W] in the channel's type."""
+    def channel(self, values: np.ndarray) -> Written:
+        """Return values [H, W] in the channel's type; floats for halfs are rounded later."""
         if self.dtype != np.float16:
             return np.ascontiguousarray(values, dtype=self.dtype)
-        if values.dtype == np.float32 and values.ndim == 2:
-            bits = np.empty(values.shape, np.uint16)
-            to_half(values.view(np.uint32), self.bounded, bits)
-            return bits.view(np.float16)
+        if values.dtype == np.float32:
+            return Unrounded(values, self.bounded)
         if self.bounded:
             values = np.clip(values, -HALF_MAX, HALF_MAX)
         with np.errstate(over="ignore"):
@@ -235,7 +234,7 @@ def quantise(pixels: Float32, template: Template) -> Float32:
     out = pixels.copy()
     for i, plane in enumerate(template.colour):
         if plane.dtype == np.float16:
-            out[..., i] = plane.encoded(out[..., i]).astype(np.float32)
+            out[..., i] = Unrounded(pixels[..., i], plane.bounded).rounded()
     return out
 
 

@@ -3,6 +3,9 @@
 Both are filters that lose nothing but PXR24's last 8 bits of floats; see OpenEXR's ImfZip.cpp and
 ImfPxr24Compressor.cpp, which read what is made here. One thread makes a frame: frames are written
 side by side.
+
+Every loop writes one array, and rows are taken from contiguous ones: then the compiler makes them
+loops over vectors, which take a tenth of the time.
 """
 
 from __future__ import annotations
@@ -18,28 +21,28 @@ U32 = npt.NDArray[np.uint32]
 
 
 @serial
-def halves(lines: U8, chunk: int, out: U8) -> None:
+def halves(lines: U16, chunk: int, out: U8) -> None:
     """Sort each chunk's even bytes before its odd ones, and take each byte's rise over the last.
 
     Parameters
     ----------
     lines
-        Bytes [N] of all scan lines.
+        Scan lines as pairs of bytes [N].
     chunk
-        Bytes of a chunk, even; the last one may have fewer.
+        Pairs of a chunk; the last one may have fewer.
     out
-        Bytes [N], written; rises are stored plus 128, a chunk's first byte as it is.
+        Bytes [2 N], written; rises are stored plus 128, a chunk's first byte as it is.
     """
     for start in range(0, lines.size, chunk):
-        size = min(chunk, lines.size - start)
-        half = size // 2
-        here, low, high = lines[start : start + size], out[start:], out[start + half :]
-        low[0] = here[0]
-        high[0] = np.uint8(here[1] - here[size - 2] + 128)
-        for i in range(1, half):
-            low[i] = np.uint8(here[2 * i] - here[2 * i - 2] + 128)
-        for i in range(1, half):
-            high[i] = np.uint8(here[2 * i + 1] - here[2 * i - 1] + 128)
+        here = lines[start : start + chunk]
+        low = out[2 * start : 2 * start + here.size]
+        high = out[2 * start + here.size : 2 * start + 2 * here.size]
+        low[0] = np.uint8(here[0])
+        high[0] = np.uint8((here[0] >> 8) - here[here.size - 1] + 128)
+        for i in range(1, here.size):
+            low[i] = np.uint8(here[i] - here[i - 1] + 128)
+        for i in range(1, here.size):
+            high[i] = np.uint8((here[i] >> 8) - (here[i - 1] >> 8) + 128)
 
 
 @inlined
@@ -48,53 +51,58 @@ def float24(bits: np.uint32) -> np.uint32:
 
     Values that would round to infinity are cut instead.
     """
-    sign, exponent = bits & np.uint32(0x80000000), bits & np.uint32(0x7F800000)
-    fraction = bits & np.uint32(0x007FFFFF)
-    cut = (exponent | fraction) >> np.uint32(8)
-    if exponent == np.uint32(0x7F800000):
-        lost = fraction != 0 and (fraction >> np.uint32(8)) == 0
-        out = cut | np.uint32(1) if lost else cut
-    else:
-        out = ((exponent | fraction) + (fraction & np.uint32(0x80))) >> np.uint32(8)
-        if out >= np.uint32(0x7F8000):
-            out = cut
-    return np.uint32(out | (sign >> np.uint32(8)))
+    size = np.uint32(bits & np.uint32(0x7FFFFFFF))
+    cut = np.uint32(size >> np.uint32(8))
+    up = np.uint32(np.uint32(size + (bits & np.uint32(0x80))) >> np.uint32(8))
+    out = up if up < np.uint32(0x7F8000) else cut
+    lost = size > np.uint32(0x7F800000) and cut == np.uint32(0x7F8000)
+    sign = np.uint32(bits >> np.uint32(8)) & np.uint32(0x800000)
+    return np.uint32(sign | out | np.uint32(lost))
+
+
+@inlined
+def put_rises(row: U32, size: int, out: U8) -> None:
+    """Write a row's rises [W] as planes of bytes [size W], the highest of so many first."""
+    width = row.size
+    for k in range(size):
+        plane, shift = out[k * width : (k + 1) * width], np.uint32(8 * (size - 1 - k))
+        plane[0] = np.uint8(row[0] >> shift)
+        for x in range(1, width):
+            plane[x] = np.uint8(np.uint32(row[x] - row[x - 1]) >> shift)
 
 
 @serial
-def halfs24(plane: U16, out: U8) -> None:
-    """Write the rises of half floats [H, W] along each row as two planes of bytes [H, 2 W]."""
+def halfs24(plane: U16, at: int, out: U8) -> None:
+    """Write the rises of half floats [H, W] along each row as two planes of bytes.
+
+    They are the 2 W bytes from `at` on in each row of `out`.
+    """
     height, width = plane.shape
     for y in range(height):
-        row, high, low = plane[y], out[y, :width], out[y, width:]
+        row, high = plane[y], out[y, at : at + width]
+        low = out[y, at + width : at + 2 * width]
         high[0], low[0] = np.uint8(row[0] >> 8), np.uint8(row[0])
         for x in range(1, width):
-            rise = np.uint16(row[x] - row[x - 1])
-            high[x] = np.uint8(rise >> 8)
-            low[x] = np.uint8(rise)
+            high[x] = np.uint8(np.uint16(row[x] - row[x - 1]) >> 8)
+        for x in range(1, width):
+            low[x] = np.uint8(row[x] - row[x - 1])
 
 
 @serial
-def floats24(plane: U32, out: U8) -> None:
-    """Write the rises of 24-bit floats, given as bits [H, W], as three planes [H, 3 W]."""
+def floats24(plane: U32, at: int, out: U8) -> None:
+    """Write the rises of 24-bit floats, given as bits [H, W], as three planes; see `halfs24`."""
     height, width = plane.shape
+    cut = np.empty(width, np.uint32)
     for y in range(height):
-        high, middle, low = out[y, :width], out[y, width : 2 * width], out[y, 2 * width :]
+        row = plane[y]
         for x in range(width):
-            before = float24(plane[y, x - 1]) if x else np.uint32(0)
-            rise = np.uint32(float24(plane[y, x]) - before)
-            high[x] = np.uint8(rise >> np.uint32(16))
-            middle[x] = np.uint8(rise >> np.uint32(8))
-            low[x] = np.uint8(rise)
+            cut[x] = float24(row[x])
+        put_rises(cut, 3, out[y, at : at + 3 * width])
 
 
 @serial
-def uints24(plane: U32, out: U8) -> None:
-    """Write the rises of whole numbers [H, W] as four planes of bytes [H, 4 W]."""
+def uints24(plane: U32, at: int, out: U8) -> None:
+    """Write the rises of whole numbers [H, W] as four planes of bytes; see `halfs24`."""
     height, width = plane.shape
     for y in range(height):
-        for x in range(width):
-            before = plane[y, x - 1] if x else np.uint32(0)
-            rise = np.uint32(plane[y, x] - before)
-            for k in range(4):
-                out[y, k * width + x] = np.uint8(rise >> np.uint32(24 - 8 * k))
+        put_rises(plane[y], 4, out[y, at : at + 4 * width])

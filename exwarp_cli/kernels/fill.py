@@ -8,7 +8,8 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.kernels.jit import inlined, parallel, serial
+from exwarp_cli.kernels.jit import parallel, part, serial
+from exwarp_cli.kernels.lanes import LANES, add_four
 
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
@@ -27,7 +28,7 @@ INFINITE = np.int32(0x7F800000)
 """The bits of infinity; those of NaN are greater."""
 
 
-@serial
+@part
 def count_row(hole: B8, bits: I32) -> tuple[np.int32, np.int32]:
     """Return how many holes a row has, and the greatest of its other pixels' finite depths."""
     count, most = np.int32(0), np.int32(0)
@@ -58,6 +59,15 @@ def count_holes_text(hole: B8, bits: I32, counts: I32, furthest: I32) -> None:
         counts[i], furthest[i] = count_row(hole[i], bits[i])
 
 
+@part
+def list_row(hole: B8, room: I32) -> None:
+    """Write the columns of a row's holes, ascending; `room` is int32 [W], junk beyond them."""
+    place = np.int64(0)
+    for j in range(hole.size):
+        room[np.uint64(place)] = j  # written over unless it is a hole: a branch took twice as long
+        place += np.int64(hole[j])
+
+
 def list_holes_text(hole: B8, first: I32, column: I32) -> None:
     """List the holes' columns.
 
@@ -73,68 +83,96 @@ def list_holes_text(hole: B8, first: I32, column: I32) -> None:
     height, width = hole.shape
     for row in numba.prange(height):
         i = np.int64(row)
-        place, end = first[i], first[i + 1]
-        for j in range(width):
-            if place == end:
-                break
-            if hole[i, j]:
-                column[place] = j
-                place += 1
+        begin, end = first[i], first[i + 1]
+        if begin < end:
+            room = np.empty(width, np.int32)
+            list_row(hole[i], room)
+            for n in range(end - begin):
+                column[begin + n] = room[n]
 
 
-@serial
-def look_along(
-    way: int, size: tuple[int, int], first: I32, column: I32, reach: int, steps: I16
-) -> None:
-    """Write one way of :func:`look_text`; it goes against the way, so pixels ask a neighbour.
+@part
+def answer_row(asked: I16, hole: B8, dx: int, reach: int, own: I16) -> None:
+    """Write what the pixels of a row answer to those behind them.
 
-    Two rows are kept of what a pixel answers: 1 if it is visible, else a step more than it has
-    itself; 0 where nothing is in reach, and beyond the frame.
+    Parameters
+    ----------
+    asked
+        int16 [W + 2]: what the row ahead answers; 0 at the ends, beyond the frame.
+    hole
+        bool [W].
+    dx, reach
+        Columns in a step, and how many steps to look.
+    own
+        int16 [W + 2], written between the ends: 1 for what is visible, else a step more than is
+        answered ahead; 0 where nothing is in reach.
     """
-    height, width = size
+    one, limit = np.int16(1), np.int16(reach)
+    ahead = asked[1 + dx : 1 + dx + hole.size]
+    for j in range(hole.size):
+        step = ahead[j]
+        further = np.int16(step + one) if (step > 0) & (step < limit) else np.int16(0)
+        own[j + 1] = further if hole[j] else one
+
+
+@part
+def look_across(way: int, hole: B8, first: I32, column: I32, reach: int, steps: I16) -> None:
+    """Write one way of :func:`look_text` that leads to another row.
+
+    The sweep goes against the way, so pixels ask those that have been visited before.
+    """
+    height, width = hole.shape
     dy, dx = WAYS[way]
-    answers = np.ones((2, width + 2), np.int16)
-    answers[:, 0] = answers[:, width + 1] = 0
-    beyond = np.zeros(width + 2, np.int16)
+    answers = np.zeros((2, width + 2), np.int16)  # at first none: beyond the frame
     for row in range(height):
-        i = row if dy <= 0 else height - 1 - row
-        own, asked = answers[row % 2], answers[1 - row % 2]
-        if row >= 2:
-            last = i + 2 * dy if dy != 0 else i - 2
-            for k in range(first[last], first[last + 1]):
-                own[column[k] + 1] = 1
-        if dy == 0:
-            asked = own
-        elif row == 0:
-            asked = beyond
-        count = first[i + 1] - first[i]
-        for n in range(count):
-            k = first[i] + n if dx <= 0 else first[i + 1] - 1 - n
-            place = column[k] + 1
-            step = asked[place + dx]
+        i = row if dy < 0 else height - 1 - row
+        asked, own = answers[row % 2], answers[1 - row % 2]
+        for k in range(first[i], first[i + 1]):
+            steps[k] = asked[np.uint64(column[k] + 1 + dx)]
+        answer_row(asked, hole[i], dx, reach, own)
+
+
+@part
+def look_along(dx: int, width: int, first: I32, column: I32, reach: int, steps: I16) -> None:
+    """Write one way of :func:`look_text` that stays in the row."""
+    for i in range(first.size - 1):
+        visited, answer = -2, 0
+        for n in range(first[i + 1] - first[i]):
+            k = first[i] + n if dx < 0 else first[i + 1] - 1 - n
+            ahead = column[k] + dx
+            step = answer if ahead == visited else (1 if 0 <= ahead < width else 0)
             steps[k] = step
-            own[place] = np.int16(step + 1) if 0 < step < reach else np.int16(0)
+            visited, answer = int(column[k]), (step + 1 if 0 < step < reach else 0)
 
 
-def look_text(size: tuple[int, int], first: I32, column: I32, reach: int, steps: I16) -> None:
+def look_text(hole: B8, first: I32, column: I32, reach: int, steps: I16) -> None:
     """Find the first visible pixel that a hole sees in each of eight ways.
 
     Parameters
     ----------
-    size
-        H, W.
+    hole
+        bool [H, W].
     first, column
         The holes, from :func:`list_holes_text`.
     reach
         How many steps to look, 1 to 32,766.
     steps
         int16 [8, N], written: how many steps away it is; 0 where there is none.
+
+    Notes
+    -----
+    All pixels of a row answer, holes or not, in a loop without branches: a third of the time that
+    asking for the holes alone took.
     """
-    for way in numba.prange(len(WAYS)):
-        look_along(np.int64(way), size, first, column, reach, steps[way])
+    for index in numba.prange(len(WAYS)):
+        way = np.int64(index)
+        if WAYS[way][0] == 0:
+            look_along(WAYS[way][1], hole.shape[1], first, column, reach, steps[way])
+        else:
+            look_across(way, hole, first, column, reach, steps[way])
 
 
-@serial
+@part
 def write_depths(
     at: int, stride: int, depth: F32, columns: I32, cap: np.float32, steps: I16, far: F32, most: F64
 ) -> None:
@@ -144,21 +182,22 @@ def write_depths(
     """
     for n in range(columns.size):
         away = np.int64(steps[n])
-        seen = min(depth[at + columns[n] + away * stride], cap)
+        # Unsigned indices need no test for counting from the end: a third less time here.
+        seen = min(depth[np.uint64(at + columns[n] + away * stride)], cap)
         far[n] = seen if away > 0 else np.float32(-1)
         most[n] = max(most[n], np.float64(far[n]))
 
 
-@serial
+@part
 def write_wanted(at: int, depth: F32, columns: I32, cap: np.float32, most: F64, known: B8) -> None:
     """Replace the greatest depth that holes see by that of their own surface, where it is known."""
     for n in range(columns.size):
-        own = np.float64(depth[at + columns[n]])
+        own = np.float64(depth[np.uint64(at + columns[n])])
         known[n] = not math.isnan(own)
         most[n] = min(own, np.float64(cap)) if known[n] else most[n]
 
 
-@serial
+@part
 def write_weights(squared: int, far: F32, wanted: F64, known: B8, steps: I16, weights: F64) -> None:
     """Write the weights of what a row's holes see in one way; 0 where they see nothing.
 
@@ -174,15 +213,15 @@ def write_weights(squared: int, far: F32, wanted: F64, known: B8, steps: I16, we
         weights[n] = weight if away > 0 else 0.0
 
 
-@inlined
+@part
 def add_seen(
     row: tuple[int, int, int],
-    count: int,
     columns: I32,
     steps: I16,
     weights: F64,
     pixels: F32,
     sums: F64,
+    totals: F64,
 ) -> None:
     """Add what a row's holes see in one way to the weighted sums of channels and to the weights'.
 
@@ -190,28 +229,47 @@ def add_seen(
     ----------
     row
         Where the row begins in the frame, how many pixels a step is, and C.
-    count
-        C once more, a constant where the caller has one.
     columns, steps, weights
         Of the holes, [N].
     pixels
         float32 [H W C].
     sums
-        float64 [N (C + 1)], changed.
+        float64 [N L], changed; L is C, or 4 where C is 3.
+    totals
+        float64 [N], changed.
     """
     at, stride, channels = row
+    for n in range(totals.size):
+        totals[n] += weights[n]
+    if channels == 3 or channels == 4:
+        safe = pixels.size - LANES
+        for n in range(weights.size):
+            p = (at + columns[n] + np.int64(steps[n]) * stride) * channels
+            if weights[n] != 0 and p <= safe:
+                add_four(weights[n], pixels, np.uint64(p), sums, np.uint64(LANES * n))
+            elif weights[n] != 0:  # the frame's last pixel
+                for c in range(channels):
+                    sums[LANES * n + c] += weights[n] * np.float64(pixels[p + c])
+        return
     for n in range(weights.size):
-        weight = weights[n]
-        if weight == 0:
-            continue
-        p = np.uint64((at + columns[n] + np.int64(steps[n]) * stride) * channels)
-        q = np.uint64(n * (channels + 1))
-        for c in range(count):
-            sums[q + np.uint64(c)] += weight * np.float64(pixels[p + np.uint64(c)])
-        sums[q + np.uint64(count)] += weight
+        if weights[n] != 0:
+            p = (at + columns[n] + np.int64(steps[n]) * stride) * channels
+            for c in range(channels):
+                sums[n * channels + c] += weights[n] * np.float64(pixels[p + c])
 
 
-@serial
+@part
+def write_means(at: int, channels: int, columns: I32, sums: F64, totals: F64, pixels: F32) -> None:
+    """Write the weighted means to a row's holes, 0 where they see nothing."""
+    lanes = LANES if channels == 3 else channels
+    for n in range(columns.size):
+        p = (at + columns[n]) * channels
+        for c in range(channels):
+            mean = sums[n * lanes + c] / totals[n]
+            pixels[p + c] = np.float32(mean) if totals[n] > 0 else np.float32(0)
+
+
+@part
 def fill_row(
     at: int,
     size: tuple[int, int],
@@ -228,7 +286,8 @@ def fill_row(
     columns, count = column[begin:end], end - begin
     far, weights = np.empty((len(WAYS), count), np.float32), np.empty(count, np.float64)
     wanted, known = np.zeros(count, np.float64), np.empty(count, np.bool_)
-    sums = np.zeros(count * (channels + 1), np.float64)
+    lanes = LANES if channels == 3 else channels
+    sums, totals = np.zeros(count * lanes, np.float64), np.zeros(count, np.float64)
     for way in range(len(WAYS)):
         stride = WAYS[way][0] * width + WAYS[way][1]
         write_depths(at, stride, depth, columns, cap, steps[way][begin:end], far[way], wanted)
@@ -238,19 +297,8 @@ def fill_row(
         away = steps[way][begin:end]
         write_weights(dy * dy + dx * dx, far[way], wanted, known, away, weights)
         seen_from = (at, dy * width + dx, channels)
-        # Written out, as the compiler unrolls the loop over channels for constants only.
-        if channels == 3:
-            add_seen(seen_from, 3, columns, away, weights, pixels, sums)
-        elif channels == 4:
-            add_seen(seen_from, 4, columns, away, weights, pixels, sums)
-        else:
-            add_seen(seen_from, channels, columns, away, weights, pixels, sums)
-    for n in range(count):
-        total = sums[n * (channels + 1) + channels]
-        p = (at + columns[n]) * channels
-        for c in range(channels):
-            value = sums[n * (channels + 1) + c]
-            pixels[p + c] = np.float32(value / total) if total > 0 else np.float32(0)
+        add_seen(seen_from, columns, away, weights, pixels, sums, totals)
+    write_means(at, channels, columns, sums, totals, pixels)
 
 
 def fill_text(image: F32, depth: F32, first: I32, column: I32, cap: np.float32, steps: I16) -> None:

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from exwarp_cli.kernels import flip_filters as filters
 from exwarp_cli.kernels.flip_colour import TO_XYZ, to_linear, to_xyz
 from exwarp_cli.kernels.flip_powers import power
-from exwarp_cli.kernels.jit import inlined, parallel, serial
+from exwarp_cli.kernels.jit import inlined, parallel, part, serial
 
 F32 = npt.NDArray[np.float32]
 
@@ -43,7 +43,7 @@ def clipped(value: np.float32) -> np.float32:
     return min(max(value, _ZERO), _ONE)
 
 
-@serial
+@part
 def _colour(parts: F32, row: int, seen: F32) -> None:
     """Turn filtered opponent colours, the first of `_PASSES`, into CIELAB with Hunt's effect.
 
@@ -63,7 +63,7 @@ def _colour(parts: F32, row: int, seen: F32) -> None:
         b[i] = _HUNT * light * (_B1 * (fy - fz))
 
 
-@serial
+@part
 def _length(a: F32, b: F32, out: F32) -> None:
     """Write the length of the vectors (a, b); all float32 [W]."""
     for i in range(out.size):
@@ -85,7 +85,7 @@ _PASSES = np.array(
 """The plane, the filter down and the filter along. A table, as each call compiles for 0.1 s."""
 
 
-@serial
+@part
 def _perceive_row(planes: F32, row: int, seen: F32) -> None:
     """Filter, and write one row of all planes of what is seen."""
     width = planes.shape[2]
@@ -138,7 +138,7 @@ _BELOW, _ABOVE = np.float32(0.95 / (0.4 * _LARGEST)), np.float32((1 - 0.95) / (0
 _ROOT_HALF = np.float32(np.sqrt(0.5))
 
 
-@serial
+@part
 def _differ_row(reference: F32, test: F32, row: int, error: F32) -> None:
     """Raise one row of the error to that of a pair of images."""
     l0, a0, b0 = reference[0, row], reference[1, row], reference[2, row]

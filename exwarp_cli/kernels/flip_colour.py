@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli.kernels.flip_powers import power
-from exwarp_cli.kernels.jit import inlined, parallel, serial
+from exwarp_cli.kernels.jit import inlined, parallel, part, serial
 
 F32 = npt.NDArray[np.float32]
 
@@ -76,14 +76,14 @@ def to_linear(x: np.float32, y: np.float32, z: np.float32) -> tuple[np.float32, 
     return r, g, b
 
 
-@serial
+@part
 def _take(image: F32, row: int, channel: int, out: F32) -> None:
     """Copy a channel of one row: LLVM vectorises what follows only where pixels lie together."""
     for i in range(out.size):
         out[i] = image[row, i, channel]
 
 
-@serial
+@part
 def _decode_line(line: F32) -> None:
     """Turn display-encoded values, 0 to 255, into linear colour, 0 to 1; in place."""
     for i in range(line.size):
@@ -92,7 +92,7 @@ def _decode_line(line: F32) -> None:
         line[i] = v * _SRGB_SLOPE if v <= _SRGB_TOE else curve
 
 
-@serial
+@part
 def _tone_line(line: F32, gain: np.float32) -> None:
     """Turn linear values, 0 or more, into what ACES makes of them at an exposure; in place."""
     for i in range(line.size):
@@ -100,7 +100,7 @@ def _tone_line(line: F32, gain: np.float32) -> None:
         line[i] = min(v * (v * _N2 + _N1) / (v * (v * _D2 + _D1) + _D0), _ONE)
 
 
-@serial
+@part
 def _oppose(r: F32, g: F32, b: F32, row: int, planes: F32) -> None:
     """Write a row of linear colours, each float32 [W], as opponent colours."""
     achromatic, red_green, blue_yellow = planes[0, row], planes[1, row], planes[2, row]
@@ -111,7 +111,7 @@ def _oppose(r: F32, g: F32, b: F32, row: int, planes: F32) -> None:
         blue_yellow[i] = y - z
 
 
-@serial
+@part
 def _decode_row(image: F32, row: int, planes: F32) -> None:
     """Write one row of a display-encoded image as opponent colours."""
     lines = np.empty((3, image.shape[1]), np.float32)
@@ -121,7 +121,7 @@ def _decode_row(image: F32, row: int, planes: F32) -> None:
     _oppose(lines[0], lines[1], lines[2], row, planes)
 
 
-@serial
+@part
 def _tone_row(image: F32, gain: np.float32, row: int, planes: F32) -> None:
     """Write one row of a scene-linear image as opponent colours."""
     lines = np.empty((3, image.shape[1]), np.float32)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.kernels.jit import serial
+from exwarp_cli.kernels.jit import part
 
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
@@ -78,19 +78,19 @@ _SIGNS = np.array([-1 if n == SLOPE else 1 for n in range(len(_ALL))], np.float3
 
 
 # One array written and two read, as LLVM vectorises only loops that need few checks for overlap.
-@serial
+@part
 def _weigh(weight: np.float32, a: F32, out: F32) -> None:
     for i in range(out.size):
         out[i] = weight * a[i]
 
 
-@serial
+@part
 def _add_pair(total: F32, weight: np.float32, a: F32, sign: np.float32, b: F32) -> None:
     for i in range(total.size):
         total[i] += weight * (b[i] + sign * a[i])
 
 
-@serial
+@part
 def filter_down(plane: F32, row: int, number: int, line: F32) -> None:
     """Filter a plane, float32 [H, W], downwards at one row into a line, float32 [W + 2 HALO]."""
     width, last = plane.shape[1], plane.shape[0] - 1
@@ -104,7 +104,7 @@ def filter_down(plane: F32, row: int, number: int, line: F32) -> None:
     line[HALO + width :] = inner[width - 1]
 
 
-@serial
+@part
 def filter_along(line: F32, number: int, out: F32) -> None:
     """Filter a line, float32 [W + 2 HALO], along the row into float32 [W]."""
     weights, sign = _WEIGHTS[number], _SIGNS[number]

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli.kernels.gather import clamp
-from exwarp_cli.kernels.jit import parallel, serial
+from exwarp_cli.kernels.jit import parallel, part, serial
 
 F32 = npt.NDArray[np.float32]
 I32 = npt.NDArray[np.int32]
@@ -23,7 +23,7 @@ DEPTH_TOLERANCE = np.float32(0.1)
 """Relative change of depth up to which two pixels may be the same surface, without positions."""
 
 
-@serial
+@part
 def footprint(position: F32, i: int, j: int) -> np.float32:
     """World-space size of a pixel at (i, j): grows with distance and at grazing angles.
 
@@ -48,13 +48,13 @@ def footprint(position: F32, i: int, j: int) -> np.float32:
     return total
 
 
-@serial
+@part
 def is_background(depth: F32, i: int, j: int) -> bool:
     """Whether a pixel shows no surface."""
     return math.isinf(depth[i, j])
 
 
-@serial
+@part
 def other_surface(
     i: int,
     j: int,

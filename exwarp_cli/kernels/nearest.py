@@ -11,7 +11,7 @@ import numpy.typing as npt
 from exwarp_cli.kernels.blend import FRINGE_WEIGHT
 from exwarp_cli.kernels.fill import WAYS
 from exwarp_cli.kernels.gather import clamp
-from exwarp_cli.kernels.jit import inlined, parallel, serial
+from exwarp_cli.kernels.jit import inlined, parallel, part, serial
 
 F32 = npt.NDArray[np.float32]
 I32 = npt.NDArray[np.int32]
@@ -124,7 +124,7 @@ def choose_text(
             hole[i, j] = found < 0
 
 
-@serial
+@part
 def neighbour(
     i: int, j: int, depth: F32, cap: np.float32, steps: I16, hole: int
 ) -> tuple[np.int64, np.int64]:

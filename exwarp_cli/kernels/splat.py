@@ -1,153 +1,207 @@
 """Forward splatting of displacements into a backward motion field, with a depth test.
 
-Every source pixel is a small patch of surface. Its displacement's gradient says how the patch is
-stretched and turned, so the target pixels that it covers, and where in the source each of them
-comes from, are exact to first order: no cracks where the image grows, no rounding to whole pixels.
-
-A source row is worked off in passes: slopes and boxes in loops without branches, which take several
-pixels at once, then the patches one by one. Everything for one pixel after another took 12 times
-cv2.remap, this takes 1.8.
+Nearly all patches lie on the centres of one or two target pixels, or none. For these everything but
+the depth test is worked out in loops without branches, which take several pixels at once; patches
+on more centres are gone through one by one.
 """
 
 from __future__ import annotations
+
+import math
 
 import numba
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.kernels.jit import parallel, serial
+from exwarp_cli.kernels.jit import inlined, parallel, part, serial
+from exwarp_cli.kernels.patches import (
+    FARTHEST,
+    NOTHING,
+    Landings,
+    Matrix,
+    Motion,
+    box,
+    jacobian,
+    source_in_patch,
+    write_places,
+    write_slopes,
+)
 
 F32 = npt.NDArray[np.float32]
 I32 = npt.NDArray[np.int32]
 
-SAME_SURFACE = np.float32(0.5)
-"""Largest change of displacement between neighbours of one surface, pixels per pixel."""
-
-OVERLAP = np.float32(0.54)
-"""Half the side of a patch: a little over 0.5, so that neighbours leave no gaps."""
-
-LEAST_AREA = np.float32(0.05)
-"""Area of a pixel's patch, square pixels, up to which it is turned over or edge-on."""
-
-FARTHEST = np.float32(2)
-"""More than a patch reaches: OVERLAP times its stretch, at most 1 + 2 * SAME_SURFACE, pixels."""
-
 ROWS_PER_BAND = 32
 
-
-@serial
-def write_slopes(before: F32, here: F32, after: F32, out: F32) -> None:
-    """Write the change of displacement per pixel, from neighbours of the same surface.
-
-    All float32 [2 W], x and y by turns. 0 where there are none: NaN neighbours count as another
-    surface, and so does what lies outside the frame.
-    """
-    for k in range(out.size):
-        left, right = here[k] - before[k], after[k] - here[k]
-        left_same = abs(left) < SAME_SURFACE
-        right_same = abs(right) < SAME_SURFACE
-        one = left if left_same else (right if right_same else np.float32(0))
-        out[k] = np.float32(0.5) * (left + right) if left_same & right_same else one
+SPAN = 64
+"""Pixels of a source row that a band takes or leaves together. With whole rows bands worked off 1.8
+times as many pixels as there are, where things move by up to 60 pixels."""
 
 
-@serial
-def jacobian(
-    across: F32, down: F32, j: int
-) -> tuple[np.float32, np.float32, np.float32, np.float32]:
-    """Return the Jacobian of x -> x + d(x) at a column, row by row, from the slopes of d."""
-    a, b = np.float32(1) + across[2 * j], down[2 * j]
-    c, d = across[2 * j + 1], np.float32(1) + down[2 * j + 1]
-    return a, b, c, d
-
-
-@serial
-def write_boxes(
-    i: int, line: F32, across: F32, down: F32, rows: tuple[int, int], boxes: I32
+@inlined
+def splat_patch(
+    at: tuple[int, int],
+    move: tuple[np.float32, np.float32],
+    matrix: Matrix,
+    z: np.float32,
+    size: tuple[int, int, int],
+    field: F32,
+    near: F32,
 ) -> None:
-    """Write which target pixels may lie on the patches of source row i.
+    """Write one patch where it is nearest; `at` is the source pixel, row and column."""
+    i, j = np.float32(at[0]), np.float32(at[1])
+    x, y = j + move[0], i + move[1]
+    a, b, c, d = matrix
+    first_row, last_row, first_column, last_column = box(x, y, matrix, size)
+    for row in range(int(first_row), int(last_row) + 1):
+        for column in range(int(first_column), int(last_column) + 1):
+            rx, ry = np.float32(column) - x, np.float32(row) - y
+            u, v, lands = source_in_patch(rx, ry, matrix, a * d - b * c)
+            p = np.uint64((row - size[0]) * size[2] + column)
+            if lands and (z < near[p] or math.isnan(near[p])):
+                near[p] = z
+                field[np.uint64(2) * p] = j + u - np.float32(column)
+                field[np.uint64(2) * p + np.uint64(1)] = i + v - np.float32(row)
+
+
+@part
+def list_landings(place: I32, turns: I32) -> int:
+    """List which places there are, pixel by pixel, and return how many.
+
+    `place` is from :func:`~exwarp_cli.kernels.patches.write_places`, `turns` int32 [2 N + 1],
+    written. A branch for each of the places took longer than the rest.
+    """
+    count, listed = place.size // 2, np.int64(0)
+    for n in range(count):
+        turns[np.uint64(listed)] = n
+        listed += np.int64(place[n] != NOTHING)
+        turns[np.uint64(listed)] = count + n
+        listed += np.int64(place[count + n] != NOTHING)
+    return int(listed)
+
+
+@part
+def splat_span(
+    start: tuple[int, int],
+    motion: Motion,
+    depth: F32,
+    size: tuple[int, int, int],
+    buffers: tuple[Landings, I32],
+    field: F32,
+    near: F32,
+) -> None:
+    """Write the patches of a span of a source row where they are nearest.
 
     Parameters
     ----------
-    i
-        Source row.
-    line, across, down
-        float32 [2 W], x and y by turns: displacement and its slopes along x and y.
-    rows
-        First target row and the one after the last.
-    boxes
-        int32 [4, W], written: first and last row, first and last column; the last before the first
-        where a patch shows nothing.
+    start, motion, size
+        As in :func:`~exwarp_cli.kernels.patches.write_places`.
+    depth
+        float32 [N].
+    buffers
+        `landings` of :func:`~exwarp_cli.kernels.patches.write_places`, `turns` of
+        :func:`list_landings`.
+    field, near
+        float32 [2 W R] and [W R]: the target rows.
     """
-    width = boxes.shape[1]
-    top, bottom = np.float32(rows[0]), np.float32(rows[1] - 1)
-    right = np.float32(width - 1)
-    for j in range(width):
-        a, b, c, d = jacobian(across, down, j)
-        x, y = np.float32(j) + line[2 * j], np.float32(i) + line[2 * j + 1]
-        # A patch reaches less than 2 pixels. What lies farther off, infinite or NaN, must not come
-        # to the conversion to integers.
-        shows = a * d - b * c > LEAST_AREA
-        shows &= (y > top - FARTHEST) & (y < bottom + FARTHEST)
-        shows &= (x > -FARTHEST) & (x < right + FARTHEST)
-        reach_x = OVERLAP * (abs(a) + abs(b))
-        reach_y = OVERLAP * (abs(c) + abs(d))
-        boxes[0, j] = np.ceil(max(y - reach_y, top)) if shows else np.float32(1)
-        boxes[1, j] = np.floor(min(y + reach_y, bottom)) if shows else np.float32(0)
-        boxes[2, j] = np.ceil(max(x - reach_x, np.float32(0))) if shows else np.float32(1)
-        boxes[3, j] = np.floor(min(x + reach_x, right)) if shows else np.float32(0)
+    (line, across, down), (landings, turns) = motion, buffers
+    place, found_x, found_y = landings
+    write_places(start, motion, size, landings)
+    for k in range(list_landings(place, turns)):
+        turn = np.uint64(turns[k])
+        n = np.uint64(turn if turn < depth.size else turn - np.uint64(depth.size))
+        # Strictly nearer wins, so an equal depth keeps the earlier source pixel, whatever the
+        # number of threads.
+        if place[turn] >= 0:
+            p = np.uint64(place[turn])
+            if depth[n] < near[p] or math.isnan(near[p]):
+                near[p] = depth[n]
+                field[np.uint64(2) * p] = found_x[turn]
+                field[np.uint64(2) * p + np.uint64(1)] = found_y[turn]
+        else:
+            m = np.int64(n)
+            at, move = (start[0], start[1] + m), (line[2 * m], line[2 * m + 1])
+            splat_patch(at, move, jacobian(across, down, m), depth[n], size, field, near)
 
 
-@serial
-def splat_row(
-    i: int, motion: tuple[F32, F32, F32], boxes: I32, depth: F32, field: F32, near: F32
+@part
+def next_run(reach: F32, first: int, rows: tuple[int, int]) -> tuple[int, int]:
+    """Return the next spans, from `first` on, that touch the target rows; two equal ones if none.
+
+    `reach` is float32 [S + 1, 2], that of a source row from :func:`row_reach_text`.
+    """
+    spans = reach.shape[0] - 1
+    begin = first
+    while begin < spans and (reach[begin, 1] < rows[0] or reach[begin, 0] > rows[1] - 1):
+        begin += 1
+    end = begin
+    while end < spans and reach[end, 1] >= rows[0] and reach[end, 0] <= rows[1] - 1:
+        end += 1
+    return begin, end
+
+
+@part
+def write_motion(
+    i: int, columns: tuple[int, int], displacement: F32, padded: F32, across: F32, down: F32
 ) -> None:
-    """Write the patches of source row i where they are nearest.
+    """Write the displacement of a span of source row i, and its slopes.
 
-    `motion` are line, across and down of :func:`write_boxes`, `depth` is float32 [W].
+    Parameters
+    ----------
+    columns
+        The first and the one after the last.
+    displacement
+        float32 [H, 2 W], x and y by turns.
+    padded
+        float32 [2 N + 4], written: the displacement, with that of a pixel more at either end.
+    across, down
+        float32 [2 N], written.
     """
-    line, across, down = motion
-    for j in range(depth.size):
-        x, y = np.float32(j) + line[2 * j], np.float32(i) + line[2 * j + 1]
-        a, b, c, d = jacobian(across, down, j)
-        determinant = a * d - b * c
-        z = depth[j]
-        for row in range(boxes[0, j], boxes[1, j] + 1):
-            ry = np.float32(row) - y
-            for column in range(boxes[2, j], boxes[3, j] + 1):
-                rx = np.float32(column) - x
-                u = (d * rx - b * ry) / determinant
-                v = (a * ry - c * rx) / determinant
-                if abs(u) > OVERLAP or abs(v) > OVERLAP:
-                    continue
-                # Strictly nearer wins, so an equal depth keeps the earlier source pixel, whatever
-                # the number of threads.
-                if z < near[row, column] or np.isnan(near[row, column]):
-                    near[row, column] = z
-                    field[row, column, 0] = np.float32(j) + u - np.float32(column)
-                    field[row, column, 1] = np.float32(i) + v - np.float32(row)
+    height, twice = displacement.shape
+    begin, end = 2 * columns[0], 2 * columns[1]
+    here = displacement[i, begin:end]
+    for k in range(2):
+        padded[k] = displacement[i, begin - 2 + k] if begin > 0 else np.float32(np.nan)
+        padded[here.size + 2 + k] = displacement[i, end + k] if end < twice else np.float32(np.nan)
+    for k in range(here.size):  # as a slice, it took a second more to compile
+        padded[k + 2] = here[k]
+    write_slopes(padded[: here.size], here, padded[4 : here.size + 4], across)
+    if i > 0 and i + 1 < height:
+        write_slopes(displacement[i - 1, begin:end], here, displacement[i + 1, begin:end], down)
+        return
+    nowhere = np.full(here.size, np.nan, np.float32)
+    above = displacement[i - 1, begin:end] if i > 0 else nowhere
+    below = displacement[i + 1, begin:end] if i + 1 < height else nowhere
+    write_slopes(above, here, below, down)
 
 
-@serial
+@part
 def splat_band(
     displacement: F32, depth: F32, reach: F32, rows: tuple[int, int], field: F32, near: F32
 ) -> None:
-    """Splat all source rows into the target rows [rows[0], rows[1])."""
-    height, width, _ = displacement.shape
-    nowhere = np.full(2 * width, np.nan, np.float32)
-    padded = np.full(2 * width + 4, np.nan, np.float32)  # a pixel without value at either end
+    """Splat all source rows into the target rows [rows[0], rows[1]).
+
+    `displacement` is float32 [H, 2 W], `field` float32 [2 W R] and `near` [W R].
+    """
+    height, width = depth.shape
+    padded = np.empty(2 * width + 4, np.float32)
     across, down = np.empty(2 * width, np.float32), np.empty(2 * width, np.float32)
-    boxes = np.empty((4, width), np.int32)
+    place, turns = np.empty(2 * width, np.int32), np.empty(2 * width + 1, np.int32)
+    found_x, found_y = np.empty(2 * width, np.float32), np.empty(2 * width, np.float32)
+    size = (rows[0], rows[1], width)
     for i in range(height):
-        if reach[i, 1] < rows[0] or reach[i, 0] > rows[1] - 1:
+        if reach[i, -1, 1] < rows[0] or reach[i, -1, 0] > rows[1] - 1:
             continue
-        line = np.ascontiguousarray(displacement[i]).reshape(-1)
-        above = np.ascontiguousarray(displacement[i - 1]).reshape(-1) if i > 0 else nowhere
-        below = np.ascontiguousarray(displacement[i + 1]).reshape(-1) if i + 1 < height else nowhere
-        padded[2:-2] = line
-        write_slopes(padded[:-4], line, padded[4:], across)
-        write_slopes(above, line, below, down)
-        write_boxes(i, line, across, down, rows, boxes)
-        splat_row(i, (line, across, down), boxes, depth[i], field, near)
+        begin, end = next_run(reach[i], 0, rows)
+        while begin < end:
+            first, last = begin * SPAN, min(end * SPAN, width)
+            count = last - first
+            slopes = across[: 2 * count], down[: 2 * count]
+            write_motion(i, (first, last), displacement, padded, *slopes)
+            motion = (padded[2 : 2 * count + 2], *slopes)
+            landings = place[: 2 * count], found_x[: 2 * count], found_y[: 2 * count]
+            buffers = landings, turns
+            splat_span((i, first), motion, depth[i, first:last], size, buffers, field, near)
+            begin, end = next_run(reach[i], end, rows)
 
 
 def splat_text(displacement: F32, depth: F32, reach: F32, field: F32, near: F32) -> None:
@@ -161,8 +215,7 @@ def splat_text(displacement: F32, depth: F32, reach: F32, field: F32, near: F32)
     depth
         float32 [H, W], smaller is nearer; +inf for background, which everything hides.
     reach
-        float32 [H, 2]: the least and greatest target row that a source row touches, from
-        :func:`row_reach`.
+        float32 [H, S + 1, 2], from :func:`row_reach`.
     field
         float32 [H, W, 2], written: from a target pixel to its source; NaN where nothing lands.
     near
@@ -173,29 +226,60 @@ def splat_text(displacement: F32, depth: F32, reach: F32, field: F32, near: F32)
     Target rows are dealt out in bands and each band visits the source rows that can reach it, in
     order; so the result is that of one thread, bit for bit.
     """
-    height, _, _ = displacement.shape
+    height, width, _ = displacement.shape
+    moves = np.ascontiguousarray(displacement).reshape(height, 2 * width)
     for band in numba.prange((height + ROWS_PER_BAND - 1) // ROWS_PER_BAND):
         begin = np.int64(band) * ROWS_PER_BAND
         end = min(begin + ROWS_PER_BAND, height)
-        field[begin:end] = np.nan
-        near[begin:end] = np.nan
-        splat_band(displacement, depth, reach, (begin, end), field, near)
+        places, depths = field[begin:end].reshape(-1), near[begin:end].reshape(-1)
+        for k in range(places.size):
+            places[k] = np.float32(np.nan)
+        for k in range(depths.size):
+            depths[k] = np.float32(np.nan)
+        splat_band(moves, depth, reach, (begin, end), places, depths)
+
+
+def reach_shape(shape: tuple[int, ...]) -> tuple[int, int, int]:
+    """Return the shape of what :func:`row_reach_text` writes for a frame [H, W]."""
+    return shape[0], -(-shape[1] // SPAN) + 1, 2
+
+
+@part
+def span_reach(row: np.float32, line: F32) -> tuple[np.float32, np.float32]:
+    """Return the least and the greatest row that the displacements [2 N] of a span lead to."""
+    low, high = np.float32(np.inf), np.float32(-np.inf)
+    for j in range(line.size // 2):
+        y = row + line[2 * j + 1]
+        if y < low:
+            low = y
+        if y > high:
+            high = y
+    return low, high
 
 
 def row_reach_text(displacement: F32, reach: F32) -> None:
-    """Write for each source row the least and greatest row that it touches, float32 [H, 2]."""
+    """Find which target rows each source row touches.
+
+    Parameters
+    ----------
+    displacement
+        As in :func:`splat_text`.
+    reach
+        float32 [H, S + 1, 2], written: the least and the greatest row, for each SPAN pixels and for
+        the whole row; the greatest is less where nothing is known.
+    """
     height, width, _ = displacement.shape
+    spans = reach.shape[1] - 1
+    moves = np.ascontiguousarray(displacement).reshape(height, 2 * width)
     for row in numba.prange(height):
         i = np.int64(row)
         low, high = np.float32(np.inf), np.float32(-np.inf)
-        for j in range(width):
-            y = np.float32(i) + displacement[i, j, 1]
-            if y < low:
-                low = y
-            if y > high:
-                high = y
-        reach[i, 0] = low - FARTHEST
-        reach[i, 1] = high + FARTHEST
+        for span in range(spans):
+            begin, end = 2 * span * SPAN, min(2 * (span + 1) * SPAN, 2 * width)
+            least, most = span_reach(np.float32(i), moves[i, begin:end])
+            reach[i, span, 0], reach[i, span, 1] = least - FARTHEST, most + FARTHEST
+            low, high = min(low, least), max(high, most)
+        reach[i, spans, 0], reach[i, spans, 1] = low - FARTHEST, high + FARTHEST
 
 
 splat = parallel(splat_text)

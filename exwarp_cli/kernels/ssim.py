@@ -11,7 +11,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.kernels.jit import parallel, serial
+from exwarp_cli.kernels.jit import parallel, part, serial
 
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
@@ -67,7 +67,7 @@ def ssim_map(reference: F32, test: F32, threads: bool = True) -> F32:
     return out.reshape(height, width, channels)
 
 
-@serial
+@part
 def _mirror(i: int, n: int) -> int:
     """Index i of a line of n samples that is reflected about its outer edges, without end."""
     i = i % (2 * n)
@@ -76,20 +76,20 @@ def _mirror(i: int, n: int) -> int:
 
 # The loops below are apart, with one array written in each, because LLVM vectorises only loops that
 # need few checks for overlap. As one loop over all four sums they took 132 ms instead of 44.
-@serial
+@part
 def _add_values(total: F64, weight: float, a: F32, b: F32) -> None:
     for i in range(total.size):
         total[i] += weight * (np.float64(a[i]) + np.float64(b[i]))
 
 
-@serial
+@part
 def _add_squares(total: F64, weight: float, a: F32, b: F32, c: F32, d: F32) -> None:
     for i in range(total.size):
         e, f, g, h = np.float64(a[i]), np.float64(b[i]), np.float64(c[i]), np.float64(d[i])
         total[i] += weight * ((e * e + f * f) + (g * g + h * h))
 
 
-@serial
+@part
 def _add_products(total: F64, weight: float, a: F32, b: F32, c: F32, d: F32) -> None:
     for i in range(total.size):
         total[i] += weight * (
@@ -97,7 +97,7 @@ def _add_products(total: F64, weight: float, a: F32, b: F32, c: F32, d: F32) -> 
         )
 
 
-@serial
+@part
 def _column_sums(x: F32, y: F32, row: int, halo: int, sums: F64) -> None:
     """Blur x, y, x*x + y*y and x*y downwards, for one row, into the four lines of `sums`."""
     sums[:] = 0.0
@@ -115,7 +115,7 @@ def _column_sums(x: F32, y: F32, row: int, halo: int, sums: F64) -> None:
         _add_products(sp, weight, a, b, c, d)
 
 
-@serial
+@part
 def _reflect_ends(line: F64, width: int, channels: int) -> None:
     """Fill RADIUS pixels at both ends of a line by reflection."""
     for p in range(RADIUS):
@@ -126,7 +126,7 @@ def _reflect_ends(line: F64, width: int, channels: int) -> None:
             line[(p + width + RADIUS) * channels + c] = line[right + c]
 
 
-@serial
+@part
 def _blur_along(line: F64, s: int, out: F64) -> None:
     """Blur a line whose samples of one channel are s apart."""
     a, b, c, d, e = line, line[s:], line[2 * s :], line[3 * s :], line[4 * s :]
@@ -138,7 +138,7 @@ def _blur_along(line: F64, s: int, out: F64) -> None:
         out[i] += W3 * (c[i] + p[i]) + W4 * (b[i] + q[i]) + W5 * (a[i] + r[i])
 
 
-@serial
+@part
 def _similarity(mean_x: F64, mean_y: F64, squares: F64, products: F64, out: F32) -> None:
     """Equation 13 from the four local means."""
     for i in range(out.size):
@@ -148,7 +148,7 @@ def _similarity(mean_x: F64, mean_y: F64, squares: F64, products: F64, out: F32)
         out[i] = np.float32(top / ((powers + C1) * (squares[i] - powers + C2)))
 
 
-@serial
+@part
 def _band(x: F32, y: F32, channels: int, out: F32, first: int) -> None:
     """Fill rows `first` to `first + _BAND` of the map."""
     height, span = x.shape

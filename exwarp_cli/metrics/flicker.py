@@ -73,7 +73,7 @@ def transition(now: Float32, before: Float32 | None, field: Float32, hidden: Boo
         bool [H, W]: the frame before does not show the surface point.
     """
     source = np.zeros_like(now) if before is None else before
-    moved, unseen = np.empty_like(now), np.empty(hidden.shape, np.bool_)
+    moved, unseen = np.empty(now.shape, now.dtype), np.empty(hidden.shape, np.bool_)
     gather.gather_bilinear(source, field, moved, unseen)
     return Transition(np.abs(now - moved).mean(axis=-1), ~(unseen | hidden))
 

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from exwarp_cli.domain.results import (
     InputSummary,
@@ -18,14 +19,16 @@ from exwarp_cli.domain.wording import counted
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.cryptomatte_manifest import SHOWN, shown
 from exwarp_cli.io.footage import is_plain, unevenness_of
-from exwarp_cli.io.interpolator import OnnxInterpolator
-from exwarp_cli.io.models import OnnxExtrapolator
-from exwarp_cli.io.policy_files import PolicyFile
-from exwarp_cli.io.sequence import Sequence
 from exwarp_cli.pipeline.contents import Content, files_apart
-from exwarp_cli.pipeline.progress import Progress
-from exwarp_cli.pipeline.source import Source
-from exwarp_cli.synthesis.methods import Method
+
+if TYPE_CHECKING:
+    from exwarp_cli.io.interpolator import OnnxInterpolator
+    from exwarp_cli.io.models import OnnxExtrapolator
+    from exwarp_cli.io.policy_files import PolicyFile
+    from exwarp_cli.io.sequence import Sequence
+    from exwarp_cli.pipeline.progress import Progress
+    from exwarp_cli.pipeline.source import Source
+    from exwarp_cli.synthesis.methods import Method
 
 SURFACE_COLOURS = {Role.ALBEDO: "diffuse", Role.SPECULAR: "glossy"}
 """What `synthesis.modulation` divides by, both together, as the user knows it."""

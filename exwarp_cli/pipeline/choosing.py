@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,12 +15,12 @@ from exwarp_cli.domain.frame import Window
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.io.frame_files import quantised
 from exwarp_cli.pipeline.loaded import Loaded
-from exwarp_cli.pipeline.observing import Observer
-from exwarp_cli.pipeline.oracle import outcomes_of
-from exwarp_cli.policy import outcomes
-from exwarp_cli.policy.policies import LearnedPolicy
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import Judge
+
+if TYPE_CHECKING:
+    from exwarp_cli.pipeline.observing import Observer
+    from exwarp_cli.policy.policies import LearnedPolicy
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,9 @@ def by_truth(judge: Judge, display: Window) -> Chooser:
 
     Where a slot has no ground truth nothing can be told, and the interval is warped.
     """
+    from exwarp_cli.pipeline.oracle import outcomes_of
+    from exwarp_cli.policy import outcomes
+
     by_psnr = judge is Judge.PSNR
     best = outcomes.best_psnr if by_psnr else outcomes.best_return
 

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import LayoutError, UsageError
 from exwarp_cli.io.footage import find_frames, picture_size
-from exwarp_cli.io.interpolator import OnnxInterpolator, load_interpolator
-from exwarp_cli.io.models import OnnxExtrapolator, load_extrapolator
-from exwarp_cli.io.policy_files import PolicyFile, load_policy
 from exwarp_cli.io.sequence import Sequence
 from exwarp_cli.io.views import expand
 from exwarp_cli.pipeline.source import FrameOf, Source, align
-from exwarp_cli.policy.state import INPUTS, STATE_VERSION
 from exwarp_cli.synthesis.methods import METHODS, Judge, Method
+
+if TYPE_CHECKING:
+    from exwarp_cli.io.interpolator import OnnxInterpolator
+    from exwarp_cli.io.models import OnnxExtrapolator
+    from exwarp_cli.io.policy_files import PolicyFile
 
 
 def find_method(name: str) -> Method:
@@ -38,6 +40,8 @@ def find_network(settings: UpsampleSettings, method: Method) -> OnnxExtrapolator
     _refuse_network_options(settings, method)
     if not method.extrapolates:
         return None
+    from exwarp_cli.io.models import load_extrapolator
+
     path = None if settings.extrapolator is None else Path(settings.extrapolator)
     return load_extrapolator(path, settings.threads, settings.device)
 
@@ -59,6 +63,8 @@ def find_interpolator(settings: UpsampleSettings, method: Method) -> OnnxInterpo
             f"--method {method.name} has no network of its own; name an ONNX file with "
             "--interpolator, or use --method softsplat"
         )
+    from exwarp_cli.io.interpolator import load_interpolator
+
     return load_interpolator(Path(settings.interpolator), settings.threads, settings.device)
 
 
@@ -94,6 +100,8 @@ def find_policy(settings: UpsampleSettings, method: Method) -> PolicyFile | None
     """
     path = None if settings.policy is None else Path(settings.policy)
     if method.judge is Judge.POLICY:
+        from exwarp_cli.io.policy_files import load_policy
+
         return require_state(load_policy(path))
     if path is not None:
         raise UsageError(
@@ -105,6 +113,8 @@ def find_policy(settings: UpsampleSettings, method: Method) -> PolicyFile | None
 
 def require_state(policy: PolicyFile) -> PolicyFile:
     """Refuse a policy that was trained on other inputs than a state has."""
+    from exwarp_cli.policy.state import INPUTS, STATE_VERSION
+
     inputs, version = policy.network.sizes[0], policy.metadata.get("state")
     if (inputs, version) != (INPUTS, STATE_VERSION):
         raise LayoutError(

@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
-from exwarp_cli.domain.cuts import Cut
 from exwarp_cli.domain.results import FrameRecord, InterpolatorSummary, NetworkSummary, RunSummary
-from exwarp_cli.domain.settings import UpsampleSettings
-from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.io import exr
+from exwarp_cli.io.allocator import share_one_arena
 from exwarp_cli.io.footage import close
-from exwarp_cli.io.interpolator import OnnxInterpolator
-from exwarp_cli.io.models import OnnxExtrapolator
 from exwarp_cli.io.output import compression_of
-from exwarp_cli.io.policy_files import PolicyFile
-from exwarp_cli.io.sequence import Sequence
 from exwarp_cli.kernels import jit
 from exwarp_cli.pipeline.announcing import (
     Models,
@@ -25,6 +20,7 @@ from exwarp_cli.pipeline.announcing import (
     input_summary,
 )
 from exwarp_cli.pipeline.contents import Content, contents_of
+from exwarp_cli.pipeline.early_frames import Beginning
 from exwarp_cli.pipeline.finding import (
     find_interpolator,
     find_method,
@@ -35,13 +31,22 @@ from exwarp_cli.pipeline.finding import (
     require_factor,
     require_truth,
 )
-from exwarp_cli.pipeline.progress import Progress
 from exwarp_cli.pipeline.scoring import require_measurable
-from exwarp_cli.pipeline.source import FrameOf, Source
 from exwarp_cli.pipeline.targets import Targets
 from exwarp_cli.pipeline.views import open_sources
-from exwarp_cli.pipeline.without_vectors import require_able, usual_method
-from exwarp_cli.synthesis.methods import Method
+from exwarp_cli.pipeline.without_vectors import USUAL, require_able, usual_method
+
+if TYPE_CHECKING:
+    from exwarp_cli.domain.cuts import Cut
+    from exwarp_cli.domain.settings import UpsampleSettings
+    from exwarp_cli.domain.timeline import Slot
+    from exwarp_cli.io.interpolator import OnnxInterpolator
+    from exwarp_cli.io.models import OnnxExtrapolator
+    from exwarp_cli.io.policy_files import PolicyFile
+    from exwarp_cli.io.sequence import Sequence
+    from exwarp_cli.pipeline.progress import Progress
+    from exwarp_cli.pipeline.source import FrameOf, Source
+    from exwarp_cli.synthesis.methods import Method
 
 
 @dataclass(frozen=True)
@@ -165,8 +170,15 @@ class Job:
         )
 
 
-def open_job(settings: UpsampleSettings) -> Job:
+def open_job(settings: UpsampleSettings, runs: bool = True) -> Job:
     """Open all that settings name; nothing is written.
+
+    Parameters
+    ----------
+    settings
+        What the user asked for.
+    runs
+        Whether it is done next, in this process; what it reads first is kept then.
 
     Raises
     ------
@@ -175,7 +187,7 @@ def open_job(settings: UpsampleSettings) -> Job:
     """
     compression_of(settings.compression)
     use_threads(settings.threads)
-    method, sources = _open_input(settings)
+    method, sources = _open_input(settings, runs)
     source = sources[0]
     network = find_network(settings, method)
     interpolator = find_interpolator(settings, method)
@@ -197,13 +209,18 @@ def open_job(settings: UpsampleSettings) -> Job:
 
 def use_threads(count: int | None) -> None:
     """Set how many threads compute and decode, from this thread; None for all cores."""
+    share_one_arena()
     jit.set_threads(count)
     exr.set_threads(count)
 
 
-def _open_input(settings: UpsampleSettings) -> tuple[Method, tuple[Source, ...]]:
+def _open_input(settings: UpsampleSettings, runs: bool) -> tuple[Method, tuple[Source, ...]]:
     """Open the input, and settle the method, which may depend on it."""
     named = None if settings.method is None else find_method(settings.method)
-    sources = open_sources(settings.source, named is None or named.needs_motion, pictures=True)
+    run = None
+    if runs:
+        run = Beginning(settings.frames, (named or find_method(USUAL)).extrapolates)
+    motion_needed = named is None or named.needs_motion
+    sources = open_sources(settings.source, motion_needed, pictures=True, run=run)
     method = named or find_method(usual_method(sources[0], settings))
     return method, sources

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from exwarp_cli.domain.frame import GBuffer, Image, KeyFrame
 from exwarp_cli.io.frame_files import FrameTemplate
@@ -105,3 +105,19 @@ class Loaded:
     layers: LayerFrames | None = None
     older: KeyFrame | None = None
     views: tuple[Loaded, ...] = ()
+
+    def lean(self) -> Loaded:
+        """Return the interval without geometry, once it is staged: with raw vectors and positions,
+        a key frame takes three times the memory of its colour."""
+        return replace(
+            self,
+            frame=_colour(self.frame),
+            following=_colour(self.following),
+            slots=(),
+            past=tuple(Older(replace(older.frame, gbuffer=None), ()) for older in self.past),
+            observed=(),
+        )
+
+
+def _colour(frame: KeyFrame | None) -> KeyFrame | None:
+    return None if frame is None else replace(frame, gbuffer=None)

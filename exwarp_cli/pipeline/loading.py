@@ -20,6 +20,7 @@ from exwarp_cli.io.frames import GEOMETRY, SURFACE, read_raw
 from exwarp_cli.io.sequence import Sequence
 from exwarp_cli.io.template import read_template
 from exwarp_cli.pipeline.contents import Content
+from exwarp_cli.pipeline.early_frames import normals_tell, run_roles, wants_normals
 from exwarp_cli.pipeline.estimating import Estimates
 from exwarp_cli.pipeline.instants import between, over_interval, stretched, without_surface
 from exwarp_cli.pipeline.layer_frames import LayerReader
@@ -191,7 +192,9 @@ class IntervalLoader:
                 frame = self._colour(key)
                 self._shots.see(key, frame)
             elif source.slots is None:
-                raw = read_raw(source.keys, number, self._key_roles, objects=True)
+                raw = source.early.take(number, self._key_roles)
+                if raw is None:
+                    raw = read_raw(source.keys, number, self._key_roles, objects=True)
                 frame = raw.key(convention)
                 self._shots.see(key, frame if self._normals_tell else frame.without("normal"))
                 if self._normals_tell and not self._wants_normals:
@@ -221,25 +224,18 @@ class IntervalLoader:
         """
         if self._source.finding is None:
             return (Role.COLOUR,)
-        if self._method.extrapolates:
-            return (Role.COLOUR, *GEOMETRY, *SURFACE)
-        if self._wants_normals or self._normals_tell:
-            return (Role.COLOUR, *GEOMETRY)
-        return (Role.COLOUR, *(role for role in GEOMETRY if role is not Role.NORMAL))
+        detects = self._source.cuts.detect
+        return run_roles(self._source.keys, self._method.extrapolates, detects)
 
     @property
     def _wants_normals(self) -> bool:
-        """Whether frames are made by key frames' normals.
-
-        To warps they tell nothing but Unreal's background, in sets of one file per AOV.
-        """
-        return self._method.extrapolates or bool(self._source.keys.aovs)
+        """Whether frames are made by key frames' normals."""
+        return wants_normals(self._source.keys, self._method.extrapolates)
 
     @property
     def _normals_tell(self) -> bool:
         """Whether cuts are found by key frames' normals: the same for every method."""
-        keys = self._source.keys
-        return bool(keys.aovs) or (self._source.cuts.detect and Role.POSITION not in keys.layout)
+        return normals_tell(self._source.keys, self._source.cuts.detect)
 
     def _slot_gbuffer(self, slot: Slot) -> GBuffer:
         """Read the G-buffer of a slot; what leads through it stays at hand."""
@@ -312,6 +308,7 @@ class IntervalLoader:
 
     def _forget(self, key: int) -> None:
         """Drop what no interval after this one needs."""
+        self._source.early.drop()
         self._shapes = {slot: shape for slot, shape in self._shapes.items() if slot.key >= key}
         oldest = key + 1 - (HISTORY - 1 if self._method.extrapolates else 0)
         if self._layers is not None and self._layers.looks_back:

@@ -7,11 +7,9 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
-import numpy as np
-
 from exwarp_cli import __version__
 from exwarp_cli.domain.decision import Plan
-from exwarp_cli.domain.frame import Bool, Image, broken_pixels, place
+from exwarp_cli.domain.frame import Bool, Image, place
 from exwarp_cli.domain.results import FrameKind, FrameRecord
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import Slot
@@ -31,12 +29,18 @@ from exwarp_cli.pipeline.schedule import read_ahead
 from exwarp_cli.pipeline.scoring import IntervalScores
 from exwarp_cli.pipeline.sink import Sink
 from exwarp_cli.pipeline.source import Source
+from exwarp_cli.pipeline.staged import Staged, hole_fraction, nonfinite_pixels
 from exwarp_cli.pipeline.views import JointLoader
 from exwarp_cli.pipeline.watching import Watcher
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import Judge, Method, Predicted, take
 
 INTERVALS_AHEAD = 1
+"""How many key intervals are read ahead of the one that is worked on."""
+
+MOST_AHEAD = 4 * 2**20
+"""Pixels of a frame up to which any are: of 3840x2160 a key frame with its geometry takes 430 MB,
+and decoding keeps all cores busy by itself."""
 
 
 @dataclass
@@ -60,8 +64,13 @@ class Run:
         """Work through the intervals: reading ahead, computing here, writing behind."""
         tasks = (partial(loader.load, key, self._needed) for key in keys)
         with self.sink:
-            for loaded in read_ahead(tasks, INTERVALS_AHEAD):
-                self._interval(loaded)
+            for loaded in read_ahead(tasks, self._ahead):
+                if self.source.timeline.shows(loaded.key):
+                    self._pass_key(loaded)
+                staged = self._staged(loaded)
+                loaded = loaded.lean()
+                self._interval(loaded, staged)
+                del loaded, staged  # before the next one is waited for, and staged
         taken = self.sink.write_ms
         return tuple(
             replace(r, timing_ms=r.timing_ms | {"write": taken[r.number]})
@@ -69,6 +78,12 @@ class Run:
             else r
             for r in self.records
         )
+
+    @property
+    def _ahead(self) -> int:
+        """How many intervals to read ahead."""
+        display = self.source.keys.display
+        return INTERVALS_AHEAD if display.width * display.height <= MOST_AHEAD else 0
 
     def _needed(self, key: int, recipes: dict[int, str]) -> bool:
         """Whether an interval has to be computed: something is missing, or is to be scored."""
@@ -80,11 +95,8 @@ class Run:
         """Whether an earlier run wrote this slot's files as this one would."""
         return self.sink.has(self.source.timeline.number(slot), recipes[slot.index])
 
-    def _interval(self, loaded: Loaded) -> None:
-        """Pass the key frame through and make the slots after it."""
-        self._broken.clear()
-        if self.source.timeline.shows(loaded.key):
-            self._pass_key(loaded)
+    def _staged(self, loaded: Loaded) -> Staged:
+        """Bring an interval to where slots can be made, and have its path decided."""
         begin = time.perf_counter()
         interval = None if loaded.frame is None else self.staging.interval(loaded)
         geometry_ms = 1e3 * (time.perf_counter() - begin)
@@ -92,19 +104,31 @@ class Run:
         there = {slot for slot in slots if interval is None or self._is_there(slot, loaded.recipes)}
         # A policy looks at every interval: the states of later ones hold what it saw.
         looks = len(there) < len(slots) or self.method.judge is Judge.POLICY
-        self.beside.begin(loaded, interval if len(there) < len(slots) else None)
         chosen = self._choose(loaded, interval) if slots and looks else None
-        self._scoring = self._scores(loaded, interval)
         shares = {"geometry": geometry_ms / max(len(slots), 1)}
         if chosen is not None:
             shares |= {step: ms / len(slots) for step, ms in chosen.timing_ms.items()}
+        if interval is not None and self._only_moves(loaded):
+            interval = interval.without("position", "normal")
+        return Staged(interval, chosen, frozenset(there), shares)
+
+    def _only_moves(self, loaded: Loaded) -> bool:
+        """Whether slots are made by settled motion, depth and ids of key frames alone."""
+        others = self.beside.anything or loaded.slots or loaded.truth or self.method.extrapolates
+        return not others
+
+    def _interval(self, loaded: Loaded, staged: Staged) -> None:
+        """Make the slots after a key frame."""
+        self._broken.clear()
+        interval, slots = staged.interval, self.source.timeline.made_of(loaded.key)
+        self.beside.begin(loaded, interval if len(staged.there) < len(slots) else None)
+        self._scoring = self._scores(loaded, interval)
         for slot in slots:
-            if interval is None or slot in there:
+            if interval is None or slot in staged.there:
                 record, shown = self._resume(slot, interval, loaded)
             else:
-                plan = None if chosen is None else chosen.plan
-                record, shown = self._make(slot, interval, loaded, plan)
-                record = replace(record, timing_ms=shares | record.timing_ms)
+                record, shown = self._make(slot, interval, loaded, staged.plan)
+                record = replace(record, timing_ms=staged.shares | record.timing_ms)
             self.records.append(record)
             watched = self.watcher is not None and self.watcher.wants(record.number, record.score)
             if shown is None and (watched or self.sink.shows):
@@ -114,6 +138,10 @@ class Run:
             if shown is not None:
                 self.sink.show(shown)
             self.progress.advance(record.number, record.method)
+            if interval is not None and self._scoring is None:
+                # Of the paper's paths a slot may be made by way of the one before it.
+                interval.forget(slot.index - 1 if self.method.extrapolates else slot.index)
+            del shown
         self._complete(loaded)
 
     def _choose(self, loaded: Loaded, interval: Interval | None) -> Chosen | None:
@@ -216,8 +244,8 @@ class Run:
             kind=self._kind(predicted, slot),
             method=predicted.method,
             sources=predicted.sources,
-            hole_fraction=_fraction(mask),
-            nonfinite_pixels=_nonfinite(loaded, predicted.sources, self._broken),
+            hole_fraction=hole_fraction(mask),
+            nonfinite_pixels=nonfinite_pixels(loaded, predicted.sources, self._broken),
             timing_ms={predicted.made_by: elapsed} | ({"layers": layers_ms} if beside else {}),
             made_by=predicted.made_by,
             path=None if plan is None else plan.path,
@@ -358,16 +386,3 @@ class Run:
         if compression is not None:
             out["compression"] = compression
         return out
-
-
-def _fraction(mask: Bool | None) -> float | None:
-    """Share of holes, rounded to float32 as the header of the frame keeps it."""
-    return None if mask is None else float(np.float32(np.count_nonzero(mask) / mask.size))
-
-
-def _nonfinite(loaded: Loaded, sources: tuple[int, ...], known: dict[int, int]) -> int:
-    """How many pixels of the source frames are NaN or infinite; `known` keeps it by number."""
-    for frame in (loaded.frame, loaded.following, *(older.frame for older in loaded.past)):
-        if frame is not None and frame.number in sources and frame.number not in known:
-            known[frame.number] = int(np.count_nonzero(broken_pixels(frame.image.pixels)))
-    return sum(known.get(number, 0) for number in sources)

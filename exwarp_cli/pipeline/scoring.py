@@ -16,7 +16,6 @@ from exwarp_cli.errors import UsageError
 from exwarp_cli.io.video import to_display
 from exwarp_cli.io.vmaf import require_size, vmaf
 from exwarp_cli.metrics.flicker import Transition, error, flicker, landing, transition
-from exwarp_cli.metrics.registry import score
 from exwarp_cli.synthesis.interval import Interval
 
 Scores = tuple[Score, Score | None]
@@ -187,6 +186,8 @@ class IntervalScores:
         mask
             bool [H, W], the slot's holes; None without motion.
         """
+        from exwarp_cli.metrics.registry import score  # its kernels are not for every run
+
         self._scores[slot] = score(truth, test, mask, self._names)
         if mask is not None:
             self._masks[slot] = mask

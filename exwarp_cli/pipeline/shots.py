@@ -9,7 +9,7 @@ import numpy as np
 
 from exwarp_cli.domain.cuts import Cut, CutWish
 from exwarp_cli.domain.frame import Float32, GBuffer, KeyFrame
-from exwarp_cli.synthesis.cuts import cut_between
+from exwarp_cli.synthesis.cuts import is_cut_between
 from exwarp_cli.synthesis.glance import Glance, glance_at
 
 LEAP = 0.01
@@ -138,7 +138,7 @@ class Shots:
         """Look whether there is a cut before a key frame."""
         if not self._wish.detect:
             return False
-        return cut_between(self._glance(key - 1), self._glance(key)).found
+        return is_cut_between(self._glance(key - 1), self._glance(key))
 
     def _leading_across(self, key: int) -> str:
         """Return which vectors of a key frame lead to another shot; "" for none."""

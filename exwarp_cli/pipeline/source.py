@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection
 from collections.abc import Sequence as Listed
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fractions import Fraction
 
 import numpy as np
@@ -15,19 +15,26 @@ from exwarp_cli.domain.frame import place
 from exwarp_cli.domain.motion import MotionFinding
 from exwarp_cli.domain.settings import DEFAULT_FPS, SourceSettings
 from exwarp_cli.domain.timeline import FACTOR, MOST, Slot, Timeline, ranges
-from exwarp_cli.errors import InputError, LayoutError, MissingFrameError, MotionError, UsageError
+from exwarp_cli.errors import (
+    InputError,
+    LayoutError,
+    MissingFrameError,
+    MotionError,
+    UsageError,
+)
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.footage import is_plain, own_rate
-from exwarp_cli.io.frames import Shot, read_raw
+from exwarp_cli.io.frames import RawFrame, Shot, read_raw
 from exwarp_cli.io.output import frame_rate, read_headers
 from exwarp_cli.io.sequence import Sequence
+from exwarp_cli.pipeline.early_frames import Beginning, EarlyFrames, serves
 from exwarp_cli.pipeline.motion_option import motion_names, parse_motion
 from exwarp_cli.pipeline.object_ids import read_ids
 from exwarp_cli.pipeline.opening import open_keys, open_plain, open_slots
 from exwarp_cli.pipeline.shots import pairs_within
 from exwarp_cli.synthesis.calibration import calibrate
 from exwarp_cli.synthesis.cuts import is_cut
-from exwarp_cli.synthesis.probing import Instant
+from exwarp_cli.synthesis.sampling import Instant, Sampled, sampled
 
 FrameOf = Callable[[Slot], int | None]
 
@@ -63,6 +70,8 @@ class Source:
         What the user says about cuts; those given lie at key frames.
     estimated
         Whether motion is needed and there are no vectors, so that it is estimated from colour.
+    early
+        Frames that were read already.
     """
 
     keys: Shot
@@ -74,6 +83,7 @@ class Source:
     fps_source: str
     cuts: CutWish
     estimated: bool = False
+    early: EarlyFrames = field(default_factory=EarlyFrames, compare=False, repr=False)
 
     @property
     def output_fps(self) -> Fraction:
@@ -99,7 +109,10 @@ class Source:
 
 
 def open_source(
-    settings: SourceSettings, motion_needed: bool = True, pictures: bool = False
+    settings: SourceSettings,
+    motion_needed: bool = True,
+    pictures: bool = False,
+    run: Beginning | None = None,
 ) -> Source:
     """Find and recognise an input.
 
@@ -112,6 +125,8 @@ def open_source(
         error, and G-buffers at the output rate without vectors to the previous slot are left out.
     pictures
         Whether videos, stills and EXR without vectors are taken, and their motion estimated.
+    run
+        That it is opened for: frames that it reads first are kept for it. None without.
 
     Raises
     ------
@@ -149,8 +164,11 @@ def open_source(
         _enough(timeline, slots, slot_number)
     shot = slots or keys
     starts = _numbers_at(begin, timeline, None if slots is None else slot_number)
+    early = EarlyFrames()
+    if run is not None and slots is None:
+        early = EarlyFrames.of(run, keys, timeline, cuts.detect)
     try:
-        finding = find_motion(shot, settings.motion, cuts.detect, starts)
+        finding = find_motion(shot, settings.motion, cuts.detect, starts, early)
     except MotionError:
         if motion_needed:
             raise
@@ -160,7 +178,9 @@ def open_source(
         _require_vectors(shot, finding, slots)
     if slots is not None and (finding is None or finding.convention.to_previous is None):
         slots, slot_number, finding = None, _no_number, None
-    return Source(keys, slots, slot_number, timeline, finding, fps, fps_source, cuts, estimated)
+    return Source(
+        keys, slots, slot_number, timeline, finding, fps, fps_source, cuts, estimated, early
+    )
 
 
 def _require_vectors(shot: Shot, finding: MotionFinding | None, slots: Shot | None) -> None:
@@ -214,7 +234,11 @@ def factor_of(settings: SourceSettings, fps: Fraction) -> Fraction:
 
 
 def find_motion(
-    shot: Shot, given: str | None, detect: bool = True, starts: Collection[int] = ()
+    shot: Shot,
+    given: str | None,
+    detect: bool = True,
+    starts: Collection[int] = (),
+    early: EarlyFrames | None = None,
 ) -> MotionFinding | None:
     """Settle the motion convention of a shot, by hand or by measuring; None without motion.
 
@@ -228,6 +252,8 @@ def find_motion(
         Whether to look for cuts, where vectors explain nothing: what crosses one is no motion.
     starts
         Numbers of frames before which cuts are known.
+    early
+        Where frames are kept that a run reads first.
 
     Raises
     ------
@@ -244,8 +270,10 @@ def find_motion(
     guess = None if shot.layout.guess is None else shot.layout.guess.sized(*size)
 
     def measured(firsts: list[int]) -> MotionFinding:
-        pairs = [(_instant(shot, numbers[i]), _instant(shot, numbers[i + 1])) for i in firsts]
-        return calibrate(pairs, guess, names)
+        # One after the other: each is decoded on all threads, and two at once took a sixth more.
+        wanted = sorted({number for i in firsts for number in numbers[i : i + 2]})
+        found = {number: _sampled(shot, early or EarlyFrames(), number) for number in wanted}
+        return calibrate([(found[numbers[i]], found[numbers[i + 1]]) for i in firsts], guess, names)
 
     firsts = pairs_within(len(numbers), lambda i: numbers[i] in starts)
     try:
@@ -332,15 +360,29 @@ def _enough(timeline: Timeline, slots: Shot, frame_of: FrameOf) -> None:
         )
 
 
-def _instant(shot: Shot, number: int) -> Instant:
+def _sampled(shot: Shot, early: EarlyFrames, number: int) -> Sampled:
     """Read a frame on the display window: data windows differ, and normalised vectors go by it."""
-    # World positions tell points apart best, and alone; reading the rest takes most of the time.
-    seen = (Role.POSITION,) if Role.POSITION in shot.layout else (Role.COLOUR,)
-    raw = read_raw(shot, number, (Role.MOTION, Role.DEPTH, Role.STENCIL, *seen))
+    raw = _read(shot, early, number)
     assert raw.motion is not None
     motion = place(raw.motion, raw.gbuffer.window, shot.display, np.nan)
     colour = None if raw.image is None else raw.image.on(shot.display).pixels
-    return Instant(number, raw.gbuffer.on(shot.display), motion, colour)
+    return sampled(Instant(number, raw.gbuffer.on(shot.display), motion, colour))
+
+
+def _read(shot: Shot, early: EarlyFrames, number: int) -> RawFrame:
+    """Read of a frame what vectors are measured by, or as a run does where that has it in it."""
+    # World positions tell points apart best, and alone; reading the rest takes most of the time.
+    seen = (Role.POSITION,) if Role.POSITION in shot.layout else (Role.COLOUR,)
+    roles = (Role.MOTION, Role.DEPTH, Role.STENCIL, *seen)
+    if number in early.numbers:
+        try:
+            raw = read_raw(shot, number, early.roles, objects=True)
+        except InputError:  # what is wrong with the rest of it is said when it is wanted
+            return read_raw(shot, number, roles)
+        if serves(raw, shot, roles):
+            early.keep(raw)
+            return raw
+    return read_raw(shot, number, roles)
 
 
 def rate_of(keys: Shot, given: Fraction | None) -> tuple[Fraction, str]:

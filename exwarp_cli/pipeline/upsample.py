@@ -5,22 +5,28 @@ from __future__ import annotations
 import time
 
 from exwarp_cli.domain.cuts import Cut
+from exwarp_cli.domain.frame import Window
 from exwarp_cli.domain.results import FrameRecord, RunSummary
 from exwarp_cli.domain.settings import UpsampleSettings
+from exwarp_cli.io import allocator, lent_memory
 from exwarp_cli.pipeline.choosing import Chooser, always, by_policy, by_truth
 from exwarp_cli.pipeline.finding import is_usual
 from exwarp_cli.pipeline.geometry import Staging
 from exwarp_cli.pipeline.job import Job, open_job, use_threads
 from exwarp_cli.pipeline.layers import Beside
 from exwarp_cli.pipeline.loading import IntervalLoader
-from exwarp_cli.pipeline.observing import Observer
 from exwarp_cli.pipeline.progress import NoProgress, Progress
 from exwarp_cli.pipeline.run import Run
 from exwarp_cli.pipeline.sink import FRAMES_BEHIND, Sink
 from exwarp_cli.pipeline.views import JointLoader
 from exwarp_cli.pipeline.watching import Watcher
 from exwarp_cli.pipeline.without_vectors import is_kept, note_of, video_look
-from exwarp_cli.policy.policies import LearnedPolicy
+
+MOST_WAITING = 80 * 10**6
+"""Bytes of frames that wait to be written, beside those that are being written."""
+
+PIXEL_BYTES = 16
+"""Four channels in float32."""
 
 
 def upsample(
@@ -89,6 +95,9 @@ def write_intervals(
     """
     settings = job.settings
     use_threads(settings.threads)
+    # Of what vectors were measured in: half of the memory of a run at 3840x2160.
+    lent_memory.forget()
+    allocator.trim()
     loader = make_loader(job)
     note = "" if job.targets.frames else note_of(loader.leading_recipes, settings, job.keys)
     try:
@@ -108,11 +117,16 @@ def _run_of(job: Job, note: str, progress: Progress, watcher: Watcher | None) ->
     )
     beside = Beside(job.contents, tuple(others))
     # Frames with all their layers are large, and few may wait.
-    sink = make_sink(job, note, 0 if beside.anything else FRAMES_BEHIND)
+    sink = make_sink(job, note, 0 if beside.anything else _behind(job.source.keys.display))
     chooser = make_chooser(job)
     return Run(
         job.settings, job.source, job.method, sink, progress, staging, beside, chooser, watcher
     )
+
+
+def _behind(display: Window) -> int:
+    """Return how many frames may wait to be written: fewer of large ones."""
+    return min(FRAMES_BEHIND, MOST_WAITING // (display.width * display.height * PIXEL_BYTES))
 
 
 def make_chooser(job: Job) -> Chooser | None:
@@ -121,6 +135,9 @@ def make_chooser(job: Job) -> Chooser | None:
     if method.path is not None:
         return always(method.path) if is_usual(source) else None
     if job.policy is not None:
+        from exwarp_cli.pipeline.observing import Observer
+        from exwarp_cli.policy.policies import LearnedPolicy
+
         observer = Observer(source.keys.display, source.setting)
         return by_policy(LearnedPolicy(job.policy.network), observer)
     return None if method.judge is None else by_truth(method.judge, source.keys.display)

@@ -5,15 +5,19 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
-from exwarp_cli.domain.cuts import Cut
 from exwarp_cli.domain.settings import SourceSettings
 from exwarp_cli.errors import UsageError
-from exwarp_cli.pipeline.loaded import Loaded
-from exwarp_cli.pipeline.loading import IntervalLoader
 from exwarp_cli.pipeline.opening import each_view
-from exwarp_cli.pipeline.recipes import Recipes
 from exwarp_cli.pipeline.source import Source, open_source
+
+if TYPE_CHECKING:
+    from exwarp_cli.domain.cuts import Cut
+    from exwarp_cli.pipeline.early_frames import Beginning
+    from exwarp_cli.pipeline.loaded import Loaded
+    from exwarp_cli.pipeline.loading import IntervalLoader
+    from exwarp_cli.pipeline.recipes import Recipes
 
 Needed = Callable[[int, dict[int, str]], bool]
 
@@ -58,7 +62,10 @@ class JointLoader:
 
 
 def open_sources(
-    settings: SourceSettings, motion_needed: bool, pictures: bool = False
+    settings: SourceSettings,
+    motion_needed: bool,
+    pictures: bool = False,
+    run: Beginning | None = None,
 ) -> tuple[Source, ...]:
     """Open the view that is asked for; of all views every one, the hero first.
 
@@ -71,7 +78,7 @@ def open_sources(
     ExwarpError
         As :func:`exwarp_cli.pipeline.source.open_source` does.
     """
-    sources = tuple(open_source(view, motion_needed, pictures) for view in each_view(settings))
+    sources = tuple(open_source(view, motion_needed, pictures, run) for view in each_view(settings))
     leader, *others = sources
     for other in others:
         if other.keys.sequence.files != leader.keys.sequence.files:

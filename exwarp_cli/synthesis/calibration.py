@@ -9,14 +9,16 @@ with a flipped axis 68 %, with anything else under 18 %), else by depth and colo
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from exwarp_cli.domain.motion import AxisMap, MotionConvention, MotionFinding
 from exwarp_cli.errors import MotionError
+from exwarp_cli.kernels.jit import threads
 from exwarp_cli.synthesis.evidence import CLEARLY_BETTER, Evidence, Key, channel_pairs, gathered
-from exwarp_cli.synthesis.probing import Instant
+from exwarp_cli.synthesis.sampling import Sampled
 
 TIE_RATIO, TIE_FLOOR = 1.1, 0.01
 """An error up to this much above the least does not speak against a convention known by name."""
@@ -33,7 +35,7 @@ at silhouettes miss whatever the vectors, and in a slow shot they are most of th
 
 
 def calibrate(
-    pairs: Sequence[tuple[Instant, Instant]], guess: MotionConvention | None, names: tuple[str, ...]
+    pairs: Sequence[tuple[Sampled, Sampled]], guess: MotionConvention | None, names: tuple[str, ...]
 ) -> MotionFinding:
     """Find the convention of motion channels.
 
@@ -77,7 +79,10 @@ def _settled(
     kept: Collection[tuple[int, int]],
 ) -> MotionFinding:
     """Find the convention of those channels that hold vectors; see `calibrate`."""
-    verdict = _judged({key: e.ranked() for key, e in measured.items()}, measured, guess)
+    with ThreadPoolExecutor(min(threads(), len(measured)), "exwarp-measure") as pool:
+        each = pool.map(Evidence.ranked, measured.values())
+        ranked = dict(zip(measured, each, strict=True))
+    verdict = _judged(ranked, measured, guess)
     if not verdict.stands(measured, guess):
         freely = {key: evidence.ranked_freely() for key, evidence in measured.items()}
         if all(freely.values()):
@@ -108,10 +113,10 @@ def _without(
 
 
 def _why_nothing(
-    pairs: Sequence[tuple[Instant, Instant]], frames: str, names: tuple[str, ...]
+    pairs: Sequence[tuple[Sampled, Sampled]], frames: str, names: tuple[str, ...]
 ) -> str:
     """Say why there was nothing to measure; what holds no vectors at all is an error."""
-    if not any(np.isfinite(one.motion).any() for pair in pairs for one in pair):
+    if all(one.empty for pair in pairs for one in pair):
         raise MotionError(
             f"the motion channels {', '.join(names)} of frames {frames} hold no numbers, only NaN "
             "or infinity; render the motion pass again, or give other vectors"

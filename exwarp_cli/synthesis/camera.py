@@ -10,6 +10,7 @@ motion of everything static and of the sky, whose vectors are 0 even while the c
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,54 +18,14 @@ import numpy.typing as npt
 
 from exwarp_cli.domain.frame import Float32, GBuffer, Int32
 from exwarp_cli.kernels import project
+from exwarp_cli.synthesis.resection import MIN_SAMPLES, fit
+from exwarp_cli.synthesis.resection import Camera as Camera
 
 F64 = npt.NDArray[np.float64]
 
 MAX_SAMPLES = 4000
-MIN_SAMPLES = 60
 GRID = 5
 """How many pixels are looked at for each sample."""
-
-ROUNDS = 12
-SUBSETS, SUBSET_SIZE, JUDGES = 200, 6, 500
-"""How many cameras are tried, through how many points, and how many points judge them: with two
-fifths of the points moving, 200 samples of six miss the right one once in ten thousand."""
-
-LEAST_LIMIT = 1e-3
-"""Error that never makes an outlier of a point, in units of the spread of the pixels."""
-
-MAX_MEDIAN_ERROR = 0.25
-"""A fit whose median error on its inliers is above this, in pixels, is no camera."""
-
-INLIER_FLOOR = 0.02
-"""Pixels below which an error is never an outlier: the rounding of half-float passes."""
-
-DEGENERATE = 1e-5
-"""Ratio of singular values below which points do not determine a camera: all on one plane."""
-
-
-@dataclass(frozen=True)
-class Camera:
-    """A 3x4 projection from homogeneous scene points to pixels (+x right, +y down).
-
-    Attributes
-    ----------
-    matrix
-        float64 [3, 4].
-    median_error
-        Median distance on the fit's inliers, pixels.
-    """
-
-    matrix: F64
-    median_error: float
-
-    def project(self, points: F64) -> F64:
-        """Project points [..., 4] to pixels [..., 2]; NaN for what lies behind the camera."""
-        image = points @ self.matrix.T
-        with np.errstate(divide="ignore", invalid="ignore"):
-            pixels: F64 = image[..., :2] / image[..., 2:]
-        pixels[image[..., 2] <= 0] = np.nan
-        return pixels
 
 
 @dataclass(frozen=True)
@@ -156,9 +117,50 @@ def camera_after(scene: Scene, vectors: Float32, stencil: Int32 | None) -> Camer
     Camera or None
         In the scene's own world; None when none can be found.
     """
+    return _cameras(scene, (vectors,), stencil)[0]
+
+
+def cameras_around(
+    scene: Scene | None, vectors: Sequence[Float32 | None], stencil: Int32 | None
+) -> F64:
+    """Return the cameras of several instants, as the kernel that settles motion has them.
+
+    Parameters
+    ----------
+    scene
+        The frame's points; None where nothing tells.
+    vectors
+        As in `camera_after`, to each of the instants; None where there are none.
+    stencil
+        As there.
+
+    Returns
+    -------
+    float64 [N, 2, 3, 4]
+        Of each instant for points, and for background, at infinity; NaN where there is none.
+    """
+    out = np.full((len(vectors), 2, 3, 4), np.nan)
+    if scene is None:
+        return out
+    for found, camera in zip(out, _cameras(scene, vectors, stencil), strict=True):
+        if camera is not None:
+            found[0], found[1, :, :3] = camera.matrix, _at_infinity(scene, camera)
+            found[1, :, 3] = 1.0
+    return out
+
+
+def _cameras(
+    scene: Scene, vectors: Sequence[Float32 | None], stencil: Int32 | None
+) -> list[Camera | None]:
+    """Return the cameras of several instants, all by the same points."""
     index = sample(scene.depth, stencil)
-    seen_at = pixels_at(index, scene.depth.shape[1]) + vectors.reshape(-1, 2)[index]
-    return fit(scene.points(index), seen_at, movers=stencil is None)
+    points, pixels = scene.points(index), pixels_at(index, scene.depth.shape[1])
+    return [
+        None
+        if motion is None
+        else fit(points, pixels + motion.reshape(-1, 2)[index], movers=stencil is None)
+        for motion in vectors
+    ]
 
 
 def rigid_motion(scene: Scene, vectors: Float32, stencil: Int32 | None) -> Float32 | None:
@@ -182,137 +184,11 @@ def seen_by(scene: Scene, camera: Camera) -> Float32:
         Pixels; NaN for what lies behind the camera.
     """
     out = np.empty((*scene.depth.shape, 2), np.float32)
-    at_infinity = camera.matrix[:, :3] @ scene.to_ray
+    at_infinity = _at_infinity(scene, camera)
     project.rigid(scene.position, scene.depth, camera.matrix, at_infinity, out)
     return out
 
 
-def fit(points: F64, pixels: F64, movers: bool = False) -> Camera | None:
-    """Fit a projection to points and the pixels that they are seen at, most of them rightly.
-
-    Parameters
-    ----------
-    points
-        float64 [N, 4], homogeneous.
-    pixels
-        float64 [N, 2].
-    movers
-        Whether points may be among them that move alike and differently from the rest; then the
-        fit starts from the least median of small samples, which bears nearly half of them.
-
-    Returns
-    -------
-    Camera or None
-        None when there are too few points, when they do not determine a camera (all on one plane),
-        or when no camera explains half of them.
-
-    Notes
-    -----
-    Direct linear transform on normalised coordinates, reweighted to pixel error and by Geman and
-    McClure's weights, with points beyond four median errors left out round by round, until the same
-    points stay.
-    """
-    usable = np.isfinite(points).all(axis=1) & np.isfinite(pixels).all(axis=1)
-    points, pixels = points[usable], pixels[usable]
-    if len(points) < MIN_SAMPLES:
-        return None
-    to_unit, unit_points = _normalise(points)
-    from_unit, unit_pixels = _normalise_pixels(pixels)
-    weights = np.ones(len(points))
-    if movers:
-        weights = _least_median(unit_points, unit_pixels)
-    inliers = np.ones(len(points), np.bool_)
-    camera = None
-    for _ in range(ROUNDS):
-        unit = _solve(unit_points, unit_pixels, weights)
-        if unit is None:
-            return None
-        matrix = from_unit @ unit @ to_unit
-        error = np.linalg.norm(Camera(matrix, 0).project(points) - pixels, axis=1)
-        error[~np.isfinite(error)] = np.inf
-        before, middle = inliers, float(np.median(error))
-        inliers = error <= max(4.0 * middle, INLIER_FLOOR)
-        if np.count_nonzero(inliers) < MIN_SAMPLES or not np.isfinite(middle):
-            return None
-        settled = camera is not None and bool((inliers == before).all())
-        camera = Camera(matrix, float(np.median(error[inliers])))
-        if settled:
-            break
-        scale = np.maximum(np.abs(unit_points @ unit[2]), 1e-9)
-        # Without this doubt an object on a sixth of the points drags the camera with it: it pulls
-        # the first fit so far that it stays within four median errors.
-        doubt = 1.0 + (error / max(middle, INLIER_FLOOR)) ** 2
-        weights = np.where(inliers, 1.0 / (scale * doubt), 0.0)
-    assert camera is not None
-    return camera if camera.median_error <= MAX_MEDIAN_ERROR else None
-
-
-def _normalise(points: F64) -> tuple[F64, F64]:
-    """Return a 4x4 transform and the points under it: finite ones centred, of unit spread."""
-    finite = points[:, :3] / points[:, 3:]
-    centre = np.median(finite, axis=0)
-    spread = float(np.median(np.abs(finite - centre))) or 1.0
-    transform = np.eye(4)
-    transform[:3, 3] = -centre
-    transform[:3] /= spread
-    moved = points @ transform.T
-    return transform, moved / moved[:, 3:]
-
-
-def _normalise_pixels(pixels: F64) -> tuple[F64, F64]:
-    """Return the 3x3 transform back to pixels, and the pixels centred and of unit spread."""
-    centre = pixels.mean(axis=0)
-    spread = float(pixels.std()) or 1.0
-    back = np.diag([spread, spread, 1.0])
-    back[:2, 2] = centre
-    return back, (pixels - centre) / spread
-
-
-def _least_median(points: F64, pixels: F64) -> F64:
-    """Return weights 1 for points near the best of many cameras through six points each, else 0.
-
-    Rousseeuw, Least Median of Squares Regression, 1984; the samples are always the same ones.
-    """
-    rng = np.random.default_rng(0)
-    chosen = rng.integers(0, len(points), (SUBSETS, SUBSET_SIZE))
-    rows = _rows(points[chosen], pixels[chosen]).reshape(SUBSETS, -1, 12)
-    _, directions = np.linalg.eigh(rows.transpose(0, 2, 1) @ rows)
-    matrices = directions[..., 0].reshape(SUBSETS, 3, 4)
-    judges = slice(None, None, max(1, len(points) // JUDGES))
-
-    def errors(matrix: F64, where: slice) -> F64:
-        image = points[where] @ matrix.swapaxes(-1, -2)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            away = np.linalg.norm(image[..., :2] / image[..., 2:] - pixels[where], axis=-1)
-        return np.asarray(np.where(np.isfinite(away), away, np.inf))
-
-    medians = np.median(errors(matrices, judges), axis=-1)
-    best = int(np.argmin(medians))
-    # In units of the spread of the pixels: as an outlier counts what is far off for this camera.
-    limit = max(4.0 * float(medians[best]), LEAST_LIMIT)
-    return (errors(matrices[best], slice(None)) <= limit).astype(np.float64)
-
-
-def _rows(points: F64, pixels: F64) -> F64:
-    """Return the equations of the direct linear transform: [..., N, 4] to [..., 2, N, 12]."""
-    x, y = pixels[..., :1], pixels[..., 1:]
-    rows = np.zeros((*points.shape[:-2], 2, points.shape[-2], 12))
-    rows[..., 0, :, :4], rows[..., 0, :, 8:] = points, -x * points
-    rows[..., 1, :, 4:8], rows[..., 1, :, 8:] = points, -y * points
-    return rows
-
-
-def _solve(points: F64, pixels: F64, weights: F64) -> F64 | None:
-    """Return the 3x4 matrix of least algebraic error, None when it is not determined."""
-    used = weights > 0
-    scaled = points[used] * weights[used, None]
-    flat = _rows(scaled, pixels[used]).reshape(-1, 12)
-    if len(flat) < 2 * MIN_SAMPLES:
-        return None
-    squares, directions = np.linalg.eigh(flat.T @ flat)
-    if squares[1] < DEGENERATE**2 * squares[-1]:
-        return None
-    matrix = directions[:, 0].reshape(3, 4)
-    signs = scaled @ matrix[2]
-    oriented: F64 = matrix * (1.0 if np.median(signs) > 0 else -1.0)
-    return oriented
+def _at_infinity(scene: Scene, camera: Camera) -> F64:
+    """Return the homography float64 [3, 3] of the background."""
+    return camera.matrix[:, :3] @ scene.to_ray

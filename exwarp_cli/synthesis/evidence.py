@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
 
+from exwarp_cli.domain.frame import Float32
 from exwarp_cli.domain.motion import AxisMap
-from exwarp_cli.synthesis.probing import Instant, Probe, probe
+from exwarp_cli.synthesis.probing import Probe, probe
 from exwarp_cli.synthesis.readings import FREE_STEP, Form, fixed, forms, free, nearby
+from exwarp_cli.synthesis.sampling import Sampled
 
 F64 = npt.NDArray[np.float64]
 
@@ -43,18 +45,26 @@ class Evidence:
     more: tuple[int | None, int | None] = (None, None)
     probes: list[Probe] = field(default_factory=list)
 
-    def error(self, axis_map: AxisMap, count: int | None = None) -> float:
-        """Mean error of a candidate."""
-        return float(np.mean([p.error(_apply(axis_map, p, count), count) for p in self.probes]))
+    def errors(self, readings: Iterable[AxisMap], count: int | None = None) -> list[float]:
+        """Mean errors of candidates."""
+        maps = list(readings)
+        if not maps:
+            return []
+        each = [p.errors(_apply(maps, p, count), count) for p in self.probes]
+        return [float(np.mean(errors)) for errors in zip(*each, strict=True)]
+
+    def error(self, reading: AxisMap) -> float:
+        """Mean error of one candidate."""
+        return self.errors([reading])[0]
 
     def still(self) -> float:
         """Mean error of no motion."""
-        return float(np.mean([p.error(np.zeros((1, 2))) for p in self.probes]))
+        return float(np.mean([_still(p) for p in self.probes]))
 
     @property
     def raw(self) -> F64:
         """The motion channels' values, [N, C]."""
-        return np.concatenate([p.raw for p in self.probes])
+        return np.concatenate([p.raw for p in self.probes]).astype(np.float64)
 
     @property
     def empty(self) -> bool:
@@ -68,10 +78,11 @@ class Evidence:
 
     def ranked(self) -> list[tuple[float, AxisMap]]:
         """Candidates of usual scale by error: all roughly, the best of them on every sample."""
-        rough = [(self.error(c, COARSE), i, c) for i, c in enumerate(self.usual())]
-        best = sorted(rough, key=lambda entry: entry[:2])[:12]
-        exact = [(self.error(c), i, c) for _, i, c in best]
-        return [(e, c) for e, _, c in sorted(exact, key=lambda entry: entry[:2])]
+        every = list(self.usual())
+        rough = sorted(enumerate(self.errors(every, COARSE)), key=_by_error)
+        best = sorted(i for i, _ in rough[:12])
+        exact = sorted(zip(best, self.errors([every[i] for i in best]), strict=True), key=_by_error)
+        return [(error, every[i]) for i, error in exact]
 
     def usual(self) -> Iterator[AxisMap]:
         """Yield the candidates of the usual scales."""
@@ -83,16 +94,16 @@ class Evidence:
         raw, seen = self.raw, self.forms
         # Where values may be offsets, they are all of one sign: as displacements, unlikely.
         likely = [form for form in seen if form.still] or seen
-        every = (c for f in likely for c in free(f, self.channels, raw, *self.size))
-        one = replace(self, probes=[max(self.probes, key=lambda p: p.error(np.zeros((1, 2))))])
-        rough = sorted(
-            ((one.error(c, ROUGH), i, c) for i, c in enumerate(every)), key=lambda entry: entry[:2]
-        )
+        every = [c for f in likely for c in free(f, self.channels, raw, *self.size)]
+        one = replace(self, probes=[max(self.probes, key=_still)])
+        rough = sorted(enumerate(one.errors(every, ROUGH)), key=_by_error)
         # Readings of one sign and aspect stand side by side; the best of each is fitted.
-        kinds = {_kind(c): c for _, _, c in reversed(rough)}
-        best = sorted(kinds.values(), key=lambda c: self.error(c, COARSE))[:4]
+        kinds = list({_kind(every[i]): every[i] for i, _ in reversed(rough)}.values())
+        by_error = sorted(enumerate(self.errors(kinds, COARSE)), key=_by_error)
+        best = [kinds[i] for i, _ in by_error[:4]]
         fitted = [self._scaled(c, FREE_STEP) for c in best]
-        rest = [(self.error(c), c) for c in kinds.values() if c not in best]
+        others = [c for c in kinds if c not in best]
+        rest = list(zip(self.errors(others), others, strict=True))
         return sorted(fitted + rest, key=lambda entry: entry[0])
 
     def scaled_is_better(self, axis_map: AxisMap) -> bool:
@@ -102,17 +113,31 @@ class Evidence:
 
     def _scaled(self, axis_map: AxisMap, reach: float) -> tuple[float, AxisMap]:
         """Fit a candidate's scale within a ratio, by ever smaller steps."""
-        best = (self.error(axis_map, COARSE), axis_map)
+        best = (self.errors([axis_map], COARSE)[0], axis_map)
         while reach > FITTED:
-            tried = [(self.error(c, COARSE), c) for c in nearby(best[1], reach)]
+            near = list(nearby(best[1], reach))
+            tried = zip(self.errors(near, COARSE), near, strict=True)
             best = min([best, *tried], key=lambda entry: entry[0])
             reach **= 0.5
         return self.error(best[1]), best[1]
 
     def differ(self, a: AxisMap, b: AxisMap) -> bool:
         """Whether two candidates move the samples differently enough to be told apart."""
-        gaps = [np.abs(_apply(a, p, COARSE) - _apply(b, p, COARSE)).mean() for p in self.probes]
+        gaps = []
+        for one in self.probes:
+            moved_a, moved_b = _apply([a, b], one, COARSE).astype(np.float64)
+            gaps.append(np.abs(moved_a - moved_b).mean())
         return float(np.mean(gaps)) > SAME_PIXELS
+
+
+def _by_error(ranked: tuple[int, float]) -> tuple[float, int]:
+    index, error = ranked
+    return error, index
+
+
+def _still(sampled: Probe) -> float:
+    """Return the mean error of no motion."""
+    return float(sampled.errors(np.zeros((1, len(sampled.xy), 2), np.float32))[0])
 
 
 def _kind(axis_map: AxisMap) -> tuple[object, ...]:
@@ -133,30 +158,32 @@ def channel_pairs(names: tuple[str, ...]) -> list[tuple[int, int]]:
 
 
 def gathered(
-    pairs: Sequence[tuple[Instant, Instant]], names: tuple[str, ...]
+    pairs: Sequence[tuple[Sampled, Sampled]], names: tuple[str, ...]
 ) -> dict[Key, Evidence]:
     """Gather empty or filled evidence for every pair of channels and both directions."""
-    height, width = pairs[0][0].motion.shape[:2]
     odd = len(names) - 1 if len(names) % 2 else None
     more = (
         (None, odd)
         if odd is not None and names[odd].rsplit(".")[-1].lower() in ALPHA
         else (odd, None)
     )
-    out: dict[Key, Evidence] = {}
-    for channels in channel_pairs(names):
-        used = [*channels, *(index for index in more if index is not None)]
-        for later in (False, True):
-            evidence = Evidence(channels, later, (width, height), more)
-            for a, b in pairs:
-                found = probe(a, b, used) if later else probe(b, a, used)
+    further = [index for index in more if index is not None]
+    channels = channel_pairs(names)
+    used = [(*one, *further) for one in channels]
+    out = {
+        (one, later): Evidence(one, later, pairs[0][0].size, more)
+        for one in channels
+        for later in (False, True)
+    }
+    for before, after in pairs:
+        for later, ends in ((False, (after, before)), (True, (before, after))):
+            for one, found in zip(channels, probe(*ends, used), strict=True):
                 if found is not None:
-                    evidence.probes.append(found)
-            out[channels, later] = evidence
+                    out[one, later].probes.append(found)
     return out
 
 
-def _apply(axis_map: AxisMap, sampled: Probe, count: int | None) -> F64:
-    """Displacements [N, 2] of a probe's samples."""
-    raw = sampled.raw if count is None else sampled.raw[:: max(1, len(sampled.xy) // count)]
-    return axis_map.apply(raw.astype(np.float32)).astype(np.float64)
+def _apply(readings: Sequence[AxisMap], sampled: Probe, count: int | None) -> Float32:
+    """Displacements [K, N, 2] of a probe's samples by K readings."""
+    raw = sampled.raw[sampled.part(count)]
+    return np.stack([reading.apply(raw) for reading in readings])

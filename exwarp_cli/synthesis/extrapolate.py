@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from exwarp_cli.domain.extrapolator import HISTORY, NetworkInputs
+from exwarp_cli.domain.extrapolator import HISTORY, Inputs, NetworkInputs
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, KeyFrame
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.synthesis.geometry import SlotField
@@ -20,6 +20,123 @@ UNKNOWN_ROUGHNESS = 0.5
 UNKNOWN_METALLIC = 0.0
 """What the network is told of a slot whose G-buffer lacks depth, roughness or metallic; an unknown
 normal is 0, as that of the background."""
+
+ALL = (slice(None), slice(None))
+"""Every row and column."""
+
+
+@dataclass(frozen=True)
+class Moved:
+    """A rendered frame moved to the slot.
+
+    Attributes
+    ----------
+    pixels
+        float32 [H, W, C], divided by surface colour where that is known.
+    visible
+        bool [H, W]: the frame shows the slot's surface.
+    """
+
+    pixels: Float32
+    visible: Bool
+
+    def part(self, rows: slice, columns: slice) -> Float32:
+        """Return coded colour and mask of some rows and columns, float32 [4, H, W]."""
+        visible = self.visible[None, rows, columns].astype(np.float32)
+        return np.concatenate([_coded(self.pixels[rows, columns]), visible])
+
+
+@dataclass(frozen=True)
+class SlotInputs:
+    """What a network is given for a slot, coded part by part as it is asked for.
+
+    All 25 planes at once are 830 MB for a frame of 3840x2160, and what they are made of is here.
+
+    Attributes
+    ----------
+    frames
+        F_k, F_k-1 and F_k-2, the oldest repeated where there are fewer.
+    filled
+        float32 [H, W, C]: the first of them with its holes filled.
+    surface
+        The slot's G-buffer.
+    depth
+        float32 [H, W], relative.
+    time
+        Of the slot in its key interval.
+    """
+
+    frames: tuple[Moved, ...]
+    filled: Float32
+    surface: GBuffer
+    depth: Float32
+    time: float
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width."""
+        return self.surface.window.shape
+
+    def part(self, rows: slice, columns: slice) -> NetworkInputs:
+        """Return the inputs of some rows and columns."""
+        where = (rows, columns)
+        return NetworkInputs(
+            self._warped(*where), self._mask(*where), self._features(*where),
+            self._history(*where), self.time,
+        )  # fmt: skip
+
+    @property
+    def warped(self) -> Float32:
+        """As `NetworkInputs` has it, of the whole frame; so are the other planes."""
+        return self._warped(*ALL)
+
+    @property
+    def mask(self) -> Float32:
+        """float32 [1, H, W]."""
+        return self._mask(*ALL)
+
+    @property
+    def features(self) -> Float32:
+        """float32 [6, H, W]."""
+        return self._features(*ALL)
+
+    @property
+    def history(self) -> Float32:
+        """float32 [12, H, W]."""
+        return self._history(*ALL)
+
+    @property
+    def pictures(self) -> dict[str, Float32]:
+        """The picture inputs by name."""
+        return self.part(*ALL).pictures
+
+    def _warped(self, rows: slice, columns: slice) -> Float32:
+        last = self.frames[0]
+        shown = last.pixels[rows, columns] * last.visible[rows, columns, None]
+        return np.concatenate([_coded(shown), _coded(self.filled[rows, columns])])
+
+    def _mask(self, rows: slice, columns: slice) -> Float32:
+        return self.frames[0].visible[None, rows, columns].astype(np.float32)
+
+    def _history(self, rows: slice, columns: slice) -> Float32:
+        return np.concatenate([frame.part(rows, columns) for frame in self.frames])
+
+    def _features(self, rows: slice, columns: slice) -> Float32:
+        """Return the six feature planes, with defaults for what is not known."""
+        depth = self.depth[rows, columns]
+        normal, roughness, metallic = (
+            None if array is None else array[rows, columns]
+            for array in (self.surface.normal, self.surface.roughness, self.surface.metallic)
+        )
+        if normal is None:
+            normal = np.zeros((*depth.shape, 3), np.float32)
+        planes = [
+            *np.clip(np.nan_to_num(normal, posinf=0, neginf=0), -1, 1).transpose(2, 0, 1),
+            depth,
+            _plane(roughness, depth.shape, UNKNOWN_ROUGHNESS),
+            _plane(metallic, depth.shape, UNKNOWN_METALLIC),
+        ]
+        return np.stack(planes).astype(np.float32)
 
 
 @dataclass(frozen=True)
@@ -38,7 +155,7 @@ class Prepared:
         bool [H, W]: the filled warp is 0 in colour and alpha; so is the frame, where it has alpha.
     """
 
-    inputs: NetworkInputs
+    inputs: Inputs
     modulation: Float32 | None
     alpha: Float32
     empty: Bool
@@ -71,17 +188,13 @@ def prepare(
     demodulated = modulation is not None
     last = warp(_shading(key, demodulated), back)
     filled, visible = fill_holes(last.pixels.copy(), last.depth, last.hole), ~last.hole
-    history = [_picture(last.pixels, visible)]
+    history = [Moved(last.pixels, visible)]
     for step, field, hidden in zip(past, seen.fields, seen.hidden, strict=False):
-        history.append(_moved(_shading(step.frame, demodulated), field, hidden))
+        pixels, unseen = sampled(_shading(step.frame, demodulated), field)
+        history.append(Moved(pixels, ~(unseen | hidden)))
     history += [history[-1]] * (HISTORY - len(history))
-    inputs = NetworkInputs(
-        warped=np.concatenate([_coded(last.pixels * visible[..., None]), _coded(filled)]),
-        mask=visible[None].astype(np.float32),
-        features=_features(seen.surface),
-        history=np.concatenate(history),
-        time=slot / FACTOR,
-    )
+    depth = _relative_depth(seen.surface)
+    inputs = SlotInputs(tuple(history), filled, seen.surface, depth, slot / FACTOR)
     empty = (filled == 0).all(axis=-1)
     return Prepared(inputs, modulation, filled[..., 3:], empty)
 
@@ -97,32 +210,9 @@ def _shading(frame: KeyFrame, demodulated: bool) -> Float32:
     return np.concatenate([pixels[..., :3] / modulation, pixels[..., 3:]], axis=-1)
 
 
-def _moved(pixels: Float32, field: Float32, hidden: Bool) -> Float32:
-    """Move an older frame to the slot; return colour and mask, float32 [4, H, W]."""
-    out, unseen = sampled(pixels, field)
-    return _picture(out, ~(unseen | hidden))
-
-
-def _picture(pixels: Float32, visible: Bool) -> Float32:
-    return np.concatenate([_coded(pixels), visible[None].astype(np.float32)])
-
-
 def _coded(pixels: Float32) -> Float32:
     """Return colour as the network sees it, float32 [3, H, W]."""
     return np.ascontiguousarray(encode(pixels[..., :3]).transpose(2, 0, 1))
-
-
-def _features(surface: GBuffer) -> Float32:
-    """Return the six feature planes of a slot, with defaults for what is not known."""
-    shape = surface.window.shape
-    normal = surface.normal if surface.normal is not None else np.zeros((*shape, 3), np.float32)
-    planes = [
-        *np.clip(np.nan_to_num(normal, posinf=0, neginf=0), -1, 1).transpose(2, 0, 1),
-        _relative_depth(surface),
-        _plane(surface.roughness, shape, UNKNOWN_ROUGHNESS),
-        _plane(surface.metallic, shape, UNKNOWN_METALLIC),
-    ]
-    return np.stack(planes).astype(np.float32)
 
 
 def _plane(values: Float32 | None, shape: tuple[int, int], unknown: float) -> Float32:

@@ -9,8 +9,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer
-from exwarp_cli.kernels import edges, holes, splat
-from exwarp_cli.synthesis.camera import Scene, rigid_motion, scene_of, seen_by
+from exwarp_cli.kernels import edges, holes, settling, splat
+from exwarp_cli.synthesis.camera import (
+    Scene,
+    cameras_around,
+    rigid_motion,
+    scene_of,
+    seen_by,
+)
 from exwarp_cli.synthesis.trajectory import displacement, followed, stencil_of
 
 TURN_PER_SLOT = math.acos(0.98)
@@ -19,6 +25,8 @@ constant, which it applies over one step; over three slots it took spinning obje
 
 STATIC_TOLERANCE = 0.25
 """Pixels by which a static pixel's rendered vector may miss the camera's motion."""
+
+_NOWHERE = np.zeros((0, 0), np.float32)
 
 
 @dataclass(frozen=True)
@@ -66,24 +74,27 @@ def settle_motion(gbuffer: GBuffer) -> GBuffer:
     """
     if not gbuffer.has_motion:
         return gbuffer
+    scene, vectors = scene_of(gbuffer), (gbuffer.to_previous, gbuffer.to_next)
     depth, stencil = depth_of(gbuffer), stencil_of(gbuffer)
     edge = np.empty(depth.shape, np.bool_)
     edges.find_edges(depth, stencil, edge)
-    scene = scene_of(gbuffer)
-
-    def settle(vectors: Float32 | None) -> Float32 | None:
-        if vectors is None:
-            return None
-        rigid = None if scene is None else rigid_motion(scene, vectors, gbuffer.stencil)
-        if rigid is None:
-            rigid = np.full_like(vectors, np.nan)
-        out = np.empty_like(vectors)
-        edges.unmix(vectors, rigid, depth, stencil, edge, np.float32(STATIC_TOLERANCE), out)
-        return out
-
-    return replace(
-        gbuffer, to_previous=settle(gbuffer.to_previous), to_next=settle(gbuffer.to_next)
+    position = _NOWHERE if scene is None else _flat(scene.position)
+    surfaces = position, depth, stencil, edge
+    given = tuple(_NOWHERE if way is None else _flat(way) for way in vectors)
+    found = tuple(np.empty(way.shape, np.float32) for way in given)
+    cameras = cameras_around(scene, vectors, gbuffer.stencil)
+    settling.settle(given, surfaces, cameras, np.float32(STATIC_TOLERANCE), found)
+    before, after = (
+        None if way is None else settled.reshape(way.shape)
+        for way, settled in zip(vectors, found, strict=True)
     )
+    return replace(gbuffer, to_previous=before, to_next=after)
+
+
+def _flat(array: Float32) -> Float32:
+    """Return [H, W, C] as rows [H, W C]."""
+    height, width, channels = array.shape
+    return np.ascontiguousarray(array).reshape(height, width * channels)
 
 
 def stands_still(gbuffer: GBuffer, scene: Scene | None) -> Bool | None:
@@ -131,7 +142,7 @@ def moved_on(gbuffer: GBuffer, motion: Float32) -> SlotField:
     """
     depth = depth_of(gbuffer)
     field, near = np.empty_like(motion), np.empty_like(depth)
-    reach = np.empty((depth.shape[0], 2), np.float32)
+    reach = np.empty(splat.reach_shape(depth.shape), np.float32)
     splat.row_reach(motion, reach)
     splat.splat(motion, depth, reach, field, near)
     return SlotField(field, near, np.isnan(near), _fringe(field, near, depth))

@@ -28,7 +28,7 @@ def blend_by_depth(before: Warped, after: Warped, time: float) -> Float32:
         not see the surface weighs nothing, so disocclusions come from the side that sees them. What
         neither sees is filled from the background.
     """
-    out = np.empty_like(before.pixels)
+    out = np.empty(before.pixels.shape, np.float32)
     depth = np.empty_like(before.depth)
     hole = np.empty_like(before.hole)
     sides = [(side.pixels, side.depth, side.hole, side.fringe) for side in (before, after)]

@@ -137,8 +137,18 @@ class Interval:
         assert self.extrapolator is not None
         if slot not in self._extrapolated:
             prepared = self.prepared(slot)
+            self._looked.pop(slot, None)
             self._extrapolated[slot] = prepared.finish(self.extrapolator(prepared.inputs))
         return self._extrapolated[slot]
+
+    def forget(self, slot: int) -> None:
+        """Let go of what was worked out for a slot and those before it; it may be asked for again.
+
+        Motion fields of three slots take as much memory as a key frame.
+        """
+        self._back = {index: made for index, made in self._back.items() if index > slot}
+        self._forward = {index: made for index, made in self._forward.items() if index > slot}
+        self._looked = {index: made for index, made in self._looked.items() if index > slot}
 
     def without(self, *parts: str) -> Interval:
         """Return the interval as if its G-buffers lacked some parts; nothing is made yet."""

@@ -8,34 +8,20 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.domain.frame import Float32, GBuffer
-from exwarp_cli.kernels import lookup
+from exwarp_cli.domain.frame import Bool, Float32
+from exwarp_cli.kernels import lookup, misses
+from exwarp_cli.synthesis.sampling import LEAST, SAMPLES, Index, Sampled
 
 F64 = npt.NDArray[np.float64]
-
-SAMPLES = 6000
-"""Pixels looked up of each frame, out of GRID times as many on a regular grid."""
-
-GRID = 5
-
-LEAST = 100
-"""Samples below which a frame says nothing."""
 
 DEPTH_TOLERANCE = 0.02
 """Relative error of depth that counts as a miss."""
 
+COLOUR_TOLERANCE = 0.15
+"""Distance of perceived colours that counts as a miss."""
+
 
 @dataclass(frozen=True)
-class Instant:
-    """A frame of a pair: geometry, raw motion channels, and colour where there is some."""
-
-    number: int
-    gbuffer: GBuffer
-    motion: Float32
-    colour: Float32 | None
-
-
-@dataclass
 class Probe:
     """Sampled pixels of one frame, to be looked up in its neighbour.
 
@@ -43,58 +29,87 @@ class Probe:
     """
 
     xy: F64
-    raw: F64
+    raw: Float32
     here: list[F64]
     there: list[Float32]
     tolerance: list[F64]
 
-    def error(self, displacement: F64, count: int | None = None) -> float:
-        """Return the mean error of displacements [N, 2], 0 (all find themselves) to 1."""
-        part = slice(None) if count is None else slice(None, None, max(1, len(self.xy) // count))
-        target = self.xy[part] + displacement
-        losses = np.empty((len(self.here), len(target)))
-        for loss, here, there, whole in zip(
-            losses, self.here, self.there, self.tolerance, strict=True
+    def part(self, count: int | None) -> slice:
+        """Return which samples stand for all where only about so many are looked up."""
+        return slice(None, None, 1 if count is None else max(1, len(self.xy) // count))
+
+    def errors(self, shifts: Float32, count: int | None = None) -> F64:
+        """Return the mean errors of displacements, 0 (all samples find themselves) to 1.
+
+        Parameters
+        ----------
+        shifts
+            float32 [K, N, 2]: K displacements of every sample that counts.
+        count
+            About how many do; see `part`.
+
+        Returns
+        -------
+        F64
+            One a displacement, [K].
+        """
+        part = self.part(count)
+        xy = np.ascontiguousarray(self.xy[part])
+        losses = np.empty((len(shifts), len(self.here), len(xy)))
+        for index, (here, there, whole) in enumerate(
+            zip(self.here, self.there, self.tolerance, strict=True)
         ):
             wanted, tolerance = np.ascontiguousarray(here[part]), np.ascontiguousarray(whole[part])
-            found = np.empty_like(wanted)
-            lookup.look_up(there, target, found)
             if wanted.shape[1] == 1:
-                wanted = _depth_later(wanted, found, self.xy[part], tolerance)
-            lookup.count_misses(found, wanted, tolerance, loss)
-        return float(np.mean(losses))
+                for loss, shift in zip(losses[:, index], shifts, strict=True):
+                    _count_depths(xy, shift, there, wanted, tolerance, loss)
+            else:
+                misses.count_misses_of(xy, shifts, there, wanted, tolerance, index, losses)
+        return np.asarray(losses.reshape(len(shifts), -1).mean(axis=1))
 
 
-def probe(here: Instant, there: Instant, channels: Sequence[int]) -> Probe | None:
-    """Sample pixels of `here` where these motion channels hold values, to look them up in `there`.
+def probe(here: Sampled, there: Sampled, pairs: Sequence[Sequence[int]]) -> list[Probe | None]:
+    """Sample pixels of `here` where motion channels hold values, to look them up in `there`.
 
-    Returns None where there are too few of them, or nothing tells them apart.
+    Parameters
+    ----------
+    here, there
+        The frames.
+    pairs
+        The channels that have to hold values, each time.
+
+    Returns
+    -------
+    list
+        One a pair; None where there are too few pixels, or nothing tells them apart.
     """
-    height, width, _ = here.motion.shape
-    grid = np.arange(0, height * width, max(1, height * width // (GRID * SAMPLES)))
-    y, x = np.divmod(grid, width)
-    usable = (y > 0) & (y < height - 1) & (x > 0) & (x < width - 1)
-    usable &= np.isfinite(here.motion[y, x][:, list(channels)]).all(axis=-1)
-    if here.gbuffer.depth is not None:
-        usable &= np.isfinite(here.gbuffer.depth[y, x])
-    if here.gbuffer.position is not None:
-        usable &= np.isfinite(here.gbuffer.position[y, x]).all(axis=-1)
-    if here.gbuffer.stencil is not None and here.gbuffer.position is not None:
-        # World positions of what moves are not found again. In leaves that move over
-        # half of the frame no reading was better than none.
-        still = usable & (here.gbuffer.stencil[y, x] == 0)
+    made: dict[bytes, Probe | None] = {}
+    for_each = []
+    for channels in pairs:
+        usable = here.usable & np.isfinite(here.motion[:, list(channels)]).all(axis=-1)
+        mask = usable.tobytes()
+        if mask not in made:  # mostly all channels hold values at the same pixels
+            made[mask] = _probe(here, there, usable)
+        for_each.append(made[mask])
+    return for_each
+
+
+def _probe(here: Sampled, there: Sampled, usable: Bool) -> Probe | None:
+    """Sample some of the usable pixels of the grid."""
+    if here.still is not None:
+        still = usable & here.still
         usable = still if np.count_nonzero(still) >= LEAST else usable
     chosen = np.flatnonzero(usable)
     if len(chosen) < LEAST:
         return None
     chosen = chosen[:: max(1, len(chosen) // SAMPLES)]
-    y, x = y[chosen], x[chosen]
+    y, x = here.y[chosen], here.x[chosen]
     values = _observables(here, there, y, x)
     if not values:
         return None
     return Probe(
         np.stack([x, y], axis=1).astype(np.float64),
-        here.motion[y, x].astype(np.float64),
+        here.motion[chosen],
         [v[0] for v in values],
         [np.ascontiguousarray(v[1]) for v in values],
         [v[2] for v in values],
@@ -102,20 +117,30 @@ def probe(here: Instant, there: Instant, channels: Sequence[int]) -> Probe | Non
 
 
 def _observables(
-    here: Instant, there: Instant, y: npt.NDArray[np.intp], x: npt.NDArray[np.intp]
+    here: Sampled, there: Sampled, y: Index, x: Index
 ) -> list[tuple[F64, Float32, F64]]:
     """Return (values here, image there, tolerance) of what identifies a surface point."""
-    a, b = here.gbuffer, there.gbuffer
-    if a.position is not None and b.position is not None:
-        return [(a.position[y, x].astype(np.float64), b.position, _pixel_size(a.position, y, x))]
+    if here.position is not None and there.position is not None:
+        values = here.position[y, x].astype(np.float64)
+        return [(values, there.position, _pixel_size(here.position, y, x))]
     out: list[tuple[F64, Float32, F64]] = []
-    if a.depth is not None and b.depth is not None:
-        depth = a.depth[y, x][:, None].astype(np.float64)
-        out.append((depth, b.depth[..., None], DEPTH_TOLERANCE * depth[:, 0]))
-    if here.colour is not None and there.colour is not None:
-        mine, other = _perceived(here.colour), _perceived(there.colour)
-        out.append((mine[y, x].astype(np.float64), other, np.full(len(y), 0.15)))
+    if here.depth is not None and there.depth is not None:
+        depth = here.depth[y, x][:, None].astype(np.float64)
+        out.append((depth, there.depth[..., None], DEPTH_TOLERANCE * depth[:, 0]))
+    if here.perceived is not None and there.perceived is not None:
+        mine = here.perceived[y, x].astype(np.float64)
+        out.append((mine, there.perceived, np.full(len(y), COLOUR_TOLERANCE)))
     return out
+
+
+def _count_depths(
+    xy: F64, shift: Float32, there: Float32, depth: F64, tolerance: F64, losses: F64
+) -> None:
+    """Write how far depths are from those found, as the camera has moved meanwhile."""
+    target = xy + shift.astype(np.float64)
+    found = np.empty_like(depth)
+    lookup.look_up(there, target, found)
+    lookup.count_misses(found, _depth_later(depth, found, xy, tolerance), tolerance, losses)
 
 
 def _depth_later(depth: F64, found: F64, xy: F64, tolerance: F64) -> F64:
@@ -139,7 +164,7 @@ def _depth_later(depth: F64, found: F64, xy: F64, tolerance: F64) -> F64:
     return np.asarray((terms @ fitted * tolerance)[:, None])
 
 
-def _pixel_size(position: Float32, y: npt.NDArray[np.intp], x: npt.NDArray[np.intp]) -> F64:
+def _pixel_size(position: Float32, y: Index, x: Index) -> F64:
     """World-space size of a pixel, plus the rounding of positions stored as half."""
     p = position[y, x].astype(np.float64)
     steps = [
@@ -154,8 +179,3 @@ def _pixel_size(position: Float32, y: npt.NDArray[np.intp], x: npt.NDArray[np.in
     with np.errstate(over="ignore"):
         half = bool((position[y, x].astype(np.float16) == position[y, x]).all())
     return np.asarray(size + largest * (2.0**-10 if half else 2.0**-22) + 1e-12)
-
-
-def _perceived(colour: Float32) -> Float32:
-    """Scene-linear RGB compressed roughly as the eye does, float32 [H, W, 3]."""
-    return np.sqrt(np.maximum(np.nan_to_num(colour[..., :3], posinf=0, neginf=0), 0))

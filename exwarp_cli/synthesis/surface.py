@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +14,9 @@ from exwarp_cli.synthesis.warp import sampled
 
 SMOOTH = ("albedo", "specular")
 """Sampled bilinearly, as colour is, so that they cancel where colour is divided by them."""
+
+ROWS = 64
+"""That are looked up at a time."""
 
 Index = npt.NDArray[np.intp]
 
@@ -46,14 +49,17 @@ def reprojected(sources: Sequence[tuple[GBuffer, Float32]]) -> tuple[GBuffer, Bo
     }
     unknown = np.ones(first.window.shape, np.bool_)
     for gbuffer, field in sources:
-        pixels, ends = _ends(field, unknown)
-        unknown.reshape(-1)[pixels] = False
-        for name, out in made.items():
-            array = depth_of(gbuffer) if name == "depth" else getattr(gbuffer, name)
-            if array is not None and name in SMOOTH:
-                _flat(out)[pixels] = _flat(sampled(array, field)[0])[pixels]
-            elif array is not None:
-                _flat(out)[pixels] = _flat(array)[ends]
+        new = np.zeros_like(unknown)
+        parts = {name: getattr(gbuffer, name) for name in made} | {"depth": depth_of(gbuffer)}
+        for pixels, ends in _ends(field, unknown):
+            new.reshape(-1)[pixels] = True
+            for name, array in parts.items():
+                if array is not None and name not in SMOOTH:
+                    _flat(made[name])[pixels] = _flat(array)[ends]
+        for name in SMOOTH:
+            if parts.get(name) is not None:
+                np.copyto(made[name], sampled(parts[name], field)[0], where=new[..., None])
+        unknown &= ~new
     return GBuffer(first.window, **made), unknown
 
 
@@ -70,8 +76,8 @@ def lookup(array: np.ndarray, field: Float32, default: object) -> np.ndarray:
         For pixels without an end inside the frame.
     """
     out = np.full_like(array, default)
-    pixels, ends = _ends(field, np.ones(array.shape[:2], np.bool_))
-    _flat(out)[pixels] = _flat(array)[ends]
+    for pixels, ends in _ends(field, np.ones(array.shape[:2], np.bool_)):
+        _flat(out)[pixels] = _flat(array)[ends]
     return out
 
 
@@ -80,15 +86,19 @@ def _flat(array: np.ndarray) -> np.ndarray:
     return array.reshape(-1, *array.shape[2:])
 
 
-def _ends(field: Float32, wanted: Bool) -> tuple[Index, Index]:
-    """Return which wanted pixels a field leads from, and the nearest pixels it leads to, flat."""
+def _ends(field: Float32, wanted: Bool) -> Iterator[tuple[Index, Index]]:
+    """Yield which wanted pixels a field leads from, and the nearest pixels it leads to, flat.
+
+    Some rows at a time, as the numbers on the way take over ten times the memory of a plane.
+    """
     height, width = wanted.shape
-    pixels = np.flatnonzero(wanted)
-    row, column = np.divmod(pixels, width)
-    move = _flat(field)[pixels]
-    x, y = column + move[:, 0] + 0.5, row + move[:, 1] + 0.5
-    with np.errstate(invalid="ignore"):
-        inside = (x >= 0) & (y >= 0) & (x <= width) & (y <= height)
-    left = np.minimum(x[inside].astype(np.intp), width - 1)
-    top = np.minimum(y[inside].astype(np.intp), height - 1)
-    return pixels[inside], top * width + left
+    for first in range(0, height, ROWS):
+        pixels = np.flatnonzero(wanted[first : first + ROWS]) + first * width
+        row, column = np.divmod(pixels, width)
+        move = _flat(field)[pixels]
+        x, y = column + move[:, 0] + 0.5, row + move[:, 1] + 0.5
+        with np.errstate(invalid="ignore"):
+            inside = (x >= 0) & (y >= 0) & (x <= width) & (y <= height)
+        left = np.minimum(x[inside].astype(np.intp), width - 1)
+        top = np.minimum(y[inside].astype(np.intp), height - 1)
+        yield pixels[inside], top * width + left

@@ -52,7 +52,8 @@ def warp(pixels: Float32, source: SlotField) -> Warped:
         Where the slot's pixels come from.
     """
     out, unseen = sampled(pixels, source.field)
-    return Warped(out, source.depth, unseen | source.hole, source.fringe)
+    np.logical_or(unseen, source.hole, out=unseen)
+    return Warped(out, source.depth, unseen, source.fringe)
 
 
 def sampled(pixels: Float32, field: Float32) -> tuple[Float32, Bool]:
@@ -72,7 +73,7 @@ def sampled(pixels: Float32, field: Float32) -> tuple[Float32, Bool]:
     unseen
         bool [H, W]: both of these.
     """
-    out, unseen = np.empty_like(pixels), np.empty(pixels.shape[:2], np.bool_)
+    out, unseen = np.empty(pixels.shape, np.float32), np.empty(pixels.shape[:2], np.bool_)
     gather.gather_bilinear(pixels, field, out, unseen)
     return out, unseen
 
@@ -148,6 +149,7 @@ def look_around(depth: Float32, hole: Bool) -> Around | None:
     hole
         bool [H, W].
     """
+    hole = np.ascontiguousarray(hole)
     counts, bits = np.empty(len(hole), np.int32), np.empty(len(hole), np.int32)
     fill.count_holes(hole, depth.view(np.int32), counts, bits)
     first = np.zeros(len(hole) + 1, np.int32)
@@ -160,5 +162,5 @@ def look_around(depth: Float32, hole: Bool) -> Around | None:
     cap = BEYOND * furthest if furthest > 0 else 1.0
     reach = min(int(FILL_REACH * max(hole.shape)) + 1, 32000)
     steps = np.empty((len(fill.WAYS), len(column)), np.int16)
-    fill.look(hole.shape, first, column, reach, steps)
+    fill.look(hole, first, column, reach, steps)
     return Around(first, column, np.float32(cap), steps)

@@ -1,7 +1,12 @@
-"""The whole command at 1920x1080 beside the codec floor: wall time as a ratio, and peak memory.
+"""The whole command at 1920x1080 beside the codec floor: wall and processor time, memory.
 
-``python -m tests.bench.bench_command``. This program itself stays small, since Linux counts a
-parent's memory at the moment of the fork as its child's.
+``python -m tests.bench.bench_command [--count 24]``. Each command runs on a second of film and on
+its first third: the whole run's time is compared with the floor's, and so is what each further key
+interval takes, which start-up is no part of. ``features + decision`` is the learned method with a
+policy that always warps, beside s6, which makes the same frames: what is read for it and computed.
+
+This program itself stays small, since Linux counts a parent's memory at the moment of the fork as
+its child's.
 """
 
 from __future__ import annotations
@@ -9,88 +14,131 @@ from __future__ import annotations
 import argparse
 import os
 import statistics
-import subprocess
 import sys
 import tempfile
-import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from tests.bench import goals
+from tests.bench.running import Run, cleared, module, run, upsample
+
+FLOOR, DECIDED = "codec floor", "features + decision"
 METHODS = ("s6", "softsplat")
-GOALS = {"s6": 1.10}
-FLOOR = "codec floor"
-ROUNDS = 5
+GOALS = {"s6": 1.10, DECIDED: 1.10}
+ROUNDS = 3
+COUNT = 24
+"""Key frames: a second of film."""
+
+Command = Callable[[int], list[str]]
+"""A command line for so many key frames."""
+Runs = dict[str, list[tuple[Run, Run]]]
+"""By command and round: on the first third of the frames, and on all of them."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser("python -m tests.bench.bench_command", description=__doc__)
     parser.add_argument("--rounds", type=int, default=ROUNDS)
     parser.add_argument("--threads", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--count", type=int, default=COUNT, help="key frames, 3 or more")
+    parser.add_argument("--height", type=int, default=1080)
     parser.add_argument("--keys", type=Path, help="a sequence as big_input makes; default: make it")
+    goals.add_options(parser)
     options = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory(prefix="exwarp-bench-") as folder:
-        keys = options.keys or Path(folder) / "keys"
+        keys, policy = options.keys or Path(folder) / "keys", Path(folder) / "warps.npz"
         if options.keys is None:
-            _module("tests.bench.big_input", str(keys))
-        seconds, memory = _measure(keys, Path(folder) / "out", options.threads, options.rounds)
-    _print(seconds, memory, options)
-    return 0
+            size = ("--count", str(options.count), "--height", str(options.height))
+            run(module("tests.bench.big_input", str(keys), *size))
+        run(module("tests.bench.warping_policy", str(policy)))
+        runs = _measure(keys, Path(folder) / "out", policy, options)
+    print(
+        f"\nupsample, {options.count} key frames of {options.height} lines, {options.threads} "
+        f"threads, {options.rounds} rounds; an interval is a key frame and 3 new ones"
+    )
+    return goals.finish(_told(runs, options), options)
 
 
-def _module(name: str, *arguments: str) -> None:
-    subprocess.run([sys.executable, "-m", name, *arguments], check=True)
-
-
-def _measure(
-    keys: Path, out: Path, threads: int, rounds: int
-) -> tuple[dict[str, list[float]], dict[str, float]]:
-    """Run everything by turns; return seconds of every run and the largest memory, in MB."""
-    common = ["--threads", str(threads)]
-    exwarp = [sys.executable, "-m", "exwarp_cli", "upsample", str(keys), "--progress", "none"]
-    commands = {
-        FLOOR: [sys.executable, "-m", "tests.bench.codec_floor", str(keys), str(out), *common]
-    }
-    for method in METHODS:
-        commands[method] = [*exwarp, "-o", str(out), "--method", method, "--overwrite", *common]
-    seconds: dict[str, list[float]] = {name: [] for name in commands}
-    memory = dict.fromkeys(commands, 0.0)
+def _measure(keys: Path, out: Path, policy: Path, options: argparse.Namespace) -> Runs:
+    """Run everything by turns."""
+    commands = _commands(keys, out, policy, options.threads)
+    counts = (options.count // 3, options.count)
+    runs: Runs = {name: [] for name in commands}
     for command in commands.values():  # unmeasured: compiles kernels, and brings files into memory
-        _run(command, out)
-    for _ in range(rounds):
+        run(command(counts[0]))
+    for _ in range(options.rounds):
         for name, command in commands.items():
-            elapsed, peak = _run(command, out)
-            seconds[name].append(elapsed)
-            memory[name] = max(memory[name], peak)
-    return seconds, memory
+            pair = []
+            for count in counts:
+                cleared(out)
+                pair.append(run(command(count)))
+            runs[name].append((pair[0], pair[1]))
+    return runs
 
 
-def _run(command: list[str], out: Path) -> tuple[float, float]:
-    """Run a command; return wall seconds and peak memory in MB."""
-    for frame in out.glob("*.exr"):
-        frame.unlink()
-    os.sync()  # what earlier runs left to be written to disk is not this run's
-    begin = time.perf_counter()
-    running = subprocess.Popen(command, stdout=subprocess.DEVNULL)
-    _, status, usage = os.wait4(running.pid, 0)
-    elapsed = time.perf_counter() - begin
-    running.returncode = os.waitstatus_to_exitcode(status)
-    if running.returncode:
-        raise subprocess.CalledProcessError(running.returncode, command)
-    return elapsed, usage.ru_maxrss / (1024 if sys.platform != "darwin" else 1024**2)
+def _commands(keys: Path, out: Path, policy: Path, threads: int) -> dict[str, Command]:
+    first = min(int(path.stem.rsplit(".", 1)[1]) for path in keys.glob("*.exr"))
 
+    def floor(count: int) -> list[str]:
+        counted = ("--threads", str(threads), "--count", str(count))
+        return module("tests.bench.codec_floor", str(keys), str(out), *counted)
 
-def _print(
-    seconds: dict[str, list[float]], memory: dict[str, float], options: argparse.Namespace
-) -> None:
-    print(f"\nupsample, 1920x1080, {options.threads} threads, {options.rounds} rounds")
-    print(f"{'':16}{'ratio to ' + FLOOR:>22}{'min':>8}{'max':>8}{'seconds':>10}{'peak MB':>10}")
-    for name, times in seconds.items():
-        ratios = [a / b for a, b in zip(times, seconds[FLOOR], strict=True)]
-        goal = f"  goal {GOALS[name]:.2f}" if name in GOALS else ""
-        print(
-            f"{name:16}{statistics.median(ratios):22.3f}{min(ratios):8.3f}{max(ratios):8.3f}"
-            f"{statistics.median(times):10.2f}{memory[name]:10.0f}{goal}"
+    def by(method: str, *more: str) -> Command:
+        return lambda count: upsample(
+            *(keys, out, method, threads), "--frames", f"{first}-{first + count - 1}", *more
         )
+
+    methods = {method: by(method) for method in METHODS}
+    return {FLOOR: floor, **methods, DECIDED: by("exwarp", "--policy", str(policy))}
+
+
+def _told(runs: Runs, options: argparse.Namespace) -> list[goals.Figure]:
+    """Print a table and return its figures."""
+    intervals = options.count - options.count // 3
+    print(
+        f"{'':20}{'':14}{'whole run':^34}{'a further interval':^34}\n{'':20}{'beside':14}"
+        f"{'wall':>8}{'cpu':>8}{'s':>9}{'cpu s':>9}{'wall':>8}{'cpu':>8}{'ms':>9}{'cpu ms':>9}"
+        f"{'peak MB':>9}"
+    )
+    figures = []
+    for name, pairs in runs.items():
+        base = "s6" if name == DECIDED else FLOOR
+        ratios = [_ratios(pair, other) for pair, other in zip(pairs, runs[base], strict=True)]
+        columns = list(zip(*ratios, strict=True))
+        wall, cpu, slope, slope_cpu = map(statistics.median, columns)
+        taken = zip(*(_taken(pair, intervals) for pair in pairs), strict=True)
+        s, cpu_s, ms, cpu_ms = map(statistics.median, taken)
+        goal = GOALS.get(name)
+        peak = max(whole.peak_mb for _, whole in pairs)
+        print(
+            f"{name:20}{base:14}{wall:8.2f}{cpu:8.2f}{s:9.2f}{cpu_s:9.2f}{slope:8.2f}"
+            f"{slope_cpu:8.2f}{1e3 * ms:9.0f}{1e3 * cpu_ms:9.0f}{peak:9.0f}"
+            + (f"  goal {goal:.2f}" if goal else "")
+        )
+        if name == FLOOR:
+            continue
+        kinds = (f"{name} / {base}", "cpu", "a further interval", "a further interval, cpu")
+        for kind, values in zip(kinds, columns, strict=True):
+            told = kind if kind == kinds[0] else f"{kinds[0]}, {kind}"
+            ends = (statistics.median(values), min(values), max(values))
+            figures.append(goals.Figure("command", told, *ends, goal if told == kind else None))
+    return figures
+
+
+def _ratios(pair: tuple[Run, Run], base: tuple[Run, Run]) -> tuple[float, ...]:
+    """Return wall and processor time of the whole runs, and of what is further in the longer."""
+    (short, whole), (base_short, base_whole) = pair, base
+    return (
+        whole.wall / base_whole.wall,
+        whole.cpu / base_whole.cpu,
+        (whole.wall - short.wall) / (base_whole.wall - base_short.wall),
+        (whole.cpu - short.cpu) / (base_whole.cpu - base_short.cpu),
+    )
+
+
+def _taken(pair: tuple[Run, Run], intervals: int) -> tuple[float, ...]:
+    short, whole = pair
+    further = (whole.wall - short.wall, whole.cpu - short.cpu)
+    return whole.wall, whole.cpu, further[0] / intervals, further[1] / intervals
 
 
 if __name__ == "__main__":

@@ -17,16 +17,18 @@ import onnxruntime
 from exwarp_cli.accel.kernel import MlpKernel
 from exwarp_cli.accel.quantised_mlp import QuantisedMlp, infer_reference
 from exwarp_cli.training.policy_onnx import STATE, VALUES, export_float, export_integer
-from tests.bench.timing import ROUNDS, Work, compare, print_ratios
+from tests.bench import goals
+from tests.bench.timing import ROUNDS, Work, compare
 from tests.unit.mlp_cases import network, states
 
-GOAL = "goal 0.333"
+GOALS = {"MlpKernel.decide": 1 / 3}
 MANY = 1000
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser("python -m tests.bench.bench_policy", description=__doc__)
     parser.add_argument("--rounds", type=int, default=4 * ROUNDS)
+    goals.add_options(parser)
     options = parser.parse_args(arguments)
     made, many = network(), states(MANY)
     state, kernel = many[0].copy(), MlpKernel(made)
@@ -45,12 +47,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         works[f"decide_many, {MANY} states"] = (lambda: kernel.decide_many(many), batch)
         _agree(made, kernel, many, base())
         ratios = compare(works, options.rounds)
-    print_ratios(
-        f"one decision, one thread, {options.rounds} rounds",
-        "onnxruntime, int8",
-        {name: (r, GOAL if name == "MlpKernel.decide" else "") for name, r in ratios.items()},
-    )
-    return 0
+    title = f"one decision, one thread, {options.rounds} rounds"
+    figures = goals.table("policy", title, "onnxruntime, int8", ratios, GOALS)
+    return goals.finish(figures, options)
 
 
 def _onnx(path: Path, given: np.ndarray) -> Work:

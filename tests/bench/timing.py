@@ -62,13 +62,16 @@ def compare(works: Mapping[str, tuple[Work, Work]], rounds: int = ROUNDS) -> dic
     return {name: Ratio.of(times[name], bases[name]) for name in works}
 
 
-def print_ratios(title: str, base: str, ratios: Mapping[str, tuple[Ratio, str]]) -> None:
-    """Print a table; each ratio comes with its goal or another remark."""
+def print_ratios(
+    title: str, base: str, ratios: Mapping[str, Ratio], goals: Mapping[str, float]
+) -> None:
+    """Print a table, with goals beside the ratios that have one."""
     print(f"\n{title}\n{'':34}{'ratio to ' + base:>26}{'min':>9}{'max':>9}{'ms':>10}")
-    for name, (ratio, remark) in ratios.items():
+    for name, ratio in ratios.items():
+        goal = f"  goal {goals[name]:.3g}" if name in goals else ""
         print(
             f"{name:34}{ratio.median:26.3f}{ratio.low:9.3f}{ratio.high:9.3f}"
-            f"{ratio.milliseconds:10.2f}  {remark}".rstrip()
+            f"{ratio.milliseconds:10.2f}{goal}"
         )
 
 

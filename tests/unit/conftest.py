@@ -21,7 +21,7 @@ def unwritable_cache(monkeypatch) -> None:
     """Let numba find no folder to keep what it compiles."""
     njit = numba.njit
 
-    def unwritable(text, cache, **options):
+    def unwritable(text, cache=False, **options):
         if cache:
             raise RuntimeError("cannot cache function: no locator available")
         return njit(text, cache=False, **options)

@@ -18,9 +18,11 @@ from exwarp_cli.kernels import (
     ids,
     labelling,
     lookup,
+    misses,
     nearest,
     parabola,
     project,
+    settling,
     splat,
     vectors,
 )
@@ -59,7 +61,7 @@ def followed(
 
 
 def reached(displacement: np.ndarray, serial: bool = False) -> Arrays:
-    reach = np.zeros((displacement.shape[0], 2), np.float32)
+    reach = np.zeros(splat.reach_shape(displacement.shape), np.float32)
     build(splat, "row_reach", serial)(displacement, reach)
     return (reach,)
 
@@ -112,7 +114,7 @@ def seen(hole: np.ndarray, reach: int, serial: bool = False) -> Arrays:
     """The steps from each hole, [8, N]."""
     first, column = listed(hole, serial)
     steps = np.full((8, len(column)), -1, np.int16)
-    build(fill, "look", serial)(hole.shape, first, column, reach, steps)
+    build(fill, "look", serial)(hole, first, column, reach, steps)
     return (steps,)
 
 
@@ -142,18 +144,25 @@ def edges_found(depth: np.ndarray, stencil: np.ndarray = NO_IDS, serial: bool = 
     return (edge,)
 
 
-def unmixed(
-    vectors: np.ndarray,
-    rigid: np.ndarray,
+def settled(
+    vectors: tuple[np.ndarray | None, np.ndarray | None],
+    places: np.ndarray | None,
     depth: np.ndarray,
+    cameras: np.ndarray,
     stencil: np.ndarray = NO_IDS,
-    tolerance: float = 0.25,
     serial: bool = False,
 ) -> Arrays:
-    (edge,) = edges_found(depth, stencil, serial)
-    out = np.zeros_like(vectors)
-    build(edges, "unmix", serial)(vectors, rigid, depth, stencil, edge, np.float32(tolerance), out)
-    return (out,)
+    """Vectors to the frames before and after, [H, W, 2]; [0, 0] where none are given."""
+    nothing = np.zeros((0, 0), np.float32)
+
+    def flat(array: np.ndarray | None) -> np.ndarray:
+        return nothing if array is None else array.reshape(len(array), -1)
+
+    given = tuple(map(flat, vectors))
+    out = tuple(np.full(way.shape, np.nan, np.float32) for way in given)
+    surfaces = flat(places), depth, stencil, edges_found(depth, stencil, serial)[0]
+    build(settling, "settle", serial)(given, surfaces, cameras, np.float32(0.25), out)
+    return tuple(way.reshape(*depth.shape, 2) if way.size else way for way in out)
 
 
 def fringe_found(
@@ -237,6 +246,20 @@ def looked_up(image: np.ndarray, target: np.ndarray) -> Arrays:
 def missed(found: np.ndarray, wanted: np.ndarray, tolerance: np.ndarray) -> Arrays:
     losses = np.full(len(found), -1.0)
     lookup.count_misses(found, wanted, tolerance, losses)
+    return (losses,)
+
+
+def missed_along(
+    xy: np.ndarray,
+    shifts: np.ndarray,
+    image: np.ndarray,
+    wanted: np.ndarray,
+    tolerance: np.ndarray,
+    place: int = 0,
+    places: int = 1,
+) -> Arrays:
+    losses = np.full((len(shifts), places, len(xy)), -1.0)
+    misses.count_misses_of(xy, shifts, image, wanted, tolerance, place, losses)
     return (losses,)
 
 

@@ -108,6 +108,16 @@ def project(serial: bool) -> calls.Arrays:
     return placed + calls.projected(None, depth(24), camera, at_infinity, serial)
 
 
+def settle(serial: bool) -> calls.Arrays:
+    """With positions and ids, and by depth alone."""
+    rng = np.random.default_rng(23)
+    cameras = np.eye(3, 4) + rng.normal(0, 0.02, (2, 2, 3, 4))
+    cameras[:, 1, :, 3] = 1
+    fields, places = (field(16), field(17, 0.05)), wide(vectors(23, 0.3))
+    known = calls.settled(fields, places, depth(15), cameras, ids(15), serial)
+    return known + calls.settled(fields, None, depth(15), cameras, serial=serial)
+
+
 def follow(serial: bool) -> calls.Arrays:
     """With ids, and without."""
     fields = field(29), field(30), field(31)
@@ -185,9 +195,7 @@ CASES: dict[str, Callable[[bool], calls.Arrays]] = {
     "parabola": lambda serial: calls.displaced(field(27), field(28), 0.75, serial),
     "look": lambda serial: calls.seen(ids(26) > 0, 9, serial),
     "find_edges": lambda serial: calls.edges_found(depth(15), ids(15), serial),
-    "unmix": lambda serial: calls.unmixed(
-        field(16), field(16) + field(17, 0.05), depth(15), ids(15), serial=serial
-    ),
+    "settle": settle,
     "blend": lambda serial: calls.blended(side(20), side(21), 0.25, serial),
     "rigid": project,
     "find_fringe": lambda serial: calls.fringe_found(field(18), depth(18), depth(19), serial),
@@ -208,6 +216,13 @@ ONE_BUILD: dict[str, Callable[[], calls.Arrays]] = {
     "whole_ids": lambda: calls.rounded(image(64).reshape(-1).round(1)),
     "look_up": lambda: calls.looked_up(image(58), scattered(59)),
     "count_misses": lambda: calls.missed(scattered(60), scattered(61), scattered(62)[:, 0] ** 2),
+    "count_misses_of": lambda: calls.missed_along(
+        scattered(65)[:, :2].copy(),
+        np.random.default_rng(66).normal(0, 2, (3, len(scattered(65)), 2)).astype(np.float32),
+        image(67),
+        scattered(68)[:, :1] + np.zeros(image(67).shape[2]),
+        scattered(69)[:, 0] ** 2,
+    ),
     "label": lambda: calls.labelled(ids(38) * ids(39)),
 }
 """Kernels that are only serial: compiled and interpreted."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from exwarp_cli.domain.motion import AxisMap, MotionConvention
 from exwarp_cli.io.producers import PRESETS
-from exwarp_cli.synthesis.calibration import Instant
+from exwarp_cli.synthesis.sampling import Instant, Sampled, sampled
 from tests.unit.scenes import View, town
 
 XY, XYZW = ("X", "Y"), ("X", "Y", "Z", "W")
@@ -44,8 +44,8 @@ def instants(convention: MotionConvention, count: int, **without: None) -> list[
     return out
 
 
-def pairs_of(frames: list[Instant]) -> list[tuple[Instant, Instant]]:
-    return list(pairwise(frames))
+def pairs_of(frames: list[Instant]) -> list[tuple[Sampled, Sampled]]:
+    return list(pairwise(map(sampled, frames)))
 
 
 def pairs(convention: MotionConvention, count: int = 2, **without: None):

@@ -120,6 +120,36 @@ class TestWritersAndCopy:
         assert (tmp_path / "b").read_bytes() == data
         assert names(tmp_path) == ["a", "b"]
 
+    @pytest.mark.skipif(not hasattr(os, "copy_file_range"), reason="this system has no such call")
+    @pytest.mark.parametrize("done", [0, 1000])
+    def test_a_file_system_that_copies_nothing_or_a_part(self, tmp_path, monkeypatch, done):
+        """Some refuse, others stop before the end; then the bytes are copied here."""
+        true, asked = os.copy_file_range, []
+
+        def broken(read: int, written: int, count: int) -> int:
+            asked.append(count)
+            if done == 0:
+                raise OSError(errno.EXDEV, "no")
+            return true(read, written, min(count, done)) if len(asked) == 1 else 0
+
+        data = bytes(range(256)) * 20
+        (tmp_path / "a").write_bytes(data)
+        monkeypatch.setattr(atomic.os, "copy_file_range", broken)
+        atomic_copy(tmp_path / "a", tmp_path / "b")
+        assert (tmp_path / "b").read_bytes() == data
+        assert asked == ([len(data)] if done == 0 else [len(data), len(data) - done])
+
+    def test_a_system_that_cannot(self, tmp_path, monkeypatch):
+        monkeypatch.delattr(atomic.os, "copy_file_range", raising=False)
+        (tmp_path / "a").write_bytes(b"1")
+        atomic_copy(tmp_path / "a", tmp_path / "b")
+        assert (tmp_path / "b").read_bytes() == b"1"
+
+    def test_pieces_follow_each_other(self, tmp_path):
+        pieces = [b"1", bytearray(b"23"), memoryview(b"4" * 99999), b"", b"5"]
+        atomic_write_bytes(tmp_path / "a", *pieces)
+        assert (tmp_path / "a").read_bytes() == b"123" + b"4" * 99999 + b"5"
+
     def test_a_copy_of_a_read_only_file_can_be_replaced(self, tmp_path):
         (tmp_path / "a").write_bytes(b"1")
         (tmp_path / "a").chmod(0o444)

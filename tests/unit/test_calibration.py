@@ -10,7 +10,8 @@ import pytest
 from exwarp_cli.domain.motion import AxisMap, MotionConvention
 from exwarp_cli.errors import MotionError
 from exwarp_cli.io.producers import PRESETS
-from exwarp_cli.synthesis.calibration import Instant, calibrate
+from exwarp_cli.synthesis.calibration import calibrate
+from exwarp_cli.synthesis.sampling import Instant
 from tests.unit.motion_pairs import (
     BLENDER,
     COLOUR_ONLY,

@@ -10,7 +10,8 @@ import pytest
 from exwarp_cli.domain.motion import AxisMap, MotionConvention
 from exwarp_cli.errors import MotionError
 from exwarp_cli.io.producers import PRESETS
-from exwarp_cli.synthesis.calibration import Instant, calibrate
+from exwarp_cli.synthesis.calibration import calibrate
+from exwarp_cli.synthesis.sampling import Instant, Sampled
 from tests.unit.motion_pairs import (
     BLENDER,
     COLOUR_ONLY,
@@ -24,7 +25,7 @@ from tests.unit.motion_pairs import (
 from tests.unit.scenes import town
 
 
-def still_pairs() -> list[tuple[Instant, Instant]]:
+def still_pairs() -> list[tuple[Sampled, Sampled]]:
     seen = town().still().view(0.0)
     raw = np.zeros((*seen.surface.shape, 4), np.float32)
     frames = [Instant(n, seen.gbuffer(motion=False), raw, seen.colour) for n in (7, 8)]

@@ -11,7 +11,8 @@ import pytest
 from exwarp_cli.domain.cuts import CutWish, parse_cuts
 from exwarp_cli.domain.frame import GBuffer, Image, KeyFrame, Window
 from exwarp_cli.errors import MissingFrameError, UsageError
-from exwarp_cli.synthesis.cuts import CutEvidence, is_cut
+from exwarp_cli.synthesis import cuts
+from exwarp_cli.synthesis.cuts import CutEvidence, is_cut_between
 from exwarp_cli.synthesis.glance import glance_at
 from tests.unit.scenes import Rectangle, Scene, town, vec
 
@@ -27,6 +28,13 @@ KNOWN = {
     "colour": (*GEOMETRY, "to_previous", "to_next"),
 }
 """What a renderer left out."""
+
+
+def is_cut(before: KeyFrame, after: KeyFrame) -> CutEvidence:
+    """What is found, which is the same where nobody asks for the evidence."""
+    found = cuts.is_cut(before, after)
+    assert is_cut_between(glance_at(before), glance_at(after)) == found.found
+    return found
 
 
 def shot(index: int = 0) -> Scene:

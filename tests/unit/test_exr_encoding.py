@@ -17,11 +17,15 @@ import OpenImageIO as oiio
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from isal import isal_zlib
 
+from exwarp_cli.io.channel_rows import Unrounded
 from exwarp_cli.io.exr_encoding import (
+    LEVEL,
     LINES,
     Part,
     Smaller,
+    _deflated,
     encoded,
     encoded_by_openexr,
     is_encoded_here,
@@ -77,6 +81,10 @@ def channel(rng: np.random.Generator, kind: str, shape: tuple[int, int]) -> np.n
     return np.where(np.isnan(out), dtype.type(1), out)
 
 
+def whole(parts: list[Part]) -> bytes:
+    return b"".join(encoded(parts))
+
+
 def decoded(data: bytes) -> list[dict[str, np.ndarray]]:
     with OpenEXR.File(io.BytesIO(bytes(data)), separate_channels=True) as file:
         return [{n: c.pixels for n, c in part.channels.items()} for part in file.parts]
@@ -90,7 +98,7 @@ def attributes(data: bytes) -> list[tuple[int, bytes, bytes, bytes]]:
 def agree(parts: list[Part]) -> bytes:
     """See that a file is encoded here, and is OpenEXR's in every attribute and bit."""
     assert all(is_encoded_here(*part) for part in parts)
-    ours, theirs = bytes(encoded(parts)), bytes(encoded_by_openexr(parts))
+    ours, theirs = whole(parts), bytes(encoded_by_openexr(parts))
     assert ours[:8] == theirs[:8]
     assert attributes(ours) == attributes(theirs)
     for mine, expected in zip(decoded(ours), decoded(theirs), strict=True):
@@ -197,6 +205,29 @@ class TestAgainstOpenEXR:
 
 
 class TestSameBytes:
+    @pytest.mark.parametrize("compression", [*HERE, OpenEXR.PIZ_COMPRESSION])
+    @pytest.mark.parametrize("size", [(1, 1), (37, 50)])
+    def test_of_halfs_and_of_floats_that_become_them(self, compression, size):
+        """Of channels one by one, of all those of pixels, and of some; beside others."""
+        rng = np.random.default_rng(0)
+        pixels = rng.normal(0, 3, (*size, 4)).astype(np.float32)
+        other = rng.normal(0, 3e4, (*size, 3)).astype(np.float32)
+        floats = {c: Unrounded(pixels[..., i], True) for i, c in enumerate("RGBA")}
+        floats |= {c: Unrounded(other[..., i], False) for i, c in enumerate("xy")}
+        floats["mist"] = Unrounded(np.ascontiguousarray(pixels[..., 0]), False)
+        beside = {"id": np.arange(size[0] * size[1], dtype=np.uint32).reshape(size)}
+        halfs = {c: plane.rounded() for c, plane in floats.items()}
+        head = header(compression, (0, 0, size[1], size[0]))
+        assert whole([(head, floats | beside)]) == whole([(head, halfs | beside)])
+
+    def test_the_head_can_be_changed(self):
+        part = header(OpenEXR.ZIP_COMPRESSION, (0, 0, 4, 3)), {"Y": np.ones((3, 4), np.float16)}
+        for compression in (OpenEXR.ZIP_COMPRESSION, OpenEXR.PIZ_COMPRESSION):
+            part[0]["compression"] = compression
+            head = memoryview(encoded([part])[0])
+            assert not head.readonly
+            assert [one.name for one in attributes_in(head)][:2] == [b"channels", b"compression"]
+
     def test_wherever_the_compressor_keeps_its_state(self):
         """ISA-L hashes an address of its own; with one-shot calls, 1 of 430 streams differed."""
         flat = np.zeros((1, 48), np.float16)
@@ -204,7 +235,7 @@ class TestSameBytes:
         done, found = threading.Event(), set()
 
         def encode() -> None:
-            found.add(bytes(encoded([part])))
+            found.add(whole([part]))
             done.wait()
 
         usual = threading.stack_size(256 * 1024)
@@ -217,6 +248,17 @@ class TestSameBytes:
             threading.stack_size(usual)
         for thread in threads:
             thread.join()
+        assert len(found) == 1
+
+    def test_at_thousands_of_addresses(self):
+        """A byte flushed alone was not enough: of 24,000 streams of a row some 5 differed."""
+        row = np.tile(np.random.default_rng(0).integers(0, 256, 500, np.uint8), 2).data
+        found = set()
+        for _ in range(3):
+            held = []
+            for _ in range(8000):
+                found.add(b"".join(_deflated(row)))
+                held.append(isal_zlib.compressobj(LEVEL))
         assert len(found) == 1
 
 
@@ -232,7 +274,7 @@ class TestReaders:
             "id": np.arange(90 * 300, dtype=np.uint32).reshape(90, 300) // 100,
         }
         path = tmp_path / "frame.exr"
-        path.write_bytes(encoded([(header(request.param, (-7, -9, 300, 90)), planes)]))
+        path.write_bytes(whole([(header(request.param, (-7, -9, 300, 90)), planes)]))
         return path, planes
 
     def test_openimageio(self, file):
@@ -283,20 +325,20 @@ class TestWhatIsLeftToOpenEXR:
     def test_it_is_written_by_it(self, changed, planes):
         part = {**header(OpenEXR.ZIP_COMPRESSION, (0, 0, 4, 3)), **changed}, planes
         assert not is_encoded_here(*part)
-        assert bytes(encoded([part])) == bytes(encoded_by_openexr([part]))
+        assert whole([part]) == bytes(encoded_by_openexr([part]))
 
     def test_smaller_is_smaller(self):
         planes = {"Z": np.sqrt(np.arange(60000, dtype=np.float32) // 7).reshape(200, 300)}
         window = (0, 0, 300, 200)
-        fast = encoded([(header(OpenEXR.ZIP_COMPRESSION, window), planes)])
-        small = encoded([(header(Smaller(OpenEXR.ZIP_COMPRESSION), window), planes)])
+        fast = whole([(header(OpenEXR.ZIP_COMPRESSION, window), planes)])
+        small = whole([(header(Smaller(OpenEXR.ZIP_COMPRESSION), window), planes)])
         assert len(small) < len(fast) < planes["Z"].nbytes
         assert attributes(small) == attributes(fast)
 
     def test_noise_is_stored_as_it_is(self):
         noise = np.random.default_rng(0).integers(0, 2**32, (40, 64), np.uint32)
-        data = encoded([(header(OpenEXR.ZIP_COMPRESSION, (0, 0, 64, 40)), {"id": noise})])
-        assert noise[:16].tobytes() in bytes(data)
+        data = whole([(header(OpenEXR.ZIP_COMPRESSION, (0, 0, 64, 40)), {"id": noise})])
+        assert noise[:16].tobytes() in data
 
     def test_what_openexr_refuses_is_refused(self):
         bad = header(OpenEXR.ZIP_COMPRESSION, (0, 0, 4, 3), pixelAspectRatio=-1.0)

@@ -52,7 +52,7 @@ def test_a_second_run_gives_the_same_bytes(name):
         assert first.tobytes() == second.tobytes()
 
 
-@pytest.mark.parametrize("name", ["gather", "follow", "splat", "find_edges", "unmix", "fringe"])
+@pytest.mark.parametrize("name", ["gather", "follow", "splat", "find_edges", "fringe"])
 def test_views_of_any_layout_give_the_same(name):
     def view(array: np.ndarray) -> np.ndarray:
         """The same values, as columns of a wider array."""
@@ -65,7 +65,6 @@ def test_views_of_any_layout_give_the_same(name):
         "follow": (calls.followed, (cases.field(2), cases.field(3), cases.field(4))),
         "splat": (calls.splatted, (cases.field(2), cases.depth(2))),
         "find_edges": (calls.edges_found, (cases.depth(15), cases.ids(15))),
-        "unmix": (calls.unmixed, (cases.field(1), cases.field(2), cases.depth(3), cases.ids(3))),
         "fringe": (calls.fringe_found, (cases.field(18), cases.depth(18), cases.depth(19))),
     }[name]
     found = kernel(*map(view, arrays), serial=True)

@@ -1,4 +1,4 @@
-"""Silhouettes: finding them, giving them one surface's motion, and their ghosts."""
+"""Silhouettes: finding them, and their ghosts."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from exwarp_cli.kernels.edges import ROWS_PER_BAND, SAME_DEPTH, SEARCH
+from exwarp_cli.kernels.edges import ROWS_PER_BAND, SAME_DEPTH
 from tests.reference import edges as naive
-from tests.unit.kernel_calls import NO_IDS, edges_found, fringe_found, unmixed
+from tests.unit.kernel_calls import NO_IDS, edges_found, fringe_found
 
 SHAPE = (16, 19)
 SIZES = [(1, 1), (1, 9), (9, 1), (2, 2), (2 * ROWS_PER_BAND + 1, 33)]
@@ -95,84 +95,6 @@ class TestEdges:
         flat = square(behind=2.0)
         assert not edges_found(flat)[0].any()
         np.testing.assert_array_equal(edges_found(flat, stencil)[0], edges_found(square())[0])
-
-
-class TestUnmix:
-    @pytest.mark.parametrize("seed", range(4))
-    @pytest.mark.parametrize("with_ids", [False, True])
-    def test_equals_the_naive_twin(self, seed, with_ids):
-        rng = np.random.default_rng(seed)
-        depth, stencil = patches(seed)
-        ids = stencil if with_ids else NO_IDS
-        rigid = rng.normal(0, 3, (*SHAPE, 2)).astype(np.float32)
-        vectors = rigid + rng.normal(0, 0.2, (*SHAPE, 2)).astype(np.float32)
-        vectors[rng.random(SHAPE) < 0.1] += 4
-        vectors[rng.random(SHAPE) < 0.05] = np.nan
-        rigid[rng.random(SHAPE) < 0.05] = np.nan
-        (edge,) = edges_found(depth, ids)
-        expected = naive.unmix(
-            vectors,
-            rigid,
-            (depth, stencil if with_ids else None, edge),
-            0.25,
-            (SAME_DEPTH, SEARCH),
-        )
-        np.testing.assert_array_equal(unmixed(vectors, rigid, depth, ids)[0], expected)
-
-    def test_infinite_motion_inside_a_surface_is_not_static(self):
-        rigid = np.ones((*SHAPE, 2), np.float32)
-        vectors = rigid.copy()
-        vectors[3, 4], vectors[5, 6, 1] = (np.inf, 1), -np.inf
-        rigid[7, 8] = np.inf
-        (found,) = unmixed(vectors, rigid, np.full(SHAPE, 3, np.float32))
-        np.testing.assert_array_equal(found, vectors)
-
-    def scene(self, behind: float = 8.0) -> tuple[np.ndarray, ...]:
-        """A square that moves by (5, 0) before a wall that the camera moves by (1, 1).
-
-        The renderer's filter has mixed the vectors at the silhouette.
-        """
-        rigid = np.ones((*SHAPE, 2), np.float32)
-        exact = rigid.copy()
-        exact[SQUARE] = (5, 0)
-        depth = square(behind=behind)
-        (edge,) = edges_found(depth)
-        vectors = exact.copy()
-        vectors[edge] = (3, 0.5)
-        return vectors, rigid, depth, exact
-
-    def test_a_moving_square_gets_its_own_motion_up_to_its_rim(self):
-        vectors, rigid, depth, exact = self.scene()
-        np.testing.assert_array_equal(unmixed(vectors, rigid, depth)[0], exact)
-
-    def test_background_follows_the_cameras(self):
-        vectors, rigid, depth, exact = self.scene(behind=np.inf)
-        vectors[np.isinf(depth)] = 0  # as renderers write it
-        np.testing.assert_array_equal(unmixed(vectors, rigid, depth)[0], exact)
-
-    def test_without_cameras_the_inside_decides(self):
-        vectors, rigid, depth, exact = self.scene()
-        (found,) = unmixed(vectors, np.full_like(rigid, np.nan), depth)
-        np.testing.assert_array_equal(found, exact)
-
-    def test_static_pixels_take_the_cameras_exact_motion(self):
-        rigid = np.random.default_rng(1).normal(0, 3, (*SHAPE, 2)).astype(np.float32)
-        vectors = rigid + np.float32(0.1)
-        np.testing.assert_array_equal(unmixed(vectors, rigid, square())[0], rigid)
-        (edge,) = edges_found(square())
-        (moving,) = unmixed(vectors, rigid, square(), np.ones(SHAPE, np.int32))
-        np.testing.assert_array_equal(moving[~edge], vectors[~edge])
-
-    @pytest.mark.parametrize(("ident", "moves"), [(0, False), (7, True)])
-    def test_thin_structures_are_static_unless_an_id_moves(self, ident, moves):
-        depth, stencil = np.full(SHAPE, 8, np.float32), np.zeros(SHAPE, np.int32)
-        depth[:, 9], stencil[:, 9] = 2, ident
-        rigid = np.ones((*SHAPE, 2), np.float32)
-        vectors = rigid.copy()
-        vectors[:, 8:11] = (3, 0.5)
-        (found,) = unmixed(vectors, rigid, depth, stencil)
-        assert (found[:, 9] == ((3, 0.5) if moves else (1, 1))).all()
-        assert (np.delete(found, 9, axis=1) == 1).all()
 
 
 class TestFringe:

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from exwarp_cli.kernels.splat import OVERLAP, ROWS_PER_BAND, SAME_SURFACE
+from exwarp_cli.kernels.patches import OVERLAP, SAME_SURFACE
+from exwarp_cli.kernels.splat import ROWS_PER_BAND, SPAN
 from tests.reference import splat as naive
 from tests.unit.kernel_calls import reached, splatted
 
@@ -94,9 +95,29 @@ class TestAgainstTheTwin:
         (reach,) = reached(displacement)
         low, high = naive.row_span(displacement)
         margin = OVERLAP * (1 + 2 * SAME_SURFACE)  # half a patch at its greatest stretch
-        assert (reach[:, 0] <= low - margin).all()
-        assert (reach[:, 1] >= high + margin).all() or np.isinf(high[4])
-        assert reach[4, 0] > reach[4, 1]  # nothing at all: no band visits it
+        whole, known = reach[:, -1], np.arange(len(low)) != 4
+        assert (whole[known, 0] <= low[known] - margin).all()
+        assert (whole[known, 1] >= high[known] + margin).all()
+        assert whole[4, 0] > whole[4, 1]  # nothing at all: no band visits it
+
+    def test_spans_reach_as_far_as_their_pixels_land(self):
+        displacement = smooth(5, (7, 2 * SPAN + 3))
+        displacement[..., 1] *= 9
+        displacement[2, SPAN : 2 * SPAN] = np.nan
+        (reach,) = reached(displacement)
+        assert reach.shape == (7, 4, 2)
+        for span in range(3):
+            low, high = naive.row_span(displacement[:, span * SPAN : (span + 1) * SPAN])
+            np.testing.assert_array_equal(reach[:, span], np.stack([low - 2, high + 2], axis=-1))
+        np.testing.assert_array_equal(reach[:, 3, 0], reach[:, :3, 0].min(axis=1))
+        np.testing.assert_array_equal(reach[:, 3, 1], reach[:, :3, 1].max(axis=1))
+
+    def test_spans_that_fly_apart(self):
+        shape = (ROWS_PER_BAND + 5, 3 * SPAN + 7)
+        displacement = smooth(6, shape)
+        displacement[:, SPAN : 2 * SPAN, 1] += np.float32(ROWS_PER_BAND)
+        displacement[:, 3 * SPAN :, 1] -= np.float32(20)
+        assert_equals_twin(displacement, np.round(random_depth(6, shape)))
 
     def test_a_row_of_nothing_is_passed_over(self):
         displacement = uniform(0, 0)

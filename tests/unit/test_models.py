@@ -14,7 +14,7 @@ from onnx import TensorProto, helper
 
 from exwarp_cli.domain.extrapolator import INPUTS, INTERFACE, OUTPUT, TIME, NetworkInputs
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, MissingExtraError
-from exwarp_cli.io import models
+from exwarp_cli.io import model_files, models
 from exwarp_cli.io.model_checks import STRIDE_KEY
 from exwarp_cli.io.models import CHECKSUMS, CUDA, SHIPPED, load_extrapolator, shipped_folder
 from tests.unit import tiny_models
@@ -274,7 +274,7 @@ class TestShipped:
         path = save(tmp_path / SHIPPED, filled_warp())
         sums = {SHIPPED: hashlib.sha256(path.read_bytes()).hexdigest()}
         (tmp_path / CHECKSUMS).write_text(json.dumps(sums))
-        monkeypatch.setattr(models, "shipped_folder", lambda: tmp_path)
+        monkeypatch.setattr(model_files, "shipped_folder", lambda: tmp_path)
         return tmp_path
 
     def test_it_is_the_default(self, folder):
@@ -294,7 +294,7 @@ class TestShipped:
     def test_where_it_lies(self, tmp_path, monkeypatch):
         """In the package where a wheel put it, else beside the package, as in a clone."""
         package = tmp_path / "exwarp_cli"
-        monkeypatch.setattr(models, "__file__", str(package / "io" / "models.py"))
+        monkeypatch.setattr(model_files, "__file__", str(package / "io" / "model_files.py"))
         assert shipped_folder() == tmp_path / "models"
         (package / "_models").mkdir(parents=True)
         assert shipped_folder() == package / "_models"

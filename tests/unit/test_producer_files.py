@@ -14,7 +14,8 @@ from exwarp_cli.io.channels import Layout, Role, detect
 from exwarp_cli.io.exr import Channel
 from exwarp_cli.io.frames import clean_depth, clean_stencil
 from exwarp_cli.synthesis.calibration import calibrate
-from exwarp_cli.synthesis.probing import Instant
+from exwarp_cli.synthesis.sampling import Instant
+from tests.unit.motion_pairs import pairs_of
 from tests.unit.producer_files import PRODUCERS, Files, Passes, rounded
 from tests.unit.scenes import View, town
 
@@ -91,7 +92,7 @@ def found_in(
     assert layout is not None
     names = tuple(ref.name for ref in layout.roles[Role.MOTION])
     guess = None if layout.guess is None else layout.guess.sized(*SIZE)
-    return calibrate([(frames[0], frames[1])], guess, names), frames
+    return calibrate(pairs_of(frames[:2]), guess, names), frames
 
 
 def worst(finding: MotionFinding, frames: list[Instant]) -> float:

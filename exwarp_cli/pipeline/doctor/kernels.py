@@ -16,6 +16,7 @@ from exwarp_cli.domain.checkup import Check, Remark, failure, warning
 from exwarp_cli.domain.wording import counted, size_text
 from exwarp_cli.io.machine import Folder, cached_files, look_at
 from exwarp_cli.kernels import jit
+from exwarp_cli.kernels.cache import SUFFIX
 from exwarp_cli.kernels.gather import gather_bilinear, gather_bilinear_serial
 from exwarp_cli.pipeline.doctor.compilation import cache_folders, cache_use
 
@@ -85,11 +86,12 @@ def check_cache() -> Check:
         )
         facts = {"folders": [], "kernels": 0, "bytes": 0, "warm": False, "compiled": misses}
         return Check("none", (warning(text),), facts)
-    indices, builds = (
-        [cached_files(folder.path, suffix) for folder in folders] for suffix in (".nbi", ".nbc")
+    ours, indices, builds = (
+        [cached_files(folder.path, suffix) for folder in folders]
+        for suffix in (SUFFIX, ".nbi", ".nbc")
     )
-    kernels = sum(count for count, _ in indices)
-    size = sum(taken for _, taken in (*indices, *builds))
+    kernels = sum(count for count, _ in (*ours, *indices))
+    size = sum(taken for _, taken in (*ours, *indices, *builds))
     facts = {
         "folders": [{"path": str(f.path), "place": place_of(f.path)} for f in folders],
         "writable": all(folder.problem is None for folder in folders),

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from exwarp_cli.errors import MissingExtraError, UsageError
-from exwarp_cli.io import models, shipped, specimens
+from exwarp_cli.io import model_files, models, shipped, specimens
 from exwarp_cli.io.machine import Folder, Memory, Processors
 from exwarp_cli.pipeline.doctor import codecs, machine, networks
 from tests.cli.doctor.judging import failed, healthy, remarks, warned
@@ -53,7 +53,7 @@ class TestModels:
         for path in models.shipped_folder().glob("*.*"):
             if path.suffix in (".onnx", ".npz", ".json"):
                 shutil.copy(path, copy)
-        for module in (models, shipped, networks):
+        for module in (models, model_files, shipped, networks):
             monkeypatch.setattr(module, "shipped_folder", lambda: copy)
         return copy
 

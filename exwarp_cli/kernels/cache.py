@@ -1,0 +1,176 @@
+"""Compiled kernels on disk, a file for each build of a kernel.
+
+Numba's own cache keeps an index beside the builds of a kernel. Of two processes that compile two
+builds at once both call theirs the first, and the index may then lead to the other's machine code;
+a damaged file or a full disk ends the run; and a folder that can be read but not written is not
+read. Here a file's name says all that its content depends on, and it is whole or not taken.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import hashlib
+import os
+import pickle
+import re
+import sys
+import tempfile
+import types
+import uuid
+from collections.abc import Iterator
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numba
+from numba.core import compiler, serialize
+from numba.core.runtime.nrt import rtsys
+from numba.misc.appdirs import AppDirs
+
+SUFFIX = ".kernel"
+
+# As numba has no types of its own.
+_rebuild: Any = compiler.CompileResult._rebuild
+_dumps: Any = serialize.dumps
+_Places: Any = AppDirs
+
+BESIDE = re.compile(r"^from exwarp_cli\.kernels(?:\.(\w+))? import (\w+)", re.MULTILINE)
+"""How a kernel's file names those whose parts and constants it uses."""
+
+
+class KernelCache:
+    """What numba asks for the builds of a kernel, in place of its own cache.
+
+    Parameters
+    ----------
+    text
+        The kernel's Python function.
+    options
+        What it is compiled with.
+    """
+
+    def __init__(self, text: types.FunctionType, options: dict[str, Any]) -> None:
+        self._text, self._options = text, options
+
+    @property
+    def cache_path(self) -> str | None:
+        """Where builds are kept from now on; None where no folder for them can be written."""
+        folder = writable_folder()
+        return None if folder is None else str(folder)
+
+    def load_overload(self, signature: Any, target: Any) -> Any:
+        """Return a build, from whatever folder has it; None where it has to be compiled.
+
+        Machine code needs numba's memory functions only: see :mod:`exwarp_cli.kernels.warm_cache`.
+        """
+        rtsys.initialize(target)
+        name = self._name(signature, target.codegen())
+        if name is None:
+            return None
+        for folder in folders():
+            # Whatever is wrong with a file: the kernel can be compiled anew.
+            with contextlib.suppress(Exception):
+                content = (folder / name).read_bytes()
+                if content[:32] == hashlib.sha256(content[32:]).digest():
+                    return _rebuild(target, *pickle.loads(content[32:]))
+        return None
+
+    def save_overload(self, signature: Any, build: Any) -> None:
+        """Keep a build, if there is room for it; whole, or not at all."""
+        folder = writable_folder()
+        name = self._name(signature, build.codegen)
+        if folder is None or name is None or build.library.has_dynamic_globals:
+            return
+        content = _dumps(build._reduce())
+        passing = folder / f"{name}.{uuid.uuid4().hex[:16]}"
+        try:
+            passing.write_bytes(hashlib.sha256(content).digest() + content)
+            passing.replace(folder / name)
+        except OSError:
+            with contextlib.suppress(OSError):
+                passing.unlink()
+
+    def enable(self) -> None:
+        """Nothing; it is what numba's caches have."""
+
+    def disable(self) -> None:
+        """Nothing, likewise."""
+
+    def flush(self) -> None:
+        """Nothing, likewise."""
+
+    def _name(self, signature: Any, codegen: Any) -> str | None:
+        """Return the name of a build's file; None where the kernel's source cannot be read."""
+        stem = Path(self._text.__code__.co_filename).stem
+        try:
+            sources = source_digest(stem)
+        except OSError:
+            return None
+        machine = (*_versions(), codegen.magic_tuple())  # the processor and what it can do
+        options = sorted(self._options.items())
+        what = repr((machine, sources, self._text.__qualname__, options, str(signature)))
+        return f"{stem}.{self._text.__name__}-{hashlib.sha256(what.encode()).hexdigest()}{SUFFIX}"
+
+
+@functools.cache
+def folders() -> tuple[Path, ...]:
+    """Return where builds are looked for: up to the first place that can be written."""
+    found: list[Path] = []
+    for place in places_in_turn():
+        found.append(place)
+        if _is_writable(place):
+            break
+    return tuple(found)
+
+
+@functools.cache
+def writable_folder() -> Path | None:
+    """Return where builds are kept."""
+    last = folders()[-1]
+    return last if _is_writable(last) else None
+
+
+def places_in_turn() -> Iterator[Path]:
+    """Yield where builds may be: in NUMBA_CACHE_DIR, beside the source, in the user's cache."""
+    named: str = numba.config.CACHE_DIR  # type: ignore[attr-defined]
+    if named:
+        yield Path(named, "exwarp")
+    yield Path(__file__).parent / "__pycache__"
+    yield Path(_Places(appname="numba", appauthor=False).user_cache_dir, "exwarp")
+
+
+def _is_writable(folder: Path) -> bool:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            return True
+    except OSError:
+        return False
+
+
+@functools.cache
+def source_digest(stem: str) -> str:
+    """Return a digest of a kernel file and of all those beside it that it uses, at any remove.
+
+    Raises
+    ------
+    OSError
+        If they cannot be read, as in an archive.
+    """
+    texts: dict[str, bytes] = {}
+    wanted = [stem]
+    while wanted:
+        name = wanted.pop()
+        if name not in texts:
+            texts[name] = Path(__file__).with_name(f"{name}.py").read_bytes()
+            found = BESIDE.findall(texts[name].decode())
+            wanted += [module or name for module, name in found]
+    return hashlib.sha256(b"\0".join(texts[name] for name in sorted(texts))).hexdigest()
+
+
+@functools.cache
+def _versions() -> tuple[str, ...]:
+    """Return what else machine code depends on, and how it is kept."""
+    cut = os.environ.get("NUMBA_OPT", "")
+    return numba.__version__, metadata.version("llvmlite"), sys.version, cut

@@ -1,0 +1,54 @@
+"""A key interval whose slots can be made, and what is counted in its frames."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from exwarp_cli.domain.decision import Plan
+from exwarp_cli.domain.frame import Bool, broken_pixels
+from exwarp_cli.domain.timeline import Slot
+from exwarp_cli.pipeline.choosing import Chosen
+from exwarp_cli.pipeline.loaded import Loaded
+from exwarp_cli.synthesis.interval import Interval
+
+
+@dataclass(frozen=True)
+class Staged:
+    """A key interval whose slots can be made.
+
+    Attributes
+    ----------
+    interval
+        On one window; None where every slot of it was found written.
+    chosen
+        By whom its path was decided, and how; None outside the decision tree.
+    there
+        The slots that an earlier run wrote.
+    shares
+        Milliseconds that all this took, by step: a slot's share.
+    """
+
+    interval: Interval | None
+    chosen: Chosen | None
+    there: frozenset[Slot]
+    shares: dict[str, float]
+
+    @property
+    def plan(self) -> Plan | None:
+        """The path that was decided."""
+        return None if self.chosen is None else self.chosen.plan
+
+
+def hole_fraction(mask: Bool | None) -> float | None:
+    """Share of holes, rounded to float32 as the header of the frame keeps it."""
+    return None if mask is None else float(np.float32(np.count_nonzero(mask) / mask.size))
+
+
+def nonfinite_pixels(loaded: Loaded, sources: tuple[int, ...], known: dict[int, int]) -> int:
+    """How many pixels of the source frames are NaN or infinite; `known` keeps it by number."""
+    for frame in (loaded.frame, loaded.following, *(older.frame for older in loaded.past)):
+        if frame is not None and frame.number in sources and frame.number not in known:
+            known[frame.number] = int(np.count_nonzero(broken_pixels(frame.image.pixels)))
+    return sum(known.get(number, 0) for number in sources)

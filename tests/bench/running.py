@@ -1,0 +1,104 @@
+"""Running a command and measuring all of it: wall time, processor time, memory.
+
+This module imports little, and so should who uses it: Linux counts a parent's memory at the moment
+of the fork as its child's.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a command took.
+
+    Attributes
+    ----------
+    wall, cpu
+        Seconds; `cpu` is user and system time of it and of what it waited for.
+    peak_mb
+        Largest resident memory.
+    """
+
+    wall: float
+    cpu: float
+    peak_mb: float
+
+
+def run(
+    command: Sequence[str],
+    env: Mapping[str, str] | None = None,
+    cwd: Path | None = None,
+    limit: float | None = None,
+) -> Run:
+    """Run a command in silence.
+
+    Parameters
+    ----------
+    command
+        Program and arguments.
+    env
+        Laid over the environment.
+    cwd
+        Folder that it runs in; None for this one.
+    limit
+        Seconds after which it is killed; None for never.
+
+    Raises
+    ------
+    subprocess.CalledProcessError
+        When it fails; what it said is printed then.
+    """
+    with tempfile.TemporaryFile("w+") as said:
+        begin = time.perf_counter()
+        running = subprocess.Popen(
+            command, stdout=said, stderr=said, env={**os.environ, **(env or {})}, cwd=cwd
+        )
+        ending = threading.Timer(limit or 0, running.kill)
+        if limit is not None:
+            ending.start()
+        try:
+            _, status, usage = os.wait4(running.pid, 0)
+        except BaseException:  # nobody would wait for it after a Ctrl-C
+            running.kill()
+            raise
+        finally:
+            ending.cancel()
+        elapsed = time.perf_counter() - begin
+        running.returncode = os.waitstatus_to_exitcode(status)
+        if running.returncode:
+            said.seek(0)
+            sys.stderr.write(said.read())
+            raise subprocess.CalledProcessError(running.returncode, list(command))
+    in_mb = 1024 if sys.platform != "darwin" else 1024**2
+    return Run(elapsed, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / in_mb)
+
+
+def upsample(keys: Path, out: Path, method: str, threads: int, *more: str) -> list[str]:
+    """Return the command line of `upsample`."""
+    return [
+        *(sys.executable, "-m", "exwarp_cli", "upsample", str(keys), "-o", str(out)),
+        *("--method", method, "--threads", str(threads), "--overwrite", "--progress", "none"),
+        *more,
+    ]
+
+
+def module(name: str, *arguments: str) -> list[str]:
+    """Return the command line of a Python module."""
+    return [sys.executable, "-m", name, *arguments]
+
+
+def cleared(out: Path) -> None:
+    """Remove an earlier run's frames, and have their bytes on disk before the next is measured."""
+    for frame in out.glob("*.exr"):
+        frame.unlink()
+    os.sync()

@@ -1,0 +1,29 @@
+"""Machine code is made of whole kernels only."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from exwarp_cli.kernels import cache, edges, jit, machine_code
+
+
+def test_neither_parts_nor_bodies_of_loops_become_machine_code(monkeypatch):
+    made: list[str] = []
+    real = machine_code.DeferredLibrary._make
+
+    def noted(library: Any) -> None:
+        if not library._made:
+            made.append(library.name)
+        real(library)
+
+    monkeypatch.setattr(machine_code.DeferredLibrary, "_make", noted)
+    monkeypatch.setattr(cache.KernelCache, "load_overload", lambda *_: None)
+    monkeypatch.setattr(cache.KernelCache, "save_overload", lambda *_: None)
+    kernel = jit.parallel(edges.find_edges_text)
+    depth, edge = np.ones((5, 6), np.float32), np.ones((5, 6), np.bool_)
+    depth[:, 3:] = 9
+    kernel(depth, np.zeros((0, 0), np.int32), edge)
+    assert edge.tolist() == [[False, False, True, True, False, False]] * 5
+    assert made == ["find_edges_text"]
