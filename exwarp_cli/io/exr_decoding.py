@@ -102,6 +102,8 @@ class ScanLines:
         self._file = path.open("rb", buffering=0)
         self._lock, self._own = Lock(), local()
         self._parts: list[Stored | None] = []
+        if os.environ.get("NUMBA_DISABLE_JIT", "0") != "0":
+            return  # interpreted, kernels would take minutes for a frame
         with suppress(OSError, ValueError):  # it is not plain
             self._parts = stored_parts(self._bytes, os.fstat(self._file.fileno()).st_size)
 

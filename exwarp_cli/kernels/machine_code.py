@@ -66,6 +66,7 @@ class DeferredLibrary(JITCodeLibrary):
             self._final_module.verify()
             self._shared_module = None
             self._made = True
+            self._dynamic_globals: list[str] = []  # optimised, it may need none of them
             super()._finalize_final_module()
 
     def _optimize_functions(self, module: Any) -> None:

@@ -18,8 +18,8 @@ def changed_planes(monkeypatch, change: Change) -> None:
     """Let every frame be read through `change`, before anything cleans what was read."""
     true = frames.read_planes
 
-    def read_planes(shot, number, refs):
-        planes, windows = true(shot, number, refs)
+    def read_planes(shot, number, *groups):
+        planes, windows = true(shot, number, *groups)
         for role, group in shot.layout.roles.items():
             if all(ref in planes for ref in group):
                 given = np.stack([planes[ref] for ref in group], axis=-1)

@@ -13,7 +13,7 @@ import pytest
 
 from exwarp_cli.accel.quantised_mlp import QuantisedMlp
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, OutputError
-from exwarp_cli.io import archives, models
+from exwarp_cli.io import archives, model_files
 from exwarp_cli.io.models import CHECKSUMS
 from exwarp_cli.io.policy_files import (
     FORMAT,
@@ -201,7 +201,7 @@ class TestRefused:
 class TestShipped:
     @pytest.fixture
     def folder(self, tmp_path, monkeypatch) -> Path:
-        monkeypatch.setattr(models, "shipped_folder", lambda: tmp_path)
+        monkeypatch.setattr(model_files, "shipped_folder", lambda: tmp_path)
         save_network(tmp_path / SHIPPED_POLICY, network(4, SIZES), {})
         digest = hashlib.sha256((tmp_path / SHIPPED_POLICY).read_bytes()).hexdigest()
         (tmp_path / CHECKSUMS).write_text(json.dumps({SHIPPED_POLICY: digest}))
