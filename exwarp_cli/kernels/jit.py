@@ -107,6 +107,19 @@ def threads() -> int:
         return int(numba.get_num_threads())
 
 
+def may_run_at_once() -> bool:
+    """Whether several threads may run parallel builds at the same time, once one has run.
+
+    Numba's own pool of threads, which it takes where there is neither OpenMP nor TBB, ends the
+    process then.
+    """
+    try:
+        layer: str = numba.threading_layer()  # type: ignore[attr-defined]
+    except ValueError:  # none has run
+        return False
+    return layer in ("omp", "tbb")
+
+
 @contextmanager
 def _asleep_while_waiting() -> Iterator[None]:
     """Have the threads that start in this block sleep when they wait for a kernel.

@@ -19,7 +19,7 @@ from exwarp_cli.io.footage import picture
 from exwarp_cli.io.frame_files import quantised
 from exwarp_cli.io.output import PREFIX, compression_of
 from exwarp_cli.io.template import Plane, PlaneKey, Template
-from exwarp_cli.pipeline.choosing import Chooser, Chosen
+from exwarp_cli.pipeline.choosing import Chooser
 from exwarp_cli.pipeline.geometry import Staging
 from exwarp_cli.pipeline.layers import Beside, named_by_path
 from exwarp_cli.pipeline.loaded import Loaded
@@ -28,6 +28,7 @@ from exwarp_cli.pipeline.recipes import key_recipe
 from exwarp_cli.pipeline.schedule import read_ahead
 from exwarp_cli.pipeline.scoring import IntervalScores
 from exwarp_cli.pipeline.sink import Sink
+from exwarp_cli.pipeline.slots_at_once import Begun, SlotsAtOnce, timed
 from exwarp_cli.pipeline.source import Source
 from exwarp_cli.pipeline.staged import Staged, hole_fraction, nonfinite_pixels
 from exwarp_cli.pipeline.views import JointLoader
@@ -55,6 +56,7 @@ class Run:
     staging: Staging
     beside: Beside
     chooser: Chooser | None
+    at_once: SlotsAtOnce
     watcher: Watcher | None = None
     records: list[FrameRecord] = field(default_factory=list)
     _scoring: IntervalScores | None = None
@@ -63,7 +65,7 @@ class Run:
     def write_all(self, loader: JointLoader, keys: tuple[int, ...]) -> tuple[FrameRecord, ...]:
         """Work through the intervals: reading ahead, computing here, writing behind."""
         tasks = (partial(loader.load, key, self._needed) for key in keys)
-        with self.sink:
+        with self.sink, self.at_once:
             for loaded in read_ahead(tasks, self._ahead):
                 if self.source.timeline.shows(loaded.key):
                     self._pass_key(loaded)
@@ -104,7 +106,9 @@ class Run:
         there = {slot for slot in slots if interval is None or self._is_there(slot, loaded.recipes)}
         # A policy looks at every interval: the states of later ones hold what it saw.
         looks = len(there) < len(slots) or self.method.judge is Judge.POLICY
-        chosen = self._choose(loaded, interval) if slots and looks else None
+        chosen = None  # outside the decision tree
+        if slots and looks and self.chooser is not None and interval is not None:
+            chosen = self.chooser(loaded, interval)
         shares = {"geometry": geometry_ms / max(len(slots), 1)}
         if chosen is not None:
             shares |= {step: ms / len(slots) for step, ms in chosen.timing_ms.items()}
@@ -123,11 +127,12 @@ class Run:
         interval, slots = staged.interval, self.source.timeline.made_of(loaded.key)
         self.beside.begin(loaded, interval if len(staged.there) < len(slots) else None)
         self._scoring = self._scores(loaded, interval)
+        begun = self._begun(loaded, staged)
         for slot in slots:
             if interval is None or slot in staged.there:
                 record, shown = self._resume(slot, interval, loaded)
             else:
-                record, shown = self._make(slot, interval, loaded, staged.plan)
+                record, shown = self._make(slot, interval, loaded, staged.plan, begun)
                 record = replace(record, timing_ms=staged.shares | record.timing_ms)
             self.records.append(record)
             watched = self.watcher is not None and self.watcher.wants(record.number, record.score)
@@ -144,13 +149,18 @@ class Run:
             del shown
         self._complete(loaded)
 
-    def _choose(self, loaded: Loaded, interval: Interval | None) -> Chosen | None:
-        """Have an interval's path decided; None for methods outside the decision tree."""
-        if self.chooser is None or interval is None:
+    def _begun(self, loaded: Loaded, staged: Staged) -> Begun[Predicted] | None:
+        """Begin the slots that are to be made, where none goes by another and memory permits."""
+        interval, path = staged.interval, None if staged.plan is None else staged.plan.path
+        others = self.beside.anything or loaded.slots or self.method.interpolates
+        alone = interval is None or others or path not in (None, "S6") or self._ahead == 0
+        if alone or interval is None or not self.at_once.pays:
             return None
-        return self.chooser(loaded, interval)
+        slots = self.source.timeline.made_of(loaded.key)
+        indices = [slot.index for slot in slots if slot not in staged.there]
+        return self.at_once.begin(partial(self._predict, interval, staged.plan), indices)
 
-    def _predict(self, interval: Interval, slot: int, plan: Plan | None) -> Predicted:
+    def _predict(self, interval: Interval, plan: Plan | None, slot: int) -> Predicted:
         """Make a slot's frame: by the interval's path, or by the method itself."""
         if self.method.predict is not None:
             return self.method.predict(interval, slot)
@@ -225,16 +235,19 @@ class Run:
         interval: Interval,
         loaded: Loaded,
         plan: Plan | None,
+        begun: Begun[Predicted] | None,
     ) -> tuple[FrameRecord, Image]:
-        """Make, write and score the frame of a slot."""
+        """Make, write and score the frame of a slot, which may have been begun."""
         assert loaded.frame is not None
+        if begun is not None and slot.index in begun:
+            predicted, elapsed = begun.take(slot.index)
+        else:
+            predicted, elapsed = timed(partial(self._predict, interval, plan), slot.index)
         begin = time.perf_counter()
-        predicted = self._predict(interval, slot.index, plan)
-        elapsed = 1e3 * (time.perf_counter() - begin)
-        canvas, display = interval.key.image.data_window, self.source.keys.display
-        image = Image(predicted.pixels, canvas, display)
+        canvas = interval.key.image.data_window
+        image = Image(predicted.pixels, canvas, self.source.keys.display)
         beside = self._beside(slot, predicted, loaded, plan)
-        layers_ms = 1e3 * (time.perf_counter() - begin) - elapsed
+        layers_ms = 1e3 * (time.perf_counter() - begin)
         mask = self._mask(interval, slot)
         record = FrameRecord(
             number=self.source.timeline.number(slot),
@@ -266,7 +279,7 @@ class Run:
         path = None if plan is None else plan.path
 
         def predict(interval: Interval) -> Predicted:
-            return named_by_path(self._predict(interval, slot.index, plan), path)
+            return named_by_path(self._predict(interval, plan, slot.index), path)
 
         shown = named_by_path(predicted, path)
         assert isinstance(loaded.template, Template)  # layers are for EXR

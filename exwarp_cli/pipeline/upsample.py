@@ -18,6 +18,7 @@ from exwarp_cli.pipeline.loading import IntervalLoader
 from exwarp_cli.pipeline.progress import NoProgress, Progress
 from exwarp_cli.pipeline.run import Run
 from exwarp_cli.pipeline.sink import FRAMES_BEHIND, Sink
+from exwarp_cli.pipeline.slots_at_once import SlotsAtOnce
 from exwarp_cli.pipeline.views import JointLoader
 from exwarp_cli.pipeline.watching import Watcher
 from exwarp_cli.pipeline.without_vectors import is_kept, note_of, video_look
@@ -119,9 +120,12 @@ def _run_of(job: Job, note: str, progress: Progress, watcher: Watcher | None) ->
     # Frames with all their layers are large, and few may wait.
     sink = make_sink(job, note, 0 if beside.anything else _behind(job.source.keys.display))
     chooser = make_chooser(job)
+    slots = max((len(job.source.timeline.made_of(key)) for key in job.keys), default=0)
+    at_once = SlotsAtOnce(job.settings.threads, slots)
     return Run(
-        job.settings, job.source, job.method, sink, progress, staging, beside, chooser, watcher
-    )
+        job.settings, job.source, job.method, sink, progress, staging, beside, chooser,
+        at_once, watcher,
+    )  # fmt: skip
 
 
 def _behind(display: Window) -> int:

@@ -146,9 +146,10 @@ class Interval:
 
         Motion fields of three slots take as much memory as a key frame.
         """
-        self._back = {index: made for index, made in self._back.items() if index > slot}
-        self._forward = {index: made for index, made in self._forward.items() if index > slot}
-        self._looked = {index: made for index, made in self._looked.items() if index > slot}
+        for known in (self._back, self._forward, self._looked):
+            for index in list(known):  # slots after it may be under way in other threads
+                if index <= slot:
+                    known.pop(index)
 
     def without(self, *parts: str) -> Interval:
         """Return the interval as if its G-buffers lacked some parts; nothing is made yet."""
