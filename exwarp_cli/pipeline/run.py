@@ -30,7 +30,7 @@ from exwarp_cli.pipeline.scoring import IntervalScores
 from exwarp_cli.pipeline.sink import Sink
 from exwarp_cli.pipeline.slots_at_once import Begun, SlotsAtOnce, timed
 from exwarp_cli.pipeline.source import Source
-from exwarp_cli.pipeline.staged import Staged, hole_fraction, nonfinite_pixels
+from exwarp_cli.pipeline.staged import Staged, hole_fraction, nonfinite_pixels, with_write_times
 from exwarp_cli.pipeline.views import JointLoader
 from exwarp_cli.pipeline.watching import Watcher
 from exwarp_cli.synthesis.interval import Interval
@@ -73,13 +73,7 @@ class Run:
                 loaded = loaded.lean()
                 self._interval(loaded, staged)
                 del loaded, staged  # before the next one is waited for, and staged
-        taken = self.sink.write_ms
-        return tuple(
-            replace(r, timing_ms=r.timing_ms | {"write": taken[r.number]})
-            if r.number in taken
-            else r
-            for r in self.records
-        )
+        return with_write_times(self.records, self.sink.write_ms)
 
     @property
     def _ahead(self) -> int:
@@ -118,8 +112,9 @@ class Run:
 
     def _only_moves(self, loaded: Loaded) -> bool:
         """Whether slots are made by settled motion, depth and ids of key frames alone."""
-        others = self.beside.anything or loaded.slots or loaded.truth or self.method.extrapolates
-        return not others
+        return not (
+            loaded.slots or loaded.truth or self.beside.anything or self.method.extrapolates
+        )
 
     def _interval(self, loaded: Loaded, staged: Staged) -> None:
         """Make the slots after a key frame."""
@@ -153,12 +148,13 @@ class Run:
         """Begin the slots that are to be made, where none goes by another and memory permits."""
         interval, path = staged.interval, None if staged.plan is None else staged.plan.path
         others = self.beside.anything or loaded.slots or self.method.interpolates
-        alone = interval is None or others or path not in (None, "S6") or self._ahead == 0
-        if alone or interval is None or not self.at_once.pays:
+        if interval is None or others or path not in (None, "S6"):
             return None
-        slots = self.source.timeline.made_of(loaded.key)
-        indices = [slot.index for slot in slots if slot not in staged.there]
-        return self.at_once.begin(partial(self._predict, interval, staged.plan), indices)
+        if self._ahead == 0 or not self.at_once.pays:
+            return None
+        slots = set(self.source.timeline.made_of(loaded.key)) - staged.there
+        make = partial(self._predict, interval, staged.plan)
+        return self.at_once.begin(make, sorted(slot.index for slot in slots))
 
     def _predict(self, interval: Interval, plan: Plan | None, slot: int) -> Predicted:
         """Make a slot's frame: by the interval's path, or by the method itself."""

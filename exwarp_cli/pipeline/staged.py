@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from exwarp_cli.domain.decision import Plan
 from exwarp_cli.domain.frame import Bool, broken_pixels
+from exwarp_cli.domain.results import FrameRecord
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.pipeline.choosing import Chosen
 from exwarp_cli.pipeline.loaded import Loaded
@@ -52,3 +54,13 @@ def nonfinite_pixels(loaded: Loaded, sources: tuple[int, ...], known: dict[int, 
         if frame is not None and frame.number in sources and frame.number not in known:
             known[frame.number] = int(np.count_nonzero(broken_pixels(frame.image.pixels)))
     return sum(known.get(number, 0) for number in sources)
+
+
+def with_write_times(
+    records: Iterable[FrameRecord], taken: Mapping[int, float]
+) -> tuple[FrameRecord, ...]:
+    """Add how long frames took to write, milliseconds by number, known once all are written."""
+    return tuple(
+        replace(r, timing_ms=r.timing_ms | {"write": taken[r.number]}) if r.number in taken else r
+        for r in records
+    )
