@@ -22,8 +22,8 @@ from exwarp_cli.io.producers import UNKNOWN
 from exwarp_cli.io.shot import MAIN, Shot, spelled
 from exwarp_cli.pipeline.motion_option import motion_names
 from exwarp_cli.pipeline.object_ids import looked_into, read_ids
-from exwarp_cli.pipeline.opening import open_keys, open_plain
-from exwarp_cli.pipeline.source import find_motion, rate_of
+from exwarp_cli.pipeline.opening import open_keys, open_plain, rate_of
+from exwarp_cli.pipeline.source import find_motion
 
 
 @dataclass(frozen=True)

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 
-from exwarp_cli.domain.settings import SourceSettings
+from exwarp_cli.domain.settings import DEFAULT_FPS, SourceSettings
 from exwarp_cli.errors import LayoutError, UsageError
 from exwarp_cli.io.aov_files import AovFile, parse_aovs
 from exwarp_cli.io.channel_map import ChannelMap, read_channel_map
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.clip import is_clip
-from exwarp_cli.io.footage import find_plain, shot_of
+from exwarp_cli.io.footage import find_plain, is_plain, own_rate, shot_of
+from exwarp_cli.io.output import frame_rate, read_headers
 from exwarp_cli.io.shot import Shot, open_shot, open_views
 from exwarp_cli.io.views import ALL
 from exwarp_cli.pipeline.depth_kind import with_depth_measured, with_world_positions
@@ -116,3 +118,20 @@ def _measured(shot: Shot) -> Shot:
 def _said(settings: SourceSettings) -> tuple[tuple[AovFile, ...], ChannelMap | None]:
     path = settings.channel_map
     return parse_aovs(settings.aovs), None if path is None else read_channel_map(Path(path))
+
+
+def rate_of(keys: Shot, given: Fraction | None) -> tuple[Fraction, str]:
+    """Return the base rate, and whether it is from the option, the header, a video or assumed."""
+    if given is not None:
+        return given, "option"
+    own = own_rate(keys.sequence)
+    if own is not None:
+        return own, "file"
+    if is_plain(keys.sequence):
+        return DEFAULT_FPS, "assumed"
+    first = keys.sequence.files[keys.sequence.numbers[0]]
+    for header in read_headers(first):
+        found = frame_rate(header)
+        if found is not None:
+            return found, "header"
+    return DEFAULT_FPS, "assumed"

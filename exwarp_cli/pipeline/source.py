@@ -13,7 +13,7 @@ import numpy as np
 from exwarp_cli.domain.cuts import CutWish, parse_cuts
 from exwarp_cli.domain.frame import place
 from exwarp_cli.domain.motion import MotionFinding
-from exwarp_cli.domain.settings import DEFAULT_FPS, SourceSettings
+from exwarp_cli.domain.settings import SourceSettings
 from exwarp_cli.domain.timeline import FACTOR, MOST, Slot, Timeline, ranges
 from exwarp_cli.errors import (
     InputError,
@@ -23,14 +23,12 @@ from exwarp_cli.errors import (
     UsageError,
 )
 from exwarp_cli.io.channels import Role
-from exwarp_cli.io.footage import is_plain, own_rate
 from exwarp_cli.io.frames import RawFrame, Shot, read_raw
-from exwarp_cli.io.output import frame_rate, read_headers
 from exwarp_cli.io.sequence import Sequence
 from exwarp_cli.pipeline.early_frames import Beginning, EarlyFrames, serves
 from exwarp_cli.pipeline.motion_option import motion_names, parse_motion
 from exwarp_cli.pipeline.object_ids import read_ids
-from exwarp_cli.pipeline.opening import open_keys, open_plain, open_slots
+from exwarp_cli.pipeline.opening import open_keys, open_plain, open_slots, rate_of
 from exwarp_cli.pipeline.shots import pairs_within
 from exwarp_cli.synthesis.calibration import calibrate
 from exwarp_cli.synthesis.cuts import is_cut
@@ -383,20 +381,3 @@ def _read(shot: Shot, early: EarlyFrames, number: int) -> RawFrame:
             early.keep(raw)
             return raw
     return read_raw(shot, number, roles)
-
-
-def rate_of(keys: Shot, given: Fraction | None) -> tuple[Fraction, str]:
-    """Return the base rate, and whether it is from the option, the header, a video or assumed."""
-    if given is not None:
-        return given, "option"
-    own = own_rate(keys.sequence)
-    if own is not None:
-        return own, "file"
-    if is_plain(keys.sequence):
-        return DEFAULT_FPS, "assumed"
-    first = keys.sequence.files[keys.sequence.numbers[0]]
-    for header in read_headers(first):
-        found = frame_rate(header)
-        if found is not None:
-            return found, "header"
-    return DEFAULT_FPS, "assumed"
