@@ -42,6 +42,18 @@ def rgba(height: int, width: int, dtype: type = np.float16, seed: int = 0) -> di
     return {name: rng.random((height, width)).astype(dtype) for name in "RGBA"}
 
 
+def any_bits(rng: np.random.Generator, kind: str, shape: tuple[int, int]) -> np.ndarray:
+    """Any bits at all, smooth ones, or few values."""
+    dtype = np.dtype(kind)
+    found = rng.integers(0, 1 << 8 * dtype.itemsize, shape, f"u{dtype.itemsize}")
+    look = rng.integers(3)
+    if look == 1:
+        found = np.full_like(found, 7) + np.arange(shape[1], dtype=found.dtype)
+    elif look == 2:
+        found = found % 3
+    return found.view(dtype)
+
+
 def plane(height: int, width: int, value: float, dtype: type = np.float32) -> np.ndarray:
     return np.full((height, width), value, dtype)
 

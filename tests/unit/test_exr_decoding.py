@@ -19,6 +19,7 @@ from exwarp_cli.io.exr import Channel, ExrReader
 from exwarp_cli.io.frames import joined
 from exwarp_cli.io.header_text import attributes_in
 from tests.unit.exr_files import (
+    any_bits,
     box,
     deep_part,
     flat_part,
@@ -67,18 +68,6 @@ def compression(name: str) -> Any:
     return getattr(OpenEXR, f"{name}_COMPRESSION")
 
 
-def bits(rng: np.random.Generator, kind: str, shape: tuple[int, int]) -> np.ndarray:
-    """Any bits at all, smooth ones, or few values."""
-    dtype = np.dtype(kind)
-    found = rng.integers(0, 1 << 8 * dtype.itemsize, shape, f"u{dtype.itemsize}")
-    look = rng.integers(3)
-    if look == 1:
-        found = np.full_like(found, 7) + np.arange(shape[1], dtype=found.dtype)
-    elif look == 2:
-        found = found % 3
-    return found.view(dtype)
-
-
 SETTINGS = settings(
     derandomize=True,
     max_examples=80,
@@ -100,7 +89,7 @@ PARTS = st.lists(
 def write(path: Path, parts: list[tuple[Any, ...]], rng: np.random.Generator) -> Path:
     made = []
     for i, (name, height, width, origin, kinds) in enumerate(parts):
-        planes = {n: bits(rng, k, (height, width)) for n, k in kinds.items()}
+        planes = {n: any_bits(rng, k, (height, width)) for n, k in kinds.items()}
         window = {"dataWindow": box(*origin, width, height), "displayWindow": box(0, 0, 9, 9)}
         made.append(flat_part(planes, f"p{i}", compression=compression(name), **window))
     OpenEXR.File(made).write(str(path))

@@ -31,7 +31,7 @@ from exwarp_cli.io.exr_encoding import (
     is_encoded_here,
 )
 from exwarp_cli.io.header_text import attributes_in
-from tests.unit.exr_files import box
+from tests.unit.exr_files import any_bits, box
 
 HERE = list(LINES)
 LONG = "a.name.of.more.than.thirty-one.letters.Z"
@@ -70,15 +70,8 @@ def header(compression: Any, data: tuple[int, int, int, int], **more: Any) -> di
 
 def channel(rng: np.random.Generator, kind: str, shape: tuple[int, int]) -> np.ndarray:
     """Any bits that are no NaN, smooth ones, or few values."""
-    dtype = np.dtype(kind)
-    bits = rng.integers(0, 1 << 8 * dtype.itemsize, shape, f"u{dtype.itemsize}")
-    look = rng.integers(3)
-    if look == 1:
-        bits = np.full_like(bits, 7) + np.arange(shape[1], dtype=bits.dtype)
-    elif look == 2:
-        bits = bits % 3
-    out = bits.view(dtype)
-    return np.where(np.isnan(out), dtype.type(1), out)
+    out = any_bits(rng, kind, shape)
+    return np.where(np.isnan(out), out.dtype.type(1), out)
 
 
 def whole(parts: list[Part]) -> bytes:
