@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections import deque
 from collections.abc import Callable, Iterable
@@ -27,15 +26,14 @@ class SlotsAtOnce:
     Parameters
     ----------
     threads
-        How many there are in all; None for one a core.
+        How many there are in all.
     slots
         The most slots that an interval has.
     """
 
-    def __init__(self, threads: int | None, slots: int) -> None:
-        count = threads or os.cpu_count() or 1
-        self._workers = max(1, min(count, slots))
-        self._share = max(1, count // self._workers)
+    def __init__(self, threads: int, slots: int) -> None:
+        self._workers = max(1, min(threads, slots))
+        self._share = max(1, threads // self._workers)
         self._pool: ThreadPoolExecutor | None = None
 
     def __enter__(self) -> SlotsAtOnce:

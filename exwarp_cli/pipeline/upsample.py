@@ -9,6 +9,7 @@ from exwarp_cli.domain.frame import Window
 from exwarp_cli.domain.results import FrameRecord, RunSummary
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.io import allocator, lent_memory
+from exwarp_cli.kernels import jit
 from exwarp_cli.pipeline.choosing import Chooser, always, by_policy, by_truth
 from exwarp_cli.pipeline.finding import is_usual
 from exwarp_cli.pipeline.geometry import Staging
@@ -121,7 +122,7 @@ def _run_of(job: Job, note: str, progress: Progress, watcher: Watcher | None) ->
     sink = make_sink(job, note, 0 if beside.anything else _behind(job.source.keys.display))
     chooser = make_chooser(job)
     slots = max((len(job.source.timeline.made_of(key)) for key in job.keys), default=0)
-    at_once = SlotsAtOnce(job.settings.threads, slots)
+    at_once = SlotsAtOnce(jit.threads(), slots)
     return Run(
         job.settings, job.source, job.method, sink, progress, staging, beside, chooser,
         at_once, watcher,
