@@ -1,8 +1,8 @@
 """Writing generated frames, and telling a good one on disk from a damaged or foreign one.
 
-A generated frame carries its own checksum: the SHA-256 of the file with the checksum's 64 digits
-taken as zeros. So any damage shows without decoding, whatever the compression; and an attribute
-that digests sources and settings shows whether the frame is the one that this run would write.
+A generated frame carries its own checksum, see `io.checksum`. So any damage shows without decoding,
+whatever the compression; and an attribute that digests sources and settings shows whether the frame
+is the one that this run would write.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import OpenEXR
 
 from exwarp_cli.domain.frame import Bool, Image, Window, place
 from exwarp_cli.errors import OutputError, UsageError
+from exwarp_cli.io import checksum
 from exwarp_cli.io.atomic import atomic_write_bytes
 from exwarp_cli.io.channel_rows import Channel
 from exwarp_cli.io.exr import damaged
@@ -32,9 +33,8 @@ from exwarp_cli.io.template import quantise as quantise
 from exwarp_cli.io.template import read_headers as read_headers
 from exwarp_cli.io.template import read_template as read_template
 
-CHECKSUM = f"{PREFIX}sha256"
+CHECKSUM = f"{PREFIX}{checksum.NAME}"
 RECIPE = f"{PREFIX}recipe"
-_ZEROS = "0" * 64
 
 COMPRESSIONS: dict[str, Any] = {
     "none": OpenEXR.NO_COMPRESSION,
@@ -161,7 +161,7 @@ def _structure(data: Window, display: Window) -> dict[str, Any]:
 
 def _write(path: Path, parts: list[Encoded]) -> None:
     """Encode in memory, seal, and write."""
-    parts[0][0][CHECKSUM] = _ZEROS
+    parts[0][0][CHECKSUM] = checksum.ZEROS
     try:
         head, *pieces = encoded([(_in_utf8(header), planes) for header, planes in parts])
     except (RuntimeError, ValueError, TypeError) as error:
@@ -189,10 +189,8 @@ def seal(head: Buffer, *rest: Buffer) -> list[Buffer]:
     sealed = memoryview(head)
     if sealed.readonly:
         sealed = memoryview(bytearray(head))
-    digest = hashlib.sha256()
-    for piece in (sealed, *rest):
-        digest.update(piece)
-    sealed[start : start + 64] = digest.hexdigest().encode()
+    digits = checksum.digits_of((sealed, *rest)).encode()
+    sealed[start : start + checksum.DIGITS] = digits
     return [sealed, *rest]
 
 
@@ -201,11 +199,9 @@ def is_intact(data: bytes) -> bool:
     start = _checksum_at(data)
     if start is None:
         return False
-    whole = memoryview(data)
-    digest = hashlib.sha256(whole[:start])
-    digest.update(_ZEROS.encode())
-    digest.update(whole[start + 64 :])
-    return digest.hexdigest().encode() == whole[start : start + 64]
+    whole, end = memoryview(data), start + checksum.DIGITS
+    pieces = (whole[:start], checksum.ZEROS.encode(), whole[end:])
+    return checksum.digits_of(pieces).encode() == whole[start:end]
 
 
 def recipe_of(path: Path) -> str | None:
@@ -235,10 +231,10 @@ def written_attributes(path: Path) -> dict[str, Any]:
 
 
 def file_digest(path: Path) -> str:
-    """SHA-256 of a file's bytes, hexadecimal."""
+    """Digest a file's bytes, hexadecimal, as generated files' checksums do."""
     try:
         with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
+            return hashlib.file_digest(file, checksum.new).hexdigest()
     except OSError as error:
         raise damaged(path, str(error.strerror)) from error
 
@@ -273,14 +269,17 @@ def filled_window(planes: Iterable[Plane], source: Window) -> Window:
     )
 
 
-_CHECKSUM = re.compile(CHECKSUM.encode() + b"\0string\0" + re.escape((64).to_bytes(4, "little")))
+_SIZE = checksum.DIGITS.to_bytes(4, "little")
+_CHECKSUM = re.compile(re.escape(CHECKSUM.encode() + b"\0string\0" + _SIZE))
 
 
 def _checksum_at(data: Buffer) -> int | None:
     """Return where the checksum's digits begin."""
     # Anywhere: a Cryptomatte's manifest, which comes before it, may be megabytes long.
     found = _CHECKSUM.search(data)
-    return None if found is None or found.end() + 64 > len(data) else found.end()
+    if found is None or found.end() + checksum.DIGITS > len(data):
+        return None
+    return found.end()
 
 
 def _box(window: Window) -> tuple[np.ndarray, np.ndarray]:

@@ -1,13 +1,12 @@
 """What a generated still image says of itself, and a checksum that shows any damage.
 
 Both stand in the one text that most formats keep: the name of the software that wrote the file. The
-checksum is the SHA-256 of the file with its own 64 digits taken as zeros, as in EXR frames. In PNG
-the text has a checksum of its own, which is renewed along with the digits.
+checksum is that of EXR frames. In PNG the text has a checksum of its own, which is renewed along
+with the digits.
 """
 
 from __future__ import annotations
 
-import hashlib
 import json
 import zlib
 from collections.abc import Mapping
@@ -16,9 +15,10 @@ from typing import Any
 
 from exwarp_cli import __version__
 from exwarp_cli.errors import InputError
+from exwarp_cli.io import checksum
 
-_MARK = b"exwarp:sha256="
-_ZEROS = b"0" * 64
+_MARK = f"exwarp:{checksum.NAME}=".encode()
+_ZEROS = checksum.ZEROS.encode()
 _PNG = b"\x89PNG\r\n\x1a\n"
 
 
@@ -38,7 +38,7 @@ def seal_still(data: bytes) -> bytes:
     blank = _with_digits(data, _ZEROS)
     if blank is None:
         return data
-    sealed = _with_digits(blank, hashlib.sha256(blank).hexdigest().encode())
+    sealed = _with_digits(blank, checksum.digits_of([blank]).encode())
     assert sealed is not None
     return sealed
 
@@ -60,9 +60,10 @@ def still_facts(path: Path) -> dict[str, Any] | None:
             f"cannot read {path}: {error.strerror or error}; check the path and its rights"
         ) from error
     blank, at = _with_digits(data, _ZEROS), data.find(_MARK) + len(_MARK)
-    if blank is None or hashlib.sha256(blank).hexdigest().encode() != data[at : at + 64]:
+    end = at + checksum.DIGITS
+    if blank is None or checksum.digits_of([blank]).encode() != data[at:end]:
         return None
-    text = data[at + 64 :].decode("latin-1").lstrip()
+    text = data[end:].decode("latin-1").lstrip()
     try:
         facts, _ = json.JSONDecoder().raw_decode(text)
     except ValueError:
@@ -73,11 +74,11 @@ def still_facts(path: Path) -> dict[str, Any] | None:
 def _with_digits(data: bytes, digits: bytes) -> bytes | None:
     """Return the file with other digits for its checksum; None where it has no place for them."""
     at = data.find(_MARK)
-    if at < 0 or at + len(_MARK) + 64 > len(data):
+    if at < 0 or at + len(_MARK) + checksum.DIGITS > len(data):
         return None
     at += len(_MARK)
     changed = bytearray(data)
-    changed[at : at + 64] = digits
+    changed[at : at + checksum.DIGITS] = digits
     if data.startswith(_PNG):
         _renew_chunk(changed, at)
     return bytes(changed)

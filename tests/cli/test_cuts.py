@@ -91,7 +91,7 @@ def run(upsample, network, tmp_path) -> Callable[..., Path]:
 def told(path: Path) -> tuple[dict[str, Any], dict[str, bytes]]:
     """What a frame's file holds, but for what tells how it came about and when to make it anew."""
     header, planes = shots.read(path)
-    known = {k: str(v) for k, v in header.items() if k not in ("exwarp:recipe", "exwarp:sha256")}
+    known = {k: str(v) for k, v in header.items() if k not in ("exwarp:recipe", "exwarp:xxh128")}
     return known, {name: plane.tobytes() for name, plane in planes.items()}
 
 
