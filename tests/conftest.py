@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import os
 import signal
+from collections.abc import Iterator
 
+import pytest
 from hypothesis import settings
+
+from exwarp_cli.domain import cores
 
 # A busy machine is no defect: examples may take any time.
 settings.register_profile("exwarp", deadline=None)
@@ -21,3 +25,10 @@ for name in [name for name in os.environ if name.startswith("EXWARP_")]:
     if name not in ("EXWARP_ARTEFACTS", "EXWARP_BLENDER", "EXWARP_CHROMIUM"):
         del os.environ[name]
 os.environ["EXWARP_CONFIG"] = "none"
+
+
+@pytest.fixture(autouse=True)
+def every_core() -> Iterator[None]:
+    """A test that runs a command with fewer cores leaves all of them to the next."""
+    yield
+    cores.share(None, os.cpu_count() or 1)

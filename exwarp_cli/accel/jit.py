@@ -1,29 +1,16 @@
-"""How the accelerator's kernels are compiled: lazily, cached, for one thread.
-
-The kernels' own wrapper is not used, as the two packages stand side by side. `fastmath` has no
-meaning for integers.
-"""
+"""How the accelerator's arithmetic is compiled: for one thread, and cached."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
-import numba
-
-Kernel = Callable[..., Any]
+from exwarp_cli.compiled import builds
+from exwarp_cli.compiled.builds import Kernel
 
 
 def compiled(text: Kernel) -> Kernel:
-    """Compile on the first call; keep the result on disk where a folder for it can be written."""
-    try:
-        kernel: Kernel = numba.njit(text, cache=True, nogil=True)
-    except RuntimeError:
-        kernel = numba.njit(text, cache=False, nogil=True)
-    return kernel
+    """Compile on the first call."""
+    return builds.compiled(text)
 
 
 def inlined(text: Kernel) -> Kernel:
-    """Compile for use inside another kernel's loops."""
-    kernel: Kernel = numba.njit(text, nogil=True, forceinline=True)
-    return kernel
+    """Have a function compiled into the loops of those that call it."""
+    return builds.part(text, forceinline=True)

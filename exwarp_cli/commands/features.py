@@ -7,6 +7,7 @@ import click
 from exwarp_cli.commands.json_option import json_option, print_json
 from exwarp_cli.commands.progress_option import progress_option
 from exwarp_cli.commands.source_options import source_options
+from exwarp_cli.commands.threads_option import threads_option
 from exwarp_cli.domain.cuts import AUTO
 
 
@@ -23,7 +24,7 @@ from exwarp_cli.domain.cuts import AUTO
     help="Where shots begin, by their first key frames: nothing is compared across cuts.",
 )
 @click.option("--frames", metavar="RANGE", help="Key frames, by number: 1001-1100x2, 1-10:2.")
-@click.option("--threads", type=click.IntRange(1), help="Default: all cores.")
+@threads_option
 @json_option
 @progress_option()
 def command(
@@ -48,13 +49,13 @@ def command(
     --json the same as a list of rows.
     """
     from exwarp_cli.domain.settings import SourceSettings
-    from exwarp_cli.kernels import jit
+    from exwarp_cli.io.threads import use_threads
     from exwarp_cli.pipeline.featuring import features
     from exwarp_cli.pipeline.progress import reporting
     from exwarp_cli.report.features_table import HEADER, document, row
     from exwarp_cli.report.frames_csv import table
 
-    jit.set_threads(threads)
+    use_threads(threads)
     with reporting(progress, results_on_stdout=True) as told:
         settings = SourceSettings(
             sequence, gbuffers, motion, view=view, aovs=aovs, channel_map=channel_map, cuts=cuts,

@@ -9,6 +9,7 @@ import click
 
 from exwarp_cli.commands.group import HelpfulGroup
 from exwarp_cli.commands.json_option import json_option, print_json
+from exwarp_cli.commands.threads_option import threads_option
 from exwarp_cli.domain.line import one_line
 from exwarp_cli.training.settings import PolicySettings, TrainingSettings, require_sane_policy
 
@@ -46,7 +47,7 @@ def command() -> None:
 )
 @click.option("--every", type=click.IntRange(1), default=500, help="Checkpoint.")
 @click.option("--cache", type=FOLDER, help="For crops; default: in the data folder's parent.")
-@click.option("--threads", type=click.IntRange(1), help="Default: all cores.")
+@threads_option
 @json_option
 def extrapolator(
     data: Path,

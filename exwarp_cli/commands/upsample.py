@@ -18,6 +18,7 @@ from exwarp_cli.commands.metrics_option import metrics_option
 from exwarp_cli.commands.progress_option import progress_option
 from exwarp_cli.commands.source_options import source_options
 from exwarp_cli.commands.spread_options import spread_options
+from exwarp_cli.commands.threads_option import threads_option
 from exwarp_cli.domain.settings import (
     DEVICES,
     ClusterSettings,
@@ -155,7 +156,7 @@ class FrameRate(click.ParamType[Fraction]):
 )
 @click.option("--skip-existing", is_flag=True, help="Keep good frames of an earlier run.")
 @click.option("--overwrite", is_flag=True, help="Replace frames that exist.")
-@click.option("--threads", type=click.IntRange(1), help="Default: all cores.")
+@threads_option
 @spread_options
 @click.option(
     "--dry-run", is_flag=True, help="Open everything and say what would be done; write nothing."
@@ -187,7 +188,7 @@ def command(
     settings = settings_of(options)
     where = ClusterSettings(workers, cluster, chunk_size)
     runs = not (dry_run or where.spread)
-    if runs:
+    if runs and settings.threads != 1:
         Thread(target=_import_run, name="exwarp-import").start()
     with reporting(progress, results_on_stdout=as_json) as told:
         job = open_job(settings, runs)

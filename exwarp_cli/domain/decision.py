@@ -60,6 +60,11 @@ class DecisionPath:
         """How many of the three frames are new."""
         return sum(maker != HOLD for maker in self.made_by)
 
+    @property
+    def extrapolates(self) -> bool:
+        """Whether the network makes any of them."""
+        return EXTRAPOLATE in self.made_by
+
 
 PATHS = {
     "S1": DecisionPath({"d1": EXTRAPOLATE, "d3": EXTRAPOLATE}, (HOLD, EXTRAPOLATE, HOLD)),

@@ -64,8 +64,8 @@ class NetworkInputs:
         height, width = self.mask.shape[1:]
         return height, width
 
-    def part(self, rows: slice, columns: slice) -> NetworkInputs:
-        """Return the inputs of some rows and columns; views of these."""
+    def part(self, rows: slice, columns: slice, room: Float32 | None = None) -> NetworkInputs:
+        """Return the inputs of some rows and columns; views of these, so no room is taken."""
         parts = {name: planes[:, rows, columns] for name, planes in self.pictures.items()}
         return NetworkInputs(**parts, time=self.time)
 
@@ -104,8 +104,17 @@ class Inputs(Protocol):
     def pictures(self) -> dict[str, Float32]:
         """The picture inputs by name."""
 
-    def part(self, rows: slice, columns: slice) -> NetworkInputs:
-        """Return the inputs of some rows and columns."""
+    def part(self, rows: slice, columns: slice, room: Float32 | None = None) -> NetworkInputs:
+        """Return the inputs of some rows and columns.
+
+        Parameters
+        ----------
+        rows, columns
+            Beyond the frame, its edge may be repeated, or be left out.
+        room
+            float32 [C, h, w], for all channels of so many rows and columns: may be written and
+            returned. Fresh memory, cleared by the system, took three times as long to fill.
+        """
 
 
 class Extrapolator(Protocol):

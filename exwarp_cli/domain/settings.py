@@ -93,7 +93,7 @@ class UpsampleSettings:
     write_holes
         Folder or pattern for hole masks.
     threads
-        For encoding, the kernels and the network; None for all cores.
+        Cores for all that works at a time; None for all that there are.
     extrapolator
         ONNX file of the network that extrapolates; None for the one that comes with ExWarp.
     device

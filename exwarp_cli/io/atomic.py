@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from exwarp_cli.domain.cores import waiting
 from exwarp_cli.errors import InputError, OutputError
 
 MARK = ".exwarp-tmp"
@@ -245,7 +246,8 @@ def _flush(path: Path) -> None:
     """
     handle = os.open(path, os.O_RDWR)
     try:
-        os.fsync(handle)
+        with waiting():
+            os.fsync(handle)
     except OSError as error:
         if error.errno not in (errno.EINVAL, errno.ENOTSUP):  # some shares cannot, and say so
             raise

@@ -17,7 +17,6 @@ import OpenImageIO as oiio
 
 from exwarp_cli.domain.frame import Window
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, MissingFrameError
-from exwarp_cli.io import exr_decoding
 from exwarp_cli.io.exr_decoding import ScanLines, Wanted
 
 
@@ -301,10 +300,3 @@ def _strings(value: object) -> tuple[str, ...]:
     if isinstance(value, str):
         return (value,) if value else ()
     return tuple(str(v) for v in value) if isinstance(value, (tuple, list)) else ()
-
-
-def set_threads(count: int | None) -> None:
-    """Set how many threads decode; None for all cores."""
-    oiio.attribute("threads", count or 0)
-    oiio.attribute("exr_threads", count or 0)
-    exr_decoding.set_threads(count)

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from isal import isal_zlib
 
+from exwarp_cli.domain import cores
 from exwarp_cli.domain.frame import Window
 from exwarp_cli.io.exr_chunks import (
     FLOAT,
@@ -40,14 +41,6 @@ RUN = 1 << 21
 
 _IsalError: Any = isal_zlib.error  # an exception's class, which its stubs take for one
 _NOTHING = np.empty(0, np.uint8)
-
-_threads: int | None = None
-
-
-def set_threads(count: int | None) -> None:
-    """Set how many threads decode; None for all cores."""
-    global _threads
-    _threads = count
 
 
 @dataclass(frozen=True)
@@ -163,15 +156,18 @@ class ScanLines:
 
         def take(task: tuple[int, _Run]) -> None:
             part, run = task
-            if part not in broken and not run.decode():
-                broken.add(part)
+            with cores.working():
+                if part not in broken and not run.decode():
+                    broken.add(part)
 
-        threads = min(_threads or os.cpu_count() or 1, len(tasks))
+        threads = min(cores.count(), len(tasks))
         if threads > 1:
             # No thread can be started when the interpreter ends, or the system has no more.
             with suppress(RuntimeError), ThreadPoolExecutor(threads, "exr") as pool:
                 # A pool of its own: starting one takes a thousandth of a frame's time.
-                list(pool.map(take, tasks))
+                done = pool.map(take, tasks)
+                with cores.waiting():
+                    list(done)
                 return broken
         for task in tasks:
             take(task)

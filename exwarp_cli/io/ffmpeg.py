@@ -17,6 +17,7 @@ from typing import IO
 import imageio_ffmpeg
 import numpy as np
 
+from exwarp_cli.domain import cores
 from exwarp_cli.domain.frame import UInt8
 from exwarp_cli.io.held import Held
 
@@ -233,7 +234,13 @@ def even(frame: UInt8) -> UInt8:
 
 
 def _command(options: Sequence[str]) -> list[str]:
-    return [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", "-y", *options]
+    """Return a command line: filters, and who decodes the first input, have our threads.
+
+    An encoder keeps its own number, since its bytes go by that.
+    """
+    count = str(cores.count())
+    bounds = ("-filter_threads", count, "-filter_complex_threads", count, "-threads", count)
+    return [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", "-y", *bounds, *options]
 
 
 def _no_start(error: Exception) -> FfmpegError:

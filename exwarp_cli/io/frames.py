@@ -24,7 +24,7 @@ from exwarp_cli.errors import DamagedFileError, LayoutError
 from exwarp_cli.io.channels import ChannelRef, Role, detect, require
 from exwarp_cli.io.cryptomatte import find_cryptomattes
 from exwarp_cli.io.exr import ExrReader
-from exwarp_cli.io.lent_memory import lent
+from exwarp_cli.io.lent_memory import filed, lent, rest
 from exwarp_cli.io.shot import Shot as Shot
 from exwarp_cli.io.shot import open_shot as open_shot
 from exwarp_cli.io.shot import plain, renamed
@@ -71,8 +71,8 @@ class RawFrame:
         before, after = convention.to_previous, convention.to_next
         return replace(
             self.gbuffer,
-            to_previous=None if before is None else before.apply(self.motion),
-            to_next=None if after is None else after.apply(self.motion),
+            to_previous=None if before is None else filed(before.apply(self.motion)),
+            to_next=None if after is None else filed(after.apply(self.motion)),
         )
 
     def key(self, convention: MotionConvention | None) -> KeyFrame:
@@ -122,7 +122,9 @@ def read_raw(
         source = shot.files(number)[ids.cryptomatte.aov]
         stencil, shown = ids.read(found.joined(ranks, canvas, 0.0), gbuffer.depth, source)
         gbuffer = replace(gbuffer, stencil=stencil, objects=shown)
-    return RawFrame(number, path, image, gbuffer, found.stack(Role.MOTION, canvas, np.nan))
+    raw = RawFrame(number, path, image, gbuffer, found.stack(Role.MOTION, canvas, np.nan))
+    rest()
+    return raw
 
 
 @dataclass(frozen=True)
@@ -263,14 +265,14 @@ def clean_depth(depth: Float32, normal: Float32 | None) -> Float32:
 
     Background is written as 0, 1e10, infinity or NaN; Unreal marks it by the normal (-1, -1, -1).
     """
-    from exwarp_cli.kernels.depths import known_depths  # numba: not for what only lists channels
+    from exwarp_cli.kernels import depths  # numba: not for what only lists channels
 
     out: Float32 = lent(depth.shape, np.float32)
-    known_depths(
+    depths.known_depths(
         np.ascontiguousarray(depth, np.float32).reshape(-1), np.float32(FAR), out.reshape(-1)
     )
     if normal is not None:
-        out[(normal == -1).all(axis=-1)] = np.inf
+        depths.hide_marked(np.ascontiguousarray(normal, np.float32).reshape(-1), out.reshape(-1))
     return out
 
 

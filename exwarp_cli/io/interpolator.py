@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -11,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from exwarp_cli.domain import cores
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.domain.interpolator import Curve
 from exwarp_cli.domain.timeline import MOST
@@ -54,7 +54,7 @@ def load_interpolator(path: Path, threads: int | None, device: str) -> OnnxInter
     path
         ONNX file, with its card beside it.
     threads
-        None for all cores.
+        At most; None for as many as the command has cores.
     device
         "cpu" or "cuda".
 
@@ -66,7 +66,7 @@ def load_interpolator(path: Path, threads: int | None, device: str) -> OnnxInter
         When the device is "cuda" and onnxruntime cannot use it.
     """
     _, data = read_model(path, path.name, "--interpolator")
-    network = OnnxInterpolator(read_card(path), path, data, threads or os.cpu_count() or 1, device)
+    network = OnnxInterpolator(read_card(path), path, data, threads or cores.count(), device)
     network.judge()
     return network
 

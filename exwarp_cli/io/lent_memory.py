@@ -2,12 +2,20 @@
 
 A frame of 1920x1080 with its geometry takes 100 MB. Fresh from the system, every page of it is
 cleared and mapped at its first touch, a fifth of the time of reading it.
+
+The memory of large frames may lie in files without a name, in the folder for temporary ones: then
+it leaves the process where it is told to rest, and comes back page by page as it is used.
 """
 
 from __future__ import annotations
 
+import mmap
+import os
+import tempfile
+import threading
 import weakref
 from collections import deque
+from contextlib import suppress
 from math import prod
 
 import numpy as np
@@ -15,6 +23,14 @@ import numpy.typing as npt
 
 LEAST = 1 << 20
 """Bytes from which memory is kept; below, the allocator keeps it itself."""
+
+LARGE = 4 * 2**20
+"""Pixels of a frame from which its memory may lie in files. Of 3840x2160 a key frame with all that
+networks see takes 1 GB, and four of them are at hand."""
+
+_rooms: weakref.WeakSet[mmap.mmap] = weakref.WeakSet()
+_adding = threading.Lock()
+_filed = False
 
 _returned: deque[npt.NDArray[np.uint8]] = deque()
 """What nobody holds any more. Its methods need no lock, which finalizers must not wait for."""
@@ -45,15 +61,50 @@ def lent(shape: tuple[int, ...], dtype: npt.DTypeLike) -> np.ndarray:
         return np.empty(shape, kind)
     memory = _taken(size)
     if memory is None:
-        memory = np.empty(size, np.uint8)
+        memory = _fresh(size, filed=_filed and prod(shape[:2]) > LARGE)
     loan = _Loan(memory, shape, kind)
     weakref.finalize(loan, _returned.append, memory).atexit = False
     return np.asarray(loan)
 
 
+def file_large(yes: bool) -> None:
+    """Have the memory of large frames lie in files from now on, or no more."""
+    global _filed
+    _filed = yes
+
+
+def filed(array: np.ndarray) -> np.ndarray:
+    """Return a copy in such a file, where the array is large and others lie there; else itself."""
+    if not _filed or prod(array.shape[:2]) <= LARGE:
+        return array
+    out = lent(array.shape, array.dtype)
+    out[...] = array
+    return out
+
+
+def rest() -> None:
+    """Have all that lies in files leave the process; it comes back where it is used."""
+    with _adding:
+        rooms = list(_rooms)
+    for room in rooms:
+        room.madvise(mmap.MADV_DONTNEED)
+
+
 def forget() -> None:
     """Give back to the system what came back and was not lent again: sizes have changed."""
     _returned.clear()
+
+
+def _fresh(size: int, filed: bool) -> npt.NDArray[np.uint8]:
+    """Take memory from the system; from a file's only where it can be, and there is room."""
+    if filed and hasattr(mmap, "MADV_DONTNEED") and hasattr(os, "posix_fallocate"):
+        with suppress(OSError), tempfile.TemporaryFile(prefix="exwarp-") as file:
+            os.posix_fallocate(file.fileno(), 0, size)  # a full disk is met here, and not later
+            room = mmap.mmap(file.fileno(), size)
+            with _adding:
+                _rooms.add(room)
+            return np.frombuffer(room, np.uint8)
+    return np.empty(size, np.uint8)
 
 
 def _taken(size: int) -> npt.NDArray[np.uint8] | None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
@@ -11,10 +10,12 @@ from typing import Any
 
 import numpy as np
 
+from exwarp_cli.domain import cores
 from exwarp_cli.domain.extrapolator import INPUTS, OUTPUT, TIME, Inputs, NetworkInputs
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.domain.tiles import Span, Tile, cut
 from exwarp_cli.errors import InputError, LayoutError, MissingExtraError
+from exwarp_cli.io.lent_memory import lent, rest
 from exwarp_cli.io.model_checks import (
     STRIDE_KEY,
     reason,
@@ -54,7 +55,7 @@ def load_extrapolator(path: Path | None, threads: int | None, device: str) -> On
     path
         ONNX file; None for the network that comes with ExWarp.
     threads
-        None for all cores.
+        At most; None for as many as the command has cores.
     device
         "cpu" or "cuda".
 
@@ -67,7 +68,7 @@ def load_extrapolator(path: Path | None, threads: int | None, device: str) -> On
         When the device is "cuda" and onnxruntime cannot use it.
     """
     path, data = read_model(path, SHIPPED, "--extrapolator")
-    network = OnnxExtrapolator(path, data, threads or os.cpu_count() or 1, device)
+    network = OnnxExtrapolator(path, data, threads or cores.count(), device)
     network.judge()
     return network
 
@@ -108,7 +109,13 @@ class OnnxNetwork:
         return self._checksum
 
     def _answer(
-        self, output: str, feeds: dict[str, Any], size: tuple[int, int], stride: int, advice: str
+        self,
+        output: str,
+        feeds: dict[str, Any],
+        size: tuple[int, int],
+        stride: int,
+        advice: str,
+        last: bool = False,
     ) -> Any:
         """Run the network.
 
@@ -124,6 +131,9 @@ class OnnxNetwork:
             Pixels of the frame in one of the coarsest scale, which bounds the threads.
         advice
             What to do where it fails.
+        last
+            Whether nothing is asked for a while: memory that is kept for the next time is given
+            back then, which takes an eighth of the time of running it.
 
         Returns
         -------
@@ -134,7 +144,7 @@ class OnnxNetwork:
         most = height * width // (stride**2 * PIXELS_PER_THREAD)
         session = self._session(max(1, min(self._threads, most)) if self.device == "cpu" else 1)
         try:
-            (out,) = session.run([output], feeds)
+            (out,) = session.run([output], feeds, self._giving_back if last else None)
         except _failures() as error:
             if "alloc" in str(error):
                 raise MemoryError from error
@@ -143,10 +153,18 @@ class OnnxNetwork:
             ) from error
         return out
 
+    @cached_property
+    def _giving_back(self) -> Any:
+        """Options of a run after which memory is given back."""
+        options = _runtime().RunOptions()
+        if self.device == "cpu":
+            options.add_run_config_entry("memory.enable_memory_arena_shrinkage", "cpu:0")
+        return options
+
     def _session(self, threads: int) -> Any:
         """Return onnxruntime's session for so many threads; made once."""
         if threads not in self._sessions:
-            self._sessions[threads] = _open(self.path, self._data, threads, self.device)
+            self._sessions[threads] = open_session(self.path, self._data, threads, self.device)
         return self._sessions[threads]
 
 
@@ -161,8 +179,13 @@ class OnnxExtrapolator(OnnxNetwork):
         """Return the slot's colour, float32 [3, H, W], encoded as the inputs are; any H and W."""
         height, width = inputs.shape
         out = np.empty((3, height, width), np.float32)
-        for rows, columns in self._tiles(_up(height, self._stride), _up(width, self._stride)):
-            answer = self._made_of(inputs.part(rows.seen, columns.seen))
+        tiles = self._tiles(_up(height, self._stride), _up(width, self._stride))
+        for count, (rows, columns) in enumerate(tiles, start=1):
+            size = rows.end - rows.begin, columns.end - columns.begin
+            room = lent((sum(INPUTS.values()), *size), np.float32)
+            part = inputs.part(rows.seen, columns.seen, room)
+            rest()  # what the part is made of
+            answer = self._made_of(part, last=1 < count == len(tiles))
             place = out[:, rows.kept, columns.kept]
             place[:] = answer[:, rows.inside, columns.inside][:, : place.shape[1], : place.shape[2]]
         return out
@@ -178,7 +201,7 @@ class OnnxExtrapolator(OnnxNetwork):
         """How far the network sees, pixels; None for what takes pictures whole."""
         return reach_of(lambda pictures: self._raw(pictures, 0.5)[0], self._stride)
 
-    def _made_of(self, part: NetworkInputs) -> Float32:
+    def _made_of(self, part: NetworkInputs, last: bool) -> Float32:
         """Return the network's answer to a part of the inputs, as they are in both directions."""
         height, width = part.shape
         down, right = -height % self._stride, -width % self._stride
@@ -186,7 +209,7 @@ class OnnxExtrapolator(OnnxNetwork):
         if down or right:
             around = ((0, 0), (0, down), (0, right))
             pictures = {name: np.pad(p, around, mode="edge") for name, p in pictures.items()}
-        out = self._raw(pictures, part.time)
+        out = self._raw(pictures, part.time, last)
         self._require_colour(out, height + down, width + right)
         return np.asarray(out[0])
 
@@ -199,7 +222,7 @@ class OnnxExtrapolator(OnnxNetwork):
         blank = {name: np.zeros((count, *shape), np.float32) for name, count in INPUTS.items()}
         self(NetworkInputs(**blank, time=0.5))
 
-    def _raw(self, pictures: Mapping[str, Float32], time: float) -> Float32:
+    def _raw(self, pictures: Mapping[str, Float32], time: float, last: bool = False) -> Float32:
         """Run the network on pictures of a size that is a multiple of its stride."""
         height, width = pictures["mask"].shape[1:]
         given = {name: np.ascontiguousarray(planes) for name, planes in pictures.items()}
@@ -210,7 +233,7 @@ class OnnxExtrapolator(OnnxNetwork):
             f"export it with any height and width that are multiples of {self._stride}, or state "
             f"another {STRIDE_KEY} in its metadata"
         )
-        out = self._answer(OUTPUT, feeds, (height, width), self._stride, advice)
+        out = self._answer(OUTPUT, feeds, (height, width), self._stride, advice, last)
         return np.asarray(out)
 
     def _require_colour(self, out: Float32, height: int, width: int) -> None:
@@ -233,8 +256,20 @@ def _up(pixels: int, stride: int) -> int:
     return -(-pixels // stride) * stride
 
 
-def _open(path: Path, data: bytes, threads: int, device: str) -> Any:
-    """Make a session from a file's bytes: so other files can have no part in it."""
+def open_session(path: Path, data: bytes, threads: int, device: str) -> Any:
+    """Make onnxruntime's session from a file's bytes: so other files can have no part in it.
+
+    Parameters
+    ----------
+    path
+        Where `data` came from.
+    data
+        The ONNX file's bytes.
+    threads
+        Of one operator; they run one after the other.
+    device
+        "cpu" or "cuda".
+    """
     runtime = _runtime()
     if device == "cuda" and CUDA not in runtime.get_available_providers():
         raise MissingExtraError(

@@ -9,9 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli.kernels.jit import inlined, parallel, serial
+from exwarp_cli.kernels.surface import end_of
 
 F32 = npt.NDArray[np.float32]
 I32 = npt.NDArray[np.int32]
+B8 = npt.NDArray[np.bool_]
 
 LEAST_SCALE = 0.25
 """Pixels by which a vector may differ from the expected one before it counts for less …"""
@@ -45,6 +47,53 @@ def usable(stencil: I32, ident: np.int32, p: int, q: int, height: int, width: in
     return inside and (ident == np.int32(-2) or stencil[q, p] == ident)
 
 
+@inlined
+def step_at(
+    step: F32,
+    stencil: I32,
+    ident: np.int32,
+    place: tuple[np.float32, np.float32],
+    hope: tuple[np.float32, np.float32],
+) -> tuple[np.float32, np.float32]:
+    """Return a point's motion over a step; NaN where nothing tells.
+
+    Parameters
+    ----------
+    step, stencil
+        As for :func:`follow_text`.
+    ident
+        Of the point; -2 is any.
+    place, hope
+        Where it is, and which motion is expected of it; x and y.
+    """
+    height, width, _ = step.shape
+    one = np.float32(1)
+    (x, y), (ex, ey) = place, hope
+    foreseen = not math.isnan(ex + ey)
+    total = np.float32(PRIOR) if foreseen else np.float32(0)
+    sum_x, sum_y = (total * ex, total * ey) if foreseen else (total, total)
+    scale = max(np.float32(LEAST_SCALE), np.float32(SCALE) * np.sqrt(ex * ex + ey * ey))
+    near = x > -one and y > -one and x < width and y < height  # no for NaN
+    left, top = (math.floor(x), math.floor(y)) if near else (-2, -2)
+    fx, fy = x - np.float32(left), y - np.float32(top)
+    for corner in range(4):
+        p, q = left + corner % 2, top + corner // 2
+        if not usable(stencil, ident, p, q, height, width):
+            continue
+        vx, vy = step[q, p, 0], step[q, p, 1]
+        if math.isnan(vx + vy):
+            continue
+        weight = (fx if corner % 2 else one - fx) * (fy if corner // 2 else one - fy)
+        if foreseen:
+            weight *= trust(vx, vy, ex, ey, scale)
+        total += weight
+        sum_x += weight * vx
+        sum_y += weight * vy
+    if total > 0:
+        return sum_x / total, sum_y / total
+    return np.float32(np.nan), np.float32(np.nan)
+
+
 def follow_text(step: F32, stencil: I32, own: I32, expected: F32, moved: F32) -> None:
     """Move points on by one step: moved(x) += step(x + moved(x)).
 
@@ -59,7 +108,7 @@ def follow_text(step: F32, stencil: I32, own: I32, expected: F32, moved: F32) ->
         int32 [H, W]: ids of the points; [0, 0] when unknown.
     expected
         float32 [H, W, 2], pixels: motion over the step as it is foreseen from where the points
-        started; NaN where it is not.
+        started; NaN where it is not, [0, 0, 2] where it is nowhere.
     moved
         float32 [H, W, 2], pixels, changed: how far the points have come; NaN where unknown, and
         where neither samples nor an expectation lead on.
@@ -71,37 +120,53 @@ def follow_text(step: F32, stencil: I32, own: I32, expected: F32, moved: F32) ->
     pass each other have many vectors within a pixel.
     """
     height, width, _ = moved.shape
-    one = np.float32(1)
-    known = stencil.size > 0 and own.size > 0
+    known, hoped = stencil.size > 0 and own.size > 0, expected.size > 0
     for row in numba.prange(height):
         i = np.int64(row)
         for j in range(width):
             x, y = np.float32(j) + moved[i, j, 0], np.float32(i) + moved[i, j, 1]
             ident = own[i, j] if known else np.int32(-2)
-            ex, ey = expected[i, j, 0], expected[i, j, 1]
-            foreseen = not math.isnan(ex + ey)
-            total = np.float32(PRIOR) if foreseen else np.float32(0)
-            sum_x, sum_y = (total * ex, total * ey) if foreseen else (total, total)
-            scale = max(np.float32(LEAST_SCALE), np.float32(SCALE) * np.sqrt(ex * ex + ey * ey))
-            near = x > -one and y > -one and x < width and y < height  # no for NaN
-            left, top = (math.floor(x), math.floor(y)) if near else (-2, -2)
-            fx, fy = x - np.float32(left), y - np.float32(top)
-            for corner in range(4):
-                p, q = left + corner % 2, top + corner // 2
-                if not usable(stencil, ident, p, q, height, width):
-                    continue
-                vx, vy = step[q, p, 0], step[q, p, 1]
-                if math.isnan(vx + vy):
-                    continue
-                weight = (fx if corner % 2 else one - fx) * (fy if corner // 2 else one - fy)
-                if foreseen:
-                    weight *= trust(vx, vy, ex, ey, scale)
-                total += weight
-                sum_x += weight * vx
-                sum_y += weight * vy
-            moved[i, j, 0] += sum_x / total if total > 0 else np.float32(np.nan)
-            moved[i, j, 1] += sum_y / total if total > 0 else np.float32(np.nan)
+            ex, ey = np.float32(np.nan), np.float32(np.nan)
+            if hoped:
+                ex, ey = expected[i, j, 0], expected[i, j, 1]
+            step_x, step_y = step_at(step, stencil, ident, (x, y), (ex, ey))
+            moved[i, j, 0] += step_x
+            moved[i, j, 1] += step_y
 
 
 follow = parallel(follow_text)
 follow_serial = serial(follow_text)
+
+
+def follow_shown_text(step: F32, stencil: I32, gone: B8, moved: F32, lost: B8) -> None:
+    """Move points on by one step as :func:`follow_text` does, as what the instant shows there.
+
+    Parameters
+    ----------
+    step, stencil, moved
+        As there. The id of a point is that of the pixel which it has reached; 0 beyond the frame.
+    gone
+        bool [H, W]: pixels of the instant whose surface is not seen after the step.
+    lost
+        bool [H, W], changed: becomes true for points that have reached such a pixel, or none.
+    """
+    height, width, _ = moved.shape
+    nowhere = np.float32(np.nan), np.float32(np.nan)
+    for row in numba.prange(height):
+        i = np.int64(row)
+        for j in range(width):
+            mx, my = moved[i, j, 0], moved[i, j, 1]
+            q, p = end_of(i, j, mx, my, height, width)
+            if q < 0 or gone[q, p]:
+                lost[i, j] = True
+            ident = np.int32(-2)
+            if stencil.size > 0:
+                ident = stencil[q, p] if q >= 0 else np.int32(0)
+            place = np.float32(j) + mx, np.float32(i) + my
+            step_x, step_y = step_at(step, stencil, ident, place, nowhere)
+            moved[i, j, 0] = mx + step_x
+            moved[i, j, 1] = my + step_y
+
+
+follow_shown = parallel(follow_shown_text)
+follow_shown_serial = serial(follow_shown_text)

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli.kernels.gather import clamp
-from exwarp_cli.kernels.jit import parallel, part, serial
+from exwarp_cli.kernels.jit import inlined, parallel, serial
 
 F32 = npt.NDArray[np.float32]
 I32 = npt.NDArray[np.int32]
@@ -23,38 +23,54 @@ DEPTH_TOLERANCE = np.float32(0.1)
 """Relative change of depth up to which two pixels may be the same surface, without positions."""
 
 
-@part
-def footprint(position: F32, i: int, j: int) -> np.float32:
-    """World-space size of a pixel at (i, j): grows with distance and at grazing angles.
+@inlined
+def apart(position: F32, i: int, j: int, other: F32, y: int, x: int) -> np.float32:
+    """Squared distance of the positions at (i, j) and, in another frame, at (y, x)."""
+    squared = np.float32(0.0)
+    for c in range(3):
+        squared += (position[i, j, c] - other[y, x, c]) ** 2
+    return squared
 
-    Of the differences to both neighbours on each axis the smaller counts, so that a silhouette
-    beside the pixel does not enlarge it.
+
+@inlined
+def spacing(position: F32, i: int, j: int, down: int, right: int) -> np.float32:
+    """Squared distance to the nearer of the two neighbours on an axis; infinite without any.
+
+    The nearer, so that a silhouette beside the pixel does not enlarge it.
     """
     height, width, _ = position.shape
-    total = np.float32(0.0)
+    best = np.float32(np.inf)
+    if i >= down and j >= right:
+        best = min(best, apart(position, i - down, j - right, position, i, j))
+    if i + down < height and j + right < width:
+        best = min(best, apart(position, i + down, j + right, position, i, j))
+    return best
+
+
+@inlined
+def beyond_footprint(position: F32, i: int, j: int, squared: np.float32) -> bool:
+    """Whether a squared distance is more than FOOTPRINTS of the pixel at (i, j).
+
+    The footprint is its size in world space, which grows with distance and at grazing angles: the
+    sum of its spacing on both axes. What is within that of one axis needs no roots.
+    """
+    total, many = np.float32(0.0), FOOTPRINTS * FOOTPRINTS
     for axis in range(2):
-        best = np.float32(np.inf)
-        for side in (-1, 1):
-            y = i + side if axis == 0 else i
-            x = j + side if axis == 1 else j
-            if x < 0 or y < 0 or x >= width or y >= height:
-                continue
-            squared = np.float32(0.0)
-            for c in range(3):
-                squared += (position[y, x, c] - position[i, j, c]) ** 2
-            best = min(best, np.float32(math.sqrt(squared)))
-        if best < np.float32(np.inf):
-            total += best
-    return total
+        step = spacing(position, i, j, 1 - axis, axis)
+        if step < np.float32(np.inf):
+            if squared <= many * step:
+                return False
+            total += np.float32(math.sqrt(step))
+    return bool(math.sqrt(squared) > FOOTPRINTS * total)
 
 
-@part
+@inlined
 def is_background(depth: F32, i: int, j: int) -> bool:
     """Whether a pixel shows no surface."""
     return math.isinf(depth[i, j])
 
 
-@part
+@inlined
 def other_surface(
     i: int,
     j: int,
@@ -81,10 +97,7 @@ def other_surface(
     here, there = positions
     if here.shape[0] == 0:
         return False
-    squared = np.float32(0.0)
-    for c in range(3):
-        squared += (here[i, j, c] - there[y, x, c]) ** 2
-    return bool(math.sqrt(squared) > FOOTPRINTS * footprint(here, i, j))
+    return bool(beyond_footprint(here, i, j, apart(here, i, j, there, y, x)))
 
 
 def mark_text(

@@ -1,62 +1,24 @@
-"""How kernels are compiled: one text, a serial and a parallel build, both cached.
-
-`fastmath` stays off: NaN marks pixels without a value, and results must not depend on the build.
-`nogil` lets files be read and written meanwhile. Signatures stay lazy, as an eagerly typed parallel
-kernel costs 0.35 s at import.
-"""
+"""How kernels are compiled: one text, a serial and a parallel build, both cached."""
 
 from __future__ import annotations
 
 import os
 import types
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
-from typing import Any
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import numba
-from numba.core import dispatcher
-from numba.extending import register_jitable
 
-Kernel = Callable[..., Any]
-
-KNOWN_INSIDE = ("0.68",)
-"""Versions of numba whose insides are known. What saves time by them, half of that of compilation
-and 0.3 s of a start, is left out with others, whose own cache keeps the kernels then."""
+from exwarp_cli.compiled import builds
+from exwarp_cli.compiled.builds import Kernel
 
 WAITING = ("OMP_WAIT_POLICY", "GOMP_SPINCOUNT")
 """Variables by which OpenMP is told how its threads wait for work."""
 
 
-def _compile(text: Kernel, **options: bool) -> Kernel:
-    """Compile lazily, and keep the result on disk where that is possible."""
-    assert isinstance(text, types.FunctionType)
-    common: dict[str, Any] = {"nogil": True, "error_model": "numpy", **options}
-    compiled: Any = numba.njit(text, **common)
-    if isinstance(compiled, dispatcher.Dispatcher):  # and not the text: NUMBA_DISABLE_JIT
-        _keep(compiled, text, common)
-    kernel: Kernel = compiled
-    return kernel
-
-
-def knows_inside() -> bool:
-    """Whether numba is one of those whose insides are known."""
-    return numba.__version__.rpartition(".")[0] in KNOWN_INSIDE
-
-
-def _keep(compiled: Any, text: types.FunctionType, options: dict[str, Any]) -> None:
-    """Have a kernel's builds kept on disk."""
-    if knows_inside():
-        from exwarp_cli.kernels.cache import KernelCache
-
-        compiled._cache = KernelCache(text, options)
-        return
-    with suppress(RuntimeError):  # no folder can be written: compiled for every run
-        compiled.enable_caching()
-
-
 def parallel(text: Kernel) -> Kernel:
     """Compile for all threads; loops over `numba.prange` are shared out."""
-    return _compile(text, parallel=True)
+    return builds.compiled(text, parallel=True)
 
 
 def serial(text: Kernel) -> Kernel:
@@ -68,7 +30,7 @@ def serial(text: Kernel) -> Kernel:
     )
     twin.__doc__, twin.__module__ = text.__doc__, text.__module__
     twin.__qualname__ = f"{text.__qualname__}_serial"
-    return _compile(twin)
+    return builds.compiled(twin)
 
 
 def part(text: Kernel) -> Kernel:
@@ -77,7 +39,7 @@ def part(text: Kernel) -> Kernel:
     As kernels of their own, which Python can call and the cache keeps, all parts took half the time
     of compilation once more.
     """
-    return _part(text)
+    return builds.part(text)
 
 
 def inlined(text: Kernel) -> Kernel:
@@ -85,13 +47,7 @@ def inlined(text: Kernel) -> Kernel:
 
     Without force such functions stay calls: a gather took 3.2 times cv2.remap instead of 1.7.
     """
-    return _part(text, forceinline=True)
-
-
-def _part(text: Kernel, **options: bool) -> Kernel:
-    common = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True, **options}
-    known: Kernel = register_jitable(**common)(text)
-    return known
+    return builds.part(text, forceinline=True)
 
 
 def set_threads(count: int | None) -> None:
@@ -136,10 +92,3 @@ def _asleep_while_waiting() -> Iterator[None]:
         yield
     finally:
         del os.environ[WAITING[0]]
-
-
-if knows_inside():
-    from exwarp_cli.kernels import machine_code, warm_cache
-
-    machine_code.defer()
-    warm_cache.load_lightly()

@@ -8,14 +8,46 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.kernels.jit import parallel, serial
+from exwarp_cli.kernels.jit import inlined, parallel, serial
 
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
+B8 = npt.NDArray[np.bool_]
 
 
-def rigid_text(position: F32, depth: F32, camera: F64, at_infinity: F64, out: F32) -> None:
-    """Write the displacement of every pixel to another camera's frame, if its point stands still.
+@inlined
+def displaced(
+    position: F32, depth: F32, camera: F64, at_infinity: F64, i: int, j: int
+) -> tuple[np.float32, np.float32]:
+    """Return the displacement of pixel (i, j), if its point stands still; NaN where it is unseen.
+
+    Parameters as for :func:`rigid_text`.
+    """
+    x, y = np.float64(j), np.float64(i)
+    u, v, w = 0.0, 0.0, 0.0
+    if math.isinf(depth[i, j]):
+        u = at_infinity[0, 0] * x + at_infinity[0, 1] * y + at_infinity[0, 2]
+        v = at_infinity[1, 0] * x + at_infinity[1, 1] * y + at_infinity[1, 2]
+        w = at_infinity[2, 0] * x + at_infinity[2, 1] * y + at_infinity[2, 2]
+    else:
+        a, b, c, d = x, y, 1.0, 1.0 / np.float64(depth[i, j])
+        if position.shape[0] > 0:
+            a = np.float64(position[i, j, 0])
+            b = np.float64(position[i, j, 1])
+            c = np.float64(position[i, j, 2])
+            d = np.float64(1.0)
+        u = camera[0, 0] * a + camera[0, 1] * b + camera[0, 2] * c + camera[0, 3] * d
+        v = camera[1, 0] * a + camera[1, 1] * b + camera[1, 2] * c + camera[1, 3] * d
+        w = camera[2, 0] * a + camera[2, 1] * b + camera[2, 2] * c + camera[2, 3] * d
+    if w > 0:
+        return np.float32(u / w - x), np.float32(v / w - y)
+    return np.float32(np.nan), np.float32(np.nan)
+
+
+def rigid_text(
+    position: F32, depth: F32, camera: F64, at_infinity: F64, still: B8, kept: bool, out: F32
+) -> None:
+    """Write the displacement of pixels to another camera's frame, if their points stand still.
 
     Parameters
     ----------
@@ -28,37 +60,61 @@ def rigid_text(position: F32, depth: F32, camera: F64, at_infinity: F64, out: F3
         (x, y, 1, 1/depth) with x and y this frame's pixel coordinates.
     at_infinity
         float64 [3, 3]: takes (x, y, 1) of a background pixel to the other frame.
+    still
+        bool [H, W]: the pixels that are written; [0, 0] for all.
+    kept
+        Whether pixels keep what they have where the point lies behind the other camera or nowhere;
+        else they become NaN there.
     out
-        float32 [H, W, 2], written, pixels; NaN for what lies behind the other camera or nowhere.
+        float32 [H, W, 2], written, pixels.
     """
     height, width = depth.shape
-    placed = position.shape[0] > 0
+    chosen = still.shape[0] > 0
     for row in numba.prange(height):
         i = np.int64(row)
         for j in range(width):
-            x, y = np.float64(j), np.float64(i)
-            u, v, w = 0.0, 0.0, 0.0
-            if math.isinf(depth[i, j]):
-                u = at_infinity[0, 0] * x + at_infinity[0, 1] * y + at_infinity[0, 2]
-                v = at_infinity[1, 0] * x + at_infinity[1, 1] * y + at_infinity[1, 2]
-                w = at_infinity[2, 0] * x + at_infinity[2, 1] * y + at_infinity[2, 2]
-            else:
-                a, b, c, d = x, y, 1.0, 1.0 / np.float64(depth[i, j])
-                if placed:
-                    a = np.float64(position[i, j, 0])
-                    b = np.float64(position[i, j, 1])
-                    c = np.float64(position[i, j, 2])
-                    d = np.float64(1.0)
-                u = camera[0, 0] * a + camera[0, 1] * b + camera[0, 2] * c + camera[0, 3] * d
-                v = camera[1, 0] * a + camera[1, 1] * b + camera[1, 2] * c + camera[1, 3] * d
-                w = camera[2, 0] * a + camera[2, 1] * b + camera[2, 2] * c + camera[2, 3] * d
-            if w > 0:
-                out[i, j, 0] = np.float32(u / w - x)
-                out[i, j, 1] = np.float32(v / w - y)
-            else:
-                out[i, j, 0] = np.nan
-                out[i, j, 1] = np.nan
+            if chosen and not still[i, j]:
+                continue
+            x, y = displaced(position, depth, camera, at_infinity, i, j)
+            if not (kept and math.isnan(x)):
+                out[i, j, 0], out[i, j, 1] = x, y
 
 
 rigid = parallel(rigid_text)
 rigid_serial = serial(rigid_text)
+
+
+def standing_text(
+    position: F32,
+    depth: F32,
+    camera: F64,
+    at_infinity: F64,
+    step: F32,
+    tolerance: np.float32,
+    out: B8,
+) -> None:
+    """Find the pixels that move as points do which stand still.
+
+    Parameters
+    ----------
+    position, depth, camera, at_infinity
+        As for :func:`rigid_text`.
+    step
+        float32 [H, W, 2], pixels: motion to the other camera's frame; NaN where unknown.
+    tolerance
+        Pixels by which either of its components may miss.
+    out
+        bool [H, W], written.
+    """
+    height, width = depth.shape
+    for row in numba.prange(height):
+        i = np.int64(row)
+        for j in range(width):
+            x, y = displaced(position, depth, camera, at_infinity, i, j)
+            near_x = np.float32(abs(np.float32(step[i, j, 0] - x))) <= tolerance
+            near_y = np.float32(abs(np.float32(step[i, j, 1] - y))) <= tolerance
+            out[i, j] = near_x and near_y
+
+
+standing = parallel(standing_text)
+standing_serial = serial(standing_text)

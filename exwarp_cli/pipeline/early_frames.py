@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 from exwarp_cli.domain.timeline import Timeline
 from exwarp_cli.errors import ExwarpError
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.frames import GEOMETRY, SURFACE, RawFrame, Shot
+
+if TYPE_CHECKING:
+    from exwarp_cli.synthesis.methods import Method
 
 
 @dataclass(frozen=True)
@@ -19,12 +23,12 @@ class Beginning:
     ----------
     frames
         Range of key frames by input number; None for all.
-    extrapolates
-        Whether the method's network wants surfaces.
+    method
+        What makes them.
     """
 
     frames: str | None
-    extrapolates: bool
+    method: Method
 
 
 @dataclass
@@ -53,7 +57,8 @@ class EarlyFrames:
         except ExwarpError:  # it is said when its turn comes
             return cls()
         numbers = timeline.numbers[max(0, first - 1) : first + 2]
-        return cls(numbers, run_roles(shot, run.extrapolates, detects))
+        late = reads_late(shot, run.method)
+        return cls(numbers, run_roles(shot, run.method, detects, late))
 
     def keep(self, frame: RawFrame) -> None:
         """Keep a frame for the run."""
@@ -68,23 +73,35 @@ class EarlyFrames:
         self._frames.clear()
 
 
-def run_roles(shot: Shot, extrapolates: bool, detects: bool) -> tuple[Role, ...]:
+def run_roles(shot: Shot, method: Method, detects: bool, late: bool) -> tuple[Role, ...]:
     """Return what a run reads of a key frame that has vectors, in the key setting.
 
     Parameters
     ----------
     shot
         The key frames.
-    extrapolates
-        Whether the method's network wants surfaces.
+    method
+        What makes frames.
     detects
         Whether cuts are looked for.
+    late
+        Whether the surface, which its network wants, is read late; see `reads_late`.
     """
-    if extrapolates:
+    if method.extrapolates and not late:
         return (Role.COLOUR, *GEOMETRY, *SURFACE)
-    if wants_normals(shot, extrapolates) or normals_tell(shot, detects):
+    if wants_normals(shot, method.extrapolates) or normals_tell(shot, detects):
         return (Role.COLOUR, *GEOMETRY)
     return (Role.COLOUR, *(role for role in GEOMETRY if role is not Role.NORMAL))
+
+
+def reads_late(shot: Shot, method: Method) -> bool:
+    """Whether what only extrapolation wants can be read once an interval's path calls for it.
+
+    A policy decides without. Not where ids of whatever is shown are all there is: what moves is
+    found by all frames that an interval reads.
+    """
+    decides = method.judge is not None and not method.needs_truth and not method.lookahead
+    return decides and (shot.ids is None or shot.ids.dynamic is not None)
 
 
 def wants_normals(shot: Shot, extrapolates: bool) -> bool:

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 from exwarp_cli.domain.extrapolator import HISTORY, Extrapolator
-from exwarp_cli.domain.frame import Float32, GBuffer, KeyFrame, Window
+from exwarp_cli.domain.frame import SURFACE_PARTS, Float32, GBuffer, KeyFrame, Window
 from exwarp_cli.domain.interpolator import Interpolator
 from exwarp_cli.domain.timeline import Slot
+from exwarp_cli.io.lent_memory import filed, rest
 from exwarp_cli.pipeline.instants import between, without_surface
 from exwarp_cli.pipeline.loaded import Loaded, Older
 from exwarp_cli.pipeline.moving_ids import Ids, MovingIds, with_stencils
 from exwarp_cli.synthesis.geometry import settle_motion
 from exwarp_cli.synthesis.history import Past
 from exwarp_cli.synthesis.interval import Interval
+from exwarp_cli.synthesis.memory import Memory
 from exwarp_cli.synthesis.span import span_motion
 from exwarp_cli.synthesis.trajectory import displacement
 
@@ -64,6 +67,26 @@ class Staging:
         ids = self._moving.of(loaded, canvas)
         return self._settled(with_stencils(loaded, ids), (canvas, ids))
 
+    def led_back(self, interval: Interval, loaded: Loaded) -> Interval:
+        """Return an interval with what only extrapolation wants.
+
+        Parameters
+        ----------
+        interval
+            Of the key setting, as it was made without that; nothing was made of it yet.
+        loaded
+            What it was made of, and that.
+        """
+        frame, settled = loaded.frame, interval.key.gbuffer
+        if frame is None or frame.gbuffer is None or settled is None:
+            return interval
+        window = interval.key.image.data_window
+        placed = GBuffer(frame.gbuffer.window, **_surface(frame.gbuffer)).on(window)
+        key = replace(interval.key, gbuffer=replace(settled, **_surface(placed)))
+        basis = window, None
+        self._frames[loaded.key, basis] = key
+        return replace(interval, key=key, past=self._past(loaded, key, basis))
+
     def _settled(self, loaded: Loaded, basis: Basis) -> Interval:
         """Settle what was read, on one window and with what moves as its stencil."""
         assert loaded.frame is not None
@@ -71,19 +94,28 @@ class Staging:
         if loaded.following is not None:
             following = self._frame(loaded.key + 1, loaded.following, basis)
         key = self._frame(loaded.key, loaded.frame, basis)
+        if loaded.late is not None:  # without its surface, none that follows has a use for it
+            del self._frames[loaded.key, basis]
         slots = tuple(settle_motion(gbuffer.on(basis[0])) for gbuffer in loaded.slots)
         past = self._past(loaded, key, basis)
         self._keep(loaded.key, slots, basis)
         networks = (self._network, self._interpolator)
         return Interval(
-            key, following, slots, past, *networks, loaded.times, estimated=self._estimated
+            key,
+            following,
+            slots,
+            past,
+            *networks,
+            loaded.times,
+            estimated=self._estimated,
+            memory=Memory(filed, rest),
         )
 
     def _frame(self, index: int, frame: KeyFrame, basis: Basis) -> KeyFrame:
         if (index, basis) not in self._frames:
             placed = frame.extended(basis[0])
             if placed.gbuffer is not None and not self._estimated:
-                placed = replace(placed, gbuffer=settle_motion(placed.gbuffer))
+                placed = replace(placed, gbuffer=_filed(settle_motion(placed.gbuffer)))
             self._frames[index, basis] = placed
         return self._frames[index, basis]
 
@@ -92,7 +124,7 @@ class Staging:
         newer = key
         for index, older in zip(range(loaded.key - 1, -1, -1), loaded.past, strict=False):
             if (index, basis) not in self._motions:
-                self._motions[index, basis] = self._motion(index, older, newer, basis)
+                self._motions[index, basis] = filed(self._motion(index, older, newer, basis))
             newer = self._frame(index, older.frame, basis)
             found.append(Past(newer, self._motions[index, basis]))
         return tuple(found)
@@ -120,3 +152,16 @@ class Staging:
                 (Slot(key, i), basis): without_surface(gbuffer)
                 for i, gbuffer in enumerate(slots, start=1)
             }
+
+
+def _surface(gbuffer: GBuffer) -> dict[str, Any]:
+    return {part: getattr(gbuffer, part) for part in SURFACE_PARTS}
+
+
+def _filed(gbuffer: GBuffer) -> GBuffer:
+    """Return a G-buffer whose motion, which was just settled, lies where the rest of it does."""
+    before, after = (
+        None if way is None else filed(way) for way in (gbuffer.to_previous, gbuffer.to_next)
+    )
+    rest()
+    return replace(gbuffer, to_previous=before, to_next=after)

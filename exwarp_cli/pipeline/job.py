@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from exwarp_cli.domain.results import FrameRecord, InterpolatorSummary, NetworkSummary, RunSummary
-from exwarp_cli.io import exr
 from exwarp_cli.io.allocator import share_one_arena
 from exwarp_cli.io.footage import close
+from exwarp_cli.io.lent_memory import file_large
 from exwarp_cli.io.output import compression_of
-from exwarp_cli.kernels import jit
+from exwarp_cli.io.threads import use_threads
 from exwarp_cli.pipeline.announcing import (
     Models,
     announce,
@@ -186,6 +186,7 @@ def open_job(settings: UpsampleSettings, runs: bool = True) -> Job:
         For anything that a user can cause, but for what is in the way of the output.
     """
     compression_of(settings.compression)
+    share_one_arena()
     use_threads(settings.threads)
     method, sources = _open_input(settings, runs)
     source = sources[0]
@@ -207,19 +208,13 @@ def open_job(settings: UpsampleSettings, runs: bool = True) -> Job:
     )  # fmt: skip
 
 
-def use_threads(count: int | None) -> None:
-    """Set how many threads compute and decode, from this thread; None for all cores."""
-    share_one_arena()
-    jit.set_threads(count)
-    exr.set_threads(count)
-
-
 def _open_input(settings: UpsampleSettings, runs: bool) -> tuple[Method, tuple[Source, ...]]:
     """Open the input, and settle the method, which may depend on it."""
     named = None if settings.method is None else find_method(settings.method)
+    file_large((named or find_method(USUAL)).extrapolates)
     run = None
     if runs:
-        run = Beginning(settings.frames, (named or find_method(USUAL)).extrapolates)
+        run = Beginning(settings.frames, named or find_method(USUAL))
     motion_needed = named is None or named.needs_motion
     sources = open_sources(settings.source, motion_needed, pictures=True, run=run)
     method = named or find_method(usual_method(sources[0], settings))

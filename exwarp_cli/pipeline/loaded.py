@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 from exwarp_cli.domain.frame import GBuffer, Image, KeyFrame
@@ -39,7 +40,8 @@ class Observed:
     now
         Its geometry; with slot G-buffers motion reaches over one slot.
     before
-        Geometry of the instant before, a key interval or a slot earlier; None at a shot's first.
+        Geometry of the instant before, a key interval or a slot earlier, which may lack vectors and
+        ids; None at a shot's first.
     """
 
     key: int
@@ -87,6 +89,9 @@ class Loaded:
         The key frame before, where layers are led on from there.
     views
         The same interval of the other views that are written.
+    late
+        Returns the interval with what only extrapolation wants, which is read then: the key frame's
+        surface, and `past`; None where it is there, or nothing extrapolates.
     """
 
     key: int
@@ -105,6 +110,7 @@ class Loaded:
     layers: LayerFrames | None = None
     older: KeyFrame | None = None
     views: tuple[Loaded, ...] = ()
+    late: Callable[[Loaded], Loaded] | None = None
 
     def lean(self) -> Loaded:
         """Return the interval without geometry, once it is staged: with raw vectors and positions,
@@ -116,6 +122,7 @@ class Loaded:
             slots=(),
             past=tuple(Older(replace(older.frame, gbuffer=None), ()) for older in self.past),
             observed=(),
+            late=None,
         )
 
 

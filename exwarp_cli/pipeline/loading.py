@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import replace
+from functools import partial
 from itertools import takewhile
 
 from exwarp_cli.domain.cuts import Cut
@@ -20,9 +21,10 @@ from exwarp_cli.io.frames import GEOMETRY, SURFACE, read_raw
 from exwarp_cli.io.sequence import Sequence
 from exwarp_cli.io.template import read_template
 from exwarp_cli.pipeline.contents import Content
-from exwarp_cli.pipeline.early_frames import normals_tell, run_roles, wants_normals
+from exwarp_cli.pipeline.early_frames import normals_tell, reads_late, run_roles, wants_normals
 from exwarp_cli.pipeline.estimating import Estimates
 from exwarp_cli.pipeline.instants import between, over_interval, stretched, without_surface
+from exwarp_cli.pipeline.late_frames import LateFrames
 from exwarp_cli.pipeline.layer_frames import LayerReader
 from exwarp_cli.pipeline.loaded import Loaded, Observed, Older
 from exwarp_cli.pipeline.recipes import Recipes
@@ -63,6 +65,11 @@ class IntervalLoader:
         self._shapes: dict[Slot, GBuffer] = {}
         self._told: set[int] = set()
         self._shots = Shots(source.cuts, source.timeline.numbers, self._key_frame)
+        # Of other views everything is read: their frames are staged with those of the first.
+        alone = own.leads and len(self._contents) == 1 and source.slots is None
+        known = source.finding is not None and not source.estimated
+        late = alone and known and reads_late(source.keys, method)
+        self._late = LateFrames(source, self._shots.within) if late else None
         count = len(source.timeline.numbers)
         self._estimates = Estimates(self._colour, count) if source.estimated else None
 
@@ -100,7 +107,10 @@ class IntervalLoader:
         frame = self._in_shot(key)
         following = self._in_shot(key + 1) if lookahead else None
         gbuffers = tuple(self._slot_gbuffer(slot) for slot in self._slots(key))
-        past = tuple(Older(self._in_shot(i), self._way_back(i)) for i in self._history(key))
+        history = self._history(key)
+        past: tuple[Older, ...] = ()
+        if self._late is None:
+            past = tuple(Older(self._in_shot(i), self._way_back(i)) for i in history)
         observed = self._observed(key)
         back = self._older(key, lookahead)
         older = None if back is None else self._in_shot(back)
@@ -114,6 +124,7 @@ class IntervalLoader:
         return Loaded(
             key, frame, following, gbuffers, past, observed, truth, template, recipes, elapsed,
             ends, times, self._followed(key), layers, older,
+            late=None if self._late is None else partial(self._late.complete, history=history),
         )  # fmt: skip
 
     def _template(self, number: int) -> FrameTemplate:
@@ -224,8 +235,8 @@ class IntervalLoader:
         """
         if self._source.finding is None:
             return (Role.COLOUR,)
-        detects = self._source.cuts.detect
-        return run_roles(self._source.keys, self._method.extrapolates, detects)
+        late = self._late is not None
+        return run_roles(self._source.keys, self._method, self._source.cuts.detect, late)
 
     @property
     def _wants_normals(self) -> bool:
@@ -306,11 +317,23 @@ class IntervalLoader:
             self._shapes[slot] = raw.settle(convention)
         return self._shapes[slot]
 
+    def _keep_shape(self, key: int) -> None:
+        """Keep of a key frame what the features of the next one are found by."""
+        frame = self._frames.get(key)
+        if key in self._told and frame is not None and frame.gbuffer is not None:
+            g = frame.gbuffer
+            self._shapes[Slot(key, 0)] = GBuffer(g.window, g.depth, g.normal, g.position)
+
     def _forget(self, key: int) -> None:
         """Drop what no interval after this one needs."""
         self._source.early.drop()
         self._shapes = {slot: shape for slot, shape in self._shapes.items() if slot.key >= key}
-        oldest = key + 1 - (HISTORY - 1 if self._method.extrapolates else 0)
+        oldest = key + 1
+        if self._late is not None:
+            self._late.forget(key)
+            self._keep_shape(key)
+        elif self._method.extrapolates:
+            oldest -= HISTORY - 1
         if self._layers is not None and self._layers.looks_back:
             oldest = min(oldest, key)
         self._frames = {i: frame for i, frame in self._frames.items() if i >= oldest}

@@ -11,7 +11,7 @@ from exwarp_cli.domain.features import Features
 from exwarp_cli.domain.frame import GBuffer, Window
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.pipeline.loaded import Loaded, Observed
-from exwarp_cli.policy.features import observe
+from exwarp_cli.policy.features import Shapes, compare
 from exwarp_cli.policy.state import KEYS_BACK, Surroundings
 from exwarp_cli.synthesis.geometry import settle_motion
 from exwarp_cli.synthesis.interval import Interval
@@ -37,6 +37,7 @@ class Observer:
         self._span = FACTOR if setting == "key" else 1
         self._starts: dict[int, Features] = {}
         self._begin = 0
+        self._last: Shapes | None = None
 
     def surroundings(
         self,
@@ -70,7 +71,7 @@ class Observer:
             now, raw = settled if instant.key == key else None, instant.now.on(self._display)
             if now is None:
                 now = settle_motion(raw)
-            self._starts[instant.key] = observe(with_ids(now, before, raw), before, self._span)
+            self._starts[instant.key] = self._seen(with_ids(now, before, raw), before, self._span)
         start = self._starts[key]
         now_on = (start, start, start)
         if slots:
@@ -79,11 +80,22 @@ class Observer:
             first, second = (
                 with_ids(times[i + 1], times[i], raw_on[i] if raw_on else None) for i in (0, 1)
             )
-            now_on = (start, observe(first, times[0], 1), observe(second, first, 1))
+            now_on = (start, self._seen(first, times[0], 1), self._seen(second, first, 1))
+            self._last = None  # the next key frame is compared with slot 3
         older = range(key - 1, max(key - KEYS_BACK, self._begin) - 1, -1)
         before_it = tuple(self._starts[i] for i in older)
         self._starts = {i: found for i, found in self._starts.items() if i > key - KEYS_BACK}
         return Surroundings(now_on, before_it)
+
+    def _seen(self, now: GBuffer, before: GBuffer | None, span: int) -> Features:
+        """Return the features of an instant, of which the one before is mostly known."""
+        found = None if before is None else self._shapes(before)
+        self._last = Shapes(now)
+        return compare(now, self._last, found, span)
+
+    def _shapes(self, gbuffer: GBuffer) -> Shapes:
+        known = self._last
+        return known if known is not None and known.are_of(gbuffer) else Shapes(gbuffer)
 
     def of(self, loaded: Loaded, interval: Interval) -> Surroundings:
         """Return what the states of an interval are made of that was read and staged.

@@ -69,8 +69,7 @@ class Run:
             for loaded in read_ahead(tasks, self._ahead):
                 if self.source.timeline.shows(loaded.key):
                     self._pass_key(loaded)
-                staged = self._staged(loaded)
-                loaded = loaded.lean()
+                loaded, staged = self._staged(loaded)
                 self._interval(loaded, staged)
                 del loaded, staged  # before the next one is waited for, and staged
         return with_write_times(self.records, self.sink.write_ms)
@@ -91,7 +90,7 @@ class Run:
         """Whether an earlier run wrote this slot's files as this one would."""
         return self.sink.has(self.source.timeline.number(slot), recipes[slot.index])
 
-    def _staged(self, loaded: Loaded) -> Staged:
+    def _staged(self, loaded: Loaded) -> tuple[Loaded, Staged]:
         """Bring an interval to where slots can be made, and have its path decided."""
         begin = time.perf_counter()
         interval = None if loaded.frame is None else self.staging.interval(loaded)
@@ -106,15 +105,17 @@ class Run:
         shares = {"geometry": geometry_ms / max(len(slots), 1)}
         if chosen is not None:
             shares |= {step: ms / len(slots) for step, ms in chosen.timing_ms.items()}
-        if interval is not None and self._only_moves(loaded):
-            interval = interval.without("position", "normal")
-        return Staged(interval, chosen, frozenset(there), shares)
+        staged = Staged(interval, chosen, frozenset(there), shares)
+        if interval is not None and staged.extrapolates and loaded.late is not None:
+            loaded = loaded.late(loaded)
+            staged = replace(staged, interval=self.staging.led_back(interval, loaded))
+        elif interval is not None and self._only_moves(loaded, staged):
+            staged = replace(staged, interval=interval.without("position", "normal"))
+        return loaded.lean(), staged
 
-    def _only_moves(self, loaded: Loaded) -> bool:
+    def _only_moves(self, loaded: Loaded, staged: Staged) -> bool:
         """Whether slots are made by settled motion, depth and ids of key frames alone."""
-        return not (
-            loaded.slots or loaded.truth or self.beside.anything or self.method.extrapolates
-        )
+        return not (loaded.slots or loaded.truth or self.beside.anything or staged.extrapolates)
 
     def _interval(self, loaded: Loaded, staged: Staged) -> None:
         """Make the slots after a key frame."""
@@ -140,7 +141,7 @@ class Run:
             self.progress.advance(record.number, record.method)
             if interval is not None and self._scoring is None:
                 # Of the paper's paths a slot may be made by way of the one before it.
-                interval.forget(slot.index - 1 if self.method.extrapolates else slot.index)
+                interval.forget(slot.index - 1 if staged.extrapolates else slot.index)
             del shown
         self._complete(loaded)
 

@@ -7,7 +7,9 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TypeVar
 
+from exwarp_cli.domain.cores import waiting, working
 from exwarp_cli.errors import InputError
+from exwarp_cli.io.threads import for_kernels
 
 T = TypeVar("T")
 
@@ -17,18 +19,30 @@ def read_ahead(tasks: Iterable[Callable[[], T]], depth: int) -> Iterator[T]:
 
     An error of a task is raised where its result is due.
     """
-    waiting: deque[Future[T]] = deque()
-    with ThreadPoolExecutor(1, thread_name_prefix="exwarp-read") as pool:
-        try:
-            for task in tasks:
-                waiting.append(pool.submit(task))
-                if len(waiting) > depth:
-                    yield waiting.popleft().result()
-            while waiting:
-                yield waiting.popleft().result()
-        finally:
-            for future in waiting:
-                future.cancel()
+    ahead: deque[Future[T]] = deque()
+    pool = ThreadPoolExecutor(1, "exwarp-read", for_kernels)
+    try:
+        for task in tasks:
+            ahead.append(pool.submit(_worked, task))
+            if len(ahead) > depth:
+                yield awaited(ahead.popleft())
+        while ahead:
+            yield awaited(ahead.popleft())
+    finally:
+        with waiting():
+            pool.shutdown(wait=True, cancel_futures=True)
+
+
+def awaited(future: Future[T]) -> T:
+    """Return what another thread makes; it may work on this one's cores until it is there."""
+    with waiting():
+        return future.result()
+
+
+def _worked(task: Callable[[], T]) -> T:
+    """Do a task on a core."""
+    with working():
+        return task()
 
 
 class WriteBehind:
@@ -39,7 +53,7 @@ class WriteBehind:
     """
 
     def __init__(self, threads: int, depth: int) -> None:
-        self._pool = ThreadPoolExecutor(threads, thread_name_prefix="exwarp-write")
+        self._pool = ThreadPoolExecutor(threads, "exwarp-write", for_kernels)
         self._depth = depth
         self._waiting: deque[Future[None]] = deque()
 
@@ -49,15 +63,16 @@ class WriteBehind:
     def submit(self, write: Callable[[], None]) -> None:
         """Queue a write; blocks while `depth` writes are under way."""
         while len(self._waiting) >= self._depth:
-            self._waiting.popleft().result()
-        self._waiting.append(self._pool.submit(write))
+            awaited(self._waiting.popleft())
+        self._waiting.append(self._pool.submit(_worked, write))
 
     def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
         if kind is not None and not issubclass(kind, InputError):
             for future in self._waiting:
                 future.cancel()
         # What has begun is finished either way: a write is quick and leaves whole files.
-        self._pool.shutdown(wait=True)
+        with waiting():
+            self._pool.shutdown(wait=True)
         if kind is None:
             for future in self._waiting:
                 future.result()

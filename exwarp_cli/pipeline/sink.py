@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
@@ -11,6 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from exwarp_cli.domain import cores
 from exwarp_cli.domain.frame import Bool, Image, Window
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.io.atomic import atomic_copy
@@ -68,7 +68,7 @@ class Sink(Held):
         """Milliseconds that writing took, by the frame's number; complete at the end."""
 
     def _open(self, stack: ExitStack) -> None:
-        threads = self._settings.threads or os.cpu_count() or 1
+        threads = cores.count()
         self._writer = stack.enter_context(WriteBehind(threads, self._behind + threads))
         if self._targets.video is not None:
             height, width = self._display.shape

@@ -9,7 +9,9 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from typing import Generic, TypeVar
 
+from exwarp_cli.domain.cores import waiting, working
 from exwarp_cli.kernels import jit
+from exwarp_cli.pipeline.schedule import awaited
 
 T = TypeVar("T")
 
@@ -41,7 +43,8 @@ class SlotsAtOnce:
 
     def __exit__(self, *exc: object) -> None:
         if self._pool is not None:
-            self._pool.shutdown(wait=True, cancel_futures=True)
+            with waiting():
+                self._pool.shutdown(wait=True, cancel_futures=True)
 
     @property
     def pays(self) -> bool:
@@ -54,7 +57,12 @@ class SlotsAtOnce:
             start = partial(jit.set_threads, self._share)  # holds for the thread that calls it
             self._pool = ThreadPoolExecutor(self._workers, "exwarp-slot", start)
         pool = self._pool
-        return Begun(lambda slot: pool.submit(timed, make, slot), slots, self._workers)
+
+        def work(slot: int) -> Timed[T]:
+            with working(self._share):
+                return timed(make, slot)
+
+        return Begun(lambda slot: pool.submit(work, slot), slots, self._workers)
 
 
 class Begun(Generic[T]):
@@ -84,7 +92,7 @@ class Begun(Generic[T]):
 
     def take(self, slot: int) -> Timed[T]:
         """Wait for a slot that is under way; raises what making it raised."""
-        made = self._under_way.pop(slot).result()
+        made = awaited(self._under_way.pop(slot))
         if self._later:
             self._next()
         return made

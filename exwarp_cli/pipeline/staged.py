@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from exwarp_cli.domain.decision import Plan
+from exwarp_cli.domain.decision import PATHS, Plan
 from exwarp_cli.domain.frame import Bool, broken_pixels
 from exwarp_cli.domain.results import FrameRecord
 from exwarp_cli.domain.timeline import Slot
@@ -36,6 +36,11 @@ class Staged:
     chosen: Chosen | None
     there: frozenset[Slot]
     shares: dict[str, float]
+
+    @property
+    def extrapolates(self) -> bool:
+        """Whether its network makes any of the slots."""
+        return self.plan is not None and PATHS[self.plan.path].extrapolates
 
     @property
     def plan(self) -> Plan | None:

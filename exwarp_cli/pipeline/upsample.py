@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import time
 
+from exwarp_cli.domain.cores import working
 from exwarp_cli.domain.cuts import Cut
 from exwarp_cli.domain.frame import Window
 from exwarp_cli.domain.results import FrameRecord, RunSummary
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.io import allocator, lent_memory
+from exwarp_cli.io.threads import use_threads
 from exwarp_cli.kernels import jit
 from exwarp_cli.pipeline.choosing import Chooser, always, by_policy, by_truth
 from exwarp_cli.pipeline.finding import is_usual
 from exwarp_cli.pipeline.geometry import Staging
-from exwarp_cli.pipeline.job import Job, open_job, use_threads
+from exwarp_cli.pipeline.job import Job, open_job
 from exwarp_cli.pipeline.layers import Beside
 from exwarp_cli.pipeline.loading import IntervalLoader
 from exwarp_cli.pipeline.progress import NoProgress, Progress
@@ -96,6 +98,7 @@ def write_intervals(
         As `RunSummary` has them.
     """
     settings = job.settings
+    allocator.share_one_arena()
     use_threads(settings.threads)
     # Of what vectors were measured in: half of the memory of a run at 3840x2160.
     lent_memory.forget()
@@ -106,7 +109,8 @@ def write_intervals(
         if watcher is None and is_kept(job.targets, settings, note):
             return (), loader.cuts
         run = _run_of(job, note, progress, watcher)
-        return run.write_all(loader, job.keys), loader.cuts
+        with working():
+            return run.write_all(loader, job.keys), loader.cuts
     finally:
         job.close()
 

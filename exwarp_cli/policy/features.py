@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
 from exwarp_cli.domain.features import Features
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, Int32
-from exwarp_cli.kernels import blocks, emd, labelling
+from exwarp_cli.kernels import blocks, emd, labelling, medians
 
 BLOCK = 16
 """Side of the blocks whose mean motion the variance is taken of, pixels."""
@@ -19,15 +18,53 @@ MIN_AREA, MIN_PIXELS = 1e-4, 4
 and sparks would outnumber what matters for warping."""
 
 
+class Shapes:
+    """What of an instant's geometry is compared with another instant's.
+
+    Attributes
+    ----------
+    window
+        What it covers.
+    shown
+        bool [H, W]: pixels that show a surface.
+    normals, positions
+        None where there are none.
+    """
+
+    def __init__(self, gbuffer: GBuffer) -> None:
+        self.window = gbuffer.window
+        self.shown: Bool = ~gbuffer.background
+        self.normals, self.positions = (
+            None if part is None else emd.Values(part, self.shown)
+            for part in (gbuffer.normal, gbuffer.position)
+        )
+        self._parts = _parts(gbuffer)
+
+    def are_of(self, gbuffer: GBuffer) -> bool:
+        """Whether they are made of these very arrays."""
+        return all(a is b for a, b in zip(self._parts, _parts(gbuffer), strict=True))
+
+
+def _parts(gbuffer: GBuffer) -> tuple[Float32 | None, ...]:
+    return gbuffer.depth, gbuffer.normal, gbuffer.position
+
+
 def observe(now: GBuffer, before: GBuffer | None, span: int) -> Features:
+    """Return the features of an instant; see `compare`, which looks at each instant once."""
+    return compare(now, Shapes(now), None if before is None else Shapes(before), span)
+
+
+def compare(now: GBuffer, shapes: Shapes, before: Shapes | None, span: int) -> Features:
     """Return the features of an instant.
 
     Parameters
     ----------
     now
         Its geometry. What is missing gives 0; a stencil may be filled in from elsewhere.
+    shapes
+        Of that.
     before
-        Geometry of the instant before, on the same window; None at the first, whose earth mover's
+        Those of the instant before, on the same window; None at the first, whose earth mover's
         distances are 0.
     span
         Slots between the two instants, which the motion vectors span too: 1 with G-buffers of every
@@ -47,11 +84,8 @@ def observe(now: GBuffer, before: GBuffer | None, span: int) -> Features:
         raise ValueError(f"features span {span} slots; give 1 or more")
     if before is not None and before.window != now.window:
         raise ValueError(f"features of {now.window} cannot be compared with {before.window}")
-    shown = ~now.background
-    moved = (0.0, 0.0)
-    if before is not None:
-        moved = _moved(before, now, shown)
-    var_x, var_y = _variances(now, shown)
+    moved = (0.0, 0.0) if before is None else _moved(before, shapes)
+    var_x, var_y = _variances(now, shapes.shown)
     return Features(
         objects=0 if now.stencil is None else count_objects(now.stencil),
         emd_normal=moved[0] / span,
@@ -60,17 +94,16 @@ def observe(now: GBuffer, before: GBuffer | None, span: int) -> Features:
         var_y=var_y / span**2,
         width=now.window.width,
         height=now.window.height,
-        distance=distance(now, shown),
+        distance=distance(now, shapes.shown),
     )
 
 
 def count_objects(stencil: Int32) -> int:
     """N_d: connected areas of one id above 0, of MIN_AREA and MIN_PIXELS at least; int32 [H, W]."""
-    labels = np.empty(stencil.shape, np.int32)
-    areas = np.empty(labelling.label(stencil, labels) + 1, np.int64)
-    labelling.measure_areas(labels, areas)
+    areas = np.empty(stencil.size + 1, np.int64)
+    count = labelling.measure_areas(stencil, areas)
     least = max(MIN_AREA * stencil.size, MIN_PIXELS)
-    return int((areas[1:] >= least).sum())
+    return int((areas[1:count] >= least).sum())
 
 
 def distance(gbuffer: GBuffer, shown: Bool) -> float:
@@ -87,33 +120,31 @@ def distance(gbuffer: GBuffer, shown: Bool) -> float:
         bool [H, W]: pixels that show a surface.
     """
     if gbuffer.depth is not None:
-        return _median(gbuffer.depth[shown & (gbuffer.depth > 0)])
+        with np.errstate(over="ignore"):
+            return _known(medians.positive(gbuffer.depth, shown))
     if gbuffer.position is None:
         return 0.0
     places = gbuffer.position[shown].astype(np.float64)
     places = places[np.isfinite(places).all(axis=-1)]
-    return _median(np.linalg.norm(places - places.mean(axis=0), axis=-1)) if len(places) else 0.0
-
-
-def _median(values: Float32 | npt.NDArray[np.float64]) -> float:
-    """Return the median, 0 without values; also 0 where it is so large that it overflows."""
-    if not values.size:
+    if not len(places):
         return 0.0
     with np.errstate(over="ignore"):
-        median = float(np.median(values, overwrite_input=True))
-    return median if math.isfinite(median) else 0.0
+        away = np.linalg.norm(places - places.mean(axis=0), axis=-1)
+        return _known(np.median(away, overwrite_input=True))
 
 
-def _moved(before: GBuffer, now: GBuffer, shown: Bool) -> tuple[float, float]:
+def _known(median: np.floating) -> float:
+    """Return a median, 0 where there is none, or it is so large that it overflows."""
+    return float(median) if math.isfinite(median) else 0.0
+
+
+def _moved(before: Shapes, now: Shapes) -> tuple[float, float]:
     """EMD_Wn and EMD_Wp over the whole span; 0 for what either instant lacks."""
-    shown_before = ~before.background
 
-    def mean(one: Float32 | None, other: Float32 | None) -> float:
-        if one is None or other is None:
-            return 0.0
-        return float(emd.distances(one, other, shown_before, shown).mean())
+    def mean(one: emd.Values | None, other: emd.Values | None) -> float:
+        return 0.0 if one is None or other is None else float(emd.distances(one, other).mean())
 
-    return mean(before.normal, now.normal), mean(before.position, now.position)
+    return mean(before.normals, now.normals), mean(before.positions, now.positions)
 
 
 def _variances(gbuffer: GBuffer, shown: Bool) -> tuple[float, float]:

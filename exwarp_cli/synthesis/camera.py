@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.domain.frame import Float32, GBuffer, Int32
+from exwarp_cli.domain.frame import Bool, Float32, GBuffer, Int32
 from exwarp_cli.kernels import project
 from exwarp_cli.synthesis.resection import MIN_SAMPLES, fit
 from exwarp_cli.synthesis.resection import Camera as Camera
@@ -184,9 +184,49 @@ def seen_by(scene: Scene, camera: Camera) -> Float32:
         Pixels; NaN for what lies behind the camera.
     """
     out = np.empty((*scene.depth.shape, 2), np.float32)
-    at_infinity = _at_infinity(scene, camera)
-    project.rigid(scene.position, scene.depth, camera.matrix, at_infinity, out)
+    project.rigid(*_sight(scene, camera), np.zeros((0, 0), np.bool_), False, out)
     return out
+
+
+def place_still(
+    scene: Scene, camera: Camera, still: Bool, motion: Float32, kept: bool = False
+) -> None:
+    """Write what `seen_by` returns to the pixels of a motion field that stand still.
+
+    Parameters
+    ----------
+    scene, camera
+        As there.
+    still
+        bool [H, W].
+    motion
+        float32 [H, W, 2], changed.
+    kept
+        Whether it is kept for what lies behind the camera.
+    """
+    project.rigid(*_sight(scene, camera), still, kept, motion)
+
+
+def standing(scene: Scene, camera: Camera, step: Float32, tolerance: float) -> Bool:
+    """bool [H, W]: pixels whose motion is what `seen_by` returns, but for a tolerance in pixels.
+
+    Parameters
+    ----------
+    scene, camera
+        As there.
+    step
+        float32 [H, W, 2], pixels: motion to the camera's frame; NaN where unknown.
+    tolerance
+        Of either component.
+    """
+    out = np.empty(scene.depth.shape, np.bool_)
+    project.standing(*_sight(scene, camera), step, np.float32(tolerance), out)
+    return out
+
+
+def _sight(scene: Scene, camera: Camera) -> tuple[Float32, Float32, F64, F64]:
+    """Return what kernels need of a scene and another camera."""
+    return scene.position, scene.depth, camera.matrix, _at_infinity(scene, camera)
 
 
 def _at_infinity(scene: Scene, camera: Camera) -> F64:

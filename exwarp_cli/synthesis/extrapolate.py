@@ -7,12 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from exwarp_cli.domain.extrapolator import HISTORY, Inputs, NetworkInputs
+from exwarp_cli.domain.extrapolator import HISTORY, INPUTS, Inputs, NetworkInputs
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, KeyFrame
 from exwarp_cli.domain.timeline import FACTOR
+from exwarp_cli.kernels import planes
 from exwarp_cli.synthesis.geometry import SlotField
 from exwarp_cli.synthesis.history import LookBack, Past
-from exwarp_cli.synthesis.modulation import decode, encode, modulation_of
+from exwarp_cli.synthesis.memory import Memory
+from exwarp_cli.synthesis.modulation import decode, demodulated, encode_in_place, modulation_of
+from exwarp_cli.synthesis.surface import SMOOTH
 from exwarp_cli.synthesis.warp import fill_holes, sampled, warp
 
 UNKNOWN_DEPTH = 0.5
@@ -21,8 +24,14 @@ UNKNOWN_METALLIC = 0.0
 """What the network is told of a slot whose G-buffer lacks depth, roughness or metallic; an unknown
 normal is 0, as that of the background."""
 
-ALL = (slice(None), slice(None))
-"""Every row and column."""
+COLOUR_PLANES = ((0, 6), (13, 3), (17, 3), (21, 3))
+"""Which of a network's planes, in the order of INPUTS, hold colour: the first, and how many."""
+
+NO_PLANE, NO_VECTORS = np.zeros((0, 0), np.float32), np.zeros((0, 0, 3), np.float32)
+"""What kernels are given for what is not known."""
+
+ALL = slice(None)
+"""Every row or column."""
 
 
 @dataclass(frozen=True)
@@ -40,11 +49,6 @@ class Moved:
     pixels: Float32
     visible: Bool
 
-    def part(self, rows: slice, columns: slice) -> Float32:
-        """Return coded colour and mask of some rows and columns, float32 [4, H, W]."""
-        visible = self.visible[None, rows, columns].astype(np.float32)
-        return np.concatenate([_coded(self.pixels[rows, columns]), visible])
-
 
 @dataclass(frozen=True)
 class SlotInputs:
@@ -60,16 +64,16 @@ class SlotInputs:
         float32 [H, W, C]: the first of them with its holes filled.
     surface
         The slot's G-buffer.
-    depth
-        float32 [H, W], relative.
+    median
+        Of its depth, where it is finite.
     time
         Of the slot in its key interval.
     """
 
-    frames: tuple[Moved, ...]
+    frames: tuple[Moved, Moved, Moved]
     filled: Float32
     surface: GBuffer
-    depth: Float32
+    median: float
     time: float
 
     @property
@@ -77,66 +81,53 @@ class SlotInputs:
         """Height and width."""
         return self.surface.window.shape
 
-    def part(self, rows: slice, columns: slice) -> NetworkInputs:
-        """Return the inputs of some rows and columns."""
-        where = (rows, columns)
-        return NetworkInputs(
-            self._warped(*where), self._mask(*where), self._features(*where),
-            self._history(*where), self.time,
+    def part(self, rows: slice, columns: slice, room: Float32 | None = None) -> NetworkInputs:
+        """Return the inputs of some rows and columns; beyond the frame its edge is repeated."""
+        (top, bottom), (left, right) = (
+            (given.start or 0, size if given.stop is None else given.stop)
+            for given, size in zip((rows, columns), self.shape, strict=True)
+        )
+        shape = sum(INPUTS.values()), bottom - top, right - left
+        made = np.empty(shape, np.float32) if room is None else room
+        known = self.surface
+        surface = _plane(known.depth), _plane(known.normal, NO_VECTORS)
+        materials = _plane(known.roughness), _plane(known.metallic)
+        frames = tuple((frame.pixels, frame.visible) for frame in self.frames)
+        defaults = UNKNOWN_DEPTH, UNKNOWN_ROUGHNESS, UNKNOWN_METALLIC
+        planes.spread(
+            frames, self.filled, (*surface, *materials), defaults, np.float32(self.median),
+            (top, left), made,
         )  # fmt: skip
+        for first, count in COLOUR_PLANES:
+            encode_in_place(made[first : first + count])
+        ends = np.cumsum(list(INPUTS.values()))[:-1]
+        warped, mask, features, history = np.split(made, ends)
+        return NetworkInputs(warped, mask, features, history, self.time)
 
     @property
     def warped(self) -> Float32:
         """As `NetworkInputs` has it, of the whole frame; so are the other planes."""
-        return self._warped(*ALL)
+        return self.part(ALL, ALL).warped
 
     @property
     def mask(self) -> Float32:
         """float32 [1, H, W]."""
-        return self._mask(*ALL)
+        return self.part(ALL, ALL).mask
 
     @property
     def features(self) -> Float32:
         """float32 [6, H, W]."""
-        return self._features(*ALL)
+        return self.part(ALL, ALL).features
 
     @property
     def history(self) -> Float32:
         """float32 [12, H, W]."""
-        return self._history(*ALL)
+        return self.part(ALL, ALL).history
 
     @property
     def pictures(self) -> dict[str, Float32]:
         """The picture inputs by name."""
-        return self.part(*ALL).pictures
-
-    def _warped(self, rows: slice, columns: slice) -> Float32:
-        last = self.frames[0]
-        shown = last.pixels[rows, columns] * last.visible[rows, columns, None]
-        return np.concatenate([_coded(shown), _coded(self.filled[rows, columns])])
-
-    def _mask(self, rows: slice, columns: slice) -> Float32:
-        return self.frames[0].visible[None, rows, columns].astype(np.float32)
-
-    def _history(self, rows: slice, columns: slice) -> Float32:
-        return np.concatenate([frame.part(rows, columns) for frame in self.frames])
-
-    def _features(self, rows: slice, columns: slice) -> Float32:
-        """Return the six feature planes, with defaults for what is not known."""
-        depth = self.depth[rows, columns]
-        normal, roughness, metallic = (
-            None if array is None else array[rows, columns]
-            for array in (self.surface.normal, self.surface.roughness, self.surface.metallic)
-        )
-        if normal is None:
-            normal = np.zeros((*depth.shape, 3), np.float32)
-        planes = [
-            *np.clip(np.nan_to_num(normal, posinf=0, neginf=0), -1, 1).transpose(2, 0, 1),
-            depth,
-            _plane(roughness, depth.shape, UNKNOWN_ROUGHNESS),
-            _plane(metallic, depth.shape, UNKNOWN_METALLIC),
-        ]
-        return np.stack(planes).astype(np.float32)
+        return self.part(ALL, ALL).pictures
 
 
 @dataclass(frozen=True)
@@ -149,29 +140,30 @@ class Prepared:
         For the network.
     modulation
         float32 [H, W, 3] that its answer is multiplied with; None for an answer that is colour.
-    alpha
-        float32 [H, W, 1], warped and filled; [H, W, 0] without.
-    empty
-        bool [H, W]: the filled warp is 0 in colour and alpha; so is the frame, where it has alpha.
+    filled
+        float32 [H, W, C]: the filled warp, whose alpha is taken over. Where it has some, and both
+        colour and alpha are 0, so they are in the frame.
     """
 
     inputs: Inputs
     modulation: Float32 | None
-    alpha: Float32
-    empty: Bool
+    filled: Float32
 
     def finish(self, answer: Float32) -> Float32:
         """Turn the network's answer, float32 [3, H, W], into scene-linear colour [H, W, C]."""
-        colour = decode(answer.transpose(1, 2, 0))
-        if self.modulation is not None:
-            colour = colour * self.modulation
-        if self.alpha.size:
-            colour = np.where(self.empty[..., None], np.float32(0), colour)
-        return np.concatenate([colour, self.alpha], axis=-1).astype(np.float32, order="C")
+        out = np.empty_like(self.filled)
+        modulation = NO_VECTORS if self.modulation is None else self.modulation
+        planes.join(decode(answer), modulation, self.filled, out)
+        return out
 
 
 def prepare(
-    slot: int, back: SlotField, seen: LookBack, key: KeyFrame, past: Sequence[Past]
+    slot: int,
+    back: SlotField,
+    seen: LookBack,
+    key: KeyFrame,
+    past: Sequence[Past],
+    memory: Memory,
 ) -> Prepared:
     """Gather what the network needs for a slot.
 
@@ -183,53 +175,52 @@ def prepare(
         The slot's motion field to the key frame, and what is known of its surfaces.
     key, past
         F_k, and F_k-1 and F_k-2 as far as they are there.
+    memory
+        Where they lie.
     """
+    keep, rest = memory.keep, memory.rest
     modulation = _modulation(seen)
-    demodulated = modulation is not None
-    last = warp(_shading(key, demodulated), back)
-    filled, visible = fill_holes(last.pixels.copy(), last.depth, last.hole), ~last.hole
-    history = [Moved(last.pixels, visible)]
+    divided = modulation is not None
+    if modulation is not None:
+        modulation = keep(modulation)
+    # Its colours are in the modulation.
+    surface = seen.surface.without(*SMOOTH)
+    rest()
+    last = warp(_shading(key, divided), back)
+    filled = keep(fill_holes(last.pixels.copy(), last.depth, last.hole))
+    history = [Moved(keep(last.pixels), ~last.hole)]
+    del last
+    rest()
     for step, field, hidden in zip(past, seen.fields, seen.hidden, strict=False):
-        pixels, unseen = sampled(_shading(step.frame, demodulated), field)
-        history.append(Moved(pixels, ~(unseen | hidden)))
+        pixels, unseen = sampled(_shading(step.frame, divided), field)
+        history.append(Moved(keep(pixels), ~(unseen | hidden)))
+        del pixels
+        rest()
     history += [history[-1]] * (HISTORY - len(history))
-    depth = _relative_depth(seen.surface)
-    inputs = SlotInputs(tuple(history), filled, seen.surface, depth, slot / FACTOR)
-    empty = (filled == 0).all(axis=-1)
-    return Prepared(inputs, modulation, filled[..., 3:], empty)
+    now, before, oldest = history
+    median = _median(surface.depth)
+    inputs = SlotInputs((now, before, oldest), filled, surface, median, slot / FACTOR)
+    return Prepared(inputs, modulation, filled)
 
 
-def _shading(frame: KeyFrame, demodulated: bool) -> Float32:
-    """Return a frame's pixels, float32 [H, W, C], divided by its surface colour."""
-    pixels = frame.image.pixels
-    modulation = None
-    if demodulated and frame.gbuffer is not None:
-        modulation = modulation_of(frame.gbuffer)
-    if modulation is None:
-        return pixels
-    return np.concatenate([pixels[..., :3] / modulation, pixels[..., 3:]], axis=-1)
+def _shading(frame: KeyFrame, divided: bool) -> Float32:
+    """Return a frame's pixels, float32 [H, W, C], divided by its surface colour where known."""
+    shading = demodulated(frame) if divided else None
+    return frame.image.pixels if shading is None else shading
 
 
-def _coded(pixels: Float32) -> Float32:
-    """Return colour as the network sees it, float32 [3, H, W]."""
-    return np.ascontiguousarray(encode(pixels[..., :3]).transpose(2, 0, 1))
+def _plane(values: Float32 | None, nothing: Float32 = NO_PLANE) -> Float32:
+    """Return what a kernel is given."""
+    return nothing if values is None else np.ascontiguousarray(values)
 
 
-def _plane(values: Float32 | None, shape: tuple[int, int], unknown: float) -> Float32:
-    if values is None:
-        return np.full(shape, unknown, np.float32)
-    return np.asarray(np.clip(np.nan_to_num(values, nan=unknown), 0, 1))
-
-
-def _relative_depth(surface: GBuffer) -> Float32:
-    """Return d / (d + median): 0 to 1 whatever the unit, 1 for the background."""
-    if surface.depth is None:
-        return np.full(surface.window.shape, UNKNOWN_DEPTH, np.float32)
-    depth = np.maximum(surface.depth, 0)
-    finite = depth[np.isfinite(depth)]
-    median = float(np.median(finite)) if finite.size else 1.0
-    relative = 1 - median / (depth + max(median, np.finfo(np.float32).tiny))
-    return np.asarray(np.nan_to_num(relative, nan=UNKNOWN_DEPTH), np.float32)
+def _median(depth: Float32 | None) -> float:
+    """Return the median of the finite depths, by which they become relative: d / (d + median)."""
+    if depth is None:
+        return 1.0
+    away = np.maximum(depth, 0)
+    known = away[np.isfinite(away)]
+    return float(np.median(known)) if known.size else 1.0
 
 
 def _modulation(seen: LookBack) -> Float32 | None:

@@ -12,10 +12,11 @@ from exwarp_cli.domain.frame import Bool, Float32, GBuffer
 from exwarp_cli.kernels import edges, holes, settling, splat
 from exwarp_cli.synthesis.camera import (
     Scene,
+    camera_after,
     cameras_around,
-    rigid_motion,
+    place_still,
     scene_of,
-    seen_by,
+    standing,
 )
 from exwarp_cli.synthesis.trajectory import displacement, followed, stencil_of
 
@@ -110,11 +111,8 @@ def stands_still(gbuffer: GBuffer, scene: Scene | None) -> Bool | None:
     step = gbuffer.to_next if gbuffer.to_next is not None else gbuffer.to_previous
     if step is None or scene is None:
         return None
-    rigid = rigid_motion(scene, step, gbuffer.stencil)
-    if rigid is None:
-        return None
-    with np.errstate(invalid="ignore"):
-        return np.asarray(np.abs(step - rigid).max(axis=-1) <= STATIC_TOLERANCE)
+    camera = camera_after(scene, step, gbuffer.stencil)
+    return None if camera is None else standing(scene, camera, step, STATIC_TOLERANCE)
 
 
 def reproject(gbuffer: GBuffer, time: float) -> SlotField:
@@ -141,11 +139,23 @@ def moved_on(gbuffer: GBuffer, motion: Float32) -> SlotField:
         float32 [H, W, 2], pixels: where each of its pixels moves; NaN for nowhere.
     """
     depth = depth_of(gbuffer)
+    field, near = _splatted(depth, motion)
+    return SlotField(field, near, np.isnan(near), _fringe(field, near, depth))
+
+
+def led_back(gbuffer: GBuffer, motion: Float32) -> Float32:
+    """Return the field alone of `moved_on`, float32 [H, W, 2]."""
+    field, _ = _splatted(depth_of(gbuffer), motion)
+    return field
+
+
+def _splatted(depth: Float32, motion: Float32) -> tuple[Float32, Float32]:
+    """Move surfaces; return the field back, and the depth of what is shown then."""
     field, near = np.empty_like(motion), np.empty_like(depth)
     reach = np.empty(splat.reach_shape(depth.shape), np.float32)
     splat.row_reach(motion, reach)
     splat.splat(motion, depth, reach, field, near)
-    return SlotField(field, near, np.isnan(near), _fringe(field, near, depth))
+    return field, near
 
 
 def compose_back(slots: Sequence[GBuffer], key: GBuffer) -> list[SlotField]:
@@ -180,29 +190,23 @@ def _chain(slots: Sequence[GBuffer], key: GBuffer, way: int) -> list[SlotField]:
         step = slot.to_next if way > 0 else slot.to_previous
         assert step is not None
         here = scene_of(slot)
-        direct = _still(here, before, last, step)
-        moved = followed(slot, slots[:count][::-1], way)
-        field = moved if direct is None else np.where(np.isnan(direct), moved, direct)
+        field = followed(slot, slots[:count][::-1], way)
+        still = _still(here, before, step)
+        if still is not None and here is not None and last is not None and last.camera is not None:
+            place_still(here, last.camera, still, field, kept=True)
         out.append(matched(slot, key, field, count + 1))
         before = here
     return out
 
 
-def _still(
-    here: Scene | None, before: Scene | None, key: Scene | None, step: Float32
-) -> Float32 | None:
-    """Return the motion of still points from a slot to the key frame, NaN for what moves.
+def _still(here: Scene | None, before: Scene | None, step: Float32) -> Bool | None:
+    """Return which points of a slot stand still; None without world positions.
 
-    A point stands still if its step to the neighbouring slot is the cameras'. None without world
-    positions in all three frames.
+    A point does if its step to the neighbouring slot is the cameras'.
     """
-    if here is None or before is None or key is None:
+    if here is None or before is None or here.camera is None or before.camera is None:
         return None
-    if here.camera is None or before.camera is None or key.camera is None:
-        return None
-    away = np.abs(step - seen_by(here, before.camera)).max(axis=-1)
-    still = np.isinf(here.depth) | (away <= STATIC_TOLERANCE)
-    return np.where(still[..., None], seen_by(here, key.camera), np.float32(np.nan))
+    return np.isinf(here.depth) | standing(here, before.camera, step, STATIC_TOLERANCE)
 
 
 def _fringe(field: Float32, near: Float32, depth: Float32) -> Bool:

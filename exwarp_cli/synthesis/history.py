@@ -11,20 +11,19 @@ import numpy as np
 
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, KeyFrame
 from exwarp_cli.domain.timeline import FACTOR
-from exwarp_cli.kernels.follow import follow
-from exwarp_cli.synthesis.camera import (
-    Camera,
-    Scene,
-    camera_after,
-    scene_of,
-    seen_by,
-)
-from exwarp_cli.synthesis.geometry import SlotField, moved_on, stands_still, unmatched
+from exwarp_cli.kernels.follow import follow, follow_shown
+from exwarp_cli.kernels.surface import go_on
+from exwarp_cli.synthesis.camera import Camera, Scene, camera_after, place_still, scene_of
+from exwarp_cli.synthesis.geometry import SlotField, led_back, stands_still, unmatched
+from exwarp_cli.synthesis.memory import Memory
 from exwarp_cli.synthesis.surface import lookup, reprojected
 from exwarp_cli.synthesis.trajectory import displacement, stencil_of
 
 SAME_POINT = 2.0
 """Pixels of the key frame within which two samples show the same surface point."""
+
+UNFORESEEN = np.zeros((0, 0, 2), np.float32)
+"""What is expected where nothing is."""
 
 
 @dataclass(frozen=True)
@@ -73,6 +72,50 @@ def past_of(keys: Sequence[KeyFrame]) -> tuple[Past, ...]:
 
 
 @dataclass(frozen=True)
+class BetweenKeys:
+    """What lies between successive key frames, whichever slot is looked back from; made lazily.
+
+    Attributes
+    ----------
+    key, past
+        As for :func:`look_back`.
+    memory
+        Where the frames lie.
+    """
+
+    key: GBuffer
+    past: Sequence[Past]
+    memory: Memory
+
+    @cached_property
+    def gone(self) -> tuple[Bool, ...]:
+        """For each older key frame, bool [H, W]: what the one after it shows, and it does not.
+
+        As far back as there is geometry.
+        """
+        found, newer = [], self.key
+        for step in self.past:
+            older = step.frame.gbuffer
+            if older is None:
+                break
+            found.append(unmatched(newer, older, step.motion, FACTOR))
+            newer = older
+            self.memory.rest()
+        return tuple(found)
+
+    def camera_at(self, time: float) -> Camera | None:
+        """Return the camera of a slot, as the key frame's motion foretells it, in world space."""
+        scene = self._scene
+        if scene is None or scene.camera is None:
+            return None
+        return camera_after(scene, displacement(self.key, time), self.key.stencil)
+
+    @cached_property
+    def _scene(self) -> Scene | None:
+        return scene_of(self.key)
+
+
+@dataclass(frozen=True)
 class LookBack:
     """What is known of a slot's surfaces.
 
@@ -96,7 +139,12 @@ class LookBack:
 
 
 def look_back(
-    slot: int, back: SlotField, key: GBuffer, past: Sequence[Past], slots: Sequence[GBuffer]
+    slot: int,
+    back: SlotField,
+    key: GBuffer,
+    past: Sequence[Past],
+    slots: Sequence[GBuffer],
+    between: BetweenKeys,
 ) -> LookBack:
     """Find a slot's surfaces in the older key frames.
 
@@ -112,10 +160,12 @@ def look_back(
         F_k-1 and F_k-2, as far as they are there.
     slots
         G-buffers of slots 1 to 3 with settled motion; empty when only key frames have them.
+    between
+        Of these key frames.
     """
     if slots:
-        return _rendered(slot, slots[slot - 1], back, key, past)
-    return _reprojected(slot, back, key, past)
+        return _rendered(slot, slots[slot - 1], back, key, past, between)
+    return _reprojected(slot, back, key, past, between)
 
 
 def step_back(back: SlotField, there: Float32, before: SlotField) -> SlotField:
@@ -143,7 +193,9 @@ def step_back(back: SlotField, there: Float32, before: SlotField) -> SlotField:
     return SlotField(field, back.depth, hole, np.zeros_like(hole))
 
 
-def _reprojected(slot: int, back: SlotField, key: GBuffer, past: Sequence[Past]) -> LookBack:
+def _reprojected(
+    slot: int, back: SlotField, key: GBuffer, past: Sequence[Past], between: BetweenKeys
+) -> LookBack:
     """Look back from key G-buffers alone.
 
     The key frame's surfaces are moved to the slot, and followed back from the key frame. What it
@@ -151,37 +203,29 @@ def _reprojected(slot: int, back: SlotField, key: GBuffer, past: Sequence[Past])
     what has just been disoccluded.
     """
     time, newer, moved = slot / FACTOR, key, back.field.copy()
-    camera = _camera_at(key, time)
-    sources = [(newer, moved.copy())]
+    keep, rest = between.memory.keep, between.memory.rest
+    camera = between.camera_at(time) if past else None
+    sources = [(newer, back.field)]
     fields: list[Float32] = []
     hidden: list[Bool] = []
     lost = np.isnan(moved[..., 0])
-    for count, step in enumerate(past, start=1):
+    for count, (step, gone) in enumerate(zip(past, between.gone, strict=False), start=1):
         older = step.frame.gbuffer
-        if older is None:
-            break
-        gone = unmatched(newer, older, step.motion, FACTOR)
-        lost = lost | lookup(gone, moved, True)
-        follow(step.motion, stencil_of(newer), _ids(newer, moved), _unforeseen(moved), moved)
+        assert older is not None
+        rest()
+        follow_shown(step.motion, stencil_of(newer), gone, moved, lost)
         if older.has_motion:
-            foretold = moved_on(older, _foretold(step, count + time, camera, count > 1)).field
-            new = np.isnan(moved[..., 0]) & ~np.isnan(foretold[..., 0])
-            moved[new] = foretold[new]
-            lost[new] = False
+            motion = _foretold(step, count + time, camera, count > 1)
+            rest()
+            foretold = keep(led_back(older, motion))
+            go_on(foretold, moved, lost)
             sources.append((older, foretold))
-        fields.append(moved.copy())
-        hidden.append(lost)
+        fields.append(keep(moved.copy()))
+        hidden.append(lost.copy())
         newer = older
-    surface, unknown = reprojected(sources)
+    rest()
+    surface, unknown = reprojected(sources, between.memory)
     return LookBack(surface, tuple(fields), tuple(hidden), unknown)
-
-
-def _camera_at(key: GBuffer, time: float) -> Camera | None:
-    """Return the camera of a slot, as the key frame's motion foretells it, in world space."""
-    scene = scene_of(key)
-    if scene is None or scene.camera is None:
-        return None
-    return camera_after(scene, displacement(key, time), key.stencil)
 
 
 def _foretold(past: Past, time: float, camera: Camera | None, still: bool) -> Float32:
@@ -199,37 +243,36 @@ def _foretold(past: Past, time: float, camera: Camera | None, still: bool) -> Fl
     still
         Whether what moves by itself is left out (NaN), as too far ago.
     """
-    assert past.frame.gbuffer is not None
-    motion = displacement(past.frame.gbuffer, time)
-    others = np.full_like(motion, np.nan) if still else motion
-    if camera is None or past.scene is None or past.stands is None:
-        return others
-    return np.where(past.stands[..., None], seen_by(past.scene, camera), others)
-
-
-def _ids(gbuffer: GBuffer, field: Float32) -> np.ndarray:
-    """Return the ids that lie at the end of a field; [0, 0] when unknown."""
-    stencil = stencil_of(gbuffer)
-    return lookup(stencil, field, np.int32(0)) if stencil.size else stencil
-
-
-def _unforeseen(moved: Float32) -> Float32:
-    return np.full_like(moved, np.nan)
+    gbuffer = past.frame.gbuffer
+    assert gbuffer is not None
+    if still:
+        motion = np.full((*gbuffer.window.shape, 2), np.nan, np.float32)
+    else:
+        motion = displacement(gbuffer, time)
+    if camera is not None and past.scene is not None and past.stands is not None:
+        place_still(past.scene, camera, past.stands, motion)
+    return motion
 
 
 def _rendered(
-    slot: int, surface: GBuffer, back: SlotField, key: GBuffer, past: Sequence[Past]
+    slot: int,
+    surface: GBuffer,
+    back: SlotField,
+    key: GBuffer,
+    past: Sequence[Past],
+    between: BetweenKeys,
 ) -> LookBack:
     """Look back from the slot's own G-buffer, also at what the last key frame does not show."""
     newer, moved, here = key, back.field.copy(), scene_of(surface)
     fields, hidden = [], []
     for count, step in enumerate(past, start=1):
+        between.memory.rest()
         older = step.frame.gbuffer
         if older is None:
             break
         # Its own vectors foretell a point so many slots ago badly, and mislead: with them older
         # frames were up to 1.4 dB further from the truth where things move.
-        follow(step.motion, stencil_of(newer), stencil_of(surface), _unforeseen(moved), moved)
+        follow(step.motion, stencil_of(newer), stencil_of(surface), UNFORESEEN, moved)
         placed = _placed(moved, here, step, surface)
         fields.append(placed)
         hidden.append(unmatched(surface, older, placed, slot + FACTOR * count))
@@ -240,8 +283,8 @@ def _rendered(
 
 def _placed(moved: Float32, here: Scene | None, past: Past, surface: GBuffer) -> Float32:
     """Place what stands still by the cameras, where world positions are known."""
-    there = past.scene
+    there, placed = past.scene, moved.copy()
     if here is None or there is None or there.camera is None or surface.stencil is None:
-        return moved.copy()
-    still = surface.stencil == 0
-    return np.where(still[..., None], seen_by(here, there.camera), moved)
+        return placed
+    place_still(here, there.camera, surface.stencil == 0, placed)
+    return placed

@@ -19,7 +19,14 @@ from exwarp_cli.synthesis.geometry import (
     matched,
     reproject,
 )
-from exwarp_cli.synthesis.history import LookBack, Past, look_back, step_back
+from exwarp_cli.synthesis.history import (
+    BetweenKeys,
+    LookBack,
+    Past,
+    look_back,
+    step_back,
+)
+from exwarp_cli.synthesis.memory import ALL_OF_IT, Memory
 from exwarp_cli.synthesis.trajectory import displacement
 
 QUARTERS = tuple(index / FACTOR for index in range(1, FACTOR))
@@ -50,6 +57,8 @@ class Interval:
         1. With G-buffers of the slots they are evenly spaced from key frame to key frame.
     estimated
         Whether motion was estimated from colour rather than rendered.
+    memory
+        Where the frames lie, and what extrapolation makes of them.
     """
 
     key: KeyFrame
@@ -60,9 +69,11 @@ class Interval:
     interpolator: Interpolator | None = None
     times: tuple[float, ...] = QUARTERS
     estimated: bool = False
+    memory: Memory = ALL_OF_IT
     _back: dict[int, SlotField] = field(default_factory=dict, init=False)
     _forward: dict[int, SlotField] = field(default_factory=dict, init=False)
     _looked: dict[int, LookBack] = field(default_factory=dict, init=False)
+    _between: BetweenKeys | None = field(default=None, init=False)
     _extrapolated: dict[int, Float32] = field(default_factory=dict, init=False)
 
     @property
@@ -87,7 +98,9 @@ class Interval:
                 _require_steps(self.slots, self.key)
                 self._back = dict(enumerate(compose_back(self.slots, self.key.gbuffer), start=1))
             else:
-                self._back[slot] = reproject(_moving(self.key), self.time(slot))
+                found, keep = reproject(_moving(self.key), self.time(slot)), self.memory.keep
+                found = replace(found, field=keep(found.field), depth=keep(found.depth))
+                self._back[slot] = found
         return self._back[slot]
 
     def forward(self, slot: int) -> SlotField:
@@ -122,12 +135,14 @@ class Interval:
         if slot not in self._looked:
             back, key = self.back(slot), self.key.gbuffer
             assert key is not None  # the motion came from it
-            self._looked[slot] = look_back(slot, back, key, self.past, self.slots)
+            between = self._between = self._between or BetweenKeys(key, self.past, self.memory)
+            self._looked[slot] = look_back(slot, back, key, self.past, self.slots, between)
         return self._looked[slot]
 
     def prepared(self, slot: int) -> Prepared:
         """What a network needs to extrapolate to a slot, 1 to 3."""
-        return prepare(slot, self.back(slot), self.look_back(slot), self.key, self.past)
+        seen = self.look_back(slot)
+        return prepare(slot, self.back(slot), seen, self.key, self.past, self.memory)
 
     def extrapolated(self, slot: int) -> Float32:
         """E's frame for a slot, 2 or 3: float32 [H, W, C], scene-linear; made once.
@@ -137,8 +152,10 @@ class Interval:
         assert self.extrapolator is not None
         if slot not in self._extrapolated:
             prepared = self.prepared(slot)
-            self._looked.pop(slot, None)
-            self._extrapolated[slot] = prepared.finish(self.extrapolator(prepared.inputs))
+            self._looked.pop(slot, None)  # before the network runs, which takes much memory
+            made = prepared.finish(self.extrapolator(prepared.inputs))
+            self._extrapolated[slot] = self.memory.keep(made)
+            self.memory.rest()
         return self._extrapolated[slot]
 
     def forget(self, slot: int) -> None:

@@ -112,7 +112,7 @@ class Method:
         """Whether it may need a network, and the key frames before the last one."""
         if self.path is None:
             return self.judge is not None
-        return EXTRAPOLATE in PATHS[self.path].made_by
+        return PATHS[self.path].extrapolates
 
 
 def _hold(interval: Interval, slot: int) -> Predicted:

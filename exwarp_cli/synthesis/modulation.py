@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from exwarp_cli.domain.frame import Float32, GBuffer
+from exwarp_cli.domain.frame import Float32, GBuffer, KeyFrame
+from exwarp_cli.kernels import planes
 
 DARKEST = 0.2
 """Surface colour that is divided by at the least: what is darker shows emission, refraction or the
@@ -15,23 +16,68 @@ On four scenes with slot G-buffers, division with this floor gained W -0.8 to 1.
 adding the floor instead, was worse on the scene with foliage before the sky."""
 
 
-def modulation_of(gbuffer: GBuffer) -> Float32 | None:
-    """Return what lighting is multiplied with at a surface, float32 [H, W, 3], DARKEST to 2.
+BRIGHTEST = 2.0
+"""At the most: white of both kinds."""
 
-    Diffuse and glossy colour together: metals have a black diffuse colour, so that without the
-    glossy one nothing is known, and None is returned.
+SIGN = np.uint32(0x80000000)
+PART = 2**14
+"""Values that are coded at a time."""
+
+
+def modulation_of(gbuffer: GBuffer) -> Float32 | None:
+    """Return what lighting is multiplied with at a surface, float32 [H, W, 3].
+
+    From DARKEST to BRIGHTEST. Diffuse and glossy colour together: metals have a black diffuse
+    colour, so that without the glossy one nothing is known, and None is returned.
     """
     if gbuffer.albedo is None or gbuffer.specular is None:
         return None
     total = gbuffer.albedo + gbuffer.specular
-    return np.asarray(np.clip(total, np.float32(DARKEST), np.float32(2)))
+    return np.asarray(np.clip(total, np.float32(DARKEST), np.float32(BRIGHTEST)))
+
+
+def demodulated(frame: KeyFrame) -> Float32 | None:
+    """Return a frame's pixels, float32 [H, W, C], divided by :func:`modulation_of` it.
+
+    None where that is not known.
+    """
+    gbuffer, pixels = frame.gbuffer, np.ascontiguousarray(frame.image.pixels)
+    if gbuffer is None or gbuffer.albedo is None or gbuffer.specular is None:
+        return None
+    out = np.empty_like(pixels)
+    surface = np.ascontiguousarray(gbuffer.albedo), np.ascontiguousarray(gbuffer.specular)
+    planes.demodulate(pixels, *surface, (DARKEST, BRIGHTEST), out)
+    return out
 
 
 def encode(linear: Float32) -> Float32:
     """Return sign(x) log(1 + |x|): high dynamic range in a few units, negative values kept."""
-    return np.copysign(np.log1p(np.abs(linear)), linear)
+    return _signed(np.log1p, linear, np.empty(linear.shape, np.float32))
+
+
+def encode_in_place(linear: Float32) -> None:
+    """Write over linear values, contiguous, what :func:`encode` returns."""
+    _signed(np.log1p, linear, linear)
 
 
 def decode(coded: Float32) -> Float32:
     """Return the linear values that :func:`encode` was given."""
-    return np.copysign(np.expm1(np.abs(coded)), coded)
+    return _signed(np.expm1, coded, np.empty(coded.shape, np.float32))
+
+
+def _signed(curve: np.ufunc, values: Float32, out: Float32) -> Float32:
+    """Write a curve of the magnitude with the value's sign, `out` being contiguous; return `out`.
+
+    Numpy's curves compute 16 values at once, in a twentieth of the time of a loop of calls. A part
+    at a time stays in the cache. A curve of magnitudes has no sign bit, so that setting it is the
+    same as `copysign`, in a fifth of the time.
+    """
+    given, made = np.ascontiguousarray(values).reshape(-1), out.reshape(-1)
+    room = np.empty(min(given.size, PART), np.float32)
+    for first in range(0, given.size, PART):
+        part, target = given[first : first + PART], made[first : first + PART]
+        size = room[: part.size]
+        curve(np.abs(part, out=size), out=size)
+        np.bitwise_and(part.view(np.uint32), SIGN, out=target.view(np.uint32))
+        np.bitwise_or(target.view(np.uint32), size.view(np.uint32), out=target.view(np.uint32))
+    return out

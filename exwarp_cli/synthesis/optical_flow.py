@@ -28,6 +28,7 @@ import numpy as np
 from exwarp_cli.domain.curves import SRGB
 from exwarp_cli.domain.frame import Float32, GBuffer, KeyFrame, UInt8, Window
 from exwarp_cli.errors import MissingExtraError
+from exwarp_cli.kernels.jit import threads
 from exwarp_cli.synthesis.geometry import moved_on
 from exwarp_cli.synthesis.warp import repair, sampled
 
@@ -208,7 +209,7 @@ def _both_ways(before: Float32, after: Float32) -> tuple[Float32, Float32]:
     """Return the flows between two pictures as shown, each searched, exchanged and refined."""
     grey = _grey(before), _grey(after)
     finest = finest_level(*grey[0].shape)
-    with ThreadPoolExecutor(2) as pool:  # OpenCV works without the interpreter's lock
+    with ThreadPoolExecutor(min(2, threads())) as pool:  # OpenCV needs no interpreter's lock
 
         def both(there: Float32 | None, back: Float32 | None) -> tuple[Float32, Float32]:
             coarsest = None if there is None else finest + LEVELS_AGAIN

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.domain.frame import SURFACE_PARTS, Bool, Float32, GBuffer
+from exwarp_cli.domain.frame import Bool, Float32, GBuffer
+from exwarp_cli.kernels import surface
 from exwarp_cli.synthesis.geometry import depth_of
+from exwarp_cli.synthesis.memory import Memory
 from exwarp_cli.synthesis.warp import sampled
 
 SMOOTH = ("albedo", "specular")
@@ -20,11 +22,17 @@ ROWS = 64
 
 Index = npt.NDArray[np.intp]
 
-SHOWN = ("depth", "normal", *SURFACE_PARTS)
+FLAT = ("depth", "roughness", "metallic")
+"""Of one number a pixel."""
+
+NEAREST = ("depth", "normal", "roughness", "metallic")
+"""Taken from the nearest pixel."""
+
+SHOWN = (*NEAREST, *SMOOTH)
 """What is taken over: what networks are told of a surface, and depth to fill holes by."""
 
 
-def reprojected(sources: Sequence[tuple[GBuffer, Float32]]) -> tuple[GBuffer, Bool]:
+def reprojected(sources: Sequence[tuple[GBuffer, Float32]], memory: Memory) -> tuple[GBuffer, Bool]:
     """Return a slot's G-buffer, taken from other frames'.
 
     Parameters
@@ -32,6 +40,8 @@ def reprojected(sources: Sequence[tuple[GBuffer, Float32]]) -> tuple[GBuffer, Bo
     sources
         G-buffers on one window, each with the motion field float32 [H, W, 2] from the slot to it,
         NaN where it shows nothing of the slot. Each pixel comes from the first that shows it.
+    memory
+        Where the frames lie.
 
     Returns
     -------
@@ -41,26 +51,50 @@ def reprojected(sources: Sequence[tuple[GBuffer, Float32]]) -> tuple[GBuffer, Bo
     bool [H, W]
         Where that is so.
     """
-    first = replace(sources[0][0], depth=depth_of(sources[0][0]))
+    (first, motion), *others = sources
+    first = replace(first, depth=depth_of(first))
     made = {
         name: np.full(array.shape, np.nan if name == "depth" else 0, array.dtype)
-        for name in SHOWN
+        for name in NEAREST
         if (array := getattr(first, name)) is not None
     }
     unknown = np.ones(first.window.shape, np.bool_)
-    for gbuffer, field in sources:
-        new = np.zeros_like(unknown)
-        parts = {name: getattr(gbuffer, name) for name in made} | {"depth": depth_of(gbuffer)}
-        for pixels, ends in _ends(field, unknown):
-            new.reshape(-1)[pixels] = True
-            for name, array in parts.items():
-                if array is not None and name not in SMOOTH:
-                    _flat(made[name])[pixels] = _flat(array)[ends]
-        for name in SMOOTH:
-            if parts.get(name) is not None:
-                np.copyto(made[name], sampled(parts[name], field)[0], where=new[..., None])
-        unknown &= ~new
+    _take_over(first, motion, NEAREST, made, unknown)
+    # Nearly all of it: four times as fast for the whole frame as pixel by pixel.
+    for name in SMOOTH:
+        if (array := getattr(first, name)) is not None:
+            made[name], _ = sampled(array, motion)
+            made[name][unknown] = 0
+            made[name] = memory.keep(made[name])
+            memory.rest()
+    for gbuffer, field in others:
+        _take_over(replace(gbuffer, depth=depth_of(gbuffer)), field, SHOWN, made, unknown)
+        memory.rest()
+    made |= {name: memory.keep(made[name]) for name in NEAREST if name in made}
     return GBuffer(first.window, **made), unknown
+
+
+def _take_over(
+    gbuffer: GBuffer, field: Float32, names: Sequence[str], made: dict[str, Float32], unknown: Bool
+) -> None:
+    """Take over some parts of a frame where a slot's are not known yet."""
+
+    def given(name: str, parts: Mapping[str, Float32 | None]) -> Float32:
+        known = name in names and name in made
+        array = parts[name] if known else None
+        if array is None:
+            return np.zeros((0, 0) if name in FLAT else (0, 0, 3), np.float32)
+        return np.ascontiguousarray(array)
+
+    here = {name: getattr(gbuffer, name) for name in SHOWN}
+    surface.take_over(
+        field,
+        tuple(given(name, here) for name in NEAREST),
+        tuple(given(name, here).reshape(-1) for name in SMOOTH),
+        tuple(given(name, made) for name in NEAREST),
+        tuple(given(name, made).reshape(-1) for name in SMOOTH),
+        unknown,
+    )
 
 
 def lookup(array: np.ndarray, field: Float32, default: object) -> np.ndarray:

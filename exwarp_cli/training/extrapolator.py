@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
@@ -15,10 +14,12 @@ from typing import Any
 import numpy as np
 import torch
 
+from exwarp_cli.domain import cores
 from exwarp_cli.errors import DamagedFileError, LayoutError, UsageError
 from exwarp_cli.io.atomic import atomic_path, atomic_write_text, make_folder
 from exwarp_cli.io.dataset import RenderedScene
 from exwarp_cli.io.output import file_digest
+from exwarp_cli.io.threads import use_threads
 from exwarp_cli.pipeline.schedule import read_ahead
 from exwarp_cli.training.crops import Batch, Crops
 from exwarp_cli.training.curve import CURVE, add_row
@@ -240,14 +241,15 @@ def train_extrapolator(
     every
         Steps between two checkpoints.
     threads
-        For torch; None for all cores.
+        For torch and what prepares crops; None for all cores.
     say
         Told what happens, in lines.
     start
         Another training's checkpoint, to begin with its weights; None for random ones.
     """
     require_sane(settings)
-    torch.set_num_threads(threads or os.cpu_count() or 1)
+    use_threads(threads)
+    torch.set_num_threads(cores.count())
     parts = dict(zip(("training", "validation"), split(scenes), strict=True))
     names = {part: [s.name for s in chosen] for part, chosen in parts.items()}
     digest = None if start is None else file_digest(start)

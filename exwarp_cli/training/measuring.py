@@ -21,7 +21,7 @@ from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.io.atomic import atomic_write_bytes, make_folder
 from exwarp_cli.io.dataset import RenderedScene
 from exwarp_cli.io.models import OnnxExtrapolator, load_extrapolator
-from exwarp_cli.kernels import jit
+from exwarp_cli.io.threads import use_threads
 from exwarp_cli.pipeline.observing import with_ids
 from exwarp_cli.pipeline.oracle import outcomes_of
 from exwarp_cli.policy.features import observe
@@ -101,7 +101,7 @@ class Measured:
 @lru_cache(1)
 def network(path: Path | None) -> OnnxExtrapolator:
     """Return E on one thread; scenes are measured side by side."""
-    jit.set_threads(1)
+    use_threads(1)
     return load_extrapolator(path, 1, "cpu")
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ from exwarp_cli.domain.dataset import BENCHMARK
 from exwarp_cli.errors import InputError, UsageError
 from exwarp_cli.io.atomic import make_folder
 from exwarp_cli.io.dataset import RenderedScene, find_scenes
+from exwarp_cli.io.machine import processors
 from exwarp_cli.io.models import shipped_folder
 from exwarp_cli.training.measuring import VIEWS, Measured, View, fits, measure, network
 from exwarp_cli.training.policy_table import PolicyTable, joined, load_table, save_table
@@ -102,7 +102,7 @@ def build_tables(survey: Survey, say: Say) -> list[PolicyTable]:
     """
     data, model = survey.data, survey.model
     cache = survey.cache or data[0].resolve().parent / "policy"
-    jobs = survey.jobs or os.cpu_count() or 1
+    jobs = survey.jobs or processors().usable
     found = [scene for folder in data for scene in find_scenes(folder, BENCHMARK)]
     scenes = [scene.as_far_as_rendered() for scene in found]
     _require_different(scenes)

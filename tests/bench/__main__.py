@@ -6,7 +6,6 @@ memory and start-up are measured too.
 
 from __future__ import annotations
 
-import argparse
 import subprocess
 import sys
 import tempfile
@@ -14,16 +13,15 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from tests.bench import goals
-from tests.bench.running import module
+from tests.bench.running import environment, module
 
 PREFIX = "bench_"
 BENCHES = tuple(sorted(p.stem.removeprefix(PREFIX) for p in Path(__file__).parent.glob("bench_*")))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser("python -m tests.bench", description=__doc__)
+    parser = goals.parser_of("tests.bench", __doc__)
     parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(BENCHES))
-    goals.add_options(parser)
     options = parser.parse_args(arguments)
     if unknown := set(options.names) - set(BENCHES):
         parser.error(f"there is no bench {', '.join(sorted(unknown))}; name {', '.join(BENCHES)}")
@@ -48,7 +46,8 @@ def _run(name: str) -> list[goals.Figure] | None:
     with tempfile.TemporaryDirectory(prefix="exwarp-bench-") as folder:
         found = Path(folder) / "figures.json"
         command = module(f"tests.bench.{PREFIX}{name}", "--json", str(found))
-        if subprocess.run(command, check=False).returncode or not found.is_file():
+        done = subprocess.run(command, env=environment(), check=False)
+        if done.returncode or not found.is_file():
             return None
         return goals.read(found)
 

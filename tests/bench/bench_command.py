@@ -12,7 +12,6 @@ its child's.
 from __future__ import annotations
 
 import argparse
-import os
 import statistics
 import sys
 import tempfile
@@ -36,13 +35,10 @@ Runs = dict[str, list[tuple[Run, Run]]]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser("python -m tests.bench.bench_command", description=__doc__)
-    parser.add_argument("--rounds", type=int, default=ROUNDS)
-    parser.add_argument("--threads", type=int, default=os.cpu_count() or 1)
+    parser = goals.parser_of("tests.bench.bench_command", __doc__, ROUNDS, threads=True)
     parser.add_argument("--count", type=int, default=COUNT, help="key frames, 3 or more")
     parser.add_argument("--height", type=int, default=1080)
     parser.add_argument("--keys", type=Path, help="a sequence as big_input makes; default: make it")
-    goals.add_options(parser)
     options = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory(prefix="exwarp-bench-") as folder:
         keys, policy = options.keys or Path(folder) / "keys", Path(folder) / "warps.npz"

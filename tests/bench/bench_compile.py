@@ -8,7 +8,6 @@ have. Processor seconds are compared with the goal: other work on the machine mo
 from __future__ import annotations
 
 import argparse
-import os
 import statistics
 import sys
 import tempfile
@@ -27,13 +26,10 @@ FRAMES = "1-3"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser("python -m tests.bench.bench_compile", description=__doc__)
+    parser = goals.parser_of("tests.bench.bench_compile", __doc__, ROUNDS, threads=True)
     parser.add_argument("--keys", type=Path, default=next(iter(Path("examples").glob("*/keys"))))
     parser.add_argument("--frames", default=FRAMES, help="which of them, as upsample takes it")
     parser.add_argument("--methods", nargs="+", default=METHODS)
-    parser.add_argument("--rounds", type=int, default=ROUNDS)
-    parser.add_argument("--threads", type=int, default=os.cpu_count() or 1)
-    goals.add_options(parser)
     options = parser.parse_args(arguments)
     print(f"first run beside the next, {options.threads} threads, seconds, {options.rounds} rounds")
     print(f"{'':12}{'first: cpu':>12}{'wall':>8}{'next: cpu':>12}{'wall':>8}{'compiling':>12}")

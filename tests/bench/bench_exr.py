@@ -7,7 +7,6 @@ OpenEXR with halfs. Both must hold the same bits; that is checked.
 
 from __future__ import annotations
 
-import argparse
 import io
 import sys
 from collections.abc import Iterator, Mapping, Sequence
@@ -30,9 +29,8 @@ GOALS = {"noise": {"ZIP": 0.3, "ZIPS": 0.6, "PXR24": 0.4}, "flat": {"ZIP": 0.3, 
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser("python -m tests.bench.bench_exr", description=__doc__)
+    parser = goals.parser_of("tests.bench.bench_exr", __doc__)
     parser.add_argument("files", type=Path, nargs="*")
-    goals.add_options(parser)
     options = parser.parse_args(arguments)
     figures = [each for frame in _frames(options.files) for each in _encoding(*frame)]
     return goals.finish(figures, options)

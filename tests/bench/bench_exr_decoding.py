@@ -8,7 +8,6 @@ same bits.
 
 from __future__ import annotations
 
-import argparse
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
@@ -18,7 +17,8 @@ import numpy as np
 import OpenEXR
 
 from exwarp_cli.io import exr_decoding
-from exwarp_cli.io.exr import Channel, ExrReader, set_threads
+from exwarp_cli.io.exr import Channel, ExrReader
+from exwarp_cli.io.threads import use_threads
 from tests.bench import goals
 from tests.bench.timing import compare
 
@@ -32,13 +32,10 @@ GOALS = {"ZIP": 0.5, "PXR24": 0.65} if exr_decoding.FAST else {"ZIP": 0.65, "PXR
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(
-        "python -m tests.bench.bench_exr_decoding", description=__doc__
-    )
+    parser = goals.parser_of("tests.bench.bench_exr_decoding", __doc__)
     parser.add_argument("files", type=Path, nargs="*")
-    goals.add_options(parser)
     options = parser.parse_args(arguments)
-    set_threads(1)
+    use_threads(1)
     with tempfile.TemporaryDirectory(prefix="exwarp-bench-") as folder:
         files = dict(_made(Path(folder))) | {path.name: path for path in options.files}
         for name, path in files.items():

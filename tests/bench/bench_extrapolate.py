@@ -1,12 +1,10 @@
-"""How long E takes for an 854x480 frame, part by part, beside its network alone in onnxruntime.
+"""How long E takes for two 854x480 frames of an interval, beside its network alone.
 
 ``python -m tests.bench.bench_extrapolate [--model FILE] [--threads N]``.
 """
 
 from __future__ import annotations
 
-import argparse
-import os
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -15,12 +13,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import onnxruntime
 
 from exwarp_cli.domain.extrapolator import TIME, Extrapolator, NetworkInputs
 from exwarp_cli.domain.frame import GBuffer, KeyFrame
 from exwarp_cli.io.model_checks import stated_stride
-from exwarp_cli.io.models import load_extrapolator, shipped_folder
+from exwarp_cli.io.models import load_extrapolator, open_session, shipped_folder
 from exwarp_cli.kernels import jit
 from exwarp_cli.synthesis.geometry import settle_motion
 from exwarp_cli.synthesis.history import past_of
@@ -33,30 +30,30 @@ from tests.unit.scenes import town
 SIZE = (854, 480)
 ROUNDS = 5
 K = 3
-SLOT = 2
+SLOTS = (2, 3)
+"""Those that are extrapolated where most are: by the path S3."""
+
 BARE, WHOLE = "session alone", "E"
 PARTS = ("motion field", "history", "inputs", "network", "finish")
 GOALS = {f"{WHOLE}, {setting} G-buffers": 1.1 for setting in ("key", "slot")}
 
-Bare = Callable[[NetworkInputs], object]
+Fed = dict[str, np.ndarray]
+Bare = Callable[[Fed], object]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser("python -m tests.bench.bench_extrapolate", description=__doc__)
+    parser = goals.parser_of("tests.bench.bench_extrapolate", __doc__, ROUNDS, threads=True)
     parser.add_argument("--model", type=Path, help="default: the one that comes with ExWarp")
-    parser.add_argument("--rounds", type=int, default=ROUNDS)
-    parser.add_argument("--threads", type=int, default=os.cpu_count() or 1)
-    goals.add_options(parser)
     options = parser.parse_args(arguments)
     jit.set_threads(options.threads)
     network = load_extrapolator(options.model, options.threads, "cpu")
     path = options.model or shipped_folder() / "extrapolator.onnx"
-    bare = _session(path, options.threads)
+    bare, stride = _session(path, options.threads)
     ratios: dict[str, Ratio] = {}
     for setting in ("key", "slot"):
         times: dict[str, list[float]] = {name: [] for name in (BARE, *PARTS)}
         for _ in range(options.rounds + 1):
-            _round(setting, network, bare, times)
+            _round(setting, network, bare, stride, times)
         measured = {name: taken[1:] for name, taken in times.items()}  # the first one compiles
         whole = [sum(parts) for parts in zip(*(measured[p] for p in PARTS), strict=True)]
         named = {WHOLE: whole, **{name: measured[name] for name in PARTS}}
@@ -68,42 +65,45 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return goals.finish(goals.table("extrapolate", title, BARE, ratios, GOALS), options)
 
 
-def _session(path: Path, threads: int) -> Bare:
-    """Return the network as onnxruntime runs it by default."""
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = threads
-    session: Any = onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
+def _session(path: Path, threads: int) -> tuple[Bare, int]:
+    """Return what runs the network alone, with the settings of the product, and its stride."""
+    session = open_session(path, path.read_bytes(), threads, "cpu")
     known = {node.name for node in session.get_inputs()}
-    stride = stated_stride(path, session.get_modelmeta().custom_metadata_map)
 
-    def work(inputs: NetworkInputs) -> object:
-        fed = _padded(inputs, stride)
-        return session.run(None, {name: made for name, made in fed if name in known})
+    def work(fed: Fed) -> object:
+        return session.run(None, {name: made for name, made in fed.items() if name in known})
 
-    return work
+    return work, stated_stride(path, session.get_modelmeta().custom_metadata_map)
 
 
-def _padded(inputs: NetworkInputs, stride: int) -> list[tuple[str, np.ndarray]]:
-    height, width = inputs.mask.shape[1:]
+def _padded(inputs: NetworkInputs, stride: int) -> Fed:
+    height, width = inputs.shape
     padding = ((0, 0), (0, -height % stride), (0, -width % stride))
-    pictures = [(n, np.pad(p, padding, mode="edge")[None]) for n, p in inputs.pictures.items()]
-    return [*pictures, (TIME, np.array([inputs.time], np.float32))]
+    fed = {n: np.pad(p, padding, mode="edge")[None] for n, p in inputs.pictures.items()}
+    return fed | {TIME: np.array([inputs.time], np.float32)}
 
 
-def _round(setting: str, network: Extrapolator, bare: Bare, times: dict[str, list[float]]) -> None:
-    interval = _interval(setting)
-    _timed(times["motion field"], lambda: interval.back(SLOT))
-    _timed(times["history"], lambda: interval.look_back(SLOT))
-    prepared = _timed(times["inputs"], lambda: interval.prepared(SLOT))
-    answer = _timed(times["network"], lambda: network(prepared.inputs))
-    _timed(times["finish"], lambda: prepared.finish(answer))
-    _timed(times[BARE], lambda: bare(prepared.inputs))
+def _round(
+    setting: str, network: Extrapolator, bare: Bare, stride: int, times: dict[str, list[float]]
+) -> None:
+    """Make both slots, which share what is found out once for an interval."""
+    interval, taken = _interval(setting), {name: 0.0 for name in times}
+    for slot in SLOTS:
+        _timed(taken, "motion field", lambda s=slot: interval.back(s))
+        _timed(taken, "history", lambda s=slot: interval.look_back(s))
+        prepared = _timed(taken, "inputs", lambda s=slot: interval.prepared(s))
+        answer = _timed(taken, "network", lambda p=prepared: network(p.inputs))
+        _timed(taken, "finish", lambda p=prepared, a=answer: p.finish(a))
+        fed = _padded(prepared.inputs.part(slice(None), slice(None)), stride)
+        _timed(taken, BARE, lambda f=fed: bare(f))
+    for name, seconds in taken.items():
+        times[name].append(seconds)
 
 
-def _timed(times: list[float], work: Callable[[], Any]) -> Any:
+def _timed(taken: dict[str, float], name: str, work: Callable[[], Any]) -> Any:
     begin = time.perf_counter()
     made = work()
-    times.append(time.perf_counter() - begin)
+    taken[name] += time.perf_counter() - begin
     return made
 
 

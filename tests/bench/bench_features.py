@@ -8,8 +8,6 @@ where they are as alike as a synthetic scene's. They are laid out for it beforeh
 
 from __future__ import annotations
 
-import argparse
-import os
 import sys
 import tempfile
 from collections.abc import Sequence
@@ -39,10 +37,7 @@ SPAN = 4
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser("python -m tests.bench.bench_features", description=__doc__)
-    parser.add_argument("--rounds", type=int, default=ROUNDS)
-    parser.add_argument("--threads", type=int, default=os.cpu_count() or 1)
-    goals.add_options(parser)
+    parser = goals.parser_of("tests.bench.bench_features", __doc__, ROUNDS, threads=True)
     options = parser.parse_args(arguments)
     jit.set_threads(options.threads)
     cv2.setNumThreads(options.threads)
@@ -114,7 +109,7 @@ def _distances() -> dict[str, tuple[Work, Work]]:
             for c in range(3)
         ]
         works[f"distances, {layer.lower()}s"] = (
-            lambda pair=pair: emd.distances(*pair, *shown),
+            lambda pair=pair: emd.distances(*map(emd.Values, pair, shown)),
             lambda laid=laid: [wasserstein_distance(*samples) for samples in laid],
         )
     return works

@@ -5,8 +5,6 @@
 
 from __future__ import annotations
 
-import argparse
-import os
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
@@ -42,10 +40,7 @@ adds the surfaces' holes."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser("python -m tests.bench.bench_kernels", description=__doc__)
-    parser.add_argument("--rounds", type=int, default=ROUNDS)
-    parser.add_argument("--threads", type=int, default=os.cpu_count() or 1)
-    goals.add_options(parser)
+    parser = goals.parser_of("tests.bench.bench_kernels", __doc__, ROUNDS, threads=True)
     options = parser.parse_args(arguments)
     jit.set_threads(options.threads)
     cv2.setNumThreads(options.threads)

@@ -10,7 +10,6 @@ its child's.
 from __future__ import annotations
 
 import argparse
-import os
 import statistics
 import sys
 import tempfile
@@ -35,11 +34,8 @@ COUNT, ROUNDS = 5, 1
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser("python -m tests.bench.bench_memory", description=__doc__)
-    parser.add_argument("--rounds", type=int, default=ROUNDS)
-    parser.add_argument("--threads", type=int, default=os.cpu_count() or 1)
+    parser = goals.parser_of("tests.bench.bench_memory", __doc__, ROUNDS, threads=True)
     parser.add_argument("--count", type=int, default=COUNT, help="key frames, 4 or more")
-    goals.add_options(parser)
     options = parser.parse_args(arguments)
     figures = []
     with tempfile.TemporaryDirectory(prefix="exwarp-bench-") as folder:

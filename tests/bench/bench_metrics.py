@@ -5,8 +5,6 @@
 
 from __future__ import annotations
 
-import argparse
-import os
 import sys
 from collections.abc import Sequence
 
@@ -29,10 +27,7 @@ ROUNDS = 3
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser("python -m tests.bench.bench_metrics", description=__doc__)
-    parser.add_argument("--rounds", type=int, default=ROUNDS)
-    parser.add_argument("--threads", type=int, default=os.cpu_count() or 1)
-    goals.add_options(parser)
+    parser = goals.parser_of("tests.bench.bench_metrics", __doc__, ROUNDS, threads=True)
     options = parser.parse_args(arguments)
     jit.set_threads(options.threads)
     linear = [np.ascontiguousarray(key_frame(i).image.pixels[..., :3]) for i in (1, 2)]

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 import tempfile
 from collections.abc import Sequence
@@ -26,9 +25,7 @@ MANY = 1000
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser("python -m tests.bench.bench_policy", description=__doc__)
-    parser.add_argument("--rounds", type=int, default=4 * ROUNDS)
-    goals.add_options(parser)
+    parser = goals.parser_of("tests.bench.bench_policy", __doc__, 4 * ROUNDS)
     options = parser.parse_args(arguments)
     made, many = network(), states(MANY)
     state, kernel = many[0].copy(), MlpKernel(made)

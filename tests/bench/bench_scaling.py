@@ -2,8 +2,9 @@
 
 ``python -m tests.bench.bench_scaling``: s6 on three key frames from 480 to 2160 lines; on 3 to 24
 key frames of 480 lines; and two runs of one thread each, on chunks of their own, at once instead of
-one after the other. The last is compared with what the codec floor loses by that: cores share
-memory and caches, whoever uses them.
+one after the other. The last is compared with what the codec floor loses by that, which is kept to
+one core: cores share memory and caches, whoever uses them, but a run that took more than one when
+it is alone would lose the rest.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from tests.bench import goals
-from tests.bench.running import Run, cleared, module, run, upsample
+from tests.bench.running import Run, cleared, environment, module, run, upsample
 
 METHOD = "s6"
 HEIGHTS = (480, 720, 1080, 1440, 2160)
@@ -32,12 +33,9 @@ BENT, SHARED = 0.10, 1.1
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser("python -m tests.bench.bench_scaling", description=__doc__)
-    parser.add_argument("--rounds", type=int, default=ROUNDS)
-    parser.add_argument("--threads", type=int, default=os.cpu_count() or 1)
+    parser = goals.parser_of("tests.bench.bench_scaling", __doc__, ROUNDS, threads=True)
     parser.add_argument("--heights", type=int, nargs="+", default=HEIGHTS, metavar="LINES")
     parser.add_argument("--lengths", type=int, nargs="+", default=LENGTHS, metavar="KEYS")
-    goals.add_options(parser)
     options = parser.parse_args(arguments)
     print(f"{METHOD}, {options.threads} threads, {options.rounds} rounds, seconds")
     with tempfile.TemporaryDirectory(prefix="exwarp-bench-") as folder:
@@ -122,7 +120,10 @@ def _two(keys: Path, folder: Path, options: argparse.Namespace) -> goals.Figure:
         for out, chunk in zip(outs, chunks, strict=True)
     ]
     counted = ("--threads", "1", "--count", str(half))
-    floors = [module("tests.bench.codec_floor", str(keys), str(out), *counted) for out in outs]
+    floors = [
+        module("tests.bench.codec_floor", str(keys), str(out), *counted, "--core", str(core))
+        for core, out in enumerate(outs)
+    ]
     rounds = [
         tuple(_at_once(commands, outs) / _in_turn(commands, outs) for commands in (ours, floors))
         for _ in range(options.rounds)
@@ -147,7 +148,9 @@ def _at_once(commands: Sequence[list[str]], outs: Sequence[Path]) -> float:
         cleared(out)
     begin = time.perf_counter()
     running = [
-        subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        subprocess.Popen(
+            command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=environment()
+        )
         for command in commands
     ]
     for each, command in zip(running, commands, strict=True):

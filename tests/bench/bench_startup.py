@@ -18,7 +18,7 @@ import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from tests.bench.goals import Figure, add_options, finish
+from tests.bench.goals import Figure, finish, parser_of
 from tests.bench.running import cleared, module, run, upsample
 
 BENCH = "start"
@@ -34,11 +34,8 @@ GOALS = {FIRST_MADE: 6.0, ONE_KEY: 9.0, HELP: 0.5}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser("python -m tests.bench.bench_startup", description=__doc__)
-    parser.add_argument("--rounds", type=int, default=ROUNDS)
-    parser.add_argument("--threads", type=int, default=os.cpu_count() or 1)
+    parser = parser_of("tests.bench.bench_startup", __doc__, ROUNDS, threads=True)
     parser.add_argument("--keys", type=Path, help="a sequence as big_input makes; default: make it")
-    add_options(parser)
     options = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory(prefix="exwarp-bench-") as folder:
         keys = options.keys or Path(folder) / "keys"

@@ -35,7 +35,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("out", type=Path)
     parser.add_argument("--threads", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--count", type=int, help="key frames from the first on; default: all")
+    parser.add_argument("--core", type=int, help="the only one to use; default: any")
     options = parser.parse_args(arguments)
+    if options.core is not None:
+        _keep_to(options.core)
     options.out.mkdir(parents=True, exist_ok=True)
     oiio.attribute("threads", options.threads)
     oiio.attribute("exr_threads", options.threads)
@@ -56,6 +59,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for write in waiting:
             write.result()
     return 0
+
+
+def _keep_to(core: int) -> None:
+    """Stay on one of the cores that there are, where the system offers that; Linux does."""
+    if hasattr(os, "sched_setaffinity"):
+        there = sorted(os.sched_getaffinity(0))
+        os.sched_setaffinity(0, {there[core % len(there)]})
 
 
 def _decode(path: Path) -> tuple[dict[str, object], dict[str, np.ndarray]]:

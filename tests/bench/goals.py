@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -71,12 +72,30 @@ def table(
     ]
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add what every bench offers."""
+def parser_of(
+    module: str, about: str | None, rounds: int | None = None, threads: bool = False
+) -> argparse.ArgumentParser:
+    """Return the beginning of a bench's options.
+
+    Parameters
+    ----------
+    module, about
+        Its name after ``python -m``, and what its help says.
+    rounds
+        How often it measures unless told; None where it is not told.
+    threads
+        Whether it is told how many threads to use; all cores unless told.
+    """
+    parser = argparse.ArgumentParser(f"python -m {module}", description=about)
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write the figures there")
     parser.add_argument(
         "--check", action="store_true", help="fail when a median misses its goal by over a fifth"
     )
+    if rounds is not None:
+        parser.add_argument("--rounds", type=int, default=rounds)
+    if threads:
+        parser.add_argument("--threads", type=int, default=os.cpu_count() or 1)
+    return parser
 
 
 def finish(figures: Sequence[Figure], options: argparse.Namespace) -> int:

@@ -16,6 +16,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+BYTECODE = "PYTHONDONTWRITEBYTECODE"
+
 
 @dataclass(frozen=True)
 class Run:
@@ -60,9 +62,7 @@ def run(
     """
     with tempfile.TemporaryFile("w+") as said:
         begin = time.perf_counter()
-        running = subprocess.Popen(
-            command, stdout=said, stderr=said, env={**os.environ, **(env or {})}, cwd=cwd
-        )
+        running = subprocess.Popen(command, stdout=said, stderr=said, env=environment(env), cwd=cwd)
         ending = threading.Timer(limit or 0, running.kill)
         if limit is not None:
             ending.start()
@@ -81,6 +81,14 @@ def run(
             raise subprocess.CalledProcessError(running.returncode, list(command))
     in_mb = 1024 if sys.platform != "darwin" else 1024**2
     return Run(elapsed, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / in_mb)
+
+
+def environment(more: Mapping[str, str] | None = None) -> dict[str, str]:
+    """Return the environment for a child, with more laid over it.
+
+    Bytecode is kept, as where ExWarp is installed; compiling it would count as start-up.
+    """
+    return {k: v for k, v in os.environ.items() if k != BYTECODE} | dict(more or {})
 
 
 def upsample(keys: Path, out: Path, method: str, threads: int, *more: str) -> list[str]:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import numba
 import pytest
+from numba.core.dispatcher import Dispatcher
 
+from exwarp_cli.compiled import builds
 from exwarp_cli.io.dataset import open_scene
 from exwarp_cli.training.footage import Footage
 from tests.unit.analytic_scene import write_scene
@@ -18,12 +19,10 @@ def footage(tmp_path_factory) -> Footage:
 
 @pytest.fixture
 def unwritable_cache(monkeypatch) -> None:
-    """Let numba find no folder to keep what it compiles."""
-    njit = numba.njit
+    """Let numba, of a version whose insides are not known, find no folder for what it compiles."""
 
-    def unwritable(text, cache=False, **options):
-        if cache:
-            raise RuntimeError("cannot cache function: no locator available")
-        return njit(text, cache=False, **options)
+    def unwritable(self) -> None:
+        raise RuntimeError("cannot cache function: no locator available")
 
-    monkeypatch.setattr(numba, "njit", unwritable)
+    monkeypatch.setattr(builds, "knows_inside", lambda: False)
+    monkeypatch.setattr(Dispatcher, "enable_caching", unwritable)

@@ -186,10 +186,12 @@ def projected(
     camera: np.ndarray,
     at_infinity: np.ndarray,
     serial: bool = False,
+    still: np.ndarray = NO_MASK,
+    kept: bool = False,
 ) -> Arrays:
-    out = np.zeros((*depth.shape, 2), np.float32)
+    out = np.full((*depth.shape, 2), 7, np.float32)
     places = NO_VECTORS if position is None else position
-    build(project, "rigid", serial)(places, depth, camera, at_infinity, out)
+    build(project, "rigid", serial)(places, depth, camera, at_infinity, still, kept, out)
     return (out,)
 
 
@@ -219,9 +221,9 @@ def counted(
 
 def labelled(stencil: np.ndarray) -> Arrays:
     labels = np.full(stencil.shape, -1, np.int32)
-    areas = np.full(labelling.label(stencil, labels) + 1, -1, np.int64)
-    labelling.measure_areas(labels, areas)
-    return labels, areas
+    labelling.label(stencil, labels)
+    areas = np.full(stencil.size + 1, -1, np.int64)
+    return labels, areas[: labelling.measure_areas(stencil, areas)]
 
 
 def scaled(raw: np.ndarray, axes: tuple[int, int], scales: tuple[float, float]) -> Arrays:

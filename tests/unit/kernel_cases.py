@@ -1,11 +1,7 @@
-"""A case for every kernel, run in whatever build is asked for; as a script, writes the results.
-
-``python -m tests.unit.kernel_cases OUT.npz`` with NUMBA_DISABLE_JIT=1 runs the plain Python text.
-"""
+"""Seeded inputs of kernels, and a case for nearly each, run in whatever build is asked for."""
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 
 import numpy as np
@@ -226,16 +222,3 @@ ONE_BUILD: dict[str, Callable[[], calls.Arrays]] = {
     "label": lambda: calls.labelled(ids(38) * ids(39)),
 }
 """Kernels that are only serial: compiled and interpreted."""
-
-
-def run_all(serial: bool) -> dict[str, np.ndarray]:
-    """Return every output of every case by name and position."""
-    found = {name: case(serial) for name, case in CASES.items()}
-    found |= {name: case() for name, case in ONE_BUILD.items()}
-    return {
-        f"{name}.{i}": array for name, arrays in found.items() for i, array in enumerate(arrays)
-    }
-
-
-if __name__ == "__main__":
-    np.savez(sys.argv[1], **run_all(serial=True))

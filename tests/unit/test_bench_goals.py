@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import os
+import sys
 from pathlib import Path
 
 import pytest
@@ -12,6 +14,7 @@ from tests.bench import __main__ as every
 from tests.bench import goals
 from tests.bench.bench_scaling import fitted
 from tests.bench.goals import Figure
+from tests.bench.running import environment, run
 from tests.bench.timing import Ratio
 
 
@@ -20,9 +23,7 @@ def _figure(value: float, goal: float | None = 2.0) -> Figure:
 
 
 def _options(*arguments: str) -> argparse.Namespace:
-    parser = argparse.ArgumentParser()
-    goals.add_options(parser)
-    return parser.parse_args(arguments)
+    return goals.parser_of("tests.bench.any", None, rounds=7, threads=True).parse_args(arguments)
 
 
 @pytest.mark.parametrize("value", [0.1, 2.0, 2.1, 2.399])
@@ -115,6 +116,26 @@ def test_every_bench_can_be_judged(name: str, capsys: pytest.CaptureFixture[str]
     told = capsys.readouterr().out
     assert "--check" in told
     assert "--json" in told
+
+
+def test_rounds_and_threads_are_offered_where_they_mean_something() -> None:
+    assert _options().rounds == 7
+    assert _options().threads == os.cpu_count()
+    assert _options("--rounds", "2", "--threads", "1").threads == 1
+    alone = goals.parser_of("tests.bench.any", None).parse_args([])
+    assert not {"rounds", "threads"} & vars(alone).keys()
+
+
+def test_children_keep_bytecode_and_the_rest_of_the_environment(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("PYTHONDONTWRITEBYTECODE", "1")
+    monkeypatch.setenv("KEPT", "yes")
+    found = environment({"MORE": "too"})
+    assert "PYTHONDONTWRITEBYTECODE" not in found
+    assert (found["KEPT"], found["MORE"]) == ("yes", "too")
+    told = "import sys; sys.exit(sys.dont_write_bytecode)"
+    run([sys.executable, "-c", told])
 
 
 def test_an_unknown_bench_is_refused(capsys: pytest.CaptureFixture[str]) -> None:

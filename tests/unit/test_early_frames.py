@@ -14,8 +14,15 @@ from exwarp_cli.domain.settings import SourceSettings
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.frames import RawFrame, read_raw
 from exwarp_cli.pipeline import source as opening
-from exwarp_cli.pipeline.early_frames import Beginning, EarlyFrames, run_roles, serves
+from exwarp_cli.pipeline.early_frames import (
+    Beginning,
+    EarlyFrames,
+    reads_late,
+    run_roles,
+    serves,
+)
 from exwarp_cli.pipeline.source import Source, open_source
+from exwarp_cli.synthesis.methods import METHODS
 from tests.unit.exr_files import write_single
 from tests.unit.scenes import town
 
@@ -47,8 +54,13 @@ def folder(tmp_path_factory) -> Path:
     return where
 
 
-def opened(folder: Path, frames: str | None = None, extrapolates: bool = False) -> Source:
-    return open_source(SourceSettings(str(folder)), run=Beginning(frames, extrapolates))
+def opened(folder: Path, frames: str | None = None, method: str = "s6") -> Source:
+    return open_source(SourceSettings(str(folder)), run=Beginning(frames, METHODS[method]))
+
+
+def roles_of(source: Source, method: str = "s6") -> tuple[Role, ...]:
+    asked = METHODS[method]
+    return run_roles(source.keys, asked, True, reads_late(source.keys, asked))
 
 
 def assert_same(one: RawFrame, other: RawFrame) -> None:
@@ -61,23 +73,24 @@ def assert_same(one: RawFrame, other: RawFrame) -> None:
         np.testing.assert_array_equal(a, b)
 
 
-@pytest.mark.parametrize("extrapolates", [False, True])
-def test_frames_are_those_that_a_run_would_read(folder, extrapolates):
-    source = opened(folder, None, extrapolates)
-    roles = run_roles(source.keys, extrapolates, True)
+@pytest.mark.parametrize(
+    ("method", "normals", "surface"),
+    [("s6", False, False), ("exwarp", True, False), ("s1", True, True), ("oracle", True, True)],
+)
+def test_frames_are_those_that_a_run_would_read(folder, method, normals, surface):
+    source = opened(folder, None, method)
+    roles = roles_of(source, method)
     for number in (1, 2):
         kept = source.early.take(number, roles)
         assert kept is not None
         assert_same(kept, read_raw(source.keys, number, roles, objects=True))
         assert source.early.take(number, roles) is None
-    assert (Role.NORMAL in roles) == extrapolates
+    assert (Role.NORMAL in roles) == normals and (Role.ALBEDO in roles) == surface
 
 
 def test_what_is_found_does_not_depend_on_what_is_kept(folder):
     assert open_source(SourceSettings(str(folder))).keys.layout.roles.keys() >= {Role.POSITION}
-    findings = [
-        opened(folder, frames, e).finding for frames in (None, "6-9") for e in (True, False)
-    ]
+    findings = [opened(folder, frames, m).finding for frames in (None, "6-9") for m in ("s1", "s6")]
     assert {open_source(SourceSettings(str(folder))).finding, *findings} == {findings[0]}
 
 
@@ -90,7 +103,7 @@ def test_only_those_about_the_first_key_frame_are_kept(folder, monkeypatch):
 
     monkeypatch.setattr(opening, "read_raw", reading)
     source = opened(folder, "7,9")
-    roles = run_roles(source.keys, False, True)
+    roles = roles_of(source)
     assert {number for number, asked in read if asked == roles} == {6, 8}
     assert sorted(number for number, _ in read) == [1, 2, 5, 6, 8, 9]  # and each once
     assert source.early.take(6, roles) is not None and source.early.take(9, roles) is None
@@ -98,7 +111,7 @@ def test_only_those_about_the_first_key_frame_are_kept(folder, monkeypatch):
 
 def test_other_roles_are_not_handed_out_and_dropped_ones_are_gone(folder):
     source = opened(folder)
-    roles = run_roles(source.keys, False, True)
+    roles = roles_of(source)
     assert source.early.take(1, (*roles, Role.NORMAL)) is None
     source.early.drop()
     assert source.early.take(1, roles) is None
@@ -112,7 +125,7 @@ def test_a_frame_without_good_colour_is_still_measured(folder, tmp_path):
     for path in folder.iterdir():
         (tmp_path / path.name).write_bytes(path.read_bytes())
     source = opened(tmp_path)
-    shot, roles = source.keys, run_roles(source.keys, False, True)
+    shot, roles = source.keys, roles_of(source)
     wanting = replace(shot, layout=replace(shot.layout, roles=dict(shot.layout.roles)))
     wanting.layout.roles[Role.COLOUR] = (replace(shot.layout.roles[Role.COLOUR][0], name="gone"),)
     early = EarlyFrames((1, 2), roles)
@@ -147,3 +160,14 @@ class TestServes:
     def test_ids_of_whatever_is_shown_are_not_what_is_measured_by(self, dynamic):
         shot = SimpleNamespace(ids=SimpleNamespace(dynamic=dynamic), display=self.SHOT.display)
         assert serves(self.frame(), shot, GEOMETRY_TOLD) == (dynamic is not None)
+
+
+@pytest.mark.parametrize(
+    ("ids", "late"), [(None, True), (frozenset({3}), True), ("whatever is shown", False)]
+)
+def test_what_decides_by_a_policy_reads_surfaces_late_where_ids_tell_what_moves(ids, late):
+    dynamic = None if ids == "whatever is shown" else ids
+    shot = SimpleNamespace(ids=None if ids is None else SimpleNamespace(dynamic=dynamic))
+    assert {name for name, method in METHODS.items() if reads_late(shot, method)} == (
+        {"exwarp"} if late else set()
+    )

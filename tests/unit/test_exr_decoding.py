@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from exwarp_cli.domain import cores
 from exwarp_cli.io import exr_decoding
 from exwarp_cli.io.exr import Channel, ExrReader
 from exwarp_cli.io.frames import joined
@@ -57,13 +58,6 @@ def inflater(request, monkeypatch) -> str:
     return request.param
 
 
-@pytest.fixture(autouse=True)
-def _threads_as_before() -> Iterator[None]:
-    before = exr_decoding._threads
-    yield
-    exr_decoding.set_threads(before)
-
-
 def compression(name: str) -> Any:
     return getattr(OpenEXR, f"{name}_COMPRESSION")
 
@@ -100,7 +94,7 @@ class TestAgainstOpenImageIO:
     @SETTINGS
     @given(PARTS, st.integers(1, 3), st.integers(0, 2**32 - 1))
     def test_any_windows_and_channels(self, inflater, tmp_path, parts, threads, seed):
-        exr_decoding.set_threads(threads)
+        cores.share(threads, 8)
         agree(write(tmp_path / "a.exr", parts, np.random.default_rng(seed)))
 
     @SETTINGS
@@ -144,7 +138,7 @@ class TestAgainstOpenImageIO:
         )
         found = []
         for threads in (1, 2, 5):
-            exr_decoding.set_threads(threads)
+            cores.share(threads, 8)
             found.append({n: a.tobytes() for n, a in agree(path).items()})
         assert found[0] == found[1] == found[2]
 
@@ -154,7 +148,7 @@ class TestAgainstOpenImageIO:
 
         monkeypatch.setattr(exr_decoding, "RUN", 10_000)
         monkeypatch.setattr(exr_decoding.ThreadPoolExecutor, "submit", refuse)
-        exr_decoding.set_threads(4)
+        cores.share(4, 8)
         agree(write_single(tmp_path / "a.exr", rgba(300, 60)))
 
 

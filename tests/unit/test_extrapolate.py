@@ -13,7 +13,9 @@ from hypothesis.extra import numpy as arrays
 from exwarp_cli.domain.extrapolator import INPUTS, NetworkInputs
 from exwarp_cli.domain.frame import Float32, GBuffer, KeyFrame, Window
 from exwarp_cli.errors import LayoutError
+from exwarp_cli.io import lent_memory
 from exwarp_cli.synthesis.interval import Interval
+from exwarp_cli.synthesis.memory import Memory
 from exwarp_cli.synthesis.modulation import DARKEST, decode, encode, modulation_of
 from exwarp_cli.synthesis.warp import fill_background, warp
 from tests.unit.analytic_scene import STEP
@@ -34,6 +36,22 @@ class Bright(Filled):
 @pytest.fixture(scope="module", params=SETTINGS)
 def interval(request, footage) -> Interval:
     return replace(footage.causal(K, request.param), extrapolator=Filled())
+
+
+@pytest.mark.parametrize("slot", [2, 3])
+def test_what_leaves_memory_between_steps_comes_back(interval, monkeypatch, slot):
+    """As large frames do, which this one is not."""
+    monkeypatch.setattr(lent_memory, "LARGE", 0)
+    monkeypatch.setattr(lent_memory, "LEAST", 0)
+    lent_memory.file_large(True)
+    try:
+        resting = replace(interval, memory=Memory(lent_memory.filed, lent_memory.rest))
+        made = resting.extrapolated(slot)
+        assert len(lent_memory._rooms) > 5
+    finally:
+        lent_memory.file_large(False)
+        lent_memory.forget()
+    np.testing.assert_array_equal(made, interval.extrapolated(slot))
 
 
 @given(

@@ -5,23 +5,31 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from exwarp_cli.kernels import cache, jit, parabola
+from exwarp_cli.accel import kernel as accelerator
+from exwarp_cli.compiled import builds, cache
+from exwarp_cli.kernels import jit, parabola
 
 ROOT = Path(__file__).parents[2]
 SCRIPT = """
 import numpy as np
+from exwarp_cli.accel import kernel as accelerator
 from exwarp_cli.kernels import parabola
 out = np.zeros((4, 5, 2), np.float32)
 for kernel in (parabola.parabola_serial, parabola.parabola):
     kernel(out + 1, out + 2, np.float32(0.5), out)
-    stats = kernel.stats
-    print(sum(stats.cache_misses.values()), float(out[0, 0, 0]))
+    print(sum(kernel.stats.cache_misses.values()), float(out[0, 0, 0]))
+states, outputs = np.ones((5, 1), np.int32), np.ones((5, 2), np.int32)
+weights, constants = np.zeros(4, np.int8), np.zeros((3, 3), np.int32)
+kernel = accelerator.decide_all
+kernel(weights, constants, np.array([1, 2], np.int64), states, 4, outputs)
+print(sum(kernel.stats.cache_misses.values()), int(outputs.sum()))
 """
 
 
@@ -137,10 +145,10 @@ def test_processes_that_compile_at_once_share_a_folder(tmp_path):
         )
 
     racing = [start() for _ in range(2)]
-    assert [process.communicate()[0] for process in racing] == ["1 0.625\n1 0.78125\n"] * 2
+    assert [process.communicate()[0] for process in racing] == ["1 0.625\n1 0.78125\n1 0\n"] * 2
     assert [process.returncode for process in racing] == [0, 0]
     assert {path.suffix for path in (tmp_path / "exwarp").iterdir()} == {cache.SUFFIX}
-    assert start().communicate()[0] == "0 0.625\n0 0.78125\n"
+    assert start().communicate()[0] == "0 0.625\n0 0.78125\n0 0\n"
 
 
 class TestNames:
@@ -160,7 +168,7 @@ class TestNames:
 
     def test_the_source(self, folder, monkeypatch):
         run()
-        monkeypatch.setattr(cache, "source_digest", lambda stem: "0")
+        monkeypatch.setattr(cache, "source_digest", lambda file: "0")
         assert run() == (0, 1)
 
     def test_the_build(self):
@@ -181,14 +189,69 @@ class TestNames:
 
 
 def test_a_kernel_goes_by_the_files_that_it_uses(tmp_path, monkeypatch):
-    monkeypatch.setattr(cache, "__file__", str(tmp_path / "cache.py"))
+    monkeypatch.setattr(cache, "PACKAGE", tmp_path)
     monkeypatch.setattr(cache, "source_digest", cache.source_digest.__wrapped__)
-    (tmp_path / "one.py").write_text("from exwarp_cli.kernels.two import PART\n")
-    (tmp_path / "two.py").write_text("from exwarp_cli.kernels import three\nPART = 1\n")
-    (tmp_path / "three.py").write_text("X = 1\n")
-    (tmp_path / "four.py").write_text("X = 1\n")
-    before = cache.source_digest("one")
-    (tmp_path / "four.py").write_text("X = 2\n")
-    assert cache.source_digest("one") == before
-    (tmp_path / "three.py").write_text("X = 2\n")
-    assert cache.source_digest("one") != before
+    folder = tmp_path / "kernels"
+    folder.mkdir()
+    texts = {
+        "one": "from exwarp_cli.kernels.two import (\n    PART,\n    Y,\n)\n",
+        "two": "from exwarp_cli.kernels import three as other, five  # both\nPART = 1\n",
+        **dict.fromkeys(("three", "four", "five"), "X = 1\n"),
+    }
+    for name, text in texts.items():
+        (folder / f"{name}.py").write_text(text)
+    found = [cache.source_digest(folder / "one.py")]
+    (folder / "four.py").write_text("X = 2\n")
+    assert cache.source_digest(folder / "one.py") == found[0]
+    for name in ("three", "five"):
+        (folder / f"{name}.py").write_text("X = 2\n")
+        found.append(cache.source_digest(folder / "one.py"))
+    assert len(set(found)) == 3
+
+
+class TestUnused:
+    """Builds that nobody loads are removed."""
+
+    def test_old_ones_are_removed_as_another_is_kept(self, folder, monkeypatch):
+        monkeypatch.setattr(cache, "remove_unused", cache.remove_unused.__wrapped__)
+        folder.mkdir()
+        for name, days in (("a.kernel", 31), ("b.kernel", 29), ("c.kernel.12ab", 31), ("d.py", 99)):
+            (folder / name).write_text("")
+            ago = time.time() - days * 86400
+            os.utime(folder / name, (ago, ago))
+        assert run() == (0, 1)
+        kept = {path.name for path in folder.iterdir()}
+        assert kept > {"b.kernel", "d.py"} and len(kept) == 3
+
+    def test_a_load_is_noted_once_a_day(self, folder):
+        run()
+        (path,) = folder.iterdir()
+        for hours, noted in ((25, True), (23, False)):
+            ago = time.time() - hours * 3600
+            os.utime(path, (ago, ago))
+            assert run() == (1, 0)
+            assert (path.stat().st_mtime > ago + 60) == noted
+
+    def test_what_cannot_be_noted_is_loaded(self, folder, monkeypatch):
+        run()
+        (path,) = folder.iterdir()
+        os.utime(path, (0, 0))
+
+        def refuses(*_: Any) -> None:
+            raise OSError(30, "Read-only file system")
+
+        monkeypatch.setattr(cache.os, "utime", refuses)
+        assert run() == (1, 0)
+
+
+def test_the_accelerator_has_its_builds_there_too(folder):
+    def use() -> tuple[int, int]:
+        kernel: Any = builds.compiled(accelerator.decide_text)
+        arrays = np.zeros(4, np.int8), np.zeros((3, 3), np.int32), np.array([1, 2], np.int64)
+        assert kernel(*arrays, np.ones(1, np.int32), 4) == (0, 0)
+        stats = kernel.stats
+        return sum(stats.cache_hits.values()), sum(stats.cache_misses.values())
+
+    assert use() == (0, 1)
+    assert [path.name[:19] for path in folder.iterdir()] == ["kernel.decide_text-"]
+    assert use() == (1, 0)

@@ -14,8 +14,8 @@ from exwarp_cli.kernels import jit
 from exwarp_cli.kernels.jit import set_threads
 from tests.unit import kernel_calls as calls
 from tests.unit import kernel_cases as cases
+from tests.unit.all_kernel_cases import CASES, run_all
 from tests.unit.interpreted import same_when_interpreted
-from tests.unit.kernel_cases import CASES, run_all
 
 ROOT = Path(__file__).parents[2]
 
@@ -75,7 +75,7 @@ def test_views_of_any_layout_give_the_same(name):
 def test_compiled_and_interpreted_agree(tmp_path):
     # Numpy scalars warn of NaN, where compiled code just computes.
     same_when_interpreted(
-        *("tests.unit.kernel_cases", tmp_path / "found.npz", run_all(serial=True)),
+        *("tests.unit.all_kernel_cases", tmp_path / "found.npz", run_all(serial=True)),
         "RuntimeWarning",
     )
 

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from scipy.stats import wasserstein_distance
 
-from exwarp_cli.kernels.emd import BINS, ROWS_PER_BAND, distances
+from exwarp_cli.kernels import emd
+from exwarp_cli.kernels.emd import BINS, ROWS_PER_BAND, Values, distances
 from exwarp_cli.kernels.jit import set_threads
 from tests.reference.features import distance
 from tests.unit.kernel_calls import counted, extended
@@ -29,10 +30,17 @@ def everything(values: np.ndarray) -> np.ndarray:
     return np.ones(values.shape[:2], bool)
 
 
+def between(
+    before: np.ndarray, after: np.ndarray, shown_before: np.ndarray, shown_after: np.ndarray
+) -> np.ndarray:
+    """Distance between two buffers, channel by channel."""
+    return distances(Values(before, shown_before), Values(after, shown_after))
+
+
 def apart(before: np.ndarray, after: np.ndarray) -> float:
     """Distance between two lists of numbers."""
     pair = [np.asarray(values, np.float32).reshape(1, -1, 1) for values in (before, after)]
-    return float(distances(*pair, *map(everything, pair))[0])
+    return float(between(*pair, *map(everything, pair))[0])
 
 
 def scene(seed: int, shift: float = 0.0) -> np.ndarray:
@@ -59,7 +67,7 @@ def test_it_is_scipys_between_the_bins(seed):
     before, after = scene(seed), scene(seed + 10, 0.3)
     rng = np.random.default_rng(seed)
     masks = [rng.random(before.shape[:2]) < share for share in (0.7, 0.4)]
-    found = distances(before, after, *masks)
+    found = between(before, after, *masks)
     for c in range(3):
         one, other = before[..., c][masks[0]], after[..., c][masks[1]]
         spread = max(one.max(), other.max()) - min(one.min(), other.min())
@@ -70,10 +78,10 @@ def test_it_is_scipys_between_the_bins(seed):
 
 def test_it_does_not_depend_on_threads():
     before, after = scene(1), scene(2)
-    expected = distances(before, after, everything(before), everything(after))
+    expected = between(before, after, everything(before), everything(after))
     try:
         set_threads(None)
-        found = distances(before, after, everything(before), everything(after))
+        found = between(before, after, everything(before), everything(after))
     finally:
         set_threads(1)
     assert found.tobytes() == expected.tobytes()
@@ -131,7 +139,7 @@ def test_turned_normals_are_as_far_apart_as_they_turned():
         np.stack([np.cos(a), np.zeros_like(a), np.sin(a)], axis=-1)[None].astype(np.float32)
         for a in (angles, angles + 0.1)
     )
-    found = distances(before, after, everything(before), everything(after))
+    found = between(before, after, everything(before), everything(after))
     expected = np.abs(after.astype(float) - before).mean(axis=(0, 1))
     spread = np.ptp(np.concatenate([before, after]), axis=(0, 1))
     assert found[1] == 0
@@ -152,23 +160,23 @@ def test_what_is_empty_is_not_apart_and_leaves_other_channels_alone():
     assert apart(np.array([np.nan, np.inf]), np.arange(5.0)) == 0
     assert apart(np.arange(5.0), np.array([np.nan])) == 0
     before, after = scene(5), scene(6, 1.0)
-    expected = distances(before, after, everything(before), everything(after))
+    expected = between(before, after, everything(before), everything(after))
     before[..., 1] = np.nan
     after[..., 2] = before[..., 2] = 7
-    found = distances(before, after, everything(before), everything(after))
+    found = between(before, after, everything(before), everything(after))
     np.testing.assert_array_equal(found, [expected[0], 0, 0])
-    nothing = distances(before, after, ~everything(before), everything(after))
+    nothing = between(before, after, ~everything(before), everything(after))
     np.testing.assert_array_equal(nothing, 0)
 
 
 def test_single_broken_values_and_hidden_ones_do_not_count():
     before, after = scene(7), scene(8, 0.5)
-    expected = distances(before[1:], after[1:], everything(before[1:]), everything(after[1:]))
+    expected = between(before[1:], after[1:], everything(before[1:]), everything(after[1:]))
     hidden = everything(before)
     hidden[0] = False
     after[0] = 1e30
     before[0, ::2], before[0, 1::2] = np.nan, -np.inf
-    found = distances(before, after, everything(before), hidden)
+    found = between(before, after, everything(before), hidden)
     np.testing.assert_array_equal(found, expected)
 
 
@@ -190,3 +198,58 @@ def test_the_largest_and_smallest_ranges_are_finite():
     assert apart(huge, huge[:1]) == pytest.approx(3e38, rel=0.01)
     tiny = np.array([0, 1e-45], np.float32)
     assert 0 < apart(tiny, tiny[:1]) < 1e-45
+
+
+class TestValues:
+    def test_what_is_known_of_them_is_what_is_found_afresh(self):
+        """Compared with several buffers, of some channels the same range, of others not."""
+        values = scene(11)
+        mask = np.random.default_rng(11).random(values.shape[:2]) < 0.6
+        one = Values(values, mask)
+        for seed, shift in ((12, 0.0), (13, 0.0), (14, 0.4)):
+            other = scene(seed, shift)
+            other[:3, 0] = np.array([[-9, 3, -2], [9, 500, 2], [0, 4, 0]])
+            found = distances(one, Values(other, everything(other)))
+            fresh = between(values, other, mask, everything(other))
+            assert found.tobytes() == fresh.tobytes()
+            assert found.tobytes() == distances(Values(other, everything(other)), one).tobytes()
+
+    def test_a_range_that_stays_is_not_counted_again(self, monkeypatch):
+        values = scene(15)
+        asked: list[np.ndarray] = []
+        true = emd.count
+        monkeypatch.setattr(emd, "count", lambda *a: asked.append(a[2]) or true(*a))
+        one = Values(values, everything(values))
+        first = np.array([[-9.0, 9], [0, 900], [-2, 2]])
+        shares = one.shares(first).copy()
+        np.testing.assert_array_equal(one.shares(first), shares)
+        second = np.array([[-9.0, 9], [0, 800], [-2, 2]])
+        changed = one.shares(second).copy()
+        np.testing.assert_array_equal(asked, [first, [[0, 0], [0, 800], [0, 0]]])
+        np.testing.assert_array_equal(changed[[0, 2]], shares[[0, 2]])
+        assert (changed[1] != shares[1]).any()
+
+
+@pytest.mark.parametrize("low", [0.0, -1.0, 3.0, -40.0])
+@pytest.mark.parametrize("spread", [1e-3, 1.0, 2.0, 5e8])
+def test_values_at_the_edges_of_bins_are_counted_as_numpy_does(low, spread):
+    """Where float32 does not tell the bin: edges themselves, and the numbers next to them."""
+    ends = low, float(np.float32(low) + np.float32(spread))
+    edges = np.linspace(*ends, BINS + 1).astype(np.float32)
+    steps = np.arange(-4, 5, dtype=np.float32)[:, None] * np.spacing(np.abs(edges))
+    values = np.clip(np.concatenate([(edges + steps).ravel(), edges]), *ends)
+    block = values.reshape(-1, 1, 1)
+    (counts,) = counted(block, everything(block), np.array([ends], float), True)
+    expected = np.histogram(values.astype(float), BINS, range=ends)[0]
+    np.testing.assert_array_equal(counts.sum(axis=0)[0], expected)
+
+
+@pytest.mark.parametrize("ends", [(-1e-40, 2e-40), (-3e38, 3e38), (0.1, 0.7)])
+def test_ends_that_float32_does_not_tell_apart_are_counted_as_numpy_does(ends):
+    low, high = ends
+    values = np.random.default_rng(5).uniform(low, high, 500).astype(np.float32)
+    values = values[(values >= low) & (values <= high)]
+    block = values.reshape(-1, 1, 1)
+    (counts,) = counted(block, everything(block), np.array([ends]), True)
+    expected = np.histogram(values.astype(float), BINS, range=ends)[0]
+    np.testing.assert_array_equal(counts.sum(axis=0)[0], expected)

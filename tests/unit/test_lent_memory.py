@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import errno
 import gc
+import os
+import re
+import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from exwarp_cli.io import lent_memory
 from exwarp_cli.io.frames import joined
-from exwarp_cli.io.lent_memory import LEAST, forget, lent
+from exwarp_cli.io.lent_memory import LARGE, LEAST, file_large, filed, forget, lent, rest
 
 SHAPE = (600, 300, 4)
 
@@ -84,3 +89,75 @@ def test_what_is_forgotten_is_gone():
 def test_little_memory_is_not_kept():
     lent((10, 10), np.float32)
     assert not lent_memory._returned
+
+
+WIDE = (LARGE // 1024 + 1, 1024)
+
+
+@pytest.fixture
+def _in_files() -> Iterator[None]:
+    file_large(True)
+    yield
+    file_large(False)
+
+
+def resident(array: np.ndarray) -> int:
+    """Bytes of the mapping that an array begins in which are in this process's memory."""
+    place, inside = where(array), False
+    for line in Path("/proc/self/smaps").read_text().splitlines():
+        if re.match(r"[0-9a-f]+-[0-9a-f]+ ", line):
+            first, end = (int(edge, 16) for edge in line.split()[0].split("-"))
+            inside = first <= place < end
+        elif inside and line.startswith("Rss:"):
+            return 1024 * int(line.split()[1])
+    raise AssertionError("no such mapping")
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="others do not tell")
+@pytest.mark.usefixtures("_in_files")
+def test_what_lies_in_files_leaves_and_comes_back():
+    numbers = np.arange(WIDE[0] * WIDE[1], dtype=np.float32).reshape(WIDE)
+    array = filed(numbers)
+    assert array is not numbers and resident(array) >= array.nbytes
+    rest()
+    assert resident(array) == 0
+    np.testing.assert_array_equal(array, numbers)
+    array[3, 5] = -1
+    rest()
+    assert array[3, 5] == -1
+    assert resident(array) < array.nbytes // 8
+
+
+@pytest.mark.usefixtures("_in_files")
+def test_small_arrays_stay_where_they_are():
+    small = np.zeros((LARGE // 1024, 1024), np.float32)
+    assert filed(small) is small
+    before = len(lent_memory._rooms)
+    lent(small.shape, np.float32)
+    assert len(lent_memory._rooms) == before
+
+
+def test_without_being_told_nothing_lies_in_files():
+    large = np.zeros(WIDE, np.uint8)
+    assert filed(large) is large
+
+
+@pytest.mark.usefixtures("_in_files")
+def test_on_a_full_disk_memory_is_taken_from_the_system(monkeypatch):
+    def full(*_: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "posix_fallocate", full, raising=False)
+    before = len(lent_memory._rooms)
+    assert (filed(np.full(WIDE, 7, np.uint8)) == 7).all()
+    assert len(lent_memory._rooms) == before
+
+
+@pytest.mark.usefixtures("_in_files")
+def test_files_go_with_the_last_array():
+    array = filed(np.zeros(WIDE, np.uint8))
+    assert len(lent_memory._rooms) == 1
+    del array
+    forget()
+    gc.collect()
+    assert not lent_memory._rooms

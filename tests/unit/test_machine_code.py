@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from exwarp_cli.kernels import cache, edges, jit, machine_code
+from exwarp_cli.compiled import cache, machine_code
+from exwarp_cli.kernels import edges, jit
 
 
 def test_neither_parts_nor_bodies_of_loops_become_machine_code(monkeypatch):

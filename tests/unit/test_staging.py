@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import functools
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from exwarp_cli.domain.frame import GBuffer, KeyFrame, Window
+from exwarp_cli.domain.frame import SURFACE_PARTS, GBuffer, KeyFrame, Window
 from exwarp_cli.pipeline import geometry
 from exwarp_cli.pipeline.geometry import Staging
 from exwarp_cli.pipeline.instants import without_surface
@@ -151,6 +151,47 @@ def test_a_following_frame_is_kept_for_its_own_interval(settled):
     for index in range(3):
         staging.interval(loaded(index, "key", past=(), following=raw_key(index + 1)))
     assert len(settled) == 4
+
+
+@pytest.mark.parametrize("extrapolated", [(), (1,), (0, 1, 2), (0,)])
+def test_an_interval_that_is_completed_is_one_that_was_read_whole(extrapolated):
+    """Whichever before it were completed; what no interval has a use for is not kept."""
+
+    def surfaced(frame: KeyFrame | None) -> KeyFrame:
+        assert frame is not None and frame.gbuffer is not None
+        planes = np.full((80, 128, 3), frame.number, np.float32)
+        surface: dict[str, Any] = dict.fromkeys(SURFACE_PARTS, planes)
+        return replace(frame, gbuffer=replace(frame.gbuffer, **surface))
+
+    def whole(index: int) -> Loaded:
+        given = loaded(index, "key")
+        past = [replace(older, frame=surfaced(older.frame)) for older in given.past]
+        return replace(given, frame=surfaced(given.frame), past=tuple(past))
+
+    def bare(index: int) -> Loaded:
+        given = loaded(index, "key", past=())
+        return replace(given, late=lambda _: whole(index))
+
+    staging = Staging(DISPLAY, Filled())
+    for index in range(3):
+        made = staging.interval(bare(index))
+        if index in extrapolated:
+            staging.led_back(made, whole(index))
+    made = staging.interval(bare(3))
+    assert not made.past and {index for index, _ in staging._frames} <= set(extrapolated)
+    found = staging.led_back(made, whole(3))
+    expected = Staging(DISPLAY, Filled()).interval(whole(3))
+    assert len(found.past) == 2
+    for one, other in zip(
+        (found.key, *(past.frame for past in found.past)),
+        (expected.key, *(past.frame for past in expected.past)),
+        strict=True,
+    ):
+        for field in fields(GBuffer):
+            a, b = (getattr(frame.gbuffer, field.name) for frame in (one, other))
+            np.testing.assert_array_equal(a, b, err_msg=field.name)
+    for past, other in zip(found.past, expected.past, strict=True):
+        np.testing.assert_array_equal(past.motion, other.motion)
 
 
 def test_every_part_lies_on_the_key_frame_s_window():

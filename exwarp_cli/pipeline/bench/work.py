@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Generator, Iterable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -15,9 +14,9 @@ from typing import Any
 from exwarp_cli import __version__
 from exwarp_cli.domain.bench import BenchSettings
 from exwarp_cli.errors import UsageError
-from exwarp_cli.io import exr
 from exwarp_cli.io.atomic import atomic_write_text, make_folder, remove_leftovers
-from exwarp_cli.kernels import jit
+from exwarp_cli.io.machine import processors
+from exwarp_cli.io.threads import use_threads
 from exwarp_cli.pipeline.bench.about import about_subject
 from exwarp_cli.pipeline.bench.measure import identity, measure
 from exwarp_cli.pipeline.bench.opened import Networks, Opened, load_networks
@@ -194,7 +193,7 @@ def _parts(
     settings: BenchSettings, keys: dict[Subject, tuple[int, ...]], progress: Progress
 ) -> Generator[Part, None, None]:
     """Yield what is measured of every key interval, from disk or anew."""
-    jobs = settings.jobs or os.cpu_count() or 1
+    jobs = settings.jobs or processors().usable
     # Short sequences are dealt out as well.
     run = min(RUN, -(-sum(map(len, keys.values())) // jobs))
     tasks: list[Task] = [
@@ -223,8 +222,7 @@ def _done(tasks: Sequence[Task], jobs: int) -> Generator[Run, None, None]:
 def _alone() -> None:
     """Prepare a worker: one thread each, and it ends with its parent."""
     follow_parent()
-    jit.set_threads(1)
-    exr.set_threads(1)
+    use_threads(1)
 
 
 def work(

@@ -12,11 +12,12 @@ import numba
 import numpy as np
 from llvmlite import binding  # type: ignore[import-untyped]
 
+from exwarp_cli.compiled import builds, cache
+from exwarp_cli.compiled.cache import SUFFIX
 from exwarp_cli.domain.checkup import Check, Remark, failure, warning
 from exwarp_cli.domain.wording import counted, size_text
 from exwarp_cli.io.machine import Folder, cached_files, look_at
 from exwarp_cli.kernels import jit
-from exwarp_cli.kernels.cache import SUFFIX
 from exwarp_cli.kernels.gather import gather_bilinear, gather_bilinear_serial
 from exwarp_cli.pipeline.doctor.compilation import cache_folders, cache_use
 
@@ -77,24 +78,24 @@ def check_cache() -> Check:
     """Look at the folders of compiled kernels; meant for the end, when kernels have been used."""
     if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
         return Check("not used, as NUMBA_DISABLE_JIT is set", facts={"folders": [], "warm": False})
-    folders = [look_at(path) for path in cache_folders()]
+    folders, read = [look_at(path) for path in cache_folders()], only_read()
     hits, misses = cache_use()
-    if not folders:
+    if not folders and (misses or not read):
         text = (
             "no folder for compiled kernels can be written, so that every run compiles them; name "
             "one in NUMBA_CACHE_DIR"
         )
         facts = {"folders": [], "kernels": 0, "bytes": 0, "warm": False, "compiled": misses}
         return Check("none", (warning(text),), facts)
-    ours, indices, builds = (
-        [cached_files(folder.path, suffix) for folder in folders]
-        for suffix in (SUFFIX, ".nbi", ".nbc")
+    paths = [*read, *(folder.path for folder in folders)]
+    ours, indices, others = (
+        [cached_files(path, suffix) for path in paths] for suffix in (SUFFIX, ".nbi", ".nbc")
     )
     kernels = sum(count for count, _ in (*ours, *indices))
-    size = sum(taken for _, taken in (*ours, *indices, *builds))
+    size = sum(taken for _, taken in (*ours, *indices, *others))
     facts = {
-        "folders": [{"path": str(f.path), "place": place_of(f.path)} for f in folders],
-        "writable": all(folder.problem is None for folder in folders),
+        "folders": [{"path": str(path), "place": place_of(path)} for path in paths],
+        "writable": bool(folders) and all(folder.problem is None for folder in folders),
         "free": min((f.free for f in folders if f.free is not None), default=None),
         "kernels": kernels,
         "bytes": size,
@@ -103,10 +104,18 @@ def check_cache() -> Check:
         "compiled": misses,
     }
     state = _state(hits, misses)
-    places = " and ".join(dict.fromkeys(place_of(folder.path) for folder in folders))
+    places = " and ".join(dict.fromkeys(map(place_of, paths)))
     found = f"{state}; {counted(kernels, 'kernel')}, {size_text(size)}, {places}"
-    lines = tuple(str(folder.path) for folder in folders)
-    return Check(found, tuple(_cache_remarks(folders)), facts, lines)
+    lacking = misses > 0 or not read
+    return Check(found, tuple(_cache_remarks(folders, lacking)), facts, tuple(map(str, paths)))
+
+
+def only_read() -> list[Path]:
+    """Return the folders whose builds are taken though nothing can be written there."""
+    if not builds.knows_inside():
+        return []
+    found = [path for path in cache.folders() if path != cache.writable_folder()]
+    return [path for path in found if cached_files(path, SUFFIX)[0]]
 
 
 def _state(hits: int, misses: int) -> str:
@@ -125,12 +134,15 @@ def place_of(folder: Path) -> str:
     return "beside the source" if beside else "in the user's cache"
 
 
-def _cache_remarks(folders: list[Folder]) -> Iterator[Remark]:
+def _cache_remarks(folders: list[Folder], lacking: bool) -> Iterator[Remark]:
+    """Say what is wrong; `lacking`, whether a folder that cannot be written does not suffice."""
     named = os.environ.get(FOLDER_VARIABLE)
-    if named and not all(place_of(folder.path).endswith(FOLDER_VARIABLE) for folder in folders):
+    elsewhere = [f for f in folders if not place_of(f.path).endswith(FOLDER_VARIABLE)]
+    if named and elsewhere and lacking:
         yield warning(
-            f"{FOLDER_VARIABLE} names {named}, which cannot be written, so that kernels are kept "
-            f"{place_of(folders[0].path)}; correct it, or unset it"
+            f"{FOLDER_VARIABLE} names {named}, which cannot be written and lacks kernels, so that "
+            f"they are kept {place_of(elsewhere[0].path)}; correct it, fill it from where it can "
+            "be written, or unset it"
         )
     for folder in folders:
         if folder.problem is not None:

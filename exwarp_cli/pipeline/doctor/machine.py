@@ -25,13 +25,6 @@ def check_machine() -> Check:
     """Look at CPUs and memory."""
     cpus, room = processors(), memory()
     remarks = []
-    if cpus.usable < cpus.there:
-        remarks.append(
-            warning(
-                f"this process may use {cpus.usable} of {cpus.there} CPUs, and without --threads "
-                f"networks start a thread for each; give --threads {cpus.usable}"
-            )
-        )
     if room.available is not None and room.available < LEAST_MEMORY:
         remarks.append(
             warning(
@@ -55,7 +48,8 @@ def check_machine() -> Check:
         f"{facts['package']}, run by {facts['executable']}",
         f"{facts['implementation']} {facts['python']}, {facts['platform']}",
         f"CPUs: {cpus.there} in the machine, {cpus.allowed} by affinity, "
-        + ("no quota" if cpus.quota is None else f"{cpus.quota:g} by quota of the control group"),
+        + ("no quota" if cpus.quota is None else f"{cpus.quota:g} by quota of the control group")
+        + f"; {cpus.usable} are used without --threads",
         _memory_line(room),
     )
     return Check(_found(cpus, room), tuple(remarks), facts, lines)

@@ -10,14 +10,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from exwarp_cli.pipeline import loading
+from exwarp_cli.io.channels import Role
+from exwarp_cli.pipeline import late_frames, loading
 from tests.cli import shots
 from tests.cli.decisions.conftest import KEYS, SETTINGS, STREET, Done, take, write_shots
 from tests.cli.decisions.windows import moving_shots, parted
 from tests.cli.shots import changed_by, generated, read
 from tests.reference.decisions import PATHS
 
-HEADS = ("exwarp:method", "exwarp:recipe", "exwarp:sha256", "exwarp:decision")
+HEADS = ("exwarp:method", "exwarp:recipe", "exwarp:xxh128", "exwarp:decision")
 """What a policy's frames have in their headers otherwise than those of a fixed path."""
 
 SPLITS = {"ones": ("4", "1", "6", "3", "2", "5"), "steps": ("1-5x2", "6,2", "4")}
@@ -115,6 +116,28 @@ class TestChunks:
         monkeypatch.setattr(loading, "read_raw", read_raw)
         make("out", setting=setting)
         assert len(seen) == len(set(seen)) == files
+
+    @pytest.mark.parametrize("policy", ["warp", "S3", "watching"])
+    def test_what_only_extrapolation_wants_is_read_where_it_is_made(
+        self, make, judged, policies, monkeypatch, policy
+    ):
+        """The surface of its key frame, and the key frames before that no interval has read so."""
+        read: list[tuple[int, bool]] = []
+        true = late_frames.read_raw
+
+        def read_raw(given: Any, number: int, roles: tuple[Role, ...], **more: Any) -> Any:
+            read.append((number, Role.DEPTH in roles))
+            return true(given, number, roles, **more)
+
+        monkeypatch.setattr(late_frames, "read_raw", read_raw)
+        make("out", policy=policies(policy))
+        expected: list[tuple[int, bool]] = []
+        for key, path in enumerate(judged(policy).paths, 1):
+            if path != "S6":
+                known = {number for number, _ in expected}
+                older = [n for n in (key - 1, key - 2) if n > 0 and n not in known]
+                expected += [(key, False), *((number, True) for number in older)]
+        assert read == expected
 
 
 class TestResume:

@@ -55,6 +55,26 @@ class TestKernels:
         monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "elsewhere"))
         warned(examined("kernels", "kernel_cache"), "kernel_cache", "elsewhere", "unset it")
 
+    @pytest.mark.parametrize("other", ["another", "none"])
+    def test_a_shared_folder_that_can_only_be_read(self, examined, monkeypatch, tmp_path, other):
+        shared, own = tmp_path / "shared" / "exwarp", tmp_path / "own"
+        shared.mkdir(parents=True)
+        own.mkdir()
+        (shared / "gather.kernel").write_bytes(b"1234")
+        folders = [] if other == "none" else [own]
+        monkeypatch.setenv("NUMBA_CACHE_DIR", str(shared.parent))
+        monkeypatch.setattr(kernels.cache, "folders", lambda: (shared, *folders))
+        monkeypatch.setattr(kernels.cache, "writable_folder", lambda: (*folders, None)[0])
+        monkeypatch.setattr(kernels, "cache_folders", lambda: folders)
+        monkeypatch.setattr(kernels, "cache_use", lambda: (5, 0))
+        found = examined("kernel_cache")
+        healthy(found, "kernel_cache")
+        facts = found[1]["checks"]["kernel_cache"]["facts"]
+        assert facts["folders"][0] == {"path": str(shared), "place": "in NUMBA_CACHE_DIR"}
+        assert facts["kernels"] == 1 and facts["bytes"] == 4
+        monkeypatch.setattr(kernels, "cache_use", lambda: (5, 1))
+        warned(examined("kernel_cache"), "kernel_cache", "NUMBA_CACHE_DIR")
+
     def test_where_the_cache_is(self, monkeypatch, tmp_path):
         source = Path(kernels.jit.__file__).parent / "__pycache__"
         assert kernels.place_of(source) == "beside the source"

@@ -1,6 +1,6 @@
-"""Compiled kernels on disk, a file for each build of a kernel.
+"""Compiled functions on disk, a file for each build of one.
 
-Numba's own cache keeps an index beside the builds of a kernel. Of two processes that compile two
+Numba's own cache keeps an index beside the builds of a function. Of two processes that compile two
 builds at once both call theirs the first, and the index may then lead to the other's machine code;
 a damaged file or a full disk ends the run; and a folder that can be read but not written is not
 read. Here a file's name says all that its content depends on, and it is whole or not taken.
@@ -16,6 +16,7 @@ import pickle
 import re
 import sys
 import tempfile
+import time
 import types
 import uuid
 from collections.abc import Iterator
@@ -35,8 +36,18 @@ _rebuild: Any = compiler.CompileResult._rebuild
 _dumps: Any = serialize.dumps
 _Places: Any = AppDirs
 
-BESIDE = re.compile(r"^from exwarp_cli\.kernels(?:\.(\w+))? import (\w+)", re.MULTILINE)
-"""How a kernel's file names those whose parts and constants it uses."""
+IMPORTED = re.compile(r"^from exwarp_cli\.([\w.]+) import (\([^)]*\)|[^#\n]*)", re.MULTILINE)
+"""How a file names those whose parts and constants it uses."""
+
+PACKAGE = Path(__file__).parents[1]
+
+UNUSED = 30 * 86400.0
+"""Seconds after which a build that nobody has loaded is removed: it is of another version, or of a
+processor that is gone. Whoever wants it after all compiles it."""
+
+NOTED = 86400.0
+"""Seconds after which a file's time tells anew that it was loaded. Times of reading are not kept
+everywhere, and at each load they would be written by every process of a farm."""
 
 
 class KernelCache:
@@ -62,7 +73,9 @@ class KernelCache:
     def load_overload(self, signature: Any, target: Any) -> Any:
         """Return a build, from whatever folder has it; None where it has to be compiled.
 
-        Machine code needs numba's memory functions only: see :mod:`exwarp_cli.kernels.warm_cache`.
+        Machine code needs numba's memory functions only. Numba would make ready to compile before
+        it looks: it imports two hundred modules, scipy.linalg among them, and registers every
+        function that a kernel might call, 0.3 s of a start in which nothing is compiled.
         """
         rtsys.initialize(target)
         name = self._name(signature, target.codegen())
@@ -73,7 +86,9 @@ class KernelCache:
             with contextlib.suppress(Exception):
                 content = (folder / name).read_bytes()
                 if content[:32] == hashlib.sha256(content[32:]).digest():
-                    return _rebuild(target, *pickle.loads(content[32:]))
+                    build = _rebuild(target, *pickle.loads(content[32:]))
+                    _note_use(folder / name)
+                    return build
         return None
 
     def save_overload(self, signature: Any, build: Any) -> None:
@@ -83,6 +98,7 @@ class KernelCache:
         if folder is None or name is None or build.library.has_dynamic_globals:
             return
         content = _dumps(build._reduce())
+        remove_unused(folder)
         passing = folder / f"{name}.{uuid.uuid4().hex[:16]}"
         try:
             passing.write_bytes(hashlib.sha256(content).digest() + content)
@@ -102,15 +118,17 @@ class KernelCache:
 
     def _name(self, signature: Any, codegen: Any) -> str | None:
         """Return the name of a build's file; None where the kernel's source cannot be read."""
-        stem = Path(self._text.__code__.co_filename).stem
+        file = Path(self._text.__code__.co_filename)
         try:
-            sources = source_digest(stem)
+            sources = source_digest(file)
         except OSError:
             return None
         machine = (*_versions(), codegen.magic_tuple())  # the processor and what it can do
+        function = f"{self._text.__module__}.{self._text.__qualname__}"
         options = sorted(self._options.items())
-        what = repr((machine, sources, self._text.__qualname__, options, str(signature)))
-        return f"{stem}.{self._text.__name__}-{hashlib.sha256(what.encode()).hexdigest()}{SUFFIX}"
+        what = repr((machine, sources, function, options, str(signature)))
+        digest = hashlib.sha256(what.encode()).hexdigest()
+        return f"{file.stem}.{self._text.__name__}-{digest}{SUFFIX}"
 
 
 @functools.cache
@@ -149,24 +167,56 @@ def _is_writable(folder: Path) -> bool:
         return False
 
 
+def _note_use(path: Path) -> None:
+    """Keep a build from being removed."""
+    with contextlib.suppress(OSError):
+        if time.time() - path.stat().st_mtime > NOTED:
+            os.utime(path)
+
+
 @functools.cache
-def source_digest(stem: str) -> str:
-    """Return a digest of a kernel file and of all those beside it that it uses, at any remove.
+def remove_unused(folder: Path) -> None:
+    """Remove builds that nobody has loaded for long, and what killed processes left; once a run.
+
+    Others may do the same at once, or load such a build: they have all of it then, or compile it.
+    """
+    before = time.time() - UNUSED
+    with contextlib.suppress(OSError):
+        for path in folder.glob(f"*{SUFFIX}*"):
+            with contextlib.suppress(OSError):
+                if path.stat().st_mtime < before:
+                    path.unlink()
+
+
+@functools.cache
+def source_digest(file: Path) -> str:
+    """Return a digest of a source file and of all those of ExWarp that it uses, at any remove.
 
     Raises
     ------
     OSError
         If they cannot be read, as in an archive.
     """
-    texts: dict[str, bytes] = {}
-    wanted = [stem]
+    texts: dict[Path, bytes] = {}
+    wanted = [file]
     while wanted:
-        name = wanted.pop()
-        if name not in texts:
-            texts[name] = Path(__file__).with_name(f"{name}.py").read_bytes()
-            found = BESIDE.findall(texts[name].decode())
-            wanted += [module or name for module, name in found]
-    return hashlib.sha256(b"\0".join(texts[name] for name in sorted(texts))).hexdigest()
+        path = wanted.pop()
+        if path not in texts:
+            texts[path] = path.read_bytes()
+            wanted += _used(texts[path].decode())
+    return hashlib.sha256(b"\0".join(texts[path] for path in sorted(texts))).hexdigest()
+
+
+def _used(text: str) -> Iterator[Path]:
+    """Yield the files that a file imports, whether it names them or what is in them."""
+    for module, names in IMPORTED.findall(text):
+        place = PACKAGE.joinpath(*module.split("."))
+        if not place.is_dir():
+            yield place.with_suffix(".py")
+            continue
+        for name in re.findall(r"(\w+)(?: as \w+)?", names):
+            named = place / f"{name}.py"
+            yield named if named.is_file() else place / "__init__.py"
 
 
 @functools.cache

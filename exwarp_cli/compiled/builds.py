@@ -1,0 +1,70 @@
+"""How functions are compiled: lazily, and once for all runs and processes that share a folder.
+
+Signatures stay lazy, as an eagerly typed parallel kernel costs 0.35 s at import.
+"""
+
+from __future__ import annotations
+
+import types
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+import numba
+from numba.core import dispatcher
+from numba.extending import register_jitable
+
+Kernel = Callable[..., Any]
+
+KNOWN_INSIDE = ("0.68",)
+"""Versions of numba whose insides are known. What saves time by them, more than half of that of
+compilation and 0.3 s of a start, is left out with others, whose own cache keeps the kernels then.
+"""
+
+
+def compiled(text: Kernel, **options: bool) -> Kernel:
+    """Compile on the first call, and keep the result on disk where that is possible.
+
+    `nogil` lets files be read and written meanwhile. `fastmath` stays off: NaN marks pixels without
+    a value, and results must not depend on the build. C does not call kernels, so that they need no
+    entry for it.
+    """
+    assert isinstance(text, types.FunctionType)
+    common: dict[str, Any] = {
+        "nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True, **options
+    }  # fmt: skip
+    built: Any = numba.njit(text, **common)
+    if isinstance(built, dispatcher.Dispatcher):  # and not the text: NUMBA_DISABLE_JIT
+        _keep(built, text, common)
+    kernel: Kernel = built
+    return kernel
+
+
+def part(text: Kernel, **options: bool) -> Kernel:
+    """Have a function compiled with the kernels that call it; Python calls it as it stands."""
+    common = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True, **options}
+    known: Kernel = register_jitable(**common)(text)
+    return known
+
+
+def knows_inside() -> bool:
+    """Whether numba is one of those whose insides are known."""
+    return numba.__version__.rpartition(".")[0] in KNOWN_INSIDE
+
+
+def _keep(built: Any, text: types.FunctionType, options: dict[str, Any]) -> None:
+    """Have a function's builds kept on disk."""
+    if knows_inside():
+        from exwarp_cli.compiled.cache import KernelCache
+
+        built._cache = KernelCache(text, options)
+        return
+    with suppress(RuntimeError):  # no folder can be written: compiled for every run
+        built.enable_caching()
+
+
+if knows_inside():
+    from exwarp_cli.compiled import front_end, machine_code
+
+    front_end.shorten()
+    machine_code.defer()

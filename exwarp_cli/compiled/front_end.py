@@ -1,0 +1,112 @@
+"""What numba does before there is code for LLVM, without the work that is done again and again.
+
+Four fifths of the time of compilation pass there, in Python.
+"""
+
+from __future__ import annotations
+
+import functools
+import gc
+from collections.abc import Callable
+from typing import Any
+
+from llvmlite import binding  # type: ignore[import-untyped]
+from numba.core.compiler import CompilerBase
+from numba.core.ir import Inst, Loc, Var
+from numba.core.registry import cpu_target
+from numba.core.targetconfig import ConfigStack
+from numba.core.typing.templates import _OverloadFunctionTemplate
+
+RARELY = 50_000
+"""New objects after which Python looks for unreachable ones; at its 700 that is a tenth of all."""
+
+PLAIN = frozenset({Loc, str, int, float, bool, type(None)})
+"""Types of what stands in instructions and holds no variables."""
+
+
+def shorten() -> None:
+    """Spare numba what it repeats, from now on; what it makes stays the same."""
+    compiler: Any = CompilerBase
+    compiler._compile_core = _collecting_rarely(compiler._compile_core)
+    template: Any = _OverloadFunctionTemplate
+    template._get_impl = _implementation
+    for context in (cpu_target.target_context, cpu_target.typing_context):
+        kind: Any = type(context)
+        kind.load_additional_registries = _importing_once(kind.load_additional_registries)
+    instruction: Any = Inst
+    instruction._rec_list_vars = _listing_plainly(instruction._rec_list_vars)
+    # Numba tells who may listen of every call of LLVM, and nobody does.
+    binding.ffi.lib._lock._cblist.clear()
+
+
+def _collecting_rarely(compile_core: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """Let Python look for unreachable objects rarely while something is compiled."""
+
+    @functools.wraps(compile_core)
+    def compiling(self: Any) -> Any:
+        usual = gc.get_threshold()
+        if usual[0] == 0 or usual[0] >= RARELY:  # switched off, or inside another one
+            return compile_core(self)
+        gc.set_threshold(RARELY, *usual[1:])
+        try:
+            return compile_core(self)
+        finally:
+            gc.set_threshold(*usual)
+
+    return compiling
+
+
+def _implementation(self: Any, args: Any, kws: Any) -> tuple[Any, Any]:
+    """Return how a function is compiled for arguments, as numba does.
+
+    Numba keeps one for all flags of the caller; it has these from the caller, and no others. So the
+    outermost parts of a parallel kernel were compiled twice, once for the loop's surroundings.
+    """
+    stack: Any = ConfigStack
+    flags = stack.top_or_none()
+    inherited = flags and (flags.nrt, str(flags.fastmath), flags.error_model, flags.forceinline)
+    key = self.context, tuple(args), tuple(kws.items()), inherited
+    found: tuple[Any, Any] | None = self._impl_cache.get(key)
+    if found is None:
+        # Nor does C call numba's own functions, which are compiled with an entry for it.
+        self._jit_options = {**self._jit_options, "no_cfunc_wrapper": True}
+        found = self._build_impl(key, args, kws)
+    return found
+
+
+def _importing_once(load: Callable[[Any], None]) -> Callable[[Any], None]:
+    """Run a context's thirty imports once; look for new functions in its registries always."""
+    loaded = set()
+
+    @functools.wraps(load)
+    def loading(self: Any) -> None:
+        if self not in loaded:
+            load(self)
+            loaded.add(self)
+            return
+        for registry in list(self._registries):
+            self.install_registry(registry)
+
+    return loading
+
+
+def _listing_plainly(
+    listing: Callable[[Any, Any], list[Var]],
+) -> Callable[[Any, Any], list[Var]]:
+    """List the variables of an instruction with fewer calls: numba makes two for each word."""
+
+    @functools.wraps(listing)
+    def variables(self: Any, value: Any) -> list[Var]:
+        if type(value) is dict:
+            value = value.values()
+        elif type(value) is not list and type(value) is not tuple:
+            return listing(self, value)
+        found: list[Var] = []
+        for one in value:
+            if type(one) is Var:
+                found.append(one)
+            elif type(one) not in PLAIN:
+                found += variables(self, one)
+        return found
+
+    return variables

@@ -1,0 +1,37 @@
+"""The one place that tells libraries how many threads they may have.
+
+`domain.cores` knows the number, for whom it is told at each use: onnxruntime's sessions, ffmpeg,
+and what runs threads here. OpenCV always has one, and BLAS, which numpy starts as it is imported,
+is told by `exwarp_cli.cli`.
+"""
+
+from __future__ import annotations
+
+import OpenImageIO as oiio
+
+from exwarp_cli.domain import cores
+from exwarp_cli.io.machine import processors
+from exwarp_cli.kernels import jit
+
+
+def use_threads(count: int | None) -> None:
+    """Set how many cores this process uses.
+
+    Parameters
+    ----------
+    count
+        At least 1; None for all that this process may use. Kernels heed it in this thread, and in
+        those that begin with `for_kernels`.
+    """
+    cores.share(count, processors().usable)
+    oiio.attribute("threads", cores.count())
+    oiio.attribute("exr_threads", cores.count())
+    for_kernels()
+
+
+def for_kernels() -> None:
+    """Have kernels that this thread starts use no more threads than others do.
+
+    Numba lets a new thread have a kernel's threads for all cores.
+    """
+    jit.set_threads(cores.count())

@@ -1,0 +1,79 @@
+"""The median of what counts in a buffer, without sorting out the rest."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from exwarp_cli.kernels.jit import serial
+
+F32 = npt.NDArray[np.float32]
+B8 = npt.NDArray[np.bool_]
+
+SAMPLES = 1 << 14
+"""Values that tell about where the median lies."""
+
+BESIDE = 0.03
+"""Share of all values, on each side of the samples' median, among which that of all is looked for:
+seven times the standard error of so many samples."""
+
+
+@serial
+def pick_between(values: F32, shown: B8, low: float, high: float, out: F32) -> tuple[int, int, int]:
+    """Copy values above 0 that lie from `low` to `high`.
+
+    Parameters
+    ----------
+    values
+        float32 [N].
+    shown
+        bool [N]: those that count, where they are above 0.
+    low, high
+        Ends; both count.
+    out
+        float32 [N], its beginning is written.
+
+    Returns
+    -------
+    tuple of int
+        How many count in all, how many of them lie below `low`, and how many were copied.
+    """
+    total, below, count = 0, 0, 0
+    for n in range(values.size):
+        value = values[n]
+        counts = shown[n] & (value > np.float32(0))
+        total += counts
+        below += counts & (value < low)
+        out[count] = value  # kept where the next one goes to another place
+        count += counts & (value >= low) & (value <= high)
+    return total, below, count
+
+
+def positive(values: F32, shown: B8) -> np.float32:
+    """Return the median of values above 0, as numpy does; NaN where there are none.
+
+    Parameters
+    ----------
+    values
+        float32 [H, W].
+    shown
+        bool [H, W]: those that count, where they are above 0.
+    """
+    flat, mask = np.ascontiguousarray(values).ravel(), np.ascontiguousarray(shown).ravel()
+    step = max(1, flat.size // SAMPLES)
+    some = flat[::step][mask[::step]]
+    some = np.sort(some[some > 0])
+    low, high = np.float32(0), np.float32(np.inf)
+    if step > 1 and some.size:
+        near = max(1, round(BESIDE * some.size))
+        low, high = (
+            some[max(0, some.size // 2 - near)],
+            some[min(some.size // 2 + near, len(some) - 1)],
+        )
+    out = np.empty(flat.size + 1, np.float32)
+    total, below, count = pick_between(flat, mask, low, high, out)
+    # An even number has two in the middle, whose mean is the median.
+    first, last = (total - 1) // 2 - below, total // 2 - below
+    if first < 0 or last >= count:
+        return np.float32(np.median(flat[mask & (flat > 0)])) if total else np.float32(np.nan)
+    return np.float32(np.partition(out[:count], (first, last))[first : last + 1].mean())

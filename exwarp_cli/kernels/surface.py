@@ -1,0 +1,137 @@
+"""A slot's surfaces from where motion fields lead."""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from exwarp_cli.kernels.gather import sample_border
+from exwarp_cli.kernels.jit import inlined, parallel, part, serial
+
+F32 = npt.NDArray[np.float32]
+B8 = npt.NDArray[np.bool_]
+Parts = tuple[F32, F32, F32, F32]
+Colours = tuple[F32, F32]
+
+FURTHEST = np.float32(1e7)
+"""Pixels from the frame's corner beyond which nothing is sampled."""
+
+
+@inlined
+def end_of(
+    i: int, j: int, move_x: np.float32, move_y: np.float32, height: int, width: int
+) -> tuple[int, int]:
+    """Return row and column of the pixel nearest to where pixel (i, j) comes; -1 beyond the frame.
+
+    In double precision, as ends lie between pixels often enough to be rounded the other way.
+    """
+    x = np.float64(j) + np.float64(move_x) + 0.5
+    y = np.float64(i) + np.float64(move_y) + 0.5
+    if x >= 0 and y >= 0 and x <= width and y <= height:  # no for NaN
+        return min(int(y), height - 1), min(int(x), width - 1)
+    return -1, -1
+
+
+@part
+def sample_colour(
+    colour: F32, shape: tuple[int, int, int], x: np.float32, y: np.float32, out: F32, place: int
+) -> None:
+    """Write a colour from `place` on, as `exwarp_cli.kernels.gather.gather_bilinear_text` does."""
+    shown = False
+    if abs(x) < FURTHEST and abs(y) < FURTHEST:
+        shown = sample_border(colour, shape, x, y, out, place)
+    if not shown:
+        for c in range(3):
+            out[place + c] = np.float32(0)
+
+
+@inlined
+def copy_parts(here: Parts, q: int, p: int, made: Parts, i: int, j: int) -> None:
+    """Copy what is known of a frame's pixel (q, p) to the slot's (i, j)."""
+    depth, normal, roughness, metallic = here
+    if depth.size > 0:
+        made[0][i, j] = depth[q, p]
+    if normal.size > 0:
+        for c in range(3):
+            made[1][i, j, c] = normal[q, p, c]
+    if roughness.size > 0:
+        made[2][i, j] = roughness[q, p]
+    if metallic.size > 0:
+        made[3][i, j] = metallic[q, p]
+
+
+def take_over_text(
+    field: F32,
+    here: Parts,
+    colours: Colours,
+    made: Parts,
+    made_colours: Colours,
+    unknown: B8,
+) -> None:
+    """Take over a frame's surfaces where a slot's are not known yet.
+
+    Parameters
+    ----------
+    field
+        float32 [H, W, 2], pixels, from the slot to the frame; NaN where it shows nothing.
+    here
+        The frame's depth [H, W], normal [H, W, 3], roughness and metallic [H, W], float32; [0, 0]
+        and [0, 0, 3] for what is not known. The nearest pixel's are taken.
+    colours
+        The frame's albedo and specular, float32 [H W 3]; [0] for what is not known. They are
+        sampled bilinearly.
+    made, made_colours
+        The slot's, changed; where the frame's is empty, they may be so, too.
+    unknown
+        bool [H, W], changed: what becomes known is taken off.
+    """
+    height, width, _ = field.shape
+    shape = (height, width, 3)
+    for row in numba.prange(height):
+        i = np.int64(row)
+        for j in range(width):
+            if not unknown[i, j]:
+                continue
+            q, p = end_of(i, j, field[i, j, 0], field[i, j, 1], height, width)
+            if q < 0:
+                continue
+            unknown[i, j] = False
+            copy_parts(here, q, p, made, i, j)
+            x, y = np.float32(j) + field[i, j, 0], np.float32(i) + field[i, j, 1]
+            place = (i * width + np.int64(j)) * 3
+            if colours[0].size > 0:
+                sample_colour(colours[0], shape, x, y, made_colours[0], place)
+            if colours[1].size > 0:
+                sample_colour(colours[1], shape, x, y, made_colours[1], place)
+
+
+take_over = parallel(take_over_text)
+take_over_serial = serial(take_over_text)
+
+
+def go_on_text(foretold: F32, moved: F32, lost: B8) -> None:
+    """Give points that are not known where they come from the place that is foretold.
+
+    Parameters
+    ----------
+    foretold
+        float32 [H, W, 2], pixels; NaN where nothing is.
+    moved
+        float32 [H, W, 2], pixels, changed where it is NaN.
+    lost
+        bool [H, W], changed: false for these.
+    """
+    height, width, _ = moved.shape
+    for row in numba.prange(height):
+        i = np.int64(row)
+        for j in range(width):
+            if math.isnan(moved[i, j, 0]) and not math.isnan(foretold[i, j, 0]):
+                moved[i, j, 0], moved[i, j, 1] = foretold[i, j, 0], foretold[i, j, 1]
+                lost[i, j] = False
+
+
+go_on = parallel(go_on_text)
+go_on_serial = serial(go_on_text)

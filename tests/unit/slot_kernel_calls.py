@@ -1,0 +1,178 @@
+"""The kernels that look back from a slot, called with fresh outputs, and a case for each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from exwarp_cli.kernels import follow, planes, project, surface
+from tests.unit import kernel_calls as calls
+from tests.unit import kernel_cases as cases
+from tests.unit.kernel_calls import Arrays, build
+
+Frame = tuple[np.ndarray, np.ndarray]
+NO_PLANE = np.zeros((0, 0), np.float32)
+
+
+def stood(
+    position: np.ndarray | None,
+    depth: np.ndarray,
+    cameras: tuple[np.ndarray, np.ndarray],
+    step: np.ndarray,
+    tolerance: float,
+    serial: bool = False,
+) -> Arrays:
+    out = np.zeros(depth.shape, np.bool_)
+    places = calls.NO_VECTORS if position is None else position
+    call = build(project, "standing", serial)
+    call(places, depth, *cameras, step, np.float32(tolerance), out)
+    return (out,)
+
+
+def shown_followed(
+    step: np.ndarray,
+    stencil: np.ndarray,
+    gone: np.ndarray,
+    moved: np.ndarray,
+    lost: np.ndarray,
+    serial: bool = False,
+) -> Arrays:
+    out, missed = moved.copy(), lost.copy()
+    build(follow, "follow_shown", serial)(step, stencil, gone, out, missed)
+    return out, missed
+
+
+def taken_over(
+    field: np.ndarray,
+    parts: tuple[np.ndarray, ...],
+    colours: tuple[np.ndarray, ...],
+    unknown: np.ndarray,
+    serial: bool = False,
+) -> Arrays:
+    """Parts and colours as the kernel has them, but colours [H, W, 3]."""
+    made = tuple(np.full_like(part, -9) for part in parts)
+    mixed = tuple(np.full_like(colour, -9) for colour in colours)
+    rest = unknown.copy()
+    flat = [tuple(colour.reshape(-1) for colour in group) for group in (colours, mixed)]
+    build(surface, "take_over", serial)(field, parts, flat[0], made, flat[1], rest)
+    return (*made, *mixed, rest)
+
+
+def gone_on(
+    foretold: np.ndarray, moved: np.ndarray, lost: np.ndarray, serial: bool = False
+) -> Arrays:
+    out, missed = moved.copy(), lost.copy()
+    build(surface, "go_on", serial)(foretold, out, missed)
+    return out, missed
+
+
+def spread(
+    frames: tuple[Frame, Frame, Frame],
+    filled: np.ndarray,
+    parts: tuple[np.ndarray, ...],
+    median: float,
+    rows: slice,
+    columns: slice,
+    serial: bool = False,
+) -> Arrays:
+    out = np.full((25, rows.stop - rows.start, columns.stop - columns.start), np.nan, np.float32)
+    defaults, corner = (0.5, 0.25, 0.0), (rows.start, columns.start)
+    call = build(planes, "spread", serial)
+    call(frames, filled, parts, defaults, np.float32(median), corner, out)
+    return (out,)
+
+
+def joined(
+    colour: np.ndarray, modulation: np.ndarray | None, filled: np.ndarray, serial: bool = False
+) -> Arrays:
+    out = np.full_like(filled, np.nan)
+    given = calls.NO_VECTORS if modulation is None else modulation
+    build(planes, "join", serial)(colour, given, filled, out)
+    return (out,)
+
+
+def demodulated(
+    pixels: np.ndarray, albedo: np.ndarray, specular: np.ndarray, serial: bool = False
+) -> Arrays:
+    out = np.full_like(pixels, np.nan)
+    build(planes, "demodulate", serial)(pixels, albedo, specular, (0.2, 2.0), out)
+    return (out,)
+
+
+def cameras(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    return np.eye(3, 4) + rng.normal(0, 0.02, (3, 4)), np.eye(3) + rng.normal(0, 0.01, (3, 3))
+
+
+def seen(seed: int) -> np.ndarray:
+    return np.random.default_rng(seed).random(cases.SHAPE) < 0.7
+
+
+def frame(seed: int) -> Frame:
+    return np.nan_to_num(cases.image(seed)), seen(seed)
+
+
+def parts(seed: int) -> tuple[np.ndarray, ...]:
+    """Depth, normal, roughness and metallic, not all of them usable."""
+    normal, rough, metal = cases.vectors(seed, 0.5), cases.vectors(seed + 1, 1), cases.image(seed)
+    normal[3, 4:6, 0] = np.nan, np.inf
+    depth = cases.depth(seed)
+    depth[5, 6:8] = np.nan, -1
+    return depth, normal, rough[..., 0].copy(), metal[..., 0].copy()
+
+
+def colours(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    return cases.image(seed)[..., :3].copy(), np.abs(cases.vectors(seed, 0.4, (1, 0, 0)))
+
+
+def _standing(serial: bool) -> Arrays:
+    """With positions, and by depth alone."""
+    places, depth, step = cases.wide(cases.vectors(23, 0.3)), cases.depth(24), cases.field(25)
+    placed = stood(places, depth, cameras(22), step, 2.0, serial)
+    return placed + stood(None, depth, cameras(22), step, 2.0, serial)
+
+
+def _follow_shown(serial: bool) -> Arrays:
+    """With ids, and without."""
+    moved, lost = cases.field(31), seen(34)
+    known = shown_followed(cases.field(29), cases.ids(32), seen(33), moved, lost, serial)
+    blind = shown_followed(cases.field(29), calls.NO_IDS, seen(33), moved, lost, serial)
+    return known + blind
+
+
+def _take_over(serial: bool) -> Arrays:
+    """With everything, and with depth alone."""
+    full = taken_over(cases.field(70), parts(71), colours(72), seen(73), serial)
+    nothing = np.zeros((0, 0, 3), np.float32)
+    bare = (cases.depth(71), nothing, NO_PLANE, NO_PLANE)
+    return full + taken_over(cases.field(70), bare, (nothing, nothing), seen(73), serial)
+
+
+def _spread(serial: bool) -> Arrays:
+    """A part that reaches beyond the frame, and one of what is known least of."""
+    frames, filled = (frame(74), frame(75), frame(76)), frame(77)[0]
+    all_of_it = slice(0, 40), slice(-2, 16)
+    full = spread(frames, filled, parts(78), 2.5, *all_of_it, serial)
+    nothing = (NO_PLANE, calls.NO_VECTORS, NO_PLANE, NO_PLANE)
+    return full + spread(frames, filled, nothing, 1.0, slice(3, 9), slice(2, 7), serial)
+
+
+def _join(serial: bool) -> Arrays:
+    """With and without surface colour."""
+    filled = frame(79)[0]
+    filled[4:9, 3:8] = 0
+    colour = np.ascontiguousarray(frame(80)[0][..., :3].transpose(2, 0, 1))
+    divided = joined(colour, np.abs(cases.vectors(81, 0.3)), filled, serial)
+    return divided + joined(colour, None, filled[..., :3].copy(), serial)
+
+
+CASES: dict[str, Callable[[bool], Arrays]] = {
+    "standing": _standing,
+    "follow_shown": _follow_shown,
+    "take_over": _take_over,
+    "go_on": lambda serial: gone_on(cases.field(82), cases.field(83), seen(84), serial),
+    "spread": _spread,
+    "join": _join,
+    "demodulate": lambda serial: demodulated(frame(85)[0], *colours(86), serial),
+}

@@ -1,0 +1,160 @@
+"""Cores that threads of a command share: never too many at work, and nobody waits for ever."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+
+from exwarp_cli.domain import cores
+from exwarp_cli.domain.cores import Cores
+
+SOON = 10.0
+"""Seconds after which a wait counts as hanging; none should take a hundredth of it."""
+
+
+class Busy:
+    """Counts who is in a block at the same time."""
+
+    def __init__(self) -> None:
+        self._lock, self._now, self.most = threading.Lock(), 0, 0
+
+    def work(self, many: int = 1, seconds: float = 0.002) -> None:
+        with self._lock:
+            self._now += many
+            self.most = max(self.most, self._now)
+        time.sleep(seconds)
+        with self._lock:
+            self._now -= many
+
+
+def side_by_side(count: int, work: Callable[[], None]) -> None:
+    """Do something in so many threads, three times in each."""
+    with ThreadPoolExecutor(count) as pool:
+        done = [pool.submit(work) for _ in range(3 * count)]
+        for each in done:
+            each.result(SOON)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_no_more_work_than_there_are_cores_for(count):
+    shared, busy = Cores(count), Busy()
+
+    def work() -> None:
+        with shared.taken():
+            busy.work()
+
+    side_by_side(6, work)
+    assert busy.most == count
+
+
+def test_without_a_bound_nobody_waits():
+    shared, meeting = Cores(None), threading.Barrier(6)
+
+    def work() -> None:
+        with shared.taken(), shared.given_back():
+            meeting.wait(SOON)
+
+    side_by_side(6, work)
+
+
+def test_cores_are_given_to_others_for_as_long_as_their_owner_waits():
+    shared, order = Cores(1), []
+
+    def work() -> None:
+        with shared.taken():
+            order.append("other")
+
+    with ThreadPoolExecutor(1) as pool, shared.taken():
+        other = pool.submit(work)
+        time.sleep(0.02)
+        order.append("before")
+        with shared.given_back():
+            other.result(SOON)
+        order.append("after")
+    assert order == ["before", "other", "after"]
+
+
+def test_some_take_several_and_all_is_the_most():
+    shared, busy = Cores(3), Busy()
+
+    def work(many: int) -> Callable[[], None]:
+        def run() -> None:
+            with shared.taken(many):
+                busy.work(min(many, 3))
+
+        return run
+
+    with ThreadPoolExecutor(6) as pool:
+        done = [pool.submit(work(many)) for many in (1, 2, 3, 9, 1, 2, 1, 3)]
+        for each in done:
+            each.result(SOON)
+    assert busy.most == 3
+
+
+def test_within_a_block_a_thread_takes_no_more():
+    shared, busy = Cores(1), Busy()
+
+    def work() -> None:
+        with shared.taken(), shared.taken():
+            busy.work()
+            with shared.given_back(), shared.given_back():
+                time.sleep(0.002)
+            busy.work()
+
+    side_by_side(4, work)
+    assert busy.most == 1
+
+
+def test_what_fails_gives_its_cores_back():
+    shared = Cores(1)
+    for _ in range(2):
+        with pytest.raises(OSError, match="full"), shared.taken():
+            raise OSError("full")
+        with pytest.raises(OSError, match="gone"), shared.taken(), shared.given_back():
+            raise OSError("gone")
+
+
+class TestOfTheProcess:
+    def test_fewer_than_there_are_bound_who_works(self):
+        cores.share(2, 8)
+        busy = Busy()
+
+        def work() -> None:
+            with cores.working():
+                busy.work()
+
+        side_by_side(5, work)
+        assert (cores.count(), busy.most) == (2, 2)
+
+    @pytest.mark.parametrize(("asked", "count"), [(None, 4), (4, 4), (9, 9)])
+    def test_all_cores_are_bound_enough_by_themselves(self, asked, count):
+        cores.share(asked, 4)
+        meeting = threading.Barrier(10)
+
+        def work() -> None:
+            with cores.working():
+                meeting.wait(SOON)
+
+        with ThreadPoolExecutor(10) as pool:
+            for each in [pool.submit(work) for _ in range(10)]:
+                each.result(SOON)
+        assert cores.count() == count
+
+    def test_the_same_again_keeps_what_is_taken(self):
+        cores.share(1, 8)
+
+        def work() -> None:
+            with cores.working():
+                pass
+
+        with ThreadPoolExecutor(1) as pool, cores.working():
+            cores.share(1, 8)
+            other = pool.submit(work)
+            time.sleep(0.02)
+            assert not other.done()
+            with cores.waiting():
+                other.result(SOON)

@@ -1,0 +1,107 @@
+"""Compilation without repetitions: what is spared, and that all else stays."""
+
+from __future__ import annotations
+
+import gc
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+from numba.core import compiler, errors, ir
+
+from exwarp_cli.compiled import builds, cache, front_end
+
+
+@pytest.fixture(autouse=True)
+def uncached(monkeypatch) -> None:
+    monkeypatch.setattr(cache.KernelCache, "load_overload", lambda *_: None)
+    monkeypatch.setattr(cache.KernelCache, "save_overload", lambda *_: None)
+
+
+def test_a_part_is_compiled_once_for_a_loop_and_its_surroundings(monkeypatch):
+    compiled: list[str] = []
+    real = compiler.compile_extra
+
+    def noted(typingctx: Any, targetctx: Any, func: Any, *rest: Any, **named: Any) -> Any:
+        compiled.append(func.__name__)
+        return real(typingctx, targetctx, func, *rest, **named)
+
+    monkeypatch.setattr(compiler, "compile_extra", noted)
+
+    @builds.part
+    def doubled(value: float) -> float:
+        return value + value
+
+    def double_all(values: np.ndarray) -> None:
+        for i in numba.prange(values.size):
+            values[i] = doubled(values[i])
+
+    values = np.arange(5.0)
+    builds.compiled(double_all, parallel=True)(values)
+    assert values.tolist() == [0, 2, 4, 6, 8]
+    assert compiled.count("doubled") == 1
+
+
+def test_parts_made_after_something_was_compiled_are_found():
+    def once(value: float) -> float:
+        return value + 1
+
+    assert builds.compiled(once)(1.0) == 2
+
+    @builds.part
+    def late(value: float) -> float:
+        return 3 * value
+
+    def use(value: float) -> float:
+        return late(value)
+
+    assert builds.compiled(use)(2.0) == 6
+
+
+class TestCollecting:
+    """Python looks for unreachable objects rarely while something is compiled."""
+
+    @pytest.fixture
+    def seen(self, monkeypatch) -> list[tuple[int, ...]]:
+        """Thresholds while code is made."""
+        found: list[tuple[int, ...]] = []
+        real = compiler.Compiler.define_pipelines
+
+        def noted(self: Any) -> Any:
+            found.append(gc.get_threshold())
+            return real(self)
+
+        monkeypatch.setattr(compiler.Compiler, "define_pipelines", noted)
+        return found
+
+    def test_thresholds_come_back(self, seen):
+        before = gc.get_threshold()
+        assert builds.compiled(lambda value: value + 1)(1) == 2
+        assert [first for first, *_ in seen] == [front_end.RARELY]
+        assert gc.get_threshold() == before
+
+    def test_thresholds_come_back_after_an_error(self, seen):
+        before = gc.get_threshold()
+        with pytest.raises(errors.TypingError):
+            builds.compiled(lambda value: value.nothing)(1)
+        assert seen and gc.get_threshold() == before
+
+    def test_who_never_collects_goes_on(self, seen):
+        before = gc.get_threshold()
+        gc.set_threshold(0)
+        try:
+            builds.compiled(lambda value: value + 2)(1)
+            assert [first for first, *_ in seen] == [0]
+            assert gc.get_threshold()[0] == 0
+        finally:
+            gc.set_threshold(*before)
+
+
+def test_variables_of_instructions_are_those_that_numba_lists():
+    where = ir.Loc("here.py", 1)
+    a, b, c = (ir.Var(None, name, where) for name in "abc")
+    call = ir.Expr.call(a, (b, 2, "word"), {"x": c, "y": [None, (b,)]}, where)
+    assert call.list_vars() == [a, b, c, b]
+    assert sorted(v.name for v in ir.Assign(call, a, where).list_vars()) == list("aabbc")
+    assert call._rec_list_vars(a) == [a] and call._rec_list_vars(7) == []

@@ -1,0 +1,63 @@
+"""Planes as networks take them: against the naive twin, and by their definitions."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.reference import slot_planes as naive
+from tests.unit import slot_kernel_calls as calls
+from tests.unit.kernel_cases import SHAPE
+
+PARTS = [(slice(0, SHAPE[0]), slice(0, SHAPE[1])), (slice(-3, 9), slice(8, SHAPE[1] + 6))]
+
+
+@pytest.mark.parametrize("part", PARTS)
+@pytest.mark.parametrize("known", [True, False])
+def test_planes_are_those_of_the_naive_twin(known, part):
+    frames, filled = tuple(calls.frame(seed) for seed in (1, 2, 3)), calls.frame(4)[0]
+    given = calls.parts(5)
+    nothing = (calls.NO_PLANE, calls.calls.NO_VECTORS, calls.NO_PLANE, calls.NO_PLANE)
+    (found,) = calls.spread(frames, filled, given if known else nothing, 2.5, *part)
+    expected = naive.spread(
+        frames, filled, given if known else (None,) * 4, 2.5, *part, (0.5, 0.25, 0.0)
+    )
+    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-6)
+
+
+def test_what_is_not_shown_keeps_the_sign_of_its_nothing():
+    """As a product with 0 has it: what reaches the network does not depend on how it is made."""
+    frames, filled = tuple(calls.frame(seed) for seed in (1, 2, 3)), calls.frame(4)[0]
+    (found,) = calls.spread(frames, filled, calls.parts(5), 2.5, *PARTS[0])
+    pixels, seen = frames[0]
+    hidden = np.signbit(pixels[..., :3])[~seen]
+    assert (found[:3][:, ~seen] == 0).all()
+    np.testing.assert_array_equal(np.signbit(found[:3][:, ~seen].T), hidden)
+
+
+@pytest.mark.parametrize("modulated", [True, False])
+@pytest.mark.parametrize("channels", [3, 4, 5])
+def test_an_answer_becomes_a_frame(modulated, channels):
+    rng = np.random.default_rng(channels)
+    filled = rng.normal(size=(*SHAPE, channels)).astype(np.float32)
+    filled[3:8, 2:6] = 0
+    filled[20:, 5, :3] = 0  # black that is there
+    colour = rng.normal(size=(3, *SHAPE)).astype(np.float32)
+    modulation = rng.uniform(0.2, 2, (*SHAPE, 3)).astype(np.float32) if modulated else None
+    (found,) = calls.joined(colour, modulation, filled)
+    expected = colour.transpose(1, 2, 0) * (1 if modulation is None else modulation)
+    if channels > 3:
+        expected = np.where((filled == 0).all(-1, keepdims=True), 0, expected)
+    np.testing.assert_array_equal(found, np.concatenate([expected, filled[..., 3:]], axis=-1))
+
+
+def test_shading_is_colour_without_the_surface_s():
+    pixels = calls.frame(6)[0]
+    albedo = np.full((*SHAPE, 3), 0.3, np.float32)
+    specular = np.full((*SHAPE, 3), 0.3, np.float32)
+    albedo[:5], specular[5:9], albedo[9:12] = 0, 5, 0.1
+    specular[9:12] = 0
+    (found,) = calls.demodulated(pixels, albedo, specular)
+    surface = np.clip(albedo + specular, np.float32(0.2), np.float32(2))
+    np.testing.assert_array_equal(found[..., :3], pixels[..., :3] / surface)
+    np.testing.assert_array_equal(found[..., 3], pixels[..., 3])
