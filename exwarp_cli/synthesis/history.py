@@ -140,7 +140,7 @@ def step_back(back: SlotField, there: Float32, before: SlotField) -> SlotField:
     shown = field + lookup(before.field, field, np.nan)
     away = np.abs(shown - back.field).max(axis=-1)
     hole = ~(away <= SAME_POINT)
-    return SlotField(field, back.depth, hole, np.zeros_like(hole))
+    return SlotField(field, back.depth, hole)
 
 
 def _reprojected(slot: int, back: SlotField, key: GBuffer, past: Sequence[Past]) -> LookBack:
