@@ -37,6 +37,8 @@ class Staging:
         For methods that have a network interpolate.
     estimated
         Whether key frames come with estimated motion, which is settled as it is.
+    bare
+        Whether nobody asks for more of key frames' settled geometry than motion and depth.
     """
 
     def __init__(
@@ -45,11 +47,13 @@ class Staging:
         network: Extrapolator | None = None,
         interpolator: Interpolator | None = None,
         estimated: bool = False,
+        bare: bool = False,
     ) -> None:
         self._display = display
         self._network = network
         self._interpolator = interpolator
         self._estimated = estimated
+        self._bare = bare
         self._moving = MovingIds()
         self._frames: dict[tuple[int, Basis], KeyFrame] = {}
         self._instants: dict[tuple[Slot, Basis], GBuffer] = {}
@@ -76,7 +80,14 @@ class Staging:
         self._keep(loaded.key, slots, basis)
         networks = (self._network, self._interpolator)
         return Interval(
-            key, following, slots, past, *networks, loaded.times, estimated=self._estimated
+            key,
+            following,
+            slots,
+            past,
+            *networks,
+            loaded.times,
+            self._estimated,
+            keeps=bool(loaded.truth),
         )
 
     def _frame(self, index: int, frame: KeyFrame, basis: Basis) -> KeyFrame:
@@ -84,6 +95,8 @@ class Staging:
             placed = frame.extended(basis[0])
             if placed.gbuffer is not None and not self._estimated:
                 placed = replace(placed, gbuffer=settle_motion(placed.gbuffer))
+            if self._bare and placed.gbuffer is not None:
+                placed = replace(placed, gbuffer=placed.gbuffer.bare())
             self._frames[index, basis] = placed
         return self._frames[index, basis]
 

@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer
+from exwarp_cli.domain.lent_memory import lent
 from exwarp_cli.kernels import edges, holes, settling, splat
 from exwarp_cli.synthesis.camera import (
     Scene,
@@ -62,7 +63,7 @@ class SlotField:
         """
         if self.source is None:
             return np.zeros(self.depth.shape, np.bool_)
-        out = np.empty(self.depth.shape, np.bool_)
+        out: Bool = lent(self.depth.shape, np.bool_)
         edges.find_fringe(self.field, self.depth, self.source, out)
         return out
 
@@ -91,12 +92,12 @@ def settle_motion(gbuffer: GBuffer) -> GBuffer:
         return gbuffer
     scene, vectors = scene_of(gbuffer), (gbuffer.to_previous, gbuffer.to_next)
     depth, stencil = depth_of(gbuffer), stencil_of(gbuffer)
-    edge = np.empty(depth.shape, np.bool_)
+    edge: Bool = lent(depth.shape, np.bool_)
     edges.find_edges(depth, stencil, edge)
     position = _NOWHERE if scene is None else _flat(scene.position)
     surfaces = position, depth, stencil, edge
     given = tuple(_NOWHERE if way is None else _flat(way) for way in vectors)
-    found = tuple(np.empty(way.shape, np.float32) for way in given)
+    found = tuple(lent(way.shape, np.float32) for way in given)
     cameras = cameras_around(scene, vectors, gbuffer.stencil)
     settling.settle(given, surfaces, cameras, np.float32(STATIC_TOLERANCE), found)
     before, after = (
@@ -156,11 +157,12 @@ def moved_on(gbuffer: GBuffer, motion: Float32) -> SlotField:
         float32 [H, W, 2], pixels: where each of its pixels moves; NaN for nowhere.
     """
     depth = depth_of(gbuffer)
-    field, near = np.empty_like(motion), np.empty_like(depth)
+    field, near = lent(motion.shape, np.float32), lent(depth.shape, np.float32)
+    hole: Bool = lent(depth.shape, np.bool_)
     reach = np.empty(splat.reach_shape(depth.shape), np.float32)
     splat.row_reach(motion, reach)
     splat.splat(motion, depth, reach, field, near)
-    return SlotField(field, near, np.isnan(near), depth)
+    return SlotField(field, near, np.isnan(near, out=hole), depth)
 
 
 def compose_back(slots: Sequence[GBuffer], key: GBuffer) -> list[SlotField]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from exwarp_cli.domain.extrapolator import Extrapolator
-from exwarp_cli.domain.frame import Float32, GBuffer, KeyFrame, Window, place
+from exwarp_cli.domain.frame import Bool, Float32, GBuffer, KeyFrame, Window, place
 from exwarp_cli.domain.interpolator import Interpolator
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import LayoutError
@@ -50,6 +50,8 @@ class Interval:
         1. With G-buffers of the slots they are evenly spaced from key frame to key frame.
     estimated
         Whether motion was estimated from colour rather than rendered.
+    keeps
+        Whether what was worked out for slots is asked for again once they are made, to score them.
     """
 
     key: KeyFrame
@@ -60,10 +62,12 @@ class Interval:
     interpolator: Interpolator | None = None
     times: tuple[float, ...] = QUARTERS
     estimated: bool = False
+    keeps: bool = False
     _back: dict[int, SlotField] = field(default_factory=dict, init=False)
     _forward: dict[int, SlotField] = field(default_factory=dict, init=False)
     _looked: dict[int, LookBack] = field(default_factory=dict, init=False)
     _extrapolated: dict[int, Float32] = field(default_factory=dict, init=False)
+    _holes: dict[int, Bool] = field(default_factory=dict, init=False)
 
     @property
     def has_motion(self) -> bool:
@@ -142,14 +146,16 @@ class Interval:
         return self._extrapolated[slot]
 
     def forget(self, slot: int) -> None:
-        """Let go of what was worked out for a slot and those before it; it may be asked for again.
+        """Let go of what was worked out for a slot, but for its holes; it may be asked for again.
 
         Motion fields of three slots take as much memory as a key frame.
         """
+        if self.keeps:
+            return
+        if slot in self._back:
+            self._holes[slot] = self._back[slot].hole
         for known in (self._back, self._forward, self._looked):
-            for index in list(known):  # slots after it may be under way in other threads
-                if index <= slot:
-                    known.pop(index)
+            known.pop(slot, None)
 
     def without(self, *parts: str) -> Interval:
         """Return the interval as if its G-buffers lacked some parts; nothing is made yet."""
@@ -183,7 +189,9 @@ class Interval:
 
     def hole_mask(self, slot: int) -> np.ndarray | None:
         """bool [H, W]: what the warp from the key frame cannot see; None without motion."""
-        return self.back(slot).hole if self.has_motion else None
+        if not self.has_motion:
+            return None
+        return self._holes[slot] if slot in self._holes else self.back(slot).hole
 
 
 def _require_steps(slots: tuple[GBuffer, ...], key: KeyFrame) -> None:

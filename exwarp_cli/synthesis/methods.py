@@ -179,7 +179,9 @@ def _softsplat(interval: Interval, slot: int) -> Predicted:
     if interval.estimated:
         frames = (as_shown(frames[0]), as_shown(frames[1]))
     before = warp(frames[0], interval.back(slot))
+    interval.forget(slot)  # one field of two, in several threads
     after = warp(frames[1], interval.forward(slot))
+    interval.forget(slot)
     pixels = blend_by_depth(before, after, interval.time(slot))
     if interval.estimated:
         pixels = as_light(pixels)

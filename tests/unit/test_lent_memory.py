@@ -8,9 +8,9 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from exwarp_cli.io import lent_memory
+from exwarp_cli.domain import lent_memory
+from exwarp_cli.domain.lent_memory import LEAST, forget, lent, let_go
 from exwarp_cli.io.frames import joined
-from exwarp_cli.io.lent_memory import LEAST, forget, lent
 
 SHAPE = (600, 300, 4)
 
@@ -78,6 +78,17 @@ def test_what_is_forgotten_is_gone():
     lent(SHAPE, np.float32)
     assert lent_memory._returned
     forget()
+    assert not lent_memory._returned
+
+
+def test_what_nobody_wanted_for_an_interval_is_gone():
+    place = where(lent(SHAPE, np.float32))
+    lent((700, 300, 4), np.float32)
+    let_go()
+    assert where(lent(SHAPE, np.float32)) == place
+    let_go()
+    assert [memory.nbytes for _, memory in lent_memory._returned] == [4 * np.prod(SHAPE)]
+    let_go()
     assert not lent_memory._returned
 
 
