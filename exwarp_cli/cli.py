@@ -5,6 +5,7 @@ Commands are imported when they run, so that ``exwarp --help`` loads neither num
 
 from __future__ import annotations
 
+import gc
 import importlib
 import os
 import re
@@ -130,6 +131,9 @@ def exwarp(ctx: click.Context, config: str | None) -> None:
 
 def main() -> NoReturn:
     """Run the command line of this process and exit with its code."""
+    # What is imported stays, and is most of what there is: looking through it for garbage after
+    # every 700 objects took a tenth of the time of importing it.
+    gc.set_threshold(50_000)
     prepare_streams()
     code = run(sys.argv[1:])
     try:
