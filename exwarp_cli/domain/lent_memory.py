@@ -7,6 +7,7 @@ keeps such arrays too, but in pieces: of 590 MB that were in use it held 750.
 
 from __future__ import annotations
 
+import mmap
 import weakref
 from collections import deque
 from contextlib import suppress
@@ -21,6 +22,9 @@ LEAST = 1 << 20
 _returned: deque[tuple[int, npt.NDArray[np.uint8]]] = deque()
 """What nobody holds any more, and since when. Its methods need no lock, which finalizers must not
 wait for."""
+
+_PRIVATE = {"flags": mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS} if hasattr(mmap, "MAP_PRIVATE") else {}
+"""Not shared with other processes, as Windows' never is: shared pages are small ones."""
 
 _age = 0
 """How often `let_go` was called."""
@@ -51,10 +55,34 @@ def lent(shape: tuple[int, ...], dtype: npt.DTypeLike) -> np.ndarray:
         return np.empty(shape, kind)
     memory = _taken(size)
     if memory is None:
-        memory = np.empty(size, np.uint8)
+        _make_room(size)
+        memory = _fresh(size)
     loan = _Loan(memory, shape, kind)
     weakref.finalize(loan, _take_back, memory).atexit = False
     return np.asarray(loan)
+
+
+def _fresh(size: int) -> npt.NDArray[np.uint8]:
+    """Return memory that goes back to the system as a whole, and not into the allocator's heap."""
+    try:
+        pages = mmap.mmap(-1, size, **_PRIVATE)
+    except OSError as error:
+        raise MemoryError(f"{size} bytes") from error
+    if hasattr(mmap, "MADV_HUGEPAGE"):
+        with suppress(OSError):  # the system has none
+            pages.madvise(mmap.MADV_HUGEPAGE)
+    return np.frombuffer(pages, np.uint8)
+
+
+def _make_room(size: int) -> None:
+    """Give as much back to the system as will be taken from it, of what waited longest."""
+    freed = 0
+    while freed < size:
+        try:
+            _, memory = _returned.popleft()
+        except IndexError:
+            return
+        freed += memory.size
 
 
 def _take_back(memory: npt.NDArray[np.uint8]) -> None:
