@@ -68,10 +68,18 @@ def test_it_comes_back_with_the_last_view(view):
 
 
 def test_other_sizes_get_other_memory():
-    place = where(lent(SHAPE, np.float32))
-    kept = lent((700, 300, 4), np.float32)
-    assert len(lent_memory._returned) == 1
-    assert where(lent(SHAPE, np.float32)) == place != where(kept)
+    small, large = lent(SHAPE, np.float32), lent((700, 300, 4), np.float32)
+    places = where(small), where(large)
+    del small, large
+    again = lent((700, 300, 4), np.float32), lent(SHAPE, np.float32)
+    assert (where(again[1]), where(again[0])) == places
+
+
+def test_what_waits_makes_room_for_what_is_of_another_size():
+    lent(SHAPE, np.float32)
+    kept = lent((100, 300, 50), np.float32)
+    assert not lent_memory._returned
+    del kept
 
 
 def test_what_is_forgotten_is_gone():
@@ -82,8 +90,9 @@ def test_what_is_forgotten_is_gone():
 
 
 def test_what_nobody_wanted_for_an_interval_is_gone():
-    place = where(lent(SHAPE, np.float32))
-    lent((700, 300, 4), np.float32)
+    wanted, other = lent(SHAPE, np.float32), lent((700, 300, 4), np.float32)
+    place = where(wanted)
+    del wanted, other
     let_go()
     assert where(lent(SHAPE, np.float32)) == place
     let_go()
