@@ -148,6 +148,12 @@ class GBuffer:
         missing: dict[str, Any] = dict.fromkeys(parts)
         return replace(self, **missing)
 
+    def bare(self) -> GBuffer:
+        """Return motion and depth alone; all of it where only the rest tells what is background."""
+        if self.depth is None:
+            return self
+        return GBuffer(self.window, self.depth, to_previous=self.to_previous, to_next=self.to_next)
+
     def on(self, canvas: Window) -> GBuffer:
         """Return the geometry on another window; what is new there is background."""
         if canvas == self.window:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from exwarp_cli.domain.frame import Float32
+from exwarp_cli.domain.lent_memory import lent
 
 MIDDLE, ABOUT = 0.5, 0.01
 """What stands for no motion in vectors that were clamped to 0 … 1, and how far from it 8 bits may
@@ -81,7 +82,7 @@ class AxisMap:
         """Read plain displacements: in a third of the time that passes over the frame take."""
         from exwarp_cli.kernels.vectors import scale_vectors  # numba: not for `exwarp --help`
 
-        out = np.empty((*raw.shape[:-1], 2), np.float32)
+        out: Float32 = lent((*raw.shape[:-1], 2), np.float32)
         rows = np.ascontiguousarray(raw, np.float32).reshape(-1, raw.shape[-1])
         scales = np.float32(self.x_scale), np.float32(self.y_scale)
         scale_vectors(rows, (self.x_channel, self.y_channel), scales, out.reshape(-1, 2))

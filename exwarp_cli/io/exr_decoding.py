@@ -23,6 +23,7 @@ from isal import isal_zlib
 
 from exwarp_cli.domain import cores
 from exwarp_cli.domain.frame import Window
+from exwarp_cli.domain.lent_memory import lent
 from exwarp_cli.io.exr_chunks import (
     FLOAT,
     I64,
@@ -34,7 +35,6 @@ from exwarp_cli.io.exr_chunks import (
     Stored,
     stored_parts,
 )
-from exwarp_cli.io.lent_memory import forget, lent
 
 RUN = 1 << 21
 """Bytes of pixels that a thread takes at a time, or one chunk."""
@@ -114,7 +114,6 @@ class ScanLines:
         """
         targets: dict[int, list[_Target]] = {}
         found = [self._target(one) for one in wanted]
-        forget()
         for one, target in zip(wanted, found, strict=True):
             if target is not None:
                 targets.setdefault(one.part, []).append(target)

@@ -19,12 +19,12 @@ from exwarp_cli.domain.frame import (
     outside,
     place,
 )
+from exwarp_cli.domain.lent_memory import filed, lent, rest
 from exwarp_cli.domain.motion import MotionConvention
 from exwarp_cli.errors import DamagedFileError, LayoutError
 from exwarp_cli.io.channels import ChannelRef, Role, detect, require
 from exwarp_cli.io.cryptomatte import find_cryptomattes
 from exwarp_cli.io.exr import ExrReader
-from exwarp_cli.io.lent_memory import filed, lent, rest
 from exwarp_cli.io.shot import Shot as Shot
 from exwarp_cli.io.shot import open_shot as open_shot
 from exwarp_cli.io.shot import plain, renamed

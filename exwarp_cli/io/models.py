@@ -13,9 +13,9 @@ import numpy as np
 from exwarp_cli.domain import cores
 from exwarp_cli.domain.extrapolator import INPUTS, OUTPUT, TIME, Inputs, NetworkInputs
 from exwarp_cli.domain.frame import Float32
+from exwarp_cli.domain.lent_memory import lent, rest
 from exwarp_cli.domain.tiles import Span, Tile, cut
 from exwarp_cli.errors import InputError, LayoutError, MissingExtraError
-from exwarp_cli.io.lent_memory import lent, rest
 from exwarp_cli.io.model_checks import (
     STRIDE_KEY,
     reason,

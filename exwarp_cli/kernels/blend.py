@@ -107,7 +107,10 @@ def blend_row(before: F32, after: F32, share: F32, out: F32) -> None:
         np.ascontiguousarray(before).reshape(-1),
         np.ascontiguousarray(after).reshape(-1),
     )
-    mix_row(first, second, shares, out.reshape(-1))
+    mixed, whole = np.empty(out.size, np.float32), out.reshape(-1)
+    mix_row(first, second, shares, mixed)  # `out` may be `before`, for which loops are slow
+    for k in range(out.size):
+        whole[k] = mixed[k]
 
 
 def blend_text(before: Side, after: Side, time: np.float32, out: F32, depth: F32, hole: B8) -> None:
@@ -121,7 +124,7 @@ def blend_text(before: Side, after: Side, time: np.float32, out: F32, depth: F32
     time
         Of the slot in the key interval, 0 < time < 1.
     out
-        float32 [H, W, C], written; in holes that of `before`.
+        float32 [H, W, C], written; in holes that of `before`, whose pixels it may be.
     depth
         float32 [H, W], written: the nearer of both depths.
     hole

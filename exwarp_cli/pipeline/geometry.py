@@ -8,15 +8,14 @@ from typing import Any
 from exwarp_cli.domain.extrapolator import HISTORY, Extrapolator
 from exwarp_cli.domain.frame import SURFACE_PARTS, Float32, GBuffer, KeyFrame, Window
 from exwarp_cli.domain.interpolator import Interpolator
+from exwarp_cli.domain.lent_memory import filed, rest
 from exwarp_cli.domain.timeline import Slot
-from exwarp_cli.io.lent_memory import filed, rest
 from exwarp_cli.pipeline.instants import between, without_surface
 from exwarp_cli.pipeline.loaded import Loaded, Older
 from exwarp_cli.pipeline.moving_ids import Ids, MovingIds, with_stencils
 from exwarp_cli.synthesis.geometry import settle_motion
 from exwarp_cli.synthesis.history import Past
 from exwarp_cli.synthesis.interval import Interval
-from exwarp_cli.synthesis.memory import Memory
 from exwarp_cli.synthesis.span import span_motion
 from exwarp_cli.synthesis.trajectory import displacement
 
@@ -40,6 +39,8 @@ class Staging:
         For methods that have a network interpolate.
     estimated
         Whether key frames come with estimated motion, which is settled as it is.
+    bare
+        Whether nobody asks for more of key frames' settled geometry than motion and depth.
     """
 
     def __init__(
@@ -48,11 +49,13 @@ class Staging:
         network: Extrapolator | None = None,
         interpolator: Interpolator | None = None,
         estimated: bool = False,
+        bare: bool = False,
     ) -> None:
         self._display = display
         self._network = network
         self._interpolator = interpolator
         self._estimated = estimated
+        self._bare = bare
         self._moving = MovingIds()
         self._frames: dict[tuple[int, Basis], KeyFrame] = {}
         self._instants: dict[tuple[Slot, Basis], GBuffer] = {}
@@ -108,7 +111,7 @@ class Staging:
             *networks,
             loaded.times,
             estimated=self._estimated,
-            memory=Memory(filed, rest),
+            keeps=bool(loaded.truth),
         )
 
     def _frame(self, index: int, frame: KeyFrame, basis: Basis) -> KeyFrame:
@@ -116,6 +119,8 @@ class Staging:
             placed = frame.extended(basis[0])
             if placed.gbuffer is not None and not self._estimated:
                 placed = replace(placed, gbuffer=_filed(settle_motion(placed.gbuffer)))
+            if self._bare and placed.gbuffer is not None:
+                placed = replace(placed, gbuffer=placed.gbuffer.bare())
             self._frames[index, basis] = placed
         return self._frames[index, basis]
 

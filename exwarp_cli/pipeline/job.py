@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+from exwarp_cli.domain.lent_memory import file_large
 from exwarp_cli.domain.results import FrameRecord, InterpolatorSummary, NetworkSummary, RunSummary
 from exwarp_cli.io.allocator import share_one_arena
 from exwarp_cli.io.footage import close
-from exwarp_cli.io.lent_memory import file_large
 from exwarp_cli.io.output import compression_of
 from exwarp_cli.io.threads import use_threads
 from exwarp_cli.pipeline.announcing import (

@@ -3,38 +3,38 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from functools import partial
-from typing import Any
+from functools import cached_property, partial
 
 from exwarp_cli import __version__
-from exwarp_cli.domain.decision import Plan
-from exwarp_cli.domain.frame import Bool, Image, place
+from exwarp_cli.domain import lent_memory
+from exwarp_cli.domain.frame import Image
 from exwarp_cli.domain.results import FrameKind, FrameRecord
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import Slot
-from exwarp_cli.errors import LayoutError
-from exwarp_cli.io.decisions import decision_text, parse_decision
+from exwarp_cli.errors import InputError, LayoutError
+from exwarp_cli.io.decisions import parse_decision
 from exwarp_cli.io.footage import picture
 from exwarp_cli.io.frame_files import quantised
-from exwarp_cli.io.output import PREFIX, compression_of
-from exwarp_cli.io.template import Plane, PlaneKey, Template
+from exwarp_cli.io.output import PREFIX
 from exwarp_cli.pipeline.choosing import Chooser
 from exwarp_cli.pipeline.geometry import Staging
-from exwarp_cli.pipeline.layers import Beside, named_by_path
+from exwarp_cli.pipeline.layers import Beside
 from exwarp_cli.pipeline.loaded import Loaded
+from exwarp_cli.pipeline.making import Made, SlotMaker
 from exwarp_cli.pipeline.progress import Progress
 from exwarp_cli.pipeline.recipes import key_recipe
 from exwarp_cli.pipeline.schedule import read_ahead
 from exwarp_cli.pipeline.scoring import IntervalScores
 from exwarp_cli.pipeline.sink import Sink
-from exwarp_cli.pipeline.slots_at_once import Begun, SlotsAtOnce, timed
+from exwarp_cli.pipeline.slots_at_once import Begun, SlotsAtOnce
 from exwarp_cli.pipeline.source import Source
-from exwarp_cli.pipeline.staged import Staged, hole_fraction, nonfinite_pixels, with_write_times
+from exwarp_cli.pipeline.staged import Staged, broken_in, with_write_times
 from exwarp_cli.pipeline.views import JointLoader
 from exwarp_cli.pipeline.watching import Watcher
 from exwarp_cli.synthesis.interval import Interval
-from exwarp_cli.synthesis.methods import Judge, Method, Predicted, take
+from exwarp_cli.synthesis.methods import Judge, Method
 
 INTERVALS_AHEAD = 1
 """How many key intervals are read ahead of the one that is worked on."""
@@ -42,6 +42,15 @@ INTERVALS_AHEAD = 1
 MOST_AHEAD = 4 * 2**20
 """Pixels of a frame up to which any are: of 3840x2160 a key frame with its geometry takes 430 MB,
 and decoding keeps all cores busy by itself."""
+
+
+@dataclass(frozen=True)
+class _Work:
+    """An interval as it is staged; `begun` are its slots, where they are made at once."""
+
+    loaded: Loaded
+    staged: Staged
+    begun: Begun[Slot, Made] | None
 
 
 @dataclass
@@ -55,6 +64,7 @@ class Run:
     progress: Progress
     staging: Staging
     beside: Beside
+    maker: SlotMaker
     chooser: Chooser | None
     at_once: SlotsAtOnce
     watcher: Watcher | None = None
@@ -65,20 +75,56 @@ class Run:
     def write_all(self, loader: JointLoader, keys: tuple[int, ...]) -> tuple[FrameRecord, ...]:
         """Work through the intervals: reading ahead, computing here, writing behind."""
         tasks = (partial(loader.load, key, self._needed) for key in keys)
+        under_way: Iterator[None] = iter(())
         with self.sink, self.at_once:
-            for loaded in read_ahead(tasks, self._ahead):
-                if self.source.timeline.shows(loaded.key):
-                    self._pass_key(loaded)
-                loaded, staged = self._staged(loaded)
-                self._interval(loaded, staged)
-                del loaded, staged  # before the next one is waited for, and staged
+            try:
+                for loaded in read_ahead(tasks, self._ahead):
+                    work = self._work(loaded)
+                    del loaded
+                    _finish(under_way)
+                    under_way = self._interval(work)
+                    del work  # before the next one is waited for, and staged
+                    lent_memory.let_go()
+                    next(under_way, None)
+            except InputError:
+                _finish(under_way)  # that is sound
+                raise
+            _finish(under_way)
         return with_write_times(self.records, self.sink.write_ms)
+
+    def _work(self, loaded: Loaded) -> _Work:
+        """Stage an interval, and begin its slots where that can be done at once."""
+        loaded, staged = self._staged(loaded)
+        begun = None
+        if self._goes_at_once(loaded, staged):
+            made_of = self.source.timeline.made_of(loaded.key)
+            slots = sorted(slot for slot in made_of if slot not in staged.there)
+            begun = self.at_once.begin(partial(self.maker.make, staged, loaded, here=True), slots)
+        return _Work(loaded, staged, begun)
+
+    def _goes_at_once(self, loaded: Loaded, staged: Staged) -> bool:
+        """Whether threads can make a slot each: none goes by another."""
+        if not self._may_go_at_once or staged.interval is None or loaded.slots:
+            return False
+        return staged.plan is None or staged.plan.path == "S6"
+
+    @cached_property
+    def _may_go_at_once(self) -> bool:
+        """Whether slots of some intervals can be made at once, as far as memory permits."""
+        if self.beside.anything or self.method.interpolates or self.source.slots is not None:
+            return False
+        return self.method.path in (None, "S6") and self._is_small and self.at_once.pays
+
+    @property
+    def _is_small(self) -> bool:
+        """Whether memory permits to work on an interval before the last is done with."""
+        display = self.source.keys.display
+        return display.width * display.height <= MOST_AHEAD
 
     @property
     def _ahead(self) -> int:
-        """How many intervals to read ahead."""
-        display = self.source.keys.display
-        return INTERVALS_AHEAD if display.width * display.height <= MOST_AHEAD else 0
+        """How many intervals to read ahead: none where slots of the last one are made meanwhile."""
+        return INTERVALS_AHEAD if self._is_small and not self._may_go_at_once else 0
 
     def _needed(self, key: int, recipes: dict[int, str]) -> bool:
         """Whether an interval has to be computed: something is missing, or is to be scored."""
@@ -105,64 +151,53 @@ class Run:
         shares = {"geometry": geometry_ms / max(len(slots), 1)}
         if chosen is not None:
             shares |= {step: ms / len(slots) for step, ms in chosen.timing_ms.items()}
-        staged = Staged(interval, chosen, frozenset(there), shares)
+        self._broken = broken_in(loaded, self._broken) if len(there) < len(slots) else {}
+        staged = Staged(interval, chosen, frozenset(there), shares, self._broken)
         if interval is not None and staged.extrapolates and loaded.late is not None:
             loaded = loaded.late(loaded)
-            staged = replace(staged, interval=self.staging.led_back(interval, loaded))
+            self._broken = broken_in(loaded, self._broken)
+            interval = self.staging.led_back(interval, loaded)
+            staged = replace(staged, interval=interval, broken=self._broken)
         elif interval is not None and self._only_moves(loaded, staged):
-            staged = replace(staged, interval=interval.without("position", "normal"))
+            staged = replace(staged, interval=interval.bare())
         return loaded.lean(), staged
 
     def _only_moves(self, loaded: Loaded, staged: Staged) -> bool:
         """Whether slots are made by settled motion, depth and ids of key frames alone."""
         return not (loaded.slots or loaded.truth or self.beside.anything or staged.extrapolates)
 
-    def _interval(self, loaded: Loaded, staged: Staged) -> None:
-        """Make the slots after a key frame."""
-        self._broken.clear()
-        interval, slots = staged.interval, self.source.timeline.made_of(loaded.key)
+    def _interval(self, work: _Work) -> Iterator[None]:
+        """Pass a key frame on, and make the slots after it, or take those that were begun.
+
+        Of those it yields before the last: the next interval is read and staged meanwhile, as one
+        slot leaves cores free, and takes less memory than several.
+        """
+        loaded, staged, interval = work.loaded, work.staged, work.staged.interval
+        if self.source.timeline.shows(loaded.key):
+            self._pass_key(loaded)
+        slots = self.source.timeline.made_of(loaded.key)
         self.beside.begin(loaded, interval if len(staged.there) < len(slots) else None)
         self._scoring = self._scores(loaded, interval)
-        begun = self._begun(loaded, staged)
         for slot in slots:
+            if slot == slots[-1] and work.begun is not None:
+                yield
             if interval is None or slot in staged.there:
-                record, shown = self._resume(slot, interval, loaded)
+                made = self._resume(slot, interval, loaded)
+            elif work.begun is not None:
+                made = work.begun.take(slot)
             else:
-                record, shown = self._make(slot, interval, loaded, staged.plan, begun)
-                record = replace(record, timing_ms=staged.shares | record.timing_ms)
+                made = self.maker.make(staged, loaded, slot)
+            record = self._scored(made, loaded)
             self.records.append(record)
-            watched = self.watcher is not None and self.watcher.wants(record.number, record.score)
-            if shown is None and (watched or self.sink.shows):
-                shown = self.sink.read(record.number)
-            if shown is not None and watched:
-                self._show(record, shown, interval, loaded)
-            if shown is not None:
-                self.sink.show(shown)
+            self._show(record, made, loaded)
             self.progress.advance(record.number, record.method)
-            if interval is not None and self._scoring is None:
+            if interval is not None:
                 # Of the paper's paths a slot may be made by way of the one before it.
                 interval.forget(slot.index - 1 if staged.extrapolates else slot.index)
-            del shown
+            del made
         self._complete(loaded)
-
-    def _begun(self, loaded: Loaded, staged: Staged) -> Begun[Predicted] | None:
-        """Begin the slots that are to be made, where none goes by another and memory permits."""
-        interval, path = staged.interval, None if staged.plan is None else staged.plan.path
-        others = self.beside.anything or loaded.slots or self.method.interpolates
-        if interval is None or others or path not in (None, "S6"):
-            return None
-        if self._ahead == 0 or not self.at_once.pays:
-            return None
-        slots = set(self.source.timeline.made_of(loaded.key)) - staged.there
-        make = partial(self._predict, interval, staged.plan)
-        return self.at_once.begin(make, sorted(slot.index for slot in slots))
-
-    def _predict(self, interval: Interval, plan: Plan | None, slot: int) -> Predicted:
-        """Make a slot's frame: by the interval's path, or by the method itself."""
-        if self.method.predict is not None:
-            return self.method.predict(interval, slot)
-        assert plan is not None
-        return replace(take(plan.path, interval, slot), method=self.method.name)
+        self._scoring = None
+        self.beside.begin(loaded, None)  # neither holds the interval on
 
     def _pass_key(self, loaded: Loaded) -> None:
         """Pass the key frame through."""
@@ -176,12 +211,7 @@ class Run:
         timing = {} if resumed else {"read": loaded.read_ms}
         render = loaded.template.render
         self.records.append(replace(record, resumed=resumed, timing_ms=timing, render=render))
-        watched = self.watcher is not None and self.watcher.wants(output, None)
-        if watched or self.sink.shows:
-            image = self._key_image(loaded)
-            if watched:
-                self._show(record, image, None, loaded)
-            self.sink.show(image)
+        self._show(self.records[-1], Made(record, None, None), loaded)
         self.progress.advance(output, "key")
 
     def _write_key(self, output: int, loaded: Loaded) -> bool:
@@ -209,88 +239,33 @@ class Run:
         keys, number = self.source.keys, self.source.timeline.numbers[loaded.key]
         return picture(keys.sequence, number, keys.view)
 
-    def _show(
-        self, record: FrameRecord, image: Image, interval: Interval | None, loaded: Loaded
-    ) -> None:
-        """Show a frame to the watcher as its file has it, beside its truth and holes."""
-        assert self.watcher is not None
-        if record.kind is not FrameKind.KEY:
-            image = replace(image, pixels=quantised(image.pixels, loaded.template))
-        truth = loaded.truth.get(record.slot)
-        slot = Slot(loaded.key, record.slot)
-        self.watcher.frame(
-            record.number,
-            image.on(self.source.keys.display).pixels,
-            None if truth is None else truth.on(truth.display_window).pixels,
-            None if interval is None else self._mask(interval, slot),
-            is_key=record.kind is FrameKind.KEY,
-        )
-
-    def _make(
-        self,
-        slot: Slot,
-        interval: Interval,
-        loaded: Loaded,
-        plan: Plan | None,
-        begun: Begun[Predicted] | None,
-    ) -> tuple[FrameRecord, Image]:
-        """Make, write and score the frame of a slot, which may have been begun."""
-        assert loaded.frame is not None
-        if begun is not None and slot.index in begun:
-            predicted, elapsed = begun.take(slot.index)
+    def _show(self, record: FrameRecord, made: Made, loaded: Loaded) -> None:
+        """Show a frame as its file has it: to the video, and beside its truth to the watcher."""
+        watched = self.watcher is not None and self.watcher.wants(record.number, record.score)
+        if not (watched or self.sink.shows):
+            return
+        is_key = record.kind is FrameKind.KEY
+        if is_key:
+            image = self._key_image(loaded)
+        elif made.image is None:
+            image = self.sink.read(record.number)
         else:
-            predicted, elapsed = timed(partial(self._predict, interval, plan), slot.index)
-        begin = time.perf_counter()
-        canvas = interval.key.image.data_window
-        image = Image(predicted.pixels, canvas, self.source.keys.display)
-        beside = self._beside(slot, predicted, loaded, plan)
-        layers_ms = 1e3 * (time.perf_counter() - begin)
-        mask = self._mask(interval, slot)
-        record = FrameRecord(
-            number=self.source.timeline.number(slot),
-            file=self.sink.name(self.source.timeline.number(slot)),
-            key=interval.key.number,
-            slot=slot.index,
-            kind=self._kind(predicted, slot),
-            method=predicted.method,
-            sources=predicted.sources,
-            hole_fraction=hole_fraction(mask),
-            nonfinite_pixels=nonfinite_pixels(loaded, predicted.sources, self._broken),
-            timing_ms={predicted.made_by: elapsed} | ({"layers": layers_ms} if beside else {}),
-            made_by=predicted.made_by,
-            path=None if plan is None else plan.path,
-            decision=None if plan is None else plan.decision_of(slot.index),
-        )
-        attributes = self._attributes(record, loaded.recipes[slot.index])
-        self.sink.write(record.number, image, mask, loaded.template, attributes, beside)
-        if loaded.truth or self.sink.shows:
-            image = replace(image, pixels=quantised(image.pixels, loaded.template))
-        return self._scored(record, image, mask, loaded), image
+            pixels = quantised(made.image.pixels, loaded.template)
+            image = replace(made.image, pixels=pixels)
+        if watched:
+            assert self.watcher is not None
+            truth = loaded.truth.get(record.slot)
+            self.watcher.frame(
+                record.number,
+                image.on(self.source.keys.display).pixels,
+                None if truth is None else truth.on(truth.display_window).pixels,
+                made.mask,
+                is_key=is_key,
+            )
+        self.sink.show(image)
 
-    def _beside(
-        self, slot: Slot, predicted: Predicted, loaded: Loaded, plan: Plan | None
-    ) -> dict[PlaneKey, Plane]:
-        """Make what is written with a slot's beauty: further layers, and other views."""
-        if not self.beside.anything:
-            return {}
-        path = None if plan is None else plan.path
-
-        def predict(interval: Interval) -> Predicted:
-            return named_by_path(self._predict(interval, plan, slot.index), path)
-
-        shown = named_by_path(predicted, path)
-        assert isinstance(loaded.template, Template)  # layers are for EXR
-        return self.beside.make(slot.index, shown, predict, loaded.template)
-
-    def _kind(self, predicted: Predicted, slot: Slot) -> FrameKind:
-        """Return a frame's kind: who repeats a key frame that was not shown shows it first."""
-        first = slot.index == 1 and not self.source.timeline.shows(slot.key)
-        return FrameKind.GENERATED if first else predicted.kind
-
-    def _resume(
-        self, slot: Slot, interval: Interval | None, loaded: Loaded
-    ) -> tuple[FrameRecord, Image | None]:
-        """Record a frame that an earlier run wrote, and score it."""
+    def _resume(self, slot: Slot, interval: Interval | None, loaded: Loaded) -> Made:
+        """Record a frame that an earlier run wrote."""
         number = self.source.timeline.number(slot)
         known = self.sink.written(number)
         holes = known.get("holeFraction")
@@ -308,17 +283,17 @@ class Run:
             path=known.get("path"),
             decision=parse_decision(known.get("decision")),
         )
-        if interval is None or slot.index not in loaded.truth:
-            return record, None
-        image = self.sink.read(number)
-        return self._scored(record, image, self._mask(interval, slot), loaded), image
+        scored = slot.index in loaded.truth
+        if interval is None or not (scored or self.watcher is not None):
+            return Made(record, None, None)
+        image = self.sink.read(number) if scored else None
+        return Made(record, image, self.maker.mask(interval, slot))
 
-    def _scored(
-        self, record: FrameRecord, image: Image, mask: Bool | None, loaded: Loaded
-    ) -> FrameRecord:
+    def _scored(self, made: Made, loaded: Loaded) -> FrameRecord:
         """Score a frame against ground truth, where there is some, on the display window."""
+        record, image = made.record, made.image
         truth = loaded.truth.get(record.slot)
-        if truth is None:
+        if truth is None or image is None:
             return record
         display = self.source.keys.display
         if truth.display_window.shape != display.shape:
@@ -329,7 +304,7 @@ class Run:
         assert self._scoring is not None
         begin = time.perf_counter()
         reference, test = truth.on(truth.display_window).pixels, image.on(display).pixels
-        everything, holes = self._scoring.frame(record.slot, reference, test, mask)
+        everything, holes = self._scoring.frame(record.slot, reference, test, made.mask)
         elapsed = 1e3 * (time.perf_counter() - begin)
         timing = record.timing_ms | {"score": elapsed}
         return replace(record, score=everything, hole_score=holes, timing_ms=timing)
@@ -361,38 +336,8 @@ class Run:
                     record, score=overall, hole_score=holes, timing_ms=timing
                 )
 
-    def _mask(self, interval: Interval, slot: Slot) -> Bool | None:
-        """Hole mask of a slot on the display window."""
-        mask = interval.hole_mask(slot.index)
-        if mask is None:
-            return None
-        return place(mask, interval.key.image.data_window, self.source.keys.display)
 
-    def _attributes(self, record: FrameRecord, recipe: str) -> dict[str, Any]:
-        """Header attributes of a generated frame."""
-        out: dict[str, Any] = {
-            "framesPerSecond": self.source.output_fps,
-            f"{PREFIX}version": __version__,
-            f"{PREFIX}method": record.method,
-            f"{PREFIX}kind": record.kind.value,
-            f"{PREFIX}sources": ",".join(str(n) for n in record.sources),
-            f"{PREFIX}key": record.key,
-            f"{PREFIX}slot": record.slot,
-            f"{PREFIX}setting": self.source.setting,
-            f"{PREFIX}recipe": recipe,
-        }
-        if record.made_by is not None:
-            out[f"{PREFIX}madeBy"] = record.made_by
-        if record.path is not None:
-            out[f"{PREFIX}path"] = record.path
-        if record.decision is not None:
-            out[f"{PREFIX}decision"] = decision_text(record.decision)
-        if record.hole_fraction is not None:
-            out[f"{PREFIX}holeFraction"] = record.hole_fraction
-        if self.beside.moves_vectors:
-            # Those of a key frame, too, lead over a key interval, which is so many output frames.
-            out[f"{PREFIX}vectorSpan"] = float(self.source.timeline.factor)
-        compression = compression_of(self.settings.compression)
-        if compression is not None:
-            out["compression"] = compression
-        return out
+def _finish(steps: Iterator[None]) -> None:
+    """Go through all steps that are left."""
+    for _ in steps:
+        pass

@@ -124,7 +124,8 @@ class Sink(Held):
         """
         resumed = self.has_copy(number, source)
         if not resumed:
-            self._submit(number, partial(atomic_copy, source, self._frame_path(number)))
+            copy = partial(atomic_copy, source, self._frame_path(number))
+            self._writer.submit(partial(self._timed, number, copy))
         return resumed
 
     def write(
@@ -135,6 +136,7 @@ class Sink(Held):
         template: FrameTemplate,
         attributes: Mapping[str, Any],
         beside: Mapping[PlaneKey, Plane] | None = None,
+        here: bool = False,
     ) -> None:
         """Write a generated frame, and its hole mask if masks are written and it has one.
 
@@ -148,15 +150,19 @@ class Sink(Held):
             bool [H, W] on the display window.
         template, attributes, beside
             As for `io.frame_files.write_picture`.
+        here
+            Whether to write in this thread, any one, before it goes on.
         """
+        do: Callable[[Callable[[], None]], None] = _now if here else self._writer.submit
         if self._targets.frames is not None:
             path = self._frame_path(number)
-            self._submit(number, partial(write_picture, path, image, template, attributes, beside))
+            written = partial(write_picture, path, image, template, attributes, beside)
+            do(partial(self._timed, number, written))
         if self._targets.holes is not None and mask is not None:
             marks = {k: v for k, v in attributes.items() if k.startswith(PREFIX)}
             windows = (self._display, self._display)
             path = self._targets.holes.path(number)
-            self._writer.submit(partial(write_mask, path, mask, windows, marks))
+            do(partial(write_mask, path, mask, windows, marks))
 
     def show(self, image: Image) -> None:
         """Append a frame to the video, if there is one."""
@@ -176,12 +182,12 @@ class Sink(Held):
         assert self._targets.frames is not None
         return self._targets.frames.path(number)
 
-    def _submit(self, number: int, write: Callable[[], None]) -> None:
-        """Queue a write that records how long it took."""
+    def _timed(self, number: int, write: Callable[[], None]) -> None:
+        """Write, and record how long it took."""
+        begin = time.perf_counter()
+        write()
+        self.write_ms[number] = 1e3 * (time.perf_counter() - begin)
 
-        def run() -> None:
-            begin = time.perf_counter()
-            write()
-            self.write_ms[number] = 1e3 * (time.perf_counter() - begin)
 
-        self._writer.submit(run)
+def _now(write: Callable[[], None]) -> None:
+    write()

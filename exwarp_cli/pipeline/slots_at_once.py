@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import time
-from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Hashable, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from typing import Generic, TypeVar
@@ -13,10 +11,8 @@ from exwarp_cli.domain.cores import waiting, working
 from exwarp_cli.kernels import jit
 from exwarp_cli.pipeline.schedule import awaited
 
+S = TypeVar("S", bound=Hashable)
 T = TypeVar("T")
-
-Timed = tuple[T, float]
-"""What was made, and the milliseconds that it took."""
 
 
 class SlotsAtOnce:
@@ -51,59 +47,24 @@ class SlotsAtOnce:
         """Whether there are threads for it, and they may run kernels at once."""
         return self._workers > 1 and jit.may_run_at_once()
 
-    def begin(self, make: Callable[[int], T], slots: Iterable[int]) -> Begun[T]:
-        """Begin to make slots, given by index, as many at once as there are threads for."""
+    def begin(self, make: Callable[[S], T], slots: Iterable[S]) -> Begun[S, T]:
+        """Begin to make slots, in their order, as many at once as there are threads for."""
         if self._pool is None:
             start = partial(jit.set_threads, self._share)  # holds for the thread that calls it
             self._pool = ThreadPoolExecutor(self._workers, "exwarp-slot", start)
-        pool = self._pool
+        return Begun({slot: self._pool.submit(self._worked, make, slot) for slot in slots})
 
-        def work(slot: int) -> Timed[T]:
-            with working(self._share):
-                return timed(make, slot)
-
-        return Begun(lambda slot: pool.submit(work, slot), slots, self._workers)
+    def _worked(self, make: Callable[[S], T], slot: S) -> T:
+        with working(self._share):
+            return make(slot)
 
 
-class Begun(Generic[T]):
-    """Slots under way.
+class Begun(Generic[S, T]):
+    """Slots under way, or waiting for a thread."""
 
-    Parameters
-    ----------
-    submit
-        Has a slot made.
-    slots
-        Their indices, in the order in which they are taken.
-    most
-        How many may be under way, or made and not taken: frames are large.
-    """
+    def __init__(self, under_way: dict[S, Future[T]]) -> None:
+        self._under_way = under_way
 
-    def __init__(
-        self, submit: Callable[[int], Future[Timed[T]]], slots: Iterable[int], most: int
-    ) -> None:
-        self._submit = submit
-        self._later = deque(slots)
-        self._under_way: dict[int, Future[Timed[T]]] = {}
-        for _ in range(min(most, len(self._later))):
-            self._next()
-
-    def __contains__(self, slot: int) -> bool:
-        return slot in self._under_way
-
-    def take(self, slot: int) -> Timed[T]:
-        """Wait for a slot that is under way; raises what making it raised."""
-        made = awaited(self._under_way.pop(slot))
-        if self._later:
-            self._next()
-        return made
-
-    def _next(self) -> None:
-        slot = self._later.popleft()
-        self._under_way[slot] = self._submit(slot)
-
-
-def timed(make: Callable[[int], T], slot: int) -> Timed[T]:
-    """Make a slot, and time it."""
-    begin = time.perf_counter()
-    made = make(slot)
-    return made, 1e3 * (time.perf_counter() - begin)
+    def take(self, slot: S) -> T:
+        """Wait for a slot, which is handed out once; raises what making it raised."""
+        return awaited(self._under_way.pop(slot))

@@ -30,12 +30,15 @@ class Staged:
         The slots that an earlier run wrote.
     shares
         Milliseconds that all this took, by step: a slot's share.
+    broken
+        How many pixels of the frames around are NaN or infinite, by the frame's number.
     """
 
     interval: Interval | None
     chosen: Chosen | None
     there: frozenset[Slot]
     shares: dict[str, float]
+    broken: Mapping[int, int]
 
     @property
     def extrapolates(self) -> bool:
@@ -53,12 +56,16 @@ def hole_fraction(mask: Bool | None) -> float | None:
     return None if mask is None else float(np.float32(np.count_nonzero(mask) / mask.size))
 
 
-def nonfinite_pixels(loaded: Loaded, sources: tuple[int, ...], known: dict[int, int]) -> int:
-    """How many pixels of the source frames are NaN or infinite; `known` keeps it by number."""
-    for frame in (loaded.frame, loaded.following, *(older.frame for older in loaded.past)):
-        if frame is not None and frame.number in sources and frame.number not in known:
-            known[frame.number] = int(np.count_nonzero(broken_pixels(frame.image.pixels)))
-    return sum(known.get(number, 0) for number in sources)
+def broken_in(loaded: Loaded, known: Mapping[int, int]) -> dict[int, int]:
+    """Count the pixels that are NaN or infinite, by frame; `known` are counts of some frames."""
+    frames = (loaded.frame, loaded.following, *(older.frame for older in loaded.past))
+    return {
+        frame.number: known[frame.number]
+        if frame.number in known
+        else int(np.count_nonzero(broken_pixels(frame.image.pixels)))
+        for frame in frames
+        if frame is not None
+    }
 
 
 def with_write_times(

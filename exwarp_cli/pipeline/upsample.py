@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import time
 
+from exwarp_cli.domain import lent_memory
 from exwarp_cli.domain.cores import working
 from exwarp_cli.domain.cuts import Cut
 from exwarp_cli.domain.frame import Window
 from exwarp_cli.domain.results import FrameRecord, RunSummary
 from exwarp_cli.domain.settings import UpsampleSettings
-from exwarp_cli.io import allocator, lent_memory
+from exwarp_cli.io import allocator
 from exwarp_cli.io.threads import use_threads
 from exwarp_cli.kernels import jit
 from exwarp_cli.pipeline.choosing import Chooser, always, by_policy, by_truth
@@ -18,6 +19,7 @@ from exwarp_cli.pipeline.geometry import Staging
 from exwarp_cli.pipeline.job import Job, open_job
 from exwarp_cli.pipeline.layers import Beside
 from exwarp_cli.pipeline.loading import IntervalLoader
+from exwarp_cli.pipeline.making import SlotMaker
 from exwarp_cli.pipeline.progress import NoProgress, Progress
 from exwarp_cli.pipeline.run import Run
 from exwarp_cli.pipeline.sink import FRAMES_BEHIND, Sink
@@ -117,19 +119,22 @@ def write_intervals(
 
 def _run_of(job: Job, note: str, progress: Progress, watcher: Watcher | None) -> Run:
     """Set up what makes and writes frames."""
+    wanted = job.contents[0].beside or len(job.contents) > 1
+    bare = job.source.slots is None and not (job.method.extrapolates or wanted)
     staging, *others = (
-        Staging(source.keys.display, job.network, job.interpolator, source.estimated)
+        Staging(source.keys.display, job.network, job.interpolator, source.estimated, bare)
         for source in job.sources
     )
     beside = Beside(job.contents, tuple(others))
     # Frames with all their layers are large, and few may wait.
     sink = make_sink(job, note, 0 if beside.anything else _behind(job.source.keys.display))
     chooser = make_chooser(job)
+    maker = SlotMaker(job.settings, job.source, job.method, sink, beside)
     slots = max((len(job.source.timeline.made_of(key)) for key in job.keys), default=0)
     at_once = SlotsAtOnce(jit.threads(), slots)
     return Run(
-        job.settings, job.source, job.method, sink, progress, staging, beside, chooser,
-        at_once, watcher,
+        job.settings, job.source, job.method, sink, progress, staging, beside, maker,
+        chooser, at_once, watcher,
     )  # fmt: skip
 
 

@@ -9,14 +9,14 @@ import numpy as np
 
 from exwarp_cli.domain.extrapolator import HISTORY, INPUTS, Inputs, NetworkInputs
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, KeyFrame
+from exwarp_cli.domain.lent_memory import filed, rest
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.kernels import planes
 from exwarp_cli.synthesis.geometry import SlotField
 from exwarp_cli.synthesis.history import LookBack, Past
-from exwarp_cli.synthesis.memory import Memory
 from exwarp_cli.synthesis.modulation import decode, demodulated, encode_in_place, modulation_of
 from exwarp_cli.synthesis.surface import SMOOTH
-from exwarp_cli.synthesis.warp import fill_holes, sampled, warp
+from exwarp_cli.synthesis.warp import fill_holes, moved, sampled
 
 UNKNOWN_DEPTH = 0.5
 UNKNOWN_ROUGHNESS = 0.5
@@ -163,7 +163,6 @@ def prepare(
     seen: LookBack,
     key: KeyFrame,
     past: Sequence[Past],
-    memory: Memory,
 ) -> Prepared:
     """Gather what the network needs for a slot.
 
@@ -175,25 +174,22 @@ def prepare(
         The slot's motion field to the key frame, and what is known of its surfaces.
     key, past
         F_k, and F_k-1 and F_k-2 as far as they are there.
-    memory
-        Where they lie.
     """
-    keep, rest = memory.keep, memory.rest
     modulation = _modulation(seen)
     divided = modulation is not None
     if modulation is not None:
-        modulation = keep(modulation)
+        modulation = filed(modulation)
     # Its colours are in the modulation.
     surface = seen.surface.without(*SMOOTH)
     rest()
-    last = warp(_shading(key, divided), back)
-    filled = keep(fill_holes(last.pixels.copy(), last.depth, last.hole))
-    history = [Moved(keep(last.pixels), ~last.hole)]
-    del last
+    pixels, depth, hole = moved(_shading(key, divided), back)
+    filled = filed(fill_holes(pixels.copy(), depth, hole))
+    history = [Moved(filed(pixels), ~hole)]
+    del pixels
     rest()
     for step, field, hidden in zip(past, seen.fields, seen.hidden, strict=False):
         pixels, unseen = sampled(_shading(step.frame, divided), field)
-        history.append(Moved(keep(pixels), ~(unseen | hidden)))
+        history.append(Moved(filed(pixels), ~(unseen | hidden)))
         del pixels
         rest()
     history += [history[-1]] * (HISTORY - len(history))

@@ -10,12 +10,12 @@ from itertools import pairwise
 import numpy as np
 
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, KeyFrame
+from exwarp_cli.domain.lent_memory import filed, rest
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.kernels.follow import follow, follow_shown
 from exwarp_cli.kernels.surface import go_on
 from exwarp_cli.synthesis.camera import Camera, Scene, camera_after, place_still, scene_of
 from exwarp_cli.synthesis.geometry import SlotField, led_back, stands_still, unmatched
-from exwarp_cli.synthesis.memory import Memory
 from exwarp_cli.synthesis.surface import lookup, reprojected
 from exwarp_cli.synthesis.trajectory import displacement, stencil_of
 
@@ -79,13 +79,10 @@ class BetweenKeys:
     ----------
     key, past
         As for :func:`look_back`.
-    memory
-        Where the frames lie.
     """
 
     key: GBuffer
     past: Sequence[Past]
-    memory: Memory
 
     @cached_property
     def gone(self) -> tuple[Bool, ...]:
@@ -100,7 +97,7 @@ class BetweenKeys:
                 break
             found.append(unmatched(newer, older, step.motion, FACTOR))
             newer = older
-            self.memory.rest()
+            rest()
         return tuple(found)
 
     def camera_at(self, time: float) -> Camera | None:
@@ -190,7 +187,7 @@ def step_back(back: SlotField, there: Float32, before: SlotField) -> SlotField:
     shown = field + lookup(before.field, field, np.nan)
     away = np.abs(shown - back.field).max(axis=-1)
     hole = ~(away <= SAME_POINT)
-    return SlotField(field, back.depth, hole, np.zeros_like(hole))
+    return SlotField(field, back.depth, hole)
 
 
 def _reprojected(
@@ -203,7 +200,6 @@ def _reprojected(
     what has just been disoccluded.
     """
     time, newer, moved = slot / FACTOR, key, back.field.copy()
-    keep, rest = between.memory.keep, between.memory.rest
     camera = between.camera_at(time) if past else None
     sources = [(newer, back.field)]
     fields: list[Float32] = []
@@ -217,14 +213,14 @@ def _reprojected(
         if older.has_motion:
             motion = _foretold(step, count + time, camera, count > 1)
             rest()
-            foretold = keep(led_back(older, motion))
+            foretold = filed(led_back(older, motion))
             go_on(foretold, moved, lost)
             sources.append((older, foretold))
-        fields.append(keep(moved.copy()))
+        fields.append(filed(moved.copy()))
         hidden.append(lost.copy())
         newer = older
     rest()
-    surface, unknown = reprojected(sources, between.memory)
+    surface, unknown = reprojected(sources)
     return LookBack(surface, tuple(fields), tuple(hidden), unknown)
 
 
@@ -266,7 +262,7 @@ def _rendered(
     newer, moved, here = key, back.field.copy(), scene_of(surface)
     fields, hidden = [], []
     for count, step in enumerate(past, start=1):
-        between.memory.rest()
+        rest()
         older = step.frame.gbuffer
         if older is None:
             break

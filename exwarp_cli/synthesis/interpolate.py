@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from exwarp_cli.domain.curves import SRGB
-from exwarp_cli.domain.frame import Float32
+from exwarp_cli.domain.frame import Bool, Float32
 from exwarp_cli.domain.interpolator import Interpolator
+from exwarp_cli.domain.lent_memory import lent
 from exwarp_cli.kernels import blend
 from exwarp_cli.synthesis.warp import Warped, fill_holes, repair
 
@@ -17,7 +18,8 @@ def blend_by_depth(before: Warped, after: Warped, time: float) -> Float32:
     Parameters
     ----------
     before, after
-        The key frames on both sides, warped to the slot.
+        The key frames on both sides, warped to the slot. The pixels of the first are changed and
+        returned: three frames of 1920x1080 in several threads are memory.
     time
         Of the slot in the key interval, 0 < time < 1.
 
@@ -28,12 +30,11 @@ def blend_by_depth(before: Warped, after: Warped, time: float) -> Float32:
         not see the surface weighs nothing, so disocclusions come from the side that sees them. What
         neither sees is filled from the background.
     """
-    out = np.empty(before.pixels.shape, np.float32)
-    depth = np.empty_like(before.depth)
-    hole = np.empty_like(before.hole)
+    depth: Float32 = lent(before.depth.shape, np.float32)
+    hole: Bool = lent(before.hole.shape, np.bool_)
     sides = [(side.pixels, side.depth, side.hole, side.fringe) for side in (before, after)]
-    blend.blend(*sides, np.float32(time), out, depth, hole)
-    return fill_holes(out, depth, hole)
+    blend.blend(*sides, np.float32(time), before.pixels, depth, hole)
+    return fill_holes(before.pixels, depth, hole)
 
 
 def cross_fade(before: Float32, after: Float32, time: float) -> Float32:

@@ -7,8 +7,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from exwarp_cli.domain.extrapolator import Extrapolator
-from exwarp_cli.domain.frame import Float32, GBuffer, KeyFrame, Window, place
+from exwarp_cli.domain.frame import Bool, Float32, GBuffer, KeyFrame, Window, place
 from exwarp_cli.domain.interpolator import Interpolator
+from exwarp_cli.domain.lent_memory import filed, rest
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import LayoutError
 from exwarp_cli.synthesis.extrapolate import Prepared, prepare
@@ -26,7 +27,6 @@ from exwarp_cli.synthesis.history import (
     look_back,
     step_back,
 )
-from exwarp_cli.synthesis.memory import ALL_OF_IT, Memory
 from exwarp_cli.synthesis.trajectory import displacement
 
 QUARTERS = tuple(index / FACTOR for index in range(1, FACTOR))
@@ -57,8 +57,8 @@ class Interval:
         1. With G-buffers of the slots they are evenly spaced from key frame to key frame.
     estimated
         Whether motion was estimated from colour rather than rendered.
-    memory
-        Where the frames lie, and what extrapolation makes of them.
+    keeps
+        Whether what was worked out for slots is asked for again once they are made, to score them.
     """
 
     key: KeyFrame
@@ -69,12 +69,13 @@ class Interval:
     interpolator: Interpolator | None = None
     times: tuple[float, ...] = QUARTERS
     estimated: bool = False
-    memory: Memory = ALL_OF_IT
+    keeps: bool = False
     _back: dict[int, SlotField] = field(default_factory=dict, init=False)
     _forward: dict[int, SlotField] = field(default_factory=dict, init=False)
     _looked: dict[int, LookBack] = field(default_factory=dict, init=False)
     _between: BetweenKeys | None = field(default=None, init=False)
     _extrapolated: dict[int, Float32] = field(default_factory=dict, init=False)
+    _holes: dict[int, Bool] = field(default_factory=dict, init=False)
 
     @property
     def has_motion(self) -> bool:
@@ -98,9 +99,7 @@ class Interval:
                 _require_steps(self.slots, self.key)
                 self._back = dict(enumerate(compose_back(self.slots, self.key.gbuffer), start=1))
             else:
-                found, keep = reproject(_moving(self.key), self.time(slot)), self.memory.keep
-                found = replace(found, field=keep(found.field), depth=keep(found.depth))
-                self._back[slot] = found
+                self._back[slot] = reproject(_moving(self.key), self.time(slot))
         return self._back[slot]
 
     def forward(self, slot: int) -> SlotField:
@@ -135,14 +134,14 @@ class Interval:
         if slot not in self._looked:
             back, key = self.back(slot), self.key.gbuffer
             assert key is not None  # the motion came from it
-            between = self._between = self._between or BetweenKeys(key, self.past, self.memory)
+            between = self._between = self._between or BetweenKeys(key, self.past)
             self._looked[slot] = look_back(slot, back, key, self.past, self.slots, between)
         return self._looked[slot]
 
     def prepared(self, slot: int) -> Prepared:
         """What a network needs to extrapolate to a slot, 1 to 3."""
         seen = self.look_back(slot)
-        return prepare(slot, self.back(slot), seen, self.key, self.past, self.memory)
+        return prepare(slot, self.back(slot), seen, self.key, self.past)
 
     def extrapolated(self, slot: int) -> Float32:
         """E's frame for a slot, 2 or 3: float32 [H, W, C], scene-linear; made once.
@@ -154,19 +153,21 @@ class Interval:
             prepared = self.prepared(slot)
             self._looked.pop(slot, None)  # before the network runs, which takes much memory
             made = prepared.finish(self.extrapolator(prepared.inputs))
-            self._extrapolated[slot] = self.memory.keep(made)
-            self.memory.rest()
+            self._extrapolated[slot] = filed(made)
+            rest()
         return self._extrapolated[slot]
 
     def forget(self, slot: int) -> None:
-        """Let go of what was worked out for a slot and those before it; it may be asked for again.
+        """Let go of what was worked out for a slot, but for its holes; it may be asked for again.
 
         Motion fields of three slots take as much memory as a key frame.
         """
+        if self.keeps:
+            return
+        if slot in self._back:
+            self._holes[slot] = self._back[slot].hole
         for known in (self._back, self._forward, self._looked):
-            for index in list(known):  # slots after it may be under way in other threads
-                if index <= slot:
-                    known.pop(index)
+            known.pop(slot, None)
 
     def without(self, *parts: str) -> Interval:
         """Return the interval as if its G-buffers lacked some parts; nothing is made yet."""
@@ -176,6 +177,12 @@ class Interval:
             slots=tuple(gbuffer.without(*parts) for gbuffer in self.slots),
             past=tuple(replace(step, frame=step.frame.without(*parts)) for step in self.past),
         )
+
+    def bare(self) -> Interval:
+        """Return the interval with what warps from the key frame go by; nothing is made yet."""
+        gbuffer = self.key.gbuffer
+        key = self.key if gbuffer is None else replace(self.key, gbuffer=gbuffer.bare())
+        return replace(self, key=key, past=())
 
     def on(self, window: Window) -> Interval:
         """Return the interval as if only a part of its frames had been rendered.
@@ -200,7 +207,9 @@ class Interval:
 
     def hole_mask(self, slot: int) -> np.ndarray | None:
         """bool [H, W]: what the warp from the key frame cannot see; None without motion."""
-        return self.back(slot).hole if self.has_motion else None
+        if not self.has_motion:
+            return None
+        return self._holes[slot] if slot in self._holes else self.back(slot).hole
 
 
 def _require_steps(slots: tuple[GBuffer, ...], key: KeyFrame) -> None:

@@ -19,7 +19,7 @@ from exwarp_cli.synthesis.interpolate import (
     cross_fade,
 )
 from exwarp_cli.synthesis.interval import Interval
-from exwarp_cli.synthesis.warp import fill_background, repair, warp
+from exwarp_cli.synthesis.warp import repair, warp, warp_alone
 
 
 @dataclass(frozen=True)
@@ -136,8 +136,8 @@ def take(path: str, interval: Interval, slot: int) -> Predicted:
     if maker == EXTRAPOLATE:
         pixels, sources = interval.extrapolated(slot), _seen(interval)
     elif slot == 3 and made_by[1] == EXTRAPOLATE:
-        moved = warp(interval.extrapolated(2), interval.step_back(3))
-        pixels, sources = fill_background(moved), _seen(interval)
+        pixels = warp_alone(interval.extrapolated(2), interval.step_back(3))
+        sources = _seen(interval)
     else:
         return replace(_warp(interval, slot), method=name)
     return Predicted(pixels, FrameKind.GENERATED, name, sources, maker)
@@ -147,7 +147,7 @@ def _warp(interval: Interval, slot: int) -> Predicted:
     """Warp the key frame: the paper's path S6."""
     if interval.estimated and not interval.has_motion:
         return _hold(interval, slot)  # nothing comes before it by which motion could be estimated
-    pixels = fill_background(warp(interval.key.image.pixels, interval.back(slot)))
+    pixels = warp_alone(interval.key.image.pixels, interval.back(slot))
     return Predicted(pixels, FrameKind.GENERATED, "s6", (interval.key.number,), WARP)
 
 
@@ -179,7 +179,9 @@ def _softsplat(interval: Interval, slot: int) -> Predicted:
     if interval.estimated:
         frames = (as_shown(frames[0]), as_shown(frames[1]))
     before = warp(frames[0], interval.back(slot))
+    interval.forget(slot)  # one field of two, in several threads
     after = warp(frames[1], interval.forward(slot))
+    interval.forget(slot)
     pixels = blend_by_depth(before, after, interval.time(slot))
     if interval.estimated:
         pixels = as_light(pixels)

@@ -25,7 +25,7 @@ from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import Predicted
 from exwarp_cli.synthesis.sources import Sources, in_place, moved_between, moved_from
 from exwarp_cli.synthesis.trajectory import displacement
-from exwarp_cli.synthesis.warp import fill_background, repair, warp
+from exwarp_cli.synthesis.warp import repair, warp, warp_alone
 
 LARGEST_CHANGE = 0.25
 """Share of its depth by which a point may come nearer or go away within a key interval. Where it
@@ -180,11 +180,11 @@ class Retiming:
             there is an alpha; `after` only where it is used.
         """
         if self.back is not None:
-            moved = warp(before, self.back)
             if self.forward is None:
-                return fill_background(moved)
+                return warp_alone(before, self.back)
             assert after is not None
-            return blend_by_depth(moved, warp(after, self.forward), self.time)
+            sides = warp(before, self.back), warp(after, self.forward)
+            return blend_by_depth(*sides, self.time)
         if self.manner is Manner.REPEAT:
             return repair(before)
         assert after is not None

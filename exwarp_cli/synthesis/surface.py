@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer
+from exwarp_cli.domain.lent_memory import filed, rest
 from exwarp_cli.kernels import surface
 from exwarp_cli.synthesis.geometry import depth_of
-from exwarp_cli.synthesis.memory import Memory
 from exwarp_cli.synthesis.warp import sampled
 
 SMOOTH = ("albedo", "specular")
@@ -32,7 +32,7 @@ SHOWN = (*NEAREST, *SMOOTH)
 """What is taken over: what networks are told of a surface, and depth to fill holes by."""
 
 
-def reprojected(sources: Sequence[tuple[GBuffer, Float32]], memory: Memory) -> tuple[GBuffer, Bool]:
+def reprojected(sources: Sequence[tuple[GBuffer, Float32]]) -> tuple[GBuffer, Bool]:
     """Return a slot's G-buffer, taken from other frames'.
 
     Parameters
@@ -40,8 +40,6 @@ def reprojected(sources: Sequence[tuple[GBuffer, Float32]], memory: Memory) -> t
     sources
         G-buffers on one window, each with the motion field float32 [H, W, 2] from the slot to it,
         NaN where it shows nothing of the slot. Each pixel comes from the first that shows it.
-    memory
-        Where the frames lie.
 
     Returns
     -------
@@ -65,12 +63,12 @@ def reprojected(sources: Sequence[tuple[GBuffer, Float32]], memory: Memory) -> t
         if (array := getattr(first, name)) is not None:
             made[name], _ = sampled(array, motion)
             made[name][unknown] = 0
-            made[name] = memory.keep(made[name])
-            memory.rest()
+            made[name] = filed(made[name])
+            rest()
     for gbuffer, field in others:
         _take_over(replace(gbuffer, depth=depth_of(gbuffer)), field, SHOWN, made, unknown)
-        memory.rest()
-    made |= {name: memory.keep(made[name]) for name in NEAREST if name in made}
+        rest()
+    made |= {name: filed(made[name]) for name in NEAREST if name in made}
     return GBuffer(first.window, **made), unknown
 
 

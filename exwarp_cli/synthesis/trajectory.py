@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from exwarp_cli.domain.frame import Float32, GBuffer, Int32
+from exwarp_cli.domain.lent_memory import lent
 from exwarp_cli.kernels import parabola
 from exwarp_cli.kernels.follow import follow
 
@@ -35,7 +36,7 @@ def displacement(gbuffer: GBuffer, time: float) -> Float32:
     t = np.float32(time)
     after, before = gbuffer.to_next, gbuffer.to_previous
     if after is not None and before is not None:
-        out = np.empty_like(after)
+        out: Float32 = lent(after.shape, np.float32)
         parabola.parabola(before, after, t, out)
         return out
     if after is not None:

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli.domain.frame import Bool, Float32, Int32, broken_pixels
+from exwarp_cli.domain.lent_memory import lent
 from exwarp_cli.kernels import fill, gather
 from exwarp_cli.synthesis.geometry import SlotField
 
@@ -42,7 +43,7 @@ class Warped:
 
 
 def warp(pixels: Float32, source: SlotField) -> Warped:
-    """Sample colour once, bilinearly, along a motion field, and find the holes in the same pass.
+    """Sample colour once, bilinearly, along a motion field, and find holes and outlines.
 
     Parameters
     ----------
@@ -51,9 +52,19 @@ def warp(pixels: Float32, source: SlotField) -> Warped:
     source
         Where the slot's pixels come from.
     """
+    return Warped(*moved(pixels, source), source.fringe)
+
+
+def warp_alone(pixels: Float32, source: SlotField) -> Float32:
+    """Return a frame warped as by `warp`, its holes filled as by `fill_holes`."""
+    return fill_holes(*moved(pixels, source))
+
+
+def moved(pixels: Float32, source: SlotField) -> tuple[Float32, Float32, Bool]:
+    """Return pixels, depth and holes of a warped frame, as `Warped` has them."""
     out, unseen = sampled(pixels, source.field)
     np.logical_or(unseen, source.hole, out=unseen)
-    return Warped(out, source.depth, unseen, source.fringe)
+    return out, source.depth, unseen
 
 
 def sampled(pixels: Float32, field: Float32) -> tuple[Float32, Bool]:
@@ -73,7 +84,8 @@ def sampled(pixels: Float32, field: Float32) -> tuple[Float32, Bool]:
     unseen
         bool [H, W]: both of these.
     """
-    out, unseen = np.empty(pixels.shape, np.float32), np.empty(pixels.shape[:2], np.bool_)
+    out: Float32 = lent(pixels.shape, np.float32)
+    unseen: Bool = lent(pixels.shape[:2], np.bool_)
     gather.gather_bilinear(pixels, field, out, unseen)
     return out, unseen
 
@@ -86,11 +98,6 @@ def repair(pixels: Float32) -> Float32:
     clean = np.where(broken[..., None], np.float32(0), pixels)
     flat = np.ones(broken.shape, np.float32)
     return fill_holes(clean, flat, broken)
-
-
-def fill_background(warped: Warped) -> Float32:
-    """Return the warped frame with its holes filled as by `fill_holes`; its pixels are changed."""
-    return fill_holes(warped.pixels, warped.depth, warped.hole)
 
 
 def fill_holes(pixels: Float32, depth: Float32, hole: Bool) -> Float32:

@@ -23,7 +23,7 @@ from exwarp_cli.synthesis.geometry import (
 )
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import METHODS
-from exwarp_cli.synthesis.warp import fill_background, warp
+from exwarp_cli.synthesis.warp import fill_holes, moved
 from tests.bench import goals
 from tests.bench.street import key_frame
 from tests.bench.timing import ROUNDS, Work, compare
@@ -31,11 +31,11 @@ from tests.bench.timing import ROUNDS, Work, compare
 SLOT, TIME = 2, 0.5
 GOALS = {
     "gather, RGB": 1.0,
-    "warp(), RGB": 2.0,
-    "warp(), RGBA": 2.0,
+    "moved(), RGB": 2.0,
+    "moved(), RGBA": 2.0,
     "row_reach + splat": 3.0,
 }
-"""`gather` marks what it could not sample on the way, so warping alone has no other kernel; `warp`
+"""`gather` marks what it could not sample on the way, so warping alone has no other kernel; `moved`
 adds the surfaces' holes."""
 
 
@@ -75,14 +75,14 @@ def _warping(keys: list[KeyFrame]) -> dict[str, tuple[Work, Work]]:
     rgb = np.ascontiguousarray(rgba[..., :3])
     source = reproject(_gbuffer(keys[0]), TIME)
     base, base_rgba = _remap(rgb, source.field), _remap(rgba, source.field)
-    warped = warp(rgb, source)
+    warped = moved(rgb, source)
     return {
         "cv2.remap, RGBA": (base_rgba, base),
         "gather, RGB": (_gather(rgb, source), base),
         "gather, RGBA": (_gather(rgba, source), base_rgba),
-        "warp(), RGB": (lambda: warp(rgb, source), base),
-        "warp(), RGBA": (lambda: warp(rgba, source), base_rgba),
-        "fill_background()": (lambda: fill_background(warped), base),
+        "moved(), RGB": (lambda: moved(rgb, source), base),
+        "moved(), RGBA": (lambda: moved(rgba, source), base_rgba),
+        "fill_holes()": (lambda: fill_holes(*warped), base),
     }
 
 

@@ -10,14 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
+from exwarp_cli.domain import lent_memory
 from exwarp_cli.domain.extrapolator import INPUTS, NetworkInputs
 from exwarp_cli.domain.frame import Float32, GBuffer, KeyFrame, Window
 from exwarp_cli.errors import LayoutError
-from exwarp_cli.io import lent_memory
 from exwarp_cli.synthesis.interval import Interval
-from exwarp_cli.synthesis.memory import Memory
 from exwarp_cli.synthesis.modulation import DARKEST, decode, encode, modulation_of
-from exwarp_cli.synthesis.warp import fill_background, warp
+from exwarp_cli.synthesis.warp import warp_alone
 from tests.unit.analytic_scene import STEP
 from tests.unit.filled import Filled
 from tests.unit.scenes import SKY, town
@@ -45,7 +44,7 @@ def test_what_leaves_memory_between_steps_comes_back(interval, monkeypatch, slot
     monkeypatch.setattr(lent_memory, "LEAST", 0)
     lent_memory.file_large(True)
     try:
-        resting = replace(interval, memory=Memory(lent_memory.filed, lent_memory.rest))
+        resting = replace(interval)
         made = resting.extrapolated(slot)
         assert len(lent_memory._rooms) > 5
     finally:
@@ -105,7 +104,7 @@ def test_every_frame_of_the_history_shows_the_slot(interval, slot):
 def test_a_network_that_answers_with_the_warp_makes_the_warp(interval):
     plain = interval.without("albedo", "specular")
     made = plain.extrapolated(3)
-    expected = fill_background(warp(plain.key.image.pixels, plain.back(3)))
+    expected = warp_alone(plain.key.image.pixels, plain.back(3))
     np.testing.assert_allclose(made, expected, rtol=1e-5, atol=1e-6)
     assert plain.extrapolated(3) is made
 
@@ -140,7 +139,7 @@ def test_high_dynamic_range_and_alpha_come_through(interval):
     ).astype(np.float32)
     image = replace(interval.key.image, pixels=bright)
     given_alpha = replace(interval, key=replace(interval.key, image=image))
-    expected = fill_background(warp(bright, interval.back(2)))
+    expected = warp_alone(bright, interval.back(2))
     plain = given_alpha.without("albedo", "specular")
     np.testing.assert_allclose(plain.extrapolated(2), expected, rtol=1e-4, atol=1e-3)
     assert given_alpha.extrapolated(2).shape == bright.shape
@@ -170,7 +169,7 @@ def test_an_element_stays_empty_around_its_object(interval, slot):
     pixels[interval.key.gbuffer.stencil != 3] = 0
     bright = replace(interval, extrapolator=Bright())
     made = seen_as(bright, pixels).extrapolated(slot)
-    filled = fill_background(warp(pixels, interval.back(slot)))
+    filled = warp_alone(pixels, interval.back(slot))
     empty = (filled == 0).all(axis=-1)
     assert 0.3 < empty.mean() < 0.99
     assert (made[empty] == 0).all()

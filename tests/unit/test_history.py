@@ -143,7 +143,7 @@ def test_what_the_slot_before_hides_is_a_hole():
         gone[:, at[0]] = True
         gone[:, at[slot]] = False
         field[gone] = np.nan
-        return SlotField(field, np.where(gone, np.nan, 1).astype("f4"), gone, np.zeros(shape, bool))
+        return SlotField(field, np.where(gone, np.nan, 1).astype("f4"), gone)
 
     there = np.zeros((*shape, 2), np.float32)
     there[:, at[0], 0] = 12

@@ -13,9 +13,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from exwarp_cli.io import lent_memory
+from exwarp_cli.domain import lent_memory
+from exwarp_cli.domain.lent_memory import (
+    LARGE,
+    LEAST,
+    file_large,
+    filed,
+    forget,
+    lent,
+    let_go,
+    rest,
+)
 from exwarp_cli.io.frames import joined
-from exwarp_cli.io.lent_memory import LARGE, LEAST, file_large, filed, forget, lent, rest
 
 SHAPE = (600, 300, 4)
 
@@ -73,16 +82,36 @@ def test_it_comes_back_with_the_last_view(view):
 
 
 def test_other_sizes_get_other_memory():
-    place = where(lent(SHAPE, np.float32))
-    kept = lent((700, 300, 4), np.float32)
-    assert len(lent_memory._returned) == 1
-    assert where(lent(SHAPE, np.float32)) == place != where(kept)
+    small, large = lent(SHAPE, np.float32), lent((700, 300, 4), np.float32)
+    places = where(small), where(large)
+    del small, large
+    again = lent((700, 300, 4), np.float32), lent(SHAPE, np.float32)
+    assert (where(again[1]), where(again[0])) == places
+
+
+def test_what_waits_makes_room_for_what_is_of_another_size():
+    lent(SHAPE, np.float32)
+    kept = lent((100, 300, 50), np.float32)
+    assert not lent_memory._returned
+    del kept
 
 
 def test_what_is_forgotten_is_gone():
     lent(SHAPE, np.float32)
     assert lent_memory._returned
     forget()
+    assert not lent_memory._returned
+
+
+def test_what_nobody_wanted_for_an_interval_is_gone():
+    wanted, other = lent(SHAPE, np.float32), lent((700, 300, 4), np.float32)
+    place = where(wanted)
+    del wanted, other
+    let_go()
+    assert where(lent(SHAPE, np.float32)) == place
+    let_go()
+    assert [memory.nbytes for _, memory in lent_memory._returned] == [4 * np.prod(SHAPE)]
+    let_go()
     assert not lent_memory._returned
 
 

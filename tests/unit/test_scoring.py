@@ -33,7 +33,7 @@ def field(seed: int) -> SlotField:
     motion = rng.normal(0, 2, (*CANVAS.shape, 2)).astype(np.float32)
     motion[rng.random(CANVAS.shape) < 0.1] = np.nan
     hole = np.isnan(motion[..., 0]) | (rng.random(CANVAS.shape) < 0.1)
-    return SlotField(motion, np.ones(CANVAS.shape, np.float32), hole, np.zeros_like(hole))
+    return SlotField(motion, np.ones(CANVAS.shape, np.float32), hole)
 
 
 def interval(has_motion: bool = True) -> Any:

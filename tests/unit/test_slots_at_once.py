@@ -1,9 +1,8 @@
-"""Slots made at once: the same frames, in order, and not too many at once."""
+"""Slots made at once: the same frames, and as many at once as there are threads."""
 
 from __future__ import annotations
 
 import threading
-from collections import Counter
 
 import numba
 import numpy as np
@@ -31,33 +30,41 @@ def test_frames_are_those_of_one_after_the_other(warm):
     for name in ("s6", "softsplat"):
         predict = METHODS[name].predict
         expected = [predict(interval, slot).pixels for slot in (1, 2, 3)]
-        interval.forget(3)
+
+        def make(slot: int, predict=predict) -> np.ndarray:
+            interval.forget(slot)
+            return predict(interval, slot).pixels
+
         with SlotsAtOnce(2, 3) as both:
-            begun = both.begin(lambda slot, p=predict: p(interval, slot), (1, 2, 3))
+            begun = both.begin(make, (1, 2, 3))
             for slot in (1, 2, 3):
-                found, _ = begun.take(slot)
-                np.testing.assert_array_equal(found.pixels, expected[slot - 1])
-                interval.forget(slot)
+                np.testing.assert_array_equal(begun.take(slot), expected[slot - 1])
 
 
 def test_as_many_as_there_are_threads_are_under_way():
-    begun_with, gate, seen = Counter(), threading.Semaphore(0), []
+    arrived, gate = threading.Semaphore(0), threading.Semaphore(0)
 
     def make(slot: int) -> int:
-        begun_with[slot] += 1
+        arrived.release()
         gate.acquire()
         return 10 * slot
 
     with SlotsAtOnce(2, 3) as both:
         begun = both.begin(make, (1, 2, 3))
-        assert 1 in begun and 2 in begun and 3 not in begun
-        gate.release(2)
-        seen.append(begun.take(1)[0])
-        assert 3 in begun and 1 not in begun
-        gate.release()
-        seen += [begun.take(2)[0], begun.take(3)[0]]
-    assert seen == [10, 20, 30]
-    assert begun_with == {1: 1, 2: 1, 3: 1}
+        assert arrived.acquire(timeout=10) and arrived.acquire(timeout=10)
+        assert not arrived.acquire(timeout=0.1)
+        gate.release(3)
+        assert [begun.take(slot) for slot in (1, 2, 3)] == [10, 20, 30]
+
+
+def test_the_slots_of_the_next_interval_come_after():
+    order = []
+    with SlotsAtOnce(2, 3) as both:
+        begun = [both.begin(order.append, range(first, first + 3)) for first in (0, 3)]
+        for k, slots in enumerate(begun):
+            for slot in range(3 * k, 3 * k + 3):
+                slots.take(slot)
+    assert sorted(order) == list(range(6)) and set(order[:2]) <= {0, 1, 2}
 
 
 @pytest.mark.parametrize(("threads", "slots", "share"), [(2, 3, 1), (8, 3, 2), (3, 7, 1)])
@@ -66,7 +73,7 @@ def test_threads_are_shared_out(threads, slots, share, monkeypatch):
     monkeypatch.setattr(jit, "set_threads", told.append)
     with SlotsAtOnce(threads, slots) as both:
         begun = both.begin(lambda slot: slot, range(slots))
-        assert [begun.take(slot)[0] for slot in range(slots)] == list(range(slots))
+        assert [begun.take(slot) for slot in range(slots)] == list(range(slots))
     assert told and set(told) == {share}
 
 

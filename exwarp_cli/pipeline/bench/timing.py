@@ -22,7 +22,7 @@ from exwarp_cli.pipeline.scoring import SLOTS
 from exwarp_cli.synthesis.geometry import unmatched
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import METHODS
-from exwarp_cli.synthesis.warp import fill_background, warp
+from exwarp_cli.synthesis.warp import warp_alone
 
 EXTRAPOLATED = (2, 3)
 """Slots that E is there for."""
@@ -117,9 +117,7 @@ def _steps(interval: Interval) -> dict[str, float]:
         holes, _ = timed(
             lambda: [unmatched(fresh.slots[s - 1], key, backs[s].field, s) for s in SLOTS]
         )
-    moved, _ = timed(
-        lambda: [fill_background(warp(interval.key.image.pixels, backs[s])) for s in SLOTS]
-    )
+    moved, _ = timed(lambda: [warp_alone(interval.key.image.pixels, backs[s]) for s in SLOTS])
     found = {"warp": (fields + moved - (holes or 0.0)) / count}
     if holes is not None:
         found["holes"] = holes / count

@@ -1,7 +1,8 @@
 """Memory for frames' arrays, which later frames get again when nobody holds them any more.
 
 A frame of 1920x1080 with its geometry takes 100 MB. Fresh from the system, every page of it is
-cleared and mapped at its first touch, a fifth of the time of reading it.
+cleared and mapped at its first touch, a fifth of the time of reading it. The allocator's own heap
+keeps such arrays too, but in pieces: of 590 MB that were in use it held 750.
 
 The memory of large frames may lie in files without a name, in the folder for temporary ones: then
 it leaves the process where it is told to rest, and comes back page by page as it is used.
@@ -32,8 +33,15 @@ _rooms: weakref.WeakSet[mmap.mmap] = weakref.WeakSet()
 _adding = threading.Lock()
 _filed = False
 
-_returned: deque[npt.NDArray[np.uint8]] = deque()
-"""What nobody holds any more. Its methods need no lock, which finalizers must not wait for."""
+_returned: deque[tuple[int, npt.NDArray[np.uint8]]] = deque()
+"""What nobody holds any more, and since when. Its methods need no lock, which finalizers must not
+wait for."""
+
+_PRIVATE = {"flags": mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS} if hasattr(mmap, "MAP_PRIVATE") else {}
+"""Not shared with other processes, as Windows' never is: shared pages are small ones."""
+
+_age = 0
+"""How often `let_go` was called."""
 
 
 class _Loan:
@@ -61,9 +69,10 @@ def lent(shape: tuple[int, ...], dtype: npt.DTypeLike) -> np.ndarray:
         return np.empty(shape, kind)
     memory = _taken(size)
     if memory is None:
+        _make_room(size)
         memory = _fresh(size, filed=_filed and prod(shape[:2]) > LARGE)
     loan = _Loan(memory, shape, kind)
-    weakref.finalize(loan, _returned.append, memory).atexit = False
+    weakref.finalize(loan, _take_back, memory).atexit = False
     return np.asarray(loan)
 
 
@@ -75,7 +84,7 @@ def file_large(yes: bool) -> None:
 
 def filed(array: np.ndarray) -> np.ndarray:
     """Return a copy in such a file, where the array is large and others lie there; else itself."""
-    if not _filed or prod(array.shape[:2]) <= LARGE:
+    if not _filed or prod(array.shape[:2]) <= LARGE or _is_lent(array):
         return array
     out = lent(array.shape, array.dtype)
     out[...] = array
@@ -90,13 +99,18 @@ def rest() -> None:
         room.madvise(mmap.MADV_DONTNEED)
 
 
-def forget() -> None:
-    """Give back to the system what came back and was not lent again: sizes have changed."""
-    _returned.clear()
+def _is_lent(array: np.ndarray) -> bool:
+    owner: object = array
+    while isinstance(owner, np.ndarray):
+        owner = owner.base
+    return isinstance(owner, _Loan)
 
 
 def _fresh(size: int, filed: bool) -> npt.NDArray[np.uint8]:
-    """Take memory from the system; from a file's only where it can be, and there is room."""
+    """Take memory from the system; from a file's only where it can be, and there is room.
+
+    It goes back to the system as a whole, and not into the allocator's heap.
+    """
     if filed and hasattr(mmap, "MADV_DONTNEED") and hasattr(os, "posix_fallocate"):
         with suppress(OSError), tempfile.TemporaryFile(prefix="exwarp-") as file:
             os.posix_fallocate(file.fileno(), 0, size)  # a full disk is met here, and not later
@@ -104,17 +118,58 @@ def _fresh(size: int, filed: bool) -> npt.NDArray[np.uint8]:
             with _adding:
                 _rooms.add(room)
             return np.frombuffer(room, np.uint8)
-    return np.empty(size, np.uint8)
+    try:
+        pages = mmap.mmap(-1, size, **_PRIVATE)
+    except OSError as error:
+        raise MemoryError(f"{size} bytes") from error
+    if hasattr(mmap, "MADV_HUGEPAGE"):
+        with suppress(OSError):  # the system has none
+            pages.madvise(mmap.MADV_HUGEPAGE)
+    return np.frombuffer(pages, np.uint8)
+
+
+def _make_room(size: int) -> None:
+    """Give as much back to the system as will be taken from it, of what waited longest."""
+    freed = 0
+    while freed < size:
+        try:
+            _, memory = _returned.popleft()
+        except IndexError:
+            return
+        freed += memory.size
+
+
+def _take_back(memory: npt.NDArray[np.uint8]) -> None:
+    _returned.append((_age, memory))
+
+
+def let_go() -> None:
+    """Give back to the system what came back before the last call of this, and nobody wanted since.
+
+    Called once for every interval, it keeps what the next one wants.
+    """
+    global _age
+    _age += 1
+    for _ in range(len(_returned)):
+        with suppress(IndexError):  # another thread took it
+            since, memory = _returned.popleft()
+            if since >= _age - 1:
+                _returned.append((since, memory))
+
+
+def forget() -> None:
+    """Give back to the system whatever came back: what follows is of other sizes."""
+    _returned.clear()
 
 
 def _taken(size: int) -> npt.NDArray[np.uint8] | None:
     """Take memory of just this size, if any came back."""
     for _ in range(len(_returned)):
         try:
-            memory = _returned.popleft()
+            since, memory = _returned.popleft()
         except IndexError:  # another thread took it
             return None
         if memory.size == size:
             return memory
-        _returned.append(memory)
+        _returned.append((since, memory))
     return None
