@@ -1,7 +1,7 @@
 """The whole command at 1920x1080 beside the codec floor: wall and processor time, memory.
 
-``python -m tests.bench.bench_command [--count 24]``. Each command runs on a second of film and on
-its first third: the whole run's time is compared with the floor's, and so is what each further key
+``python -m tests.bench.bench_command [--count 48]``. Each command runs on two seconds of film, and on
+their first third: the whole run's time is compared with the floor's, and so is what each further key
 interval takes, which start-up is no part of. ``features + decision`` is the learned method with a
 policy that always warps, beside s6, which makes the same frames: what is read for it and computed.
 
@@ -25,8 +25,8 @@ FLOOR, DECIDED = "codec floor", "features + decision"
 METHODS = ("s6", "softsplat")
 GOALS = {"s6": 1.10, DECIDED: 1.10}
 ROUNDS = 3
-COUNT = 24
-"""Key frames: a second of film."""
+COUNT = 48
+"""Key frames: two seconds of film, a short shot."""
 
 Command = Callable[[int], list[str]]
 """A command line for so many key frames."""
