@@ -9,10 +9,14 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.kernels.jit import inlined, serial
+from exwarp_cli.kernels.jit import inlined, part, serial
 
 I32 = npt.NDArray[np.int32]
 I64 = npt.NDArray[np.int64]
+
+
+SPAN = 64
+"""Pixels of a row that are looked at together."""
 
 
 @inlined
@@ -39,14 +43,55 @@ def join(parent: I32, one: int, other: int) -> int:
     return low
 
 
-@inlined
-def label_row(stencil: I32, i: int, above: I32, here: I32, parent: I32, count: int) -> int:
-    """Label row i by what is above and to the left, note which labels meet; return how many.
+@part
+def look_at(row: I32, before: I32) -> tuple[bool, bool]:
+    """Return whether a span shows objects, and whether the one above it has other ids."""
+    most, changed = np.int32(0), np.int32(0)
+    for j in range(row.size):
+        most = max(most, row[j])
+        changed |= row[j] ^ before[j]
+    return bool(most > 0), bool(changed != 0)
 
-    `above` and `here` are the labels of the row before, and of this one, which are written; `count`
-    is how many labels were given before.
-    """
-    for j in range(stencil.shape[1]):
+
+@part
+def fill_span(here: I32, label: np.int32) -> None:
+    """Write one label."""
+    for j in range(here.size):
+        here[j] = label
+
+
+@part
+def settle_span(parent: I32, here: I32) -> None:
+    """Replace provisional labels by those of their sets; most spans have one."""
+    several = np.int32(0)
+    for j in range(here.size):
+        several |= here[j] ^ here[0]
+    if several == 0:
+        fill_span(here, parent[here[0]])
+        return
+    for j in range(here.size):
+        here[j] = parent[here[j]]
+
+
+@part
+def copy_span(above: I32, here: I32) -> None:
+    """Copy labels."""
+    for j in range(here.size):
+        here[j] = above[j]
+
+
+@inlined
+def label_span(
+    stencil: I32,
+    i: int,
+    columns: tuple[int, int],
+    above: I32,
+    here: I32,
+    parent: I32,
+    count: int,
+) -> int:
+    """Label some columns of row i pixel by pixel; see `label_row`."""
+    for j in range(columns[0], columns[1]):
         ident = stencil[i, j]
         if ident <= 0:
             here[j] = 0
@@ -68,6 +113,27 @@ def label_row(stencil: I32, i: int, above: I32, here: I32, parent: I32, count: i
             label = count
             parent[label] = label
         here[j] = label
+    return count
+
+
+@inlined
+def label_row(stencil: I32, i: int, above: I32, here: I32, parent: I32, count: int) -> int:
+    """Label row i by what is above and to the left, note which labels meet; return how many.
+
+    `above` and `here` are the labels of the row before, and of this one, which are written; `count`
+    is how many labels were given before. Most spans are empty, or those of the row above and so
+    labelled: asking for that first halves the time for a block.
+    """
+    row, before = stencil[i], stencil[max(i - 1, 0)]
+    for begin in range(0, row.size, SPAN):
+        end = min(begin + SPAN, row.size)
+        shown, changed = look_at(row[begin:end], before[begin:end])
+        if not shown:
+            fill_span(here[begin:end], np.int32(0))
+        elif i > 0 and not changed:
+            copy_span(above[begin:end], here[begin:end])
+        else:
+            count = label_span(stencil, i, (begin, end), above, here, parent, count)
     return count
 
 
@@ -104,9 +170,11 @@ def label(stencil: I32, labels: I32) -> int:
             parent[k] = count
         else:  # its parent is lower, so that one's number is final
             parent[k] = parent[parent[k]]
+    if count == given:  # none met
+        return count
     for i in range(labels.shape[0]):
-        for j in range(labels.shape[1]):
-            labels[i, j] = parent[labels[i, j]]
+        for begin in range(0, labels.shape[1], SPAN):
+            settle_span(parent, labels[i, begin : begin + SPAN])
     return count
 
 
