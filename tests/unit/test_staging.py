@@ -223,3 +223,15 @@ def test_every_part_lies_on_the_key_frame_s_window():
     # on another window nothing is shared
     again = staging.interval(replace(loaded(3, "key"), frame=cropped(raw_key(3), large)))
     assert again.past[0].motion.shape == (90, 150, 2)
+
+
+@pytest.mark.parametrize("lost", [(), ("depth",)], ids=["all", "no depth"])
+def test_a_bare_interval_warps_as_a_whole_one(lost):
+    """Without a depth pass positions tell what is background, and stay."""
+    made = replace(loaded(2, "key"), frame=raw_key(2).without(*lost), past=())
+    whole, bare = (Staging(DISPLAY, bare=wish).interval(made) for wish in (False, True))
+    assert (bare.key.gbuffer.position is None) == (not lost)
+    for interval in (bare, whole.bare()):
+        found, expected = interval.back(2), whole.back(2)
+        np.testing.assert_array_equal(found.field, expected.field)
+        np.testing.assert_array_equal(found.depth, expected.depth)
