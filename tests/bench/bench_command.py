@@ -1,9 +1,10 @@
 """The whole command at 1920x1080 beside the codec floor: wall and processor time, memory.
 
-``python -m tests.bench.bench_command [--count 48]``. Each command runs on two seconds of film, and on
-their first third: the whole run's time is compared with the floor's, and so is what each further key
-interval takes, which start-up is no part of. ``features + decision`` is the learned method with a
-policy that always warps, beside s6, which makes the same frames: what is read for it and computed.
+``python -m tests.bench.bench_command [--count 48]``. Each command runs on two seconds of film, and
+on their first third: the whole run's time is compared with the floor's, and so is what each further
+key interval takes, which start-up is no part of. ``features + decision`` is the learned method with
+a policy that always warps, beside s6, which makes the same frames: what is read for it, and
+computed.
 
 This program itself stays small, since Linux counts a parent's memory at the moment of the fork as
 its child's.
