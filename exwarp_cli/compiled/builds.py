@@ -21,18 +21,16 @@ KNOWN_INSIDE = ("0.68",)
 compilation and 0.3 s of a start, is left out with others, whose own cache keeps the kernels then.
 """
 
+COMMON: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+"""How everything is compiled. `nogil` lets files be read and written meanwhile. `fastmath` stays
+off: NaN marks pixels without a value, and results must not depend on the build. C does not call
+kernels, so that they need no entry for it."""
+
 
 def compiled(text: Kernel, **options: bool) -> Kernel:
-    """Compile on the first call, and keep the result on disk where that is possible.
-
-    `nogil` lets files be read and written meanwhile. `fastmath` stays off: NaN marks pixels without
-    a value, and results must not depend on the build. C does not call kernels, so that they need no
-    entry for it.
-    """
+    """Compile on the first call, and keep the result on disk where that is possible."""
     assert isinstance(text, types.FunctionType)
-    common: dict[str, Any] = {
-        "nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True, **options
-    }  # fmt: skip
+    common = COMMON | options
     built: Any = numba.njit(text, **common)
     if isinstance(built, dispatcher.Dispatcher):  # and not the text: NUMBA_DISABLE_JIT
         _keep(built, text, common)
@@ -42,8 +40,7 @@ def compiled(text: Kernel, **options: bool) -> Kernel:
 
 def part(text: Kernel, **options: bool) -> Kernel:
     """Have a function compiled with the kernels that call it; Python calls it as it stands."""
-    common = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True, **options}
-    known: Kernel = register_jitable(**common)(text)
+    known: Kernel = register_jitable(**COMMON, **options)(text)
     return known
 
 

@@ -84,8 +84,13 @@ def file_large(yes: bool) -> None:
 
 def filed(array: np.ndarray) -> np.ndarray:
     """Return a copy in such a file, where the array is large and others lie there; else itself."""
-    if not _filed or prod(array.shape[:2]) <= LARGE or _is_lent(array):
+    if not _filed or prod(array.shape[:2]) <= LARGE:
         return array
+    return copied(array)
+
+
+def copied(array: np.ndarray) -> np.ndarray:
+    """Return a copy in lent memory."""
     out = lent(array.shape, array.dtype)
     out[...] = array
     return out
@@ -97,13 +102,6 @@ def rest() -> None:
         rooms = list(_rooms)
     for room in rooms:
         room.madvise(mmap.MADV_DONTNEED)
-
-
-def _is_lent(array: np.ndarray) -> bool:
-    owner: object = array
-    while isinstance(owner, np.ndarray):
-        owner = owner.base
-    return isinstance(owner, _Loan)
 
 
 def _fresh(size: int, filed: bool) -> npt.NDArray[np.uint8]:

@@ -74,7 +74,8 @@ class AxisMap:
                 if self.length is not None:
                     value = value * raw[..., self.length]
                 axes.append(value * np.float32(scale))
-            out = np.stack(axes, axis=-1)
+            out: Float32 = lent((*raw.shape[:-1], 2), np.float32)
+            np.stack(axes, axis=-1, out=out)
             out[~np.isfinite(axes[0] + axes[1])] = np.nan
         return out
 

@@ -1,8 +1,8 @@
 """The checksum that generated files carry: of the whole file, with its own digits as zeros.
 
 It is XXH128, which shows whatever disks and networks do to a file; who wants to deceive is not kept
-out, nor would be by another that stands in the file itself. Of a frame of 1920x1080, SHA-256 took
-11 ms, a twentieth of all that such a frame costs.
+out, nor would be by another that stands in the file itself. A frame of 1920x1080 takes 0.2 ms; with
+SHA-256 it took 4.7.
 """
 
 from __future__ import annotations

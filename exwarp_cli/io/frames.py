@@ -19,7 +19,7 @@ from exwarp_cli.domain.frame import (
     outside,
     place,
 )
-from exwarp_cli.domain.lent_memory import filed, lent, rest
+from exwarp_cli.domain.lent_memory import lent, rest
 from exwarp_cli.domain.motion import MotionConvention
 from exwarp_cli.errors import DamagedFileError, LayoutError
 from exwarp_cli.io.channels import ChannelRef, Role, detect, require
@@ -71,8 +71,8 @@ class RawFrame:
         before, after = convention.to_previous, convention.to_next
         return replace(
             self.gbuffer,
-            to_previous=None if before is None else filed(before.apply(self.motion)),
-            to_next=None if after is None else filed(after.apply(self.motion)),
+            to_previous=None if before is None else before.apply(self.motion),
+            to_next=None if after is None else after.apply(self.motion),
         )
 
     def key(self, convention: MotionConvention | None) -> KeyFrame:

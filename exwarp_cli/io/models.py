@@ -259,16 +259,7 @@ def _up(pixels: int, stride: int) -> int:
 def open_session(path: Path, data: bytes, threads: int, device: str) -> Any:
     """Make onnxruntime's session from a file's bytes: so other files can have no part in it.
 
-    Parameters
-    ----------
-    path
-        Where `data` came from.
-    data
-        The ONNX file's bytes.
-    threads
-        Of one operator; they run one after the other.
-    device
-        "cpu" or "cuda".
+    Parameters are those of `OnnxNetwork`; operators run one after the other, each with all threads.
     """
     runtime = _runtime()
     if device == "cuda" and CUDA not in runtime.get_available_providers():

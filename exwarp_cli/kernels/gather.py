@@ -23,6 +23,9 @@ Places = tuple[I32, I32, I32]
 
 RGB, RGBA = 3, 4
 
+FURTHEST = np.float32(1e7)
+"""Pixels from the frame's corner beyond which nothing is sampled."""
+
 
 @part
 def clamp(value: int, low: int, high: int) -> int:
@@ -193,7 +196,7 @@ def settle_rest(
         shown = False
         if not inside[j]:
             x, y = np.float32(j) + line[2 * j], np.float32(i) + line[2 * j + 1]
-            if abs(x) < np.float32(1e7) and abs(y) < np.float32(1e7):
+            if abs(x) < FURTHEST and abs(y) < FURTHEST:
                 shown = sample_border(pixels, shape, x, y, out, j * channels)
                 within = x >= -0.5 and y >= -0.5 and x <= width - 0.5 and y <= height - 0.5
                 hole[j] = not (shown and within)

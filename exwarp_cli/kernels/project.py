@@ -16,6 +16,27 @@ B8 = npt.NDArray[np.bool_]
 
 
 @inlined
+def seen_from(camera: F64, point: tuple[float, float, float, float]) -> tuple[float, float, float]:
+    """Return where a camera, float64 [3, 4], sees a homogeneous point: homogeneous, too."""
+    a, b, c, d = point
+    u = camera[0, 0] * a + camera[0, 1] * b + camera[0, 2] * c + camera[0, 3] * d
+    v = camera[1, 0] * a + camera[1, 1] * b + camera[1, 2] * c + camera[1, 3] * d
+    w = camera[2, 0] * a + camera[2, 1] * b + camera[2, 2] * c + camera[2, 3] * d
+    return u, v, w
+
+
+@inlined
+def away_from(
+    x: float, y: float, place: tuple[float, float, float]
+) -> tuple[np.float32, np.float32]:
+    """Return the way from a pixel to a homogeneous place; NaN for what is behind the camera."""
+    u, v, w = place
+    if w > 0:
+        return np.float32(u / w - x), np.float32(v / w - y)
+    return np.float32(np.nan), np.float32(np.nan)
+
+
+@inlined
 def displaced(
     position: F32, depth: F32, camera: F64, at_infinity: F64, i: int, j: int
 ) -> tuple[np.float32, np.float32]:
@@ -24,11 +45,11 @@ def displaced(
     Parameters as for :func:`rigid_text`.
     """
     x, y = np.float64(j), np.float64(i)
-    u, v, w = 0.0, 0.0, 0.0
     if math.isinf(depth[i, j]):
         u = at_infinity[0, 0] * x + at_infinity[0, 1] * y + at_infinity[0, 2]
         v = at_infinity[1, 0] * x + at_infinity[1, 1] * y + at_infinity[1, 2]
         w = at_infinity[2, 0] * x + at_infinity[2, 1] * y + at_infinity[2, 2]
+        place = (u, v, w)
     else:
         a, b, c, d = x, y, 1.0, 1.0 / np.float64(depth[i, j])
         if position.shape[0] > 0:
@@ -36,12 +57,9 @@ def displaced(
             b = np.float64(position[i, j, 1])
             c = np.float64(position[i, j, 2])
             d = np.float64(1.0)
-        u = camera[0, 0] * a + camera[0, 1] * b + camera[0, 2] * c + camera[0, 3] * d
-        v = camera[1, 0] * a + camera[1, 1] * b + camera[1, 2] * c + camera[1, 3] * d
-        w = camera[2, 0] * a + camera[2, 1] * b + camera[2, 2] * c + camera[2, 3] * d
-    if w > 0:
-        return np.float32(u / w - x), np.float32(v / w - y)
-    return np.float32(np.nan), np.float32(np.nan)
+        place = seen_from(camera, (a, b, c, d))
+    away_x, away_y = away_from(x, y, place)
+    return away_x, away_y
 
 
 def rigid_text(

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from exwarp_cli.kernels.edges import ROWS_PER_BAND, SAME_DEPTH
 from exwarp_cli.kernels.jit import inlined, parallel, part, serial
+from exwarp_cli.kernels.project import away_from, seen_from
 
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
@@ -124,13 +125,8 @@ def rigid_at(
             b = np.float64(position[i, 3 * j + 1])
             c = np.float64(position[i, 3 * j + 2])
             d = 1.0
-    camera = cameras[which]
-    u = camera[0, 0] * a + camera[0, 1] * b + camera[0, 2] * c + camera[0, 3] * d
-    v = camera[1, 0] * a + camera[1, 1] * b + camera[1, 2] * c + camera[1, 3] * d
-    w = camera[2, 0] * a + camera[2, 1] * b + camera[2, 2] * c + camera[2, 3] * d
-    if w > 0:
-        return np.float32(u / w - x), np.float32(v / w - y)
-    return np.float32(np.nan), np.float32(np.nan)
+    away_x, away_y = away_from(x, y, seen_from(cameras[which], (a, b, c, d)))
+    return away_x, away_y
 
 
 @inlined

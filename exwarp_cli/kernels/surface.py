@@ -8,16 +8,13 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.kernels.gather import sample_border
+from exwarp_cli.kernels.gather import FURTHEST, sample_border
 from exwarp_cli.kernels.jit import inlined, parallel, part, serial
 
 F32 = npt.NDArray[np.float32]
 B8 = npt.NDArray[np.bool_]
 Parts = tuple[F32, F32, F32, F32]
 Colours = tuple[F32, F32]
-
-FURTHEST = np.float32(1e7)
-"""Pixels from the frame's corner beyond which nothing is sampled."""
 
 
 @inlined

@@ -118,7 +118,8 @@ class Staging:
         if (index, basis) not in self._frames:
             placed = frame.extended(basis[0])
             if placed.gbuffer is not None and not self._estimated:
-                placed = replace(placed, gbuffer=_filed(settle_motion(placed.gbuffer)))
+                placed = replace(placed, gbuffer=settle_motion(placed.gbuffer))
+                rest()
             if self._bare and placed.gbuffer is not None:
                 placed = replace(placed, gbuffer=placed.gbuffer.bare())
             self._frames[index, basis] = placed
@@ -161,12 +162,3 @@ class Staging:
 
 def _surface(gbuffer: GBuffer) -> dict[str, Any]:
     return {part: getattr(gbuffer, part) for part in SURFACE_PARTS}
-
-
-def _filed(gbuffer: GBuffer) -> GBuffer:
-    """Return a G-buffer whose motion, which was just settled, lies where the rest of it does."""
-    before, after = (
-        None if way is None else filed(way) for way in (gbuffer.to_previous, gbuffer.to_next)
-    )
-    rest()
-    return replace(gbuffer, to_previous=before, to_next=after)

@@ -25,6 +25,11 @@ Predict = Callable[[Interval], Predicted]
 """Makes the frame of a slot from an interval of any view, by what was decided."""
 
 
+def anything_beside(contents: tuple[Content, ...]) -> bool:
+    """Whether anything is written beside the beauty of the view that leads."""
+    return len(contents) > 1 or bool(contents[0].beside)
+
+
 class Beside:
     """Makes the planes that are written with the beauty of the view that leads.
 
@@ -44,7 +49,7 @@ class Beside:
     @property
     def anything(self) -> bool:
         """Whether there is anything beside."""
-        return len(self._contents) > 1 or bool(self._contents[0].beside)
+        return anything_beside(self._contents)
 
     @property
     def moves_vectors(self) -> bool:

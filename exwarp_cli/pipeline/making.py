@@ -14,7 +14,7 @@ from exwarp_cli.domain.results import FrameKind, FrameRecord
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.io.decisions import decision_text
-from exwarp_cli.io.frame_files import quantised
+from exwarp_cli.io.frame_files import FrameTemplate, quantised
 from exwarp_cli.io.output import PREFIX, compression_of
 from exwarp_cli.io.template import Plane, PlaneKey, Template
 from exwarp_cli.pipeline.layers import Beside, named_by_path
@@ -35,14 +35,17 @@ class Made:
     record
         Without scores, and without the time that writing took.
     image
-        The frame, as its file has it where it is scored; None where it has to be read from there.
+        The frame; None where it has to be read from its file.
+    rounded
+        Whether it is as its file has it.
     mask
         bool [H, W]: its holes on the display window; None where nothing tells.
     """
 
     record: FrameRecord
-    image: Image | None
-    mask: Bool | None
+    image: Image | None = None
+    rounded: bool = True
+    mask: Bool | None = None
 
 
 class SlotMaker:
@@ -116,10 +119,10 @@ class SlotMaker:
         attributes = self._attributes(record, loaded.recipes[slot.index])
         self._sink.write(record.number, image, mask, loaded.template, attributes, beside, here)
         if loaded.truth or self._sink.shows:
-            image = replace(image, pixels=quantised(image.pixels, loaded.template))
-        elif here:  # who asks for it finds it in its file
-            return Made(record, None, mask)
-        return Made(record, image, mask)
+            return Made(record, rounded(image, loaded.template), mask=mask)
+        if here:  # who asks for it finds it in its file
+            return Made(record, mask=mask)
+        return Made(record, image, rounded=False, mask=mask)
 
     def mask(self, interval: Interval, slot: Slot) -> Bool | None:
         """Return the hole mask of a slot on the display window."""
@@ -187,3 +190,8 @@ class SlotMaker:
         if compression is not None:
             out["compression"] = compression
         return out
+
+
+def rounded(image: Image, template: FrameTemplate) -> Image:
+    """Return a frame as its file has it."""
+    return replace(image, pixels=quantised(image.pixels, template))

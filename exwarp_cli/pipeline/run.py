@@ -16,13 +16,12 @@ from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.errors import InputError, LayoutError
 from exwarp_cli.io.decisions import parse_decision
 from exwarp_cli.io.footage import picture
-from exwarp_cli.io.frame_files import quantised
 from exwarp_cli.io.output import PREFIX
 from exwarp_cli.pipeline.choosing import Chooser
 from exwarp_cli.pipeline.geometry import Staging
 from exwarp_cli.pipeline.layers import Beside
 from exwarp_cli.pipeline.loaded import Loaded
-from exwarp_cli.pipeline.making import Made, SlotMaker
+from exwarp_cli.pipeline.making import Made, SlotMaker, rounded
 from exwarp_cli.pipeline.progress import Progress
 from exwarp_cli.pipeline.recipes import key_recipe
 from exwarp_cli.pipeline.schedule import read_ahead
@@ -211,7 +210,7 @@ class Run:
         timing = {} if resumed else {"read": loaded.read_ms}
         render = loaded.template.render
         self.records.append(replace(record, resumed=resumed, timing_ms=timing, render=render))
-        self._show(self.records[-1], Made(record, None, None), loaded)
+        self._show(self.records[-1], Made(record), loaded)
         self.progress.advance(output, "key")
 
     def _write_key(self, output: int, loaded: Loaded) -> bool:
@@ -250,8 +249,7 @@ class Run:
         elif made.image is None:
             image = self.sink.read(record.number)
         else:
-            pixels = quantised(made.image.pixels, loaded.template)
-            image = replace(made.image, pixels=pixels)
+            image = made.image if made.rounded else rounded(made.image, loaded.template)
         if watched:
             assert self.watcher is not None
             truth = loaded.truth.get(record.slot)
@@ -285,9 +283,9 @@ class Run:
         )
         scored = slot.index in loaded.truth
         if interval is None or not (scored or self.watcher is not None):
-            return Made(record, None, None)
+            return Made(record)
         image = self.sink.read(number) if scored else None
-        return Made(record, image, self.maker.mask(interval, slot))
+        return Made(record, image, mask=self.maker.mask(interval, slot))
 
     def _scored(self, made: Made, loaded: Loaded) -> FrameRecord:
         """Score a frame against ground truth, where there is some, on the display window."""

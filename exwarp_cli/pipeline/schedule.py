@@ -23,7 +23,7 @@ def read_ahead(tasks: Iterable[Callable[[], T]], depth: int) -> Iterator[T]:
     pool = ThreadPoolExecutor(1, "exwarp-read", for_kernels)
     try:
         for task in tasks:
-            ahead.append(pool.submit(_worked, task))
+            ahead.append(pool.submit(worked, task))
             if len(ahead) > depth:
                 yield awaited(ahead.popleft())
         while ahead:
@@ -39,9 +39,9 @@ def awaited(future: Future[T]) -> T:
         return future.result()
 
 
-def _worked(task: Callable[[], T]) -> T:
-    """Do a task on a core."""
-    with working():
+def worked(task: Callable[[], T], many: int = 1) -> T:
+    """Do a task on a core, or on several."""
+    with working(many):
         return task()
 
 
@@ -64,7 +64,7 @@ class WriteBehind:
         """Queue a write; blocks while `depth` writes are under way."""
         while len(self._waiting) >= self._depth:
             awaited(self._waiting.popleft())
-        self._waiting.append(self._pool.submit(_worked, write))
+        self._waiting.append(self._pool.submit(worked, write))
 
     def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
         if kind is not None and not issubclass(kind, InputError):

@@ -7,9 +7,9 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from typing import Generic, TypeVar
 
-from exwarp_cli.domain.cores import waiting, working
+from exwarp_cli.domain.cores import waiting
 from exwarp_cli.kernels import jit
-from exwarp_cli.pipeline.schedule import awaited
+from exwarp_cli.pipeline.schedule import awaited, worked
 
 S = TypeVar("S", bound=Hashable)
 T = TypeVar("T")
@@ -52,11 +52,8 @@ class SlotsAtOnce:
         if self._pool is None:
             start = partial(jit.set_threads, self._share)  # holds for the thread that calls it
             self._pool = ThreadPoolExecutor(self._workers, "exwarp-slot", start)
-        return Begun({slot: self._pool.submit(self._worked, make, slot) for slot in slots})
-
-    def _worked(self, make: Callable[[S], T], slot: S) -> T:
-        with working(self._share):
-            return make(slot)
+        pool, share = self._pool, self._share
+        return Begun({slot: pool.submit(worked, partial(make, slot), share) for slot in slots})
 
 
 class Begun(Generic[S, T]):

@@ -17,7 +17,7 @@ from exwarp_cli.pipeline.choosing import Chooser, always, by_policy, by_truth
 from exwarp_cli.pipeline.finding import is_usual
 from exwarp_cli.pipeline.geometry import Staging
 from exwarp_cli.pipeline.job import Job, open_job
-from exwarp_cli.pipeline.layers import Beside
+from exwarp_cli.pipeline.layers import Beside, anything_beside
 from exwarp_cli.pipeline.loading import IntervalLoader
 from exwarp_cli.pipeline.making import SlotMaker
 from exwarp_cli.pipeline.progress import NoProgress, Progress
@@ -100,7 +100,6 @@ def write_intervals(
         As `RunSummary` has them.
     """
     settings = job.settings
-    allocator.share_one_arena()
     use_threads(settings.threads)
     # Of what vectors were measured in: half of the memory of a run at 3840x2160.
     lent_memory.forget()
@@ -119,8 +118,8 @@ def write_intervals(
 
 def _run_of(job: Job, note: str, progress: Progress, watcher: Watcher | None) -> Run:
     """Set up what makes and writes frames."""
-    wanted = job.contents[0].beside or len(job.contents) > 1
-    bare = job.source.slots is None and not (job.method.extrapolates or wanted)
+    warps = job.source.slots is None and not job.method.extrapolates
+    bare = warps and not anything_beside(job.contents)
     staging, *others = (
         Staging(source.keys.display, job.network, job.interpolator, source.estimated, bare)
         for source in job.sources

@@ -9,7 +9,7 @@ import numpy as np
 
 from exwarp_cli.domain.extrapolator import HISTORY, INPUTS, Inputs, NetworkInputs
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, KeyFrame
-from exwarp_cli.domain.lent_memory import filed, rest
+from exwarp_cli.domain.lent_memory import copied, lent, rest
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.kernels import planes
 from exwarp_cli.synthesis.geometry import SlotField
@@ -106,7 +106,10 @@ class SlotInputs:
 
     @property
     def warped(self) -> Float32:
-        """As `NetworkInputs` has it, of the whole frame; so are the other planes."""
+        """As `NetworkInputs` has it, of the whole frame, as the other planes are.
+
+        Whoever wants several of them asks for one `part`: each is made with all the others.
+        """
         return self.part(ALL, ALL).warped
 
     @property
@@ -151,7 +154,7 @@ class Prepared:
 
     def finish(self, answer: Float32) -> Float32:
         """Turn the network's answer, float32 [3, H, W], into scene-linear colour [H, W, C]."""
-        out = np.empty_like(self.filled)
+        out: Float32 = lent(self.filled.shape, np.float32)
         modulation = NO_VECTORS if self.modulation is None else self.modulation
         planes.join(decode(answer), modulation, self.filled, out)
         return out
@@ -177,19 +180,17 @@ def prepare(
     """
     modulation = _modulation(seen)
     divided = modulation is not None
-    if modulation is not None:
-        modulation = filed(modulation)
     # Its colours are in the modulation.
     surface = seen.surface.without(*SMOOTH)
     rest()
     pixels, depth, hole = moved(_shading(key, divided), back)
-    filled = filed(fill_holes(pixels.copy(), depth, hole))
-    history = [Moved(filed(pixels), ~hole)]
+    filled = fill_holes(copied(pixels), depth, hole)
+    history = [Moved(pixels, ~hole)]
     del pixels
     rest()
     for step, field, hidden in zip(past, seen.fields, seen.hidden, strict=False):
         pixels, unseen = sampled(_shading(step.frame, divided), field)
-        history.append(Moved(filed(pixels), ~(unseen | hidden)))
+        history.append(Moved(pixels, ~(unseen | hidden)))
         del pixels
         rest()
     history += [history[-1]] * (HISTORY - len(history))

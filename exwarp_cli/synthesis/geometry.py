@@ -155,24 +155,12 @@ def moved_on(gbuffer: GBuffer, motion: Float32) -> SlotField:
         float32 [H, W, 2], pixels: where each of its pixels moves; NaN for nowhere.
     """
     depth = depth_of(gbuffer)
-    field, near = _splatted(depth, motion)
-    hole: Bool = lent(depth.shape, np.bool_)
-    return SlotField(field, near, np.isnan(near, out=hole), depth)
-
-
-def led_back(gbuffer: GBuffer, motion: Float32) -> Float32:
-    """Return the field alone of `moved_on`, float32 [H, W, 2]."""
-    field, _ = _splatted(depth_of(gbuffer), motion)
-    return field
-
-
-def _splatted(depth: Float32, motion: Float32) -> tuple[Float32, Float32]:
-    """Move surfaces; return the field back, and the depth of what is shown then."""
     field, near = lent(motion.shape, np.float32), lent(depth.shape, np.float32)
     reach = np.empty(splat.reach_shape(depth.shape), np.float32)
     splat.row_reach(motion, reach)
     splat.splat(motion, depth, reach, field, near)
-    return field, near
+    hole: Bool = lent(depth.shape, np.bool_)
+    return SlotField(field, near, np.isnan(near, out=hole), depth)
 
 
 def compose_back(slots: Sequence[GBuffer], key: GBuffer) -> list[SlotField]:

@@ -10,12 +10,12 @@ from itertools import pairwise
 import numpy as np
 
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, KeyFrame
-from exwarp_cli.domain.lent_memory import filed, rest
+from exwarp_cli.domain.lent_memory import copied, rest
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.kernels.follow import follow, follow_shown
 from exwarp_cli.kernels.surface import go_on
 from exwarp_cli.synthesis.camera import Camera, Scene, camera_after, place_still, scene_of
-from exwarp_cli.synthesis.geometry import SlotField, led_back, stands_still, unmatched
+from exwarp_cli.synthesis.geometry import SlotField, moved_on, stands_still, unmatched
 from exwarp_cli.synthesis.surface import lookup, reprojected
 from exwarp_cli.synthesis.trajectory import displacement, stencil_of
 
@@ -77,8 +77,10 @@ class BetweenKeys:
 
     Attributes
     ----------
-    key, past
-        As for :func:`look_back`.
+    key
+        G-buffer of F_k with settled motion.
+    past
+        F_k-1 and F_k-2, as far as they are there.
     """
 
     key: GBuffer
@@ -136,12 +138,7 @@ class LookBack:
 
 
 def look_back(
-    slot: int,
-    back: SlotField,
-    key: GBuffer,
-    past: Sequence[Past],
-    slots: Sequence[GBuffer],
-    between: BetweenKeys,
+    slot: int, back: SlotField, slots: Sequence[GBuffer], between: BetweenKeys
 ) -> LookBack:
     """Find a slot's surfaces in the older key frames.
 
@@ -151,18 +148,14 @@ def look_back(
         1 to 3.
     back
         Motion field from the slot to the key frame.
-    key
-        G-buffer of F_k with settled motion.
-    past
-        F_k-1 and F_k-2, as far as they are there.
     slots
         G-buffers of slots 1 to 3 with settled motion; empty when only key frames have them.
     between
-        Of these key frames.
+        The key frames.
     """
     if slots:
-        return _rendered(slot, slots[slot - 1], back, key, past, between)
-    return _reprojected(slot, back, key, past, between)
+        return _rendered(slot, slots[slot - 1], back, between)
+    return _reprojected(slot, back, between)
 
 
 def step_back(back: SlotField, there: Float32, before: SlotField) -> SlotField:
@@ -190,22 +183,20 @@ def step_back(back: SlotField, there: Float32, before: SlotField) -> SlotField:
     return SlotField(field, back.depth, hole)
 
 
-def _reprojected(
-    slot: int, back: SlotField, key: GBuffer, past: Sequence[Past], between: BetweenKeys
-) -> LookBack:
+def _reprojected(slot: int, back: SlotField, between: BetweenKeys) -> LookBack:
     """Look back from key G-buffers alone.
 
     The key frame's surfaces are moved to the slot, and followed back from the key frame. What it
     does not show comes from the ones before, moved on to the slot: the only rendered pictures of
     what has just been disoccluded.
     """
-    time, newer, moved = slot / FACTOR, key, back.field.copy()
-    camera = between.camera_at(time) if past else None
+    time, newer, moved = slot / FACTOR, between.key, back.field.copy()
+    camera = between.camera_at(time) if between.past else None
     sources = [(newer, back.field)]
     fields: list[Float32] = []
     hidden: list[Bool] = []
     lost = np.isnan(moved[..., 0])
-    for count, (step, gone) in enumerate(zip(past, between.gone, strict=False), start=1):
+    for count, (step, gone) in enumerate(zip(between.past, between.gone, strict=False), start=1):
         older = step.frame.gbuffer
         assert older is not None
         rest()
@@ -213,10 +204,10 @@ def _reprojected(
         if older.has_motion:
             motion = _foretold(step, count + time, camera, count > 1)
             rest()
-            foretold = filed(led_back(older, motion))
+            foretold = moved_on(older, motion).field
             go_on(foretold, moved, lost)
             sources.append((older, foretold))
-        fields.append(filed(moved.copy()))
+        fields.append(copied(moved))
         hidden.append(lost.copy())
         newer = older
     rest()
@@ -250,18 +241,11 @@ def _foretold(past: Past, time: float, camera: Camera | None, still: bool) -> Fl
     return motion
 
 
-def _rendered(
-    slot: int,
-    surface: GBuffer,
-    back: SlotField,
-    key: GBuffer,
-    past: Sequence[Past],
-    between: BetweenKeys,
-) -> LookBack:
+def _rendered(slot: int, surface: GBuffer, back: SlotField, between: BetweenKeys) -> LookBack:
     """Look back from the slot's own G-buffer, also at what the last key frame does not show."""
-    newer, moved, here = key, back.field.copy(), scene_of(surface)
+    newer, moved, here = between.key, back.field.copy(), scene_of(surface)
     fields, hidden = [], []
-    for count, step in enumerate(past, start=1):
+    for count, step in enumerate(between.past, start=1):
         rest()
         older = step.frame.gbuffer
         if older is None:

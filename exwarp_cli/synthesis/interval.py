@@ -9,7 +9,7 @@ import numpy as np
 from exwarp_cli.domain.extrapolator import Extrapolator
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, KeyFrame, Window, place
 from exwarp_cli.domain.interpolator import Interpolator
-from exwarp_cli.domain.lent_memory import filed, rest
+from exwarp_cli.domain.lent_memory import rest
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import LayoutError
 from exwarp_cli.synthesis.extrapolate import Prepared, prepare
@@ -135,7 +135,7 @@ class Interval:
             back, key = self.back(slot), self.key.gbuffer
             assert key is not None  # the motion came from it
             between = self._between = self._between or BetweenKeys(key, self.past)
-            self._looked[slot] = look_back(slot, back, key, self.past, self.slots, between)
+            self._looked[slot] = look_back(slot, back, self.slots, between)
         return self._looked[slot]
 
     def prepared(self, slot: int) -> Prepared:
@@ -152,8 +152,7 @@ class Interval:
         if slot not in self._extrapolated:
             prepared = self.prepared(slot)
             self._looked.pop(slot, None)  # before the network runs, which takes much memory
-            made = prepared.finish(self.extrapolator(prepared.inputs))
-            self._extrapolated[slot] = filed(made)
+            self._extrapolated[slot] = prepared.finish(self.extrapolator(prepared.inputs))
             rest()
         return self._extrapolated[slot]
 

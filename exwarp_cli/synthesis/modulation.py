@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from exwarp_cli.domain.frame import Float32, GBuffer, KeyFrame
+from exwarp_cli.domain.lent_memory import lent
 from exwarp_cli.kernels import planes
 
 DARKEST = 0.2
@@ -32,8 +33,9 @@ def modulation_of(gbuffer: GBuffer) -> Float32 | None:
     """
     if gbuffer.albedo is None or gbuffer.specular is None:
         return None
-    total = gbuffer.albedo + gbuffer.specular
-    return np.asarray(np.clip(total, np.float32(DARKEST), np.float32(BRIGHTEST)))
+    total: Float32 = lent(gbuffer.albedo.shape, np.float32)
+    np.add(gbuffer.albedo, gbuffer.specular, out=total)
+    return np.clip(total, np.float32(DARKEST), np.float32(BRIGHTEST), out=total)
 
 
 def demodulated(frame: KeyFrame) -> Float32 | None:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer
-from exwarp_cli.domain.lent_memory import filed, rest
+from exwarp_cli.domain.lent_memory import lent, rest
 from exwarp_cli.kernels import surface
 from exwarp_cli.synthesis.geometry import depth_of
 from exwarp_cli.synthesis.warp import sampled
@@ -51,11 +52,11 @@ def reprojected(sources: Sequence[tuple[GBuffer, Float32]]) -> tuple[GBuffer, Bo
     """
     (first, motion), *others = sources
     first = replace(first, depth=depth_of(first))
-    made = {
-        name: np.full(array.shape, np.nan if name == "depth" else 0, array.dtype)
-        for name in NEAREST
-        if (array := getattr(first, name)) is not None
-    }
+    made: dict[str, Any] = {}
+    for name in NEAREST:
+        if (array := getattr(first, name)) is not None:
+            made[name] = lent(array.shape, array.dtype)
+            made[name].fill(np.nan if name == "depth" else 0)
     unknown = np.ones(first.window.shape, np.bool_)
     _take_over(first, motion, NEAREST, made, unknown)
     # Nearly all of it: four times as fast for the whole frame as pixel by pixel.
@@ -63,12 +64,10 @@ def reprojected(sources: Sequence[tuple[GBuffer, Float32]]) -> tuple[GBuffer, Bo
         if (array := getattr(first, name)) is not None:
             made[name], _ = sampled(array, motion)
             made[name][unknown] = 0
-            made[name] = filed(made[name])
             rest()
     for gbuffer, field in others:
         _take_over(replace(gbuffer, depth=depth_of(gbuffer)), field, SHOWN, made, unknown)
         rest()
-    made |= {name: filed(made[name]) for name in NEAREST if name in made}
     return GBuffer(first.window, **made), unknown
 
 

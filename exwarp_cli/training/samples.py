@@ -270,7 +270,7 @@ def _by_variant(scene: RenderedScene, chosen: list[Choice]) -> Iterator[tuple[Fo
 
 
 def _planes(prepared: Prepared, truth: Float32) -> dict[str, np.ndarray]:
-    inputs = prepared.inputs
+    inputs = prepared.inputs.part(slice(None), slice(None))
     history = inputs.history.reshape(HISTORY, 4, *inputs.history.shape[1:])
     colour = np.concatenate([inputs.warped[3:], *history[:, :3]])
     modulation = prepared.modulation
