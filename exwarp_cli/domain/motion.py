@@ -195,6 +195,9 @@ class MotionFinding:
     error, still_error, runner_up_error
         Mean reprojection error of the convention, of no motion at all, and of the best convention
         that differs materially; None where nothing was measured.
+    clear
+        Whether all channels were measured to be what their names say, in both directions, and no
+        other reading comes near: more frames would tell the same.
     """
 
     convention: MotionConvention
@@ -203,6 +206,7 @@ class MotionFinding:
     error: float | None = None
     still_error: float | None = None
     runner_up_error: float | None = None
+    clear: bool = False
 
 
 def _number(value: float) -> str:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection
 from collections.abc import Sequence as Listed
+from contextlib import suppress
 from dataclasses import dataclass, field
 from fractions import Fraction
+from functools import cache
 
 import numpy as np
 
@@ -267,11 +269,22 @@ def find_motion(
     numbers = shot.sequence.numbers
     guess = None if shot.layout.guess is None else shot.layout.guess.sized(*size)
 
-    def measured(firsts: list[int]) -> MotionFinding:
+    @cache
+    def frame(number: int) -> Sampled:
+        return _sampled(shot, early or EarlyFrames(), number)
+
+    def by(firsts: list[int]) -> MotionFinding:
         # One after the other: each is decoded on all threads, and two at once took a sixth more.
-        wanted = sorted({number for i in firsts for number in numbers[i : i + 2]})
-        found = {number: _sampled(shot, early or EarlyFrames(), number) for number in wanted}
-        return calibrate([(found[numbers[i]], found[numbers[i + 1]]) for i in firsts], guess, names)
+        pairs = [(frame(numbers[i]), frame(numbers[i + 1])) for i in firsts]
+        return calibrate(pairs, guess, names)
+
+    def measured(firsts: list[int]) -> MotionFinding:
+        with suppress(MotionError):
+            # Nearly always enough, and what most runs read first anyway.
+            finding = by(firsts[:1])
+            if finding.clear:
+                return finding
+        return by(firsts)
 
     firsts = pairs_within(len(numbers), lambda i: numbers[i] in starts)
     try:

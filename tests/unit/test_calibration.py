@@ -32,6 +32,19 @@ from tests.unit.motion_pairs import (
 from tests.unit.scenes import town
 
 
+def at_even_speed(truth: MotionConvention) -> list[Instant]:
+    """Two frames whose vectors there and back are the same but for their sign."""
+    scene = town()
+    camera = replace(scene.camera, acceleration=np.zeros(3), yaw=0, pitch=0)
+    quads = tuple(replace(quad, velocity=np.zeros(3)) for quad in scene.quads)
+    even = replace(scene, camera=camera, quads=quads)
+    views = [even.view(float(time)) for time in range(2)]
+    return [
+        Instant(n, view.gbuffer(motion=False), raw_of(view, truth, 2), view.colour)
+        for n, view in enumerate(views)
+    ]
+
+
 class TestRecovery:
     @pytest.mark.parametrize("signs", SIGNS)
     @pytest.mark.parametrize("scale", SCALES.values(), ids=SCALES)
@@ -148,20 +161,53 @@ class TestFreeScale:
             assert read.y_scale == pytest.approx(true.y_scale, rel=0.01)
 
     def test_at_an_even_speed_the_direction_of_the_names_stands(self):
-        # Vectors there and back are then the same but for their sign.
-        scene = town()
-        camera = replace(scene.camera, acceleration=np.zeros(3), yaw=0, pitch=0)
-        quads = tuple(replace(quad, velocity=np.zeros(3)) for quad in scene.quads)
-        even = replace(scene, camera=camera, quads=quads)
         truth = MotionConvention(to_next=AxisMap(0, 1, 23.0, -23.0))
-        frames = [
-            Instant(n, (seen := even.view(float(n))).gbuffer(motion=False), raw_of(seen, truth, 2),
-                    seen.colour)
-            for n in range(2)
-        ]  # fmt: skip
-        found = calibrate(pairs_of(frames), PRESETS["forward"], XY).convention
+        found = calibrate(pairs_of(at_even_speed(truth)), PRESETS["forward"], XY).convention
         assert found.to_next is not None and found.to_previous is None
         assert found.to_next.x_scale == pytest.approx(23, rel=0.02)
+
+
+class TestClear:
+    """Whether a pair tells all: any doubt has further pairs measured."""
+
+    def test_as_named_and_nothing_else_comes_near(self):
+        assert calibrate(pairs(BLENDER, 4)[:1], BLENDER, XYZW).clear
+        before = MotionConvention(AxisMap(0, 1, 1, -1))
+        assert calibrate(pairs(before)[:1], before, XY).clear
+
+    def test_names_that_say_nothing_or_are_wrong(self):
+        wrong = both(AxisMap(0, 1, 1, 1), AxisMap(2, 3, -1, -1))
+        assert not calibrate(pairs(BLENDER, 4)[:1], None, XYZW).clear
+        assert not calibrate(pairs(BLENDER, 4)[:1], wrong, XYZW).clear
+
+    @pytest.mark.parametrize("value", [0.0, np.nan])
+    @pytest.mark.parametrize("channels", [slice(2, 4), slice(0, 2)])
+    def test_channels_that_hold_nothing_yet(self, channels, value):
+        frames = instants(BLENDER, 4)[:2]
+        for frame in frames:
+            frame.motion[..., channels] = value
+        assert not calibrate(pairs_of(frames), BLENDER, XYZW).clear
+
+    @pytest.mark.parametrize("bad", [0, 1])
+    def test_a_frame_that_holds_nothing(self, bad):
+        frames = instants(BLENDER, 4)[:2]
+        frames[bad] = replace(frames[bad], motion=np.full_like(frames[bad].motion, np.nan))
+        assert not calibrate(pairs_of(frames), BLENDER, XYZW).clear
+
+    def test_an_even_speed_which_does_not_tell_there_from_back(self):
+        forward = PRESETS["forward"]
+        found = calibrate(pairs_of(at_even_speed(forward)), forward, XY)
+        assert (found.source, found.clear) == ("calibrated", False)
+        uneven = calibrate(pairs(forward)[:1], forward, XY)
+        assert uneven.clear
+
+    def test_too_little_motion(self):
+        scene = town()
+        still = [
+            Instant(n, (v := scene.view(n / 60)).gbuffer(motion=False), raw, v.colour)
+            for n, raw in enumerate([raw_of(scene.view(0.0), BLENDER, 4, 1 / 60)] * 2)
+        ]
+        assert not calibrate(pairs_of(still), BLENDER, XYZW).clear
 
 
 def test_premultiplied_vectors_are_told_by_their_alpha():

@@ -32,13 +32,22 @@ COLOUR_TOLD = (Role.MOTION, Role.DEPTH, Role.STENCIL, Role.COLOUR)
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
-    """Nine frames with positions; frames 1-2, 5-6 and 8-9 are measured."""
-    where = tmp_path_factory.mktemp("town")
+    """Nine frames with positions, at a nearly even speed: 1-2, 5-6 and 8-9 are measured."""
+    return write_town(tmp_path_factory.mktemp("town"), 9, 0.25)
+
+
+@pytest.fixture(scope="module")
+def uneven(tmp_path_factory) -> Path:
+    """Six frames at an uneven speed: frames 1-2 tell all that there is to measure."""
+    return write_town(tmp_path_factory.mktemp("uneven"), 6, 1.5)
+
+
+def write_town(where: Path, count: int, step: float) -> Path:
     scene = town((96, 60))
-    for number in range(1, 10):
-        view = scene.view(number / 4)
+    for number in range(1, count + 1):
+        view = scene.view(number * step)
         buffer = view.gbuffer(motion=False)
-        vectors = view.motion_to(view.time + 0.25, sky=False)
+        vectors = view.motion_to(view.time + step, sky=False)
         layers = {
             "forward": vectors * (1, -1),
             "Position": buffer.position,
@@ -94,19 +103,38 @@ def test_what_is_found_does_not_depend_on_what_is_kept(folder):
     assert {open_source(SourceSettings(str(folder))).finding, *findings} == {findings[0]}
 
 
-def test_only_those_about_the_first_key_frame_are_kept(folder, monkeypatch):
-    read: list[tuple[int, tuple[Role, ...]]] = []
+class TestWhichAreRead:
+    """Those of the first pair, where it settles the convention; else of all three. Each once."""
 
-    def reading(shot, number, roles, **more):
-        read.append((number, roles))
-        return read_raw(shot, number, roles, **more)
+    @pytest.fixture
+    def read(self, monkeypatch) -> list[tuple[int, tuple[Role, ...]]]:
+        read: list[tuple[int, tuple[Role, ...]]] = []
 
-    monkeypatch.setattr(opening, "read_raw", reading)
-    source = opened(folder, "7,9")
-    roles = roles_of(source)
-    assert {number for number, asked in read if asked == roles} == {6, 8}
-    assert sorted(number for number, _ in read) == [1, 2, 5, 6, 8, 9]  # and each once
-    assert source.early.take(6, roles) is not None and source.early.take(9, roles) is None
+        def reading(shot, number, roles, **more):
+            read.append((number, roles))
+            return read_raw(shot, number, roles, **more)
+
+        monkeypatch.setattr(opening, "read_raw", reading)
+        return read
+
+    def test_a_pair_that_tells_all(self, uneven, read):
+        source = opened(uneven, "2,6")
+        roles = roles_of(source)
+        assert sorted(read) == [(1, roles), (2, roles)]
+        assert source.early.take(2, roles) is not None and source.early.take(3, roles) is None
+        assert source.finding is not None and "on frames 1-2:" in source.finding.evidence
+
+    def test_a_run_that_begins_elsewhere(self, uneven, read):
+        source = opened(uneven, "4,6")
+        assert sorted(number for number, _ in read) == [1, 2]
+        assert source.early.take(4, roles_of(source)) is None
+
+    def test_a_pair_that_does_not(self, folder, read):
+        source = opened(folder, "7,9")
+        roles = roles_of(source)
+        assert {number for number, asked in read if asked == roles} == {6, 8}
+        assert sorted(number for number, _ in read) == [1, 2, 5, 6, 8, 9]
+        assert source.early.take(6, roles) is not None and source.early.take(9, roles) is None
 
 
 def test_other_roles_are_not_handed_out_and_dropped_ones_are_gone(folder):
