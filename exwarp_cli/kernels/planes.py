@@ -9,11 +9,15 @@ import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli.kernels.gather import clamp
-from exwarp_cli.kernels.jit import inlined, parallel, serial
+from exwarp_cli.kernels.jit import inlined, parallel, part, serial
 
 F32 = npt.NDArray[np.float32]
 B8 = npt.NDArray[np.bool_]
 Frame = tuple[F32, B8]
+
+COLOURS, SHOWN = (13, 17, 21, 3), (16, 20, 24)
+"""First of the planes that hold colour of the three frames and the filled one, and the planes of
+what the frames show."""
 
 NEAREST = np.float32(np.finfo(np.float32).tiny)
 """Least median of the depths that anything is divided by."""
@@ -31,6 +35,151 @@ def within(value: np.float32, low: float, high: float, unknown: float) -> np.flo
 def direction(value: np.float32) -> np.float32:
     """Return a normal's component, -1 to 1; 0 where it is not finite."""
     return np.float32(0) if math.isinf(value) else within(value, -1.0, 1.0, 0.0)
+
+
+Place = tuple[int, int]
+"""A plane and a row of it."""
+
+Columns = tuple[int, int, int]
+"""Of a part that lie in the frame: the first, the one after the last, and what the first is there.
+At least one counts as such."""
+
+
+@part
+def columns_of(left: int, width: int, count: int) -> Columns:
+    """Return which of `count` columns, the first being `left`, lie in a frame of some width."""
+    begin = clamp(-left, 0, count - 1)
+    return begin, clamp(width - left, begin + 1, count), clamp(left + begin, 0, width - 1)
+
+
+@part
+def set_all(value: np.float32, line: F32) -> None:
+    """Write one value to a line."""
+    for x in range(line.size):
+        line[x] = value
+
+
+@part
+def repeat_ends(columns: Columns, y: int, out: F32) -> None:
+    """Write what lies beyond the frame in row y of all planes."""
+    begin, end, _ = columns
+    for plane in range(out.shape[0]):
+        line = out[plane, y]
+        for x in range(begin):
+            line[x] = line[begin]
+        for x in range(end, line.size):
+            line[x] = line[end - 1]
+
+
+@part
+def write_colour(
+    pixels: F32, at: int, channels: int, columns: Columns, out: F32, place: Place
+) -> None:
+    """Write three lines of colour from a row of `pixels` [H W C] that begins at pixel `at`."""
+    begin, end, start = columns
+    for c in range(3):
+        line = out[place[0] + c, place[1]]
+        first = (at + start) * channels + c
+        for n in range(end - begin):
+            line[begin + n] = pixels[np.uint64(first + n * channels)]
+
+
+@part
+def write_shown(row: B8, columns: Columns, line: F32) -> None:
+    """Write 1 where a row is true, else 0."""
+    begin, end, start = columns
+    for n in range(end - begin):
+        line[begin + n] = np.float32(row[start + n])
+
+
+@part
+def write_shown_colour(y: int, out: F32) -> None:
+    """Write again what the newest frame shows, and its colour there alone."""
+    shown, again = out[SHOWN[0], y], out[6, y]
+    for x in range(shown.size):  # as a slice, it took a second more to compile
+        again[x] = shown[x]
+    for c in range(3):
+        line, made = out[COLOURS[0] + c, y], out[c, y]
+        for x in range(shown.size):
+            made[x] = line[x] * shown[x]
+
+
+@part
+def write_normals(normal: F32, at: int, columns: Columns, out: F32, place: Place) -> None:
+    """Write three lines of a row of normals [H W 3] that begins at pixel `at`; 0 without any."""
+    begin, end, start = columns
+    for c in range(3):
+        line = out[place[0] + c, place[1]]
+        if normal.size == 0:
+            set_all(np.float32(0), line)
+            continue
+        first = (at + start) * 3 + c
+        for n in range(end - begin):
+            line[begin + n] = direction(normal[np.uint64(first + n * 3)])
+
+
+@part
+def write_depth(
+    depth: F32, at: int, columns: Columns, median: np.float32, unknown: float, line: F32
+) -> None:
+    """Write a line of relative depth from a row of `depth` [H W] that begins at pixel `at`."""
+    if depth.size == 0:
+        set_all(np.float32(unknown), line)
+        return
+    begin, end, start = columns
+    middle = max(median, NEAREST)
+    for n in range(end - begin):
+        given = depth[np.uint64(at + start + n)]
+        away = np.float32(0) if given < 0 else given
+        near = np.float32(median / np.float32(away + middle))
+        line[begin + n] = within(np.float32(np.float32(1) - near), 0.0, 1.0, unknown)
+
+
+@part
+def write_share(values: F32, at: int, columns: Columns, unknown: float, line: F32) -> None:
+    """Write a line of values held within 0 and 1 from a row of `values` [H W]."""
+    if values.size == 0:
+        set_all(np.float32(unknown), line)
+        return
+    begin, end, start = columns
+    for n in range(end - begin):
+        line[begin + n] = within(values[np.uint64(at + start + n)], 0.0, 1.0, unknown)
+
+
+@part
+def spread_row(
+    i: int,
+    columns: Columns,
+    pixels: tuple[F32, F32, F32, F32],
+    shown: tuple[B8, B8, B8],
+    surface: tuple[F32, F32],
+    materials: tuple[F32, F32],
+    defaults: tuple[float, float, float],
+    median: np.float32,
+    out: F32,
+    y: int,
+) -> None:
+    """Write row y of a slot's planes from row i of what they are made of, as `spread_text` does.
+
+    `pixels` are those of the three frames there, and the filled ones; `shown` what the frames show,
+    `surface` depth and normal, `materials` roughness and metallic.
+
+    Plane by plane: written for one pixel after the other, lines of 25 planes, whose places mostly
+    are a multiple of 4096 bytes apart, drove each other out of the cache.
+    """
+    depth, normal = surface
+    at = i * pixels[0].shape[1]
+    for k in range(4):  # a call for each took twice as long to compile
+        colour = pixels[k]
+        write_colour(colour.reshape(-1), at, colour.shape[2], columns, out, (COLOURS[k], y))
+    for k in range(3):
+        write_shown(shown[k][i], columns, out[SHOWN[k], y])
+    write_normals(normal.reshape(-1), at, columns, out, (7, y))
+    write_depth(depth.reshape(-1), at, columns, median, defaults[0], out[10, y])
+    for k in range(2):
+        write_share(materials[k].reshape(-1), at, columns, defaults[1 + k], out[11 + k, y])
+    write_shown_colour(y, out)
+    repeat_ends(columns, y, out)
 
 
 def spread_text(
@@ -65,40 +214,14 @@ def spread_text(
         `exwarp_cli.domain.extrapolator.NetworkInputs`.
     """
     height, width, _ = filled.shape
-    depth, normal, roughness, metallic = surface
-    middle = max(median, NEAREST)
-    (now, visible), before, oldest = frames
+    pixels = (frames[0][0], frames[1][0], frames[2][0], filled)
+    shown = (frames[0][1], frames[1][1], frames[2][1])
+    known, materials = (surface[0], surface[1]), (surface[2], surface[3])
+    columns = columns_of(corner[1], width, out.shape[2])
     for row in numba.prange(out.shape[1]):
         y = np.int64(row)
         i = clamp(corner[0] + y, 0, height - 1)
-        for x in range(out.shape[2]):
-            j = clamp(corner[1] + np.int64(x), 0, width - 1)
-            seen = np.float32(visible[i, j])
-            for c in range(3):
-                out[c, y, x] = now[i, j, c] * seen
-                out[3 + c, y, x] = filled[i, j, c]
-                out[13 + c, y, x] = now[i, j, c]
-                out[17 + c, y, x] = before[0][i, j, c]
-                out[21 + c, y, x] = oldest[0][i, j, c]
-                out[7 + c, y, x] = direction(normal[i, j, c]) if normal.size else np.float32(0)
-            out[6, y, x] = out[16, y, x] = seen
-            out[20, y, x] = np.float32(before[1][i, j])
-            out[24, y, x] = np.float32(oldest[1][i, j])
-            out[10, y, x] = np.float32(defaults[0])
-            if depth.size:
-                away = np.float32(0) if depth[i, j] < 0 else depth[i, j]
-                near = np.float32(median / np.float32(away + middle))
-                out[10, y, x] = within(np.float32(np.float32(1) - near), 0.0, 1.0, defaults[0])
-            out[11, y, x] = (
-                within(roughness[i, j], 0.0, 1.0, defaults[1])
-                if roughness.size
-                else np.float32(defaults[1])
-            )
-            out[12, y, x] = (
-                within(metallic[i, j], 0.0, 1.0, defaults[2])
-                if metallic.size
-                else np.float32(defaults[2])
-            )
+        spread_row(i, columns, pixels, shown, known, materials, defaults, median, out, y)
 
 
 spread = parallel(spread_text)

@@ -96,7 +96,7 @@ class Staging:
         following = None
         if loaded.following is not None:
             following = self._frame(loaded.key + 1, loaded.following, basis)
-        key = self._frame(loaded.key, loaded.frame, basis)
+        key = self._frame(loaded.key, self._whole(loaded, basis), basis)
         if loaded.late is not None:  # without its surface, none that follows has a use for it
             del self._frames[loaded.key, basis]
         slots = tuple(settle_motion(gbuffer.on(basis[0])) for gbuffer in loaded.slots)
@@ -113,6 +113,13 @@ class Staging:
             estimated=self._estimated,
             keeps=bool(loaded.truth),
         )
+
+    def _whole(self, loaded: Loaded, basis: Basis) -> KeyFrame:
+        """Return a key frame as it was read, unless it is settled and no more than colour came."""
+        assert loaded.frame is not None
+        if loaded.again is None or (loaded.key, basis) in self._frames:
+            return loaded.frame
+        return loaded.again()
 
     def _frame(self, index: int, frame: KeyFrame, basis: Basis) -> KeyFrame:
         if (index, basis) not in self._frames:

@@ -92,6 +92,9 @@ class Loaded:
     late
         Returns the interval with what only extrapolation wants, which is read then: the key frame's
         surface, and `past`; None where it is there, or nothing extrapolates.
+    again
+        Reads `frame` again, of which only colour is here, as the interval before had it as
+        `following`; None where all of it is.
     """
 
     key: int
@@ -111,6 +114,7 @@ class Loaded:
     older: KeyFrame | None = None
     views: tuple[Loaded, ...] = ()
     late: Callable[[Loaded], Loaded] | None = None
+    again: Callable[[], KeyFrame] | None = None
 
     def lean(self) -> Loaded:
         """Return the interval without geometry, once it is staged: with raw vectors and positions,
@@ -123,6 +127,7 @@ class Loaded:
             past=tuple(Older(replace(older.frame, gbuffer=None), ()) for older in self.past),
             observed=(),
             late=None,
+            again=None,
         )
 
 

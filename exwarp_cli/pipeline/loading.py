@@ -23,6 +23,7 @@ from exwarp_cli.io.template import read_template
 from exwarp_cli.pipeline.contents import Content
 from exwarp_cli.pipeline.early_frames import normals_tell, reads_late, run_roles, wants_normals
 from exwarp_cli.pipeline.estimating import Estimates
+from exwarp_cli.pipeline.handed_over import HandedOver
 from exwarp_cli.pipeline.instants import between, over_interval, stretched, without_surface
 from exwarp_cli.pipeline.late_frames import LateFrames
 from exwarp_cli.pipeline.layer_frames import LayerReader
@@ -72,6 +73,13 @@ class IntervalLoader:
         self._late = LateFrames(source, self._shots.within) if late else None
         count = len(source.timeline.numbers)
         self._estimates = Estimates(self._colour, count) if source.estimated else None
+        # Whether by key frames' normals cuts are found, alike for every method, or frames made.
+        self._normals_tell = normals_tell(source.keys, source.cuts.detect)
+        self._wants_normals = wants_normals(source.keys, method.extrapolates)
+        self._ahead = None
+        if alone and known and method.lookahead and self._layers is None:
+            left_out = () if self._wants_normals else ("normal",)
+            self._ahead = HandedOver(source, self._key_roles, left_out, self._shots.within)
 
     @property
     def recipe_book(self) -> Recipes:
@@ -104,6 +112,7 @@ class IntervalLoader:
             self._forget(key)
             elapsed = 1e3 * (time.perf_counter() - begin)
             return Loaded(key, None, None, (), (), (), {}, template, recipes, elapsed)
+        again = None if self._ahead is None else self._ahead.again(key)
         frame = self._in_shot(key)
         following = self._in_shot(key + 1) if lookahead else None
         gbuffers = tuple(self._slot_gbuffer(slot) for slot in self._slots(key))
@@ -119,12 +128,15 @@ class IntervalLoader:
         truth = self._read_truth(slots)
         ends = self._read_truth(self._ends(key))
         self._forget(key)
+        if self._ahead is not None and following is not None:
+            self._frames[key + 1] = self._ahead.lean(key + 1, following)
         elapsed = 1e3 * (time.perf_counter() - begin)
         times = tuple(float(source.timeline.time(slot)) for slot in source.timeline.between(key))
         return Loaded(
             key, frame, following, gbuffers, past, observed, truth, template, recipes, elapsed,
             ends, times, self._followed(key), layers, older,
             late=None if self._late is None else partial(self._late.complete, history=history),
+            again=again,
         )  # fmt: skip
 
     def _template(self, number: int) -> FrameTemplate:
@@ -237,16 +249,6 @@ class IntervalLoader:
             return (Role.COLOUR,)
         late = self._late is not None
         return run_roles(self._source.keys, self._method, self._source.cuts.detect, late)
-
-    @property
-    def _wants_normals(self) -> bool:
-        """Whether frames are made by key frames' normals."""
-        return wants_normals(self._source.keys, self._method.extrapolates)
-
-    @property
-    def _normals_tell(self) -> bool:
-        """Whether cuts are found by key frames' normals: the same for every method."""
-        return normals_tell(self._source.keys, self._source.cuts.detect)
 
     def _slot_gbuffer(self, slot: Slot) -> GBuffer:
         """Read the G-buffer of a slot; what leads through it stays at hand."""
