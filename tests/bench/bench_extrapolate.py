@@ -108,9 +108,15 @@ def _timed(taken: dict[str, float], name: str, work: Callable[[], Any]) -> Any:
 
 
 def _interval(setting: str) -> Interval:
+    """Return one of a run of such: of F_k-2 the interval before has found out what it can."""
     keys = [_key(K - j) for j in range(3)]
-    slots = tuple(_slot(K, i) for i in (1, 2, 3)) if setting == "slot" else ()
-    return Interval(keys[0], None, slots, past_of(keys))
+    past = past_of(keys)
+    Interval(keys[1], None, _slots(setting, K - 1), past[1:]).look_back(SLOTS[0])
+    return Interval(keys[0], None, _slots(setting, K), past)
+
+
+def _slots(setting: str, k: int) -> tuple[GBuffer, ...]:
+    return tuple(_slot(k, i) for i in (1, 2, 3)) if setting == "slot" else ()
 
 
 _KNOWN: dict[float, KeyFrame] = {}
