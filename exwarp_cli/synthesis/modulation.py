@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
-
 import numpy as np
 
 from exwarp_cli.domain.frame import Float32, GBuffer, KeyFrame
 from exwarp_cli.domain.lent_memory import lent
-from exwarp_cli.kernels import jit, planes
+from exwarp_cli.kernels import planes
 
 DARKEST = 0.2
 """Surface colour that is divided by at the least: what is darker shows emission, refraction or the
@@ -23,11 +21,8 @@ BRIGHTEST = 2.0
 """At the most: white of both kinds."""
 
 SIGN = np.uint32(0x80000000)
-PART = 2**14
-"""Values that are coded at a time."""
-
-LEAST_SHARED = 2**18
-"""Values from which threads share them: beginning those takes as long as coding 2^16."""
+PART = 2**16
+"""Values that are coded at a time. Threads that shared them waited for each other between these."""
 
 
 def modulation_of(gbuffer: GBuffer) -> Float32 | None:
@@ -80,19 +75,6 @@ def _signed(curve: np.ufunc, values: Float32, out: Float32) -> Float32:
     same as `copysign`, in a fifth of the time.
     """
     given, made = np.ascontiguousarray(values).reshape(-1), out.reshape(-1)
-    threads = jit.threads()
-    share = -(-given.size // threads)
-    shares = [slice(first, first + share) for first in range(0, given.size, max(share, 1))]
-    if threads == 1 or given.size < LEAST_SHARED:
-        _write_signed(curve, given, made)
-        return out
-    with ThreadPoolExecutor(threads) as pool:
-        list(pool.map(lambda part: _write_signed(curve, given[part], made[part]), shares))
-    return out
-
-
-def _write_signed(curve: np.ufunc, given: Float32, made: Float32) -> None:
-    """Write some of them, float32 [N]."""
     room = np.empty(min(given.size, PART), np.float32)
     for first in range(0, given.size, PART):
         part, target = given[first : first + PART], made[first : first + PART]
@@ -103,3 +85,4 @@ def _write_signed(curve: np.ufunc, given: Float32, made: Float32) -> None:
         curve(np.abs(part, out=size), out=size)
         np.bitwise_and(part.view(np.uint32), SIGN, out=target.view(np.uint32))
         np.bitwise_or(target.view(np.uint32), size.view(np.uint32), out=target.view(np.uint32))
+    return out
