@@ -174,6 +174,7 @@ class OnnxExtrapolator(OnnxNetwork):
     def __init__(self, path: Path, data: bytes, threads: int, device: str) -> None:
         super().__init__(path, data, threads, device)
         self._stride = stated_stride(self.path, self._metadata)
+        self._room: Float32 | None = None
 
     def __call__(self, inputs: Inputs) -> Float32:
         """Return the slot's colour, float32 [3, H, W], encoded as the inputs are; any H and W."""
@@ -181,14 +182,25 @@ class OnnxExtrapolator(OnnxNetwork):
         out = np.empty((3, height, width), np.float32)
         tiles = self._tiles(_up(height, self._stride), _up(width, self._stride))
         for count, (rows, columns) in enumerate(tiles, start=1):
-            size = rows.end - rows.begin, columns.end - columns.begin
-            room = lent((sum(INPUTS.values()), *size), np.float32)
+            room = self._taken_room((rows.end - rows.begin, columns.end - columns.begin))
             part = inputs.part(rows.seen, columns.seen, room)
             rest()  # what the part is made of
-            answer = self._made_of(part, last=1 < count == len(tiles))
+            last = 1 < count == len(tiles)
+            answer = self._made_of(part, last)
+            self._room = None if last else room
             place = out[:, rows.kept, columns.kept]
             place[:] = answer[:, rows.inside, columns.inside][:, : place.shape[1], : place.shape[2]]
         return out
+
+    def _taken_room(self, size: tuple[int, int]) -> Float32:
+        """Return room for the planes of a part; that of the last one where it is as large.
+
+        Lent in between, it made room for frames' arrays, and they for it: to be mapped and cleared
+        anew took three times as long as writing the planes.
+        """
+        shape = sum(INPUTS.values()), *size
+        room, self._room = self._room, None
+        return room if room is not None and room.shape == shape else lent(shape, np.float32)
 
     def _tiles(self, height: int, width: int) -> tuple[Tile, ...]:
         """Return what of a picture the network is given at a time; all of a small one."""

@@ -44,7 +44,7 @@ def trust(
 def usable(stencil: I32, ident: np.int32, p: int, q: int, height: int, width: int) -> bool:
     """Whether pixel (p, q) exists and may show the point's surface; -2 is any."""
     inside = 0 <= p < width and 0 <= q < height
-    return inside and (ident == np.int32(-2) or stencil[q, p] == ident)
+    return inside and (ident == np.int32(-2) or stencil[np.uint64(q), np.uint64(p)] == ident)
 
 
 @inlined
@@ -80,7 +80,8 @@ def step_at(
         p, q = left + corner % 2, top + corner // 2
         if not usable(stencil, ident, p, q, height, width):
             continue
-        vx, vy = step[q, p, 0], step[q, p, 1]
+        row, column = np.uint64(q), np.uint64(p)  # no test for counting from the end
+        vx, vy = step[row, column, 0], step[row, column, 1]
         if math.isnan(vx + vy):
             continue
         weight = (fx if corner % 2 else one - fx) * (fy if corner // 2 else one - fy)

@@ -27,8 +27,10 @@ DEPTH_TOLERANCE = np.float32(0.1)
 def apart(position: F32, i: int, j: int, other: F32, y: int, x: int) -> np.float32:
     """Squared distance of the positions at (i, j) and, in another frame, at (y, x)."""
     squared = np.float32(0.0)
+    # Unsigned indices need no test for counting from the end.
+    p, q, r, s = np.uint64(i), np.uint64(j), np.uint64(y), np.uint64(x)
     for c in range(3):
-        squared += (position[i, j, c] - other[y, x, c]) ** 2
+        squared += (position[p, q, c] - other[r, s, c]) ** 2
     return squared
 
 
@@ -67,7 +69,7 @@ def beyond_footprint(position: F32, i: int, j: int, squared: np.float32) -> bool
 @inlined
 def is_background(depth: F32, i: int, j: int) -> bool:
     """Whether a pixel shows no surface."""
-    return math.isinf(depth[i, j])
+    return math.isinf(depth[np.uint64(i), np.uint64(j)])
 
 
 @inlined
@@ -89,10 +91,11 @@ def other_surface(
         if now.shape[0] == 0:
             return False
         dot, a, b = np.float32(0), np.float32(0), np.float32(0)
+        p, q, r, s = np.uint64(i), np.uint64(j), np.uint64(y), np.uint64(x)
         for c in range(3):
-            dot += now[i, j, c] * then[y, x, c]
-            a += now[i, j, c] ** 2
-            b += then[y, x, c] ** 2
+            dot += now[p, q, c] * then[r, s, c]
+            a += now[p, q, c] ** 2
+            b += then[r, s, c] ** 2
         return bool(dot < least_cosine * math.sqrt(a * b))
     here, there = positions
     if here.shape[0] == 0:

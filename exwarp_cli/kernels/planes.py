@@ -148,26 +148,24 @@ def write_share(values: F32, at: int, columns: Columns, unknown: float, line: F3
 
 @part
 def spread_row(
-    i: int,
+    rows: tuple[int, int],
     columns: Columns,
     pixels: tuple[F32, F32, F32, F32],
     shown: tuple[B8, B8, B8],
-    surface: tuple[F32, F32],
-    materials: tuple[F32, F32],
+    known: tuple[tuple[F32, F32], tuple[F32, F32]],
     defaults: tuple[float, float, float],
     median: np.float32,
     out: F32,
-    y: int,
 ) -> None:
-    """Write row y of a slot's planes from row i of what they are made of, as `spread_text` does.
+    """Write a row of a slot's planes as `spread_text` does; `rows` are that of the frame, and it.
 
     `pixels` are those of the three frames there, and the filled ones; `shown` what the frames show,
-    `surface` depth and normal, `materials` roughness and metallic.
+    `known` depth and normal, then roughness and metallic.
 
     Plane by plane: written for one pixel after the other, lines of 25 planes, whose places mostly
     are a multiple of 4096 bytes apart, drove each other out of the cache.
     """
-    depth, normal = surface
+    (i, y), ((depth, normal), materials) = rows, known
     at = i * pixels[0].shape[1]
     for k in range(4):  # a call for each took twice as long to compile
         colour = pixels[k]
@@ -216,12 +214,12 @@ def spread_text(
     height, width, _ = filled.shape
     pixels = (frames[0][0], frames[1][0], frames[2][0], filled)
     shown = (frames[0][1], frames[1][1], frames[2][1])
-    known, materials = (surface[0], surface[1]), (surface[2], surface[3])
+    shape, materials = (surface[0], surface[1]), (surface[2], surface[3])
     columns = columns_of(corner[1], width, out.shape[2])
     for row in numba.prange(out.shape[1]):
         y = np.int64(row)
         i = clamp(corner[0] + y, 0, height - 1)
-        spread_row(i, columns, pixels, shown, known, materials, defaults, median, out, y)
+        spread_row((i, y), columns, pixels, shown, (shape, materials), defaults, median, out)
 
 
 spread = parallel(spread_text)

@@ -49,15 +49,17 @@ def sample_colour(
 def copy_parts(here: Parts, q: int, p: int, made: Parts, i: int, j: int) -> None:
     """Copy what is known of a frame's pixel (q, p) to the slot's (i, j)."""
     depth, normal, roughness, metallic = here
+    # Unsigned indices need no test for counting from the end.
+    y, x, row, column = np.uint64(q), np.uint64(p), np.uint64(i), np.uint64(j)
     if depth.size > 0:
-        made[0][i, j] = depth[q, p]
+        made[0][row, column] = depth[y, x]
     if normal.size > 0:
         for c in range(3):
-            made[1][i, j, c] = normal[q, p, c]
+            made[1][row, column, c] = normal[y, x, c]
     if roughness.size > 0:
-        made[2][i, j] = roughness[q, p]
+        made[2][row, column] = roughness[y, x]
     if metallic.size > 0:
-        made[3][i, j] = metallic[q, p]
+        made[3][row, column] = metallic[y, x]
 
 
 def take_over_text(

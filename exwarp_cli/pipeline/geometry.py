@@ -59,7 +59,7 @@ class Staging:
         self._moving = MovingIds()
         self._frames: dict[tuple[int, Basis], KeyFrame] = {}
         self._instants: dict[tuple[Slot, Basis], GBuffer] = {}
-        self._motions: dict[tuple[int, Basis], Float32] = {}
+        self._past: dict[tuple[int, Basis], Past] = {}
 
     def interval(self, loaded: Loaded) -> Interval:
         """Bring what was read onto one window: the display's and the data of the frames around."""
@@ -88,7 +88,7 @@ class Staging:
         key = replace(interval.key, gbuffer=replace(settled, **_surface(placed)))
         basis = window, None
         self._frames[loaded.key, basis] = key
-        return replace(interval, key=key, past=self._past(loaded, key, basis))
+        return replace(interval, key=key, past=self._led_back(loaded, key, basis))
 
     def _settled(self, loaded: Loaded, basis: Basis) -> Interval:
         """Settle what was read, on one window and with what moves as its stencil."""
@@ -100,7 +100,7 @@ class Staging:
         if loaded.late is not None:  # without its surface, none that follows has a use for it
             del self._frames[loaded.key, basis]
         slots = tuple(settle_motion(gbuffer.on(basis[0])) for gbuffer in loaded.slots)
-        past = self._past(loaded, key, basis)
+        past = self._led_back(loaded, key, basis)
         self._keep(loaded.key, slots, basis)
         networks = (self._network, self._interpolator)
         return Interval(
@@ -132,14 +132,15 @@ class Staging:
             self._frames[index, basis] = placed
         return self._frames[index, basis]
 
-    def _past(self, loaded: Loaded, key: KeyFrame, basis: Basis) -> tuple[Past, ...]:
+    def _led_back(self, loaded: Loaded, key: KeyFrame, basis: Basis) -> tuple[Past, ...]:
         found: list[Past] = []
         newer = key
         for index, older in zip(range(loaded.key - 1, -1, -1), loaded.past, strict=False):
-            if (index, basis) not in self._motions:
-                self._motions[index, basis] = filed(self._motion(index, older, newer, basis))
-            newer = self._frame(index, older.frame, basis)
-            found.append(Past(newer, self._motions[index, basis]))
+            if (index, basis) not in self._past:
+                motion = filed(self._motion(index, older, newer, basis))
+                self._past[index, basis] = Past(self._frame(index, older.frame, basis), motion)
+            found.append(self._past[index, basis])
+            newer = found[-1].frame
         return tuple(found)
 
     def _motion(self, index: int, older: Older, newer: KeyFrame, basis: Basis) -> Float32:
@@ -159,7 +160,7 @@ class Staging:
         """Drop what no later interval needs."""
         oldest = key + 1 - (HISTORY - 1 if self._network is not None else 0)
         self._frames = {place: f for place, f in self._frames.items() if place[0] >= oldest}
-        self._motions = {place: m for place, m in self._motions.items() if place[0] >= oldest}
+        self._past = {place: past for place, past in self._past.items() if place[0] >= oldest}
         if self._network is not None:
             self._instants = {
                 (Slot(key, i), basis): without_surface(gbuffer)

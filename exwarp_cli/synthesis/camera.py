@@ -10,7 +10,7 @@ motion of everything static and of the sky, whose vectors are 0 even while the c
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +21,7 @@ from exwarp_cli.kernels import project
 from exwarp_cli.synthesis.resection import MIN_SAMPLES, fit
 from exwarp_cli.synthesis.resection import Camera as Camera
 
+Index = npt.NDArray[np.intp]
 F64 = npt.NDArray[np.float64]
 
 MAX_SAMPLES = 4000
@@ -118,6 +119,23 @@ def camera_after(scene: Scene, vectors: Float32, stencil: Int32 | None) -> Camer
         In the scene's own world; None when none can be found.
     """
     return _cameras(scene, (vectors,), stencil)[0]
+
+
+def camera_by(
+    scene: Scene, motion_at: Callable[[Index], Float32], stencil: Int32 | None
+) -> Camera | None:
+    """Return a camera as `camera_after` does, by the motion of the points it looks at alone.
+
+    Parameters
+    ----------
+    scene, stencil
+        As there.
+    motion_at
+        Returns float32 [N, 2], pixels, displacement of the pixels with N flat indices.
+    """
+    index = sample(scene.depth, stencil)
+    seen = pixels_at(index, scene.depth.shape[1]) + motion_at(index)
+    return fit(scene.points(index), seen, movers=stencil is None)
 
 
 def cameras_around(

@@ -24,8 +24,9 @@ UNKNOWN_METALLIC = 0.0
 """What the network is told of a slot whose G-buffer lacks depth, roughness or metallic; an unknown
 normal is 0, as that of the background."""
 
-COLOUR_PLANES = ((0, 6), (13, 3), (17, 3), (21, 3))
-"""Which of a network's planes, in the order of INPUTS, hold colour: the first, and how many."""
+COLOUR_PLANES = ((3, 3), (13, 3), (17, 3), (21, 3))
+"""Which of a network's planes, in the order of INPUTS, hold colour: the first, and how many. The
+first three of all are those from 13 on, times the mask."""
 
 NO_PLANE, NO_VECTORS = np.zeros((0, 0), np.float32), np.zeros((0, 0, 3), np.float32)
 """What kernels are given for what is not known."""
@@ -100,6 +101,7 @@ class SlotInputs:
         )  # fmt: skip
         for first, count in COLOUR_PLANES:
             encode_in_place(made[first : first + count])
+        np.multiply(made[13:16], made[16], out=made[:3])
         ends = np.cumsum(list(INPUTS.values()))[:-1]
         warped, mask, features, history = np.split(made, ends)
         return NetworkInputs(warped, mask, features, history, self.time)

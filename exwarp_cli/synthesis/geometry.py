@@ -29,6 +29,8 @@ constant, which it applies over one step; over three slots it took spinning obje
 STATIC_TOLERANCE = 0.25
 """Pixels by which a static pixel's rendered vector may miss the camera's motion."""
 
+Scenes = tuple[Scene | None, Scene | None, Scene | None]
+
 _NOWHERE = np.zeros((0, 0), np.float32)
 
 
@@ -177,31 +179,49 @@ def compose_back(slots: Sequence[GBuffer], key: GBuffer) -> list[SlotField]:
     return _chain(slots, key, -1)
 
 
+def composed_back(slots: Sequence[GBuffer], key: GBuffer, scenes: Scenes) -> SlotField:
+    """Return the motion field of the last of some slots to their key frame.
+
+    Parameters
+    ----------
+    slots, key
+        As for `compose_back`, up to that slot.
+    scenes
+        The points of that slot, of the instant before it, and of the key frame.
+    """
+    return _composed(slots, key, scenes, -1)
+
+
 def compose_forward(slots: Sequence[GBuffer], key: GBuffer) -> list[SlotField]:
     """Return the motion fields of slots to the key frame after them, by their to-next vectors."""
     return _chain(slots[::-1], key, 1)[::-1]
 
 
 def _chain(slots: Sequence[GBuffer], key: GBuffer, way: int) -> list[SlotField]:
-    """Follow each slot's points to a key frame, the nearest slot first; `way` is -1 back in time.
+    """Follow each slot's points to a key frame, the nearest first; `way` is -1 back in time."""
+    last, *each = (scene_of(gbuffer) for gbuffer in (key, *slots))
+    scenes = zip(each, [last, *each[:-1]], strict=True)
+    return [
+        _composed(slots[:count], key, (*pair, last), way)
+        for count, pair in enumerate(scenes, start=1)
+    ]
+
+
+def _composed(slots: Sequence[GBuffer], key: GBuffer, scenes: Scenes, way: int) -> SlotField:
+    """Follow the last slot's points through the others to a key frame.
 
     What stands still is placed by the cameras instead: followed motion goes astray where a nearer
     surface covers the point in between, though slot and key frame both show it.
     """
-    out: list[SlotField] = []
-    last = scene_of(key)
-    before = last
-    for count, slot in enumerate(slots):
-        step = slot.to_next if way > 0 else slot.to_previous
-        assert step is not None
-        here = scene_of(slot)
-        field = followed(slot, slots[:count][::-1], way)
-        still = _still(here, before, step)
-        if still is not None and here is not None and last is not None and last.camera is not None:
-            place_still(here, last.camera, still, field, kept=True)
-        out.append(matched(slot, key, field, count + 1))
-        before = here
-    return out
+    *others, slot = slots
+    here, before, last = scenes
+    step = slot.to_next if way > 0 else slot.to_previous
+    assert step is not None
+    field = followed(slot, others[::-1], way)
+    still = _still(here, before, step)
+    if still is not None and here is not None and last is not None and last.camera is not None:
+        place_still(here, last.camera, still, field, kept=True)
+    return matched(slot, key, field, len(slots))
 
 
 def _still(here: Scene | None, before: Scene | None, step: Float32) -> Bool | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -14,7 +14,7 @@ from exwarp_cli.domain.lent_memory import copied, rest
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.kernels.follow import follow, follow_shown
 from exwarp_cli.kernels.surface import go_on
-from exwarp_cli.synthesis.camera import Camera, Scene, camera_after, place_still, scene_of
+from exwarp_cli.synthesis.camera import Camera, Index, Scene, camera_by, place_still, scene_of
 from exwarp_cli.synthesis.geometry import SlotField, moved_on, stands_still, unmatched
 from exwarp_cli.synthesis.surface import lookup, reprojected
 from exwarp_cli.synthesis.trajectory import displacement, stencil_of
@@ -42,6 +42,8 @@ class Past:
     frame: KeyFrame
     motion: Float32
 
+    _gone: list[tuple[GBuffer, Bool]] = field(default_factory=list, init=False, compare=False)
+
     @cached_property
     def scene(self) -> Scene | None:
         """The frame's points."""
@@ -54,6 +56,15 @@ class Past:
         if gbuffer is None or scene is None or scene.camera is None:
             return None
         return stands_still(gbuffer, scene)
+
+    def gone(self, newer: GBuffer) -> Bool:
+        """bool [H, W]: what the key frame after it, `newer`, shows, and it does not."""
+        for known, found in self._gone:
+            if known is newer:
+                return found
+        assert self.frame.gbuffer is not None
+        self._gone[:] = [(newer, unmatched(newer, self.frame.gbuffer, self.motion, FACTOR))]
+        return self._gone[0][1]
 
 
 def past_of(keys: Sequence[KeyFrame]) -> tuple[Past, ...]:
@@ -94,11 +105,10 @@ class BetweenKeys:
         """
         found, newer = [], self.key
         for step in self.past:
-            older = step.frame.gbuffer
-            if older is None:
+            if step.frame.gbuffer is None:
                 break
-            found.append(unmatched(newer, older, step.motion, FACTOR))
-            newer = older
+            found.append(step.gone(newer))
+            newer = step.frame.gbuffer
             rest()
         return tuple(found)
 
@@ -107,7 +117,14 @@ class BetweenKeys:
         scene = self._scene
         if scene is None or scene.camera is None:
             return None
-        return camera_after(scene, displacement(self.key, time), self.key.stencil)
+        key, before, after = self.key, self.key.to_previous, self.key.to_next
+
+        def motion_at(index: Index) -> Float32:
+            some = replace(key, to_previous=_at(before, index), to_next=_at(after, index))
+            found: Float32 = displacement(some, time)[0]
+            return found
+
+        return camera_by(scene, motion_at, key.stencil)
 
     @cached_property
     def _scene(self) -> Scene | None:
@@ -138,7 +155,11 @@ class LookBack:
 
 
 def look_back(
-    slot: int, back: SlotField, slots: Sequence[GBuffer], between: BetweenKeys
+    slot: int,
+    back: SlotField,
+    slots: Sequence[GBuffer],
+    between: BetweenKeys,
+    here: Scene | None = None,
 ) -> LookBack:
     """Find a slot's surfaces in the older key frames.
 
@@ -152,9 +173,11 @@ def look_back(
         G-buffers of slots 1 to 3 with settled motion; empty when only key frames have them.
     between
         The key frames.
+    here
+        The slot's points, where it has a G-buffer that tells them.
     """
     if slots:
-        return _rendered(slot, slots[slot - 1], back, between)
+        return _rendered(slot, slots[slot - 1], back, between, here)
     return _reprojected(slot, back, between)
 
 
@@ -183,6 +206,11 @@ def step_back(back: SlotField, there: Float32, before: SlotField) -> SlotField:
     return SlotField(field, back.depth, hole)
 
 
+def _at(vectors: Float32 | None, index: Index) -> Float32 | None:
+    """Return vectors, float32 [1, N, 2], at pixels given by flat index."""
+    return None if vectors is None else vectors.reshape(-1, 2)[index][None]
+
+
 def _reprojected(slot: int, back: SlotField, between: BetweenKeys) -> LookBack:
     """Look back from key G-buffers alone.
 
@@ -190,7 +218,7 @@ def _reprojected(slot: int, back: SlotField, between: BetweenKeys) -> LookBack:
     does not show comes from the ones before, moved on to the slot: the only rendered pictures of
     what has just been disoccluded.
     """
-    time, newer, moved = slot / FACTOR, between.key, back.field.copy()
+    time, newer, moved = slot / FACTOR, between.key, back.field
     camera = between.camera_at(time) if between.past else None
     sources = [(newer, back.field)]
     fields: list[Float32] = []
@@ -200,6 +228,7 @@ def _reprojected(slot: int, back: SlotField, between: BetweenKeys) -> LookBack:
         older = step.frame.gbuffer
         assert older is not None
         rest()
+        moved, lost = copied(moved), lost.copy()
         follow_shown(step.motion, stencil_of(newer), gone, moved, lost)
         if older.has_motion:
             motion = _foretold(step, count + time, camera, count > 1)
@@ -207,8 +236,8 @@ def _reprojected(slot: int, back: SlotField, between: BetweenKeys) -> LookBack:
             foretold = moved_on(older, motion).field
             go_on(foretold, moved, lost)
             sources.append((older, foretold))
-        fields.append(copied(moved))
-        hidden.append(lost.copy())
+        fields.append(moved)
+        hidden.append(lost)
         newer = older
     rest()
     surface, unknown = reprojected(sources)
@@ -241,9 +270,11 @@ def _foretold(past: Past, time: float, camera: Camera | None, still: bool) -> Fl
     return motion
 
 
-def _rendered(slot: int, surface: GBuffer, back: SlotField, between: BetweenKeys) -> LookBack:
+def _rendered(
+    slot: int, surface: GBuffer, back: SlotField, between: BetweenKeys, here: Scene | None
+) -> LookBack:
     """Look back from the slot's own G-buffer, also at what the last key frame does not show."""
-    newer, moved, here = between.key, back.field.copy(), scene_of(surface)
+    newer, moved = between.key, copied(back.field)
     fields, hidden = [], []
     for count, step in enumerate(between.past, start=1):
         rest()

@@ -12,11 +12,12 @@ from exwarp_cli.domain.interpolator import Interpolator
 from exwarp_cli.domain.lent_memory import rest
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import LayoutError
+from exwarp_cli.synthesis.camera import Scene, scene_of
 from exwarp_cli.synthesis.extrapolate import Prepared, prepare
 from exwarp_cli.synthesis.geometry import (
     SlotField,
-    compose_back,
     compose_forward,
+    composed_back,
     matched,
     reproject,
 )
@@ -72,6 +73,7 @@ class Interval:
     keeps: bool = False
     _back: dict[int, SlotField] = field(default_factory=dict, init=False)
     _forward: dict[int, SlotField] = field(default_factory=dict, init=False)
+    _scenes: dict[int, Scene | None] = field(default_factory=dict, init=False)
     _looked: dict[int, LookBack] = field(default_factory=dict, init=False)
     _between: BetweenKeys | None = field(default=None, init=False)
     _extrapolated: dict[int, Float32] = field(default_factory=dict, init=False)
@@ -97,7 +99,8 @@ class Interval:
         if slot not in self._back:
             if self.slots and self.key.gbuffer is not None:
                 _require_steps(self.slots, self.key)
-                self._back = dict(enumerate(compose_back(self.slots, self.key.gbuffer), start=1))
+                scenes = self._scene(slot), self._scene(slot - 1), self._scene(0)
+                self._back[slot] = composed_back(self.slots[:slot], self.key.gbuffer, scenes)
             else:
                 self._back[slot] = reproject(_moving(self.key), self.time(slot))
         return self._back[slot]
@@ -135,8 +138,16 @@ class Interval:
             back, key = self.back(slot), self.key.gbuffer
             assert key is not None  # the motion came from it
             between = self._between = self._between or BetweenKeys(key, self.past)
-            self._looked[slot] = look_back(slot, back, self.slots, between)
+            here = self._scene(slot) if self.slots else None
+            self._looked[slot] = look_back(slot, back, self.slots, between, here)
         return self._looked[slot]
+
+    def _scene(self, slot: int) -> Scene | None:
+        """Points of a slot with a G-buffer, 0 for the key frame; found once."""
+        if slot not in self._scenes:
+            gbuffer = self.slots[slot - 1] if slot else self.key.gbuffer
+            self._scenes[slot] = None if gbuffer is None else scene_of(gbuffer)
+        return self._scenes[slot]
 
     def prepared(self, slot: int) -> Prepared:
         """What a network needs to extrapolate to a slot, 1 to 3."""

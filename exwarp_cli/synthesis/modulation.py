@@ -21,8 +21,8 @@ BRIGHTEST = 2.0
 """At the most: white of both kinds."""
 
 SIGN = np.uint32(0x80000000)
-PART = 2**14
-"""Values that are coded at a time."""
+PART = 2**16
+"""Values that are coded at a time. Threads that shared them waited for each other between these."""
 
 
 def modulation_of(gbuffer: GBuffer) -> Float32 | None:
@@ -78,6 +78,9 @@ def _signed(curve: np.ufunc, values: Float32, out: Float32) -> Float32:
     room = np.empty(min(given.size, PART), np.float32)
     for first in range(0, given.size, PART):
         part, target = given[first : first + PART], made[first : first + PART]
+        if part.view(np.int32).min() >= 0:  # none has a sign
+            curve(part, out=target)
+            continue
         size = room[: part.size]
         curve(np.abs(part, out=size), out=size)
         np.bitwise_and(part.view(np.uint32), SIGN, out=target.view(np.uint32))

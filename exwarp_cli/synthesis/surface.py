@@ -56,15 +56,16 @@ def reprojected(sources: Sequence[tuple[GBuffer, Float32]]) -> tuple[GBuffer, Bo
     for name in NEAREST:
         if (array := getattr(first, name)) is not None:
             made[name] = lent(array.shape, array.dtype)
-            made[name].fill(np.nan if name == "depth" else 0)
     unknown = np.ones(first.window.shape, np.bool_)
     _take_over(first, motion, NEAREST, made, unknown)
+    left = np.flatnonzero(unknown)
     # Nearly all of it: four times as fast for the whole frame as pixel by pixel.
     for name in SMOOTH:
         if (array := getattr(first, name)) is not None:
             made[name], _ = sampled(array, motion)
-            made[name][unknown] = 0
             rest()
+    for name, array in made.items():
+        _flat(array)[left] = np.nan if name == "depth" else 0
     for gbuffer, field in others:
         _take_over(replace(gbuffer, depth=depth_of(gbuffer)), field, SHOWN, made, unknown)
         rest()

@@ -92,10 +92,12 @@ def _round(
         _timed(taken, "motion field", lambda s=slot: interval.back(s))
         _timed(taken, "history", lambda s=slot: interval.look_back(s))
         prepared = _timed(taken, "inputs", lambda s=slot: interval.prepared(s))
-        answer = _timed(taken, "network", lambda p=prepared: network(p.inputs))
-        _timed(taken, "finish", lambda p=prepared, a=answer: p.finish(a))
         fed = _padded(prepared.inputs.part(slice(None), slice(None)), stride)
         _timed(taken, BARE, lambda f=fed: bare(f))
+        answer = _timed(taken, "network", lambda p=prepared: network(p.inputs))
+        _timed(taken, BARE, lambda f=fed: bare(f))
+        _timed(taken, "finish", lambda p=prepared, a=answer: p.finish(a))
+    taken[BARE] /= 2  # before and after: who comes first wakes the threads, and finds cold caches
     for name, seconds in taken.items():
         times[name].append(seconds)
 
@@ -108,9 +110,15 @@ def _timed(taken: dict[str, float], name: str, work: Callable[[], Any]) -> Any:
 
 
 def _interval(setting: str) -> Interval:
+    """Return one of a run of such: of F_k-2 the interval before has found out what it can."""
     keys = [_key(K - j) for j in range(3)]
-    slots = tuple(_slot(K, i) for i in (1, 2, 3)) if setting == "slot" else ()
-    return Interval(keys[0], None, slots, past_of(keys))
+    past = past_of(keys)
+    Interval(keys[1], None, _slots(setting, K - 1), past[1:]).look_back(SLOTS[0])
+    return Interval(keys[0], None, _slots(setting, K), past)
+
+
+def _slots(setting: str, k: int) -> tuple[GBuffer, ...]:
+    return tuple(_slot(k, i) for i in (1, 2, 3)) if setting == "slot" else ()
 
 
 _KNOWN: dict[float, KeyFrame] = {}

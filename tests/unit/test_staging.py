@@ -123,7 +123,7 @@ def test_it_keeps_no_more_in_a_long_run(setting):
     sizes = []
     for index in range(4):
         staging.interval(loaded(index, setting))
-        kept = (staging._frames, staging._instants, staging._motions)
+        kept = (staging._frames, staging._instants, staging._past)
         sizes.append(tuple(len(part) for part in kept))
     assert sizes[1:] == [sizes[1]] * 3
     assert sizes[1] == (2, 3 if setting == "slot" else 0, 1)
@@ -134,7 +134,7 @@ def test_methods_without_a_network_keep_nothing_of_the_past():
     for index in range(3):
         found = staging.interval(loaded(index, "slot", past=()))
         assert found.past == () and found.extrapolator is None
-    assert not (staging._frames or staging._instants or staging._motions)
+    assert not (staging._frames or staging._instants or staging._past)
 
 
 def test_an_interpolator_is_handed_on_and_keeps_nothing():
@@ -143,7 +143,7 @@ def test_an_interpolator_is_handed_on_and_keeps_nothing():
     for index in range(2):
         found = staging.interval(loaded(index, "key", past=()))
         assert found.interpolator is network and found.extrapolator is None
-    assert not (staging._frames or staging._motions)
+    assert not (staging._frames or staging._past)
 
 
 def test_a_following_frame_is_kept_for_its_own_interval(settled):
