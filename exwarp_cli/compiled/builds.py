@@ -5,6 +5,7 @@ Signatures stay lazy, as an eagerly typed parallel kernel costs 0.35 s at import
 
 from __future__ import annotations
 
+import functools
 import types
 from collections.abc import Callable
 from contextlib import suppress
@@ -13,6 +14,8 @@ from typing import Any
 import numba
 from numba.core import dispatcher
 from numba.extending import register_jitable
+
+from exwarp_cli.compiled import shares
 
 Kernel = Callable[..., Any]
 
@@ -36,6 +39,26 @@ def compiled(text: Kernel, **options: bool) -> Kernel:
         _keep(built, text, common)
     kernel: Kernel = built
     return kernel
+
+
+def shared(text: Kernel) -> Kernel:
+    """Compile for all threads, on the first call, and keep the result on disk likewise.
+
+    Parameters
+    ----------
+    text
+        Takes a share as its last argument, all by default; see
+        :func:`~exwarp_cli.compiled.shares.turns`.
+    """
+    assert isinstance(text, types.FunctionType)
+    inner: Any = numba.njit(text, **COMMON, no_cpython_wrapper=True)
+    if not isinstance(inner, dispatcher.Dispatcher):  # NUMBA_DISABLE_JIT
+        return text
+    outer = functools.update_wrapper(shares.shared_out(inner), text)
+    del outer.__wrapped__  # it takes one more
+    built: Any = numba.njit(outer, **COMMON)
+    _keep(built, text, {**COMMON, "shared": True})
+    return built  # type: ignore[no-any-return]
 
 
 def part(text: Kernel, **options: bool) -> Kernel:

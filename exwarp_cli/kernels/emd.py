@@ -15,10 +15,10 @@ from __future__ import annotations
 
 from functools import cached_property
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from exwarp_cli.compiled.shares import WHOLE, Share, turns
 from exwarp_cli.kernels.jit import parallel, part, serial
 
 F32 = npt.NDArray[np.float32]
@@ -114,7 +114,7 @@ def widen_by_band(values: F32, shown: B8, low: F32, high: F32) -> None:
             i += 1
 
 
-def extents_text(values: F32, shown: B8, out: F32) -> None:
+def extents_text(values: F32, shown: B8, out: F32, share: Share = WHOLE) -> None:
     """Write the least and greatest value of each band of rows and channel.
 
     Parameters
@@ -126,10 +126,11 @@ def extents_text(values: F32, shown: B8, out: F32) -> None:
     out
         float32 [ceil(H / ROWS_PER_BAND), C, 2], written: least and greatest of the finite values
         that count; +inf and -inf where there are none.
+    share
+        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
     height, width, channels = values.shape
-    for number in numba.prange(out.shape[0]):
-        band = np.int64(number)
+    for band in turns(out.shape[0], share):
         begin = band * ROWS_PER_BAND
         low = np.full(width * channels, np.inf, np.float32)
         high = np.full(width * channels, -np.inf, np.float32)
@@ -239,7 +240,7 @@ def take_apart(values: F32, lines: F32) -> None:
             lines[c, j] = values[lines.shape[0] * j + c]
 
 
-def count_text(values: F32, shown: B8, ranges: F64, counts: I64) -> None:
+def count_text(values: F32, shown: B8, ranges: F64, counts: I64, share: Share = WHOLE) -> None:
     """Write histograms of each band of rows, by the convention of ``numpy.histogram``.
 
     Parameters
@@ -254,10 +255,11 @@ def count_text(values: F32, shown: B8, ranges: F64, counts: I64) -> None:
     counts
         int64 [ceil(H / ROWS_PER_BAND), C, BINS], written. A bin holds its lower end, the last one
         both ends. NaN and infinities are left out.
+    share
+        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
     height, width, channels = values.shape
-    for number in numba.prange(counts.shape[0]):
-        band = np.int64(number)
+    for band in turns(counts.shape[0], share):
         counts[band] = 0
         begin = band * ROWS_PER_BAND
         lines, bins = np.empty((channels, width), np.float32), np.empty(width, np.uint32)

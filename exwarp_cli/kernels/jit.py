@@ -17,8 +17,15 @@ WAITING = ("OMP_WAIT_POLICY", "GOMP_SPINCOUNT")
 
 
 def parallel(text: Kernel) -> Kernel:
-    """Compile for all threads; loops over `numba.prange` are shared out."""
-    return builds.compiled(text, parallel=True)
+    """Compile for all threads; the turns of its loop are shared out.
+
+    Parameters
+    ----------
+    text
+        Takes a share as its last argument, all by default, and runs through the
+        :func:`~exwarp_cli.compiled.shares.turns` that it has.
+    """
+    return builds.shared(text)
 
 
 def serial(text: Kernel) -> Kernel:
