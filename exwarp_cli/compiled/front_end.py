@@ -7,15 +7,24 @@ from __future__ import annotations
 
 import functools
 import gc
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 from llvmlite import binding  # type: ignore[import-untyped]
+from numba.core import types
 from numba.core.compiler import CompilerBase
 from numba.core.ir import Inst, Loc, Var
+from numba.core.postproc import PostProcessor, VariableLifetime
 from numba.core.registry import cpu_target
 from numba.core.targetconfig import ConfigStack
+from numba.core.transforms import canonicalize_cfg
+from numba.core.types import functions
+from numba.core.typing.npydecl import NumpyRulesArrayOperator
 from numba.core.typing.templates import _OverloadFunctionTemplate
+from numba.core.utils import order_by_target_specificity
+from numba.np import linalg
 
 RARELY = 50_000
 """New objects after which Python looks for unreachable ones; at its 700 that is a tenth of all."""
@@ -33,8 +42,14 @@ def shorten() -> None:
     for context in (cpu_target.target_context, cpu_target.typing_context):
         kind: Any = type(context)
         kind.load_additional_registries = _importing_once(kind.load_additional_registries)
+        kind.install_registry = _installing_once(kind.install_registry)
     instruction: Any = Inst
     instruction._rec_list_vars = _listing_plainly(instruction._rec_list_vars)
+    processor: Any = PostProcessor
+    processor.run = _looking_later(processor.run)
+    functions.utils.order_by_target_specificity = _ordering_once(order_by_target_specificity)
+    operators: Any = NumpyRulesArrayOperator
+    operators.generic = _asking_for_arrays(operators.generic)
     # Numba tells who may listen of every call of LLVM, and nobody does.
     binding.ffi.lib._lock._cblist.clear()
 
@@ -81,13 +96,90 @@ def _importing_once(load: Callable[[Any], None]) -> Callable[[Any], None]:
     @functools.wraps(load)
     def loading(self: Any) -> None:
         if self not in loaded:
-            load(self)
+            with _without_blas():
+                load(self)
             loaded.add(self)
             return
         for registry in list(self._registries):
             self.install_registry(registry)
 
     return loading
+
+
+@contextmanager
+def _without_blas() -> Iterator[None]:
+    """Let numba import its mathematics without scipy's, which it tries by importing it.
+
+    Who multiplies matrices in a compiled function needs it, and is told then where there is none.
+    """
+    if "numba.np.arraymath" in sys.modules:
+        yield
+        return
+    real, linalg.ensure_blas = linalg.ensure_blas, lambda: None  # type: ignore[attr-defined]
+    try:
+        yield
+    finally:
+        linalg.ensure_blas = real  # type: ignore[attr-defined]
+
+
+def _installing_once(install: Callable[[Any, Any], None]) -> Callable[[Any, Any], None]:
+    """Look through a registry only where it has grown."""
+    sizes: dict[tuple[Any, Any], int] = {}
+
+    @functools.wraps(install)
+    def installing(self: Any, registry: Any) -> None:
+        size = sum(len(items) for items in vars(registry).values() if type(items) is list)
+        if sizes.get((self, registry)) != size:
+            install(self, registry)
+            sizes[self, registry] = size
+
+    return installing
+
+
+def _looking_later(process: Callable[..., None]) -> Callable[..., None]:
+    """Find out which variables live at the beginning of blocks only for what needs it: generators.
+
+    Numba does nine times for each function; what else is asked for is found when it is.
+    """
+
+    @functools.wraps(process)
+    def processing(self: Any, emit_dels: bool = False, extend_lifetimes: bool = False) -> None:
+        code = self.func_ir
+        if emit_dels or code.is_generator:
+            process(self, emit_dels, extend_lifetimes)
+            return
+        code.blocks = canonicalize_cfg(code.blocks)
+        code.variable_lifetime = VariableLifetime(code.blocks)
+        code.generator_info = None
+
+    return processing
+
+
+def _ordering_once(order: Callable[..., list[Any]]) -> Callable[..., list[Any]]:
+    """Keep in which order what a function may be typed by is tried."""
+    known: dict[tuple[Any, ...], list[Any]] = {}
+
+    @functools.wraps(order)
+    def ordering(target: Any, templates: list[Any], fnkey: Any = "") -> list[Any]:
+        key = target, *templates
+        if key not in known:
+            known[key] = order(target, templates, fnkey)
+        return known[key]
+
+    return ordering
+
+
+def _asking_for_arrays(typing: Callable[..., Any]) -> Callable[..., Any]:
+    """Type an operator as one of arrays only where there is one: numba looks for that at last."""
+
+    @functools.wraps(typing)
+    def typed(self: Any, args: Any, kws: Any) -> Any:
+        plain = (arg.type if isinstance(arg, types.Optional) else arg for arg in args)
+        if any(isinstance(arg, types.ArrayCompatible) for arg in plain):
+            return typing(self, args, kws)
+        return None
+
+    return typed
 
 
 def _listing_plainly(

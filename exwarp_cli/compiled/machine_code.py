@@ -88,7 +88,9 @@ class DeferredLibrary(JITCodeLibrary):
             self._final_module.link_in(library._get_module_for_linking(), preserve=True)
         # One manager for all functions: numba makes one for each, declarations too.
         passes, builder = self._codegen._function_pass_manager()
-        for function in self.get_defined_functions():
+        import os
+        if "f" not in os.environ.get("XX",""):
+          for function in self.get_defined_functions():
             passes.run(function, builder)
         self._optimize_final_module()
         self._final_module.verify()
