@@ -74,12 +74,18 @@ def _collecting_rarely(compile_core: Callable[[Any], Any]) -> Callable[[Any], An
 def _implementation(self: Any, args: Any, kws: Any) -> tuple[Any, Any]:
     """Return how a function is compiled for arguments, as numba does.
 
-    Numba keeps one for all flags of the caller; it has these from the caller, and no others. So the
-    outermost parts of a parallel kernel were compiled twice, once for the loop's surroundings.
+    Numba keeps one for all flags of the caller; it has these from the caller where it does not say
+    them itself, and no others. So parts were compiled again for each kind of function around them.
     """
     stack: Any = ConfigStack
     flags = stack.top_or_none()
-    inherited = flags and (flags.nrt, str(flags.fastmath), flags.error_model, flags.forceinline)
+    own = self._jit_options
+    inherited = flags and (
+        own.get("_nrt", flags.nrt),
+        str(own.get("fastmath", flags.fastmath)),
+        own.get("error_model", flags.error_model),
+        own.get("forceinline", flags.forceinline),
+    )
     key = self.context, tuple(args), tuple(kws.items()), inherited
     found: tuple[Any, Any] | None = self._impl_cache.get(key)
     if found is None:
