@@ -55,14 +55,18 @@ def shared(text: Kernel) -> Kernel:
         :func:`~exwarp_cli.compiled.shares.turns`.
     """
     assert isinstance(text, types.FunctionType)
-    inner: Any = numba.njit(text, **COMMON, **_counting(text), no_cpython_wrapper=True)
+    own: dict[str, Any] = {**COMMON, **_counting(text), "no_cpython_wrapper": True}
+    inner: Any = numba.njit(text, **own)
     if not isinstance(inner, dispatcher.Dispatcher):  # NUMBA_DISABLE_JIT
         return text
-    outer = functools.update_wrapper(shares.shared_out(inner), text)
-    del outer.__wrapped__  # it takes one more
-    built: Any = numba.njit(outer, **COMMON)
-    _keep(built, text, {**COMMON, "shared": True})
-    return built  # type: ignore[no-any-return]
+    common = COMMON if knows_inside() else {**COMMON, "parallel": True}
+    run: Any = shares.shared_out(inner) if knows_inside() else shares.looped(inner)
+    functools.update_wrapper(run, text)
+    del run.__wrapped__  # it takes a share more
+    built: Any = numba.njit(run, **common)
+    _keep(built, text, {**common, "shared": True})
+    kernel: Kernel = built
+    return kernel
 
 
 def part(text: Kernel, **options: bool) -> Kernel:

@@ -3,6 +3,8 @@
 Four fifths of the time of compilation pass there, in Python.
 """
 
+# mypy: disable-error-code="no-untyped-call"
+
 from __future__ import annotations
 
 import functools
@@ -13,17 +15,15 @@ from contextlib import contextmanager
 from typing import Any
 
 from llvmlite import binding  # type: ignore[import-untyped]
-from numba.core import types
+from numba.core import types, utils
 from numba.core.compiler import CompilerBase
 from numba.core.ir import Inst, Loc, Var
 from numba.core.postproc import PostProcessor, VariableLifetime
 from numba.core.registry import cpu_target
 from numba.core.targetconfig import ConfigStack
 from numba.core.transforms import canonicalize_cfg
-from numba.core.types import functions
 from numba.core.typing.npydecl import NumpyRulesArrayOperator
 from numba.core.typing.templates import _OverloadFunctionTemplate
-from numba.core.utils import order_by_target_specificity
 from numba.np import linalg
 
 RARELY = 50_000
@@ -47,7 +47,8 @@ def shorten() -> None:
     instruction._rec_list_vars = _listing_plainly(instruction._rec_list_vars)
     processor: Any = PostProcessor
     processor.run = _looking_later(processor.run)
-    functions.utils.order_by_target_specificity = _ordering_once(order_by_target_specificity)
+    ordering: Any = utils
+    ordering.order_by_target_specificity = _ordering_once(utils.order_by_target_specificity)
     operators: Any = NumpyRulesArrayOperator
     operators.generic = _asking_for_arrays(operators.generic)
     # Numba tells who may listen of every call of LLVM, and nobody does.
@@ -121,11 +122,11 @@ def _without_blas() -> Iterator[None]:
     if "numba.np.arraymath" in sys.modules:
         yield
         return
-    real, linalg.ensure_blas = linalg.ensure_blas, lambda: None  # type: ignore[attr-defined]
+    real, linalg.ensure_blas = linalg.ensure_blas, lambda: None
     try:
         yield
     finally:
-        linalg.ensure_blas = real  # type: ignore[attr-defined]
+        linalg.ensure_blas = real
 
 
 def _installing_once(install: Callable[[Any, Any], None]) -> Callable[[Any, Any], None]:

@@ -88,7 +88,8 @@ class DeferredLibrary(JITCodeLibrary):
             self._final_module.link_in(library._get_module_for_linking(), preserve=True)
         # Numba runs this once cheaply before, and others for each function, declarations too: a
         # quarter of the time more, for kernels that are no faster.
-        passes, builder = self._codegen._module_pass_manager(opt=min(LEVEL, config.OPT))
+        level = min(LEVEL, config.OPT)  # type: ignore[attr-defined]
+        passes, builder = self._codegen._module_pass_manager(opt=level)
         passes.run(self._final_module, builder)
         self._final_module.verify()
         self._finalize_final_module()

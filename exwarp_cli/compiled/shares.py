@@ -4,15 +4,19 @@ Numba's own loops for threads are compiled once in the kernel and once more as a
 threads call, between which stand six passes and two wrappers: two thirds more time of compilation.
 """
 
+# mypy: disable-error-code="no-untyped-call"
+
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable
 from typing import Any
 
+import numba
+import numpy as np
 from llvmlite import ir  # type: ignore[import-untyped]
 from numba.core import cgutils, types
 from numba.core.imputils import lower_builtin
-from numba.core.typed_passes import _reload_parfors
 from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
 from numba.extending import intrinsic
 from numba.np.ufunc import parallel
@@ -41,7 +45,7 @@ def turns(count: int, share: Share) -> range:
 
 
 @infer_global(turns)
-class _Turns(ConcreteTemplate):  # type: ignore[misc]
+class _Turns(ConcreteTemplate):
     """The types of `turns`."""
 
     cases = [signature(types.range_state64_type, types.int64, _SHARE)]  # noqa: RUF012
@@ -58,6 +62,23 @@ def _compiled_turns(context: Any, builder: Any, _signature: Any, values: Any) ->
     found.stop = builder.sdiv(builder.mul(count, following), shares)
     found.step = _SIZE(1)
     return found._getvalue()
+
+
+def looped(text: Any) -> Callable[..., None]:
+    """Return what :func:`shared_out` does, for any version of Numba, with a loop of its own.
+
+    Written out with the names of the arguments: its loops take no tuples of tuples, as which they
+    are passed together. There are as many shares as there may be threads, since how many are in use
+    could not be kept on disk.
+    """
+    names = ", ".join([*inspect.signature(text.py_func).parameters][:-1])
+    source = f"def shared({names}):\n    for number in prange(shares):\n"
+    source += f"        text({names}, (int64(number), shares))\n"
+    shares = np.int64(numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
+    known = {"prange": numba.prange, "int64": np.int64, "shares": shares, "text": text}
+    exec(source, known)
+    shared: Callable[..., None] = known["shared"]
+    return shared
 
 
 def shared_out(text: Any) -> Callable[..., None]:
@@ -82,7 +103,7 @@ def shared_out(text: Any) -> Callable[..., None]:
         return types.void(arguments), generate
 
     def shared(*arguments: Any) -> None:
-        run(arguments)  # type: ignore[call-arg, arg-type]
+        run(arguments)  # type: ignore[call-arg]
 
     return shared
 
@@ -93,6 +114,8 @@ def _generate(context: Any, builder: Any, build: Any, kind: Any, arguments: Any)
     As their own loops do, which takes a function of a C array of arguments, of which there is one
     here, a number that it counts up instead of an address.
     """
+    from numba.core.typed_passes import _reload_parfors
+
     library = context.active_code_library
     library.add_linking_library(build.library)
     library._reload_init.add(_reload_parfors)
