@@ -137,8 +137,10 @@ def extents_text(values: F32, shown: B8, out: F32, share: Share = WHOLE) -> None
         end = min(begin + ROWS_PER_BAND, height)
         widen_by_band(values[begin:end], shown[begin:end], low, high)
         for c in range(channels):
-            out[band, c, 0] = low[c::channels].min()
-            out[band, c, 1] = high[c::channels].max()
+            least, most = np.float32(np.inf), np.float32(-np.inf)
+            for j in range(c, low.size, channels):
+                least, most = min(least, low[j]), max(most, high[j])
+            out[band, c, 0], out[band, c, 1] = least, most
 
 
 @part
@@ -227,6 +229,32 @@ def add_up(values: F32, low: float, high: float, bins: U32, lanes: U32) -> None:
 
 
 @part
+def count_line(values: F32, shown: B8, low: float, high: float, bins: U32, lanes: U32) -> None:
+    """Count a row's values of a channel in its histograms; see `write_bins` and `add_up`."""
+    if low < high:
+        if are_fine(low, high):
+            write_bins(values, shown, low, high, bins)
+        else:
+            doubt_all(values, shown, bins)
+        add_up(values, low, high, bins, lanes)
+
+
+@part
+def clear(lanes: U32) -> None:
+    """Write 0 to histograms."""
+    for k in range(lanes.size):
+        lanes[k] = np.uint32(0)
+
+
+@part
+def gather_lanes(lanes: U32, counts: I64) -> None:
+    """Write the sums of a channel's histograms [LANES, BINS + 1], without what does not count."""
+    one, two, three, four = lanes[0], lanes[1], lanes[2], lanes[3]
+    for k in range(counts.size):
+        counts[k] = np.int64(one[k]) + np.int64(two[k]) + np.int64(three[k]) + np.int64(four[k])
+
+
+@part
 def take_apart(values: F32, lines: F32) -> None:
     """Write the channels of a row's pixels apart, [W C] to [C, W]."""
     if lines.shape[0] == 3:
@@ -259,25 +287,17 @@ def count_text(values: F32, shown: B8, ranges: F64, counts: I64, share: Share = 
         Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
     height, width, channels = values.shape
+    lines, bins = np.empty((channels, width), np.float32), np.empty(width, np.uint32)
+    lanes = np.empty((channels, LANES, BINS + 1), np.uint32)
     for band in turns(counts.shape[0], share):
-        counts[band] = 0
         begin = band * ROWS_PER_BAND
-        lines, bins = np.empty((channels, width), np.float32), np.empty(width, np.uint32)
-        lanes = np.zeros((channels, LANES, BINS + 1), np.uint32)
+        clear(lanes.reshape(-1))
         for i in range(begin, min(begin + ROWS_PER_BAND, height)):
             take_apart(values[i].reshape(-1), lines)
             for c in range(channels):
-                low, high = ranges[c, 0], ranges[c, 1]
-                if low < high:
-                    if are_fine(low, high):
-                        write_bins(lines[c], shown[i], low, high, bins)
-                    else:
-                        doubt_all(lines[c], shown[i], bins)
-                    add_up(lines[c], low, high, bins, lanes[c])
+                count_line(lines[c], shown[i], ranges[c, 0], ranges[c, 1], bins, lanes[c])
         for c in range(channels):
-            for lane in range(LANES):
-                for k in range(BINS):
-                    counts[band, c, k] += lanes[c, lane, k]
+            gather_lanes(lanes[c], counts[band, c])
 
 
 extents = parallel(extents_text)
