@@ -15,8 +15,9 @@ from contextlib import contextmanager
 from typing import Any
 
 from llvmlite import binding  # type: ignore[import-untyped]
-from numba.core import types, utils
+from numba.core import event, types, utils
 from numba.core.compiler import CompilerBase
+from numba.core.compiler_machinery import PassManager
 from numba.core.ir import Inst, Loc, Var
 from numba.core.postproc import PostProcessor, VariableLifetime
 from numba.core.registry import cpu_target
@@ -37,6 +38,8 @@ def shorten() -> None:
     """Spare numba what it repeats, from now on; what it makes stays the same."""
     compiler: Any = CompilerBase
     compiler._compile_core = _collecting_rarely(compiler._compile_core)
+    manager: Any = PassManager
+    manager._runPass = _passing_plainly(manager._runPass)
     template: Any = _OverloadFunctionTemplate
     template._get_impl = _implementation
     for context in (cpu_target.target_context, cpu_target.typing_context):
@@ -70,6 +73,26 @@ def _collecting_rarely(compile_core: Callable[[Any], Any]) -> Callable[[Any], An
             gc.set_threshold(*usual)
 
     return compiling
+
+
+def _passing_plainly(
+    run: Callable[[Any, int, Any, Any], None],
+) -> Callable[[Any, int, Any, Any], None]:
+    """Run a pass without its description, times and dumps, where nobody asked for any."""
+
+    @functools.wraps(run)
+    def passing(self: Any, index: int, step: Any, state: Any) -> None:
+        told = event._registered["numba:run_pass"] or any(
+            (self._print_after, self._print_before, self._print_wrap)
+        )
+        if told:
+            run(self, index, step, state)
+            return
+        step.analysis = self._analysis
+        for part in (step.run_initialization, step.run_pass, step.run_finalizer):
+            part(state)
+
+    return passing
 
 
 def _implementation(self: Any, args: Any, kws: Any) -> tuple[Any, Any]:
