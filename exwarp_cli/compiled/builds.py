@@ -27,6 +27,10 @@ off: NaN marks pixels without a value, and results must not depend on the build.
 kernels, so that they need no entry for it."""
 
 
+MAKERS = frozenset({"empty", "zeros", "ones", "full", "ascontiguousarray", "copy", "astype"})
+"""Names of functions that make arrays."""
+
+
 def compiled(text: Kernel, **options: bool) -> Kernel:
     """Compile on the first call, and keep the result on disk where that is possible."""
     assert isinstance(text, types.FunctionType)
@@ -40,8 +44,16 @@ def compiled(text: Kernel, **options: bool) -> Kernel:
 
 def part(text: Kernel, **options: bool) -> Kernel:
     """Have a function compiled with the kernels that call it; Python calls it as it stands."""
-    known: Kernel = register_jitable(**COMMON, **options)(text)
+    known: Kernel = register_jitable(**COMMON, **_counting(text), **options)(text)
     return known
+
+
+def _counting(text: Kernel) -> dict[str, bool]:
+    """Return the option by which arrays are counted, where some are made.
+
+    Else they belong to the caller, and counting who has them was a quarter of all instructions.
+    """
+    return {"_nrt": not MAKERS.isdisjoint(text.__code__.co_names)}
 
 
 def knows_inside() -> bool:

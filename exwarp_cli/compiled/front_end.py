@@ -3,19 +3,29 @@
 Four fifths of the time of compilation pass there, in Python.
 """
 
+# mypy: disable-error-code="no-untyped-call"
+
 from __future__ import annotations
 
 import functools
 import gc
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 from llvmlite import binding  # type: ignore[import-untyped]
+from numba.core import event, types, utils
 from numba.core.compiler import CompilerBase
+from numba.core.compiler_machinery import PassManager
 from numba.core.ir import Inst, Loc, Var
+from numba.core.postproc import PostProcessor, VariableLifetime
 from numba.core.registry import cpu_target
 from numba.core.targetconfig import ConfigStack
+from numba.core.transforms import canonicalize_cfg
+from numba.core.typing.npydecl import NumpyRulesArrayOperator
 from numba.core.typing.templates import _OverloadFunctionTemplate
+from numba.np import linalg
 
 RARELY = 50_000
 """New objects after which Python looks for unreachable ones; at its 700 that is a tenth of all."""
@@ -28,13 +38,22 @@ def shorten() -> None:
     """Spare numba what it repeats, from now on; what it makes stays the same."""
     compiler: Any = CompilerBase
     compiler._compile_core = _collecting_rarely(compiler._compile_core)
+    manager: Any = PassManager
+    manager._runPass = _passing_plainly(manager._runPass)
     template: Any = _OverloadFunctionTemplate
     template._get_impl = _implementation
     for context in (cpu_target.target_context, cpu_target.typing_context):
         kind: Any = type(context)
         kind.load_additional_registries = _importing_once(kind.load_additional_registries)
+        kind.install_registry = _installing_once(kind.install_registry)
     instruction: Any = Inst
     instruction._rec_list_vars = _listing_plainly(instruction._rec_list_vars)
+    processor: Any = PostProcessor
+    processor.run = _looking_later(processor.run)
+    ordering: Any = utils
+    ordering.order_by_target_specificity = _ordering_once(utils.order_by_target_specificity)
+    operators: Any = NumpyRulesArrayOperator
+    operators.generic = _asking_for_arrays(operators.generic)
     # Numba tells who may listen of every call of LLVM, and nobody does.
     binding.ffi.lib._lock._cblist.clear()
 
@@ -56,15 +75,41 @@ def _collecting_rarely(compile_core: Callable[[Any], Any]) -> Callable[[Any], An
     return compiling
 
 
+def _passing_plainly(
+    run: Callable[[Any, int, Any, Any], None],
+) -> Callable[[Any, int, Any, Any], None]:
+    """Run a pass without its description, times and dumps, where nobody asked for any."""
+
+    @functools.wraps(run)
+    def passing(self: Any, index: int, step: Any, state: Any) -> None:
+        told = event._registered["numba:run_pass"] or any(
+            (self._print_after, self._print_before, self._print_wrap)
+        )
+        if told:
+            run(self, index, step, state)
+            return
+        step.analysis = self._analysis
+        for part in (step.run_initialization, step.run_pass, step.run_finalizer):
+            part(state)
+
+    return passing
+
+
 def _implementation(self: Any, args: Any, kws: Any) -> tuple[Any, Any]:
     """Return how a function is compiled for arguments, as numba does.
 
-    Numba keeps one for all flags of the caller; it has these from the caller, and no others. So the
-    outermost parts of a parallel kernel were compiled twice, once for the loop's surroundings.
+    Numba keeps one for all flags of the caller; it has these from the caller where it does not say
+    them itself, and no others. So parts were compiled again for each kind of function around them.
     """
     stack: Any = ConfigStack
     flags = stack.top_or_none()
-    inherited = flags and (flags.nrt, str(flags.fastmath), flags.error_model, flags.forceinline)
+    own = self._jit_options
+    inherited = flags and (
+        own.get("_nrt", flags.nrt),
+        str(own.get("fastmath", flags.fastmath)),
+        own.get("error_model", flags.error_model),
+        own.get("forceinline", flags.forceinline),
+    )
     key = self.context, tuple(args), tuple(kws.items()), inherited
     found: tuple[Any, Any] | None = self._impl_cache.get(key)
     if found is None:
@@ -81,13 +126,90 @@ def _importing_once(load: Callable[[Any], None]) -> Callable[[Any], None]:
     @functools.wraps(load)
     def loading(self: Any) -> None:
         if self not in loaded:
-            load(self)
+            with _without_blas():
+                load(self)
             loaded.add(self)
             return
         for registry in list(self._registries):
             self.install_registry(registry)
 
     return loading
+
+
+@contextmanager
+def _without_blas() -> Iterator[None]:
+    """Let numba import its mathematics without scipy's, which it tries by importing it.
+
+    Who multiplies matrices in a compiled function needs it, and is told then where there is none.
+    """
+    if "numba.np.arraymath" in sys.modules:
+        yield
+        return
+    real, linalg.ensure_blas = linalg.ensure_blas, lambda: None
+    try:
+        yield
+    finally:
+        linalg.ensure_blas = real
+
+
+def _installing_once(install: Callable[[Any, Any], None]) -> Callable[[Any, Any], None]:
+    """Look through a registry only where it has grown."""
+    sizes: dict[tuple[Any, Any], int] = {}
+
+    @functools.wraps(install)
+    def installing(self: Any, registry: Any) -> None:
+        size = sum(len(items) for items in vars(registry).values() if type(items) is list)
+        if sizes.get((self, registry)) != size:
+            install(self, registry)
+            sizes[self, registry] = size
+
+    return installing
+
+
+def _looking_later(process: Callable[..., None]) -> Callable[..., None]:
+    """Find out which variables live at the beginning of blocks only for what needs it: generators.
+
+    Numba does nine times for each function; what else is asked for is found when it is.
+    """
+
+    @functools.wraps(process)
+    def processing(self: Any, emit_dels: bool = False, extend_lifetimes: bool = False) -> None:
+        code = self.func_ir
+        if emit_dels or code.is_generator:
+            process(self, emit_dels, extend_lifetimes)
+            return
+        code.blocks = canonicalize_cfg(code.blocks)
+        code.variable_lifetime = VariableLifetime(code.blocks)
+        code.generator_info = None
+
+    return processing
+
+
+def _ordering_once(order: Callable[..., list[Any]]) -> Callable[..., list[Any]]:
+    """Keep in which order what a function may be typed by is tried."""
+    known: dict[tuple[Any, ...], list[Any]] = {}
+
+    @functools.wraps(order)
+    def ordering(target: Any, templates: list[Any], fnkey: Any = "") -> list[Any]:
+        key = target, *templates
+        if key not in known:
+            known[key] = order(target, templates, fnkey)
+        return known[key]
+
+    return ordering
+
+
+def _asking_for_arrays(typing: Callable[..., Any]) -> Callable[..., Any]:
+    """Type an operator as one of arrays only where there is one: numba looks for that at last."""
+
+    @functools.wraps(typing)
+    def typed(self: Any, args: Any, kws: Any) -> Any:
+        plain = (arg.type if isinstance(arg, types.Optional) else arg for arg in args)
+        if any(isinstance(arg, types.ArrayCompatible) for arg in plain):
+            return typing(self, args, kws)
+        return None
+
+    return typed
 
 
 def _listing_plainly(

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from exwarp_cli.compiled.shares import WHOLE, Share, turns
 from exwarp_cli.kernels.jit import inlined, parallel, part, serial
 
 F32 = npt.NDArray[np.float32]
@@ -113,7 +113,15 @@ def blend_row(before: F32, after: F32, share: F32, out: F32) -> None:
         whole[k] = mixed[k]
 
 
-def blend_text(before: Side, after: Side, time: np.float32, out: F32, depth: F32, hole: B8) -> None:
+def blend_text(
+    before: Side,
+    after: Side,
+    time: np.float32,
+    out: F32,
+    depth: F32,
+    hole: B8,
+    share: Share = WHOLE,
+) -> None:
     """Blend what two key frames show at a slot.
 
     Parameters
@@ -129,19 +137,20 @@ def blend_text(before: Side, after: Side, time: np.float32, out: F32, depth: F32
         float32 [H, W], written: the nearer of both depths.
     hole
         bool [H, W], written: neither side sees the surface.
+    share
+        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
 
     Notes
     -----
     Niklaus and Liu, Softmax Splatting, CVPR 2020, equation 14, with log depth for importance.
     """
     height, width, _ = out.shape
-    for row in numba.prange(height):
-        i = np.int64(row)
-        share = np.empty(width, np.float32)
+    for i in turns(height, share):
+        later = np.empty(width, np.float32)
         first = before[1][i], before[2][i], before[3][i]
         second = after[1][i], after[2][i], after[3][i]
-        write_shares(first, second, time, share, depth[i], hole[i])
-        blend_row(before[0][i], after[0][i], share, out[i])
+        write_shares(first, second, time, later, depth[i], hole[i])
+        blend_row(before[0][i], after[0][i], later, out[i])
 
 
 blend = parallel(blend_text)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from exwarp_cli.compiled.shares import WHOLE, Share, turns
 from exwarp_cli.kernels.jit import parallel, serial
 
 F32 = npt.NDArray[np.float32]
@@ -15,7 +15,7 @@ F64 = npt.NDArray[np.float64]
 B8 = npt.NDArray[np.bool_]
 
 
-def block_means_text(motion: F32, shown: B8, size: int, out: F64) -> None:
+def block_means_text(motion: F32, shown: B8, size: int, out: F64, share: Share = WHOLE) -> None:
     """Write the mean motion of each block.
 
     Parameters
@@ -29,11 +29,13 @@ def block_means_text(motion: F32, shown: B8, size: int, out: F64) -> None:
     out
         float64 [ceil(H / size), ceil(W / size), 2], written: means over the pixels that count and
         whose components are both finite; NaN where a block has none.
+    share
+        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
     height, width, _ = motion.shape
     masked = shown.size > 0
-    for block_row in numba.prange(out.shape[0]):
-        top = np.int64(block_row) * size
+    for block_row in turns(out.shape[0], share):
+        top = block_row * size
         for block_column in range(out.shape[1]):
             left = block_column * size
             sum_x, sum_y, count = np.float64(0), np.float64(0), 0

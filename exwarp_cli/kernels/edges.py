@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from exwarp_cli.compiled.builds import Kernel
+from exwarp_cli.compiled.shares import WHOLE, Share, turns
 from exwarp_cli.kernels.jit import parallel, part, serial
 
 F32 = npt.NDArray[np.float32]
@@ -74,7 +75,7 @@ def find_band(depth: F32, stencil: I32, rows: tuple[int, int], edge: B8) -> None
             mark_ids(low_id, high_id, edge[i])
 
 
-def find_edges_text(depth: F32, stencil: I32, edge: B8) -> None:
+def find_edges_text(depth: F32, stencil: I32, edge: B8, share: Share = WHOLE) -> None:
     """Mark pixels with another surface among their eight neighbours.
 
     Parameters
@@ -85,6 +86,8 @@ def find_edges_text(depth: F32, stencil: I32, edge: B8) -> None:
         int32 [H, W], or [0, 0] when unknown.
     edge
         bool [H, W], written.
+    share
+        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
 
     Notes
     -----
@@ -92,8 +95,8 @@ def find_edges_text(depth: F32, stencil: I32, edge: B8) -> None:
     Comparing each pixel with its eight neighbours took 19 times.
     """
     height, _ = depth.shape
-    for band in numba.prange((height + ROWS_PER_BAND - 1) // ROWS_PER_BAND):
-        begin = np.int64(band) * ROWS_PER_BAND
+    for band in turns((height + ROWS_PER_BAND - 1) // ROWS_PER_BAND, share):
+        begin = band * ROWS_PER_BAND
         end = min(begin + ROWS_PER_BAND, height)
         find_band(depth, stencil, (begin, end), edge)
 
@@ -154,7 +157,46 @@ def write_sources(i: int, line: F32, shape: tuple[int, int], source: I32) -> Non
         source[j] = row * width + column if lies else height * width
 
 
-def find_fringe_text(field: F32, near: F32, depth: F32, fringe: B8) -> None:
+def mark_rims_text(depth: F32, rims: B8, share: Share = WHOLE) -> None:
+    """Mark the pixels with a clearly nearer surface among their four neighbours.
+
+    Parameters
+    ----------
+    depth
+        float32 [H, W].
+    rims
+        bool [H W + 1], written but for the last.
+    share
+        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
+    """
+    height, width = depth.shape
+    for i in turns(height, share):
+        mark_rim_of(depth, i, rims[i * width : (i + 1) * width])
+
+
+def mark_ghosts_text(field: F32, near: F32, rims: B8, fringe: B8, share: Share = WHOLE) -> None:
+    """Mark the pixels that show a rim without being one.
+
+    Parameters
+    ----------
+    field, near, fringe
+        As for :func:`find_fringe`.
+    rims
+        bool [H W + 1], from :func:`mark_rims_text`; the last is where there is no source.
+    share
+        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
+    """
+    height, width = near.shape
+    source = np.empty(width, np.int32)
+    for i in turns(height, share):
+        still_beside = fringe[i]
+        mark_rim_of(near, i, still_beside)
+        write_sources(i, np.ascontiguousarray(field[i]).reshape(-1), (height, width), source)
+        for j in range(width):
+            still_beside[j] = rims[np.uint64(source[j])] & (not still_beside[j])
+
+
+def find_fringe(field: F32, near: F32, depth: F32, fringe: B8) -> None:
     """Mark target pixels that show the rim of a surface which has moved on.
 
     Colour is filtered over more than a pixel, so a source pixel beside a nearer surface holds part
@@ -170,25 +212,34 @@ def find_fringe_text(field: F32, near: F32, depth: F32, fringe: B8) -> None:
         float32 [H, W], depth at the source.
     fringe
         bool [H, W], written.
+
+    Notes
+    -----
+    All rims and sources at once, in loops without branches: 0.5 times cv2.remap. Looking at the
+    neighbours of each target pixel's source took 2.4.
     """
-    height, width = depth.shape
-    # All rims and sources at once, in loops without branches: 0.5 times cv2.remap. Looking at
-    # the neighbours of each target pixel's source took 2.4.
-    rims = np.empty(height * width + 1, np.bool_)
-    rims[height * width] = False  # where there is no source
-    for row in numba.prange(height):
-        i = np.int64(row)
-        mark_rim_of(depth, i, rims[i * width : (i + 1) * width])
-    for row in numba.prange(height):
-        i = np.int64(row)
-        still_beside, source = fringe[i], np.empty(width, np.int32)
-        mark_rim_of(near, i, still_beside)
-        write_sources(i, np.ascontiguousarray(field[i]).reshape(-1), (height, width), source)
-        for j in range(width):
-            fringe[i, j] = rims[np.uint64(source[j])] & (not still_beside[j])
+    _find_fringe(field, near, depth, fringe, (_mark_rims, _mark_ghosts))
+
+
+def find_fringe_serial(field: F32, near: F32, depth: F32, fringe: B8) -> None:
+    """Do as :func:`find_fringe` by one thread."""
+    _find_fringe(field, near, depth, fringe, (_mark_rims_serial, _mark_ghosts_serial))
+
+
+def _find_fringe(
+    field: F32, near: F32, depth: F32, fringe: B8, kernels: tuple[Kernel, Kernel]
+) -> None:
+    """Run both kernels, between which all threads wait for each other."""
+    mark_rims, mark_ghosts = kernels
+    rims = np.empty(depth.size + 1, np.bool_)
+    rims[-1] = False
+    mark_rims(depth, rims)
+    mark_ghosts(field, near, rims, fringe)
 
 
 find_edges = parallel(find_edges_text)
 find_edges_serial = serial(find_edges_text)
-find_fringe = parallel(find_fringe_text)
-find_fringe_serial = serial(find_fringe_text)
+_mark_rims = parallel(mark_rims_text)
+_mark_rims_serial = serial(mark_rims_text)
+_mark_ghosts = parallel(mark_ghosts_text)
+_mark_ghosts_serial = serial(mark_ghosts_text)

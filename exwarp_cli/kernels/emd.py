@@ -15,10 +15,10 @@ from __future__ import annotations
 
 from functools import cached_property
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from exwarp_cli.compiled.shares import WHOLE, Share, turns
 from exwarp_cli.kernels.jit import parallel, part, serial
 
 F32 = npt.NDArray[np.float32]
@@ -114,7 +114,7 @@ def widen_by_band(values: F32, shown: B8, low: F32, high: F32) -> None:
             i += 1
 
 
-def extents_text(values: F32, shown: B8, out: F32) -> None:
+def extents_text(values: F32, shown: B8, out: F32, share: Share = WHOLE) -> None:
     """Write the least and greatest value of each band of rows and channel.
 
     Parameters
@@ -126,18 +126,21 @@ def extents_text(values: F32, shown: B8, out: F32) -> None:
     out
         float32 [ceil(H / ROWS_PER_BAND), C, 2], written: least and greatest of the finite values
         that count; +inf and -inf where there are none.
+    share
+        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
     height, width, channels = values.shape
-    for number in numba.prange(out.shape[0]):
-        band = np.int64(number)
+    for band in turns(out.shape[0], share):
         begin = band * ROWS_PER_BAND
         low = np.full(width * channels, np.inf, np.float32)
         high = np.full(width * channels, -np.inf, np.float32)
         end = min(begin + ROWS_PER_BAND, height)
         widen_by_band(values[begin:end], shown[begin:end], low, high)
         for c in range(channels):
-            out[band, c, 0] = low[c::channels].min()
-            out[band, c, 1] = high[c::channels].max()
+            least, most = np.float32(np.inf), np.float32(-np.inf)
+            for j in range(c, low.size, channels):
+                least, most = min(least, low[j]), max(most, high[j])
+            out[band, c, 0], out[band, c, 1] = least, most
 
 
 @part
@@ -226,6 +229,32 @@ def add_up(values: F32, low: float, high: float, bins: U32, lanes: U32) -> None:
 
 
 @part
+def count_line(values: F32, shown: B8, low: float, high: float, bins: U32, lanes: U32) -> None:
+    """Count a row's values of a channel in its histograms; see `write_bins` and `add_up`."""
+    if low < high:
+        if are_fine(low, high):
+            write_bins(values, shown, low, high, bins)
+        else:
+            doubt_all(values, shown, bins)
+        add_up(values, low, high, bins, lanes)
+
+
+@part
+def clear(lanes: U32) -> None:
+    """Write 0 to histograms."""
+    for k in range(lanes.size):
+        lanes[k] = np.uint32(0)
+
+
+@part
+def gather_lanes(lanes: U32, counts: I64) -> None:
+    """Write the sums of a channel's histograms [LANES, BINS + 1], without what does not count."""
+    one, two, three, four = lanes[0], lanes[1], lanes[2], lanes[3]
+    for k in range(counts.size):
+        counts[k] = np.int64(one[k]) + np.int64(two[k]) + np.int64(three[k]) + np.int64(four[k])
+
+
+@part
 def take_apart(values: F32, lines: F32) -> None:
     """Write the channels of a row's pixels apart, [W C] to [C, W]."""
     if lines.shape[0] == 3:
@@ -239,7 +268,7 @@ def take_apart(values: F32, lines: F32) -> None:
             lines[c, j] = values[lines.shape[0] * j + c]
 
 
-def count_text(values: F32, shown: B8, ranges: F64, counts: I64) -> None:
+def count_text(values: F32, shown: B8, ranges: F64, counts: I64, share: Share = WHOLE) -> None:
     """Write histograms of each band of rows, by the convention of ``numpy.histogram``.
 
     Parameters
@@ -254,28 +283,21 @@ def count_text(values: F32, shown: B8, ranges: F64, counts: I64) -> None:
     counts
         int64 [ceil(H / ROWS_PER_BAND), C, BINS], written. A bin holds its lower end, the last one
         both ends. NaN and infinities are left out.
+    share
+        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
     height, width, channels = values.shape
-    for number in numba.prange(counts.shape[0]):
-        band = np.int64(number)
-        counts[band] = 0
+    lines, bins = np.empty((channels, width), np.float32), np.empty(width, np.uint32)
+    lanes = np.empty((channels, LANES, BINS + 1), np.uint32)
+    for band in turns(counts.shape[0], share):
         begin = band * ROWS_PER_BAND
-        lines, bins = np.empty((channels, width), np.float32), np.empty(width, np.uint32)
-        lanes = np.zeros((channels, LANES, BINS + 1), np.uint32)
+        clear(lanes.reshape(-1))
         for i in range(begin, min(begin + ROWS_PER_BAND, height)):
             take_apart(values[i].reshape(-1), lines)
             for c in range(channels):
-                low, high = ranges[c, 0], ranges[c, 1]
-                if low < high:
-                    if are_fine(low, high):
-                        write_bins(lines[c], shown[i], low, high, bins)
-                    else:
-                        doubt_all(lines[c], shown[i], bins)
-                    add_up(lines[c], low, high, bins, lanes[c])
+                count_line(lines[c], shown[i], ranges[c, 0], ranges[c, 1], bins, lanes[c])
         for c in range(channels):
-            for lane in range(LANES):
-                for k in range(BINS):
-                    counts[band, c, k] += lanes[c, lane, k]
+            gather_lanes(lanes[c], counts[band, c])
 
 
 extents = parallel(extents_text)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from exwarp_cli.compiled.shares import WHOLE, Share, turns
 from exwarp_cli.kernels.jit import parallel, part, serial
 from exwarp_cli.kernels.lanes import LANES, add_four
 
@@ -38,7 +38,7 @@ def count_row(hole: B8, bits: I32) -> tuple[np.int32, np.int32]:
     return count, most
 
 
-def count_holes_text(hole: B8, bits: I32, counts: I32, furthest: I32) -> None:
+def count_holes_text(hole: B8, bits: I32, counts: I32, furthest: I32, share: Share = WHOLE) -> None:
     """Count each row's holes, and find how far the surfaces reach that it shows.
 
     Parameters
@@ -52,10 +52,11 @@ def count_holes_text(hole: B8, bits: I32, counts: I32, furthest: I32) -> None:
         int32 [H], written.
     furthest
         int32 [H], written: the bits of the greatest finite depth outside the holes, or of 0.
+    share
+        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
     height, _ = hole.shape
-    for row in numba.prange(height):
-        i = np.int64(row)
+    for i in turns(height, share):
         counts[i], furthest[i] = count_row(hole[i], bits[i])
 
 
@@ -68,7 +69,7 @@ def list_row(hole: B8, room: I32) -> None:
         place += np.int64(hole[j])
 
 
-def list_holes_text(hole: B8, first: I32, column: I32) -> None:
+def list_holes_text(hole: B8, first: I32, column: I32, share: Share = WHOLE) -> None:
     """List the holes' columns.
 
     Parameters
@@ -79,10 +80,11 @@ def list_holes_text(hole: B8, first: I32, column: I32) -> None:
         int32 [H + 1]: how many holes there are in all rows above each.
     column
         int32 [N], written, row by row, ascending.
+    share
+        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
     height, width = hole.shape
-    for row in numba.prange(height):
-        i = np.int64(row)
+    for i in turns(height, share):
         begin, end = first[i], first[i + 1]
         if begin < end:
             room = np.empty(width, np.int32)
@@ -145,7 +147,9 @@ def look_along(dx: int, width: int, first: I32, column: I32, reach: int, steps: 
             visited, answer = int(column[k]), (step + 1 if 0 < step < reach else 0)
 
 
-def look_text(hole: B8, first: I32, column: I32, reach: int, steps: I16) -> None:
+def look_text(
+    hole: B8, first: I32, column: I32, reach: int, steps: I16, share: Share = WHOLE
+) -> None:
     """Find the first visible pixel that a hole sees in each of eight ways.
 
     Parameters
@@ -158,14 +162,15 @@ def look_text(hole: B8, first: I32, column: I32, reach: int, steps: I16) -> None
         How many steps to look, 1 to 32,766.
     steps
         int16 [8, N], written: how many steps away it is; 0 where there is none.
+    share
+        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
 
     Notes
     -----
     All pixels of a row answer, holes or not, in a loop without branches: a third of the time that
     asking for the holes alone took.
     """
-    for index in numba.prange(len(WAYS)):
-        way = np.int64(index)
+    for way in turns(len(WAYS), share):
         if WAYS[way][0] == 0:
             look_along(WAYS[way][1], hole.shape[1], first, column, reach, steps[way])
         else:
@@ -301,7 +306,15 @@ def fill_row(
     write_means(at, channels, columns, sums, totals, pixels)
 
 
-def fill_text(image: F32, depth: F32, first: I32, column: I32, cap: np.float32, steps: I16) -> None:
+def fill_text(
+    image: F32,
+    depth: F32,
+    first: I32,
+    column: I32,
+    cap: np.float32,
+    steps: I16,
+    share: Share = WHOLE,
+) -> None:
     """Fill holes from the visible pixels around them.
 
     Parameters
@@ -317,6 +330,8 @@ def fill_text(image: F32, depth: F32, first: I32, column: I32, cap: np.float32, 
         Depth at which everything further counts as equally far, scene units.
     steps
         int16 [8, N], from :func:`look_text`.
+    share
+        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
 
     Notes
     -----
@@ -330,8 +345,7 @@ def fill_text(image: F32, depth: F32, first: I32, column: I32, cap: np.float32, 
     """
     height, width, channels = image.shape
     flat, pixels = depth.reshape(-1), image.reshape(-1)
-    for row in numba.prange(height):
-        i = np.int64(row)
+    for i in turns(height, share):
         if first[i] < first[i + 1]:
             holes = (np.int64(first[i]), np.int64(first[i + 1]))
             fill_row(i * width, (width, channels), flat, holes, column, cap, steps, pixels)

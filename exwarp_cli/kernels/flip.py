@@ -7,10 +7,10 @@ Alternating Images", Proceedings of the ACM on Computer Graphics and Interactive
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from exwarp_cli.compiled.shares import WHOLE, Share, turns
 from exwarp_cli.kernels import flip_filters as filters
 from exwarp_cli.kernels.flip_colour import TO_XYZ, to_linear, to_xyz
 from exwarp_cli.kernels.flip_powers import power
@@ -100,7 +100,7 @@ def _perceive_row(planes: F32, row: int, seen: F32) -> None:
     _length(parts[6], parts[7], seen[4, row])
 
 
-def perceive_text(planes: F32, seen: F32) -> None:
+def perceive_text(planes: F32, seen: F32, share: Share = WHOLE) -> None:
     """Write what a viewer sees of an image (sections 4.1.1, 4.1.2 and 4.2.1).
 
     Parameters
@@ -111,8 +111,10 @@ def perceive_text(planes: F32, seen: F32) -> None:
         float32 [SEEN, H, W], written: lightness, 0 to 100, red-green and blue-yellow of CIELAB
         with Hunt's effect, after the blur of the eye; strength of edges and of points, 0 to
         sqrt(2).
+    share
+        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
-    for row in numba.prange(planes.shape[1]):
+    for row in turns(planes.shape[1], share):
         _perceive_row(planes, row, seen)
 
 
@@ -157,7 +159,7 @@ def _differ_row(reference: F32, test: F32, row: int, error: F32) -> None:
         out[i] = max(out[i], min(found, _ONE))
 
 
-def differ_text(reference: F32, test: F32, error: F32) -> None:
+def differ_text(reference: F32, test: F32, error: F32, share: Share = WHOLE) -> None:
     """Raise an error map to the error of a pair of images (sections 4.1.3, 4.2.2 and 4.3).
 
     Parameters
@@ -166,8 +168,10 @@ def differ_text(reference: F32, test: F32, error: F32) -> None:
         float32 [SEEN, H, W], from `perceive`.
     error
         float32 [H, W], 0 to 1: becomes the larger of itself and the pair's FLIP error.
+    share
+        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
-    for row in numba.prange(error.shape[0]):
+    for row in turns(error.shape[0], share):
         _differ_row(reference, test, row, error)
 
 

@@ -7,10 +7,10 @@ float32 keep more digits of dark colours that way.
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from exwarp_cli.compiled.shares import WHOLE, Share, turns
 from exwarp_cli.kernels.flip_powers import power
 from exwarp_cli.kernels.jit import inlined, parallel, part, serial
 
@@ -131,7 +131,7 @@ def _tone_row(image: F32, gain: np.float32, row: int, planes: F32) -> None:
     _oppose(lines[0], lines[1], lines[2], row, planes)
 
 
-def decode_text(image: F32, planes: F32) -> None:
+def decode_text(image: F32, planes: F32, share: Share = WHOLE) -> None:
     """Write the opponent colours of a display-encoded image.
 
     Parameters
@@ -140,12 +140,14 @@ def decode_text(image: F32, planes: F32) -> None:
         float32 [H, W, 3 or more], 0 to 255 with sRGB primaries; what is outside is clipped.
     planes
         float32 [PLANES, H, W], written.
+    share
+        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
-    for row in numba.prange(image.shape[0]):
+    for row in turns(image.shape[0], share):
         _decode_row(image, row, planes)
 
 
-def expose_text(image: F32, gain: np.float32, planes: F32) -> None:
+def expose_text(image: F32, gain: np.float32, planes: F32, share: Share = WHOLE) -> None:
     """Write the opponent colours of a scene-linear image as it is shown at an exposure.
 
     Parameters
@@ -156,8 +158,10 @@ def expose_text(image: F32, gain: np.float32, planes: F32) -> None:
         float32, what colours are multiplied with before the tone mapper: up to 2^25.
     planes
         float32 [PLANES, H, W], written.
+    share
+        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
-    for row in numba.prange(image.shape[0]):
+    for row in turns(image.shape[0], share):
         _tone_row(image, gain, row, planes)
 
 

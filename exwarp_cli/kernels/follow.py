@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from exwarp_cli.compiled.shares import WHOLE, Share, turns
 from exwarp_cli.kernels.jit import inlined, parallel, serial
 from exwarp_cli.kernels.surface import end_of
 
@@ -95,7 +95,9 @@ def step_at(
     return np.float32(np.nan), np.float32(np.nan)
 
 
-def follow_text(step: F32, stencil: I32, own: I32, expected: F32, moved: F32) -> None:
+def follow_text(
+    step: F32, stencil: I32, own: I32, expected: F32, moved: F32, share: Share = WHOLE
+) -> None:
     """Move points on by one step: moved(x) += step(x + moved(x)).
 
     Parameters
@@ -113,6 +115,8 @@ def follow_text(step: F32, stencil: I32, own: I32, expected: F32, moved: F32) ->
     moved
         float32 [H, W, 2], pixels, changed: how far the points have come; NaN where unknown, and
         where neither samples nor an expectation lead on.
+    share
+        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
 
     Notes
     -----
@@ -122,8 +126,7 @@ def follow_text(step: F32, stencil: I32, own: I32, expected: F32, moved: F32) ->
     """
     height, width, _ = moved.shape
     known, hoped = stencil.size > 0 and own.size > 0, expected.size > 0
-    for row in numba.prange(height):
-        i = np.int64(row)
+    for i in turns(height, share):
         for j in range(width):
             x, y = np.float32(j) + moved[i, j, 0], np.float32(i) + moved[i, j, 1]
             ident = own[i, j] if known else np.int32(-2)
@@ -139,7 +142,9 @@ follow = parallel(follow_text)
 follow_serial = serial(follow_text)
 
 
-def follow_shown_text(step: F32, stencil: I32, gone: B8, moved: F32, lost: B8) -> None:
+def follow_shown_text(
+    step: F32, stencil: I32, gone: B8, moved: F32, lost: B8, share: Share = WHOLE
+) -> None:
     """Move points on by one step as :func:`follow_text` does, as what the instant shows there.
 
     Parameters
@@ -150,11 +155,12 @@ def follow_shown_text(step: F32, stencil: I32, gone: B8, moved: F32, lost: B8) -
         bool [H, W]: pixels of the instant whose surface is not seen after the step.
     lost
         bool [H, W], changed: becomes true for points that have reached such a pixel, or none.
+    share
+        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
     height, width, _ = moved.shape
     nowhere = np.float32(np.nan), np.float32(np.nan)
-    for row in numba.prange(height):
-        i = np.int64(row)
+    for i in turns(height, share):
         for j in range(width):
             mx, my = moved[i, j, 0], moved[i, j, 1]
             q, p = end_of(i, j, mx, my, height, width)

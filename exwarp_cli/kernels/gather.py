@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from exwarp_cli.compiled.shares import WHOLE, Share, turns
 from exwarp_cli.kernels.jit import inlined, parallel, part, serial
 from exwarp_cli.kernels.lanes import LANES, mix_four
 
@@ -224,7 +224,7 @@ def gather_row(
     settle_rest(i, line, pixels, shape, inside, finite, out, hole)
 
 
-def gather_bilinear_text(image: F32, field: F32, out: F32, hole: B8) -> None:
+def gather_bilinear_text(image: F32, field: F32, out: F32, hole: B8, share: Share = WHOLE) -> None:
     """Sample `image` bilinearly at x + field(x) and mark what cannot be sampled.
 
     Parameters
@@ -240,10 +240,11 @@ def gather_bilinear_text(image: F32, field: F32, out: F32, hole: B8) -> None:
     hole
         bool [h, w], written: no source, a source outside the image's pixel areas, or a non-finite
         value among the samples.
+    share
+        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
     pixels = np.ascontiguousarray(image).reshape(-1)
-    for row in numba.prange(out.shape[0]):
-        i = np.int64(row)
+    for i in turns(out.shape[0], share):
         line, target = np.ascontiguousarray(field[i]).reshape(-1), out[i].reshape(-1)
         gather_row(i, line, pixels, image.shape, target, hole[i])
 

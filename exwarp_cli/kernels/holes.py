@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from exwarp_cli.compiled.shares import WHOLE, Share, turns
 from exwarp_cli.kernels.gather import clamp
 from exwarp_cli.kernels.jit import inlined, parallel, serial
 
@@ -111,6 +111,7 @@ def mark_text(
     normals: tuple[F32, F32],
     least_cosine: np.float32,
     hole: B8,
+    share: Share = WHOLE,
 ) -> None:
     """Mark pixels whose source along a motion field is not the same surface point.
 
@@ -128,6 +129,8 @@ def mark_text(
         Of the angle by which the normal of one dynamic surface may turn on the way.
     hole
         bool [H, W], written.
+    share
+        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
 
     Notes
     -----
@@ -138,8 +141,7 @@ def mark_text(
     height, width, _ = field.shape
     known_ids = stencils[0].shape[0] > 0
     known_positions = positions[0].shape[0] > 0
-    for row in numba.prange(height):
-        i = np.int64(row)
+    for i in turns(height, share):
         for j in range(width):
             fx, fy = np.float32(j) + field[i, j, 0], np.float32(i) + field[i, j, 1]
             hole[i, j] = True

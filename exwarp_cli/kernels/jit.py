@@ -1,36 +1,54 @@
-"""How kernels are compiled: one text, a serial and a parallel build, both cached."""
+"""How kernels are compiled: one text, one build, cached, that one thread runs or several."""
 
 from __future__ import annotations
 
-import os
-import types
-from collections.abc import Iterator
-from contextlib import contextmanager
+import functools
+import inspect
+from threading import local
 
 import numba
 
-from exwarp_cli.compiled import builds
+from exwarp_cli.compiled import builds, shares
 from exwarp_cli.compiled.builds import Kernel
+from exwarp_cli.compiled.shares import WHOLE
 
-WAITING = ("OMP_WAIT_POLICY", "GOMP_SPINCOUNT")
-"""Variables by which OpenMP is told how its threads wait for work."""
+_own = local()
 
 
 def parallel(text: Kernel) -> Kernel:
-    """Compile for all threads; loops over `numba.prange` are shared out."""
-    return builds.compiled(text, parallel=True)
+    """Compile for as many threads as :func:`threads` tells, which share the turns of its loop.
+
+    Parameters
+    ----------
+    text
+        Takes a share as its last argument, and runs through the
+        :func:`~exwarp_cli.compiled.shares.turns` that it has.
+    """
+    kernel = _build(text)
+
+    @functools.wraps(text)
+    def run(*arguments: object) -> None:
+        shares.run(kernel, arguments, threads())
+
+    return run
 
 
 def serial(text: Kernel) -> Kernel:
-    """Compile for one thread, from a twin that has a name of its own."""
-    assert isinstance(text, types.FunctionType)
-    name = f"{text.__name__}_serial"
-    twin = types.FunctionType(
-        text.__code__, text.__globals__, name, text.__defaults__, text.__closure__
-    )
-    twin.__doc__, twin.__module__ = text.__doc__, text.__module__
-    twin.__qualname__ = f"{text.__qualname__}_serial"
-    return builds.compiled(twin)
+    """Compile for one thread."""
+    kernel = _build(text)
+    if "share" not in inspect.signature(text).parameters:
+        return kernel
+
+    @functools.wraps(text)
+    def run(*arguments: object) -> None:
+        kernel(*arguments, WHOLE)
+
+    return run
+
+
+@functools.cache
+def _build(text: Kernel) -> Kernel:
+    return builds.compiled(text)
 
 
 def part(text: Kernel) -> Kernel:
@@ -51,44 +69,16 @@ def inlined(text: Kernel) -> Kernel:
 
 
 def set_threads(count: int | None) -> None:
-    """Set how many threads the parallel builds use; None for all that there are."""
-    most: int = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
-    with _asleep_while_waiting():
-        numba.set_num_threads(most if count is None else max(1, min(count, most)))
+    """Set how many threads run a kernel that this thread calls; None for all that there are."""
+    most = _most()
+    _own.count = most if count is None else max(1, min(count, most))
 
 
 def threads() -> int:
-    """Return how many threads the parallel builds use."""
-    with _asleep_while_waiting():
-        return int(numba.get_num_threads())
+    """Return how many threads run a kernel that this thread calls."""
+    return int(getattr(_own, "count", _most()))
 
 
-def may_run_at_once() -> bool:
-    """Whether several threads may run parallel builds at the same time, once one has run.
-
-    Numba's own pool of threads, which it takes where there is neither OpenMP nor TBB, ends the
-    process then.
-    """
-    try:
-        layer: str = numba.threading_layer()  # type: ignore[attr-defined]
-    except ValueError:  # none has run
-        return False
-    return layer in ("omp", "tbb")
-
-
-@contextmanager
-def _asleep_while_waiting() -> Iterator[None]:
-    """Have the threads that start in this block sleep when they wait for a kernel.
-
-    OpenMP reads its environment as its library is loaded, which the first call that concerns
-    threads does. By default its threads spin for a while after each kernel, on the cores that read
-    and write files meanwhile: 3 of 21 CPU seconds of a run.
-    """
-    if any(name in os.environ for name in WAITING):
-        yield
-        return
-    os.environ[WAITING[0]] = "PASSIVE"
-    try:
-        yield
-    finally:
-        del os.environ[WAITING[0]]
+def _most() -> int:
+    """Return how many there may be, as Numba tells it: by its variable, or as many as cores."""
+    return int(numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]

@@ -212,7 +212,8 @@ def measure_areas(stencil: I32, areas: I64) -> int:
     for i in range(stencil.shape[0]):
         known = given
         given = label_row(stencil, i, rows[(i + 1) % 2], rows[i % 2], parent, given)
-        areas[known + 1 : given + 1] = 0
+        for k in range(known + 1, given + 1):
+            areas[k] = 0
         add_runs(rows[i % 2], areas)
     for k in range(given, 0, -1):
         if parent[k] != k:  # it is lower, and comes later

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from exwarp_cli.compiled.shares import WHOLE, Share, turns
 from exwarp_cli.kernels.blend import FRINGE_WEIGHT
 from exwarp_cli.kernels.fill import WAYS
 from exwarp_cli.kernels.gather import clamp
@@ -76,7 +76,14 @@ def seen_at(i: int, j: int, side: Side) -> tuple[int, np.float32]:
 
 
 def choose_text(
-    before: Side, after: Side, time: np.float32, pixel: I32, later: B8, depth: F32, hole: B8
+    before: Side,
+    after: Side,
+    time: np.float32,
+    pixel: I32,
+    later: B8,
+    depth: F32,
+    hole: B8,
+    share: Share = WHOLE,
 ) -> None:
     """Choose the pixel that shows what a slot's pixel shows, in one of two key frames.
 
@@ -97,6 +104,8 @@ def choose_text(
         float32 [H, W], written: the nearer of both depths.
     hole
         bool [H, W], written: neither side sees the surface.
+    share
+        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
 
     Notes
     -----
@@ -107,8 +116,7 @@ def choose_text(
     """
     height, width = pixel.shape
     both = after[0].shape[0] > 0
-    for row in numba.prange(height):
-        i = np.int64(row)
+    for i in turns(height, share):
         for j in range(width):
             found, a = seen_at(i, j, before)
             depth[i, j] = before[1][i, j]
@@ -162,7 +170,14 @@ def neighbour(
 
 
 def adopt_text(
-    pixel: I32, later: B8, depth: F32, first: I32, column: I32, cap: np.float32, steps: I16
+    pixel: I32,
+    later: B8,
+    depth: F32,
+    first: I32,
+    column: I32,
+    cap: np.float32,
+    steps: I16,
+    share: Share = WHOLE,
 ) -> None:
     """Give holes the source of the visible pixel around them that they belong to.
 
@@ -179,10 +194,11 @@ def adopt_text(
         Depth at which everything further counts as equally far, scene units.
     steps
         int16 [8, N], from :func:`exwarp_cli.kernels.fill.look`.
+    share
+        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
     height, width = depth.shape
-    for row in numba.prange(height):
-        i = np.int64(row)
+    for i in turns(height, share):
         for hole in range(first[i], first[i + 1]):
             j = np.int64(column[hole])
             y, x = neighbour(i, j, depth, cap, steps, hole)
@@ -194,7 +210,7 @@ def adopt_text(
                 later[i, j] = later[y, x]
 
 
-def sample_surface_text(image: F32, depth: F32, field: F32, out: F32) -> None:
+def sample_surface_text(image: F32, depth: F32, field: F32, out: F32, share: Share = WHOLE) -> None:
     """Sample along a field bilinearly, out of one surface only.
 
     Parameters
@@ -208,10 +224,11 @@ def sample_surface_text(image: F32, depth: F32, field: F32, out: F32) -> None:
     out
         float32 [H, W, C], written: of the four pixels around the end those count whose depth may
         be the nearest one's; NaN where the end lies outside.
+    share
+        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
     height, width, channels = image.shape
-    for row in numba.prange(out.shape[0]):
-        i = np.int64(row)
+    for i in turns(out.shape[0], share):
         for j in range(out.shape[1]):
             end = end_of(i, j, field, np.float32(np.nan), depth)
             for c in range(channels):

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from exwarp_cli.compiled.shares import WHOLE, Share, turns
 from exwarp_cli.kernels.jit import parallel, serial
 
 F32 = npt.NDArray[np.float32]
 
 
-def parabola_text(before: F32, after: F32, time: np.float32, out: F32) -> None:
+def parabola_text(
+    before: F32, after: F32, time: np.float32, out: F32, share: Share = WHOLE
+) -> None:
     """Write t (n - p) / 2 + t² (n + p) / 2 for p = `before` and n = `after`.
 
     Parameters
@@ -27,11 +29,12 @@ def parabola_text(before: F32, after: F32, time: np.float32, out: F32) -> None:
         half the sum of both vectors counts t² times.
     out
         float32 [H, W, 2], written; NaN where both are unknown.
+    share
+        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
     height, width, _ = after.shape
     half, square = np.float32(0.5) * time, np.float32(0.5) * time * time
-    for row in numba.prange(height):
-        i = np.int64(row)
+    for i in turns(height, share):
         for j in range(width):
             for c in range(2):
                 p, n = before[i, j, c], after[i, j, c]

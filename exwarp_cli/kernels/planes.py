@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from exwarp_cli.compiled.shares import WHOLE, Share, turns
 from exwarp_cli.kernels.gather import clamp
 from exwarp_cli.kernels.jit import inlined, parallel, part, serial
 
@@ -188,6 +188,7 @@ def spread_text(
     median: np.float32,
     corner: tuple[int, int],
     out: F32,
+    share: Share = WHOLE,
 ) -> None:
     """Write a part of a slot's planes, colour still linear.
 
@@ -210,14 +211,15 @@ def spread_text(
     out
         float32 [25, h, w], written: `warped`, `mask`, `features` and `history` of
         `exwarp_cli.domain.extrapolator.NetworkInputs`.
+    share
+        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
     height, width, _ = filled.shape
     pixels = (frames[0][0], frames[1][0], frames[2][0], filled)
     shown = (frames[0][1], frames[1][1], frames[2][1])
     shape, materials = (surface[0], surface[1]), (surface[2], surface[3])
     columns = columns_of(corner[1], width, out.shape[2])
-    for row in numba.prange(out.shape[1]):
-        y = np.int64(row)
+    for y in turns(out.shape[1], share):
         i = clamp(corner[0] + y, 0, height - 1)
         spread_row((i, y), columns, pixels, shown, (shape, materials), defaults, median, out)
 
@@ -226,7 +228,7 @@ spread = parallel(spread_text)
 spread_serial = serial(spread_text)
 
 
-def join_text(colour: F32, modulation: F32, filled: F32, out: F32) -> None:
+def join_text(colour: F32, modulation: F32, filled: F32, out: F32, share: Share = WHOLE) -> None:
     """Write a network's answer as a frame.
 
     Parameters
@@ -240,10 +242,11 @@ def join_text(colour: F32, modulation: F32, filled: F32, out: F32) -> None:
         and all is 0, so is the frame.
     out
         float32 [H, W, C], written.
+    share
+        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
     height, width, channels = filled.shape
-    for row in numba.prange(height):
-        i = np.int64(row)
+    for i in turns(height, share):
         for j in range(width):
             empty = channels > 3
             for c in range(channels):
@@ -262,7 +265,12 @@ join_serial = serial(join_text)
 
 
 def demodulate_text(
-    pixels: F32, albedo: F32, specular: F32, bounds: tuple[float, float], out: F32
+    pixels: F32,
+    albedo: F32,
+    specular: F32,
+    bounds: tuple[float, float],
+    out: F32,
+    share: Share = WHOLE,
 ) -> None:
     """Divide a frame's colour by its surface colour; further channels are copied.
 
@@ -276,10 +284,11 @@ def demodulate_text(
         Least and greatest.
     out
         float32 [H, W, C], written.
+    share
+        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
     height, width, channels = pixels.shape
-    for row in numba.prange(height):
-        i = np.int64(row)
+    for i in turns(height, share):
         for j in range(width):
             for c in range(3):
                 total = np.float32(albedo[i, j, c] + specular[i, j, c])

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from exwarp_cli.compiled.shares import WHOLE, Share, turns
 from exwarp_cli.kernels.jit import inlined, parallel, serial
 
 F32 = npt.NDArray[np.float32]
@@ -63,7 +63,14 @@ def displaced(
 
 
 def rigid_text(
-    position: F32, depth: F32, camera: F64, at_infinity: F64, still: B8, kept: bool, out: F32
+    position: F32,
+    depth: F32,
+    camera: F64,
+    at_infinity: F64,
+    still: B8,
+    kept: bool,
+    out: F32,
+    share: Share = WHOLE,
 ) -> None:
     """Write the displacement of pixels to another camera's frame, if their points stand still.
 
@@ -85,11 +92,12 @@ def rigid_text(
         else they become NaN there.
     out
         float32 [H, W, 2], written, pixels.
+    share
+        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
     height, width = depth.shape
     chosen = still.shape[0] > 0
-    for row in numba.prange(height):
-        i = np.int64(row)
+    for i in turns(height, share):
         for j in range(width):
             if chosen and not still[i, j]:
                 continue
@@ -110,6 +118,7 @@ def standing_text(
     step: F32,
     tolerance: np.float32,
     out: B8,
+    share: Share = WHOLE,
 ) -> None:
     """Find the pixels that move as points do which stand still.
 
@@ -123,10 +132,11 @@ def standing_text(
         Pixels by which either of its components may miss.
     out
         bool [H, W], written.
+    share
+        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
     height, width = depth.shape
-    for row in numba.prange(height):
-        i = np.int64(row)
+    for i in turns(height, share):
         for j in range(width):
             x, y = displaced(position, depth, camera, at_infinity, i, j)
             near_x = np.float32(abs(np.float32(step[i, j, 0] - x))) <= tolerance

@@ -5,10 +5,10 @@ from __future__ import annotations
 import itertools
 import math
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from exwarp_cli.compiled.shares import WHOLE, Share, turns
 from exwarp_cli.kernels.edges import ROWS_PER_BAND, SAME_DEPTH
 from exwarp_cli.kernels.jit import inlined, parallel, part, serial
 from exwarp_cli.kernels.project import away_from, seen_from
@@ -229,6 +229,7 @@ def settle_text(
     cameras: F64,
     tolerance: np.float32,
     out: tuple[F32, F32],
+    share: Share = WHOLE,
 ) -> None:
     """Give every pixel its own surface's motion, to the frames before and after.
 
@@ -249,6 +250,8 @@ def settle_text(
         as static.
     out
         float32 [H, 2 W] each, written; [0, 0] where there are no vectors.
+    share
+        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
 
     Notes
     -----
@@ -263,8 +266,8 @@ def settle_text(
     for each way, written and read again, it took 2.3 times as long.
     """
     height, _ = surfaces[1].shape
-    for band in numba.prange((height + ROWS_PER_BAND - 1) // ROWS_PER_BAND):
-        begin = np.int64(band) * ROWS_PER_BAND
+    for band in turns((height + ROWS_PER_BAND - 1) // ROWS_PER_BAND, share):
+        begin = band * ROWS_PER_BAND
         rows = begin, min(begin + ROWS_PER_BAND, height)
         settle_band(rows, vectors, surfaces, cameras, tolerance, out)
 

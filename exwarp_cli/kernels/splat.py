@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from exwarp_cli.compiled.shares import WHOLE, Share, turns
 from exwarp_cli.kernels.jit import inlined, parallel, part, serial
 from exwarp_cli.kernels.patches import (
     FARTHEST,
@@ -204,7 +204,9 @@ def splat_band(
             begin, end = next_run(reach[i], end, rows)
 
 
-def splat_text(displacement: F32, depth: F32, reach: F32, field: F32, near: F32) -> None:
+def splat_text(
+    displacement: F32, depth: F32, reach: F32, field: F32, near: F32, share: Share = WHOLE
+) -> None:
     """Splat displacements forward with a depth test.
 
     Parameters
@@ -220,6 +222,8 @@ def splat_text(displacement: F32, depth: F32, reach: F32, field: F32, near: F32)
         float32 [H, W, 2], written: from a target pixel to its source; NaN where nothing lands.
     near
         float32 [H, W], written: depth of what landed; NaN where nothing did.
+    share
+        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
 
     Notes
     -----
@@ -228,8 +232,8 @@ def splat_text(displacement: F32, depth: F32, reach: F32, field: F32, near: F32)
     """
     height, width, _ = displacement.shape
     moves = np.ascontiguousarray(displacement).reshape(height, 2 * width)
-    for band in numba.prange((height + ROWS_PER_BAND - 1) // ROWS_PER_BAND):
-        begin = np.int64(band) * ROWS_PER_BAND
+    for band in turns((height + ROWS_PER_BAND - 1) // ROWS_PER_BAND, share):
+        begin = band * ROWS_PER_BAND
         end = min(begin + ROWS_PER_BAND, height)
         places, depths = field[begin:end].reshape(-1), near[begin:end].reshape(-1)
         for k in range(places.size):
@@ -257,7 +261,7 @@ def span_reach(row: np.float32, line: F32) -> tuple[np.float32, np.float32]:
     return low, high
 
 
-def row_reach_text(displacement: F32, reach: F32) -> None:
+def row_reach_text(displacement: F32, reach: F32, share: Share = WHOLE) -> None:
     """Find which target rows each source row touches.
 
     Parameters
@@ -267,12 +271,13 @@ def row_reach_text(displacement: F32, reach: F32) -> None:
     reach
         float32 [H, S + 1, 2], written: the least and the greatest row, for each SPAN pixels and for
         the whole row; the greatest is less where nothing is known.
+    share
+        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
     height, width, _ = displacement.shape
     spans = reach.shape[1] - 1
     moves = np.ascontiguousarray(displacement).reshape(height, 2 * width)
-    for row in numba.prange(height):
-        i = np.int64(row)
+    for i in turns(height, share):
         low, high = np.float32(np.inf), np.float32(-np.inf)
         for span in range(spans):
             begin, end = 2 * span * SPAN, min(2 * (span + 1) * SPAN, 2 * width)

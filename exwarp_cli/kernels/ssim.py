@@ -7,10 +7,10 @@ of section III.C.
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from exwarp_cli.compiled.shares import WHOLE, Share, turns
 from exwarp_cli.kernels.jit import parallel, part, serial
 
 F32 = npt.NDArray[np.float32]
@@ -163,13 +163,11 @@ def _band(x: F32, y: F32, channels: int, out: F32, first: int) -> None:
         _similarity(means[0], means[1], means[2], means[3], out[row])
 
 
-@serial
-def _fill_serial(x: F32, y: F32, channels: int, out: F32) -> None:
-    for band in range((x.shape[0] + _BAND - 1) // _BAND):
+def _fill_text(x: F32, y: F32, channels: int, out: F32, share: Share = WHOLE) -> None:
+    """Fill the map, or the bands of rows of a share of it."""
+    for band in turns((x.shape[0] + _BAND - 1) // _BAND, share):
         _band(x, y, channels, out, band * _BAND)
 
 
-@parallel
-def _fill_parallel(x: F32, y: F32, channels: int, out: F32) -> None:
-    for band in numba.prange((x.shape[0] + _BAND - 1) // _BAND):
-        _band(x, y, channels, out, band * _BAND)
+_fill_parallel = parallel(_fill_text)
+_fill_serial = serial(_fill_text)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from exwarp_cli.compiled.shares import WHOLE, Share, turns
 from exwarp_cli.kernels.gather import FURTHEST, sample_border
 from exwarp_cli.kernels.jit import inlined, parallel, part, serial
 
@@ -69,6 +69,7 @@ def take_over_text(
     made: Parts,
     made_colours: Colours,
     unknown: B8,
+    share: Share = WHOLE,
 ) -> None:
     """Take over a frame's surfaces where a slot's are not known yet.
 
@@ -86,11 +87,12 @@ def take_over_text(
         The slot's, changed; where the frame's is empty, they may be so, too.
     unknown
         bool [H, W], changed: what becomes known is taken off.
+    share
+        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
     height, width, _ = field.shape
     shape = (height, width, 3)
-    for row in numba.prange(height):
-        i = np.int64(row)
+    for i in turns(height, share):
         for j in range(width):
             if not unknown[i, j]:
                 continue
@@ -111,7 +113,7 @@ take_over = parallel(take_over_text)
 take_over_serial = serial(take_over_text)
 
 
-def go_on_text(foretold: F32, moved: F32, lost: B8) -> None:
+def go_on_text(foretold: F32, moved: F32, lost: B8, share: Share = WHOLE) -> None:
     """Give points that are not known where they come from the place that is foretold.
 
     Parameters
@@ -122,10 +124,11 @@ def go_on_text(foretold: F32, moved: F32, lost: B8) -> None:
         float32 [H, W, 2], pixels, changed where it is NaN.
     lost
         bool [H, W], changed: false for these.
+    share
+        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
     height, width, _ = moved.shape
-    for row in numba.prange(height):
-        i = np.int64(row)
+    for i in turns(height, share):
         for j in range(width):
             if math.isnan(moved[i, j, 0]) and not math.isnan(foretold[i, j, 0]):
                 moved[i, j, 0], moved[i, j, 1] = foretold[i, j, 0], foretold[i, j, 1]

@@ -44,8 +44,8 @@ class SlotsAtOnce:
 
     @property
     def pays(self) -> bool:
-        """Whether there are threads for it, and they may run kernels at once."""
-        return self._workers > 1 and jit.may_run_at_once()
+        """Whether there are threads for it."""
+        return self._workers > 1
 
     def begin(self, make: Callable[[S], T], slots: Iterable[S]) -> Begun[S, T]:
         """Begin to make slots, in their order, as many at once as there are threads for."""

@@ -5,10 +5,11 @@ from __future__ import annotations
 import gc
 from typing import Any
 
-import numba
 import numpy as np
 import pytest
 from numba.core import compiler, errors, ir
+from numba.core.runtime import _nrt_python
+from numba.core.runtime.nrt import rtsys
 
 from exwarp_cli.compiled import builds, cache, front_end
 
@@ -19,7 +20,7 @@ def uncached(monkeypatch) -> None:
     monkeypatch.setattr(cache.KernelCache, "save_overload", lambda *_: None)
 
 
-def test_a_part_is_compiled_once_for_a_loop_and_its_surroundings(monkeypatch):
+def test_a_part_is_compiled_once_for_functions_that_count_arrays_and_others(monkeypatch):
     compiled: list[str] = []
     real = compiler.compile_extra
 
@@ -33,12 +34,17 @@ def test_a_part_is_compiled_once_for_a_loop_and_its_surroundings(monkeypatch):
     def doubled(value: float) -> float:
         return value + value
 
+    @builds.part
+    def double_one(values: np.ndarray, i: int) -> None:
+        values[i] = doubled(values[i])
+
     def double_all(values: np.ndarray) -> None:
-        for i in numba.prange(values.size):
-            values[i] = doubled(values[i])
+        values[0] = doubled(values[0])
+        for i in range(1, values.size):
+            double_one(values, i)
 
     values = np.arange(5.0)
-    builds.compiled(double_all, parallel=True)(values)
+    builds.compiled(double_all)(values)
     assert values.tolist() == [0, 2, 4, 6, 8]
     assert compiled.count("doubled") == 1
 
@@ -105,3 +111,49 @@ def test_variables_of_instructions_are_those_that_numba_lists():
     assert call.list_vars() == [a, b, c, b]
     assert sorted(v.name for v in ir.Assign(call, a, where).list_vars()) == list("aabbc")
     assert call._rec_list_vars(a) == [a] and call._rec_list_vars(7) == []
+
+
+def test_operators_of_arrays_are_typed_as_before():
+    def mixed(values: np.ndarray, factor: float) -> np.ndarray:
+        values += 1
+        return -(values * factor) + values
+
+    values = np.arange(4.0)
+    expected = -((values + 1) * 3) + values + 1
+    assert builds.compiled(mixed)(values, 3.0).tolist() == expected.tolist()
+
+
+def test_matrices_are_multiplied_though_scipy_was_not_asked_for():
+    pytest.importorskip("scipy")
+    product = builds.compiled(lambda one, other: np.dot(one, other))
+    assert product(np.eye(2), np.ones((2, 3))).tolist() == np.ones((2, 3)).tolist()
+
+
+def test_generators_still_know_what_lives():
+    def squares(count: int) -> Any:
+        for k in range(count):
+            yield k * k
+
+    assert list(builds.compiled(squares)(4)) == [0, 1, 4, 9]
+
+
+def test_arrays_are_counted_where_some_are_made():
+    @builds.part
+    def total(values: np.ndarray) -> float:
+        found = 0.0
+        for value in values:
+            found += value
+        return found
+
+    def run(count: int) -> float:
+        kept = np.ones(count)
+        return total(kept[1:]) + total(kept.reshape(-1)[:1])
+
+    assert builds._counting(run) == {"_nrt": True}
+    assert builds._counting(total) == {"_nrt": False}
+    compiled = builds.compiled(run)
+    _nrt_python.memsys_enable_stats()
+    before = rtsys.get_allocation_stats()
+    assert compiled(7) == 7
+    after = rtsys.get_allocation_stats()
+    assert after.alloc - before.alloc == after.free - before.free

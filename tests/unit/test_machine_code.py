@@ -6,11 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from exwarp_cli.compiled import cache, machine_code
-from exwarp_cli.kernels import edges, jit
+from exwarp_cli.compiled import builds, cache, machine_code
+from exwarp_cli.compiled.shares import WHOLE
+from exwarp_cli.kernels import edges
 
 
-def test_neither_parts_nor_bodies_of_loops_become_machine_code(monkeypatch):
+def test_parts_do_not_become_machine_code(monkeypatch):
     made: list[str] = []
     real = machine_code.DeferredLibrary._make
 
@@ -22,9 +23,9 @@ def test_neither_parts_nor_bodies_of_loops_become_machine_code(monkeypatch):
     monkeypatch.setattr(machine_code.DeferredLibrary, "_make", noted)
     monkeypatch.setattr(cache.KernelCache, "load_overload", lambda *_: None)
     monkeypatch.setattr(cache.KernelCache, "save_overload", lambda *_: None)
-    kernel = jit.parallel(edges.find_edges_text)
+    kernel = builds.compiled(edges.find_edges_text)
     depth, edge = np.ones((5, 6), np.float32), np.ones((5, 6), np.bool_)
     depth[:, 3:] = 9
-    kernel(depth, np.zeros((0, 0), np.int32), edge)
+    kernel(depth, np.zeros((0, 0), np.int32), edge, WHOLE)
     assert edge.tolist() == [[False, False, True, True, False, False]] * 5
     assert made == ["find_edges_text"]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 
-import numba
 import numpy as np
 import pytest
 
@@ -77,12 +76,10 @@ def test_threads_are_shared_out(threads, slots, share, monkeypatch):
     assert told and set(told) == {share}
 
 
-def test_one_thread_goes_on_alone(monkeypatch):
+def test_one_thread_goes_on_alone():
     assert SlotsAtOnce(2, 3).pays
     assert not SlotsAtOnce(1, 3).pays
     assert not SlotsAtOnce(4, 1).pays
-    monkeypatch.setattr(numba, "threading_layer", lambda: "workqueue")
-    assert not SlotsAtOnce(2, 3).pays
 
 
 def test_what_making_raises_is_raised_where_it_is_taken():

@@ -29,7 +29,7 @@ LEAST_FREE = 64 << 20
 
 
 def check_kernels() -> Check:
-    """Compile and run a kernel in both its builds, on motion by whole pixels."""
+    """Compile and run a kernel by one thread and by all, on motion by whole pixels."""
     jit.set_threads(None)
     remarks = []
     if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
@@ -39,24 +39,22 @@ def check_kernels() -> Check:
                 "hundreds of times as long; unset it"
             )
         )
-    wrong = [name for name, kernel in _BUILDS.items() if not moves_exactly(kernel)]
+    wrong = [name for name, kernel in _WAYS.items() if not moves_exactly(kernel)]
     if wrong:
         remarks.append(
             failure(
-                f"the {' and the '.join(wrong)} build of a kernel gives wrong pixels; delete the "
+                f"a kernel run by {' and by '.join(wrong)} gives wrong pixels; delete the "
                 "folder of compiled kernels, and if that does not help install numba again"
             )
         )
-    layer = _layer()
     facts = {
         "numba": numba.__version__,
         "llvmlite": metadata.version("llvmlite"),
         "jit": not numba.config.DISABLE_JIT,  # type: ignore[attr-defined]
         "cpu": binding.get_host_cpu_name(),
-        "threads": numba.get_num_threads(),
-        "threading_layer": layer,
+        "threads": jit.threads(),
     }
-    threads = counted(facts["threads"], "thread") + ("" if layer is None else f" by {layer}")
+    threads = counted(jit.threads(), "thread")
     found = f"numba {numba.__version__} on numpy {np.__version__}, {threads}"
     lines = (f"llvmlite {facts['llvmlite']}, which takes this CPU for {facts['cpu']}",)
     return Check(found, tuple(remarks), facts, lines)
@@ -157,13 +155,4 @@ def _cache_remarks(folders: list[Folder], lacking: bool) -> Iterator[Remark]:
             )
 
 
-def _layer() -> str | None:
-    """Return what numba's threads are made with; known once a parallel kernel ran."""
-    try:
-        name: str = numba.threading_layer()  # type: ignore[attr-defined]
-    except ValueError:
-        return None
-    return {"omp": "OpenMP", "tbb": "TBB", "workqueue": "numba's own queue"}.get(name, name)
-
-
-_BUILDS = {"parallel": gather_bilinear, "serial": gather_bilinear_serial}
+_WAYS = {"all threads": gather_bilinear, "one thread": gather_bilinear_serial}

@@ -17,16 +17,16 @@ from tests.cli.doctor.judging import failed, healthy, warned
 
 
 class TestKernels:
-    @pytest.mark.parametrize("build", ["parallel", "serial"])
-    def test_wrong_pixels(self, examined, monkeypatch, build):
-        real = kernels._BUILDS[build]
+    @pytest.mark.parametrize("way", ["all threads", "one thread"])
+    def test_wrong_pixels(self, examined, monkeypatch, way):
+        real = kernels._WAYS[way]
 
         def wrong(image: Any, field: Any, out: Any, hole: Any) -> None:
             real(image, field, out, hole)
             out[4, 9, 1] += np.float32(1e-6)
 
-        monkeypatch.setitem(kernels._BUILDS, build, wrong)
-        failed(examined("kernels"), "kernels", f"the {build} build", "wrong pixels", "delete")
+        monkeypatch.setitem(kernels._WAYS, way, wrong)
+        failed(examined("kernels"), "kernels", f"run by {way}", "wrong pixels", "delete")
 
     def test_interpreted_kernels(self, examined, monkeypatch):
         monkeypatch.setattr(kernels.numba.config, "DISABLE_JIT", 1)
