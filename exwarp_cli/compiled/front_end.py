@@ -15,15 +15,11 @@ from contextlib import contextmanager
 from typing import Any
 
 from llvmlite import binding  # type: ignore[import-untyped]
-from numba.core import event, types, utils
+from numba.core import utils
 from numba.core.compiler import CompilerBase
-from numba.core.compiler_machinery import PassManager
 from numba.core.ir import Inst, Loc, Var
-from numba.core.postproc import PostProcessor, VariableLifetime
 from numba.core.registry import cpu_target
 from numba.core.targetconfig import ConfigStack
-from numba.core.transforms import canonicalize_cfg
-from numba.core.typing.npydecl import NumpyRulesArrayOperator
 from numba.core.typing.templates import _OverloadFunctionTemplate
 from numba.np import linalg
 
@@ -38,8 +34,6 @@ def shorten() -> None:
     """Spare numba what it repeats, from now on; what it makes stays the same."""
     compiler: Any = CompilerBase
     compiler._compile_core = _collecting_rarely(compiler._compile_core)
-    manager: Any = PassManager
-    manager._runPass = _passing_plainly(manager._runPass)
     template: Any = _OverloadFunctionTemplate
     template._get_impl = _implementation
     for context in (cpu_target.target_context, cpu_target.typing_context):
@@ -48,12 +42,8 @@ def shorten() -> None:
         kind.install_registry = _installing_once(kind.install_registry)
     instruction: Any = Inst
     instruction._rec_list_vars = _listing_plainly(instruction._rec_list_vars)
-    processor: Any = PostProcessor
-    processor.run = _looking_later(processor.run)
     ordering: Any = utils
     ordering.order_by_target_specificity = _ordering_once(utils.order_by_target_specificity)
-    operators: Any = NumpyRulesArrayOperator
-    operators.generic = _asking_for_arrays(operators.generic)
     # Numba tells who may listen of every call of LLVM, and nobody does.
     binding.ffi.lib._lock._cblist.clear()
 
@@ -73,26 +63,6 @@ def _collecting_rarely(compile_core: Callable[[Any], Any]) -> Callable[[Any], An
             gc.set_threshold(*usual)
 
     return compiling
-
-
-def _passing_plainly(
-    run: Callable[[Any, int, Any, Any], None],
-) -> Callable[[Any, int, Any, Any], None]:
-    """Run a pass without its description, times and dumps, where nobody asked for any."""
-
-    @functools.wraps(run)
-    def passing(self: Any, index: int, step: Any, state: Any) -> None:
-        told = event._registered["numba:run_pass"] or any(
-            (self._print_after, self._print_before, self._print_wrap)
-        )
-        if told:
-            run(self, index, step, state)
-            return
-        step.analysis = self._analysis
-        for part in (step.run_initialization, step.run_pass, step.run_finalizer):
-            part(state)
-
-    return passing
 
 
 def _implementation(self: Any, args: Any, kws: Any) -> tuple[Any, Any]:
@@ -166,25 +136,6 @@ def _installing_once(install: Callable[[Any, Any], None]) -> Callable[[Any, Any]
     return installing
 
 
-def _looking_later(process: Callable[..., None]) -> Callable[..., None]:
-    """Find out which variables live at the beginning of blocks only for what needs it: generators.
-
-    Numba does nine times for each function; what else is asked for is found when it is.
-    """
-
-    @functools.wraps(process)
-    def processing(self: Any, emit_dels: bool = False, extend_lifetimes: bool = False) -> None:
-        code = self.func_ir
-        if emit_dels or code.is_generator:
-            process(self, emit_dels, extend_lifetimes)
-            return
-        code.blocks = canonicalize_cfg(code.blocks)
-        code.variable_lifetime = VariableLifetime(code.blocks)
-        code.generator_info = None
-
-    return processing
-
-
 def _ordering_once(order: Callable[..., list[Any]]) -> Callable[..., list[Any]]:
     """Keep in which order what a function may be typed by is tried."""
     known: dict[tuple[Any, ...], list[Any]] = {}
@@ -197,19 +148,6 @@ def _ordering_once(order: Callable[..., list[Any]]) -> Callable[..., list[Any]]:
         return known[key]
 
     return ordering
-
-
-def _asking_for_arrays(typing: Callable[..., Any]) -> Callable[..., Any]:
-    """Type an operator as one of arrays only where there is one: numba looks for that at last."""
-
-    @functools.wraps(typing)
-    def typed(self: Any, args: Any, kws: Any) -> Any:
-        plain = (arg.type if isinstance(arg, types.Optional) else arg for arg in args)
-        if any(isinstance(arg, types.ArrayCompatible) for arg in plain):
-            return typing(self, args, kws)
-        return None
-
-    return typed
 
 
 def _listing_plainly(
