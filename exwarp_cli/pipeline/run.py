@@ -168,17 +168,19 @@ class Run:
     def _interval(self, work: _Work) -> Iterator[None]:
         """Pass a key frame on, and make the slots after it, or take those that were begun.
 
-        Of those it yields before the last: the next interval is read and staged meanwhile, as one
-        slot leaves cores free, and takes less memory than several.
+        Of slots that were begun it yields before the first, so that the next interval is read and
+        staged meanwhile, and no core waits for slots to make; before the last where a next key
+        frame is looked ahead to, as two of them are in memory then.
         """
         loaded, staged, interval = work.loaded, work.staged, work.staged.interval
         if self.source.timeline.shows(loaded.key):
             self._pass_key(loaded)
         slots = self.source.timeline.made_of(loaded.key)
+        pause = slots[-1:] if self.method.lookahead else slots[:1]
         self.beside.begin(loaded, interval if len(staged.there) < len(slots) else None)
         self._scoring = self._scores(loaded, interval)
         for slot in slots:
-            if slot == slots[-1] and work.begun is not None:
+            if slot in pause and work.begun is not None:
                 yield
             if interval is None or slot in staged.there:
                 made = self._resume(slot, interval, loaded)
