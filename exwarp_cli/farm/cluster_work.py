@@ -36,8 +36,7 @@ KEPT_S = 300.0
 """Seconds that a job stays open, with its networks loaded, while no chunk of it comes."""
 
 _alone = threading.Lock()
-"""Numba's plain threading layer does not bear two threads that start parallel kernels, and chunks
-of one process would only take the cores from each other."""
+"""Chunks of one process would only take cores and memory from each other."""
 
 
 class SharedWatcher(Watcher, Protocol):
