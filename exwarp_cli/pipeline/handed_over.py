@@ -14,6 +14,15 @@ from exwarp_cli.domain.frame import GBuffer, KeyFrame
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.frames import read_raw
 from exwarp_cli.pipeline.source import Source
+from exwarp_cli.synthesis.methods import Method
+
+
+def looks_ahead_alone(method: Method) -> bool:
+    """Whether a method takes the next key frame and no older ones.
+
+    Of these, and of what a policy looks at, geometry is wanted as it was read.
+    """
+    return method.lookahead and not method.extrapolates
 
 
 class HandedOver:

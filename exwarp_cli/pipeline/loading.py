@@ -23,7 +23,7 @@ from exwarp_cli.io.template import read_template
 from exwarp_cli.pipeline.contents import Content
 from exwarp_cli.pipeline.early_frames import normals_tell, reads_late, run_roles, wants_normals
 from exwarp_cli.pipeline.estimating import Estimates
-from exwarp_cli.pipeline.handed_over import HandedOver
+from exwarp_cli.pipeline.handed_over import HandedOver, looks_ahead_alone
 from exwarp_cli.pipeline.instants import between, over_interval, stretched, without_surface
 from exwarp_cli.pipeline.late_frames import LateFrames
 from exwarp_cli.pipeline.layer_frames import LayerReader
@@ -77,7 +77,7 @@ class IntervalLoader:
         self._normals_tell = normals_tell(source.keys, source.cuts.detect)
         self._wants_normals = wants_normals(source.keys, method.extrapolates)
         self._ahead = None
-        if alone and known and method.lookahead and self._layers is None:
+        if alone and known and looks_ahead_alone(method) and self._layers is None:
             left_out = () if self._wants_normals else ("normal",)
             self._ahead = HandedOver(source, self._key_roles, left_out, self._shots.within)
 

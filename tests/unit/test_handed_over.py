@@ -10,8 +10,10 @@ import pytest
 
 from exwarp_cli.domain.frame import GBuffer, KeyFrame, Window
 from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
+from exwarp_cli.pipeline.bench.opened import EVERYTHING
 from exwarp_cli.pipeline.early_frames import Beginning
 from exwarp_cli.pipeline.geometry import Staging
+from exwarp_cli.pipeline.handed_over import looks_ahead_alone
 from exwarp_cli.pipeline.loaded import Loaded
 from exwarp_cli.pipeline.loading import IntervalLoader
 from exwarp_cli.pipeline.source import open_source
@@ -118,3 +120,11 @@ def test_nothing_is_read_twice_where_windows_are_alike(folder):
     for key in range(COUNT):
         given = load(in_a_row, key)
         staging.interval(replace(given, again=fail if given.again else None))
+
+
+def test_only_where_nothing_but_the_next_key_frame_is_wanted():
+    """A method of the benchmark looks ahead, extrapolates and asks a policy."""
+    assert looks_ahead_alone(METHODS["softsplat"])
+    for name in ("s6", "s1", "exwarp", "oracle"):
+        assert not looks_ahead_alone(METHODS[name])
+    assert not looks_ahead_alone(EVERYTHING)
