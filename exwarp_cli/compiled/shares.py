@@ -83,7 +83,7 @@ def _end(begun: Sequence[Future[None]]) -> None:
 @functools.cache
 def _pool() -> ThreadPoolExecutor:
     """Return the threads that help; they sleep while there is nothing to do."""
-    return ThreadPoolExecutor(os.cpu_count(), "exwarp-kernel")
+    return ThreadPoolExecutor(os.cpu_count(), "kernel")
 
 
 if hasattr(os, "register_at_fork"):

@@ -24,7 +24,7 @@ def parallel(text: Kernel) -> Kernel:
         Takes a share as its last argument, and runs through the
         :func:`~exwarp_cli.compiled.shares.turns` that it has.
     """
-    kernel = _build(text)
+    kernel = build(text)
 
     @functools.wraps(text)
     def run(*arguments: object) -> None:
@@ -35,7 +35,7 @@ def parallel(text: Kernel) -> Kernel:
 
 def serial(text: Kernel) -> Kernel:
     """Compile for one thread."""
-    kernel = _build(text)
+    kernel = build(text)
     if "share" not in inspect.signature(text).parameters:
         return kernel
 
@@ -47,7 +47,8 @@ def serial(text: Kernel) -> Kernel:
 
 
 @functools.cache
-def _build(text: Kernel) -> Kernel:
+def build(text: Kernel) -> Kernel:
+    """Return what Numba makes of a text, for any number of threads."""
     return builds.compiled(text)
 
 

@@ -14,17 +14,19 @@ import pytest
 
 from exwarp_cli.accel import kernel as accelerator
 from exwarp_cli.compiled import builds, cache
-from exwarp_cli.kernels import jit, parabola
+from exwarp_cli.compiled.shares import WHOLE
+from exwarp_cli.kernels import parabola
 
 ROOT = Path(__file__).parents[2]
 SCRIPT = """
 import numpy as np
 from exwarp_cli.accel import kernel as accelerator
-from exwarp_cli.kernels import parabola
+from exwarp_cli.kernels import jit, parabola
 out = np.zeros((4, 5, 2), np.float32)
+build = jit.build(parabola.parabola_text)
 for kernel in (parabola.parabola_serial, parabola.parabola):
     kernel(out + 1, out + 2, np.float32(0.5), out)
-    print(sum(kernel.stats.cache_misses.values()), float(out[0, 0, 0]))
+    print(sum(build.stats.cache_misses.values()), float(out[0, 0, 0]))
 states, outputs = np.ones((5, 1), np.int32), np.ones((5, 2), np.int32)
 weights, constants = np.zeros(4, np.int8), np.zeros((3, 3), np.int32)
 kernel = accelerator.decide_all
@@ -48,9 +50,9 @@ def places(monkeypatch, *paths: Path) -> tuple[Path, ...]:
 
 def run() -> tuple[int, int]:
     """Compile or load a kernel, see that it works; how often it was loaded and compiled."""
-    kernel: Any = jit.serial(parabola.parabola_text)
+    kernel: Any = builds.compiled(parabola.parabola_text)
     out = np.zeros((4, 5, 2), np.float32)
-    kernel(out + 1, out + 2, np.float32(0.5), out)
+    kernel(out + 1, out + 2, np.float32(0.5), out, WHOLE)
     assert (out == 0.5 * 0.5 * (2 - 1) + 0.5 * 0.25 * (2 + 1)).all()
     stats = kernel.stats
     return sum(stats.cache_hits.values()), sum(stats.cache_misses.values())
@@ -155,7 +157,7 @@ class TestNames:
     """A file's name says all that its content depends on."""
 
     def test_the_processor(self, folder, monkeypatch):
-        codegen = type(jit.serial(parabola.parabola_text).targetctx.codegen())
+        codegen = type(builds.compiled(parabola.parabola_text).targetctx.codegen())
         run()
         monkeypatch.setattr(codegen, "magic_tuple", lambda self: ("another", "cpu", ""))
         assert run() == (0, 1)
@@ -174,7 +176,7 @@ class TestNames:
     def test_the_build(self):
         one, other = (
             cache.KernelCache(parabola.parabola_text, {"parallel": wanted})._name(
-                (), jit.serial(parabola.parabola_text).targetctx.codegen()
+                (), builds.compiled(parabola.parabola_text).targetctx.codegen()
             )
             for wanted in (True, False)
         )
@@ -182,9 +184,9 @@ class TestNames:
 
     def test_the_types_of_arguments(self, folder):
         run()
-        kernel: Any = jit.serial(parabola.parabola_text)
+        kernel: Any = builds.compiled(parabola.parabola_text)
         out = np.zeros((4, 10, 2), np.float32)[:, ::2]
-        kernel(out + 1, out + 2, np.float32(0.5), out)
+        kernel(out + 1, out + 2, np.float32(0.5), out, WHOLE)
         assert len(list(folder.iterdir())) == 2
 
 
