@@ -26,18 +26,16 @@ COMMON: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapp
 off: NaN marks pixels without a value, and results must not depend on the build. C does not call
 kernels, so that they need no entry for it."""
 
-
 MAKERS = frozenset({"empty", "zeros", "ones", "full", "ascontiguousarray", "copy", "astype"})
 """Names of functions that make arrays."""
 
 
-def compiled(text: Kernel, **options: bool) -> Kernel:
+def compiled(text: Kernel) -> Kernel:
     """Compile on the first call, and keep the result on disk where that is possible."""
     assert isinstance(text, types.FunctionType)
-    common = COMMON | options
-    built: Any = numba.njit(text, **common)
+    built: Any = numba.njit(text, **COMMON)
     if isinstance(built, dispatcher.Dispatcher):  # and not the text: NUMBA_DISABLE_JIT
-        _keep(built, text, common)
+        _keep(built, text, COMMON)
     kernel: Kernel = built
     return kernel
 

@@ -2,8 +2,8 @@
 
 Numba links into each function that a kernel calls all those that this one calls, optimises it, and
 makes machine code of it, before the same is done with the kernel. With numba's own functions for
-arrays and the bodies of parallel loops these are eight for each kernel, and nobody else calls them:
-two fifths of the time of compilation.
+arrays these are several for each kernel, and nobody else calls them: a good part of the time of
+compilation.
 """
 
 # mypy: disable-error-code="no-untyped-call"
@@ -84,7 +84,6 @@ class DeferredLibrary(JITCodeLibrary):
         for name in self._shared or ():
             self._final_module.get_function(name).linkage = "external"
         for library in self._callees():
-            self._reload_init.update(library._reload_init)
             self._final_module.link_in(library._get_module_for_linking(), preserve=True)
         # Numba runs this once cheaply before, and others for each function, declarations too: a
         # quarter of the time more, for kernels that are no faster.

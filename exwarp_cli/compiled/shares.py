@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import Any
 
-from numba.extending import register_jitable
+from exwarp_cli.compiled.builds import part
 
 Share = tuple[int, int]
 
@@ -22,7 +22,7 @@ WHOLE: Share = (0, 1)
 """Which share of its turns a thread takes, and of how many: here all of them."""
 
 
-@register_jitable(error_model="numpy")
+@part
 def turns(count: int, share: Share) -> range:
     """Return the turns of a share: neighbours, as many as others have, or one more.
 
@@ -57,9 +57,10 @@ def run(kernel: Callable[..., None], arguments: Sequence[Any], shares: int) -> N
     if shares == 1:
         kernel(*arguments, WHOLE)
         return
-    submit = _pool().submit
-    others = [submit(kernel, *arguments, (number, shares)) for number in range(1, shares)]
+    others: list[Future[None]] = []
     try:
+        for number in range(1, shares):
+            others.append(_pool().submit(kernel, *arguments, (number, shares)))
         kernel(*arguments, (0, shares))
         for number, other in enumerate(others, 1):
             if other.cancel():

@@ -278,17 +278,9 @@ def find_motion(
         pairs = [(frame(numbers[i]), frame(numbers[i + 1])) for i in firsts]
         return calibrate(pairs, guess, names)
 
-    def measured(firsts: list[int]) -> MotionFinding:
-        with suppress(MotionError):
-            # Nearly always enough, and what most runs read first anyway.
-            finding = by(firsts[:1])
-            if finding.clear:
-                return finding
-        return by(firsts)
-
     firsts = pairs_within(len(numbers), lambda i: numbers[i] in starts)
     try:
-        return measured(firsts)
+        return _measured(by, firsts)
     except MotionError:
         if not detect or Role.COLOUR not in shot.layout:
             raise
@@ -297,7 +289,17 @@ def find_motion(
         )
         if others == firsts:
             raise
-        return measured(others)
+        return _measured(by, others)
+
+
+def _measured(by: Callable[[list[int]], MotionFinding], firsts: list[int]) -> MotionFinding:
+    """Measure by the first pair alone, which most runs read first anyway, where it tells all."""
+    if len(firsts) > 1:
+        with suppress(MotionError):
+            finding = by(firsts[:1])
+            if finding.clear:
+                return finding
+    return by(firsts)
 
 
 def _numbers_at(keys: Collection[int], timeline: Timeline, slot_number: FrameOf | None) -> set[int]:

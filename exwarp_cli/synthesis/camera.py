@@ -24,6 +24,9 @@ from exwarp_cli.synthesis.resection import Camera as Camera
 Index = npt.NDArray[np.intp]
 F64 = npt.NDArray[np.float64]
 
+MotionAt = Callable[[Index], Float32]
+"""Returns float32 [N, 2], pixels, the displacement of the pixels with N flat indices."""
+
 MAX_SAMPLES = 4000
 GRID = 5
 """How many pixels are looked at for each sample."""
@@ -118,12 +121,10 @@ def camera_after(scene: Scene, vectors: Float32, stencil: Int32 | None) -> Camer
     Camera or None
         In the scene's own world; None when none can be found.
     """
-    return _cameras(scene, (vectors,), stencil)[0]
+    return camera_by(scene, _found_in(vectors), stencil)
 
 
-def camera_by(
-    scene: Scene, motion_at: Callable[[Index], Float32], stencil: Int32 | None
-) -> Camera | None:
+def camera_by(scene: Scene, motion_at: MotionAt, stencil: Int32 | None) -> Camera | None:
     """Return a camera as `camera_after` does, by the motion of the points it looks at alone.
 
     Parameters
@@ -131,11 +132,9 @@ def camera_by(
     scene, stencil
         As there.
     motion_at
-        Returns float32 [N, 2], pixels, displacement of the pixels with N flat indices.
+        Displacement to the other frame.
     """
-    index = sample(scene.depth, stencil)
-    seen = pixels_at(index, scene.depth.shape[1]) + motion_at(index)
-    return fit(scene.points(index), seen, movers=stencil is None)
+    return _cameras(scene, (motion_at,), stencil)[0]
 
 
 def cameras_around(
@@ -160,24 +159,30 @@ def cameras_around(
     out = np.full((len(vectors), 2, 3, 4), np.nan)
     if scene is None:
         return out
-    for found, camera in zip(out, _cameras(scene, vectors, stencil), strict=True):
+    motions = [None if motion is None else _found_in(motion) for motion in vectors]
+    for found, camera in zip(out, _cameras(scene, motions, stencil), strict=True):
         if camera is not None:
             found[0], found[1, :, :3] = camera.matrix, _at_infinity(scene, camera)
             found[1, :, 3] = 1.0
     return out
 
 
+def _found_in(vectors: Float32) -> MotionAt:
+    """Return what finds displacements in a field of them, float32 [H, W, 2]."""
+    return vectors.reshape(-1, 2).__getitem__
+
+
 def _cameras(
-    scene: Scene, vectors: Sequence[Float32 | None], stencil: Int32 | None
+    scene: Scene, motions: Sequence[MotionAt | None], stencil: Int32 | None
 ) -> list[Camera | None]:
     """Return the cameras of several instants, all by the same points."""
     index = sample(scene.depth, stencil)
     points, pixels = scene.points(index), pixels_at(index, scene.depth.shape[1])
     return [
         None
-        if motion is None
-        else fit(points, pixels + motion.reshape(-1, 2)[index], movers=stencil is None)
-        for motion in vectors
+        if motion_at is None
+        else fit(points, pixels + motion_at(index), movers=stencil is None)
+        for motion_at in motions
     ]
 
 
