@@ -19,10 +19,6 @@ COLOURS, SHOWN = (13, 17, 21, 3), (16, 20, 24)
 """First of the planes that hold colour of the three frames and the filled one, and the planes of
 what the frames show."""
 
-SHOWN_COLOUR, MASK = 3, 6
-"""How many planes come first, of the newest frame's colour where it shows the surface, and where
-it does; that is the first of the planes of `SHOWN` again."""
-
 NEAREST = np.float32(np.finfo(np.float32).tiny)
 """Least median of the depths that anything is divided by."""
 
@@ -65,9 +61,9 @@ def set_all(value: np.float32, line: F32) -> None:
 
 @part
 def repeat_ends(columns: Columns, y: int, out: F32) -> None:
-    """Write what lies beyond the frame in row y of all planes that are written."""
+    """Write what lies beyond the frame in row y of all planes."""
     begin, end, _ = columns
-    for plane in range(SHOWN_COLOUR, out.shape[0]):
+    for plane in range(out.shape[0]):
         line = out[plane, y]
         for x in range(begin):
             line[x] = line[begin]
@@ -97,10 +93,15 @@ def write_shown(row: B8, columns: Columns, line: F32) -> None:
 
 
 @part
-def copy_line(line: F32, out: F32) -> None:
-    """Copy a line; as a slice, it took a second more to compile."""
-    for x in range(line.size):
-        out[x] = line[x]
+def write_shown_colour(y: int, out: F32) -> None:
+    """Write again what the newest frame shows, and its colour there alone."""
+    shown, again = out[SHOWN[0], y], out[6, y]
+    for x in range(shown.size):  # as a slice, it took a second more to compile
+        again[x] = shown[x]
+    for c in range(3):
+        line, made = out[COLOURS[0] + c, y], out[c, y]
+        for x in range(shown.size):
+            made[x] = line[x] * shown[x]
 
 
 @part
@@ -175,7 +176,7 @@ def spread_row(
     write_depth(depth.reshape(-1), at, columns, median, defaults[0], out[10, y])
     for k in range(2):
         write_share(materials[k].reshape(-1), at, columns, defaults[1 + k], out[11 + k, y])
-    copy_line(out[SHOWN[0], y], out[MASK, y])
+    write_shown_colour(y, out)
     repeat_ends(columns, y, out)
 
 
@@ -208,9 +209,8 @@ def spread_text(
     corner
         Row and column of the part's first pixel. What lies beyond the frame repeats its edge.
     out
-        float32 [25, h, w], written but for the first three planes: `warped`, `mask`, `features` and
-        `history` of `exwarp_cli.domain.extrapolator.NetworkInputs`. Those are others times the
-        mask, once colour is coded.
+        float32 [25, h, w], written: `warped`, `mask`, `features` and `history` of
+        `exwarp_cli.domain.extrapolator.NetworkInputs`.
     share
         Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
