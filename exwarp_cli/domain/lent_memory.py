@@ -25,13 +25,15 @@ import numpy.typing as npt
 LEAST = 1 << 20
 """Bytes from which memory is kept; below, the allocator keeps it itself."""
 
-LARGE = 4 * 2**20
-"""Pixels of a frame from which its memory may lie in files. Of 3840x2160 a key frame with all that
-networks see takes 1 GB, and four of them are at hand."""
+LARGE, HUGE = 2**20, 4 * 2**20
+"""Pixels of a frame from which its memory should lie in files: where a network extrapolates, and
+where one may have to. Of 3840x2160 a key frame with all that networks see takes 1 GB, and four of
+them are at hand; of 1920x1080 that fits, but not beside what extrapolating takes, while a warp of
+frames in files takes half as long again."""
 
 _rooms: weakref.WeakSet[mmap.mmap] = weakref.WeakSet()
 _adding = threading.Lock()
-_filed = False
+_filed_from: int | None = None
 
 _returned: deque[tuple[int, npt.NDArray[np.uint8]]] = deque()
 """What nobody holds any more, and since when. Its methods need no lock, which finalizers must not
@@ -70,23 +72,21 @@ def lent(shape: tuple[int, ...], dtype: npt.DTypeLike) -> np.ndarray:
     memory = _taken(size)
     if memory is None:
         _make_room(size)
-        memory = _fresh(size, filed=_filed and prod(shape[:2]) > LARGE)
+        memory = _fresh(size, filed=_lies_in_file(shape))
     loan = _Loan(memory, shape, kind)
     weakref.finalize(loan, _take_back, memory).atexit = False
     return np.asarray(loan)
 
 
-def file_large(yes: bool) -> None:
-    """Have the memory of large frames lie in files from now on, or no more."""
-    global _filed
-    _filed = yes
+def file_from(pixels: int | None) -> None:
+    """Have the memory of frames above so many pixels lie in files from now on; None for no more."""
+    global _filed_from
+    _filed_from = pixels
 
 
 def filed(array: np.ndarray) -> np.ndarray:
-    """Return a copy in such a file, where the array is large and others lie there; else itself."""
-    if not _filed or prod(array.shape[:2]) <= LARGE:
-        return array
-    return copied(array)
+    """Return a copy in such a file, where frames of that size lie there; else itself."""
+    return copied(array) if _lies_in_file(array.shape) else array
 
 
 def copied(array: np.ndarray) -> np.ndarray:
@@ -102,6 +102,10 @@ def rest() -> None:
         rooms = list(_rooms)
     for room in rooms:
         room.madvise(mmap.MADV_DONTNEED)
+
+
+def _lies_in_file(shape: tuple[int, ...]) -> bool:
+    return _filed_from is not None and prod(shape[:2]) > _filed_from
 
 
 def _fresh(size: int, filed: bool) -> npt.NDArray[np.uint8]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from exwarp_cli.domain.lent_memory import file_large
+from exwarp_cli.domain import lent_memory
 from exwarp_cli.domain.results import FrameRecord, InterpolatorSummary, NetworkSummary, RunSummary
 from exwarp_cli.io.allocator import share_one_arena
 from exwarp_cli.io.footage import close
@@ -208,10 +208,17 @@ def open_job(settings: UpsampleSettings, runs: bool = True) -> Job:
     )  # fmt: skip
 
 
+def _filed_from(method: Method) -> int | None:
+    """Return above how many pixels memory of frames lies in files."""
+    if not method.extrapolates:
+        return None
+    return lent_memory.HUGE if method.path is None else lent_memory.LARGE
+
+
 def _open_input(settings: UpsampleSettings, runs: bool) -> tuple[Method, tuple[Source, ...]]:
     """Open the input, and settle the method, which may depend on it."""
     named = None if settings.method is None else find_method(settings.method)
-    file_large((named or find_method(USUAL)).extrapolates)
+    lent_memory.file_from(_filed_from(named or find_method(USUAL)))
     run = None
     if runs:
         run = Beginning(settings.frames, named or find_method(USUAL))

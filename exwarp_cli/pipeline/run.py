@@ -152,6 +152,8 @@ class Run:
             shares |= {step: ms / len(slots) for step, ms in chosen.timing_ms.items()}
         self._broken = broken_in(loaded, self._broken) if len(there) < len(slots) else {}
         staged = Staged(interval, chosen, frozenset(there), shares, self._broken)
+        if self.method.judge is not None:
+            lent_memory.file_from(lent_memory.LARGE if staged.extrapolates else lent_memory.HUGE)
         if interval is not None and staged.extrapolates and loaded.late is not None:
             loaded = loaded.late(loaded)
             self._broken = broken_in(loaded, self._broken)

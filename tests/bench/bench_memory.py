@@ -23,6 +23,7 @@ HD, UHD = 1080, 2160
 GOALS = {
     ("s6", HD): 700.0,
     ("softsplat", HD): 700.0,
+    ("s3", HD): 2000.0,
     ("s6", UHD): 2000.0,
     ("softsplat", UHD): 2000.0,
     ("s3", UHD): 2000.0,

@@ -40,15 +40,14 @@ def interval(request, footage) -> Interval:
 @pytest.mark.parametrize("slot", [2, 3])
 def test_what_leaves_memory_between_steps_comes_back(interval, monkeypatch, slot):
     """As large frames do, which this one is not."""
-    monkeypatch.setattr(lent_memory, "LARGE", 0)
     monkeypatch.setattr(lent_memory, "LEAST", 0)
-    lent_memory.file_large(True)
+    lent_memory.file_from(0)
     try:
         resting = replace(interval)
         made = resting.extrapolated(slot)
         assert lent_memory._rooms
     finally:
-        lent_memory.file_large(False)
+        lent_memory.file_from(None)
         lent_memory.forget()
     np.testing.assert_array_equal(made, interval.extrapolated(slot))
 

@@ -15,9 +15,10 @@ import pytest
 
 from exwarp_cli.domain import lent_memory
 from exwarp_cli.domain.lent_memory import (
+    HUGE,
     LARGE,
     LEAST,
-    file_large,
+    file_from,
     filed,
     forget,
     lent,
@@ -125,9 +126,9 @@ WIDE = (LARGE // 1024 + 1, 1024)
 
 @pytest.fixture
 def _in_files() -> Iterator[None]:
-    file_large(True)
+    file_from(LARGE)
     yield
-    file_large(False)
+    file_from(None)
 
 
 def resident(array: np.ndarray) -> int:
@@ -164,6 +165,15 @@ def test_small_arrays_stay_where_they_are():
     before = len(lent_memory._rooms)
     lent(small.shape, np.float32)
     assert len(lent_memory._rooms) == before
+
+
+@pytest.mark.usefixtures("_in_files")
+def test_the_size_from_which_they_lie_there_can_change():
+    file_from(HUGE)
+    large = np.zeros(WIDE, np.uint8)
+    assert filed(large) is large
+    file_from(LARGE)
+    assert filed(large) is not large
 
 
 def test_without_being_told_nothing_lies_in_files():
