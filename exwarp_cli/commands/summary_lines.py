@@ -22,8 +22,6 @@ def summary_lines(
     scored
         Whether ground truth was given; None to tell by the scores that are there.
     """
-    from exwarp_cli.report.page_parts import cuts_line
-
     frames, fps, quality = document["frames"], document["fps"], document["quality"]["all"]
     effective = "" if fps["effective"] is None else f", effective {fps['effective']:g}"
     lines = [
@@ -32,6 +30,8 @@ def summary_lines(
         f"{fps['base']:g} fps in, {fps['output']:g} out{effective}",
     ]
     if document["cuts"]:
+        from exwarp_cli.report.page_parts import cuts_line
+
         lines.append(cuts_line(document["cuts"]))
     taken = {name: count for name, count in document["decisions"]["paths"].items() if count}
     if taken:

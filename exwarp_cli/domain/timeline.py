@@ -203,9 +203,12 @@ def listed(text: str) -> list[Any]:
 
 def ranges(numbers: Collection[int]) -> str:
     """Write frame numbers compactly, for messages: ``1-4,7``."""
+    ordered = sorted(set(numbers))
+    if not ordered or ordered[-1] - ordered[0] == len(ordered) - 1:  # most often, and at once
+        return "-".join(str(number) for number in dict.fromkeys(ordered[:1] + ordered[-1:]))
     from fileseq.frameset import FrameSet
 
-    return str(FrameSet(sorted(set(numbers)))) if numbers else ""
+    return str(FrameSet(ordered))
 
 
 def _missing(gaps: list[tuple[int, int]], step: int) -> str:
