@@ -22,8 +22,16 @@ import click
 
 from exwarp_cli import __version__
 from exwarp_cli.domain.line import one_line
-from exwarp_cli.errors import INTERRUPTED, ExwarpError, OutputError, system_error
+from exwarp_cli.errors import (
+    INTERRUPTED,
+    DamagedFileError,
+    ExwarpError,
+    OutOfMemoryError,
+    OutputError,
+    system_error,
+)
 from exwarp_cli.io.standard_streams import prepare_streams
+from exwarp_cli.io.supervision import HANDED_ON, LIMIT_VARIABLE, End, limit, part
 
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
@@ -53,8 +61,8 @@ The command line wins over the environment, that over the file of this folder or
 that over USERS_FILE. --no-NAME takes back what these say of --NAME, and 'exwarp doctor' shows it.
 
 Exit codes: 0 done, 2 options, 3 input, 4 motion convention unknown, 5 output, 6 frames in the way,
-7 missing extra, 8 quality below a limit, 9 cluster, 10 installation, 130 interrupted, 143
-terminated, 1 a defect of ExWarp.
+7 missing extra, 8 quality below a limit, 9 cluster, 10 installation, 11 out of memory, 130
+interrupted, 143 terminated, 1 a defect of ExWarp.
 """.replace("USERS_FILE", f"{click.get_app_dir('exwarp')}/exwarp.toml")
 
 DEFECT = 1
@@ -137,12 +145,49 @@ def main() -> NoReturn:
     # every 700 objects took a tenth of the time of importing it.
     gc.set_threshold(50_000)
     prepare_streams()
-    code = run(sys.argv[1:])
+    args = sys.argv[1:]
+    # What prints help and completions reads no files.
+    end = part() if args and args[0] in COMMANDS and not {"-h", "--help"} & set(args) else None
+    code = run(args) if end is None else _told(end, args)
     try:
         sys.stdout.flush()
     except OutputError as error:
         code = code or _fail(str(error), error.exit_code)
     sys.exit(code)
+
+
+def _told(end: End, args: list[str]) -> int:
+    """Say how the process that worked ended, where it could not; return the exit code."""
+    if end.code is not None:
+        return end.code
+    if end.signal in HANDED_ON:
+        signal.signal(end.signal, signal.SIG_DFL)
+        os.kill(os.getpid(), end.signal)
+    after, files = _afterwards(args), " or ".join(str(path) for path in end.reading)
+    if end.overdue:
+        return _fail(
+            f"reading {files} took longer than {LIMIT_VARIABLE} allows ({limit():g} s), so it was "
+            f"ended; render or copy that file again, or allow more; {after}",
+            DamagedFileError.exit_code,
+        )
+    if end.signal == signal.SIGKILL:
+        return _fail(
+            "the process that worked was killed, as systems do that run out of memory; close other "
+            f"programs, or use fewer threads; {after}",
+            OutOfMemoryError.exit_code,
+        )
+    name = signal.Signals(end.signal).name
+    if end.reading:
+        return _fail(
+            f"a library crashed ({name}) while it read {files}; render or copy that file again; "
+            f"{after}",
+            DamagedFileError.exit_code,
+        )
+    return _fail(
+        f"a library crashed ({name}); this is a defect of ExWarp or of what it uses, please report "
+        f"it; {after}",
+        DEFECT,
+    )
 
 
 def run(args: list[str]) -> int:
@@ -162,7 +207,8 @@ def run(args: list[str]) -> int:
         return _fail(f"terminated; {_afterwards(args)}", TERMINATED)
     except MemoryError:
         return _fail(
-            "the memory does not suffice; close other programs, or use fewer threads", DEFECT
+            "the memory does not suffice; close other programs, or use fewer threads",
+            OutOfMemoryError.exit_code,
         )
     except OSError as error:
         known = system_error(error)

@@ -15,6 +15,7 @@
       QualityError              8   a quality worse than a limit that the user set
       ClusterError              9   a cluster that cannot be reached, or that loses its workers
       InstallationError        10   an installation in which something does not work
+      OutOfMemoryError         11   more memory is needed than there is
 
 A message says what is wrong, where (the file, frame or option), and what to do about it, in one
 sentence. Exit code 0 means that all went well, 1 is left for defects of ExWarp itself, 130 means
@@ -98,6 +99,12 @@ class InstallationError(ExwarpError):
     """Something that ExWarp needs does not work on this machine."""
 
     exit_code = 10
+
+
+class OutOfMemoryError(ExwarpError):
+    """More memory is needed than there is."""
+
+    exit_code = 11
 
 
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG)

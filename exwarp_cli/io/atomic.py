@@ -271,4 +271,13 @@ def _is_alive(pid: int) -> bool:
         return False
     except (PermissionError, OverflowError):
         return True
-    return True
+    return not _has_ended(pid)
+
+
+def _has_ended(pid: int) -> bool:
+    """Whether a process that still has a number only waits for somebody to ask how it ended."""
+    try:
+        status = Path(f"/proc/{pid}/stat").read_bytes()
+    except OSError:  # no Linux, or it has just gone
+        return False
+    return status.rpartition(b")")[2].split()[:1] in ([b"Z"], [b"X"])

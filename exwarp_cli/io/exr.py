@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import OpenImageIO as oiio
 
+from exwarp_cli.domain.being_read import being_read
 from exwarp_cli.domain.frame import Window
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, MissingFrameError
 from exwarp_cli.io.exr_decoding import ScanLines, Wanted
@@ -99,7 +100,8 @@ class ExrReader:
         if not path.exists():
             raise MissingFrameError(f"{path} does not exist; check the path or render the frame")
         try:
-            file = oiio.ImageInput.open(str(path))
+            with being_read(path):
+                file = oiio.ImageInput.open(str(path))
         except TypeError as error:  # what the bindings make of bytes that are no text
             raise InputError(
                 f"cannot read {path}: its name or a folder's is not valid UTF-8; rename that"
@@ -169,12 +171,13 @@ class ExrReader:
             raise deep_only(self.path)
         out: dict[Channel, np.ndarray] = {}
         left: list[Channel] = []
-        for members, pixels in zip(wanted.values(), self._decoded(wanted), strict=True):
-            if pixels is None:
-                left += members
-            else:
-                out |= {channel: pixels[..., i] for i, channel in enumerate(members)}
-        return out | self._by_openimageio(left)
+        with being_read(self.path):
+            for members, pixels in zip(wanted.values(), self._decoded(wanted), strict=True):
+                if pixels is None:
+                    left += members
+                else:
+                    out |= {channel: pixels[..., i] for i, channel in enumerate(members)}
+            return out | self._by_openimageio(left)
 
     def _decoded(
         self, wanted: Mapping[tuple[int, int, bool], Sequence[Channel]]

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from exwarp_cli.domain import cores
+from exwarp_cli.domain.being_read import being_read
 from exwarp_cli.domain.extrapolator import INPUTS, OUTPUT, TIME, Inputs, NetworkInputs
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.domain.lent_memory import lent, rest
@@ -144,7 +145,8 @@ class OnnxNetwork:
         most = height * width // (stride**2 * PIXELS_PER_THREAD)
         session = self._session(max(1, min(self._threads, most)) if self.device == "cpu" else 1)
         try:
-            (out,) = session.run([output], feeds, self._giving_back if last else None)
+            with being_read(self.path):
+                (out,) = session.run([output], feeds, self._giving_back if last else None)
         except _failures() as error:
             if "alloc" in str(error):
                 raise MemoryError from error
@@ -292,9 +294,10 @@ def open_session(path: Path, data: bytes, threads: int, device: str) -> Any:
     cuda = (CUDA, {"cudnn_conv_algo_search": "HEURISTIC", "use_tf32": "0"})
     providers = [cuda] if device == "cuda" else []
     try:
-        session = runtime.InferenceSession(
-            data, options, providers=[*providers, "CPUExecutionProvider"], enable_fallback=False
-        )
+        with being_read(path):
+            session = runtime.InferenceSession(
+                data, options, providers=[*providers, "CPUExecutionProvider"], enable_fallback=False
+            )
     except _failures() as error:
         raise unusable(path, data, error) from error
     if device == "cuda" and CUDA not in session.get_providers():

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import OpenImageIO as oiio
 
+from exwarp_cli.domain.being_read import being_read
 from exwarp_cli.domain.curves import FILM, LINEAR, SRGB, Curve
 from exwarp_cli.domain.frame import Float32, Image, Window
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, UsageError
@@ -190,13 +191,14 @@ def _opened(path: Path) -> Iterator[Any]:
         raise _damaged(path, "")  # its decoder would print that too
     hint = oiio.ImageSpec()
     hint.attribute("oiio:UnassociatedAlpha", 1)
-    file = oiio.ImageInput.open(str(path), hint)
-    if file is None:
-        raise _damaged(path, oiio.geterror())
-    try:
-        yield file
-    finally:
-        file.close()
+    with being_read(path):
+        file = oiio.ImageInput.open(str(path), hint)
+        if file is None:
+            raise _damaged(path, oiio.geterror())
+        try:
+            yield file
+        finally:
+            file.close()
 
 
 def _ends(path: Path) -> bool:

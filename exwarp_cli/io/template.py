@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import OpenEXR
 
+from exwarp_cli.domain.being_read import being_read
 from exwarp_cli.domain.frame import Float32, Window
 from exwarp_cli.errors import InputError, LayoutError
 from exwarp_cli.io.channel_rows import Channel as Written
@@ -250,11 +251,12 @@ def read_headers(path: Path) -> list[dict[str, Any]]:
         When a header cannot be read.
     """
     try:
-        try:
-            return _headers(str(path))
-        except UnicodeDecodeError:
-            data, otherwise = in_utf8(path.read_bytes())
-            headers = _headers(io.BytesIO(data))
+        with being_read(path):
+            try:
+                return _headers(str(path))
+            except UnicodeDecodeError:
+                data, otherwise = in_utf8(path.read_bytes())
+                headers = _headers(io.BytesIO(data))
     except (RuntimeError, ValueError, OSError) as error:
         raise damaged(path, str(error)) from error
     for (part, name), text in otherwise.items():
