@@ -11,6 +11,8 @@ import click
 from exwarp_cli.commands.json_option import json_option, print_json
 from exwarp_cli.commands.metrics_option import metrics_option
 from exwarp_cli.commands.progress_option import HELP, progress_option
+from exwarp_cli.commands.source_options import max_pixels_option
+from exwarp_cli.domain.bounds import allow
 from exwarp_cli.domain.metric import METRICS
 from exwarp_cli.domain.settings import PRESETS, MeasureSettings
 from exwarp_cli.domain.threshold import Threshold, parse_threshold
@@ -31,6 +33,7 @@ def _limits(
 @click.argument("test", metavar="B")
 @click.option("--view", default="", metavar="NAME", help="Compare this view of stereo frames.")
 @click.option("--frames", metavar="RANGE", help="Compare these frames only, by A's numbers.")
+@max_pixels_option
 @click.option(
     "--holes",
     metavar="SEQ",
@@ -71,6 +74,7 @@ def command(
     test: str,
     view: str,
     frames: str | None,
+    max_pixels: int,
     holes: str | None,
     folder: Path | None,
     metrics: tuple[str, ...] | None,
@@ -95,6 +99,7 @@ def command(
     from exwarp_cli.report.gallery import Gallery
     from exwarp_cli.report.thresholds import require_quality
 
+    allow(max_pixels)
     kind = progress or ("bar" if sys.stderr.isatty() else "none")
     with reporting(kind, results_on_stdout=as_json) as told:
         if folder is not None:

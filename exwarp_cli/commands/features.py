@@ -35,6 +35,7 @@ def command(
     aovs: tuple[str, ...],
     channel_map: str | None,
     dynamic: str | None,
+    max_pixels: int,
     cuts: str,
     frames: str | None,
     threads: int | None,
@@ -59,7 +60,7 @@ def command(
     with reporting(progress, results_on_stdout=True) as told:
         settings = SourceSettings(
             sequence, gbuffers, motion, view=view, aovs=aovs, channel_map=channel_map, cuts=cuts,
-            dynamic=dynamic,
+            dynamic=dynamic, max_pixels=max_pixels,
         )  # fmt: skip
         rows = features(settings, frames, told)
         if as_json:

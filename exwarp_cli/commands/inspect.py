@@ -35,6 +35,7 @@ def command(
     aovs: tuple[str, ...],
     channel_map: str | None,
     dynamic: str | None,
+    max_pixels: int,
     write_map: Path | None,
     overwrite: bool,
     as_json: bool,
@@ -49,7 +50,13 @@ def command(
 
     found = inspect(
         SourceSettings(
-            sequence, motion=motion, view=view, aovs=aovs, channel_map=channel_map, dynamic=dynamic
+            sequence,
+            motion=motion,
+            view=view,
+            aovs=aovs,
+            channel_map=channel_map,
+            dynamic=dynamic,
+            max_pixels=max_pixels,
         )
     )
     if write_map is not None:

@@ -7,13 +7,24 @@ from typing import Any, TypeVar
 
 import click
 
+from exwarp_cli.domain.bounds import MOST_PIXELS
+
 Command = TypeVar("Command", bound=Callable[..., Any])
+
+max_pixels_option = click.option(
+    "--max-pixels",
+    type=click.IntRange(1),
+    default=MOST_PIXELS,
+    show_default="2^28",
+    metavar="N",
+    help="Refuse frames that say they have more pixels.",
+)
 
 
 def source_options(command: Command) -> Command:
-    """Add --view, --aov, --channel-map, --dynamic.
+    """Add --view, --aov, --channel-map, --dynamic, --max-pixels.
 
-    The command takes `view`, `aovs`, `channel_map` and `dynamic`.
+    The command takes `view`, `aovs`, `channel_map`, `dynamic` and `max_pixels`.
     """
     for option in reversed(
         [
@@ -45,6 +56,7 @@ def source_options(command: Command) -> Command:
                 help="What moves, by names in the Cryptomatte's manifest, for example 'car*,ball'; "
                 "its ids tell objects apart then. 'exwarp inspect' lists names.",
             ),
+            max_pixels_option,
         ]
     ):
         command = option(command)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from fractions import Fraction
 
+from exwarp_cli.domain.bounds import MOST_PIXELS
 from exwarp_cli.domain.cuts import AUTO
 from exwarp_cli.domain.metric import DEFAULT_METRICS, METRICS
 from exwarp_cli.domain.threshold import Threshold
@@ -45,6 +46,8 @@ class SourceSettings:
     dynamic
         What moves, by names in a Cryptomatte's manifest as ``--dynamic`` takes them; None where
         nothing is said.
+    max_pixels
+        Pixels that a frame may have.
     """
 
     sequence: str
@@ -60,6 +63,7 @@ class SourceSettings:
     channel_map: str | None = None
     cuts: str = AUTO
     dynamic: str | None = None
+    max_pixels: int = MOST_PIXELS
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
+from exwarp_cli.domain.bounds import require_size
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.errors import DamagedFileError, InputError
 from exwarp_cli.io.clip_timing import Pacing, Packets, pace, read_packets
@@ -230,6 +231,7 @@ def open_clip(path: Path) -> Clip:
     except FfmpegError as error:
         raise damaged_clip(path, str(error)) from error
     seen = _Seen.parse(path, said)
+    require_size(path, *seen.size)
     sound = None
     if seen.codecs:
         sound = Soundtrack(path, seen.codecs, max(packets.time(0), Fraction(0)))

@@ -16,6 +16,7 @@ import numpy as np
 import OpenImageIO as oiio
 
 from exwarp_cli.domain.being_read import being_read
+from exwarp_cli.domain.bounds import require_size
 from exwarp_cli.domain.frame import Window
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, MissingFrameError
 from exwarp_cli.io.exr_decoding import ScanLines, Wanted
@@ -136,6 +137,9 @@ class ExrReader:
             specs.append(spec)
         if not specs:
             raise damaged(self.path, "it holds no image")
+        for spec in specs:
+            require_size(self.path, spec.width, spec.height)
+            require_size(self.path, spec.full_width, spec.full_height)
         return _told_apart([_part(i, spec, len(specs) > 1) for i, spec in enumerate(specs)])
 
     @property

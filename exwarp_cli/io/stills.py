@@ -19,6 +19,7 @@ import numpy as np
 import OpenImageIO as oiio
 
 from exwarp_cli.domain.being_read import being_read
+from exwarp_cli.domain.bounds import require_size
 from exwarp_cli.domain.curves import FILM, LINEAR, SRGB, Curve
 from exwarp_cli.domain.frame import Float32, Image, Window
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, UsageError
@@ -196,6 +197,7 @@ def _opened(path: Path) -> Iterator[Any]:
         if file is None:
             raise _damaged(path, oiio.geterror())
         try:
+            require_size(path, file.spec().width, file.spec().height)
             yield file
         finally:
             file.close()

@@ -6,6 +6,7 @@ from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
+from exwarp_cli.domain.bounds import allow
 from exwarp_cli.domain.settings import DEFAULT_FPS, SourceSettings
 from exwarp_cli.errors import LayoutError, UsageError
 from exwarp_cli.io.aov_files import AovFile, parse_aovs
@@ -37,6 +38,7 @@ def open_keys(settings: SourceSettings) -> tuple[Shot, SourceSettings]:
     UsageError
         When the map's motion is not understood.
     """
+    allow(settings.max_pixels)
     shot = _measured(open_shot(settings.sequence, settings.view, *_said(settings)))
     told = shot.channel_map
     if told is None or told.motion is None or settings.motion or settings.gbuffers:
@@ -64,6 +66,7 @@ def open_plain(settings: SourceSettings) -> Shot | None:
     UsageError
         When options are given that say how EXR is read.
     """
+    allow(settings.max_pixels)
     sequence = find_plain(settings.sequence)
     if sequence is None:
         return None
