@@ -22,7 +22,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 # What whoever runs the tests has set for themselves is no part of them.
 for name in [name for name in os.environ if name.startswith("EXWARP_")]:
-    if name not in ("EXWARP_ARTEFACTS", "EXWARP_BLENDER", "EXWARP_CHROMIUM"):
+    if name not in ("EXWARP_ARTEFACTS", "EXWARP_BLENDER", "EXWARP_CHROMIUM", "EXWARP_FAULTS"):
         del os.environ[name]
 os.environ["EXWARP_CONFIG"] = "none"
 
