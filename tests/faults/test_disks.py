@@ -86,7 +86,7 @@ class TestDisks:
 
     def test_full_of_a_video(self, keys, undisturbed, small_disk, tmp_path):
         out, video = tmp_path / "out", small_disk / "film.mp4"
-        (small_disk / "filler").write_bytes(bytes(124 * 1024))
+        (small_disk / "filler").write_bytes(bytes(128 * 1024))
         run("upsample", keys, "-o", out, *PLAIN, "--video", video).judge(OUTPUT)
         assert shots.names(small_disk) == ["filler"]
 

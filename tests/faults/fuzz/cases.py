@@ -1,0 +1,119 @@
+"""One case: a spoilt shot, a command that reads it, and what must hold whatever comes of it."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+from typing import NoReturn
+
+from hypothesis import strategies as st
+
+from exwarp_cli import cli
+from exwarp_cli.io.output import is_intact
+from tests.cli import shots
+from tests.faults.fuzz.damage import DAMAGES, FOLDERS, Draw, draw_shot
+from tests.faults.running import Outcome, require_no_leftovers
+
+SECONDS = 20
+"""After which a case counts as one that hangs."""
+
+VECTORS = ("--motion", "previous=X,-Y next=-Z,W")
+METHODS = ("s6", "softsplat", "exwarp", "s3", "blend", "hold")
+
+
+@dataclass(frozen=True)
+class Case:
+    """A command line and the folder in which everything of it lies."""
+
+    root: Path
+    arguments: tuple[str, ...]
+
+    @property
+    def out(self) -> Path:
+        """Where it writes frames."""
+        return self.root / "out"
+
+    def judge(self, outcome: Outcome) -> None:
+        """Refuse what no command may do, whatever it reads."""
+        outcome.judge()
+        require_no_leftovers(self.out)
+        keys = next(path for path in self.root.iterdir() if path.name != "out")
+        rendered = {path.read_bytes() for path in keys.glob("*.exr") if path.is_file()}
+        for name, data in shots.contents(self.out).items():
+            assert data in rendered or is_intact(data), name
+
+
+@contextmanager
+def drawn(draw: Draw) -> Iterator[Case]:
+    """Draw a case; its files go with the block."""
+    root = Path(tempfile.mkdtemp(prefix="exwarp-fuzz-"))
+    try:
+        keys = root / draw(st.sampled_from(FOLDERS))
+        draw_shot(draw, keys)
+        for damage in draw(st.lists(st.sampled_from(DAMAGES), min_size=1, max_size=2)):
+            if list(keys.glob("*.exr")):
+                with suppress(OSError, RuntimeError):  # links, folders, what is not even written
+                    damage(draw, keys)
+        yield Case(root, _command(draw, keys, root / "out"))
+    finally:
+        shutil.rmtree(root, ignore_errors=True)
+
+
+def _command(draw: Draw, keys: Path, out: Path) -> tuple[str, ...]:
+    name = draw(st.sampled_from(["upsample", "upsample", "upsample", "inspect", "features"]))
+    spec = str(keys) if draw(st.booleans()) else str(keys / "shot.####.exr")
+    motion = VECTORS if draw(st.booleans()) else ()
+    bound = ("--max-pixels", "1000000")
+    if name != "upsample":
+        return (name, spec, *motion, *bound)
+    more = draw(
+        st.sampled_from(
+            [(), ("--cuts", "none"), ("--layers", "all"), ("--no-tail",), ("--skip-existing",),
+             ("--threads", "1"), ("--frames", "2")]
+        )
+    )  # fmt: skip
+    method = draw(st.sampled_from(METHODS))
+    quiet = ("--progress", "none")
+    return (name, spec, "-o", str(out), "-m", method, *motion, *bound, *more, *quiet)
+
+
+class Hangs(BaseException):
+    """A case took too long."""
+
+
+def in_process(case: Case) -> Outcome:
+    """Run a case's command in this process; what libraries print past Python counts as well."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
+        kept = os.dup(1), os.dup(2)
+        before = signal.signal(signal.SIGALRM, _hang)
+        signal.alarm(SECONDS)
+        try:
+            os.dup2(out.fileno(), 1)
+            os.dup2(err.fileno(), 2)
+            code = cli.run(list(case.arguments))
+        finally:
+            signal.alarm(0)
+            signal.signal(signal.SIGALRM, before)
+            sys.stdout.flush()
+            sys.stderr.flush()
+            for number, stream in zip(kept, (1, 2), strict=True):
+                os.dup2(number, stream)
+                os.close(number)
+        for file in (out, err):
+            file.seek(0)
+        texts = [file.read().decode("utf-8", "replace") for file in (out, err)]
+    return Outcome(code, *texts)
+
+
+def _hang(_number: int, _frame: FrameType | None) -> NoReturn:
+    raise Hangs(f"longer than {SECONDS} s")
