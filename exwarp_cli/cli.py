@@ -13,6 +13,7 @@ import signal
 import sys
 import threading
 import traceback
+import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from types import FrameType
@@ -145,6 +146,9 @@ def main() -> NoReturn:
     # every 700 objects took a tenth of the time of importing it.
     gc.set_threshold(50_000)
     prepare_streams()
+    if not _debugs():
+        # Of values that no renderer means numpy says that they overflow, with a line of code.
+        warnings.simplefilter("ignore")
     args = sys.argv[1:]
     # What prints help and completions reads no files.
     end = part() if args and args[0] in COMMANDS and not {"-h", "--help"} & set(args) else None
@@ -219,6 +223,11 @@ def run(args: list[str]) -> int:
         return _defect(error)
 
 
+def _debugs() -> bool:
+    """Whether details are wanted, for a report of a defect."""
+    return os.environ.get("EXWARP_DEBUG", "0") not in ("", "0")
+
+
 def _defect(error: Exception) -> int:
     return _fail(
         f"unexpected {type(error).__name__}: {error}; this is a defect of ExWarp, please report it "
@@ -239,7 +248,7 @@ def _afterwards(args: list[str]) -> str:
 
 
 def _fail(sentence: str, code: int) -> int:
-    if os.environ.get("EXWARP_DEBUG", "0") not in ("", "0"):
+    if _debugs():
         traceback.print_exc()
     if sentence:
         click.echo(f"exwarp: error: {one_line(sentence)}", err=True)

@@ -31,3 +31,18 @@ def require_size(path: Path, width: int, height: int) -> None:
             f"{path} says that it is {width}x{height} pixels, more than --max-pixels {_most}; "
             "render or copy it again if it is not, or allow more"
         )
+
+
+def require_canvas(what: object, width: int, height: int) -> None:
+    """Refuse windows that lie so far apart that no frame may be as large as what holds them all.
+
+    Raises
+    ------
+    LayoutError
+        When they do.
+    """
+    if width * height > _most:
+        raise LayoutError(
+            f"the data and display windows of {what} lie in {width}x{height} pixels, more than "
+            f"--max-pixels {_most}; correct them, or allow more"
+        )

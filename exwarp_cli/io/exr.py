@@ -16,7 +16,7 @@ import numpy as np
 import OpenImageIO as oiio
 
 from exwarp_cli.domain.being_read import being_read
-from exwarp_cli.domain.bounds import require_size
+from exwarp_cli.domain.bounds import require_canvas, require_size
 from exwarp_cli.domain.frame import Window
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, MissingFrameError
 from exwarp_cli.io.exr_decoding import ScanLines, Wanted
@@ -140,7 +140,11 @@ class ExrReader:
         for spec in specs:
             require_size(self.path, spec.width, spec.height)
             require_size(self.path, spec.full_width, spec.full_height)
-        return _told_apart([_part(i, spec, len(specs) > 1) for i, spec in enumerate(specs)])
+        parts = [_part(i, spec, len(specs) > 1) for i, spec in enumerate(specs)]
+        for part in parts:
+            height, width = part.data_window.union(part.display_window).shape
+            require_canvas(self.path, width, height)
+        return _told_apart(parts)
 
     @property
     def headers(self) -> list[dict[str, object]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
+from exwarp_cli.domain.bounds import require_canvas
 from exwarp_cli.domain.frame import GBuffer, KeyFrame, Window, place
 from exwarp_cli.synthesis.optical_flow import Flow, estimate, moving
 
@@ -75,6 +76,8 @@ class Estimates:
             images = self.frame(key).image, self.frame(key + 1).image
             windows = images[0].data_window, images[1].data_window
             canvas = windows[0].union(windows[1])
+            height, width = canvas.shape
+            require_canvas(f"frame {self.frame(key).number} and the next one", width, height)
             there, back = estimate(*(image.on(canvas).pixels for image in images))
             self._flows[key] = _on(there, canvas, windows[0]), _on(back, canvas, windows[1])
         return self._flows[key]

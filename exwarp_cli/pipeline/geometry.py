@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+from exwarp_cli.domain.bounds import require_canvas
 from exwarp_cli.domain.extrapolator import HISTORY, Extrapolator
 from exwarp_cli.domain.frame import SURFACE_PARTS, Float32, GBuffer, KeyFrame, Window
 from exwarp_cli.domain.interpolator import Interpolator
@@ -67,6 +68,8 @@ class Staging:
         canvas = self._display.union(loaded.frame.image.data_window)
         if loaded.following is not None:
             canvas = canvas.union(loaded.following.image.data_window)
+        height, width = canvas.shape
+        require_canvas(f"frame {loaded.frame.number} and the next one", width, height)
         ids = self._moving.of(loaded, canvas)
         return self._settled(with_stencils(loaded, ids), (canvas, ids))
 

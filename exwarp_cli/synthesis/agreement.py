@@ -210,8 +210,8 @@ def _blocks(values: np.ndarray) -> np.ndarray:
     """Return [h, w, C] as blocks [N, cells, C]; an incomplete last row or column is left out."""
     rows, columns = values.shape[0] // BLOCK, values.shape[1] // BLOCK
     whole = values[: rows * BLOCK, : columns * BLOCK]
-    split = whole.reshape(rows, BLOCK, columns, BLOCK, -1).swapaxes(1, 2)
-    return split.reshape(rows * columns, BLOCK * BLOCK, -1)
+    split = whole.reshape(rows, BLOCK, columns, BLOCK, values.shape[2]).swapaxes(1, 2)
+    return split.reshape(rows * columns, BLOCK * BLOCK, values.shape[2])
 
 
 def _without_plane(values: F64, mask: np.ndarray) -> F64:

@@ -1,0 +1,163 @@
+"""Many spoilt shots, two processes side by side; goes on where it was stopped.
+
+``python -m tests.faults.fuzz [--state FOLDER] [--hypothesis N] [--atheris N] [--command N]``
+
+In process, cases are drawn by hypothesis, and by atheris, which looks for inputs that reach code no
+input reached before. Through the command each has a process of its own. Every one has to end in
+success, or in one sentence and a documented exit code, in time, without partial files and within
+the memory of a small machine. Cases come in batches; a batch that is done is kept in FOLDER and
+not run again, and what failed is told at the end with what makes it again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import resource
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+BATCH = {"hypothesis": 250, "atheris": 250, "command": 25}
+SECONDS = 1800
+"""After which a batch counts as one that hangs: its cases have bounds of their own."""
+
+MEMORY_MB = 2500
+"""What a process of one batch may have had at its peak; a case in a bare process takes 300."""
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Cases that are drawn from one seed."""
+
+    kind: str
+    seed: int
+    cases: int
+
+    @property
+    def name(self) -> str:
+        """Of the file that says that it is done."""
+        return f"{self.kind}-{self.seed:04d}-{self.cases}"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser("tests.faults.fuzz", description=__doc__)
+    parser.add_argument("--state", type=Path, default=Path("build/fuzz"), help="what is done")
+    for kind, default in (("hypothesis", 9000), ("atheris", 1500), ("command", 500)):
+        parser.add_argument(f"--{kind}", type=int, default=default, help="cases")
+    parser.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)))
+    parser.add_argument("--batch", nargs=3, metavar=("KIND", "SEED", "CASES"), help="this alone")
+    options = parser.parse_args(arguments)
+    if options.batch:
+        kind, seed, cases = options.batch
+        return _work(Batch(kind, int(seed), int(cases)))
+    options.state.mkdir(parents=True, exist_ok=True)
+    wanted = [
+        Batch(kind, seed, min(size, getattr(options, kind) - seed * size))
+        for kind, size in BATCH.items()
+        for seed in range(-(-getattr(options, kind) // size))
+    ]
+    return _run_all(wanted, options.state, options.jobs)
+
+
+def _run_all(wanted: list[Batch], state: Path, jobs: int) -> int:
+    """Run what is not done; tell what failed."""
+    begin, lock = time.monotonic(), threading.Lock()
+
+    def one(batch: Batch) -> str:
+        done = state / f"{batch.name}.json"
+        if not done.exists():
+            told = _started(batch)
+            with lock:
+                print(
+                    f"{time.monotonic() - begin:6.0f} s  {batch.name}: {told or 'ok'}", flush=True
+                )
+            done.write_text(json.dumps(asdict(batch) | {"failure": told}, indent=2))
+        failure: str = json.loads(done.read_text())["failure"]
+        return failure
+
+    with ThreadPoolExecutor(jobs) as pool:
+        failures = [
+            (b, text) for b, text in zip(wanted, pool.map(one, wanted), strict=True) if text
+        ]
+    cases = sum(batch.cases for batch in wanted)
+    print(f"{cases} cases in {len(wanted)} batches, {len(failures)} batches with failures")
+    for batch, text in failures:
+        print(f"\n{batch.name}: python -m tests.faults.fuzz --batch {batch.kind} {batch.seed} "
+              f"{batch.cases}\n{text}")  # fmt: skip
+    return int(bool(failures))
+
+
+def _started(batch: Batch) -> str:
+    """Run a batch in a process of its own; return what went wrong, or nothing."""
+    words = ["--batch", batch.kind, str(batch.seed), str(batch.cases)]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "tests.faults.fuzz", *words],
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace",
+    )  # fmt: skip
+    try:
+        out, _ = process.communicate(timeout=SECONDS)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        out, _ = process.communicate()
+        return f"longer than {SECONDS} s\n{out[-3000:]}"
+    return out[-6000:] or f"ended with {process.returncode}" if process.returncode else ""
+
+
+def _work(batch: Batch) -> int:
+    """Run a batch here."""
+    os.environ["EXWARP_CONFIG"] = "none"
+    from hypothesis import HealthCheck, given, seed, settings
+    from hypothesis import strategies as st
+
+    from tests.faults.fuzz.cases import drawn, in_process
+    from tests.faults.running import run
+
+    run_case = (lambda case: run(*case.arguments)) if batch.kind == "command" else in_process
+
+    @seed(batch.seed)
+    @settings(
+        max_examples=batch.cases, deadline=None, database=None,
+        suppress_health_check=list(HealthCheck),
+    )  # fmt: skip
+    @given(st.data())
+    def try_one(data: st.DataObject) -> None:
+        with drawn(data.draw) as case:
+            case.judge(run_case(case))
+
+    if batch.kind == "atheris":
+        return _guided(try_one, batch)
+    try_one()
+    return _within_memory(batch)
+
+
+def _guided(try_one: Callable[[], None], batch: Batch) -> int:
+    """Have atheris choose the bytes from which cases are drawn."""
+    import atheris
+
+    with atheris.instrument_imports(include=["exwarp_cli.io"], enable_loader_override=False):
+        import exwarp_cli.io.exr
+        import exwarp_cli.io.exr_decoding
+        import exwarp_cli.io.shot  # noqa: F401
+    fuzz: Callable[[bytes], object] = try_one.hypothesis.fuzz_one_input  # type: ignore[attr-defined]
+    flags = [f"-runs={batch.cases}", f"-seed={batch.seed + 1}", "-max_len=4096", "-rss_limit_mb=0"]
+    atheris.Setup([sys.argv[0], *flags, "-len_control=0", "-verbosity=0"], fuzz)
+    atheris.Fuzz()
+    return 0
+
+
+def _within_memory(batch: Batch) -> int:
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
+    if peak > MEMORY_MB:
+        print(f"{batch.name} had {peak} MB at its peak, more than {MEMORY_MB}")
+    return int(peak > MEMORY_MB)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
