@@ -38,8 +38,8 @@ def shown_followed(
     lost: np.ndarray,
     serial: bool = False,
 ) -> Arrays:
-    out, missed = moved.copy(), lost.copy()
-    build(follow, "follow_shown", serial)(step, stencil, gone, out, missed)
+    out, missed = np.full_like(moved, -9), np.zeros_like(lost)
+    build(follow, "follow_shown", serial)(step, stencil, gone, moved, lost, out, missed)
     return out, missed
 
 
