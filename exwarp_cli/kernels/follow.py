@@ -85,14 +85,10 @@ def step_at(
     fx, fy = x - np.float32(left), y - np.float32(top)
     alike = 0 <= left < width - 1 and 0 <= top < height - 1
     if alike and ident != np.int32(-2):  # all at once: mostly none differs
-        p, q, right, below = (
-            np.uint64(left),
-            np.uint64(top),
-            np.uint64(left + 1),
-            np.uint64(top + 1),
-        )
-        alike = (stencil[q, p] == ident) & (stencil[q, right] == ident)
-        alike = alike & (stencil[below, p] == ident) & (stencil[below, right] == ident)
+        x0, x1 = np.uint64(left), np.uint64(left + 1)
+        y0, y1 = np.uint64(top), np.uint64(top + 1)
+        alike = (stencil[y0, x0] == ident) & (stencil[y0, x1] == ident)
+        alike = alike & (stencil[y1, x0] == ident) & (stencil[y1, x1] == ident)
     for corner in range(4):
         p, q = left + corner % 2, top + corner // 2
         if not (alike or usable(stencil, ident, p, q, height, width)):

@@ -24,8 +24,8 @@ BRIGHTEST = 2.0
 
 SIGN = np.uint32(0x80000000)
 PART = 2**18
-"""Values that are coded at a time. Of four times fewer, threads that share them wait longer for each
-other in between than it saves to have them in the cache."""
+"""Values that are coded at a time. With fewer, threads that share them wait for each other more
+often in between."""
 
 
 def modulation_of(gbuffer: GBuffer) -> Float32 | None:
