@@ -11,7 +11,7 @@ from exwarp_cli.compiled import shares
 from exwarp_cli.compiled.shares import Share, turns
 from exwarp_cli.domain.extrapolator import HISTORY, INPUTS, Inputs, NetworkInputs
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, KeyFrame
-from exwarp_cli.domain.lent_memory import copied, lent, rest
+from exwarp_cli.domain.lent_memory import lent, rest
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.kernels import jit, planes
 from exwarp_cli.synthesis.geometry import SlotField
@@ -186,7 +186,9 @@ def prepare(
     surface = seen.surface.without(*SMOOTH)
     rest()
     pixels, depth, hole = moved(_shading(key, divided), back)
-    filled = fill_holes(copied(pixels), depth, hole)
+    filled = lent(pixels.shape, np.float32)
+    shares.run(_copy, (pixels, filled), jit.threads())
+    fill_holes(filled, depth, hole)
     history = [Moved(pixels, ~hole)]
     del pixels
     rest()
@@ -210,6 +212,12 @@ def _encode(made: Float32, share: Share) -> None:
         for line in part[first : first + count]:
             encode_in_place(line)
     np.multiply(part[13:16], part[16], out=part[:3])
+
+
+def _copy(given: Float32, out: Float32, share: Share) -> None:
+    """Copy a share of the rows."""
+    some = turns(len(out), share)
+    out[some.start : some.stop] = given[some.start : some.stop]
 
 
 def _shading(frame: KeyFrame, divided: bool) -> Float32:
