@@ -8,9 +8,11 @@ import functools
 from collections.abc import Callable
 from typing import Any
 
-from numba.core import types
+from numba.core import event, types
 from numba.core.analysis import compute_live_variables
-from numba.core.ir import Assign, Expr
+from numba.core.compiler_machinery import PassManager
+from numba.core.inline_closurecall import InlineClosureCallPass
+from numba.core.ir import Assign, Expr, FreeVar, Global
 from numba.core.postproc import PostProcessor, VariableLifetime
 from numba.core.transforms import canonicalize_cfg
 from numba.core.typed_passes import NopythonRewrites
@@ -21,10 +23,65 @@ MAKING = frozenset({"call", "unary", "binop"})
 
 def shorten() -> None:
     """Leave it out from now on."""
+    manager: Any = PassManager
+    manager._runPass = _passing_plainly(manager._runPass)
+    closures: Any = InlineClosureCallPass
+    closures.run = _inlining_closures(closures.run)
     processor: Any = PostProcessor
     processor.run = _looking_later(processor.run)
     rewrites: Any = NopythonRewrites
     rewrites.run_pass = _rewriting_arrays(rewrites.run_pass)
+
+
+def _passing_plainly(
+    run: Callable[[Any, int, Any, Any], None],
+) -> Callable[[Any, int, Any, Any], None]:
+    """Run a pass without its description, times, checks and dumps, where nobody asked for any.
+
+    Numba describes each of the 27 passes over a function with all its types.
+    """
+
+    @functools.wraps(run)
+    def passing(self: Any, index: int, step: Any, state: Any) -> None:
+        told = event._registered["numba:run_pass"] or any(
+            (self._print_after, self._print_before, self._print_wrap)
+        )
+        if told:
+            run(self, index, step, state)
+            return
+        step.analysis = self._analysis
+        for part in (step.run_initialization, step.run_pass, step.run_finalizer):
+            part(state)
+
+    return passing
+
+
+def _inlining_closures(inline: Callable[[Any], None]) -> Callable[[Any], None]:
+    """Look for functions to be put in place only where some, or lists, are written down."""
+
+    @functools.wraps(inline)
+    def inlining(self: Any) -> None:
+        values = (
+            step.value
+            for block in self.func_ir.blocks.values()
+            for step in block.body
+            if type(step) is Assign
+        )
+        if any(_may_be_inlined(value) for value in values):
+            inline(self)
+
+    return inlining
+
+
+def _may_be_inlined(value: Any) -> bool:
+    """Whether numba may put something in place of a value, or of what is done with it."""
+    if type(value) is Expr:
+        named = value.op == "getattr" and value.attr in ("reduce", "stencil")
+        return named or value.op in ("make_function", "build_list")
+    if type(value) is Global or type(value) is FreeVar:
+        named = getattr(value.value, "__name__", "") in ("reduce", "stencil")
+        return named or type(value.value).__name__ == "StencilFunc"
+    return False
 
 
 class _Living(dict[Any, set[str]]):
