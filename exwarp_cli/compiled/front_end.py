@@ -33,6 +33,10 @@ PLAIN = frozenset({Loc, str, int, float, bool, type(None)})
 """Types of what stands in instructions and holds no variables."""
 
 
+# As numba has no types of its own.
+_Tuple: Any = types.BaseTuple
+
+
 def shorten() -> None:
     """Spare numba what it repeats, from now on; what it makes stays the same."""
     compiler: Any = CompilerBase
@@ -195,7 +199,7 @@ def _typing_once(find: Callable[..., Any]) -> Callable[..., Any]:
 
 def _is_plain(kind: Any) -> bool:
     """Whether a type says all of a value, as those of numbers, arrays and tuples of them do."""
-    if isinstance(kind, types.BaseTuple):
+    if isinstance(kind, _Tuple):
         return all(_is_plain(one) for one in kind.types)
     return isinstance(kind, types.Number | types.Boolean | types.Array | types.SliceType)
 

@@ -25,6 +25,7 @@ _setitem: Any = arrayobj.setitem_array
 _checked: Any = arrayobj.fix_integer_index
 _borrowed: Any = impl_ret_borrowed
 _packed: Any = pack_array
+_Tuple: Any = types.BaseTuple
 
 
 def shorten() -> None:
@@ -39,7 +40,7 @@ def _get(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
     """Return an element, or what fewer indices than dimensions leave."""
     kind, index = signature.args
     if not _is_plain(context, kind, index):
-        usual = _getitem_tuple if isinstance(index, types.BaseTuple) else _getitem
+        usual = _getitem_tuple if isinstance(index, _Tuple) else _getitem
         return usual(context, builder, signature, arguments)
     place, shape = _place(context, builder, kind, index, arguments)
     if not shape:
@@ -61,7 +62,7 @@ def _set(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
 
 def _indices(index: Any) -> tuple[Any, ...]:
     """Return the types of the indices, one or a tuple of them."""
-    return tuple(index.types) if isinstance(index, types.BaseTuple) else (index,)
+    return tuple(index.types) if isinstance(index, _Tuple) else (index,)
 
 
 def _is_plain(context: Any, kind: Any, index: Any) -> bool:
@@ -94,7 +95,7 @@ def _place(
     array, given = arguments[:2]
     sizes = _parts(builder, _field(context, builder, kind, array, "shape"))
     numbers = _indices(index)
-    values = _parts(builder, given) if isinstance(index, types.BaseTuple) else [given]
+    values = _parts(builder, given) if isinstance(index, _Tuple) else [given]
     at: Any = None
     for k, (number, value) in enumerate(zip(numbers, values, strict=True)):
         step = _checked(context, builder, number, value, sizes[k])
