@@ -71,7 +71,10 @@ def _keep(built: Any, text: types.FunctionType, options: dict[str, Any]) -> None
 
 
 if knows_inside():
-    from exwarp_cli.compiled import front_end, machine_code
+    from exwarp_cli.compiled import front_end, indexing, machine_code, passes, writing
 
     front_end.shorten()
+    passes.shorten()
+    indexing.shorten()
+    writing.shorten()
     machine_code.defer()

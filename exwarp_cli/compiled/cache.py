@@ -36,8 +36,8 @@ _rebuild: Any = compiler.CompileResult._rebuild
 _dumps: Any = serialize.dumps
 _Places: Any = AppDirs
 
-IMPORTED = re.compile(r"^from exwarp_cli\.([\w.]+) import (\([^)]*\)|[^#\n]*)", re.MULTILINE)
-"""How a file names those whose parts and constants it uses."""
+IMPORTED = re.compile(r"^ *from exwarp_cli\.([\w.]+) import (\([^)]*\)|[^#\n]*)", re.MULTILINE)
+"""How a file names those whose parts and constants it uses, or that compile it, at any depth."""
 
 PACKAGE = Path(__file__).parents[1]
 
@@ -202,9 +202,16 @@ def source_digest(file: Path) -> str:
     while wanted:
         path = wanted.pop()
         if path not in texts:
-            texts[path] = path.read_bytes()
-            wanted += _used(texts[path].decode())
+            texts[path], used = _source(path)
+            wanted += used
     return hashlib.sha256(b"\0".join(texts[path] for path in sorted(texts))).hexdigest()
+
+
+@functools.cache
+def _source(path: Path) -> tuple[bytes, tuple[Path, ...]]:
+    """Return what a file holds, and the files that it uses."""
+    text = path.read_bytes()
+    return text, tuple(_used(text.decode()))
 
 
 def _used(text: str) -> Iterator[Path]:

@@ -15,11 +15,14 @@ from contextlib import contextmanager
 from typing import Any
 
 from llvmlite import binding  # type: ignore[import-untyped]
-from numba.core import utils
+from numba.core import types, utils
+from numba.core.base import BaseContext
 from numba.core.compiler import CompilerBase
 from numba.core.ir import Inst, Loc, Var
 from numba.core.registry import cpu_target
+from numba.core.runtime.context import NRTContext
 from numba.core.targetconfig import ConfigStack
+from numba.core.types.functions import BaseFunction
 from numba.core.typing.templates import _OverloadFunctionTemplate
 from numba.np import linalg
 
@@ -28,6 +31,10 @@ RARELY = 50_000
 
 PLAIN = frozenset({Loc, str, int, float, bool, type(None)})
 """Types of what stands in instructions and holds no variables."""
+
+
+# As numba has no types of its own.
+_Tuple: Any = types.BaseTuple
 
 
 def shorten() -> None:
@@ -44,6 +51,12 @@ def shorten() -> None:
     instruction._rec_list_vars = _listing_plainly(instruction._rec_list_vars)
     ordering: Any = utils
     ordering.order_by_target_specificity = _ordering_once(utils.order_by_target_specificity)
+    counter: Any = NRTContext
+    counter._call_incref_decref = _counting_arrays(counter._call_incref_decref)
+    function: Any = BaseFunction
+    function.get_call_type = _typing_once(function.get_call_type)
+    base: Any = BaseContext
+    base.get_abi_sizeof = _measuring_once(base.get_abi_sizeof)
     # Numba tells who may listen of every call of LLVM, and nobody does.
     binding.ffi.lib._lock._cblist.clear()
 
@@ -148,6 +161,64 @@ def _ordering_once(order: Callable[..., list[Any]]) -> Callable[..., list[Any]]:
         return known[key]
 
     return ordering
+
+
+def _counting_arrays(count: Callable[..., None]) -> Callable[..., None]:
+    """Count who has a value only where it holds memory: numba takes numbers and tuples apart."""
+
+    @functools.wraps(count)
+    def counting(self: Any, builder: Any, kind: Any, value: Any, name: str) -> None:
+        if self._context.data_model_manager[kind].contains_nrt_meminfo():
+            count(self, builder, kind, value, name)
+
+    return counting
+
+
+def _typing_once(find: Callable[..., Any]) -> Callable[..., Any]:
+    """Keep how functions are typed that numba knows of itself, by numbers, arrays and tuples.
+
+    It asks while types are inferred, again and again, and when code is made. Functions written in
+    Python are asked for always: how they are compiled depends on who calls them.
+    """
+    known: dict[tuple[Any, ...], Any] = {}
+
+    @functools.wraps(find)
+    def finding(self: Any, context: Any, args: Any, kws: Any) -> Any:
+        if kws or not all(_is_plain(kind) for kind in args):
+            return find(self, context, args, kws)
+        key = context, self, tuple(args)
+        found = known.get(key)
+        if found is None:
+            found = find(self, context, args, kws)
+            if self.get_impl_key(found) is self.typing_key:
+                known[key] = found
+        return found
+
+    return finding
+
+
+def _is_plain(kind: Any) -> bool:
+    """Whether a type says all of a value, as those of numbers, arrays and tuples of them do."""
+    if isinstance(kind, _Tuple):
+        return all(_is_plain(one) for one in kind.types)
+    return isinstance(kind, types.Number | types.Boolean | types.Array | types.SliceType)
+
+
+def _measuring_once(measure: Callable[[Any, Any], int]) -> Callable[[Any, Any], int]:
+    """Keep how large values are: LLVM tells for a text that has one of them."""
+    known: dict[tuple[type, str], int] = {}
+
+    @functools.wraps(measure)
+    def measuring(self: Any, kind: Any) -> int:
+        told = str(kind)
+        if "%" in told:  # a name, which may stand for something else
+            return measure(self, kind)
+        key = type(self), told
+        if key not in known:
+            known[key] = measure(self, kind)
+        return known[key]
+
+    return measuring
 
 
 def _listing_plainly(

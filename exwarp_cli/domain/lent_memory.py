@@ -2,7 +2,9 @@
 
 A frame of 1920x1080 with its geometry takes 100 MB. Fresh from the system, every page of it is
 cleared and mapped at its first touch, a fifth of the time of reading it. The allocator's own heap
-keeps such arrays too, but in pieces: of 590 MB that were in use it held 750.
+keeps such arrays too, but in pieces: of 590 MB that were in use it held 750. Here small arrays get
+parts of what larger ones had, which are joined again when they come back; what nobody wants goes
+back to the system page by page.
 
 The memory of large frames may lie in files without a name, in the folder for temporary ones: then
 it leaves the process where it is told to rest, and comes back page by page as it is used.
@@ -17,6 +19,7 @@ import threading
 import weakref
 from collections import deque
 from contextlib import suppress
+from dataclasses import dataclass
 from math import prod
 
 import numpy as np
@@ -35,15 +38,8 @@ _rooms: weakref.WeakSet[mmap.mmap] = weakref.WeakSet()
 _adding = threading.Lock()
 _filed_from: int | None = None
 
-_returned: deque[tuple[int, npt.NDArray[np.uint8]]] = deque()
-"""What nobody holds any more, and since when. Its methods need no lock, which finalizers must not
-wait for."""
-
 _PRIVATE = {"flags": mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS} if hasattr(mmap, "MAP_PRIVATE") else {}
 """Not shared with other processes, as Windows' never is: shared pages are small ones."""
-
-_age = 0
-"""How often `let_go` was called."""
 
 
 class _Loan:
@@ -69,12 +65,9 @@ def lent(shape: tuple[int, ...], dtype: npt.DTypeLike) -> np.ndarray:
     size = prod(shape) * kind.itemsize
     if size < LEAST:
         return np.empty(shape, kind)
-    memory = _taken(size)
-    if memory is None:
-        _make_room(size)
-        memory = _fresh(size, filed=_lies_in_file(shape))
-    loan = _Loan(memory, shape, kind)
-    weakref.finalize(loan, _take_back, memory).atexit = False
+    piece = _store.take(size, filed=_lies_in_file(shape))
+    loan = _Loan(piece.bytes, shape, kind)
+    weakref.finalize(loan, _store.returned.append, piece).atexit = False
     return np.asarray(loan)
 
 
@@ -108,18 +101,181 @@ def _lies_in_file(shape: tuple[int, ...]) -> bool:
     return _filed_from is not None and prod(shape[:2]) > _filed_from
 
 
-def _fresh(size: int, filed: bool) -> npt.NDArray[np.uint8]:
-    """Take memory from the system; from a file's only where it can be, and there is room.
+@dataclass(frozen=True)
+class _Piece:
+    """A part of a block that is lent: bytes from `begin` up to `end`."""
 
-    It goes back to the system as a whole, and not into the allocator's heap.
+    block: _Block
+    begin: int
+    end: int
+    bytes: npt.NDArray[np.uint8]
+
+
+class _Block:
+    """Memory that came from the system at once, and goes back as a whole.
+
+    Attributes
+    ----------
+    memory
+        All of it.
+    filed
+        Whether it lies in a file.
+    idle
+        Parts that nobody holds, by where they begin: their end, and the age of the store when they
+        came back. No two of them touch.
+    emptied
+        Parts whose pages went back before, by where they begin: their end.
     """
-    if filed and hasattr(mmap, "MADV_DONTNEED") and hasattr(os, "posix_fallocate"):
+
+    def __init__(self, size: int, filed: bool) -> None:
+        room = _room(size) if filed else None
+        self.filed = filed
+        self.memory = _anonymous(size) if room is None else room
+        self.idle: dict[int, tuple[int, int]] = {}
+        self.emptied: dict[int, int] = {}
+
+    def lend(self, begin: int, size: int) -> _Piece:
+        """Lend the first bytes of an idle part, or of all."""
+        end, since = self.idle.pop(begin, (0, 0))
+        if end > begin + size:
+            self.idle[begin + size] = end, since
+        memory = np.frombuffer(self.memory, np.uint8)[begin : begin + size]
+        return _Piece(self, begin, begin + size, memory)
+
+    def take_back(self, begin: int, end: int, age: int) -> None:
+        """Join a part that came back to those beside it."""
+        for other, (stop, since) in list(self.idle.items()):
+            if stop == begin or other == end:
+                del self.idle[other]
+                begin, end, age = min(begin, other), max(end, stop), max(age, since)
+        self.idle[begin] = end, age
+
+    def empty(self, begin: int) -> int:
+        """Give the pages of an idle part back to the system; return its bytes."""
+        end, _ = self.idle.pop(begin)
+        self.emptied[begin] = end
+        if hasattr(self.memory, "madvise"):
+            self.memory.madvise(mmap.MADV_DONTNEED, begin, end - begin)
+        return end - begin
+
+    @property
+    def is_free(self) -> bool:
+        """Whether nobody holds any of it."""
+        held = len(self.memory) - sum(end - begin for begin, (end, _) in self.idle.items())
+        return held == sum(end - begin for begin, end in self.emptied.items())
+
+
+class _Store:
+    """All memory that came from the system, lent or idle.
+
+    Attributes
+    ----------
+    returned
+        What nobody holds any more. Its methods need no lock, which finalizers must not wait for.
+    blocks
+        All of it.
+    """
+
+    def __init__(self) -> None:
+        self.returned: deque[_Piece] = deque()
+        self.blocks: list[_Block] = []
+        self._age = 0
+        self._lock = threading.Lock()
+
+    @property
+    def idle(self) -> list[int]:
+        """Bytes of each part that nobody holds."""
+        with self._lock:
+            self._drain()
+            return [end - begin for b in self.blocks for begin, (end, _) in b.idle.items()]
+
+    def take(self, size: int, filed: bool) -> _Piece:
+        """Take the smallest idle part that has so many bytes, or memory from the system.
+
+        As much is given back then as is taken, of what waited longest.
+        """
+        size = -(-size // mmap.PAGESIZE) * mmap.PAGESIZE
+        with self._lock:
+            self._drain()
+            fitting = [
+                (end - begin, -since, n, begin)
+                for n, block in enumerate(self.blocks)
+                if block.filed == filed
+                for begin, (end, since) in block.idle.items()
+                if end - begin >= size
+            ]
+            if fitting:
+                _, _, n, begin = min(fitting)
+                return self.blocks[n].lend(begin, size)
+            self._make_room(size)
+            block = _Block(size, filed)
+            self.blocks.append(block)
+            return block.lend(0, size)
+
+    def let_go(self) -> None:
+        """Give back what came back before the last call of this, and nobody wanted since."""
+        with self._lock:
+            self._drain()
+            self._age += 1
+            for since, block, begin in self._waiting():
+                if since < self._age - 1:
+                    block.empty(begin)
+            self._drop()
+
+    def forget(self) -> None:
+        """Give back whatever nobody holds."""
+        with self._lock:
+            self._drain()
+            for _, block, begin in self._waiting():
+                block.empty(begin)
+            self._drop()
+
+    def _drain(self) -> None:
+        while self.returned:
+            piece = self.returned.popleft()
+            piece.block.take_back(piece.begin, piece.end, self._age)
+
+    def _waiting(self) -> list[tuple[int, _Block, int]]:
+        """Return the idle parts, those that waited longest first."""
+        found = (
+            (since, block, begin)
+            for block in self.blocks
+            for begin, (_, since) in block.idle.items()
+        )
+        return sorted(found, key=lambda part: part[0])
+
+    def _make_room(self, size: int) -> None:
+        for _, block, begin in self._waiting():
+            if size <= 0:
+                break
+            size -= block.empty(begin)
+        self._drop()
+
+    def _drop(self) -> None:
+        """Let blocks go of which nobody holds anything and nothing waits."""
+        self.blocks = [block for block in self.blocks if block.idle or not block.is_free]
+
+
+def _room(size: int) -> mmap.mmap | None:
+    """Map a new file, where there can be one and there is room for it."""
+    if hasattr(mmap, "MADV_DONTNEED") and hasattr(os, "posix_fallocate"):
         with suppress(OSError), tempfile.TemporaryFile(prefix="exwarp-") as file:
             os.posix_fallocate(file.fileno(), 0, size)  # a full disk is met here, and not later
             room = mmap.mmap(file.fileno(), size)
             with _adding:
                 _rooms.add(room)
-            return np.frombuffer(room, np.uint8)
+            return room
+    return None
+
+
+def _anonymous(size: int) -> mmap.mmap:
+    """Take memory from the system, which goes back as a whole, and not into the allocator's heap.
+
+    Raises
+    ------
+    MemoryError
+        When there is not enough.
+    """
     try:
         pages = mmap.mmap(-1, size, **_PRIVATE)
     except OSError as error:
@@ -127,22 +283,10 @@ def _fresh(size: int, filed: bool) -> npt.NDArray[np.uint8]:
     if hasattr(mmap, "MADV_HUGEPAGE"):
         with suppress(OSError):  # the system has none
             pages.madvise(mmap.MADV_HUGEPAGE)
-    return np.frombuffer(pages, np.uint8)
+    return pages
 
 
-def _make_room(size: int) -> None:
-    """Give as much back to the system as will be taken from it, of what waited longest."""
-    freed = 0
-    while freed < size:
-        try:
-            _, memory = _returned.popleft()
-        except IndexError:
-            return
-        freed += memory.size
-
-
-def _take_back(memory: npt.NDArray[np.uint8]) -> None:
-    _returned.append((_age, memory))
+_store = _Store()
 
 
 def let_go() -> None:
@@ -150,28 +294,9 @@ def let_go() -> None:
 
     Called once for every interval, it keeps what the next one wants.
     """
-    global _age
-    _age += 1
-    for _ in range(len(_returned)):
-        with suppress(IndexError):  # another thread took it
-            since, memory = _returned.popleft()
-            if since >= _age - 1:
-                _returned.append((since, memory))
+    _store.let_go()
 
 
 def forget() -> None:
     """Give back to the system whatever came back: what follows is of other sizes."""
-    _returned.clear()
-
-
-def _taken(size: int) -> npt.NDArray[np.uint8] | None:
-    """Take memory of just this size, if any came back."""
-    for _ in range(len(_returned)):
-        try:
-            since, memory = _returned.popleft()
-        except IndexError:  # another thread took it
-            return None
-        if memory.size == size:
-            return memory
-        _returned.append((since, memory))
-    return None
+    _store.forget()

@@ -8,11 +8,86 @@ import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli.compiled.shares import WHOLE, Share, turns
-from exwarp_cli.kernels.jit import parallel, serial
+from exwarp_cli.kernels.jit import parallel, part, serial
 
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
 B8 = npt.NDArray[np.bool_]
+
+
+FOUR = 4
+"""Blocks whose sums are added up beside each other, as each waits for the one before it."""
+
+
+@part
+def all_of(shown: B8) -> bool:
+    """Whether all pixels [N] count; all are asked, as then the compiler takes many at once."""
+    every = True
+    for j in range(shown.size):
+        every &= shown[j]
+    return every
+
+
+@part
+def add_four(row: F32, size: int, sums: F64) -> None:
+    """Add part of a row [8 size] to the sums [8] of the four blocks that it goes through."""
+    x0, y0, x1, y1 = sums[0], sums[1], sums[2], sums[3]
+    x2, y2, x3, y3 = sums[4], sums[5], sums[6], sums[7]
+    step = 2 * size
+    for k in range(0, step, 2):
+        x0 += np.float64(row[k])
+        y0 += np.float64(row[k + 1])
+        x1 += np.float64(row[step + k])
+        y1 += np.float64(row[step + k + 1])
+        x2 += np.float64(row[2 * step + k])
+        y2 += np.float64(row[2 * step + k + 1])
+        x3 += np.float64(row[3 * step + k])
+        y3 += np.float64(row[3 * step + k + 1])
+    sums[0], sums[1], sums[2], sums[3] = x0, y0, x1, y1
+    sums[4], sums[5], sums[6], sums[7] = x2, y2, x3, y3
+
+
+@part
+def add_rows(motion: F32, shown: B8, size: int, sums: F64, whole: B8) -> None:
+    """Add up all values of the rows of a row of blocks, by fours, whether they count or not.
+
+    Parameters
+    ----------
+    motion, shown, size
+        As of `block_means_text`, of these rows.
+    sums
+        float64 [8 N], written: x and y of each block.
+    whole
+        bool [N], written: whether all pixels of four blocks count, if they are finite.
+    """
+    for k in range(sums.size):
+        sums[k] = 0
+    for four in range(whole.size):
+        whole[four] = True
+    step = FOUR * size
+    for i in range(motion.shape[0]):
+        row = motion[i].reshape(-1)
+        for four in range(whole.size):
+            left = four * step
+            add_four(row[2 * left : 2 * (left + step)], size, sums[8 * four : 8 * (four + 1)])
+            if shown.size > 0:
+                whole[four] &= all_of(shown[i, left : left + step])
+
+
+@part
+def mean_of(motion: F32, shown: B8, mean: F64) -> None:
+    """Write the mean [2] of what counts of a block's values [R, C, 2]; NaN where nothing does."""
+    sum_x, sum_y, count = np.float64(0), np.float64(0), 0
+    for i in range(motion.shape[0]):
+        for j in range(motion.shape[1]):
+            vx, vy = np.float64(motion[i, j, 0]), np.float64(motion[i, j, 1])
+            # Two float32 cannot add up to infinity here.
+            if (shown.size == 0 or shown[i, j]) and math.isfinite(vx + vy):
+                sum_x += vx
+                sum_y += vy
+                count += 1
+    mean[0] = sum_x / count if count > 0 else np.nan
+    mean[1] = sum_y / count if count > 0 else np.nan
 
 
 def block_means_text(motion: F32, shown: B8, size: int, out: F64, share: Share = WHOLE) -> None:
@@ -33,22 +108,22 @@ def block_means_text(motion: F32, shown: B8, size: int, out: F64, share: Share =
         Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
     height, width, _ = motion.shape
-    masked = shown.size > 0
+    fours = width // (FOUR * size)
+    sums, whole = np.empty(2 * FOUR * fours), np.empty(fours, np.bool_)
     for block_row in turns(out.shape[0], share):
-        top = block_row * size
-        for block_column in range(out.shape[1]):
-            left = block_column * size
-            sum_x, sum_y, count = np.float64(0), np.float64(0), 0
-            for i in range(top, min(top + size, height)):
-                for j in range(left, min(left + size, width)):
-                    vx, vy = np.float64(motion[i, j, 0]), np.float64(motion[i, j, 1])
-                    # Two float32 cannot add up to infinity here.
-                    if (not masked or shown[i, j]) and math.isfinite(vx + vy):
-                        sum_x += vx
-                        sum_y += vy
-                        count += 1
-            out[block_row, block_column, 0] = sum_x / count if count > 0 else np.nan
-            out[block_row, block_column, 1] = sum_y / count if count > 0 else np.nan
+        top, bottom = block_row * size, min((block_row + 1) * size, height)
+        add_rows(motion[top:bottom], shown[top:bottom], size, sums, whole)
+        for block in range(out.shape[1]):
+            x, y = np.inf, np.inf
+            if block < FOUR * fours and whole[block // FOUR]:
+                x, y = sums[2 * block], sums[2 * block + 1]
+            if math.isfinite(x + y):  # and so are all that were added
+                count = size * (bottom - top)
+                out[block_row, block, 0], out[block_row, block, 1] = x / count, y / count
+            else:
+                left, right = block * size, min((block + 1) * size, width)
+                pixels = motion[top:bottom, left:right]
+                mean_of(pixels, shown[top:bottom, left:right], out[block_row, block])
 
 
 block_means = parallel(block_means_text)

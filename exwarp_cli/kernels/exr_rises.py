@@ -42,6 +42,18 @@ def spread(line: U32, row: U32, place: int) -> None:
         row[x, place] = line[x]
 
 
+@inlined
+def spread_sums(line: U32, row: U32, place: int) -> None:
+    """Write where a channel's rises [W] lead, among the others' values, [W, C].
+
+    As sums wait for each other, nothing is scattered by vectors: a third less than in two loops.
+    """
+    value = np.uint32(0)
+    for x in range(line.size):
+        value = np.uint32(value + line[x])
+        row[x, place] = value
+
+
 @serial
 def from_lines(data: U8, columns: I64, out: U32) -> None:
     """Read lines as they are in memory: in each line, a channel after the other."""
@@ -164,13 +176,14 @@ def from_planes(data: U8, columns: I64, out: U32) -> None:
                 for x in range(width):
                     lower = np.uint32(third[x]) << np.uint32(8) | np.uint32(fourth[x]) & lowest
                     line[x] = line[x] << np.uint32(16) | lower
+                spread_sums(line, out[y], place)
+                continue
             value = np.uint32(0)
             for x in range(width):
                 value = np.uint32(value + line[x])
                 line[x] = value
-            if size == 2:
-                for x in range(width):
-                    line[x] = single(line[x] & np.uint32(0xFFFF))
+            for x in range(width):
+                line[x] = single(line[x] & np.uint32(0xFFFF))
             spread(line, out[y], place)
 
 

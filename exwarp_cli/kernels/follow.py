@@ -48,6 +48,13 @@ def usable(stencil: I32, ident: np.int32, p: int, q: int, height: int, width: in
 
 
 @inlined
+def floor_of(value: np.float32) -> int:
+    """Return the next whole number below a small value; `math.floor` is a call."""
+    whole = np.int64(value)
+    return int(whole - 1 if value < np.float32(whole) else whole)
+
+
+@inlined
 def step_at(
     step: F32,
     stencil: I32,
@@ -74,11 +81,17 @@ def step_at(
     sum_x, sum_y = (total * ex, total * ey) if foreseen else (total, total)
     scale = max(np.float32(LEAST_SCALE), np.float32(SCALE) * np.sqrt(ex * ex + ey * ey))
     near = x > -one and y > -one and x < width and y < height  # no for NaN
-    left, top = (math.floor(x), math.floor(y)) if near else (-2, -2)
+    left, top = (floor_of(x), floor_of(y)) if near else (-2, -2)
     fx, fy = x - np.float32(left), y - np.float32(top)
+    alike = 0 <= left < width - 1 and 0 <= top < height - 1
+    if alike and ident != np.int32(-2):  # all at once: mostly none differs
+        x0, x1 = np.uint64(left), np.uint64(left + 1)
+        y0, y1 = np.uint64(top), np.uint64(top + 1)
+        alike = (stencil[y0, x0] == ident) & (stencil[y0, x1] == ident)
+        alike = alike & (stencil[y1, x0] == ident) & (stencil[y1, x1] == ident)
     for corner in range(4):
         p, q = left + corner % 2, top + corner // 2
-        if not usable(stencil, ident, p, q, height, width):
+        if not (alike or usable(stencil, ident, p, q, height, width)):
             continue
         row, column = np.uint64(q), np.uint64(p)  # no test for counting from the end
         vx, vy = step[row, column, 0], step[row, column, 1]
@@ -143,18 +156,28 @@ follow_serial = serial(follow_text)
 
 
 def follow_shown_text(
-    step: F32, stencil: I32, gone: B8, moved: F32, lost: B8, share: Share = WHOLE
+    step: F32,
+    stencil: I32,
+    gone: B8,
+    moved: F32,
+    lost: B8,
+    led: F32,
+    missed: B8,
+    share: Share = WHOLE,
 ) -> None:
     """Move points on by one step as :func:`follow_text` does, as what the instant shows there.
 
     Parameters
     ----------
-    step, stencil, moved
+    step, stencil
         As there. The id of a point is that of the pixel which it has reached; 0 beyond the frame.
     gone
         bool [H, W]: pixels of the instant whose surface is not seen after the step.
-    lost
-        bool [H, W], changed: becomes true for points that have reached such a pixel, or none.
+    moved, lost
+        float32 [H, W, 2], pixels, and bool [H, W]: how far points have come, and which are lost.
+    led, missed
+        The same after the step, written. Lost are then also those that have reached such a pixel,
+        or none.
     share
         Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
@@ -164,15 +187,13 @@ def follow_shown_text(
         for j in range(width):
             mx, my = moved[i, j, 0], moved[i, j, 1]
             q, p = end_of(i, j, mx, my, height, width)
-            if q < 0 or gone[q, p]:
-                lost[i, j] = True
+            missed[i, j] = lost[i, j] or q < 0 or gone[q, p]
             ident = np.int32(-2)
             if stencil.size > 0:
                 ident = stencil[q, p] if q >= 0 else np.int32(0)
             place = np.float32(j) + mx, np.float32(i) + my
             step_x, step_y = step_at(step, stencil, ident, place, nowhere)
-            moved[i, j, 0] = mx + step_x
-            moved[i, j, 1] = my + step_y
+            led[i, j, 0], led[i, j, 1] = mx + step_x, my + step_y
 
 
 follow_shown = parallel(follow_shown_text)

@@ -1,7 +1,8 @@
 """Backward sampling of an image along a motion field.
 
-A row is worked off in passes: places and weights in a loop without branches, then the mixing of all
-pixels whether they have a source or not, then the few that lie at the border or nowhere, again.
+Some pixels of a row are worked off at a time, in passes: places and weights in a loop without
+branches, then the mixing of all whether they have a source or not, then the few that lie at the
+border or nowhere, again.
 """
 
 from __future__ import annotations
@@ -19,9 +20,14 @@ F32 = npt.NDArray[np.float32]
 I32 = npt.NDArray[np.int32]
 B8 = npt.NDArray[np.bool_]
 U64 = np.uint64
-Places = tuple[I32, I32, I32]
+
+Work = tuple[I32, F32, B8, B8]
+"""Room for SPAN pixels: places and weights, line by line, what lies inside, and what is finite."""
 
 RGB, RGBA = 3, 4
+
+SPAN = 256
+"""Pixels of a row that are worked off at a time: what is known of them stays in the cache."""
 
 FURTHEST = np.float32(1e7)
 """Pixels from the frame's corner beyond which nothing is sampled."""
@@ -73,80 +79,76 @@ def mix(
 
 @part
 def write_places(
-    i: int, line: F32, shape: tuple[int, int, int], places: Places, fx: F32, fy: F32, inside: B8
+    corner: tuple[int, int],
+    line: F32,
+    shape: tuple[int, int, int],
+    places: I32,
+    weights: F32,
+    inside: B8,
 ) -> None:
-    """Write where the pixels of a row come from, for those with four neighbours in the image.
+    """Write where the pixels of a span come from, for those with four neighbours in the image.
 
     Parameters
     ----------
-    i
-        The row.
+    corner
+        Row and column of the first.
     line
         float32 [2 w], x and y by turns: the motion field.
     shape
         H, W, C of the image.
     places
-        int32 [w] each, written: `at` of :func:`mix`; any, but inside the image, for other pixels.
-    fx, fy
-        float32 [w], written: the weights of :func:`mix`.
+        int32 [3 SPAN], written: `at` of :func:`mix`; any, but inside the image, for other pixels.
+    weights
+        float32 [2 SPAN], written: those of :func:`mix`.
     inside
         bool [w], written: 0 <= x < W - 1 and 0 <= y < H - 1.
     """
-    first, right, below = places
     width, channels = np.int32(shape[1]), np.int32(shape[2])
     end_x, end_y = np.float32(shape[1] - 1), np.float32(shape[0] - 1)
-    for j in range(inside.size):
-        x, y = np.float32(j) + line[2 * j], np.float32(i) + line[2 * j + 1]
+    for j in range(line.size // 2):
+        x = np.float32(corner[1] + j) + line[2 * j]
+        y = np.float32(corner[0]) + line[2 * j + 1]
         lies = (x >= 0) & (y >= 0) & (x < end_x) & (y < end_y)
         x, y = x if lies else np.float32(0), y if lies else np.float32(0)
         left, top = np.int32(x), np.int32(y)  # rounds down
-        fx[j], fy[j] = x - np.float32(left), y - np.float32(top)
-        first[j] = (top * width + left) * channels
+        fx, fy = x - np.float32(left), y - np.float32(top)
+        weights[j], weights[SPAN + j] = fx, fy
+        places[j] = (top * width + left) * channels
         # A sample of weight 0 must not spread its NaN: whole-pixel motion copies exactly.
-        right[j] = np.int32(0) if fx[j] == 0 else channels
-        below[j] = np.int32(0) if fy[j] == 0 else width * channels
+        places[SPAN + j] = np.int32(0) if fx == 0 else channels
+        places[2 * SPAN + j] = np.int32(0) if fy == 0 else width * channels
         inside[j] = lies
 
 
 @part
-def mix_row(
-    pixels: F32, channels: int, places: Places, fx: F32, fy: F32, out: F32, finite: B8
-) -> None:
-    """Mix the pixels of a row.
+def mix_span(pixels: F32, channels: int, places: I32, weights: F32, out: F32, finite: B8) -> None:
+    """Mix the pixels of a span.
 
     Parameters
     ----------
     pixels, channels
         As in :func:`mix`.
-    places, fx, fy
+    places, weights
         From :func:`write_places`.
     out
         float32 [w C], written.
     finite
         bool [w], written: whether all values of a pixel are.
     """
-    first, right, below = places
-    count = finite.size
-    safe = pixels.size - LANES
-    if channels == RGBA:
-        for j in range(count):
-            at = U64(first[j]), U64(right[j]), U64(below[j])
-            finite[j] = mix_four(pixels, at, fx[j], fy[j], out, U64(4 * j)) == 15
-    elif channels == RGB:
-        # The fourth value is the next pixel's first, which is written after it.
-        for j in range(count - 1):
-            at = U64(first[j]), U64(right[j]), U64(below[j])
-            if first[j] + right[j] + below[j] <= safe:
-                finite[j] = (mix_four(pixels, at, fx[j], fy[j], out, U64(3 * j)) & 7) == 7
-            else:
-                finite[j] = mix(pixels, at, fx[j], fy[j], 3, out, 3 * j)
-        j = count - 1
-        at = U64(first[j]), U64(right[j]), U64(below[j])
-        finite[j] = mix(pixels, at, fx[j], fy[j], 3, out, 3 * j)
-    else:
-        for j in range(count):
-            at = U64(first[j]), U64(right[j]), U64(below[j])
-            finite[j] = mix(pixels, at, fx[j], fy[j], channels, out, channels * j)
+    count, safe = finite.size, pixels.size - LANES
+    for j in range(count if channels == RGBA else 0):
+        at = U64(places[j]), U64(places[SPAN + j]), U64(places[2 * SPAN + j])
+        finite[j] = mix_four(pixels, at, weights[j], weights[SPAN + j], out, U64(4 * j)) == 15
+    # The fourth value of RGB is the next pixel's first, which is written after it.
+    last = count - 1 if channels == RGB else 0
+    for j in range(0 if channels == RGBA else count):
+        first, right, below = places[j], places[SPAN + j], places[2 * SPAN + j]
+        at = U64(first), U64(right), U64(below)
+        fx, fy = weights[j], weights[SPAN + j]
+        if j < last and first + right + below <= safe:
+            finite[j] = (mix_four(pixels, at, fx, fy, out, U64(3 * j)) & 7) == 7
+        else:
+            finite[j] = mix(pixels, at, fx, fy, channels, out, channels * j)
 
 
 @part
@@ -171,23 +173,23 @@ def sample_border(
 
 @part
 def settle_rest(
-    i: int,
+    corner: tuple[int, int],
     line: F32,
     pixels: F32,
     shape: tuple[int, int, int],
-    inside: B8,
-    finite: B8,
+    work: Work,
     out: F32,
     hole: B8,
 ) -> None:
-    """Mark the holes of a row, and write anew what is a hole or lies at the border.
+    """Mark the holes of a span, and write anew what is a hole or lies at the border.
 
-    Parameters as in :func:`write_places` and :func:`mix_row`; `hole` is bool [w], written.
+    Parameters as in :func:`write_places` and :func:`mix_span`; `hole` is bool [w], written.
     """
+    rest, _, inside, finite = work  # places are mixed already
     height, width, channels = shape
     for j in range(hole.size):
         hole[j] = not (inside[j] & finite[j])
-    rest, count = np.empty(hole.size + 1, np.int32), np.int64(0)
+    count = np.int64(0)
     for j in range(hole.size):
         rest[np.uint64(count)] = j
         count += np.int64(hole[j])
@@ -195,7 +197,8 @@ def settle_rest(
         j = int(rest[k])
         shown = False
         if not inside[j]:
-            x, y = np.float32(j) + line[2 * j], np.float32(i) + line[2 * j + 1]
+            x = np.float32(corner[1] + j) + line[2 * j]
+            y = np.float32(corner[0]) + line[2 * j + 1]
             if abs(x) < FURTHEST and abs(y) < FURTHEST:
                 shown = sample_border(pixels, shape, x, y, out, j * channels)
                 within = x >= -0.5 and y >= -0.5 and x <= width - 0.5 and y <= height - 0.5
@@ -206,22 +209,23 @@ def settle_rest(
 
 
 @part
-def gather_row(
-    i: int, line: F32, pixels: F32, shape: tuple[int, int, int], out: F32, hole: B8
+def gather_span(
+    corner: tuple[int, int],
+    line: F32,
+    pixels: F32,
+    shape: tuple[int, int, int],
+    work: Work,
+    out: F32,
+    hole: B8,
 ) -> None:
-    """Sample row i; `line` is float32 [2 w], `pixels` [H W C] and `out` [w C]."""
-    count = hole.size
-    first, right, below = (
-        np.empty(count, np.int32),
-        np.empty(count, np.int32),
-        np.empty(count, np.int32),
-    )
-    fx, fy = np.empty(count, np.float32), np.empty(count, np.float32)
-    inside, finite = np.empty(count, np.bool_), np.empty(count, np.bool_)
-    places = (first, right, below)
-    write_places(i, line, shape, places, fx, fy, inside)
-    mix_row(pixels, shape[2], places, fx, fy, out, finite)
-    settle_rest(i, line, pixels, shape, inside, finite, out, hole)
+    """Sample some pixels of a row, the first at `corner`, its row and column.
+
+    `line` is float32 [2 w], `pixels` [H W C], `out` [w C]; `work` is room for SPAN pixels.
+    """
+    places, weights, inside, finite = work
+    write_places(corner, line, shape, places, weights, inside)
+    mix_span(pixels, shape[2], places, weights, out, finite[: hole.size])
+    settle_rest(corner, line, pixels, shape, work, out, hole)
 
 
 def gather_bilinear_text(image: F32, field: F32, out: F32, hole: B8, share: Share = WHOLE) -> None:
@@ -243,10 +247,15 @@ def gather_bilinear_text(image: F32, field: F32, out: F32, hole: B8, share: Shar
     share
         Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
-    pixels = np.ascontiguousarray(image).reshape(-1)
+    pixels, channels = np.ascontiguousarray(image).reshape(-1), image.shape[2]
+    places, weights = np.empty(3 * SPAN, np.int32), np.empty(2 * SPAN, np.float32)
+    work = places, weights, np.empty(SPAN, np.bool_), np.empty(SPAN, np.bool_)
     for i in turns(out.shape[0], share):
         line, target = np.ascontiguousarray(field[i]).reshape(-1), out[i].reshape(-1)
-        gather_row(i, line, pixels, image.shape, target, hole[i])
+        for start in range(0, out.shape[1], SPAN):
+            end = min(start + SPAN, out.shape[1])
+            some, made = line[2 * start : 2 * end], target[start * channels : end * channels]
+            gather_span((i, start), some, pixels, image.shape, work, made, hole[i, start:end])
 
 
 gather_bilinear = parallel(gather_bilinear_text)

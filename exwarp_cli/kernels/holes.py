@@ -8,7 +8,6 @@ import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli.compiled.shares import WHOLE, Share, turns
-from exwarp_cli.kernels.gather import clamp
 from exwarp_cli.kernels.jit import inlined, parallel, serial
 
 F32 = npt.NDArray[np.float32]
@@ -147,8 +146,9 @@ def mark_text(
             hole[i, j] = True
             if not (fx >= -0.5 and fy >= -0.5 and fx <= width - 0.5 and fy <= height - 0.5):
                 continue
-            x = clamp(math.floor(fx + np.float32(0.5)), 0, width - 1)
-            y = clamp(math.floor(fy + np.float32(0.5)), 0, height - 1)
+            # None is below 0, where whole numbers are cut off otherwise than down.
+            x = min(int(fx + np.float32(0.5)), width - 1)
+            y = min(int(fy + np.float32(0.5)), height - 1)
             sky = is_background(depths[0], i, j)
             if sky != is_background(depths[1], y, x):
                 continue

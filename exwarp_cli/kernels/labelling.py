@@ -1,7 +1,7 @@
-"""Connected components of a stencil, by union and find.
+"""Connected components of a stencil, by union and find of the runs of its rows.
 
-Serial, as a pixel's label comes from its neighbours above and to the left. Bands of rows could be
-labelled apart and joined at their seams, but forty objects in a 1080p stencil take 1.7 ms.
+Serial, as a run's label comes from the runs above it. Pixel by pixel, to label forty objects in a
+1080p stencil took 1.4 times as long, to measure their areas three times.
 """
 
 from __future__ import annotations
@@ -13,16 +13,11 @@ from exwarp_cli.kernels.jit import inlined, part, serial
 
 I32 = npt.NDArray[np.int32]
 I64 = npt.NDArray[np.int64]
-
+Runs = tuple[I32, I32, I32]
+"""Of a row, from left to right: first columns, columns after the last, and labels."""
 
 SPAN = 64
 """Pixels of a row that are looked at together."""
-
-
-@inlined
-def same(stencil: I32, ident: np.int32, i: int, j: int) -> bool:
-    """Whether pixel (i, j) exists and has this id."""
-    return i >= 0 and 0 <= j < stencil.shape[1] and stencil[i, j] == ident
 
 
 @inlined
@@ -44,97 +39,96 @@ def join(parent: I32, one: int, other: int) -> int:
 
 
 @part
-def look_at(row: I32, before: I32) -> tuple[bool, bool]:
-    """Return whether a span shows objects, and whether the one above it has other ids."""
-    most, changed = np.int32(0), np.int32(0)
-    for j in range(row.size):
-        most = max(most, row[j])
-        changed |= row[j] ^ before[j]
-    return bool(most > 0), bool(changed != 0)
+def goes_on(span: I32, ident: np.int32) -> bool:
+    """Whether some pixels all show one object, or none where `ident` is 0."""
+    changed = np.int32(0)
+    for j in range(span.size):
+        changed |= max(span[j], np.int32(0)) ^ ident
+    return bool(changed == 0)
 
 
 @part
-def fill_span(here: I32, label: np.int32) -> None:
-    """Write one label."""
-    for j in range(here.size):
-        here[j] = label
+def find_runs(row: I32, begins: I32, ends: I32) -> int:
+    """Write where a row's runs of objects begin and end, int32 [W], and return how many."""
+    count, ident = 0, np.int32(0)
+    for first in range(0, row.size, SPAN):
+        after = min(first + SPAN, row.size)
+        if goes_on(row[first:after], ident):
+            continue
+        for j in range(first, after):
+            value = max(row[j], np.int32(0))
+            if value != ident:
+                if ident > 0:
+                    ends[count - 1] = j
+                if value > 0:
+                    begins[count] = j
+                    count += 1
+                ident = value
+    if ident > 0:
+        ends[count - 1] = row.size
+    return count
 
 
 @part
-def settle_span(parent: I32, here: I32) -> None:
-    """Replace provisional labels by those of their sets; most spans have one."""
-    several = np.int32(0)
-    for j in range(here.size):
-        several |= here[j] ^ here[0]
-    if several == 0:
-        fill_span(here, parent[here[0]])
-        return
-    for j in range(here.size):
-        here[j] = parent[here[j]]
-
-
-@part
-def copy_span(above: I32, here: I32) -> None:
-    """Copy labels."""
-    for j in range(here.size):
-        here[j] = above[j]
-
-
-@inlined
-def label_span(
-    stencil: I32,
-    i: int,
-    columns: tuple[int, int],
-    above: I32,
-    here: I32,
+def label_runs(
+    rows: tuple[I32, I32],
+    above: Runs,
+    here: Runs,
+    counts: tuple[int, int],
     parent: I32,
-    count: int,
+    given: int,
 ) -> int:
-    """Label some columns of row i pixel by pixel; see `label_row`."""
-    for j in range(columns[0], columns[1]):
-        ident = stencil[i, j]
-        if ident <= 0:
-            here[j] = 0
-            continue
-        if same(stencil, ident, i - 1, j):
-            # It touches the other three, so they are of its set already.
-            here[j] = above[j]
-            continue
-        label = 0
-        if same(stencil, ident, i, j - 1):
-            label = int(here[j - 1])
-        elif same(stencil, ident, i - 1, j - 1):
-            label = int(above[j - 1])
-        if same(stencil, ident, i - 1, j + 1):
-            right = int(above[j + 1])
-            label = right if label == 0 else join(parent, label, right)
-        if label == 0:
-            count += 1
-            label = count
-            parent[label] = label
-        here[j] = label
-    return count
+    """Label the runs of a row by those above, and note which labels meet; return the last label.
 
-
-@inlined
-def label_row(stencil: I32, i: int, above: I32, here: I32, parent: I32, count: int) -> int:
-    """Label row i by what is above and to the left, note which labels meet; return how many.
-
-    `above` and `here` are the labels of the row before, and of this one, which are written; `count`
-    is how many labels were given before. Most spans are empty, or those of the row above and so
-    labelled: asking for that first halves the time for a block.
+    Parameters
+    ----------
+    rows
+        Ids of the row before, and of this one.
+    above, here
+        The runs of both; labels of this one are written.
+    counts
+        How many there are.
+    parent
+        int32 [H W + 1]: a forest of labels, changed.
+    given
+        The last label before.
     """
-    row, before = stencil[i], stencil[max(i - 1, 0)]
-    for begin in range(0, row.size, SPAN):
-        end = min(begin + SPAN, row.size)
-        shown, changed = look_at(row[begin:end], before[begin:end])
-        if not shown:
-            fill_span(here[begin:end], np.int32(0))
-        elif i > 0 and not changed:
-            copy_span(above[begin:end], here[begin:end])
-        else:
-            count = label_span(stencil, i, (begin, end), above, here, parent, count)
-    return count
+    passed = 0
+    for n in range(counts[1]):
+        begin, end, label = here[0][n], here[1][n], np.int32(0)
+        ident = rows[1][begin]
+        while passed < counts[0] and above[1][passed] < begin:
+            passed += 1
+        k = passed
+        while k < counts[0] and above[0][k] <= end:
+            if rows[0][above[0][k]] == ident:
+                label = np.int32(join(parent, label, above[2][k])) if label > 0 else above[2][k]
+            k += 1
+        if label == 0:
+            given += 1
+            label = np.int32(given)
+            parent[label] = label
+        here[2][n] = label
+    return given
+
+
+@part
+def write_run(label: np.int32, line: I32) -> None:
+    """Write one label."""
+    for j in range(line.size):
+        line[j] = label
+
+
+@part
+def write_runs(runs: Runs, count: int, parent: I32, line: I32) -> None:
+    """Write a row's labels by what has become of those of its runs."""
+    done = np.int64(0)
+    for n in range(count):
+        begin, end = np.int64(runs[0][n]), np.int64(runs[1][n])
+        write_run(np.int32(0), line[done:begin])
+        write_run(parent[runs[2][n]], line[begin:end])
+        done = end
+    write_run(np.int32(0), line[done:])
 
 
 @serial
@@ -157,40 +151,37 @@ def label(stencil: I32, labels: I32) -> int:
     Notes
     -----
     A pixel's eight neighbours touch it. The root of a set is its lowest label, which was given to
-    its first pixel; so roots ascend in the order that is wanted.
+    the run of its first pixel; so roots ascend in the order that is wanted.
     """
-    parent = np.empty(stencil.size + 1, np.int32)
-    parent[0] = 0
-    given, count = 0, 0
-    for i in range(labels.shape[0]):
-        given = label_row(stencil, i, labels[max(i - 1, 0)], labels[i], parent, given)
+    height = stencil.shape[0]
+    # Memory that is not written to takes none.
+    parent, first = np.empty(stencil.size + 1, np.int32), np.zeros(height + 1, np.int64)
+    begins, ends, found = np.empty_like(parent), np.empty_like(parent), np.empty_like(parent)
+    given, known = 0, 0
+    for i in range(height):
+        last, at = max(i - 1, 0), first[i]
+        above = begins[first[last] :], ends[first[last] :], found[first[last] :]
+        here = begins[at:], ends[at:], found[at:]
+        count = find_runs(stencil[i], here[0], here[1])
+        rows = stencil[last], stencil[i]
+        given = label_runs(rows, above, here, (known, count), parent, given)
+        first[i + 1], known = at + count, count
+    total = 0
     for k in range(1, given + 1):
         if parent[k] == k:
-            count += 1
-            parent[k] = count
+            total += 1
+            parent[k] = total
         else:  # its parent is lower, so that one's number is final
             parent[k] = parent[parent[k]]
-    if count == given:  # none met
-        return count
-    for i in range(labels.shape[0]):
-        for begin in range(0, labels.shape[1], SPAN):
-            settle_span(parent, labels[i, begin : begin + SPAN])
-    return count
-
-
-@inlined
-def add_runs(labels: I32, areas: I64) -> None:
-    """Add the pixels of a row's labels [W]: run by run, as adding each waits for the one before."""
-    begin = 0
-    for j in range(1, labels.size + 1):
-        if j == labels.size or labels[j] != labels[begin]:
-            areas[labels[begin]] += j - begin
-            begin = j
+    for i in range(height):
+        at = first[i]
+        write_runs((begins[at:], ends[at:], found[at:]), first[i + 1] - at, parent, labels[i])
+    return total
 
 
 @serial
 def measure_areas(stencil: I32, areas: I64) -> int:
-    """Count the pixels of each component; of labels two rows are kept.
+    """Count the pixels of each component; of runs those of two rows are kept.
 
     Parameters
     ----------
@@ -205,16 +196,23 @@ def measure_areas(stencil: I32, areas: I64) -> int:
     int
         How many labels there are, background included.
     """
-    parent = np.empty(stencil.size + 1, np.int32)
-    parent[0], areas[0] = 0, 0
-    rows = np.empty((2, stencil.shape[1]), np.int32)
-    given = 0
-    for i in range(stencil.shape[0]):
-        known = given
-        given = label_row(stencil, i, rows[(i + 1) % 2], rows[i % 2], parent, given)
-        for k in range(known + 1, given + 1):
+    height, width = stencil.shape
+    parent, runs = np.empty(stencil.size + 1, np.int32), np.empty((2, 3, width), np.int32)
+    areas[0] = stencil.size
+    given, known = 0, 0
+    for i in range(height):
+        above, here = runs[(i + 1) % 2], runs[i % 2]
+        count, before = find_runs(stencil[i], here[0], here[1]), given
+        rows, counts = (stencil[max(i - 1, 0)], stencil[i]), (known, count)
+        both = (above[0], above[1], above[2]), (here[0], here[1], here[2])
+        given = label_runs(rows, both[0], both[1], counts, parent, given)
+        for k in range(before + 1, given + 1):
             areas[k] = 0
-        add_runs(rows[i % 2], areas)
+        for n in range(count):
+            area = here[1, n] - here[0, n]
+            areas[here[2, n]] += area
+            areas[0] -= area
+        known = count
     for k in range(given, 0, -1):
         if parent[k] != k:  # it is lower, and comes later
             areas[parent[k]] += areas[k]

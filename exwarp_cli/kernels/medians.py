@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.kernels.jit import serial
+from exwarp_cli.kernels.jit import part, serial
 
 F32 = npt.NDArray[np.float32]
 B8 = npt.NDArray[np.bool_]
@@ -16,6 +16,32 @@ SAMPLES = 1 << 14
 BESIDE = 0.03
 """Share of all values, on each side of the samples' median, among which that of all is looked for:
 seven times the standard error of so many samples."""
+
+
+SPAN = 256
+"""Values that are looked at together: most spans have none that is picked."""
+
+
+@part
+def tally(values: F32, shown: B8, low: float, high: float) -> tuple[int, int, int]:
+    """Return how many of a span count, lie below `low`, and from there to `high`."""
+    total, below, until = np.int32(0), np.int32(0), np.int32(0)
+    for n in range(values.size):
+        counts = shown[n] & (values[n] > np.float32(0))
+        total += np.int32(counts)
+        below += np.int32(counts & (values[n] < low))
+        until += np.int32(counts & (values[n] <= high))
+    return int(total), int(below), int(until - below)
+
+
+@part
+def copy_between(values: F32, shown: B8, low: float, high: float, out: F32) -> None:
+    """Copy what of a span lies between; `out` has room for one value more."""
+    count = 0
+    for n in range(values.size):
+        value = values[n]
+        out[count] = value  # kept where the next one goes to another place
+        count += shown[n] & (value > np.float32(0)) & (value >= low) & (value <= high)
 
 
 @serial
@@ -31,7 +57,7 @@ def pick_between(values: F32, shown: B8, low: float, high: float, out: F32) -> t
     low, high
         Ends; both count.
     out
-        float32 [N], its beginning is written.
+        float32 [N + 1], its beginning is written.
 
     Returns
     -------
@@ -39,13 +65,12 @@ def pick_between(values: F32, shown: B8, low: float, high: float, out: F32) -> t
         How many count in all, how many of them lie below `low`, and how many were copied.
     """
     total, below, count = 0, 0, 0
-    for n in range(values.size):
-        value = values[n]
-        counts = shown[n] & (value > np.float32(0))
-        total += counts
-        below += counts & (value < low)
-        out[count] = value  # kept where the next one goes to another place
-        count += counts & (value >= low) & (value <= high)
+    for begin in range(0, values.size, SPAN):
+        some, mask = values[begin : begin + SPAN], shown[begin : begin + SPAN]
+        counting, lower, between = tally(some, mask, low, high)
+        if between > 0:
+            copy_between(some, mask, low, high, out[count:])
+        total, below, count = total + counting, below + lower, count + between
     return total, below, count
 
 

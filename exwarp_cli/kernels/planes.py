@@ -77,11 +77,13 @@ def write_colour(
 ) -> None:
     """Write three lines of colour from a row of `pixels` [H W C] that begins at pixel `at`."""
     begin, end, start = columns
-    for c in range(3):
-        line = out[place[0] + c, place[1]]
-        first = (at + start) * channels + c
-        for n in range(end - begin):
-            line[begin + n] = pixels[np.uint64(first + n * channels)]
+    plane, y = place
+    one, two, three = out[plane, y], out[plane + 1, y], out[plane + 2, y]
+    for n in range(end - begin):
+        first = (at + start + n) * channels
+        one[begin + n] = pixels[np.uint64(first)]
+        two[begin + n] = pixels[np.uint64(first + 1)]
+        three[begin + n] = pixels[np.uint64(first + 2)]
 
 
 @part

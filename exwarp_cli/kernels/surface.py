@@ -62,6 +62,26 @@ def copy_parts(here: Parts, q: int, p: int, made: Parts, i: int, j: int) -> None
         made[3][row, column] = metallic[y, x]
 
 
+@inlined
+def blank(made: Parts, colours: Colours, i: int, j: int, place: int) -> None:
+    """Write what stands for nothing to the slot's pixel (i, j), in colours from `place` on."""
+    depth, normal, roughness, metallic = made
+    row, column = np.uint64(i), np.uint64(j)
+    if depth.size > 0:
+        depth[row, column] = np.float32(np.nan)
+    for c in range(3):
+        if normal.size > 0:
+            normal[row, column, c] = np.float32(0)
+        if colours[0].size > 0:
+            colours[0][place + c] = np.float32(0)
+        if colours[1].size > 0:
+            colours[1][place + c] = np.float32(0)
+    if roughness.size > 0:
+        roughness[row, column] = np.float32(0)
+    if metallic.size > 0:
+        metallic[row, column] = np.float32(0)
+
+
 def take_over_text(
     field: F32,
     here: Parts,
@@ -69,6 +89,7 @@ def take_over_text(
     made: Parts,
     made_colours: Colours,
     unknown: B8,
+    blanks: bool,
     share: Share = WHOLE,
 ) -> None:
     """Take over a frame's surfaces where a slot's are not known yet.
@@ -87,6 +108,8 @@ def take_over_text(
         The slot's, changed; where the frame's is empty, they may be so, too.
     unknown
         bool [H, W], changed: what becomes known is taken off.
+    blanks
+        Whether the slot's parts and colours become NaN, for depth, and 0 where nothing is known.
     share
         Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
@@ -97,12 +120,14 @@ def take_over_text(
             if not unknown[i, j]:
                 continue
             q, p = end_of(i, j, field[i, j, 0], field[i, j, 1], height, width)
+            place = (i * width + np.int64(j)) * 3
             if q < 0:
+                if blanks:
+                    blank(made, made_colours, i, j, place)
                 continue
             unknown[i, j] = False
             copy_parts(here, q, p, made, i, j)
             x, y = np.float32(j) + field[i, j, 0], np.float32(i) + field[i, j, 1]
-            place = (i * width + np.int64(j)) * 3
             if colours[0].size > 0:
                 sample_colour(colours[0], shape, x, y, made_colours[0], place)
             if colours[1].size > 0:

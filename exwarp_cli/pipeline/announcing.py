@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from exwarp_cli.io.models import OnnxExtrapolator
     from exwarp_cli.io.policy_files import PolicyFile
     from exwarp_cli.io.sequence import Sequence
+    from exwarp_cli.pipeline.late_network import LateNetwork
     from exwarp_cli.pipeline.progress import Progress
     from exwarp_cli.pipeline.source import Source
     from exwarp_cli.synthesis.methods import Method
@@ -46,7 +47,7 @@ class Models:
     def of(
         cls,
         source: Source,
-        network: OnnxExtrapolator | None,
+        network: OnnxExtrapolator | LateNetwork | None,
         interpolator: OnnxInterpolator | None,
         policy: PolicyFile | None,
     ) -> Models:
@@ -105,7 +106,7 @@ def _announce_policy(
         )
 
 
-def _network_summary(network: OnnxExtrapolator, source: Source) -> NetworkSummary:
+def _network_summary(network: OnnxExtrapolator | LateNetwork, source: Source) -> NetworkSummary:
     demodulated = not _missing_colours(source)
     return NetworkSummary(str(network.path), network.checksum, network.device, demodulated)
 

@@ -131,4 +131,6 @@ def serves(frame: RawFrame, shot: Shot, roles: Iterable[Role]) -> bool:
     normal = frame.gbuffer.normal
     if Role.NORMAL in asked or normal is None or frame.gbuffer.depth is None:
         return True
-    return not (normal == -1).all(axis=-1).any()
+    # All three of every pixel took 30 ms at 1920x1080.
+    marked = normal[normal[..., 0] == -1]
+    return not (marked == -1).all(axis=-1).any()

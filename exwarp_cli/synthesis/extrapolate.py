@@ -7,11 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from exwarp_cli.compiled import shares
+from exwarp_cli.compiled.shares import Share, turns
 from exwarp_cli.domain.extrapolator import HISTORY, INPUTS, Inputs, NetworkInputs
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, KeyFrame
-from exwarp_cli.domain.lent_memory import copied, lent, rest
+from exwarp_cli.domain.lent_memory import lent, rest
 from exwarp_cli.domain.timeline import FACTOR
-from exwarp_cli.kernels import planes
+from exwarp_cli.kernels import jit, planes
 from exwarp_cli.synthesis.geometry import SlotField
 from exwarp_cli.synthesis.history import LookBack, Past
 from exwarp_cli.synthesis.modulation import decode, demodulated, encode_in_place, modulation_of
@@ -99,9 +101,7 @@ class SlotInputs:
             frames, self.filled, (*surface, *materials), defaults, np.float32(self.median),
             (top, left), made,
         )  # fmt: skip
-        for first, count in COLOUR_PLANES:
-            encode_in_place(made[first : first + count])
-        np.multiply(made[13:16], made[16], out=made[:3])
+        shares.run(_encode, (made.reshape(len(made), -1),), jit.threads())
         ends = np.cumsum(list(INPUTS.values()))[:-1]
         warped, mask, features, history = np.split(made, ends)
         return NetworkInputs(warped, mask, features, history, self.time)
@@ -186,7 +186,9 @@ def prepare(
     surface = seen.surface.without(*SMOOTH)
     rest()
     pixels, depth, hole = moved(_shading(key, divided), back)
-    filled = fill_holes(copied(pixels), depth, hole)
+    filled = lent(pixels.shape, np.float32)
+    shares.run(_copy, (pixels, filled), jit.threads())
+    fill_holes(filled, depth, hole)
     history = [Moved(pixels, ~hole)]
     del pixels
     rest()
@@ -200,6 +202,22 @@ def prepare(
     median = _median(surface.depth)
     inputs = SlotInputs((now, before, oldest), filled, surface, median, slot / FACTOR)
     return Prepared(inputs, modulation, filled)
+
+
+def _encode(made: Float32, share: Share) -> None:
+    """Encode the colour of a network's planes [C, N], of a share of their pixels."""
+    some = turns(made.shape[1], share)
+    part = made[:, some.start : some.stop]
+    for first, count in COLOUR_PLANES:
+        for line in part[first : first + count]:
+            encode_in_place(line)
+    np.multiply(part[13:16], part[16], out=part[:3])
+
+
+def _copy(given: Float32, out: Float32, share: Share) -> None:
+    """Copy a share of the rows."""
+    some = turns(len(out), share)
+    out[some.start : some.stop] = given[some.start : some.stop]
 
 
 def _shading(frame: KeyFrame, divided: bool) -> Float32:

@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, KeyFrame
-from exwarp_cli.domain.lent_memory import copied, rest
+from exwarp_cli.domain.lent_memory import copied, lent, rest
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.kernels.follow import follow, follow_shown
 from exwarp_cli.kernels.surface import go_on
@@ -228,8 +228,9 @@ def _reprojected(slot: int, back: SlotField, between: BetweenKeys) -> LookBack:
         older = step.frame.gbuffer
         assert older is not None
         rest()
-        moved, lost = copied(moved), lost.copy()
-        follow_shown(step.motion, stencil_of(newer), gone, moved, lost)
+        led, missed = lent(moved.shape, np.float32), lent(lost.shape, np.bool_)
+        follow_shown(step.motion, stencil_of(newer), gone, moved, lost, led, missed)
+        moved, lost = led, missed
         if older.has_motion:
             motion = _foretold(step, count + time, camera, count > 1)
             rest()

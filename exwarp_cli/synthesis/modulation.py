@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from exwarp_cli.compiled import shares
+from exwarp_cli.compiled.shares import Share, turns
 from exwarp_cli.domain.frame import Float32, GBuffer, KeyFrame
 from exwarp_cli.domain.lent_memory import lent
-from exwarp_cli.kernels import planes
+from exwarp_cli.kernels import jit, planes
 
 DARKEST = 0.2
 """Surface colour that is divided by at the least: what is darker shows emission, refraction or the
@@ -21,8 +23,9 @@ BRIGHTEST = 2.0
 """At the most: white of both kinds."""
 
 SIGN = np.uint32(0x80000000)
-PART = 2**16
-"""Values that are coded at a time. Threads that shared them waited for each other between these."""
+PART = 2**18
+"""Values that are coded at a time. With fewer, threads that share them wait for each other more
+often in between."""
 
 
 def modulation_of(gbuffer: GBuffer) -> Float32 | None:
@@ -34,8 +37,16 @@ def modulation_of(gbuffer: GBuffer) -> Float32 | None:
     if gbuffer.albedo is None or gbuffer.specular is None:
         return None
     total: Float32 = lent(gbuffer.albedo.shape, np.float32)
-    np.add(gbuffer.albedo, gbuffer.specular, out=total)
-    return np.clip(total, np.float32(DARKEST), np.float32(BRIGHTEST), out=total)
+    shares.run(_modulate, (gbuffer.albedo, gbuffer.specular, total), jit.threads())
+    return total
+
+
+def _modulate(albedo: Float32, specular: Float32, out: Float32, share: Share) -> None:
+    """Write the modulation of a share of the rows."""
+    some = turns(len(out), share)
+    rows = slice(some.start, some.stop)
+    np.add(albedo[rows], specular[rows], out=out[rows])
+    np.clip(out[rows], np.float32(DARKEST), np.float32(BRIGHTEST), out=out[rows])
 
 
 def demodulated(frame: KeyFrame) -> Float32 | None:
@@ -58,13 +69,22 @@ def encode(linear: Float32) -> Float32:
 
 
 def encode_in_place(linear: Float32) -> None:
-    """Write over linear values, contiguous, what :func:`encode` returns."""
+    """Write over linear values, contiguous, what :func:`encode` returns, in this thread alone."""
     _signed(np.log1p, linear, linear)
 
 
 def decode(coded: Float32) -> Float32:
     """Return the linear values that :func:`encode` was given."""
-    return _signed(np.expm1, coded, np.empty(coded.shape, np.float32))
+    out: Float32 = lent(coded.shape, np.float32)
+    given = np.ascontiguousarray(coded).reshape(-1)
+    shares.run(_decode, (given, out.reshape(-1)), jit.threads())
+    return out
+
+
+def _decode(coded: Float32, out: Float32, share: Share) -> None:
+    """Write the linear values of a share of those that are given, both flat."""
+    some = turns(coded.size, share)
+    _signed(np.expm1, coded[some.start : some.stop], out[some.start : some.stop])
 
 
 def _signed(curve: np.ufunc, values: Float32, out: Float32) -> Float32:

@@ -56,30 +56,26 @@ def reprojected(sources: Sequence[tuple[GBuffer, Float32]]) -> tuple[GBuffer, Bo
     for name in NEAREST:
         if (array := getattr(first, name)) is not None:
             made[name] = lent(array.shape, array.dtype)
-    unknown = np.ones(first.window.shape, np.bool_)
-    _take_over(first, motion, NEAREST, made, unknown)
-    left = np.flatnonzero(unknown)
     # Nearly all of it: four times as fast for the whole frame as pixel by pixel.
     for name in SMOOTH:
         if (array := getattr(first, name)) is not None:
             made[name], _ = sampled(array, motion)
             rest()
-    for name, array in made.items():
-        _flat(array)[left] = np.nan if name == "depth" else 0
+    unknown = np.ones(first.window.shape, np.bool_)
+    _take_over(first.without(*SMOOTH), motion, made, unknown, blanks=True)
     for gbuffer, field in others:
-        _take_over(replace(gbuffer, depth=depth_of(gbuffer)), field, SHOWN, made, unknown)
+        _take_over(replace(gbuffer, depth=depth_of(gbuffer)), field, made, unknown)
         rest()
     return GBuffer(first.window, **made), unknown
 
 
 def _take_over(
-    gbuffer: GBuffer, field: Float32, names: Sequence[str], made: dict[str, Float32], unknown: Bool
+    gbuffer: GBuffer, field: Float32, made: dict[str, Float32], unknown: Bool, blanks: bool = False
 ) -> None:
-    """Take over some parts of a frame where a slot's are not known yet."""
+    """Take over what is known of a frame where a slot's parts are not known yet."""
 
     def given(name: str, parts: Mapping[str, Float32 | None]) -> Float32:
-        known = name in names and name in made
-        array = parts[name] if known else None
+        array = parts[name] if name in made else None
         if array is None:
             return np.zeros((0, 0) if name in FLAT else (0, 0, 3), np.float32)
         return np.ascontiguousarray(array)
@@ -92,6 +88,7 @@ def _take_over(
         tuple(given(name, made) for name in NEAREST),
         tuple(given(name, made).reshape(-1) for name in SMOOTH),
         unknown,
+        blanks,
     )
 
 

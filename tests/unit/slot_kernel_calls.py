@@ -38,8 +38,8 @@ def shown_followed(
     lost: np.ndarray,
     serial: bool = False,
 ) -> Arrays:
-    out, missed = moved.copy(), lost.copy()
-    build(follow, "follow_shown", serial)(step, stencil, gone, out, missed)
+    out, missed = np.full_like(moved, -9), np.zeros_like(lost)
+    build(follow, "follow_shown", serial)(step, stencil, gone, moved, lost, out, missed)
     return out, missed
 
 
@@ -49,13 +49,14 @@ def taken_over(
     colours: tuple[np.ndarray, ...],
     unknown: np.ndarray,
     serial: bool = False,
+    blanks: bool = False,
 ) -> Arrays:
     """Parts and colours as the kernel has them, but colours [H, W, 3]."""
     made = tuple(np.full_like(part, -9) for part in parts)
     mixed = tuple(np.full_like(colour, -9) for colour in colours)
     rest = unknown.copy()
     flat = [tuple(colour.reshape(-1) for colour in group) for group in (colours, mixed)]
-    build(surface, "take_over", serial)(field, parts, flat[0], made, flat[1], rest)
+    build(surface, "take_over", serial)(field, parts, flat[0], made, flat[1], rest, blanks)
     return (*made, *mixed, rest)
 
 

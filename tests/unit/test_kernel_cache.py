@@ -193,11 +193,13 @@ class TestNames:
 def test_a_kernel_goes_by_the_files_that_it_uses(tmp_path, monkeypatch):
     monkeypatch.setattr(cache, "PACKAGE", tmp_path)
     monkeypatch.setattr(cache, "source_digest", cache.source_digest.__wrapped__)
+    monkeypatch.setattr(cache, "_source", cache._source.__wrapped__)
     folder = tmp_path / "kernels"
     folder.mkdir()
     texts = {
         "one": "from exwarp_cli.kernels.two import (\n    PART,\n    Y,\n)\n",
-        "two": "from exwarp_cli.kernels import three as other, five  # both\nPART = 1\n",
+        "two": "from exwarp_cli.kernels import three as other\nPART = 1\n\n\ndef later():\n"
+        "    from exwarp_cli.kernels import five, three  # both\n",
         **dict.fromkeys(("three", "four", "five"), "X = 1\n"),
     }
     for name, text in texts.items():

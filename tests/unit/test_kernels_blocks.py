@@ -60,3 +60,28 @@ def test_sums_do_not_lose_small_motion():
     (found,) = averaged(motion, 64)
     exact = (2.0**24 + 4095 * np.float64(np.float32(0.1))) / 4096
     np.testing.assert_allclose(found[0, 0], exact, rtol=1e-13)
+
+
+@pytest.mark.parametrize("masked", [True, False])
+@pytest.mark.parametrize("serial", [True, False])
+def test_sums_are_those_of_one_value_after_the_other(masked, serial):
+    """Bit for bit: blocks are added up side by side, of which single ones have gaps."""
+    seeded = np.random.default_rng(4)
+    shape, size = (37, 150), 8  # four fours, and two blocks and a smaller one beside them
+    motion = (seeded.normal(size=(*shape, 2)) * 10.0 ** seeded.integers(-9, 9, (*shape, 1))).astype(
+        np.float32
+    )
+    mask = np.ones(shape, bool) if masked else NO_MASK
+    motion[3, 5] = motion[20, 70, 0] = np.nan
+    motion[9, 40, 1] = np.inf
+    if masked:
+        mask[25, 100:110] = False
+    (found,) = averaged(motion, size, mask, serial)
+    for row, column in np.ndindex(found.shape[:2]):
+        where = np.s_[row * size : (row + 1) * size, column * size : (column + 1) * size]
+        values = motion[where].reshape(-1, 2).astype(np.float64)
+        counts = np.isfinite(values).all(axis=1) & (mask[where].ravel() if masked else True)
+        total = np.zeros(2)
+        for value in values[counts]:
+            total += value
+        np.testing.assert_array_equal(found[row, column], total / counts.sum())

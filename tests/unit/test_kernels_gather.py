@@ -24,7 +24,9 @@ def uniform(shape: tuple[int, int], x: float, y: float) -> np.ndarray:
 
 
 class TestGather:
-    @pytest.mark.parametrize("shape", [(1, 1, 3), (1, 9, 4), (17, 13, 3), (20, 31, 4)])
+    @pytest.mark.parametrize(
+        "shape", [(1, 1, 3), (1, 9, 4), (17, 13, 3), (20, 31, 4), (3, 257, 3), (2, 600, 4)]
+    )
     def test_equals_the_naive_twin(self, shape):
         image, field = random_image(shape), random_field(shape[:2])
         expected, hole = naive.gather_bilinear(image, field)

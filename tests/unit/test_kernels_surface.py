@@ -14,20 +14,23 @@ from tests.unit import slot_kernel_calls as calls
 from tests.unit.kernel_cases import SHAPE, depth, field, ids, vectors, wide
 
 
+@pytest.mark.parametrize("blanks", [False, True])
 @pytest.mark.parametrize("seed", range(3))
-def test_surfaces_are_those_at_the_end_of_the_field(seed):
+def test_surfaces_are_those_at_the_end_of_the_field(seed, blanks):
     motion, parts = field(seed), calls.parts(seed + 10)
     colours, unknown = calls.colours(seed + 20), calls.seen(seed + 30)
-    *found, rest = calls.taken_over(motion, parts, colours, unknown)
+    *found, rest = calls.taken_over(motion, parts, colours, unknown, blanks=blanks)
     smooth = [naive_gather.gather_bilinear(colour, motion)[0] for colour in colours]
     led = {place: there for place, there in naive.ends(motion) if unknown[place]}
     for place in np.ndindex(SHAPE):
         assert rest[place] == (unknown[place] and place not in led)
+        kept = 0 if blanks and rest[place] else -9
         for made, part in zip(found[:4], parts, strict=True):
-            expected = part[led[place]] if place in led else np.full_like(made[place], -9)
+            other = np.nan if kept == 0 and made is found[0] else kept
+            expected = part[led[place]] if place in led else np.full_like(made[place], other)
             np.testing.assert_array_equal(made[place], expected)
         for made, colour in zip(found[4:], smooth, strict=True):
-            expected = colour[place] if place in led else np.full(3, -9)
+            expected = colour[place] if place in led else np.full(3, kept)
             np.testing.assert_allclose(made[place], expected, rtol=1e-5, atol=1e-4)
 
 

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import errno
 import gc
+import mmap
 import os
+import random
 import re
 import sys
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from math import prod
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +32,10 @@ from exwarp_cli.domain.lent_memory import (
 from exwarp_cli.io.frames import joined
 
 SHAPE = (600, 300, 4)
+
+
+def paged(size: int) -> int:
+    return -(-size // mmap.PAGESIZE) * mmap.PAGESIZE
 
 
 def where(array: np.ndarray) -> int:
@@ -55,7 +63,7 @@ def test_what_is_held_is_not_lent_again():
     held = [lent(SHAPE, np.float32) for _ in range(6)]
     for i, array in enumerate(held):
         array[...] = i
-    assert not lent_memory._returned
+    assert not lent_memory._store.idle
     assert all((array == i).all() for i, array in enumerate(held))
 
 
@@ -93,15 +101,69 @@ def test_other_sizes_get_other_memory():
 def test_what_waits_makes_room_for_what_is_of_another_size():
     lent(SHAPE, np.float32)
     kept = lent((100, 300, 50), np.float32)
-    assert not lent_memory._returned
+    assert not lent_memory._store.idle
     del kept
+
+
+def test_smaller_ones_get_parts_of_a_larger_one():
+    half = 2**22  # a whole number of pages
+    large = lent((2 * half,), np.uint8)
+    place = where(large)
+    del large
+    parts = [lent((half,), np.uint8), lent((half,), np.uint8)]
+    assert [where(part) for part in parts] == [place, place + half]
+    for i, part in enumerate(parts):
+        part[...] = i
+    assert all((part == i).all() for i, part in enumerate(parts))
+    del parts, part
+    assert len(lent_memory._store.idle) == 1  # joined again
+    assert where(lent((2 * half,), np.uint8)) == place
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_whatever_is_lent_in_any_order_is_nobody_else_s(seed):
+    """As many threads as like, and pages that go back between."""
+    chance = random.Random(seed)
+
+    def work(number: int) -> None:
+        held: list[np.ndarray] = []
+        for turn in range(60):
+            rows = chance.choice([300, 600, 900, 1800])
+            array = lent((rows, 300, 4), np.uint8 if turn % 3 else np.float32)
+            array[...] = (number + turn) % 250
+            held.append(array)
+            if chance.random() < 0.6:
+                held.pop(chance.randrange(len(held)))
+            if chance.random() < 0.1:
+                chance.choice([let_go, forget])()
+            for one in held:
+                assert (one == one.flat[0]).all()
+
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(work, range(4)))
+    gc.collect()
+    forget()
+    assert lent_memory._store.blocks == []
+
+
+def test_a_part_that_nobody_wants_goes_back_alone():
+    large = lent((1800, 300, 4), np.float32)
+    del large
+    kept = lent(SHAPE, np.float32)
+    kept[...] = 7
+    forget()
+    assert lent_memory._store.idle == [] and len(lent_memory._store.blocks) == 1
+    assert (kept == 7).all()
+    del kept
+    forget()
+    assert lent_memory._store.blocks == []
 
 
 def test_what_is_forgotten_is_gone():
     lent(SHAPE, np.float32)
-    assert lent_memory._returned
+    assert lent_memory._store.idle
     forget()
-    assert not lent_memory._returned
+    assert not lent_memory._store.idle
 
 
 def test_what_nobody_wanted_for_an_interval_is_gone():
@@ -111,14 +173,14 @@ def test_what_nobody_wanted_for_an_interval_is_gone():
     let_go()
     assert where(lent(SHAPE, np.float32)) == place
     let_go()
-    assert [memory.nbytes for _, memory in lent_memory._returned] == [4 * np.prod(SHAPE)]
+    assert lent_memory._store.idle == [paged(4 * prod(SHAPE))]
     let_go()
-    assert not lent_memory._returned
+    assert not lent_memory._store.idle
 
 
 def test_little_memory_is_not_kept():
     lent((10, 10), np.float32)
-    assert not lent_memory._returned
+    assert not lent_memory._store.idle
 
 
 WIDE = (LARGE // 1024 + 1, 1024)
