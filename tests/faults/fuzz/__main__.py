@@ -5,7 +5,7 @@
 In process, cases are drawn by hypothesis, and by atheris, which looks for inputs that reach code no
 input reached before. Through the command each has a process of its own. Every one has to end in
 success, or in one sentence and a documented exit code, in time, without partial files and within
-the memory of a small machine. Cases come in batches; a batch that is done is kept in FOLDER and
+the memory of a small machine. Cases come in batches; a batch that went well is noted in FOLDER and
 not run again, and what failed is told at the end with what makes it again.
 """
 
@@ -72,14 +72,14 @@ def _run_all(wanted: list[Batch], state: Path, jobs: int) -> int:
 
     def one(batch: Batch) -> str:
         done = state / f"{batch.name}.json"
-        if not done.exists():
-            told = _started(batch)
-            with lock:
-                print(
-                    f"{time.monotonic() - begin:6.0f} s  {batch.name}: {told or 'ok'}", flush=True
-                )
-            done.write_text(json.dumps(asdict(batch) | {"failure": told}, indent=2))
-        failure: str = json.loads(done.read_text())["failure"]
+        if done.exists():
+            return ""
+        failure = _started(batch)
+        if not failure:
+            done.write_text(json.dumps(asdict(batch)))
+        with lock:
+            seconds = time.monotonic() - begin
+            print(f"{seconds:6.0f} s  {batch.name}: {(failure and 'FAILED') or 'ok'}", flush=True)
         return failure
 
     with ThreadPoolExecutor(jobs) as pool:

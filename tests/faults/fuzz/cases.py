@@ -9,7 +9,7 @@ import sys
 import tempfile
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
@@ -23,7 +23,7 @@ from tests.cli import shots
 from tests.faults.fuzz.damage import DAMAGES, FOLDERS, Draw, draw_shot
 from tests.faults.running import Outcome, require_no_leftovers
 
-SECONDS = 20
+SECONDS = 120
 """After which a case counts as one that hangs."""
 
 VECTORS = ("--motion", "previous=X,-Y next=-Z,W")
@@ -101,14 +101,18 @@ def in_process(case: Case) -> Outcome:
         try:
             os.dup2(out.fileno(), 1)
             os.dup2(err.fileno(), 2)
-            with warnings.catch_warnings():
+            with (
+                open(1, "w", closefd=False, errors="replace") as stdout,
+                open(2, "w", closefd=False, errors="replace") as stderr,
+                redirect_stdout(stdout),
+                redirect_stderr(stderr),
+                warnings.catch_warnings(),
+            ):
                 warnings.simplefilter("ignore")  # as the command does
                 code = cli.run(list(case.arguments))
         finally:
             signal.alarm(0)
             signal.signal(signal.SIGALRM, before)
-            sys.stdout.flush()
-            sys.stderr.flush()
             for number, stream in zip(kept, (1, 2), strict=True):
                 os.dup2(number, stream)
                 os.close(number)
