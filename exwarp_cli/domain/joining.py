@@ -125,6 +125,9 @@ def join(runs: Sequence[RunSummary], names: Sequence[str] = ()) -> RunSummary:
         keys=tuple(sorted(keys)),
         cuts=join_cuts(part.run.cuts for part in parts),
         wall_seconds=sum(part.run.wall_seconds for part in parts),
+        left_out=tuple(
+            sorted((one for part in parts for one in part.run.left_out), key=lambda one: one.key)
+        ),
     )
 
 
@@ -144,6 +147,7 @@ def part_of(run: RunSummary, keys: Collection[int]) -> RunSummary:
         keys=tuple(key for key in run.selected if key in keys),
         cuts=cuts,
         wall_seconds=run.wall_seconds * share,
+        left_out=tuple(one for one in run.left_out if one.key in keys),
     )
 
 

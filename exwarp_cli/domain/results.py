@@ -129,6 +129,25 @@ class FrameRecord:
 
 
 @dataclass(frozen=True)
+class LeftOut:
+    """A key interval that was left out, as its input cannot be used.
+
+    Attributes
+    ----------
+    key
+        Input number of the key frame.
+    frames
+        Numbers of the output frames that are missing for it, ascending.
+    reason
+        What is wrong with the input, in a sentence.
+    """
+
+    key: int
+    frames: tuple[int, ...]
+    reason: str
+
+
+@dataclass(frozen=True)
 class InputSummary:
     """The input as the report names it.
 
@@ -283,6 +302,8 @@ class RunSummary:
         Input numbers of the key frames that were selected, ascending; see `selected`.
     version
         Of the ExWarp that made the frames.
+    left_out
+        The key intervals that were left out, ascending.
     """
 
     method: str
@@ -303,6 +324,7 @@ class RunSummary:
     layers: tuple[str, ...] = ()
     keys: tuple[int, ...] = ()
     version: str = __version__
+    left_out: tuple[LeftOut, ...] = ()
 
     @property
     def selected(self) -> tuple[int, ...]:

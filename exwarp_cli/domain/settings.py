@@ -48,6 +48,8 @@ class SourceSettings:
         nothing is said.
     max_pixels
         Pixels that a frame may have.
+    keep_going
+        Whether key intervals are left out whose files are damaged or missing.
     """
 
     sequence: str
@@ -64,6 +66,7 @@ class SourceSettings:
     cuts: str = AUTO
     dynamic: str | None = None
     max_pixels: int = MOST_PIXELS
+    keep_going: bool = False
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,7 @@ from exwarp_cli.io.atomic import marked, remove_leftovers
 from exwarp_cli.pipeline.dry_run import DryRun
 from exwarp_cli.pipeline.filming import Film
 from exwarp_cli.pipeline.job import Job
+from exwarp_cli.pipeline.leaving_out import tell_left_out
 from exwarp_cli.pipeline.progress import NoProgress, Progress
 
 if TYPE_CHECKING:  # they import Dask, which may not be there
@@ -208,15 +209,20 @@ class _Coordinator:
     def _take(self, chunk: Chunk, done: Done) -> None:
         """Take over what a chunk came to, and film what is complete from the beginning on."""
         self._done[chunk.index] = done
+        for one in done.left_out:
+            tell_left_out(self._progress, one)
         if self._watcher is not None and done.watcher is not None:
             self._watcher.adopt(done.watcher)
             self._done[chunk.index] = replace(done, watcher=None)
         while self._film is not None and self._filmed in self._done:
-            self._film.append(self._chunks[self._filmed].keys)
+            left_out = self._done[self._filmed].left_out
+            missing = frozenset(number for one in left_out for number in one.frames)
+            self._film.append(self._chunks[self._filmed].keys, missing)
             self._filmed += 1
 
     def _summary(self, seconds: float) -> RunSummary:
         """Join what the chunks found out: as a single run would have, in order."""
         done = [self._done[chunk.index] for chunk in self._chunks]
         frames = tuple(record for one in done for record in one.frames)
-        return self._job.summary(frames, join_cuts(one.cuts for one in done), seconds)
+        left_out = tuple(left for one in done for left in one.left_out)
+        return self._job.summary(frames, join_cuts(one.cuts for one in done), seconds, left_out)

@@ -285,6 +285,8 @@ class Dispatch:
             raise result
         for record in result.frames:
             self._count(record.number, record.method)
+        for number in (number for one in result.left_out for number in one.frames):
+            self._count(number, "left out")
         self.on_chunk(task.chunk, result)
 
     def _lost(self, task: _Task, again: bool) -> None:

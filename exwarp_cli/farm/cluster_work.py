@@ -19,7 +19,7 @@ from distributed import get_worker
 
 from exwarp_cli import __version__
 from exwarp_cli.domain.cuts import Cut
-from exwarp_cli.domain.results import FrameRecord
+from exwarp_cli.domain.results import FrameRecord, LeftOut
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.errors import OutputError
 from exwarp_cli.io.atomic import make_folder
@@ -105,7 +105,7 @@ class Done:
 
     Attributes
     ----------
-    frames, cuts
+    frames, cuts, left_out
         As in `RunSummary`.
     watcher
         The chunk's own, with what it has seen.
@@ -113,6 +113,7 @@ class Done:
 
     frames: tuple[FrameRecord, ...]
     cuts: tuple[Cut, ...] | None
+    left_out: tuple[LeftOut, ...]
     watcher: SharedWatcher | None
 
 

@@ -146,24 +146,31 @@ def _compared(job: Job) -> tuple[tuple[ForeseenFrame, ...], tuple[Cut, ...] | No
     """Foresee frames where good ones are kept; return the cuts that were met, too."""
     loader = make_loader(job)
     if job.targets.frames is None:
-        note = note_of(loader.leading_recipes, job.settings, job.keys)
-        kept = is_kept(job.targets, job.settings, note)
+        kept = False
+        if not job.settings.source.keep_going:
+            note = note_of(loader.leading_recipes, job.settings, job.keys)
+            kept = is_kept(job.targets, job.settings, note)
         return tuple(_foreseen(job, slot, kept) for slot in job.slots), None
     keys = job.source.keys
     sink = Sink(job.targets, job.settings, keys.display, job.source.output_fps, keys.view)
     frames = []
     for key in job.keys:
         loaded = loader.load(key, lambda *_: False)
-        for slot in job.source.timeline.slots_of(key):
-            frames.append(_foreseen(job, slot, _is_there(job, sink, slot, loaded)))
+        slots, recipes = job.source.timeline.slots_of(key), {}
+        if isinstance(loaded, Loaded):
+            recipes = loaded.recipes
+        else:
+            slots = tuple(slot for slot in slots if loaded.passed is not None and not slot.index)
+        for slot in slots:
+            frames.append(_foreseen(job, slot, _is_there(job, sink, slot, recipes)))
     return tuple(frames), loader.cuts
 
 
-def _is_there(job: Job, sink: Sink, slot: Slot, loaded: Loaded) -> bool:
+def _is_there(job: Job, sink: Sink, slot: Slot, recipes: dict[int, str]) -> bool:
     """Whether a slot's files are there as this run would write them."""
     number = job.source.timeline.number(slot)
     if slot.index:
-        return sink.has(number, loaded.recipes[slot.index])
+        return sink.has(number, recipes[slot.index])
     keys, key_number = job.source.keys, job.source.timeline.numbers[slot.key]
     path = keys.sequence.files[key_number]
     if sink.copies(path):

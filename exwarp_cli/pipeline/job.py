@@ -6,7 +6,13 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from exwarp_cli.domain import lent_memory
-from exwarp_cli.domain.results import FrameRecord, InterpolatorSummary, NetworkSummary, RunSummary
+from exwarp_cli.domain.results import (
+    FrameRecord,
+    InterpolatorSummary,
+    LeftOut,
+    NetworkSummary,
+    RunSummary,
+)
 from exwarp_cli.io.allocator import share_one_arena
 from exwarp_cli.io.footage import close
 from exwarp_cli.io.output import compression_of
@@ -135,7 +141,11 @@ class Job:
         close(self.source.keys.sequence, *(() if self.truth is None else self.truth[:1]))
 
     def summary(
-        self, frames: tuple[FrameRecord, ...], cuts: tuple[Cut, ...] | None, seconds: float
+        self,
+        frames: tuple[FrameRecord, ...],
+        cuts: tuple[Cut, ...] | None,
+        seconds: float,
+        left_out: tuple[LeftOut, ...] = (),
     ) -> RunSummary:
         """Put together what a run of this job found out.
 
@@ -147,6 +157,8 @@ class Job:
             Those that were met; None where none were looked for or given.
         seconds
             Wall time of the streaming part.
+        left_out
+            Key intervals that were, ascending.
         """
         source = self.source
         return RunSummary(
@@ -167,6 +179,7 @@ class Job:
             views=tuple(s.keys.view for s in self.sources if s.keys.view),
             layers=self.contents[0].names,
             keys=self.key_numbers,
+            left_out=left_out,
         )
 
 

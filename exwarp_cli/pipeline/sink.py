@@ -10,6 +10,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from exwarp_cli.domain import cores
 from exwarp_cli.domain.frame import Bool, Image, Window
 from exwarp_cli.domain.settings import UpsampleSettings
@@ -64,6 +66,7 @@ class Sink(Held):
         self._behind = behind
         self._look = look
         self._video: VideoWriter | None = None
+        self._shown: np.ndarray | None = None  # last, by the video
         self.write_ms: dict[int, float] = {}
         """Milliseconds that writing took, by the frame's number; complete at the end."""
 
@@ -168,7 +171,18 @@ class Sink(Held):
         """Append a frame to the video, if there is one."""
         if self._video is not None:
             pixels = image.on(self._display).pixels
-            self._video.write(to_display(pixels, self._settings.exposure))
+            code = to_display(pixels, self._settings.exposure)
+            self._video.write(code)
+            self._shown = code if self._settings.source.keep_going else None
+
+    def show_again(self) -> None:
+        """Append the last frame to the video again, so that sound stays in step; else a black one.
+
+        Only where something may be left out: the last frame is kept for that.
+        """
+        if self._video is not None:
+            black = np.zeros((*self._display.shape, 3), np.float32)
+            self._video.write(to_display(black) if self._shown is None else self._shown)
 
     def read(self, number: int) -> Image:
         """Read a frame that an earlier run wrote."""

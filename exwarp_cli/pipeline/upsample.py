@@ -8,7 +8,7 @@ from exwarp_cli.domain import lent_memory
 from exwarp_cli.domain.cores import working
 from exwarp_cli.domain.cuts import Cut
 from exwarp_cli.domain.frame import Window
-from exwarp_cli.domain.results import FrameRecord, RunSummary
+from exwarp_cli.domain.results import FrameRecord, LeftOut, RunSummary
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.io import allocator
 from exwarp_cli.io.threads import use_threads
@@ -72,15 +72,15 @@ def run_job(job: Job, progress: Progress, watcher: Watcher | None = None) -> Run
     try:
         if watcher is not None:
             watcher.plan(job.groups)
-        frames, cuts = write_intervals(job, progress, watcher)
+        frames, cuts, left_out = write_intervals(job, progress, watcher)
     finally:
         progress.finish()
-    return job.summary(frames, cuts, time.perf_counter() - begin)
+    return job.summary(frames, cuts, time.perf_counter() - begin, left_out)
 
 
 def write_intervals(
     job: Job, progress: Progress, watcher: Watcher | None = None
-) -> tuple[tuple[FrameRecord, ...], tuple[Cut, ...] | None]:
+) -> tuple[tuple[FrameRecord, ...], tuple[Cut, ...] | None, tuple[LeftOut, ...]]:
     """Do the work of a job whose folders are there, in this thread.
 
     Parameters
@@ -98,6 +98,8 @@ def write_intervals(
         One a frame, ascending; () for a video alone that was there as this run would make it.
     cuts : tuple of Cut or None
         As `RunSummary` has them.
+    left_out : tuple of LeftOut
+        The key intervals that were.
     """
     settings = job.settings
     use_threads(settings.threads)
@@ -105,13 +107,17 @@ def write_intervals(
     lent_memory.forget()
     allocator.trim()
     loader = make_loader(job)
-    note = "" if job.targets.frames else note_of(loader.leading_recipes, settings, job.keys)
+    note = ""
+    # A video may lack something whose files are as they were: it is made again then.
+    if not (job.targets.frames or settings.source.keep_going):
+        note = note_of(loader.leading_recipes, settings, job.keys)
     try:
-        if watcher is None and is_kept(job.targets, settings, note):
-            return (), loader.cuts
+        if watcher is None and note and is_kept(job.targets, settings, note):
+            return (), loader.cuts, ()
         run = _run_of(job, note, progress, watcher)
         with working():
-            return run.write_all(loader, job.keys), loader.cuts
+            frames = run.write_all(loader, job.keys)
+        return frames, loader.cuts, tuple(run.left_out)
     finally:
         job.close()
 
