@@ -161,6 +161,9 @@ class FrameRate(click.ParamType[Fraction]):
 )
 @click.option("--skip-existing", is_flag=True, help="Keep good frames of an earlier run.")
 @click.option("--overwrite", is_flag=True, help="Replace frames that exist.")
+@click.option(
+    "--verify", is_flag=True, help="Read all files back from the disk, and compare checksums."
+)
 @threads_option
 @spread_options
 @click.option(
@@ -190,7 +193,8 @@ def command(
     from exwarp_cli.pipeline.job import open_job
     from exwarp_cli.pipeline.progress import reporting
 
-    settings = settings_of(options)
+    asked = report_folder is not None or as_json
+    settings = replace(settings_of(options), checksums=asked)
     where = ClusterSettings(workers, cluster, chunk_size)
     runs = not (dry_run or where.spread)
     if runs and settings.threads != 1:

@@ -128,6 +128,8 @@ def join(runs: Sequence[RunSummary], names: Sequence[str] = ()) -> RunSummary:
         left_out=tuple(
             sorted((one for part in parts for one in part.run.left_out), key=lambda one: one.key)
         ),
+        files=tuple(dict.fromkeys(file for part in parts for file in part.run.files)),
+        verified=_verified(parts),
     )
 
 
@@ -141,6 +143,8 @@ def part_of(run: RunSummary, keys: Collection[int]) -> RunSummary:
     met = {number + behind for number in keys for behind in (0, run.input.step)}
     cuts = None if run.cuts is None else tuple(cut for cut in run.cuts if cut.number in met)
     share = len(frames) / len(run.frames) if run.frames else 0.0
+    numbers = {frame.number for frame in frames}
+    files = tuple(file for file in run.files if file.frame is None or file.frame in numbers)
     return replace(
         run,
         frames=frames,
@@ -148,6 +152,8 @@ def part_of(run: RunSummary, keys: Collection[int]) -> RunSummary:
         cuts=cuts,
         wall_seconds=run.wall_seconds * share,
         left_out=tuple(one for one in run.left_out if one.key in keys),
+        files=files,
+        verified=None if run.verified is None else len(files),
     )
 
 
@@ -197,6 +203,12 @@ def _require_alike(one: _Part, other: _Part) -> None:
                 f"{_shown(first)} in the one and {_shown(second)} in the other; join only what "
                 "one command did in chunks"
             )
+
+
+def _verified(parts: Sequence[_Part]) -> int | None:
+    """Return how many files were read back; None where not all parts did so."""
+    counts = [part.run.verified for part in parts]
+    return None if None in counts else sum(count or 0 for count in counts)
 
 
 def _shown(value: Any) -> str:

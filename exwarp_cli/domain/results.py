@@ -148,6 +148,28 @@ class LeftOut:
 
 
 @dataclass(frozen=True)
+class WrittenFile:
+    """A file of a run, and its checksum.
+
+    Attributes
+    ----------
+    kind
+        "frame", "holes" or, where it is written alone, "video".
+    frame
+        Number of the output frame; None for a video.
+    file
+        Its name, without its folder.
+    sha256
+        Of all its bytes as they were made, hexadecimal.
+    """
+
+    kind: str
+    frame: int | None
+    file: str
+    sha256: str
+
+
+@dataclass(frozen=True)
 class InputSummary:
     """The input as the report names it.
 
@@ -304,6 +326,10 @@ class RunSummary:
         Of the ExWarp that made the frames.
     left_out
         The key intervals that were left out, ascending.
+    files
+        What was written, with checksums; () where nobody asked.
+    verified
+        How many files were read back and found as they were made; None where that was not asked.
     """
 
     method: str
@@ -325,6 +351,8 @@ class RunSummary:
     keys: tuple[int, ...] = ()
     version: str = __version__
     left_out: tuple[LeftOut, ...] = ()
+    files: tuple[WrittenFile, ...] = ()
+    verified: int | None = None
 
     @property
     def selected(self) -> tuple[int, ...]:

@@ -18,8 +18,7 @@ from typing import Any, Protocol
 from distributed import get_worker
 
 from exwarp_cli import __version__
-from exwarp_cli.domain.cuts import Cut
-from exwarp_cli.domain.results import FrameRecord, LeftOut
+from exwarp_cli.domain.outcome import Outcome
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.errors import OutputError
 from exwarp_cli.io.atomic import make_folder
@@ -105,15 +104,13 @@ class Done:
 
     Attributes
     ----------
-    frames, cuts, left_out
-        As in `RunSummary`.
+    outcome
+        Of its key frames.
     watcher
         The chunk's own, with what it has seen.
     """
 
-    frames: tuple[FrameRecord, ...]
-    cuts: tuple[Cut, ...] | None
-    left_out: tuple[LeftOut, ...]
+    outcome: Outcome
     watcher: SharedWatcher | None
 
 
@@ -180,7 +177,7 @@ def work(chunk: Chunk) -> Done | BaseException:
         try:
             telling.begin()
             job = _job(chunk).of(chunk.keys)
-            return Done(*write_intervals(job, telling, chunk.watcher), chunk.watcher)
+            return Done(write_intervals(job, telling, chunk.watcher), chunk.watcher)
         except Exception as error:
             return error
         finally:

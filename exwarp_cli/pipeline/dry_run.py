@@ -10,6 +10,7 @@ from enum import Enum
 from pathlib import Path
 
 from exwarp_cli.domain.cuts import Cut
+from exwarp_cli.domain.outcome import Outcome
 from exwarp_cli.domain.results import RunSummary
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.io.atomic import is_there, output_error
@@ -108,7 +109,7 @@ def foresee(job: Job) -> DryRun:
     wish, numbers = job.source.cuts, job.source.timeline.numbers
     given = tuple(Cut(numbers[key], "given") for key in sorted(wish.starts_in(numbers)))
     return DryRun(
-        head=job.summary((), None, 0.0),
+        head=job.summary(Outcome(), 0.0),
         frames=frames,
         output=None if targets.frames is None else targets.frames.folder / targets.frames.name,
         holes=None if targets.holes is None else targets.holes.folder / targets.holes.name,

@@ -14,10 +14,6 @@ from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.errors import InputError
 
 
-class _LostError(InputError):
-    """What a lost frame is met by: it is noted already."""
-
-
 class Losses:
     """Frames that are lost, by their slot, whose index is 0 for key frames.
 
@@ -30,6 +26,7 @@ class Losses:
     def __init__(self, bearable: bool = False) -> None:
         self.bearable = bearable
         self._reasons: dict[Slot, str] = {}
+        self._told: int | None = None  # the error on its way out that was noted, by its id
 
     def __len__(self) -> int:
         return len(self._reasons)
@@ -46,15 +43,21 @@ class Losses:
         if not self.bearable:
             yield
             return
+        self._told = None
         if slot in self._reasons:
-            raise _LostError(self._reasons[slot])
+            raise self._error(slot)
         try:
             yield
-        except _LostError:  # of another frame, which is read for this one
-            raise
         except InputError as error:
+            if id(error) == self._told:  # of another frame, which is read for this one
+                raise
             self._reasons[slot] = str(error)  # without what its traceback holds
-            raise _LostError(str(error)) from None
+            raise self._error(slot) from None
+
+    def _error(self, slot: Slot) -> InputError:
+        error = InputError(self._reasons[slot])
+        self._told = id(error)
+        return error
 
     def has(self, key: int) -> bool:
         """Whether a key frame is known to be lost, by its index."""

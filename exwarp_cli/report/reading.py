@@ -27,6 +27,7 @@ from exwarp_cli.domain.results import (
     PolicySummary,
     RunSummary,
     Score,
+    WrittenFile,
 )
 from exwarp_cli.domain.timeline import listed
 from exwarp_cli.errors import DamagedFileError, InputError
@@ -48,7 +49,7 @@ STEP = "_ms"
 
 SETTINGS = ("key", "slot")
 
-ADDED: dict[str, Any] = {"left_out": []}
+ADDED: dict[str, Any] = {"left_out": [], "files": [], "verified": None}
 """What reports of earlier versions do not tell, as it was then."""
 
 MOST_KEYS = 10_000_000
@@ -201,11 +202,13 @@ def _run(document: Mapping[str, Any], frames: tuple[FrameRecord, ...]) -> RunSum
         left_out=tuple(
             LeftOut(one["key"], tuple(one["frames"]), one["reason"]) for one in document["left_out"]
         ),
+        files=tuple(WrittenFile(**one) for one in document["files"]),
+        verified=document["verified"],
     )
     if made.setting not in SETTINGS:
         raise ValueError(f"the setting {made.setting}")
     models = (made.extrapolator, made.policy, made.interpolator)
-    for part in (made, made.input, *models, *made.left_out):
+    for part in (made, made.input, *models, *made.left_out, *made.files):
         _require_types(part)
     return made
 

@@ -334,6 +334,8 @@ def _settings(document: dict[str, Any]) -> list[Block]:
     for name in ("extrapolator", "interpolator", "policy"):
         told = document.get(name) or {}
         rows += [[f"{name} {key}", _plain(value)] for key, value in told.items()]
+    if document["verified"] is not None:
+        rows.append(["files read back, all as written", str(document["verified"])])
     rows.append(["ExWarp", document["version"]])
     return [Table("", ("", ""), rows)]
 
