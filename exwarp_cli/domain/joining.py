@@ -16,6 +16,7 @@ from exwarp_cli.domain.results import (
     NetworkSummary,
     PolicySummary,
     RunSummary,
+    WrittenFile,
 )
 from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.errors import InputError
@@ -128,7 +129,7 @@ def join(runs: Sequence[RunSummary], names: Sequence[str] = ()) -> RunSummary:
         left_out=tuple(
             sorted((one for part in parts for one in part.run.left_out), key=lambda one: one.key)
         ),
-        files=tuple(dict.fromkeys(file for part in parts for file in part.run.files)),
+        files=_files(parts),
         verified=_verified(parts),
     )
 
@@ -203,6 +204,12 @@ def _require_alike(one: _Part, other: _Part) -> None:
                 f"{_shown(first)} in the one and {_shown(second)} in the other; join only what "
                 "one command did in chunks"
             )
+
+
+def _files(parts: Sequence[_Part]) -> tuple[WrittenFile, ...]:
+    """Return all files, frame by frame, a video last."""
+    found = dict.fromkeys(file for part in parts for file in part.run.files)
+    return tuple(sorted(found, key=lambda one: (one.frame is None, one.frame or 0, one.kind)))
 
 
 def _verified(parts: Sequence[_Part]) -> int | None:

@@ -11,6 +11,9 @@ from exwarp_cli.io.exr import ExrReader
 
 T = TypeVar("T")
 
+AT_A_TIME = 8
+"""Channels that are decoded together: a part may have dozens, of 33 MB each at 3840x2160."""
+
 
 def first_of(numbers: Iterable[int], made_of: Callable[[int], T]) -> T:
     """Return what the first frame gives that can be used.
@@ -47,6 +50,6 @@ def require_sound(paths: Iterable[Path]) -> None:
     """
     for path in paths:
         with ExrReader(path) as file:
-            for part in file.parts:  # one by one, as memory goes
-                if not part.deep:
-                    file.read(part.channels)
+            for part in file.parts:
+                for i in range(0, 0 if part.deep else len(part.channels), AT_A_TIME):
+                    file.read(part.channels[i : i + AT_A_TIME])
