@@ -193,14 +193,13 @@ def command(
     from exwarp_cli.pipeline.job import open_job
     from exwarp_cli.pipeline.progress import reporting
 
-    asked = report_folder is not None or as_json
-    settings = replace(settings_of(options), checksums=asked)
+    settings = settings_of(options)
     where = ClusterSettings(workers, cluster, chunk_size)
     runs = not (dry_run or where.spread)
     if runs and settings.threads != 1:
         Thread(target=_import_run, name="exwarp-import").start()
     with reporting(progress, results_on_stdout=as_json) as told:
-        job = open_job(settings, runs)
+        job = replace(open_job(settings, runs), reported=as_json or report_folder is not None)
         place = _report_place(report_folder, as_chunk, job)
         if dry_run:
             _tell(_foreseen(job, where, place, told), as_json)

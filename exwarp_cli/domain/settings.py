@@ -111,8 +111,6 @@ class UpsampleSettings:
         ONNX file of the network that interpolates, with its card beside it.
     layers
         Which layers generated frames hold: "beauty", "all", or names with wildcards.
-    checksums
-        Whether to tell the checksums of what is written.
     verify
         Whether to read everything back and compare it.
     """
@@ -135,13 +133,7 @@ class UpsampleSettings:
     interpolator: str | None = None
     metrics: tuple[str, ...] | None = None
     layers: str = "beauty"
-    checksums: bool = False
     verify: bool = False
-
-    @property
-    def sums(self) -> bool:
-        """Whether checksums of files are wanted."""
-        return self.checksums or self.verify
 
     @property
     def measured(self) -> tuple[str, ...]:

@@ -188,7 +188,7 @@ class _Coordinator:
         if self._where.address is None:
             settings = replace(settings, threads=None)  # the worker was started with its share
         return tuple(
-            Chunk(run, f"exwarp-{run}", index, 0, settings, keys, None)
+            Chunk(run, f"exwarp-{run}", index, 0, settings, keys, None, job.reported)
             for index, keys in enumerate(chunks_of(job.keys, self._where, workers))
         )
 

@@ -87,6 +87,8 @@ class Chunk:
         Indices of the key frames.
     watcher
         Sees the frames; None for nobody.
+    reported
+        As in `Job`.
     """
 
     run: str
@@ -96,6 +98,7 @@ class Chunk:
     settings: UpsampleSettings
     keys: tuple[int, ...]
     watcher: SharedWatcher | None
+    reported: bool = False
 
 
 @dataclass(frozen=True)
@@ -176,7 +179,7 @@ def work(chunk: Chunk) -> Done | BaseException:
     with _alone, _kept_a_while():
         try:
             telling.begin()
-            job = _job(chunk).of(chunk.keys)
+            job = replace(_job(chunk).of(chunk.keys), reported=chunk.reported)
             return Done(write_intervals(job, telling, chunk.watcher), chunk.watcher)
         except Exception as error:
             return error

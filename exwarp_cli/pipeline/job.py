@@ -73,6 +73,8 @@ class Job:
         The files to write.
     truth
         Ground truth and its frame for a slot; None without.
+    reported
+        Whether a report tells of it, which has checksums of all files.
     """
 
     settings: UpsampleSettings
@@ -86,6 +88,12 @@ class Job:
     keys: tuple[int, ...]
     targets: Targets
     truth: tuple[Sequence, FrameOf] | None
+    reported: bool = False
+
+    @property
+    def sums(self) -> bool:
+        """Whether checksums of files are wanted."""
+        return self.reported or self.settings.verify
 
     @property
     def source(self) -> Source:

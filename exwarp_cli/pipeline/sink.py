@@ -48,6 +48,8 @@ class Sink(Held):
         How many frames may wait for a thread to write them, beyond those under way.
     look
         Of the video: colour, pixels and sound; None for the usual.
+    sums
+        Whether checksums of files are wanted.
     """
 
     def __init__(
@@ -59,6 +61,7 @@ class Sink(Held):
         view: str = "",
         behind: int = FRAMES_BEHIND,
         look: VideoLook | None = None,
+        sums: bool = False,
     ) -> None:
         self._targets = targets
         self._settings = settings
@@ -67,6 +70,7 @@ class Sink(Held):
         self._view = view
         self._behind = behind
         self._look = look
+        self._wants_sums = sums
         self._video: VideoWriter | None = None
         self._shown: np.ndarray | None = None  # last, by the video
         self.write_ms: dict[int, float] = {}
@@ -203,13 +207,13 @@ class Sink(Held):
     def _copy(self, number: int, source: Path) -> None:
         """Copy a key frame's file; its checksum is that of the source."""
         atomic_copy(source, self._frame_path(number))
-        if self._settings.sums:
+        if self._wants_sums:
             self.sums[FRAME, number] = sum_in(source)
 
     def _put(self, kind: str, number: int, write: Callable[[], list[Buffer]]) -> None:
         """Write a file; its checksum is that of what is in memory."""
         pieces = write()
-        if self._settings.sums:
+        if self._wants_sums:
             self.sums[kind, number] = sum_of(pieces)
 
     def _timed(self, number: int, write: Callable[[], None]) -> None:

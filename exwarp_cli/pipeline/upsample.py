@@ -142,7 +142,7 @@ def checked(made: Outcome, job: Job, sums: Sums) -> Outcome:
         When files cannot be read, or are not as they were made.
     """
     settings = job.settings
-    if not (settings.sums and made.frames):
+    if not (job.sums and made.frames):
         return made
     files = files_of(job.targets, made.frames, sums)
     count = None
@@ -208,4 +208,4 @@ def make_sink(job: Job, note: str = "", behind: int = FRAMES_BEHIND) -> Sink:
     """Return where frames go; `note` is what a video that is written alone says of itself."""
     keys, fps = job.source.keys, job.source.output_fps
     look = video_look(job.source, job.keys, note)
-    return Sink(job.targets, job.settings, keys.display, fps, keys.view, behind, look)
+    return Sink(job.targets, job.settings, keys.display, fps, keys.view, behind, look, job.sums)
