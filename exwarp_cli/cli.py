@@ -62,8 +62,8 @@ The command line wins over the environment, that over the file of this folder or
 that over USERS_FILE. --no-NAME takes back what these say of --NAME, and 'exwarp doctor' shows it.
 
 Exit codes: 0 done, 2 options, 3 input, 4 motion convention unknown, 5 output, 6 frames in the way,
-7 missing extra, 8 quality below a limit, 9 cluster, 10 installation, 11 out of memory, 130
-interrupted, 143 terminated, 1 a defect of ExWarp.
+7 missing extra, 8 quality below a limit, 9 cluster, 10 installation, 11 out of memory, 12 intervals
+left out, 130 interrupted, 143 terminated, 1 a defect of ExWarp.
 """.replace("USERS_FILE", f"{click.get_app_dir('exwarp')}/exwarp.toml")
 
 DEFECT = 1

@@ -16,6 +16,7 @@
       ClusterError              9   a cluster that cannot be reached, or that loses its workers
       InstallationError        10   an installation in which something does not work
       OutOfMemoryError         11   more memory is needed than there is
+      IncompleteError          12   something was left out, as --keep-going has it
 
 A message says what is wrong, where (the file, frame or option), and what to do about it, in one
 sentence. Exit code 0 means that all went well, 1 is left for defects of ExWarp itself, 130 means
@@ -105,6 +106,12 @@ class OutOfMemoryError(ExwarpError):
     """More memory is needed than there is."""
 
     exit_code = 11
+
+
+class IncompleteError(ExwarpError):
+    """Something was left out whose input cannot be used; everything else is made."""
+
+    exit_code = 12
 
 
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG)

@@ -198,7 +198,9 @@ def _given(options: Mapping[str, Any]) -> Iterator[tuple[str, str, str | None]]:
             continue
         assert isinstance(parameter, click.Option)
         if parameter.is_flag:
-            yield name, (parameter.opts if value else parameter.secondary_opts)[-1], None
+            flags = parameter.opts if value else parameter.secondary_opts
+            if flags:  # else it is off, and there is no way to say so
+                yield name, flags[-1], None
         elif parameter.multiple:
             yield from ((name, parameter.opts[-1], str(one)) for one in value)
         else:

@@ -45,6 +45,12 @@ def summary_lines(
     compared = bool(quality["frames"]) if scored is None else scored
     if compared and frames["written"] > frames["key"]:
         lines.append(f"against ground truth{_scores(quality)}")
+    if document["left_out"]:
+        from exwarp_cli.report.page_parts import left_out_line
+
+        lines.append(left_out_line(document["left_out"]))
+    if document["verified"] is not None:
+        lines.append(f"{counted(document['verified'], 'file')} read back, all as written")
     if document["render_time"] is not None:
         lines.append(_saved(document["render_time"]))
     return lines

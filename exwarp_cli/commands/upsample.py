@@ -154,8 +154,16 @@ class FrameRate(click.ParamType[Fraction]):
     metavar="NAME",
     help="Of generated frames: zip, piz, dwaa, none …; zip:4 is slower and mostly smaller.",
 )
+@click.option(
+    "--keep-going",
+    is_flag=True,
+    help="Leave out key intervals whose files are damaged or missing, and exit with 12.",
+)
 @click.option("--skip-existing", is_flag=True, help="Keep good frames of an earlier run.")
 @click.option("--overwrite", is_flag=True, help="Replace frames that exist.")
+@click.option(
+    "--verify", is_flag=True, help="Read all files back from the disk, and compare checksums."
+)
 @threads_option
 @spread_options
 @click.option(
@@ -191,12 +199,14 @@ def command(
     if runs and settings.threads != 1:
         Thread(target=_import_run, name="exwarp-import").start()
     with reporting(progress, results_on_stdout=as_json) as told:
-        job = open_job(settings, runs)
+        job = replace(open_job(settings, runs), reported=as_json or report_folder is not None)
         place = _report_place(report_folder, as_chunk, job)
         if dry_run:
             _tell(_foreseen(job, where, place, told), as_json)
             return
-        _print(_run(job, where, place, told), settings, place, as_json)
+        summary = _run(job, where, place, told)
+        _print(summary, settings, place, as_json)
+        _require_complete(summary)
 
 
 def settings_of(options: Mapping[str, Any]) -> UpsampleSettings:
@@ -241,6 +251,14 @@ def _run(job: Job, where: ClusterSettings, place: Path | None, told: Progress) -
     summary = _done(job, where, told, gallery)
     write_report(place, summary, gallery.album)
     return summary
+
+
+def _require_complete(summary: RunSummary) -> None:
+    """Fail where something was left out, now that all else is done and said."""
+    if summary.left_out:
+        from exwarp_cli.pipeline.leaving_out import require_complete
+
+        require_complete(summary)
 
 
 def _done(
@@ -298,6 +316,8 @@ def _print(
         print_json(document)
         return
     if not document["frames"]["written"]:
+        if summary.left_out:
+            return
         kept = f"{settings.output} is there already, as this run would write it"
         # A video without frames is an error, so it was kept.
         click.echo(kept if is_clip(settings.output) else f"no frame falls to {settings.output}")

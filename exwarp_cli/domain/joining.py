@@ -16,6 +16,7 @@ from exwarp_cli.domain.results import (
     NetworkSummary,
     PolicySummary,
     RunSummary,
+    WrittenFile,
 )
 from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.errors import InputError
@@ -125,6 +126,11 @@ def join(runs: Sequence[RunSummary], names: Sequence[str] = ()) -> RunSummary:
         keys=tuple(sorted(keys)),
         cuts=join_cuts(part.run.cuts for part in parts),
         wall_seconds=sum(part.run.wall_seconds for part in parts),
+        left_out=tuple(
+            sorted((one for part in parts for one in part.run.left_out), key=lambda one: one.key)
+        ),
+        files=_files(parts),
+        verified=_verified(parts),
     )
 
 
@@ -138,12 +144,17 @@ def part_of(run: RunSummary, keys: Collection[int]) -> RunSummary:
     met = {number + behind for number in keys for behind in (0, run.input.step)}
     cuts = None if run.cuts is None else tuple(cut for cut in run.cuts if cut.number in met)
     share = len(frames) / len(run.frames) if run.frames else 0.0
+    numbers = {frame.number for frame in frames}
+    files = tuple(file for file in run.files if file.frame is None or file.frame in numbers)
     return replace(
         run,
         frames=frames,
         keys=tuple(key for key in run.selected if key in keys),
         cuts=cuts,
         wall_seconds=run.wall_seconds * share,
+        left_out=tuple(one for one in run.left_out if one.key in keys),
+        files=files,
+        verified=None if run.verified is None else len(files),
     )
 
 
@@ -193,6 +204,18 @@ def _require_alike(one: _Part, other: _Part) -> None:
                 f"{_shown(first)} in the one and {_shown(second)} in the other; join only what "
                 "one command did in chunks"
             )
+
+
+def _files(parts: Sequence[_Part]) -> tuple[WrittenFile, ...]:
+    """Return all files, frame by frame, a video last."""
+    found = dict.fromkeys(file for part in parts for file in part.run.files)
+    return tuple(sorted(found, key=lambda one: (one.frame is None, one.frame or 0, one.kind)))
+
+
+def _verified(parts: Sequence[_Part]) -> int | None:
+    """Return how many files were read back; None where not all parts did so."""
+    counts = [part.run.verified for part in parts]
+    return None if None in counts else sum(count or 0 for count in counts)
 
 
 def _shown(value: Any) -> str:

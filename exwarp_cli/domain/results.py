@@ -129,6 +129,47 @@ class FrameRecord:
 
 
 @dataclass(frozen=True)
+class LeftOut:
+    """A key interval that was left out, as its input cannot be used.
+
+    Attributes
+    ----------
+    key
+        Input number of the key frame.
+    frames
+        Numbers of the output frames that are missing for it, ascending.
+    reason
+        What is wrong with the input, in a sentence.
+    """
+
+    key: int
+    frames: tuple[int, ...]
+    reason: str
+
+
+@dataclass(frozen=True)
+class WrittenFile:
+    """A file of a run, and its checksum.
+
+    Attributes
+    ----------
+    kind
+        "frame", "holes" or, where it is written alone, "video".
+    frame
+        Number of the output frame; None for a video.
+    file
+        Its name, without its folder.
+    sha256
+        Of all its bytes as they were made, hexadecimal.
+    """
+
+    kind: str
+    frame: int | None
+    file: str
+    sha256: str
+
+
+@dataclass(frozen=True)
 class InputSummary:
     """The input as the report names it.
 
@@ -283,6 +324,12 @@ class RunSummary:
         Input numbers of the key frames that were selected, ascending; see `selected`.
     version
         Of the ExWarp that made the frames.
+    left_out
+        The key intervals that were left out, ascending.
+    files
+        What was written, with checksums; () where nobody asked.
+    verified
+        How many files were read back and found as they were made; None where that was not asked.
     """
 
     method: str
@@ -303,6 +350,9 @@ class RunSummary:
     layers: tuple[str, ...] = ()
     keys: tuple[int, ...] = ()
     version: str = __version__
+    left_out: tuple[LeftOut, ...] = ()
+    files: tuple[WrittenFile, ...] = ()
+    verified: int | None = None
 
     @property
     def selected(self) -> tuple[int, ...]:

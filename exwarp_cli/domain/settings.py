@@ -48,6 +48,8 @@ class SourceSettings:
         nothing is said.
     max_pixels
         Pixels that a frame may have.
+    keep_going
+        Whether key intervals are left out whose files are damaged or missing.
     """
 
     sequence: str
@@ -64,6 +66,7 @@ class SourceSettings:
     cuts: str = AUTO
     dynamic: str | None = None
     max_pixels: int = MOST_PIXELS
+    keep_going: bool = False
 
 
 @dataclass(frozen=True)
@@ -108,6 +111,8 @@ class UpsampleSettings:
         ONNX file of the network that interpolates, with its card beside it.
     layers
         Which layers generated frames hold: "beauty", "all", or names with wildcards.
+    verify
+        Whether to read everything back and compare it.
     """
 
     source: SourceSettings
@@ -128,6 +133,7 @@ class UpsampleSettings:
     interpolator: str | None = None
     metrics: tuple[str, ...] | None = None
     layers: str = "beauty"
+    verify: bool = False
 
     @property
     def measured(self) -> tuple[str, ...]:

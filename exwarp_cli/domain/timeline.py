@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import pairwise
@@ -18,6 +18,9 @@ Its decisions, and so the policy and the networks that extrapolate, are for this
 
 MOST = 8
 """The largest factor."""
+
+MOST_FILLED = 100_000
+"""Frames up to which a sequence is filled: the gap before a stray number may be millions."""
 
 
 @dataclass(frozen=True, order=True)
@@ -148,6 +151,20 @@ class Timeline:
                 f"which has {ranges(self.numbers)}"
             )
         return tuple(index[number] for number in wanted)
+
+
+def without_gaps(numbers: Iterable[int]) -> tuple[int, ...]:
+    """Return frame numbers with those that are missing between them, ascending.
+
+    They are returned as they are where their steps are no multiples of the smallest one, or where
+    more than `MOST_FILLED` would come of it: then `Timeline.of` says what is missing.
+    """
+    ordered = sorted(set(numbers))
+    step = min((b - a for a, b in pairwise(ordered)), default=1)
+    if any((b - a) % step for a, b in pairwise(ordered)):
+        return tuple(ordered)
+    full = range(ordered[0], ordered[-1] + 1, step) if ordered else range(0)
+    return tuple(full) if len(full) <= max(MOST_FILLED, len(ordered)) else tuple(ordered)
 
 
 def parse_frames(text: str) -> list[int]:

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from exwarp_cli import __version__
-from exwarp_cli.domain.joining import join_cuts
+from exwarp_cli.domain.outcome import Outcome
 from exwarp_cli.domain.results import RunSummary
 from exwarp_cli.domain.settings import ClusterSettings
 from exwarp_cli.domain.timeline import ranges
@@ -30,7 +30,9 @@ from exwarp_cli.io.atomic import marked, remove_leftovers
 from exwarp_cli.pipeline.dry_run import DryRun
 from exwarp_cli.pipeline.filming import Film
 from exwarp_cli.pipeline.job import Job
+from exwarp_cli.pipeline.leaving_out import tell_left_out
 from exwarp_cli.pipeline.progress import NoProgress, Progress
+from exwarp_cli.pipeline.verifying import verify_video
 
 if TYPE_CHECKING:  # they import Dask, which may not be there
     from exwarp_cli.farm.cluster_dispatch import Dispatch
@@ -186,7 +188,7 @@ class _Coordinator:
         if self._where.address is None:
             settings = replace(settings, threads=None)  # the worker was started with its share
         return tuple(
-            Chunk(run, f"exwarp-{run}", index, 0, settings, keys, None)
+            Chunk(run, f"exwarp-{run}", index, 0, settings, keys, None, job.reported)
             for index, keys in enumerate(chunks_of(job.keys, self._where, workers))
         )
 
@@ -208,15 +210,21 @@ class _Coordinator:
     def _take(self, chunk: Chunk, done: Done) -> None:
         """Take over what a chunk came to, and film what is complete from the beginning on."""
         self._done[chunk.index] = done
+        for one in done.outcome.left_out:
+            tell_left_out(self._progress, one)
         if self._watcher is not None and done.watcher is not None:
             self._watcher.adopt(done.watcher)
             self._done[chunk.index] = replace(done, watcher=None)
         while self._film is not None and self._filmed in self._done:
-            self._film.append(self._chunks[self._filmed].keys)
+            left_out = self._done[self._filmed].outcome.left_out
+            missing = frozenset(number for one in left_out for number in one.frames)
+            self._film.append(self._chunks[self._filmed].keys, missing)
             self._filmed += 1
 
     def _summary(self, seconds: float) -> RunSummary:
         """Join what the chunks found out: as a single run would have, in order."""
-        done = [self._done[chunk.index] for chunk in self._chunks]
-        frames = tuple(record for one in done for record in one.frames)
-        return self._job.summary(frames, join_cuts(one.cuts for one in done), seconds)
+        made = Outcome.joined([self._done[chunk.index].outcome for chunk in self._chunks])
+        video = self._job.targets.video
+        if video is not None and self._job.settings.verify:
+            verify_video(video, made.shown)
+        return self._job.summary(made, seconds)

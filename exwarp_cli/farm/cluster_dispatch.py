@@ -283,8 +283,10 @@ class Dispatch:
         future.release()
         if isinstance(result, BaseException):
             raise result
-        for record in result.frames:
+        for record in result.outcome.frames:
             self._count(record.number, record.method)
+        for number in (number for one in result.outcome.left_out for number in one.frames):
+            self._count(number, "left out")
         self.on_chunk(task.chunk, result)
 
     def _lost(self, task: _Task, again: bool) -> None:

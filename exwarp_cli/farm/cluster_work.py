@@ -18,8 +18,7 @@ from typing import Any, Protocol
 from distributed import get_worker
 
 from exwarp_cli import __version__
-from exwarp_cli.domain.cuts import Cut
-from exwarp_cli.domain.results import FrameRecord
+from exwarp_cli.domain.outcome import Outcome
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.errors import OutputError
 from exwarp_cli.io.atomic import make_folder
@@ -88,6 +87,8 @@ class Chunk:
         Indices of the key frames.
     watcher
         Sees the frames; None for nobody.
+    reported
+        As in `Job`.
     """
 
     run: str
@@ -97,6 +98,7 @@ class Chunk:
     settings: UpsampleSettings
     keys: tuple[int, ...]
     watcher: SharedWatcher | None
+    reported: bool = False
 
 
 @dataclass(frozen=True)
@@ -105,14 +107,13 @@ class Done:
 
     Attributes
     ----------
-    frames, cuts
-        As in `RunSummary`.
+    outcome
+        Of its key frames.
     watcher
         The chunk's own, with what it has seen.
     """
 
-    frames: tuple[FrameRecord, ...]
-    cuts: tuple[Cut, ...] | None
+    outcome: Outcome
     watcher: SharedWatcher | None
 
 
@@ -178,8 +179,8 @@ def work(chunk: Chunk) -> Done | BaseException:
     with _alone, _kept_a_while():
         try:
             telling.begin()
-            job = _job(chunk).of(chunk.keys)
-            return Done(*write_intervals(job, telling, chunk.watcher), chunk.watcher)
+            job = replace(_job(chunk).of(chunk.keys), reported=chunk.reported)
+            return Done(write_intervals(job, telling, chunk.watcher), chunk.watcher)
         except Exception as error:
             return error
         finally:

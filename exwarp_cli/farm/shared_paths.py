@@ -32,7 +32,9 @@ def _files(job: Job) -> Iterator[Path]:
     for shot in (keys,) if slots is None else (keys, slots):
         numbers = shot.sequence.numbers
         for number in (numbers[0], numbers[-1]):
-            yield from shot.files(number).values()
+            # Where frames may be left out, those that are missing are listed, too.
+            paths = shot.files(number).values()
+            yield from (path for path in paths if not shot.keep_going or path.exists())
     if job.truth is not None:
         files = job.truth[0].files
         yield from (files[min(files)], files[max(files)])

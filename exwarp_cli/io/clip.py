@@ -193,11 +193,15 @@ class ClipReader(Held):
         if self._frames is None or index < self._next:
             self._rest()
             self._frames, self._next = self._clip.frames(index), index
-        for frame in self._frames:
-            self._next += 1
-            if self._next > index:
-                self._last = index, frame
-                return frame
+        try:
+            for frame in self._frames:
+                self._next += 1
+                if self._next > index:
+                    self._last = index, frame
+                    return frame
+        except DamagedFileError:
+            self._rest()  # a later frame may be sound
+            raise
         raise IndexError(f"{self._clip.path} has no frame {index}")
 
     def _rest(self) -> None:

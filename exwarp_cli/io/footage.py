@@ -24,6 +24,7 @@ from exwarp_cli.io.frame_names import split_name
 from exwarp_cli.io.output import file_digest
 from exwarp_cli.io.sequence import EXR, Sequence, find_sequence
 from exwarp_cli.io.shot import Shot
+from exwarp_cli.io.soundness import first_of
 from exwarp_cli.io.stills import STILLS, StillTemplate, read_still_template, still_size
 from exwarp_cli.io.template import PartTemplate, PlaneTemplate, Template
 from exwarp_cli.io.video import VideoLook
@@ -105,8 +106,10 @@ def find_frames(spec: str) -> Sequence:
     return find_plain(spec) or find_sequence(spec)
 
 
-def find_plain(spec: str) -> Sequence | None:
+def find_plain(spec: str, gaps: bool = False) -> Sequence | None:
     """Find a video or a sequence of stills; None where EXR is meant.
+
+    With `gaps` frames that are missing in between are listed, too.
 
     Raises
     ------
@@ -120,7 +123,7 @@ def find_plain(spec: str) -> Sequence | None:
         plain = not _holds(path, EXR) and _holds(path, STILLS)
     else:
         plain = path.suffix.lower() in STILLS
-    return find_sequence(spec, STILLS) if plain else None
+    return find_sequence(spec, STILLS, gaps) if plain else None
 
 
 def is_plain(sequence: Sequence) -> bool:
@@ -128,22 +131,36 @@ def is_plain(sequence: Sequence) -> bool:
     return sequence.suffix.lower() not in EXR
 
 
-def shot_of(sequence: Sequence) -> Shot:
+def shot_of(sequence: Sequence, keep_going: bool = False) -> Shot:
     """Return a video or a sequence of stills as a shot that has colour alone.
+
+    Parameters
+    ----------
+    sequence
+        The pictures.
+    keep_going
+        Whether to take the first still that is sound.
 
     Raises
     ------
     InputError
         When the first still cannot be read.
     """
-    if isinstance(sequence, ClipSequence):
-        display, alpha, producer = sequence.frames.display, False, "video"
-    else:
-        first = next(iter(sequence.files.values()))
-        display, alpha = Window(0, 0, *still_size(first)), read_still_template(first).has_alpha
-        producer = f"{sequence.suffix.lstrip('.').upper()} images"
-    colour = tuple(ChannelRef("", name) for name in ("RGBA" if alpha else "RGB"))
-    return Shot(sequence, {}, Layout({Role.COLOUR: colour}, producer=producer), display)
+
+    def by(number: int) -> Shot:
+        if isinstance(sequence, ClipSequence):
+            display, alpha, producer = sequence.frames.display, False, "video"
+        else:
+            path = sequence.files[number]
+            if keep_going:
+                read_picture(path)
+            display, alpha = Window(0, 0, *still_size(path)), read_still_template(path).has_alpha
+            producer = f"{sequence.suffix.lstrip('.').upper()} images"
+        colour = tuple(ChannelRef("", name) for name in ("RGBA" if alpha else "RGB"))
+        layout = Layout({Role.COLOUR: colour}, producer=producer)
+        return Shot(sequence, {}, layout, display, first=number, keep_going=keep_going)
+
+    return first_of(sequence.numbers if keep_going else sequence.numbers[:1], by)
 
 
 def picture(sequence: Sequence, number: int, view: str = "") -> Image:

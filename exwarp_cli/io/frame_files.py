@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from exwarp_cli.domain.frame import Float32, Image
+from exwarp_cli.io.exr_encoding import Buffer
 from exwarp_cli.io.frames import read_image
 from exwarp_cli.io.output import PREFIX, recipe_of, write_frame, written_attributes
 from exwarp_cli.io.sequence import EXR
@@ -28,8 +29,8 @@ def write_picture(
     template: FrameTemplate,
     attributes: Mapping[str, Any],
     beside: Mapping[PlaneKey, Plane] | None = None,
-) -> None:
-    """Write a generated frame, whole or not at all.
+) -> list[Buffer]:
+    """Write a generated frame, whole or not at all; return its bytes, piece by piece.
 
     Parameters
     ----------
@@ -51,9 +52,8 @@ def write_picture(
     """
     if isinstance(template, StillTemplate):
         own = {k[len(PREFIX) :]: v for k, v in attributes.items() if k.startswith(PREFIX)}
-        write_still(path, image, template, own)
-    else:
-        write_frame(path, image, template, attributes, beside)
+        return write_still(path, image, template, own)
+    return write_frame(path, image, template, attributes, beside)
 
 
 def read_picture(path: Path, view: str = "") -> Image:

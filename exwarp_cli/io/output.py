@@ -83,8 +83,8 @@ def write_frame(
     template: Template,
     attributes: Mapping[str, Any],
     beside: Mapping[PlaneKey, Plane] | None = None,
-) -> None:
-    """Write a generated frame, whole or not at all.
+) -> list[Buffer]:
+    """Write a generated frame, whole or not at all; return its bytes, piece by piece.
 
     Parameters
     ----------
@@ -117,18 +117,18 @@ def write_frame(
     others = {name: value for name, value in attributes.items() if name not in own}
     parts = [_encoded(part, planes, image.display_window, others) for part in template.parts]
     parts[0][0].update(own)
-    _write(path, parts)
+    return _write(path, parts)
 
 
 def write_mask(
     path: Path, mask: Bool, windows: tuple[Window, Window], attributes: Mapping[str, Any]
-) -> None:
+) -> list[Buffer]:
     """Write a hole mask as one half channel named ``holes``: 1 in holes, else 0.
 
-    The windows are data and display.
+    The windows are data and display. Its bytes are returned, piece by piece.
     """
     header = {"compression": OpenEXR.ZIPS_COMPRESSION, **attributes, **_structure(*windows)}
-    _write(path, [(header, {"holes": mask.astype(np.float16)})])
+    return _write(path, [(header, {"holes": mask.astype(np.float16)})])
 
 
 Encoded = tuple[dict[str, Any], dict[str, Channel]]
@@ -159,15 +159,17 @@ def _structure(data: Window, display: Window) -> dict[str, Any]:
     }
 
 
-def _write(path: Path, parts: list[Encoded]) -> None:
-    """Encode in memory, seal, and write."""
+def _write(path: Path, parts: list[Encoded]) -> list[Buffer]:
+    """Encode in memory, seal, and write; return what was written."""
     parts[0][0][CHECKSUM] = checksum.ZEROS
     try:
         head, *pieces = encoded([(_in_utf8(header), planes) for header, planes in parts])
     except (RuntimeError, ValueError, TypeError) as error:
         raise OutputError(f"cannot encode {path}: {error}; try another --compression") from error
     head = as_it_was(memoryview(head), (header for header, _ in parts))
-    atomic_write_bytes(path, *seal(head, *pieces))
+    sealed = seal(head, *pieces)
+    atomic_write_bytes(path, *sealed)
+    return sealed
 
 
 def _in_utf8(header: dict[str, Any]) -> dict[str, Any]:

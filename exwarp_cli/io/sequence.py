@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from exwarp_cli.domain.timeline import ranges
+from exwarp_cli.domain.timeline import ranges, without_gaps
 from exwarp_cli.errors import InputError, MissingFrameError, OutputError, UsageError
 from exwarp_cli.io.atomic import is_there
 from exwarp_cli.io.frame_names import NamePattern, group_names, is_printed, split_name
@@ -80,6 +80,12 @@ class Sequence:
         """Frame numbers, ascending."""
         return list(self.files)
 
+    def over(self, numbers: Iterable[int]) -> Sequence:
+        """Return the sequence with just these frames; one that it lacks has the path it would."""
+        pattern = NamePattern(self.base, self.padding, self.suffix)
+        expected = {number: self.directory / pattern.name(number) for number in numbers}
+        return replace(self, files={n: self.files.get(n, path) for n, path in expected.items()})
+
 
 @dataclass(frozen=True)
 class AovSet:
@@ -136,7 +142,7 @@ class OutputPattern:
         return self.folder / NamePattern(self.base, self.padding, self.suffix).name(number)
 
 
-def find_sequence(spec: str, suffixes: tuple[str, ...] = EXR) -> Sequence:
+def find_sequence(spec: str, suffixes: tuple[str, ...] = EXR, gaps: bool = False) -> Sequence:
     """Find the sequence that a user names.
 
     Parameters
@@ -147,12 +153,19 @@ def find_sequence(spec: str, suffixes: tuple[str, ...] = EXR) -> Sequence:
         motion vectors where there is no colour.
     suffixes
         Accepted file suffixes, in lower case.
+    gaps
+        Whether frames that are missing in between are listed, too.
 
     Raises
     ------
     InputError
         When there is no such sequence, or several.
     """
+    found = _found(spec, suffixes)
+    return found.over(without_gaps(found.files)) if gaps else found
+
+
+def _found(spec: str, suffixes: tuple[str, ...]) -> Sequence:
     try:
         if spec and Path(spec).is_dir():
             found = _candidates(Path(spec), suffixes)
@@ -165,7 +178,7 @@ def find_sequence(spec: str, suffixes: tuple[str, ...] = EXR) -> Sequence:
         ) from error
 
 
-def find_aov_set(spec: str, suffixes: tuple[str, ...] = EXR) -> AovSet | None:
+def find_aov_set(spec: str, suffixes: tuple[str, ...] = EXR, gaps: bool = False) -> AovSet | None:
     """Find the one-file-per-AOV set that a folder, pattern or frame belongs to.
 
     Returns
@@ -183,7 +196,7 @@ def find_aov_set(spec: str, suffixes: tuple[str, ...] = EXR) -> AovSet | None:
     leader = find_sequence(spec, suffixes)
     for candidate in _candidates(leader.directory, suffixes):
         if isinstance(candidate, AovSet) and leader in candidate.members:
-            return _complete(candidate)
+            return _complete(candidate, gaps)
     return None
 
 
@@ -275,12 +288,16 @@ def _as_set(members: dict[str, Sequence]) -> AovSet | None:
     return AovSet(members[colours[0]] if colours else None, others)
 
 
-def _complete(found: AovSet) -> AovSet:
+def _complete(found: AovSet, gaps: bool) -> AovSet:
     """Cut the AOVs to the colour's frames, and make sure that they have them all."""
     if found.colour is not None:
         wanted = set(found.colour.files)
     else:
         wanted = {number for sequence in found.aovs.values() for number in sequence.files}
+    if gaps:
+        every = without_gaps(wanted)
+        colour = None if found.colour is None else found.colour.over(every)
+        return AovSet(colour, {name: member.over(every) for name, member in found.aovs.items()})
     for name, sequence in found.aovs.items():
         if absent := sorted(wanted - set(sequence.files)):
             raise MissingFrameError(

@@ -13,14 +13,16 @@ from exwarp_cli.errors import LayoutError, MissingFrameError
 from exwarp_cli.io.aov_files import AovFile, recognise
 from exwarp_cli.io.channel_map import ChannelMap
 from exwarp_cli.io.channels import ChannelRef, Layout, Role, detect
-from exwarp_cli.io.cryptomatte import Cryptomatte, Headers, find_cryptomattes
+from exwarp_cli.io.cryptomatte import Cryptomatte, find_cryptomattes
 from exwarp_cli.io.depth import DepthReading
 from exwarp_cli.io.depth import named as depth_named
-from exwarp_cli.io.exr import Channel, ExrReader, Part, deep_only
+from exwarp_cli.io.exr import Channel, Part
 from exwarp_cli.io.id_reading import IdReading
 from exwarp_cli.io.layouts import corrected, merged, moved
 from exwarp_cli.io.layouts import spelled as spelled
-from exwarp_cli.io.sequence import Sequence, find_aov_set, find_sequence
+from exwarp_cli.io.sequence import Sequence, find_sequence
+from exwarp_cli.io.shot_files import Looks, ShotFiles, find_files, look
+from exwarp_cli.io.soundness import first_of, require_sound
 from exwarp_cli.io.views import ALL, channels_of, choose, expand, views_of
 
 MAIN = "main"
@@ -61,6 +63,10 @@ class Shot:
     by_hand
         In what the layout is another than the files' own for their hero view, as plain data; what
         was made of the shot depends on it.
+    first
+        Number of the frame that it was recognised by.
+    keep_going
+        Whether frames may be missing or damaged, which are left out then.
     """
 
     sequence: Sequence
@@ -76,6 +82,8 @@ class Shot:
     cryptomattes: tuple[Cryptomatte, ...] = ()
     ids: IdReading | None = None
     by_hand: Mapping[str, Any] = field(default_factory=dict)
+    first: int = 0
+    keep_going: bool = False
 
     def files(self, number: int) -> dict[str, Path]:
         """Files of one frame by AOV; "" is the main one.
@@ -104,6 +112,7 @@ def open_shot(
     view: str | None = None,
     aovs: tuple[AovFile, ...] = (),
     channel_map: ChannelMap | None = None,
+    keep_going: bool = False,
 ) -> Shot:
     """Find a sequence and recognise its channels in its first frame.
 
@@ -117,6 +126,8 @@ def open_shot(
         Roles whose channels lie in sequences of their own; they come before those of the map.
     channel_map
         What holds what, by hand.
+    keep_going
+        Whether to take the first frame that is sound, and list those that are missing in between.
 
     Raises
     ------
@@ -124,9 +135,9 @@ def open_shot(
         When there is no such sequence or view, its first frame cannot be read, or a sequence of
         its AOVs lacks a frame or is of another size.
     """
-    wish = _Wish.of(view, aovs, channel_map)
+    wish = _Wish.of(view, aovs, channel_map, keep_going)
     expanded, named_view, views = expand(spec, wish.view)
-    return _open(_find(expanded), wish, named_view, views)
+    return _opened(find_files(expanded, keep_going), wish, named_view, views)
 
 
 def open_views(
@@ -134,23 +145,25 @@ def open_views(
     view: str | None = None,
     aovs: tuple[AovFile, ...] = (),
     channel_map: ChannelMap | None = None,
+    keep_going: bool = False,
 ) -> tuple[Shot, ...]:
     """Open every view of a shot, the hero first, where `view` is ``all``; else the one of it.
 
     Files that hold all views are found and looked into once. See `open_shot`.
     """
     if view != ALL:
-        return (open_shot(spec, view, aovs, channel_map),)
-    wish = replace(_Wish.of(None, aovs, channel_map), view=None)
+        return (open_shot(spec, view, aovs, channel_map, keep_going),)
+    wish = replace(_Wish.of(None, aovs, channel_map, keep_going), view=None)
     expanded, named_view, views = expand(spec, None)
-    found = _find(expanded)
-    hero = _open(found, wish, named_view, views)
+    found = find_files(expanded, keep_going)
+    hero = _opened(found, wish, named_view, views)
     if not hero.views:
         raise LayoutError(f"{hero.sequence.pattern} has no views; leave --view {ALL} out")
     if named_view:
-        return (hero, *(open_shot(spec, name, aovs, channel_map) for name in views[1:]))
-    others = hero.views[1:]
-    return (hero, *(_open(found, replace(wish, view=name), "", ()) for name in others))
+        others = (open_shot(spec, name, aovs, channel_map, keep_going) for name in views[1:])
+        return (hero, *others)
+    looks = found.by(hero.first)
+    return (hero, *(_open(looks, replace(wish, view=name), "", ()) for name in hero.views[1:]))
 
 
 @dataclass(frozen=True)
@@ -160,56 +173,38 @@ class _Wish:
     view: str | None
     aovs: tuple[AovFile, ...]
     channel_map: ChannelMap | None
+    keep_going: bool
 
     @classmethod
     def of(
-        cls, view: str | None, aovs: tuple[AovFile, ...], channel_map: ChannelMap | None
+        cls,
+        view: str | None,
+        aovs: tuple[AovFile, ...],
+        channel_map: ChannelMap | None,
+        keep_going: bool,
     ) -> _Wish:
         """Join options with a channel map; options come first."""
         if channel_map is None:
-            return cls(view, aovs, None)
+            return cls(view, aovs, None, keep_going)
         given = {aov.role for aov in aovs}
         more = tuple(aov for aov in channel_map.aovs if aov.role not in given)
-        return cls(view or channel_map.view, aovs + more, channel_map)
+        return cls(view or channel_map.view, aovs + more, channel_map, keep_going)
 
 
-@dataclass(frozen=True)
-class _Found:
-    """The sequences of a shot; `parts` are those of their first frame, by AOV, the leader's first.
+def _opened(found: ShotFiles, wish: _Wish, named_view: str, views: tuple[str, ...]) -> Shot:
+    """Open a shot by its first frame, or by the first that is sound where others are left out."""
 
-    Without colour one of the AOVs leads the set; it keeps its AOV's name.
-    """
+    def by(number: int) -> Shot:
+        shot = _open(found.by(number), wish, named_view, views)
+        if wish.keep_going:
+            require_sound(shot.files(number).values())
+        return shot
 
-    leader: Sequence
-    aovs: Mapping[str, Sequence]
-    parts: Mapping[str, tuple[Part, ...]]
-    headers: Headers
-
-
-def _find(spec: str) -> _Found:
-    """Find the sequences that a name without view stands for, and look into their first frame."""
-    aov_set = find_aov_set(spec)
-    if aov_set is None:
-        leader, aovs = find_sequence(spec), {}
-    else:
-        leader, aovs = aov_set.leader, aov_set.aovs
-    first = leader.numbers[0]
-    members = {} if leader in aovs.values() else {"": leader}
-    looks = {aov: _look(member.files[first]) for aov, member in (members | aovs).items()}
-    parts = {aov: look[0] for aov, look in looks.items()}
-    return _Found(leader, aovs, parts, {aov: look[1] for aov, look in looks.items()})
+    numbers = found.leader.numbers
+    return first_of(numbers if wish.keep_going else numbers[:1], by)
 
 
-def _look(path: Path) -> tuple[tuple[Part, ...], list[dict[str, object]]]:
-    """Return the parts of a file of which one at least is flat, and their attributes."""
-    with ExrReader(path) as file:
-        parts, headers = file.parts, file.headers
-    if all(part.deep for part in parts):
-        raise deep_only(path)
-    return parts, headers
-
-
-def _open(found: _Found, wish: _Wish, named_view: str, views: tuple[str, ...]) -> Shot:
+def _open(found: Looks, wish: _Wish, named_view: str, views: tuple[str, ...]) -> Shot:
     """Recognise the channels of one view, and put the shot together.
 
     Parameters
@@ -237,7 +232,10 @@ def _open(found: _Found, wish: _Wish, named_view: str, views: tuple[str, ...]) -
         _refuse_luminance(channels, pattern)
     layout = own if wish.channel_map is None else corrected(own, channels, wish.channel_map)
     display = main[0].display_window
-    shot = Shot(found.leader, found.aovs, layout, display, views, view, within, cryptomattes=mattes)
+    shot = Shot(
+        found.leader, found.aovs, layout, display, views, view, within, cryptomattes=mattes,
+        first=found.number, keep_going=wish.keep_going,
+    )  # fmt: skip
     for aov in wish.aovs:
         shot = _joined(shot, aov)
     shot = _by_bits(shot)
@@ -280,14 +278,16 @@ def _joined(shot: Shot, aov: AovFile) -> Shot:
     """Take a role's channels from a sequence of its own."""
     expanded, named_view, _ = expand(aov.pattern, shot.view or None)
     sequence = find_sequence(expanded)
+    if shot.keep_going:
+        sequence = sequence.over(shot.sequence.numbers)
     if absent := [n for n in shot.sequence.numbers if n not in sequence.files]:
         raise MissingFrameError(
             f"frame {ranges(absent)} of {aov.option} is missing from {sequence.pattern}; render "
             "it, or move that frame's other files elsewhere"
         )
     files = {number: sequence.files[number] for number in shot.sequence.numbers}
-    path = next(iter(files.values()))
-    parts, headers = _look(path)
+    path = files[shot.first]
+    parts, headers = look(path)
     if parts[0].display_window != shot.display:
         raise LayoutError(
             f"{path} of {aov.option} has the display window {parts[0].display_window} where the "

@@ -24,6 +24,7 @@ from exwarp_cli.domain.curves import FILM, LINEAR, SRGB, Curve
 from exwarp_cli.domain.frame import Float32, Image, Window
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, UsageError
 from exwarp_cli.io.atomic import atomic_path, output_error
+from exwarp_cli.io.exr_encoding import Buffer
 from exwarp_cli.io.still_seal import seal_still, software
 
 STILLS = (
@@ -148,8 +149,8 @@ def quantise_still(pixels: Float32, template: StillTemplate) -> Float32:
 
 def write_still(
     path: Path, image: Image, template: StillTemplate, attributes: Mapping[str, Any]
-) -> None:
-    """Write a generated frame, whole or not at all.
+) -> list[Buffer]:
+    """Write a generated frame, whole or not at all; return its bytes.
 
     Parameters
     ----------
@@ -180,7 +181,9 @@ def write_still(
         if not (written and file.close()):
             raise output_error(path, OSError(file.geterror().strip() or "the format refuses it"))
         data = _settled_header(temporary.read_bytes(), path.name)
-        temporary.write_bytes(seal_still(data))
+        sealed = seal_still(data)
+        temporary.write_bytes(sealed)
+    return [sealed]
 
 
 @contextmanager

@@ -10,11 +10,14 @@ from exwarp_cli.domain.motion import MotionConvention
 from exwarp_cli.io.channels import ChannelRef, Role
 from exwarp_cli.io.cryptomatte import find_cryptomattes
 from exwarp_cli.io.exr import ExrReader
+from exwarp_cli.io.footage import is_plain, plain_template
+from exwarp_cli.io.frame_files import FrameTemplate
 from exwarp_cli.io.layer_store import LayerStore
 from exwarp_cli.io.layers import ALL, BEAUTY, Kind, Layer, chosen, layers_of
 from exwarp_cli.io.shot import Shot, renamed
-from exwarp_cli.io.template import ViewLayers, read_headers
+from exwarp_cli.io.template import ViewLayers, read_headers, read_template
 from exwarp_cli.pipeline.source import Source
+from exwarp_cli.pipeline.targets import frame_suffix
 
 POINTS = (Kind.POSITION, Kind.DEPTH)
 """Layers whose values change as a point moves."""
@@ -128,6 +131,30 @@ def contents_of(sources: tuple[Source, ...], text: str) -> tuple[Content, ...]:
     return (leader, *(content_of(source, text, leader) for source in sources[1:]))
 
 
+def template_of(contents: tuple[Content, ...], output: str, number: int) -> FrameTemplate:
+    """Return what frames made of a key frame take over from its file.
+
+    Parameters
+    ----------
+    contents
+        What is written of each view.
+    output
+        Where frames go, as the user names it.
+    number
+        Of the key frame.
+
+    Raises
+    ------
+    InputError
+        When its file cannot be read.
+    """
+    keys = contents[0].source.keys
+    if is_plain(keys.sequence):
+        return plain_template(keys, number, frame_suffix(output, keys.sequence))
+    wanted = tuple(content.wanted for content in contents)
+    return read_template(keys.sequence.files[number], wanted)
+
+
 def files_apart(shot: Shot) -> tuple[str, ...]:
     """Return the AOVs whose layers lie in files of their own, which are not written."""
     return tuple(aov for aov in shot.aovs if aov)
@@ -136,7 +163,7 @@ def files_apart(shot: Shot) -> tuple[str, ...]:
 def _layers_of(shot: Shot, main: bool) -> tuple[Layer, ...]:
     """Return the layers of a shot's view in its first frame: of the main file, or of all."""
     files, cryptomattes = {}, set()
-    for aov, path in shot.files(shot.sequence.numbers[0]).items():
+    for aov, path in shot.files(shot.first).items():
         if aov and main:
             continue
         with ExrReader(path) as file:

@@ -9,6 +9,7 @@ from exwarp_cli.io.channels import Role
 from exwarp_cli.io.depth import DepthKind, DepthReading, measured, relative_to_camera
 from exwarp_cli.io.frames import read_raw
 from exwarp_cli.io.shot import Shot
+from exwarp_cli.io.soundness import first_of
 
 KNOWN = ("Blender", "Unreal (one file per AOV)")
 """Producers whose depth is a distance and whose positions are in world space: nothing is read."""
@@ -33,7 +34,7 @@ def with_depth_measured(shot: Shot) -> Shot:
         return shot
     # As written, whatever kind is told.
     plain = replace(shot, depth=DepthReading())
-    raw = read_raw(plain, shot.sequence.numbers[0], (Role.DEPTH, Role.POSITION))
+    raw = read_raw(plain, shot.first, (Role.DEPTH, Role.POSITION))
     depth, position = raw.gbuffer.depth, raw.gbuffer.position
     assert depth is not None and position is not None
     found = measured(depth, position)
@@ -55,7 +56,7 @@ def with_world_positions(shot: Shot) -> Shot:
     refs = shot.layout.roles.get(Role.POSITION)
     if refs is None or shot.layout.producer in KNOWN or len(numbers) < 2:
         return shot
-    first, other = (_positions(shot, numbers[i]) for i in (0, len(numbers) // 2))
+    first, other = _positions(shot, shot.first), _in_the_middle(shot)
     if not relative_to_camera(first, other):
         return shot
     layout = shot.layout
@@ -64,6 +65,16 @@ def with_world_positions(shot: Shot) -> Shot:
     said = f"{refs[0].name.rpartition('.')[0]!r} is relative to the camera"
     incomplete = {**layout.incomplete, Role.POSITION: said}
     return replace(shot, layout=replace(layout, roles=roles, incomplete=incomplete))
+
+
+def _in_the_middle(shot: Shot) -> Float32:
+    """Return the positions of a frame in the middle; of the nearest sound one, if others may go."""
+    numbers = shot.sequence.numbers
+    middle = len(numbers) // 2
+    if not shot.keep_going:
+        return _positions(shot, numbers[middle])
+    nearest = sorted(range(len(numbers)), key=lambda i: abs(i - middle))
+    return first_of((numbers[i] for i in nearest), lambda number: _positions(shot, number))
 
 
 def _positions(shot: Shot, number: int) -> Float32:

@@ -10,6 +10,7 @@ from enum import Enum
 from pathlib import Path
 
 from exwarp_cli.domain.cuts import Cut
+from exwarp_cli.domain.outcome import Outcome
 from exwarp_cli.domain.results import RunSummary
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.io.atomic import is_there, output_error
@@ -108,7 +109,7 @@ def foresee(job: Job) -> DryRun:
     wish, numbers = job.source.cuts, job.source.timeline.numbers
     given = tuple(Cut(numbers[key], "given") for key in sorted(wish.starts_in(numbers)))
     return DryRun(
-        head=job.summary((), None, 0.0),
+        head=job.summary(Outcome(), 0.0),
         frames=frames,
         output=None if targets.frames is None else targets.frames.folder / targets.frames.name,
         holes=None if targets.holes is None else targets.holes.folder / targets.holes.name,
@@ -146,24 +147,31 @@ def _compared(job: Job) -> tuple[tuple[ForeseenFrame, ...], tuple[Cut, ...] | No
     """Foresee frames where good ones are kept; return the cuts that were met, too."""
     loader = make_loader(job)
     if job.targets.frames is None:
-        note = note_of(loader.leading_recipes, job.settings, job.keys)
-        kept = is_kept(job.targets, job.settings, note)
+        kept = False
+        if not job.settings.source.keep_going:
+            note = note_of(loader.leading_recipes, job.settings, job.keys)
+            kept = is_kept(job.targets, job.settings, note)
         return tuple(_foreseen(job, slot, kept) for slot in job.slots), None
     keys = job.source.keys
     sink = Sink(job.targets, job.settings, keys.display, job.source.output_fps, keys.view)
     frames = []
     for key in job.keys:
         loaded = loader.load(key, lambda *_: False)
-        for slot in job.source.timeline.slots_of(key):
-            frames.append(_foreseen(job, slot, _is_there(job, sink, slot, loaded)))
+        slots, recipes = job.source.timeline.slots_of(key), {}
+        if isinstance(loaded, Loaded):
+            recipes = loaded.recipes
+        else:
+            slots = tuple(slot for slot in slots if loaded.passed is not None and not slot.index)
+        for slot in slots:
+            frames.append(_foreseen(job, slot, _is_there(job, sink, slot, recipes)))
     return tuple(frames), loader.cuts
 
 
-def _is_there(job: Job, sink: Sink, slot: Slot, loaded: Loaded) -> bool:
+def _is_there(job: Job, sink: Sink, slot: Slot, recipes: dict[int, str]) -> bool:
     """Whether a slot's files are there as this run would write them."""
     number = job.source.timeline.number(slot)
     if slot.index:
-        return sink.has(number, loaded.recipes[slot.index])
+        return sink.has(number, recipes[slot.index])
     keys, key_number = job.source.keys, job.source.timeline.numbers[slot.key]
     path = keys.sequence.files[key_number]
     if sink.copies(path):

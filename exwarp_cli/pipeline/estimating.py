@@ -21,11 +21,19 @@ class Estimates:
         Called with the index of a key frame; reads its colour.
     count
         Number of key frames.
+    lost
+        Whether a key frame cannot be read, by its index: none moves towards it.
     """
 
-    def __init__(self, read: Callable[[int], KeyFrame], count: int) -> None:
+    def __init__(
+        self,
+        read: Callable[[int], KeyFrame],
+        count: int,
+        lost: Callable[[int], bool] = lambda key: False,
+    ) -> None:
         self._read = read
         self._count = count
+        self._lost = lost
         self._frames: dict[int, KeyFrame] = {}
         self._flows: dict[int, tuple[Flow, Flow]] = {}
 
@@ -65,10 +73,11 @@ class Estimates:
         self._flows = {i: pair for i, pair in self._flows.items() if i >= oldest - 1}
 
     def _to_previous(self, key: int) -> Flow | None:
-        return self._between(key - 1)[1] if key > 0 else None
+        return self._between(key - 1)[1] if key > 0 and not self._lost(key - 1) else None
 
     def _to_next(self, key: int) -> Flow | None:
-        return self._between(key)[0] if key + 1 < self._count else None
+        leads = key + 1 < self._count and not self._lost(key + 1)
+        return self._between(key)[0] if leads else None
 
     def _between(self, key: int) -> tuple[Flow, Flow]:
         """Return the flows from a key frame to the next, and back."""

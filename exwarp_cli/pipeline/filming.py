@@ -34,11 +34,15 @@ class Film(Held):
         self._sink = stack.enter_context(make_sink(self._job))
         self._writer = stack.enter_context(WriteBehind(1, len(self._job.slots)))
 
-    def append(self, keys: tuple[int, ...]) -> None:
-        """Append the frames of some key intervals (indices), all of which are there."""
-        for key in keys:
-            for slot in self._job.source.timeline.slots_of(key):
-                self._writer.submit(partial(self._write, slot))
+    def append(self, keys: tuple[int, ...], missing: frozenset[int] = frozenset()) -> None:
+        """Append the frames of some key intervals (indices).
+
+        All are there but those that are `missing`, by their output numbers.
+        """
+        timeline = self._job.source.timeline
+        for slot in (slot for key in keys for slot in timeline.slots_of(key)):
+            there = timeline.number(slot) not in missing
+            self._writer.submit(partial(self._write, slot) if there else self._sink.show_again)
 
     def _write(self, slot: Slot) -> None:
         self._sink.show(self._shown(slot))

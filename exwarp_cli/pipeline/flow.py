@@ -9,7 +9,7 @@ from exwarp_cli.domain.motion import MotionConvention
 from exwarp_cli.errors import InputError, MotionError
 from exwarp_cli.io.frames import GEOMETRY, Shot, open_shot, read_raw
 from exwarp_cli.io.sequence import Sequence
-from exwarp_cli.pipeline.source import find_motion
+from exwarp_cli.pipeline.motion_finding import find_motion
 from exwarp_cli.synthesis.geometry import matched, reproject, settle_motion
 
 

@@ -20,10 +20,10 @@ from exwarp_cli.io.exr import ExrReader, Part
 from exwarp_cli.io.footage import facts_of
 from exwarp_cli.io.producers import UNKNOWN
 from exwarp_cli.io.shot import MAIN, Shot, spelled
+from exwarp_cli.pipeline.motion_finding import find_motion
 from exwarp_cli.pipeline.motion_option import motion_names
 from exwarp_cli.pipeline.object_ids import looked_into, read_ids
 from exwarp_cli.pipeline.opening import open_keys, open_plain, rate_of
-from exwarp_cli.pipeline.source import find_motion
 
 
 @dataclass(frozen=True)
@@ -162,7 +162,7 @@ def _look(shot: Shot) -> tuple[tuple[Part, ...], dict[str, str]]:
     """Look into the first frame: parts of the main file, and types of channels."""
     types: dict[str, str] = {}
     parts: tuple[Part, ...] = ()
-    for aov, path in shot.files(shot.sequence.numbers[0]).items():
+    for aov, path in shot.files(shot.first).items():
         with ExrReader(path) as file:
             channels = shot.channels(file.parts, aov)
             parts = parts or file.parts

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from exwarp_cli.domain import lent_memory
-from exwarp_cli.domain.results import FrameRecord, InterpolatorSummary, NetworkSummary, RunSummary
+from exwarp_cli.domain.results import InterpolatorSummary, NetworkSummary, RunSummary
 from exwarp_cli.io.allocator import share_one_arena
 from exwarp_cli.io.footage import close
 from exwarp_cli.io.output import compression_of
@@ -37,7 +37,7 @@ from exwarp_cli.pipeline.views import open_sources
 from exwarp_cli.pipeline.without_vectors import USUAL, require_able, usual_method
 
 if TYPE_CHECKING:
-    from exwarp_cli.domain.cuts import Cut
+    from exwarp_cli.domain.outcome import Outcome
     from exwarp_cli.domain.settings import UpsampleSettings
     from exwarp_cli.domain.timeline import Slot
     from exwarp_cli.io.interpolator import OnnxInterpolator
@@ -74,6 +74,8 @@ class Job:
         The files to write.
     truth
         Ground truth and its frame for a slot; None without.
+    reported
+        Whether a report tells of it, which has checksums of all files.
     """
 
     settings: UpsampleSettings
@@ -87,6 +89,12 @@ class Job:
     keys: tuple[int, ...]
     targets: Targets
     truth: tuple[Sequence, FrameOf] | None
+    reported: bool = False
+
+    @property
+    def sums(self) -> bool:
+        """Whether checksums of files are wanted."""
+        return self.reported or self.settings.verify
 
     @property
     def source(self) -> Source:
@@ -135,17 +143,13 @@ class Job:
         """Close what reading left open; a later read opens it again."""
         close(self.source.keys.sequence, *(() if self.truth is None else self.truth[:1]))
 
-    def summary(
-        self, frames: tuple[FrameRecord, ...], cuts: tuple[Cut, ...] | None, seconds: float
-    ) -> RunSummary:
+    def summary(self, outcome: Outcome, seconds: float) -> RunSummary:
         """Put together what a run of this job found out.
 
         Parameters
         ----------
-        frames
-            One record a written frame, ascending.
-        cuts
-            Those that were met; None where none were looked for or given.
+        outcome
+            What became of its key frames.
         seconds
             Wall time of the streaming part.
         """
@@ -158,16 +162,19 @@ class Job:
             base_fps=float(source.fps),
             fps_source=source.fps_source,
             wall_seconds=seconds,
-            frames=frames,
+            frames=outcome.frames,
             decides=self.method.decides and is_usual(source),
             extrapolator=self.models.extrapolator,
             policy=self.models.policy,
             interpolator=self.models.interpolator,
             factor=source.timeline.factor,
-            cuts=cuts,
+            cuts=outcome.cuts,
             views=tuple(s.keys.view for s in self.sources if s.keys.view),
             layers=self.contents[0].names,
             keys=self.key_numbers,
+            left_out=outcome.left_out,
+            files=outcome.files,
+            verified=outcome.verified,
         )
 
 

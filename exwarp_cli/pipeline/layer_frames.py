@@ -58,8 +58,16 @@ class LayerReader:
         before = self._keys.frame(numbers[key])
         after = self._keys.frame(numbers[key + 1]) if lookahead else None
         back = None if older is None else self._keys.frame(numbers[older])
-        self._keys.keep(numbers[key : key + 2])
+        self.forget(key)
         return LayerFrames(before, after, back, self._rendered(key))
+
+    def require(self, key: int) -> None:
+        """Read a key frame's layers ahead; raises InputError where that fails."""
+        self._keys.frame(self._content.source.timeline.numbers[key])
+
+    def forget(self, key: int) -> None:
+        """Drop what no interval after this one needs."""
+        self._keys.keep(self._content.source.timeline.numbers[key : key + 2])
 
     def _rendered(self, key: int) -> tuple[Planes, ...]:
         """Read what the slots' own files have; () where one of them has no file."""

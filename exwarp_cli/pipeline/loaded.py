@@ -131,5 +131,24 @@ class Loaded:
         )
 
 
+@dataclass(frozen=True)
+class Unmade:
+    """A key interval that is left out, as something of it cannot be used.
+
+    Attributes
+    ----------
+    key
+        Index of the key frame.
+    reason
+        What is wrong, in a sentence.
+    passed
+        What the key frame is passed through by; None where it is lost itself.
+    """
+
+    key: int
+    reason: str
+    passed: Loaded | None = None
+
+
 def _colour(frame: KeyFrame | None) -> KeyFrame | None:
     return None if frame is None else replace(frame, gbuffer=None)

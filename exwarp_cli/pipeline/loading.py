@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from itertools import takewhile
 
-from exwarp_cli.domain.cuts import Cut
 from exwarp_cli.domain.extrapolator import HISTORY
-from exwarp_cli.domain.frame import SURFACE_PARTS, GBuffer, Image, KeyFrame
+from exwarp_cli.domain.frame import SURFACE_PARTS, GBuffer, KeyFrame
 from exwarp_cli.domain.results import InterpolatorSummary, NetworkSummary
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR, Slot
 from exwarp_cli.io.channels import Role
-from exwarp_cli.io.footage import is_plain, key_picture, picture, plain_template
-from exwarp_cli.io.frame_files import FrameTemplate
+from exwarp_cli.io.footage import is_plain, key_picture
 from exwarp_cli.io.frames import GEOMETRY, SURFACE, read_raw
 from exwarp_cli.io.sequence import Sequence
-from exwarp_cli.io.template import read_template
-from exwarp_cli.pipeline.contents import Content
+from exwarp_cli.pipeline.contents import Content, template_of
 from exwarp_cli.pipeline.early_frames import normals_tell, reads_late, run_roles, wants_normals
 from exwarp_cli.pipeline.estimating import Estimates
 from exwarp_cli.pipeline.handed_over import HandedOver, looks_ahead_alone
@@ -28,10 +26,11 @@ from exwarp_cli.pipeline.instants import between, over_interval, stretched, with
 from exwarp_cli.pipeline.late_frames import LateFrames
 from exwarp_cli.pipeline.layer_frames import LayerReader
 from exwarp_cli.pipeline.loaded import Loaded, Observed, Older
+from exwarp_cli.pipeline.losses import Losses
 from exwarp_cli.pipeline.recipes import Recipes
 from exwarp_cli.pipeline.shots import Shots
 from exwarp_cli.pipeline.source import FrameOf, Source
-from exwarp_cli.pipeline.targets import frame_suffix
+from exwarp_cli.pipeline.truth_frames import TruthFrames
 from exwarp_cli.policy.state import KEYS_BACK
 from exwarp_cli.synthesis.methods import Judge, Method
 
@@ -53,43 +52,41 @@ class IntervalLoader:
         self._source = source
         self._method = method
         self._settings = settings
-        self._truth = truth
+        self._truth = TruthFrames(source, truth, settings.measured)
+        self.losses = Losses(settings.source.keep_going)
+        """Frames that are lost; all views tell the same."""
         # What frames hold: of this view first, then of others in the same files.
         self._contents = contents or (Content(source),)
         own = self._contents[0]
         self._layers = LayerReader(own) if own.beside else None
-        self._recipes = Recipes(
+        self.recipe_book = Recipes(
             source, method, settings.compression, truth, network, interpolator, policy, own.names
         )
+        """What digests the frames of intervals."""
+        self.recipe_book.reading = self._reading if self.losses.bearable else None
         self._frames: dict[int, KeyFrame] = {}
         self._instants: dict[Slot, GBuffer] = {}
         self._shapes: dict[Slot, GBuffer] = {}
-        self._told: set[int] = set()
-        self._shots = Shots(source.cuts, source.timeline.numbers, self._key_frame)
+        self.told: frozenset[int] = frozenset()
+        """The key frames whose instants intervals brought along."""
+        self._followers: list[IntervalLoader] = []
+        self.shots = Shots(source.cuts, source.timeline.numbers, self._key_frame, self.losses)
         # Of other views everything is read: their frames are staged with those of the first.
         alone = own.leads and len(self._contents) == 1 and source.slots is None
         known = source.finding is not None and not source.estimated
         late = alone and known and reads_late(source.keys, method)
-        self._late = LateFrames(source, self._shots.within) if late else None
+        self._late = LateFrames(source, self.shots.within) if late else None
         count = len(source.timeline.numbers)
-        self._estimates = Estimates(self._colour, count) if source.estimated else None
+        self._estimates = None
+        if source.estimated:
+            self._estimates = Estimates(self._colour, count, lambda key: self.losses.has(key))
         # Whether by key frames' normals cuts are found, alike for every method, or frames made.
         self._normals_tell = normals_tell(source.keys, source.cuts.detect)
         self._wants_normals = wants_normals(source.keys, method.extrapolates)
         self._ahead = None
         if alone and known and looks_ahead_alone(method) and self._layers is None:
             left_out = () if self._wants_normals else ("normal",)
-            self._ahead = HandedOver(source, self._key_roles, left_out, self._shots.within)
-
-    @property
-    def recipe_book(self) -> Recipes:
-        """What digests the frames of intervals."""
-        return self._recipes
-
-    @property
-    def cuts(self) -> tuple[Cut, ...] | None:
-        """The cuts that were met so far; None where none are looked for or given."""
-        return self._shots.cuts
+            self._ahead = HandedOver(source, self._key_roles, left_out, self.shots.within)
 
     def load(self, key: int, needed: Callable[[int, dict[int, str]], bool]) -> Loaded:
         """Read an interval.
@@ -106,10 +103,10 @@ class IntervalLoader:
         source = self._source
         number = source.timeline.numbers[key]
         lookahead = self._looks_ahead(key)
-        recipes = self._recipe(key, lookahead)
-        template = self._template(number)
+        recipes = self.recipes(key)
+        template = template_of(self._contents, self._settings.output, number)
         if not needed(key, recipes):
-            self._forget(key)
+            self.forget(key)
             elapsed = 1e3 * (time.perf_counter() - begin)
             return Loaded(key, None, None, (), (), (), {}, template, recipes, elapsed)
         again = None if self._ahead is None else self._ahead.again(key)
@@ -125,9 +122,8 @@ class IntervalLoader:
         older = None if back is None else self._in_shot(back)
         layers = None if self._layers is None else self._layers.read(key, lookahead, back)
         slots = self._source.timeline.made_of(key)
-        truth = self._read_truth(slots)
-        ends = self._read_truth(self._ends(key))
-        self._forget(key)
+        truth, ends = self._truth.of(slots), self._truth.ends(key)
+        self.forget(key)
         if self._ahead is not None and following is not None:
             self._frames[key + 1] = self._ahead.lean(key + 1, following)
         elapsed = 1e3 * (time.perf_counter() - begin)
@@ -139,35 +135,30 @@ class IntervalLoader:
             again=again,
         )  # fmt: skip
 
-    def _template(self, number: int) -> FrameTemplate:
-        """Return what frames made of a key frame take over from its file."""
-        keys = self._source.keys
-        if is_plain(keys.sequence):
-            suffix = frame_suffix(self._settings.output, keys.sequence)
-            return plain_template(keys, number, suffix)
-        wanted = tuple(content.wanted for content in self._contents)
-        return read_template(keys.sequence.files[number], wanted)
-
-    def recipes(self, key: int) -> dict[int, str]:
-        """Digest what each slot's frame depends on."""
-        return self._recipe(key, self._looks_ahead(key))
-
     def follow(self, leader: IntervalLoader) -> None:
         """Take the cuts of another view, as all are cut alike, and what is known of the files."""
-        self._shots.follow(leader._shots)
-        self._recipes.share(leader._recipes)
+        self.shots.follow(leader.shots)
+        self.losses = leader.losses
+        leader._followers.append(self)
+        self.recipe_book.share(leader.recipe_book)
+
+    def rendered(self, key: int) -> Loaded:
+        """Read what a key frame is passed through by, and nothing made of it."""
+        frame, number = self._key_frame(key), self._source.timeline.numbers[key]
+        template = template_of(self._contents, self._settings.output, number)
+        return Loaded(key, replace(frame, gbuffer=None), None, (), (), (), {}, template, {}, 0.0)
 
     def look(self, key: int) -> tuple[tuple[Observed, ...], tuple[GBuffer, ...]]:
         """Read only what features of an interval come from: see `Loaded.observed`, and slots."""
         observed = self._observed(key)
         slots = tuple(self._slot_gbuffer(slot) for slot in self._slots(key))
-        self._forget(key)
+        self.forget(key)
         return observed, slots
 
     def _followed(self, key: int) -> bool:
         """Whether a key frame of the same shot comes after one."""
         last = key + 1 == len(self._source.timeline.numbers)
-        return not last and not self._shots.starts_at(key + 1)
+        return not last and not self.shots.starts_at(key + 1)
 
     def _looks_ahead(self, key: int) -> bool:
         return self._method.lookahead and self._followed(key)
@@ -176,7 +167,7 @@ class IntervalLoader:
         """Return the key frame that points are led on from where no next one tells."""
         if self._layers is None or not self._layers.looks_back or lookahead or key == 0:
             return None
-        return None if self._shots.starts_at(key) else key - 1
+        return None if self.shots.starts_at(key) else key - 1
 
     def _slots(self, key: int) -> tuple[Slot, ...]:
         """Return the slots of an interval that have G-buffers: all of them, or none."""
@@ -188,56 +179,82 @@ class IntervalLoader:
         """Return the indices of the key frames that lead back from one, the newest first."""
         if not self._method.extrapolates:
             return ()
-        older = tuple(range(key - 1, self._shots.begin(key, HISTORY - 1) - 1, -1))
-        return older if self._source.slots is None else tuple(takewhile(self._slots, older))
+        older = tuple(range(key - 1, self.shots.begin(key, HISTORY - 1) - 1, -1))
+        if self._source.slots is None:
+            return older
+        spare = self.losses.spare
+        return tuple(takewhile(lambda i: self._slots(i) and spare(self._slots(i)), older))
 
     def _in_shot(self, key: int) -> KeyFrame:
         """Return a key frame without vectors that lead to another shot."""
         if self._estimates is not None:
-            began = key == 0 or self._shots.starts_at(key)
+            began = key == 0 or self.shots.starts_at(key)
             return self._estimates.moving(key, not began, self._looks_ahead(key))
         frame = self._key_frame(key)
         if frame.gbuffer is None:
             return frame
-        return replace(frame, gbuffer=self._shots.within(key, frame.gbuffer))
+        return replace(frame, gbuffer=self.shots.within(key, frame.gbuffer))
+
+    @contextmanager
+    def _reading(self, slot: Slot) -> Iterator[None]:
+        """Read a frame in a block, which is lost where that fails, or one of its files does."""
+        with self.losses.at(slot):
+            if self.losses.bearable:
+                self.recipe_book.digest(slot)
+            yield
 
     def _key_frame(self, key: int) -> KeyFrame:
-        """Read a key frame, unless it is at hand; cuts are found by it."""
+        """Return a key frame, read unless it is at hand; cuts are found by it."""
         if key not in self._frames:
-            source = self._source
-            number = source.timeline.numbers[key]
-            convention = None if source.finding is None else source.finding.convention
-            if self._estimates is not None:
-                frame = self._estimates.frame(key)
-                if source.cuts.detect:
-                    self._shots.see(key, self._estimates.flowing(key))
-            elif is_plain(source.keys.sequence):
-                frame = self._colour(key)
-                self._shots.see(key, frame)
-            elif source.slots is None:
-                raw = source.early.take(number, self._key_roles)
-                if raw is None:
-                    raw = read_raw(source.keys, number, self._key_roles, objects=True)
-                frame = raw.key(convention)
-                self._shots.see(key, frame if self._normals_tell else frame.without("normal"))
-                if self._normals_tell and not self._wants_normals:
-                    frame = frame.without("normal")
-            else:
-                frame = read_raw(source.keys, number, (Role.COLOUR,)).key(None)
-                steps = source.timeline.steps
-                assert steps is not None  # slots have G-buffers where the factor is whole
-                gbuffer = self._slot_gbuffer(Slot(key, 0)).on(frame.image.data_window)
-                self._shots.see(key, replace(frame, gbuffer=over_interval(gbuffer, steps)))
-                frame = replace(frame, gbuffer=stretched(gbuffer, steps))
+            with self._reading(Slot(key, 0)):
+                frame = self._read_key(key)
+                if self.losses.bearable:
+                    self._read_beside(key)
             self._frames[key] = frame
         return self._frames[key]
+
+    def _read_beside(self, key: int) -> None:
+        """Read what a key frame is lost without, too: its layers, and other views."""
+        if self._layers is not None:
+            self._layers.require(key)
+        for other in self._followers:
+            other._key_frame(key)
+
+    def _read_key(self, key: int) -> KeyFrame:
+        """Read a key frame, and show it to who finds cuts."""
+        source = self._source
+        number = source.timeline.numbers[key]
+        if self._estimates is not None:
+            frame = self._estimates.frame(key)
+            if source.cuts.detect:
+                self.shots.see(key, self._estimates.flowing(key))
+        elif is_plain(source.keys.sequence):
+            frame = self._colour(key)
+            self.shots.see(key, frame)
+        elif source.slots is None:
+            raw = source.early.take(number, self._key_roles)
+            if raw is None:
+                raw = read_raw(source.keys, number, self._key_roles, objects=True)
+            frame = raw.key(source.convention)
+            self.shots.see(key, frame if self._normals_tell else frame.without("normal"))
+            if self._normals_tell and not self._wants_normals:
+                frame = frame.without("normal")
+        else:
+            frame = read_raw(source.keys, number, (Role.COLOUR,)).key(None)
+            steps = source.timeline.steps
+            assert steps is not None  # slots have G-buffers where the factor is whole
+            gbuffer = self._slot_gbuffer(Slot(key, 0)).on(frame.image.data_window)
+            self.shots.see(key, replace(frame, gbuffer=over_interval(gbuffer, steps)))
+            frame = replace(frame, gbuffer=stretched(gbuffer, steps))
+        return frame
 
     def _colour(self, key: int) -> KeyFrame:
         """Read the colour of a key frame, and nothing else."""
         keys, number = self._source.keys, self._source.timeline.numbers[key]
-        if is_plain(keys.sequence):
-            return KeyFrame(number, key_picture(keys, number), None)
-        return read_raw(keys, number, (Role.COLOUR,)).key(None)
+        with self._reading(Slot(key, 0)):
+            if is_plain(keys.sequence):
+                return KeyFrame(number, key_picture(keys, number), None)
+            return read_raw(keys, number, (Role.COLOUR,)).key(None)
 
     @property
     def _key_roles(self) -> tuple[Role, ...]:
@@ -255,9 +272,9 @@ class IntervalLoader:
         source = self._source
         number = source.slot_number(slot)
         assert source.slots is not None and number is not None
-        convention = None if source.finding is None else source.finding.convention
         roles = (*GEOMETRY, *SURFACE) if self._method.extrapolates else GEOMETRY
-        gbuffer = read_raw(source.slots, number, roles, objects=True).settle(convention)
+        with self._reading(slot):
+            gbuffer = read_raw(source.slots, number, roles, objects=True).settle(source.convention)
         if self._method.extrapolates:
             self._instants[slot] = without_surface(gbuffer)
         if self._observes and slot.index in (0, FACTOR - 1):
@@ -281,26 +298,27 @@ class IntervalLoader:
 
     def _starts(self, key: int) -> range:
         """Return the indices of the key frames whose features a state at this one holds."""
-        return range(self._shots.begin(key, KEYS_BACK), key + 1) if self._observes else range(0)
+        return range(self.shots.begin(key, KEYS_BACK), key + 1) if self._observes else range(0)
 
     def _observed(self, key: int) -> tuple[Observed, ...]:
         """Return the instants of key frames that no earlier interval brought along."""
         found = []
         for index in self._starts(key):
-            if index not in self._told:
+            if index not in self.told:
                 slot = self._instant_before(index)
                 before = None if slot is None else self._shape(slot)
-                now = self._shots.within(index, self._shape(Slot(index, 0)))
+                now = self.shots.within(index, self._shape(Slot(index, 0)))
                 found.append(Observed(index, now, before))
-                self._told.add(index)
-        self._told = {index for index in self._told if index > key - KEYS_BACK}
+                self.told |= {index}
+        self.told = frozenset(index for index in self.told if index > key - KEYS_BACK)
         return tuple(found)
 
     def _instant_before(self, key: int) -> Slot | None:
         """Return the instant that a key frame's is compared with; None where a shot begins."""
-        if key == 0 or self._shots.starts_at(key):
+        if key == 0 or self.shots.starts_at(key):
             return None
-        return Slot(key - 1, 0 if self._source.slots is None else FACTOR - 1)
+        before = Slot(key - 1, 0 if self._source.slots is None else FACTOR - 1)
+        return before if self.losses.spare((before,)) else None
 
     def _shape(self, slot: Slot) -> GBuffer:
         """Return the geometry of an instant, with normals."""
@@ -312,21 +330,21 @@ class IntervalLoader:
             if frame is not None and frame.gbuffer is not None:
                 return frame.gbuffer
             number = source.timeline.numbers[slot.key]
-            convention = None if source.finding is None else source.finding.convention
             # With colour, whose window may be smaller, as in the key frames that are at hand.
             roles = (Role.COLOUR, *GEOMETRY)
-            raw = read_raw(source.keys, number, roles, objects=True)
-            self._shapes[slot] = raw.settle(convention)
+            with self._reading(slot):
+                raw = read_raw(source.keys, number, roles, objects=True)
+            self._shapes[slot] = raw.settle(source.convention)
         return self._shapes[slot]
 
     def _keep_shape(self, key: int) -> None:
         """Keep of a key frame what the features of the next one are found by."""
         frame = self._frames.get(key)
-        if key in self._told and frame is not None and frame.gbuffer is not None:
+        if key in self.told and frame is not None and frame.gbuffer is not None:
             g = frame.gbuffer
             self._shapes[Slot(key, 0)] = GBuffer(g.window, g.depth, g.normal, g.position)
 
-    def _forget(self, key: int) -> None:
+    def forget(self, key: int) -> None:
         """Drop what no interval after this one needs."""
         self._source.early.drop()
         self._shapes = {slot: shape for slot, shape in self._shapes.items() if slot.key >= key}
@@ -336,37 +354,18 @@ class IntervalLoader:
             self._keep_shape(key)
         elif self._method.extrapolates:
             oldest -= HISTORY - 1
-        if self._layers is not None and self._layers.looks_back:
-            oldest = min(oldest, key)
+        if self._layers is not None:
+            self._layers.forget(key)
+            oldest = min(oldest, key) if self._layers.looks_back else oldest
         self._frames = {i: frame for i, frame in self._frames.items() if i >= oldest}
         self._instants = {s: buffer for s, buffer in self._instants.items() if s.key >= oldest}
-        self._shots.forget(min(oldest, key))
+        self.shots.forget(min(oldest, key))
         if self._estimates is not None:
             self._estimates.forget(oldest)
 
-    def _ends(self, key: int) -> tuple[Slot, ...]:
-        """Return the rendered instants around an interval, for what scores it as a video."""
-        if "vmaf" not in self._settings.measured:
-            return ()
-        timeline = self._source.timeline
-        last = key + 1 == len(timeline.numbers)
-        after = Slot(key, len(timeline.between(key)) + 1)
-        return (Slot(key, 0),) if last else (Slot(key, 0), after)
-
-    def _read_truth(self, slots: Iterable[Slot]) -> dict[int, Image]:
-        """Read ground truth by the slots' index."""
-        if self._truth is None:
-            return {}
-        sequence, frame_of = self._truth
-        found = {}
-        for slot in slots:
-            number = frame_of(slot)
-            if number is not None:
-                found[slot.index] = picture(sequence, number, self._source.keys.view)
-        return found
-
-    def _recipe(self, key: int, lookahead: bool) -> dict[int, str]:
+    def recipes(self, key: int) -> dict[int, str]:
         """Digest what each slot's frame depends on."""
+        lookahead = self._looks_ahead(key)
         if self._estimates is not None:
             return self._estimated_recipe(key, lookahead)
         history = self._history(key)
@@ -377,21 +376,22 @@ class IntervalLoader:
         seen = self._seen(key)
         back = KEYS_BACK if self._observes else HISTORY - 1 if self._method.extrapolates else 0
         back = max(back, int(older is not None))
-        cuts = self._shots.told(key, back, (*keys, *self._starts(key)))
-        if self._source.slots is None:
-            return self._recipes.of(key, keys, seen, cuts)
-        way = (slot for i in history for slot in self._slots(i))
-        return self._recipes.of(key, keys, (*self._slots(key), *way, *seen), cuts)
+        cuts = self.shots.told(key, back, (*keys, *self._starts(key)))
+        instants = tuple(seen)
+        if self._source.slots is not None:
+            way = (slot for i in history for slot in self._slots(i))
+            instants = (*self._slots(key), *way, *seen)
+        return self.recipe_book.of(key, keys, instants, cuts)
 
     def _estimated_recipe(self, key: int, lookahead: bool) -> dict[int, str]:
         """Digest the same where motion is estimated: key frames on both sides tell theirs."""
         keys = [key, *((key + 1,) if lookahead else ())]
-        if key and not self._shots.starts_at(key):
+        if key and not self.shots.starts_at(key):
             keys.append(key - 1)
         if lookahead and self._followed(key + 1):
             keys.append(key + 2)
-        cuts = [*self._shots.told(key, 0, ()), f"flow {[index - key for index in keys]}"]
-        return self._recipes.of(key, keys, (), cuts)
+        cuts = [*self.shots.told(key, 0, ()), f"flow {[index - key for index in keys]}"]
+        return self.recipe_book.of(key, keys, (), cuts)
 
     def _seen(self, key: int) -> list[Slot]:
         """Return the instants that the features of an interval's states come from."""

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from exwarp_cli.errors import DamagedFileError, LayoutError
+from exwarp_cli.errors import DamagedFileError, InputError, LayoutError
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.cryptomatte import Cryptomatte, find_cryptomattes
 from exwarp_cli.io.cryptomatte_manifest import Manifest, dynamic_objects, read_manifest
@@ -74,7 +74,6 @@ def looked_into(shot: Shot) -> Iterator[tuple[Cryptomatte, Manifest]]:
 
     Of one whose ids cannot be used, the manifest has no names, and says why.
     """
-    first = shot.sequence.numbers[0]
     for one in shot.cryptomattes:
         try:
             one.require_exact("the file")
@@ -82,7 +81,7 @@ def looked_into(shot: Shot) -> Iterator[tuple[Cryptomatte, Manifest]]:
         except (LayoutError, DamagedFileError) as error:
             yield one, Manifest(problem=str(error))
         else:
-            yield one, read_manifest(one, shot.files(first)[one.aov])
+            yield one, read_manifest(one, shot.files(shot.first)[one.aov])
 
 
 def _undirected(shot: Shot) -> Shot:
@@ -99,7 +98,7 @@ def _undirected(shot: Shot) -> Shot:
 
 def _try(shot: Shot) -> None:
     """Read the ids of the first frame."""
-    read_raw(shot, shot.sequence.numbers[0], (Role.STENCIL,), objects=True)
+    read_raw(shot, shot.first, (Role.STENCIL,), objects=True)
 
 
 def _of_all_frames(shot: Shot) -> Iterator[tuple[Cryptomatte, Path]]:
@@ -110,13 +109,26 @@ def _of_all_frames(shot: Shot) -> Iterator[tuple[Cryptomatte, Path]]:
     wanted = shot.cryptomattes[0]
     for number in shot.sequence.numbers:
         path = shot.files(number)[wanted.aov]
-        with ExrReader(path) as file:
-            channels = {wanted.aov: renamed(shot.channels(file.parts, wanted.aov))}
-            found = find_cryptomattes(channels, {wanted.aov: file.headers})
+        try:
+            found = _in_file(shot, path)
+        except InputError:
+            if not shot.keep_going:
+                raise
+            continue
         for one in found:
-            if one.name == wanted.name:
-                one.require_exact(str(path))
-                yield one, path
+            yield one, path
+
+
+def _in_file(shot: Shot, path: Path) -> list[Cryptomatte]:
+    """Return a shot's Cryptomatte as a file has it."""
+    wanted = shot.cryptomattes[0]
+    with ExrReader(path) as file:
+        channels = {wanted.aov: renamed(shot.channels(file.parts, wanted.aov))}
+        found = find_cryptomattes(channels, {wanted.aov: file.headers})
+    mine = [one for one in found if one.name == wanted.name]
+    for one in mine:
+        one.require_exact(str(path))
+    return mine
 
 
 def _told(shots: Iterable[Shot]) -> tuple[list[Manifest], bool]:

@@ -39,7 +39,8 @@ def open_keys(settings: SourceSettings) -> tuple[Shot, SourceSettings]:
         When the map's motion is not understood.
     """
     allow(settings.max_pixels)
-    shot = _measured(open_shot(settings.sequence, settings.view, *_said(settings)))
+    said = (*_said(settings), settings.keep_going)
+    shot = _measured(open_shot(settings.sequence, settings.view, *said))
     told = shot.channel_map
     if told is None or told.motion is None or settings.motion or settings.gbuffers:
         return shot, settings
@@ -67,7 +68,7 @@ def open_plain(settings: SourceSettings) -> Shot | None:
         When options are given that say how EXR is read.
     """
     allow(settings.max_pixels)
-    sequence = find_plain(settings.sequence)
+    sequence = find_plain(settings.sequence, settings.keep_going)
     if sequence is None:
         return None
     told = {
@@ -84,7 +85,7 @@ def open_plain(settings: SourceSettings) -> Shot | None:
                 f"{option} is for rendered EXR frames, and {sequence.pattern} has nothing but "
                 "colour; leave it out"
             )
-    return shot_of(sequence)
+    return shot_of(sequence, settings.keep_going)
 
 
 def each_view(settings: SourceSettings) -> tuple[SourceSettings, ...]:
@@ -94,7 +95,7 @@ def each_view(settings: SourceSettings) -> tuple[SourceSettings, ...]:
     """
     if settings.view != ALL or is_clip(settings.sequence):
         return (settings,)
-    shots = open_views(settings.sequence, ALL, *_said(settings))
+    shots = open_views(settings.sequence, ALL, *_said(settings), settings.keep_going)
     return tuple(replace(settings, view=shot.view) for shot in shots)
 
 
@@ -107,9 +108,10 @@ def open_slots(settings: SourceSettings, keys: Shot) -> Shot | None:
         return None
     told = keys.channel_map
     asked = settings.view or (None if told is None else told.view)
-    slots = open_shot(settings.gbuffers, asked)
+    slots = open_shot(settings.gbuffers, asked, keep_going=settings.keep_going)
     if slots.view != keys.view and keys.view in slots.views:
-        slots = open_shot(settings.gbuffers, keys.view)  # another view is first there
+        # Another view is first there.
+        slots = open_shot(settings.gbuffers, keys.view, keep_going=settings.keep_going)
     return _measured(slots)
 
 
@@ -132,7 +134,7 @@ def rate_of(keys: Shot, given: Fraction | None) -> tuple[Fraction, str]:
         return own, "file"
     if is_plain(keys.sequence):
         return DEFAULT_FPS, "assumed"
-    first = keys.sequence.files[keys.sequence.numbers[0]]
+    first = keys.sequence.files[keys.first]
     for header in read_headers(first):
         found = frame_rate(header)
         if found is not None:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 from collections import OrderedDict
-from collections.abc import Collection, Iterable
+from collections.abc import Callable, Collection, Iterable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -47,6 +48,9 @@ class Recipes:
         SHA-256 of the policy's file; None where none decides.
     layers
         Names of the layers that are written beside the beauty.
+    reading
+        In which a slot's frame is read, to note that it is lost where that fails; None where
+        nothing may be.
     """
 
     source: Source
@@ -57,11 +61,21 @@ class Recipes:
     interpolator: InterpolatorSummary | None = None
     policy: str | None = None
     layers: tuple[str, ...] = ()
+    reading: Callable[[Slot], AbstractContextManager[None]] | None = None
     _digests: OrderedDict[Token, str] = field(default_factory=OrderedDict, init=False)
 
     def share(self, other: Recipes) -> None:
         """Keep files' digests with those of another view, which may be of the same files."""
         self._digests = other._digests
+
+    def digest(self, slot: Slot) -> None:
+        """Digest all files of a slot's frame ahead; raises InputError where one cannot be read."""
+        if not slot.index:
+            self._digest(self.source.keys, self.source.timeline.numbers[slot.key])
+        if self.source.slots is not None:
+            number = self.source.slot_number(slot)
+            if number is not None:
+                self._digest(self.source.slots, number)
 
     def of(
         self,
@@ -84,7 +98,11 @@ class Recipes:
             What cuts around the interval change.
         """
         source = self.source
-        keys = tuple(keys)
+        keys, instants = tuple(keys), tuple(instants)
+        if self.reading is not None:
+            for slot in (*(Slot(index, 0) for index in keys), *instants):
+                with self.reading(slot):
+                    self.digest(slot)
         files = [self._digest(source.keys, source.timeline.numbers[i]) for i in keys]
         if source.slots is None:
             files += [self._digest(source.keys, source.timeline.numbers[s.key]) for s in instants]

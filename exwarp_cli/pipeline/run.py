@@ -10,7 +10,7 @@ from functools import cached_property, partial
 from exwarp_cli import __version__
 from exwarp_cli.domain import lent_memory
 from exwarp_cli.domain.frame import Image
-from exwarp_cli.domain.results import FrameKind, FrameRecord
+from exwarp_cli.domain.results import FrameKind, FrameRecord, LeftOut
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.errors import InputError, LayoutError
@@ -20,7 +20,8 @@ from exwarp_cli.io.output import PREFIX
 from exwarp_cli.pipeline.choosing import Chooser
 from exwarp_cli.pipeline.geometry import Staging
 from exwarp_cli.pipeline.layers import Beside
-from exwarp_cli.pipeline.loaded import Loaded
+from exwarp_cli.pipeline.leaving_out import left_out, tell_left_out
+from exwarp_cli.pipeline.loaded import Loaded, Unmade
 from exwarp_cli.pipeline.making import Made, SlotMaker, rounded
 from exwarp_cli.pipeline.progress import Progress
 from exwarp_cli.pipeline.recipes import key_recipe
@@ -68,6 +69,7 @@ class Run:
     at_once: SlotsAtOnce
     watcher: Watcher | None = None
     records: list[FrameRecord] = field(default_factory=list)
+    left_out: list[LeftOut] = field(default_factory=list)
     _scoring: IntervalScores | None = None
     _broken: dict[int, int] = field(default_factory=dict)
 
@@ -81,7 +83,7 @@ class Run:
                     work = self._work(loaded)
                     del loaded
                     _finish(under_way)
-                    under_way = self._interval(work)
+                    under_way = self._steps(work)
                     del work  # before the next one is waited for, and staged
                     lent_memory.let_go()
                     next(under_way, None)
@@ -91,15 +93,42 @@ class Run:
             _finish(under_way)
         return with_write_times(self.records, self.sink.write_ms)
 
-    def _work(self, loaded: Loaded) -> _Work:
+    def _work(self, loaded: Loaded | Unmade) -> _Work | Unmade:
         """Stage an interval, and begin its slots where that can be done at once."""
-        loaded, staged = self._staged(loaded)
+        if isinstance(loaded, Unmade):
+            return loaded
+        try:
+            loaded, staged = self._staged(loaded)
+        except InputError as error:  # of what is read late
+            if not self.settings.source.keep_going:
+                raise
+            return Unmade(loaded.key, str(error), loaded.lean())
         begun = None
         if self._goes_at_once(loaded, staged):
             made_of = self.source.timeline.made_of(loaded.key)
             slots = sorted(slot for slot in made_of if slot not in staged.there)
             begun = self.at_once.begin(partial(self.maker.make, staged, loaded, here=True), slots)
         return _Work(loaded, staged, begun)
+
+    def _steps(self, work: _Work | Unmade) -> Iterator[None]:
+        """Make an interval's frames, or leave them out."""
+        return self._leave_out(work) if isinstance(work, Unmade) else self._interval(work)
+
+    def _leave_out(self, work: Unmade) -> Iterator[None]:
+        """Pass the key frame through if it is sound, and note what is missing."""
+        timeline = self.source.timeline
+        slots = timeline.slots_of(work.key)
+        if work.passed is not None and timeline.shows(work.key):
+            self._pass_key(work.passed)
+            slots = timeline.made_of(work.key)
+        left = left_out(timeline, work.key, slots, work.reason)
+        if left.frames:
+            self.left_out.append(left)
+            tell_left_out(self.progress, left)
+        for number in left.frames:
+            self.sink.show_again()
+            self.progress.advance(number, "left out")
+        yield
 
     def _goes_at_once(self, loaded: Loaded, staged: Staged) -> bool:
         """Whether threads can make a slot each: none goes by another."""

@@ -9,6 +9,7 @@ import numpy as np
 
 from exwarp_cli.domain.cuts import Cut, CutWish
 from exwarp_cli.domain.frame import Float32, GBuffer, KeyFrame
+from exwarp_cli.pipeline.losses import Losses
 from exwarp_cli.synthesis.cuts import is_cut_between
 from exwarp_cli.synthesis.glance import Glance, glance_at
 
@@ -32,6 +33,8 @@ class Shots:
         Input numbers of all key frames.
     read
         Called with the index of a key frame that was not seen, or forgotten; shows it by `see`.
+    losses
+        Key frames that are lost: shots end before them, and begin after them.
 
     Raises
     ------
@@ -40,15 +43,20 @@ class Shots:
     """
 
     def __init__(
-        self, wish: CutWish, numbers: Sequence[int], read: Callable[[int], object]
+        self,
+        wish: CutWish,
+        numbers: Sequence[int],
+        read: Callable[[int], object],
+        losses: Losses | None = None,
     ) -> None:
         self._wish = wish
         self._numbers = numbers
         self._given = wish.starts_in(numbers)
         self._read = read
+        self._losses = Losses() if losses is None else losses
         self._glances: dict[int, Glance] = {}
         self._starts: dict[int, bool] = {}
-        self._crossing: dict[int, str] = {}
+        self._leaps: dict[int, _Leap | None] = {}
         self._leader: Shots | None = None
 
     def follow(self, leader: Shots) -> None:
@@ -83,8 +91,10 @@ class Shots:
         """Whether a cut lies before a key frame; none does before the first."""
         if self._leader is not None:
             return self._leader.starts_at(key)
+        inside = 0 < key < len(self._numbers)
+        if self._losses.part(key) and key not in self._given:
+            return inside
         if key not in self._starts:
-            inside = 0 < key < len(self._numbers)
             self._starts[key] = inside and (key in self._given or self._found(key))
         return self._starts[key]
 
@@ -137,6 +147,9 @@ class Shots:
     def _found(self, key: int) -> bool:
         """Look whether there is a cut before a key frame."""
         if not self._wish.detect:
+            if self._losses.bearable:  # whether one of them is lost shows as it is read
+                self._read(key - 1)
+                self._read(key)
             return False
         return is_cut_between(self._glance(key - 1), self._glance(key))
 
@@ -144,11 +157,10 @@ class Shots:
         """Return which vectors of a key frame lead to another shot; "" for none."""
         if not self._wish.detect and not self._at_given(key):
             return ""
-        if key not in self._crossing:
-            leap = _Leap.of(self._glance(key))
-            found = leap.crossing(self.starts_at(key), self.starts_at(key + 1)) if leap else ""
-            self._crossing[key] = found
-        return self._crossing[key]
+        if key not in self._leaps:
+            self._leaps[key] = _Leap.of(self._glance(key))
+        leap = self._leaps[key]
+        return leap.crossing(self.starts_at(key), self.starts_at(key + 1)) if leap else ""
 
 
 @dataclass(frozen=True)

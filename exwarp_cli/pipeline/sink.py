@@ -10,10 +10,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from exwarp_cli.domain import cores
 from exwarp_cli.domain.frame import Bool, Image, Window
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.io.atomic import atomic_copy
+from exwarp_cli.io.exr_encoding import Buffer
 from exwarp_cli.io.frame_files import FrameTemplate, facts_in, read_picture, write_picture
 from exwarp_cli.io.held import Held
 from exwarp_cli.io.output import PREFIX, write_mask
@@ -21,6 +24,7 @@ from exwarp_cli.io.template import Plane, PlaneKey
 from exwarp_cli.io.video import VideoLook, VideoWriter, to_display
 from exwarp_cli.pipeline.schedule import WriteBehind
 from exwarp_cli.pipeline.targets import Targets, key_is_there, slot_is_there
+from exwarp_cli.pipeline.verifying import FRAME, HOLES, Sums, sum_in, sum_of
 
 FRAMES_BEHIND = 4
 
@@ -44,6 +48,8 @@ class Sink(Held):
         How many frames may wait for a thread to write them, beyond those under way.
     look
         Of the video: colour, pixels and sound; None for the usual.
+    sums
+        Whether checksums of files are wanted.
     """
 
     def __init__(
@@ -55,6 +61,7 @@ class Sink(Held):
         view: str = "",
         behind: int = FRAMES_BEHIND,
         look: VideoLook | None = None,
+        sums: bool = False,
     ) -> None:
         self._targets = targets
         self._settings = settings
@@ -63,9 +70,13 @@ class Sink(Held):
         self._view = view
         self._behind = behind
         self._look = look
+        self._wants_sums = sums
         self._video: VideoWriter | None = None
+        self._shown: np.ndarray | None = None  # last, by the video
         self.write_ms: dict[int, float] = {}
         """Milliseconds that writing took, by the frame's number; complete at the end."""
+        self.sums: Sums = {}
+        """Checksums of what is written, where they are wanted; complete at the end."""
 
     def _open(self, stack: ExitStack) -> None:
         threads = cores.count()
@@ -124,8 +135,7 @@ class Sink(Held):
         """
         resumed = self.has_copy(number, source)
         if not resumed:
-            copy = partial(atomic_copy, source, self._frame_path(number))
-            self._writer.submit(partial(self._timed, number, copy))
+            self._writer.submit(partial(self._timed, number, partial(self._copy, number, source)))
         return resumed
 
     def write(
@@ -157,18 +167,30 @@ class Sink(Held):
         if self._targets.frames is not None:
             path = self._frame_path(number)
             written = partial(write_picture, path, image, template, attributes, beside)
-            do(partial(self._timed, number, written))
+            do(partial(self._timed, number, partial(self._put, FRAME, number, written)))
         if self._targets.holes is not None and mask is not None:
             marks = {k: v for k, v in attributes.items() if k.startswith(PREFIX)}
             windows = (self._display, self._display)
             path = self._targets.holes.path(number)
-            do(partial(write_mask, path, mask, windows, marks))
+            masked = partial(write_mask, path, mask, windows, marks)
+            do(partial(self._put, HOLES, number, masked))
 
     def show(self, image: Image) -> None:
         """Append a frame to the video, if there is one."""
         if self._video is not None:
             pixels = image.on(self._display).pixels
-            self._video.write(to_display(pixels, self._settings.exposure))
+            code = to_display(pixels, self._settings.exposure)
+            self._video.write(code)
+            self._shown = code if self._settings.source.keep_going else None
+
+    def show_again(self) -> None:
+        """Append the last frame to the video again, so that sound stays in step; else a black one.
+
+        Only where something may be left out: the last frame is kept for that.
+        """
+        if self._video is not None:
+            black = np.zeros((*self._display.shape, 3), np.float32)
+            self._video.write(to_display(black) if self._shown is None else self._shown)
 
     def read(self, number: int) -> Image:
         """Read a frame that an earlier run wrote."""
@@ -181,6 +203,18 @@ class Sink(Held):
     def _frame_path(self, number: int) -> Path:
         assert self._targets.frames is not None
         return self._targets.frames.path(number)
+
+    def _copy(self, number: int, source: Path) -> None:
+        """Copy a key frame's file; its checksum is that of the source."""
+        atomic_copy(source, self._frame_path(number))
+        if self._wants_sums:
+            self.sums[FRAME, number] = sum_in(source)
+
+    def _put(self, kind: str, number: int, write: Callable[[], list[Buffer]]) -> None:
+        """Write a file; its checksum is that of what is in memory."""
+        pieces = write()
+        if self._wants_sums:
+            self.sums[kind, number] = sum_of(pieces)
 
     def _timed(self, number: int, write: Callable[[], None]) -> None:
         """Write, and record how long it took."""

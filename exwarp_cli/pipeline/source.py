@@ -4,17 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection
-from collections.abc import Sequence as Listed
-from contextlib import suppress
 from dataclasses import dataclass, field
 from fractions import Fraction
-from functools import cache
-
-import numpy as np
 
 from exwarp_cli.domain.cuts import CutWish, parse_cuts
-from exwarp_cli.domain.frame import place
-from exwarp_cli.domain.motion import MotionFinding
+from exwarp_cli.domain.motion import MotionConvention, MotionFinding
 from exwarp_cli.domain.settings import SourceSettings
 from exwarp_cli.domain.timeline import FACTOR, MOST, Slot, Timeline, ranges
 from exwarp_cli.errors import (
@@ -25,16 +19,12 @@ from exwarp_cli.errors import (
     UsageError,
 )
 from exwarp_cli.io.channels import Role
-from exwarp_cli.io.frames import RawFrame, Shot, read_raw
+from exwarp_cli.io.frames import Shot
 from exwarp_cli.io.sequence import Sequence
-from exwarp_cli.pipeline.early_frames import Beginning, EarlyFrames, serves
-from exwarp_cli.pipeline.motion_option import motion_names, parse_motion
+from exwarp_cli.pipeline.early_frames import Beginning, EarlyFrames
+from exwarp_cli.pipeline.motion_finding import find_motion
 from exwarp_cli.pipeline.object_ids import read_ids
 from exwarp_cli.pipeline.opening import open_keys, open_plain, open_slots, rate_of
-from exwarp_cli.pipeline.shots import pairs_within
-from exwarp_cli.synthesis.calibration import calibrate
-from exwarp_cli.synthesis.cuts import is_cut
-from exwarp_cli.synthesis.sampling import Instant, Sampled, sampled
 
 FrameOf = Callable[[Slot], int | None]
 
@@ -94,6 +84,11 @@ class Source:
     def moves(self) -> bool:
         """Whether motion is known, by vectors or estimated."""
         return self.estimated or self.finding is not None
+
+    @property
+    def convention(self) -> MotionConvention | None:
+        """Convention of the motion vectors in use; None without motion."""
+        return None if self.finding is None else self.finding.convention
 
     @property
     def motion_told(self) -> tuple[str, str] | None:
@@ -233,88 +228,12 @@ def factor_of(settings: SourceSettings, fps: Fraction) -> Fraction:
     return factor
 
 
-def find_motion(
-    shot: Shot,
-    given: str | None,
-    detect: bool = True,
-    starts: Collection[int] = (),
-    early: EarlyFrames | None = None,
-) -> MotionFinding | None:
-    """Settle the motion convention of a shot, by hand or by measuring; None without motion.
-
-    Parameters
-    ----------
-    shot
-        Whose vectors.
-    given
-        A convention by hand.
-    detect
-        Whether to look for cuts, where vectors explain nothing: what crosses one is no motion.
-    starts
-        Numbers of frames before which cuts are known.
-    early
-        Where frames are kept that a run reads first.
-
-    Raises
-    ------
-    MotionError
-        When the convention cannot be settled.
-    """
-    if Role.MOTION not in shot.layout:
-        return None
-    names, size = motion_names(shot), (shot.display.width, shot.display.height)
-    if given is not None:
-        convention = parse_motion(given, names, size)
-        return MotionFinding(convention, "given", f"{convention.describe(names)} given by --motion")
-    numbers = shot.sequence.numbers
-    guess = None if shot.layout.guess is None else shot.layout.guess.sized(*size)
-
-    @cache
-    def frame(number: int) -> Sampled:
-        return _sampled(shot, early or EarlyFrames(), number)
-
-    def by(firsts: list[int]) -> MotionFinding:
-        # One after the other: each is decoded on all threads, and two at once took a sixth more.
-        pairs = [(frame(numbers[i]), frame(numbers[i + 1])) for i in firsts]
-        return calibrate(pairs, guess, names)
-
-    firsts = pairs_within(len(numbers), lambda i: numbers[i] in starts)
-    try:
-        return _measured(by, firsts)
-    except MotionError:
-        if not detect or Role.COLOUR not in shot.layout:
-            raise
-        others = pairs_within(
-            len(numbers), lambda i: numbers[i] in starts or _cut_by_colour(shot, numbers, i)
-        )
-        if others == firsts:
-            raise
-        return _measured(by, others)
-
-
-def _measured(by: Callable[[list[int]], MotionFinding], firsts: list[int]) -> MotionFinding:
-    """Measure by the first pair alone, which most runs read first anyway, where it tells all."""
-    if len(firsts) > 1:
-        with suppress(MotionError):
-            finding = by(firsts[:1])
-            if finding.clear:
-                return finding
-    return by(firsts)
-
-
 def _numbers_at(keys: Collection[int], timeline: Timeline, slot_number: FrameOf | None) -> set[int]:
     """Return the numbers of key frames' instants, by index: theirs, or their slots'."""
     if slot_number is None:
         return {timeline.numbers[key] for key in keys}
     found = (slot_number(Slot(key, 0)) for key in keys)
     return {number for number in found if number is not None}
-
-
-def _cut_by_colour(shot: Shot, numbers: Listed[int], index: int) -> bool:
-    """Whether a cut lies before a frame, as far as colour tells without motion."""
-    pair = numbers[index - 1], numbers[index]
-    before, after = (read_raw(shot, number, (Role.COLOUR,)).key(None) for number in pair)
-    return is_cut(before, after).found
 
 
 def align(timeline: Timeline, sequence: Sequence, what: str) -> FrameOf:
@@ -371,28 +290,3 @@ def _enough(timeline: Timeline, slots: Shot, frame_of: FrameOf) -> None:
             f"fewer than the {timeline.order(last) + 1} slots up to the last key frame; render the "
             "others"
         )
-
-
-def _sampled(shot: Shot, early: EarlyFrames, number: int) -> Sampled:
-    """Read a frame on the display window: data windows differ, and normalised vectors go by it."""
-    raw = _read(shot, early, number)
-    assert raw.motion is not None
-    motion = place(raw.motion, raw.gbuffer.window, shot.display, np.nan)
-    colour = None if raw.image is None else raw.image.on(shot.display).pixels
-    return sampled(Instant(number, raw.gbuffer.on(shot.display), motion, colour))
-
-
-def _read(shot: Shot, early: EarlyFrames, number: int) -> RawFrame:
-    """Read of a frame what vectors are measured by, or as a run does where that has it in it."""
-    # World positions tell points apart best, and alone; reading the rest takes most of the time.
-    seen = (Role.POSITION,) if Role.POSITION in shot.layout else (Role.COLOUR,)
-    roles = (Role.MOTION, Role.DEPTH, Role.STENCIL, *seen)
-    if number in early.numbers:
-        try:
-            raw = read_raw(shot, number, early.roles, objects=True)
-        except InputError:  # what is wrong with the rest of it is said when it is wanted
-            return read_raw(shot, number, roles)
-        if serves(raw, shot, roles):
-            early.keep(raw)
-            return raw
-    return read_raw(shot, number, roles)

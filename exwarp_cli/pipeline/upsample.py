@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 from exwarp_cli.domain import lent_memory
 from exwarp_cli.domain.cores import working
-from exwarp_cli.domain.cuts import Cut
 from exwarp_cli.domain.frame import Window
-from exwarp_cli.domain.results import FrameRecord, RunSummary
+from exwarp_cli.domain.outcome import Outcome
+from exwarp_cli.domain.results import RunSummary
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.io import allocator
 from exwarp_cli.io.threads import use_threads
@@ -24,6 +25,7 @@ from exwarp_cli.pipeline.progress import NoProgress, Progress
 from exwarp_cli.pipeline.run import Run
 from exwarp_cli.pipeline.sink import FRAMES_BEHIND, Sink
 from exwarp_cli.pipeline.slots_at_once import SlotsAtOnce
+from exwarp_cli.pipeline.verifying import Sums, files_of, verify, verify_video
 from exwarp_cli.pipeline.views import JointLoader
 from exwarp_cli.pipeline.watching import Watcher
 from exwarp_cli.pipeline.without_vectors import is_kept, note_of, video_look
@@ -72,15 +74,13 @@ def run_job(job: Job, progress: Progress, watcher: Watcher | None = None) -> Run
     try:
         if watcher is not None:
             watcher.plan(job.groups)
-        frames, cuts = write_intervals(job, progress, watcher)
+        outcome = write_intervals(job, progress, watcher)
     finally:
         progress.finish()
-    return job.summary(frames, cuts, time.perf_counter() - begin)
+    return job.summary(outcome, time.perf_counter() - begin)
 
 
-def write_intervals(
-    job: Job, progress: Progress, watcher: Watcher | None = None
-) -> tuple[tuple[FrameRecord, ...], tuple[Cut, ...] | None]:
+def write_intervals(job: Job, progress: Progress, watcher: Watcher | None = None) -> Outcome:
     """Do the work of a job whose folders are there, in this thread.
 
     Parameters
@@ -94,10 +94,13 @@ def write_intervals(
 
     Returns
     -------
-    frames : tuple of FrameRecord
-        One a frame, ascending; () for a video alone that was there as this run would make it.
-    cuts : tuple of Cut or None
-        As `RunSummary` has them.
+    Outcome
+        Without frames for a video alone that was there as this run would make it.
+
+    Raises
+    ------
+    OutputError
+        When files are not on the disk as they were written, where that is looked after.
     """
     settings = job.settings
     use_threads(settings.threads)
@@ -105,15 +108,49 @@ def write_intervals(
     lent_memory.forget()
     allocator.trim()
     loader = make_loader(job)
-    note = "" if job.targets.frames else note_of(loader.leading_recipes, settings, job.keys)
+    note = ""
+    # A video may lack something whose files are as they were: it is made again then.
+    if not (job.targets.frames or settings.source.keep_going):
+        note = note_of(loader.leading_recipes, settings, job.keys)
     try:
-        if watcher is None and is_kept(job.targets, settings, note):
-            return (), loader.cuts
+        if watcher is None and note and is_kept(job.targets, settings, note):
+            return Outcome(cuts=loader.cuts)
         run = _run_of(job, note, progress, watcher)
         with working():
-            return run.write_all(loader, job.keys), loader.cuts
+            frames = run.write_all(loader, job.keys)
+        made = Outcome(frames, loader.cuts, tuple(run.left_out))
+        return checked(made, job, run.sink.sums)
     finally:
         job.close()
+
+
+def checked(made: Outcome, job: Job, sums: Sums) -> Outcome:
+    """Add checksums of the files to what was made, and read these back, where that is asked.
+
+    Parameters
+    ----------
+    made
+        By the job.
+    job
+        Of a run, or of a part of one.
+    sums
+        What is known of its files.
+
+    Raises
+    ------
+    OutputError
+        When files cannot be read, or are not as they were made.
+    """
+    settings = job.settings
+    if not (job.sums and made.frames):
+        return made
+    files = files_of(job.targets, made.frames, sums)
+    count = None
+    if settings.verify:
+        count = verify(job.targets, made.frames, files, job.source.keys.view, made.shown)
+        if job.targets.frames is not None and job.targets.video is not None:
+            verify_video(job.targets.video, made.shown)
+    return replace(made, files=files, verified=count)
 
 
 def _run_of(job: Job, note: str, progress: Progress, watcher: Watcher | None) -> Run:
@@ -171,4 +208,4 @@ def make_sink(job: Job, note: str = "", behind: int = FRAMES_BEHIND) -> Sink:
     """Return where frames go; `note` is what a video that is written alone says of itself."""
     keys, fps = job.source.keys, job.source.output_fps
     look = video_look(job.source, job.keys, note)
-    return Sink(job.targets, job.settings, keys.display, fps, keys.view, behind, look)
+    return Sink(job.targets, job.settings, keys.display, fps, keys.view, behind, look, job.sums)

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import hashlib
+import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from exwarp_cli.domain.settings import SourceSettings
-from exwarp_cli.errors import UsageError
+from exwarp_cli.errors import InputError, UsageError
+from exwarp_cli.pipeline.loaded import Loaded, Unmade
 from exwarp_cli.pipeline.opening import each_view
 from exwarp_cli.pipeline.source import Source, open_source
 
 if TYPE_CHECKING:
     from exwarp_cli.domain.cuts import Cut
     from exwarp_cli.pipeline.early_frames import Beginning
-    from exwarp_cli.pipeline.loaded import Loaded
     from exwarp_cli.pipeline.loading import IntervalLoader
     from exwarp_cli.pipeline.recipes import Recipes
 
@@ -45,11 +47,37 @@ class JointLoader:
 
     @property
     def cuts(self) -> tuple[Cut, ...] | None:
-        """The cuts that were met so far; see `IntervalLoader.cuts`."""
-        return self._leader.cuts
+        """The cuts that were met so far; None where none are looked for or given."""
+        return self._leader.shots.cuts
 
-    def load(self, key: int, needed: Needed) -> Loaded:
-        """Read an interval; see `IntervalLoader.load`. A frame depends on all its views."""
+    def load(self, key: int, needed: Needed) -> Loaded | Unmade:
+        """Read an interval; see `IntervalLoader.load`. A frame depends on all its views.
+
+        Where losses are bearable it is read again when it meets one, without what lies behind that.
+        """
+        losses, told = self._leader.losses, self._leader.told
+        if not losses.bearable:
+            return self._whole(key, needed)
+        while True:
+            known = len(losses)
+            try:
+                return self._whole(key, needed)
+            except InputError as error:
+                self._leader.told = told  # no interval brought along what this one did
+                if len(losses) == known:
+                    return self._unmade(key, str(error))
+
+    def _unmade(self, key: int, reason: str) -> Unmade:
+        """Leave an interval out, but for its key frame if that is sound."""
+        passed, begin = None, time.perf_counter()
+        with suppress(InputError):
+            passed = self._leader.rendered(key)
+            passed = replace(passed, read_ms=1e3 * (time.perf_counter() - begin))
+        for loader in (self._leader, *self._others):
+            loader.forget(key)
+        return Unmade(key, reason, passed)
+
+    def _whole(self, key: int, needed: Needed) -> Loaded:
         if not self._others:
             return self._leader.load(key, needed)
         each = [loader.recipes(key) for loader in (self._leader, *self._others)]

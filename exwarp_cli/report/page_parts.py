@@ -8,6 +8,8 @@ from typing import Any
 
 from exwarp_cli.domain.metric import METRICS, Metric
 from exwarp_cli.domain.results import Score
+from exwarp_cli.domain.timeline import ranges
+from exwarp_cli.domain.wording import counted
 from exwarp_cli.report.page import Cell, Link, Number, Table
 from exwarp_cli.report.plot_style import Figure, Labels
 from exwarp_cli.report.plots import Values, lines
@@ -133,6 +135,12 @@ def cuts_line(cuts: Sequence[Mapping[str, Any]]) -> str:
     told = ", ".join(f"{', '.join(frames)} ({source})" for source, frames in by_source.items())
     many = "s" if len(cuts) > 1 else ""
     return f"cut{many} before key frame{many} {told}; nothing is interpolated across"
+
+
+def left_out_line(left_out: Sequence[Mapping[str, Any]]) -> str:
+    """Say what was left out, as `report.json` lists it; at least one."""
+    frames = ranges([number for one in left_out for number in one["frames"]])
+    return f"{counted(len(left_out), 'key interval')} left out: frames {frames}"
 
 
 def worst_table(

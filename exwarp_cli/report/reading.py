@@ -22,10 +22,12 @@ from exwarp_cli.domain.results import (
     FrameRecord,
     InputSummary,
     InterpolatorSummary,
+    LeftOut,
     NetworkSummary,
     PolicySummary,
     RunSummary,
     Score,
+    WrittenFile,
 )
 from exwarp_cli.domain.timeline import listed
 from exwarp_cli.errors import DamagedFileError, InputError
@@ -46,6 +48,9 @@ STEP = "_ms"
 """Endings of columns: scores within holes, and times of steps."""
 
 SETTINGS = ("key", "slot")
+
+ADDED: dict[str, Any] = {"left_out": [], "files": [], "verified": None}
+"""What reports of earlier versions do not tell, as it was then."""
 
 MOST_KEYS = 10_000_000
 """Key frames of a sequence, as many as a range of frames can name."""
@@ -124,7 +129,7 @@ def _document(path: Path) -> dict[str, Any]:
         raise InputError(
             f"{path} is no report of schema {SCHEMA}; name folders that upsample --report wrote"
         )
-    return dict(found)
+    return {**ADDED, **found}
 
 
 _NONSENSE = (
@@ -194,10 +199,16 @@ def _run(document: Mapping[str, Any], frames: tuple[FrameRecord, ...]) -> RunSum
         layers=tuple(document["layers"]),
         keys=_selected(document),
         version=document["version"],
+        left_out=tuple(
+            LeftOut(one["key"], tuple(one["frames"]), one["reason"]) for one in document["left_out"]
+        ),
+        files=tuple(WrittenFile(**one) for one in document["files"]),
+        verified=document["verified"],
     )
     if made.setting not in SETTINGS:
         raise ValueError(f"the setting {made.setting}")
-    for part in (made, made.input, made.extrapolator, made.policy, made.interpolator):
+    models = (made.extrapolator, made.policy, made.interpolator)
+    for part in (made, made.input, *models, *made.left_out, *made.files):
         _require_types(part)
     return made
 

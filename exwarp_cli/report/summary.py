@@ -53,6 +53,9 @@ def report(run: RunSummary) -> dict[str, Any]:
         else [{"frame": cut.number, "source": cut.source} for cut in run.cuts],
         "views": list(run.views),
         "layers": list(run.layers),
+        "left_out": [asdict(one) for one in run.left_out],
+        "files": [asdict(one) for one in run.files],
+        "verified": run.verified,
         "wall_s": run.wall_seconds,
     }
     plain: dict[str, Any] = finite(found)

@@ -7,6 +7,7 @@ from typing import Any
 from exwarp_cli.domain.decision import HOLD, NODES, WARP
 from exwarp_cli.domain.features import FEATURES
 from exwarp_cli.domain.results import FrameKind, FrameRecord, RunSummary
+from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.report.gallery import Album, worst_of
 from exwarp_cli.report.page import Block, Cell, Number, Page, Section, Table, Viewer
 from exwarp_cli.report.page_parts import (
@@ -63,6 +64,7 @@ def upsample_page(run: RunSummary, document: dict[str, Any], album: Album | None
             Section("decisions", "Decisions", _decisions(run, document)),
             Section("holes", "Holes and features", _evidence(run, document)),
             Section("timing", "Time", _timing(frames, document)),
+            Section("left-out", "Left out", _left_out(document)),
             Section("input", "Input and settings", _settings(document)),
         ),
     )
@@ -100,6 +102,9 @@ def headline(document: dict[str, Any]) -> list[Number]:
     if fps["effective"] is not None:
         found.append(Number("Effective", f"{fps['effective']:.1f} fps", "new frames alone"))
     found += quality_numbers(document["quality"]["all"])
+    if document["left_out"]:
+        missing = sum(len(one["frames"]) for one in document["left_out"])
+        found.append(Number("Left out", f"{missing:,}", "frames whose input cannot be used"))
     if document["input"]["motion"]["source"] == "estimated":
         told = "from colour by optical flow, far less exact than a renderer's vectors"
         found.append(Number("Motion", "estimated", told))
@@ -297,6 +302,16 @@ def _timing(frames: tuple[FrameRecord, ...], document: dict[str, Any]) -> list[B
     ]  # fmt: skip
 
 
+def _left_out(document: dict[str, Any]) -> list[Block]:
+    """List what was left out as its input cannot be used."""
+    rows: list[list[Cell]] = [
+        [str(one["key"]), ranges(one["frames"]), one["reason"]] for one in document["left_out"]
+    ]
+    if not rows:
+        return []
+    return [Table("Key intervals left out", ("key frame", "frames", "why"), rows)]
+
+
 def _settings(document: dict[str, Any]) -> list[Block]:
     source, fps = document["input"], document["fps"]
     geometry = {"key": "for the key frames", "slot": "for every slot"}[document["setting"]]
@@ -319,6 +334,8 @@ def _settings(document: dict[str, Any]) -> list[Block]:
     for name in ("extrapolator", "interpolator", "policy"):
         told = document.get(name) or {}
         rows += [[f"{name} {key}", _plain(value)] for key, value in told.items()]
+    if document["verified"] is not None:
+        rows.append(["files read back, all as written", str(document["verified"])])
     rows.append(["ExWarp", document["version"]])
     return [Table("", ("", ""), rows)]
 

@@ -109,7 +109,8 @@ class TestErrors:
             "ExwarpError": 1, "UsageError": 2, "InputError": 3, "MissingFrameError": 3,
             "DamagedFileError": 3, "LayoutError": 3, "MotionError": 4, "OutputError": 5,
             "OutputExistsError": 6, "MissingExtraError": 7, "QualityError": 8,
-            "ClusterError": 9, "InstallationError": 10,
+            "ClusterError": 9, "InstallationError": 10, "OutOfMemoryError": 11,
+            "IncompleteError": 12,
         }  # fmt: skip
 
     @pytest.mark.parametrize("kind", every_error())
@@ -133,7 +134,7 @@ class TestErrors:
 
     def test_memory_is_no_defect(self, fails_with, capsys):
         fails_with(MemoryError())
-        assert cli.run(["upsample"]) == 1
+        assert cli.run(["upsample"]) == 11
         assert "memory" in capsys.readouterr().err
 
     def test_an_interruption(self, fails_with, capsys):

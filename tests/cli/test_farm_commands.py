@@ -34,6 +34,12 @@ class TestLines:
             assert line[4:6] == ["--output", f"{tmp_path / 'out'}/"]
             assert "--skip-existing" in line
 
+    def test_chunks_keep_going_where_that_is_asked(self, shot, exwarp):
+        for asked in (True, False):
+            more = ("--keep-going",) if asked else ()
+            result = exwarp("farm", "commands", NAME, "-o", "out", *more, *FORWARD)
+            assert ("--keep-going" in result.out) == asked
+
     def test_what_comes_afterwards_is_told(self, shot, exwarp, tmp_path):
         more = ("--report", "report", "--video", "a.mp4")
         result = exwarp("farm", "commands", NAME, "-o", "out", *more, *FORWARD)

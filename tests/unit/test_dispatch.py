@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from exwarp_cli.domain.outcome import Outcome
 from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.errors import ClusterError, OutputError
 from exwarp_cli.farm import cluster_dispatch
@@ -81,7 +82,7 @@ class Cluster:
         pass
 
 
-DONE = Done((), None, None)
+DONE = Done(Outcome(), None)
 
 
 @pytest.fixture(autouse=True)

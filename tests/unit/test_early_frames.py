@@ -13,7 +13,7 @@ from exwarp_cli.domain.frame import GBuffer, Image, Window
 from exwarp_cli.domain.settings import SourceSettings
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.frames import RawFrame, read_raw
-from exwarp_cli.pipeline import source as opening
+from exwarp_cli.pipeline import motion_finding as opening
 from exwarp_cli.pipeline.early_frames import (
     Beginning,
     EarlyFrames,

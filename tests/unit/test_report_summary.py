@@ -53,6 +53,9 @@ CONTRACT: dict[str, Any] = {
     "cuts": None,
     "views": None,
     "layers": None,
+    "left_out": None,
+    "files": None,
+    "verified": None,
     "wall_s": None,
 }
 
