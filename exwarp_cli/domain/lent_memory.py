@@ -174,11 +174,14 @@ class _Store:
         What nobody holds any more. Its methods need no lock, which finalizers must not wait for.
     blocks
         All of it.
+    waits
+        Bytes that may wait for somebody while others are taken from the system.
     """
 
     def __init__(self) -> None:
         self.returned: deque[_Piece] = deque()
         self.blocks: list[_Block] = []
+        self.waits = 0
         self._age = 0
         self._lock = threading.Lock()
 
@@ -192,7 +195,7 @@ class _Store:
     def take(self, size: int, filed: bool) -> _Piece:
         """Take the smallest idle part that has so many bytes, or memory from the system.
 
-        As much is given back then as is taken, of what waited longest.
+        As much is given back then as is taken, of what waited longest, down to what may wait.
         """
         size = -(-size // mmap.PAGESIZE) * mmap.PAGESIZE
         with self._lock:
@@ -207,7 +210,8 @@ class _Store:
             if fitting:
                 _, _, n, begin = min(fitting)
                 return self.blocks[n].lend(begin, size)
-            self._make_room(size)
+            idle = sum(end - begin for b in self.blocks for begin, (end, _) in b.idle.items())
+            self._make_room(min(size, idle - self.waits))
             block = _Block(size, filed)
             self.blocks.append(block)
             return block.lend(0, size)
@@ -287,6 +291,14 @@ def _anonymous(size: int) -> mmap.mmap:
 
 
 _store = _Store()
+
+
+def let_wait(size: int) -> None:
+    """Have so many bytes wait for whom they fit, where others take memory from the system.
+
+    Without, a run takes no more than it has in use at its peak.
+    """
+    _store.waits = size
 
 
 def let_go() -> None:

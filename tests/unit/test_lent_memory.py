@@ -27,6 +27,7 @@ from exwarp_cli.domain.lent_memory import (
     forget,
     lent,
     let_go,
+    let_wait,
     rest,
 )
 from exwarp_cli.io.frames import joined
@@ -157,6 +158,19 @@ def test_a_part_that_nobody_wants_goes_back_alone():
     del kept
     forget()
     assert lent_memory._store.blocks == []
+
+
+def test_so_much_may_wait_while_others_take_more():
+    let_wait(6 * prod(SHAPE))
+    try:
+        first, second = lent(SHAPE, np.float32), lent(SHAPE, np.float32)
+        place = where(second)
+        del first, second
+        lent((2000, 300, 4), np.float32)
+        assert paged(4 * prod(SHAPE)) in lent_memory._store.idle  # one of the two
+        assert where(lent(SHAPE, np.float32)) == place
+    finally:
+        let_wait(0)
 
 
 def test_what_is_forgotten_is_gone():
