@@ -1,5 +1,7 @@
 # make test     lint, types, layers and all tests, in a virtual environment made on first use
 # make check    the same without the tests
+# make faults   kill runs, fill disks and spoil inputs, thousands of times (about 80 minutes; the
+#               spoilt inputs go on where they stopped); OPTIONS='--hypothesis 1000' for fewer
 # make bench    quality beside other interpolators, and run times beside OpenCV, the codecs and
 #               others, with their goals; BENCHES='kernels policy' for some
 # make bench-check  the same run times; fails where one misses its goal by more than a fifth
@@ -36,7 +38,7 @@ TRAINING ?= $(HOME)/.cache/exwarp/training
 POLICY ?= build/policy
 MODEL ?= models/extrapolator.onnx
 
-.PHONY: test check bench bench-check profile demo scenes blender train policy judge paper clean
+.PHONY: test check faults bench bench-check profile demo scenes blender train policy judge paper clean
 
 test: check
 	$(BIN)/pytest --numprocesses auto --dist worksteal
@@ -46,6 +48,11 @@ check: $(STAMP)
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+faults: $(STAMP)
+	$(BIN)/pip install --group faults
+	EXWARP_FAULTS=full $(BIN)/pytest --numprocesses auto --dist worksteal tests/faults
+	$(BIN)/python -m tests.faults.fuzz $(OPTIONS)
 
 bench: $(STAMP)
 	$(BIN)/python -m tests.bench.quality

@@ -1,0 +1,37 @@
+"""``python -m tests.faults.crashing HOW AFTER ARGUMENTS``: exwarp with a decoder that fails.
+
+HOW is the name of a signal by which the process ends, or ``hang``; AFTER, how many times it decodes
+before.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+import signal
+import sys
+import time
+from typing import Any
+
+from exwarp_cli import cli
+from exwarp_cli.io import exr
+
+
+def main() -> None:
+    how, after = sys.argv[1], int(sys.argv[2])
+    del sys.argv[1:3]
+    decode, counted = exr.ExrReader._decoded, itertools.count()
+
+    def failing(self: exr.ExrReader, wanted: Any) -> Any:
+        if next(counted) >= after:
+            if how != "hang":
+                os.kill(os.getpid(), signal.Signals[how])
+            time.sleep(1000)
+        return decode(self, wanted)
+
+    exr.ExrReader._decoded = failing  # type: ignore[method-assign]
+    cli.main()
+
+
+if __name__ == "__main__":
+    main()
