@@ -14,11 +14,15 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import random
 import resource
+import shutil
 import subprocess
 import sys
+import tempfile
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
@@ -27,6 +31,9 @@ from pathlib import Path
 BATCH = {"hypothesis": 250, "atheris": 250, "command": 25}
 SECONDS = 1800
 """After which a batch counts as one that hangs: its cases have bounds of their own."""
+
+LONGEST = 8192
+"""Bytes that atheris makes a case of."""
 
 MEMORY_MB = 2500
 """What a process of one batch may have had at its peak; a case in a bare process takes 300."""
@@ -119,6 +126,7 @@ def _work(batch: Batch) -> int:
     from tests.faults.fuzz.cases import drawn, in_process
     from tests.faults.running import run
 
+    counted: Counter[str] = Counter()
     run_case = (lambda case: run(*case.arguments)) if batch.kind == "command" else in_process
 
     @seed(batch.seed)
@@ -129,16 +137,20 @@ def _work(batch: Batch) -> int:
     @given(st.data())
     def try_one(data: st.DataObject) -> None:
         with drawn(data.draw) as case:
+            counted["cases"] += 1
             case.judge(run_case(case))
 
     if batch.kind == "atheris":
-        return _guided(try_one, batch)
+        return _guided(try_one, batch, counted)
     try_one()
     return _within_memory(batch)
 
 
-def _guided(try_one: Callable[[], None], batch: Batch) -> int:
-    """Have atheris choose the bytes from which cases are drawn."""
+def _guided(try_one: Callable[[], None], batch: Batch, counted: Counter[str]) -> int:
+    """Have atheris choose the bytes from which cases are drawn, until there were enough of them.
+
+    Bytes from which none can be drawn, as they are too few, are no case; it starts with enough.
+    """
     import atheris
 
     with atheris.instrument_imports(include=["exwarp_cli.io"], enable_loader_override=False):
@@ -146,8 +158,21 @@ def _guided(try_one: Callable[[], None], batch: Batch) -> int:
         import exwarp_cli.io.exr_decoding
         import exwarp_cli.io.shot  # noqa: F401
     fuzz: Callable[[bytes], object] = try_one.hypothesis.fuzz_one_input  # type: ignore[attr-defined]
-    flags = [f"-runs={batch.cases}", f"-seed={batch.seed + 1}", "-max_len=4096", "-rss_limit_mb=0"]
-    atheris.Setup([sys.argv[0], *flags, "-len_control=0", "-verbosity=0"], fuzz)
+
+    chance = random.Random(batch.seed)
+    corpus = Path(tempfile.mkdtemp(prefix="exwarp-corpus-"))
+    for number in range(16):
+        (corpus / str(number)).write_bytes(chance.randbytes(LONGEST))
+
+    def one(data: bytes) -> None:
+        fuzz(data)
+        if counted["cases"] >= batch.cases:
+            shutil.rmtree(corpus)
+            os._exit(_within_memory(batch))  # it has no other way to stop
+
+    flags = [f"-seed={batch.seed + 1}", f"-max_len={LONGEST}", "-len_control=0"]
+    quiet = ["-rss_limit_mb=0", "-verbosity=0"]
+    atheris.Setup([sys.argv[0], *flags, *quiet, str(corpus)], one)
     atheris.Fuzz()
     return 0
 
