@@ -153,7 +153,9 @@ def _guided(try_one: Callable[[], None], batch: Batch, counted: Counter[str]) ->
     """
     import atheris
 
-    with atheris.instrument_imports(include=["exwarp_cli.io"], enable_loader_override=False):
+    # Not what numba compiles.
+    kernels = ["exwarp_cli.kernels", "exwarp_cli.compiled", "exwarp_cli.accel"]
+    with atheris.instrument_imports(include=["exwarp_cli.io"], exclude=kernels):
         import exwarp_cli.io.exr
         import exwarp_cli.io.exr_decoding
         import exwarp_cli.io.shot  # noqa: F401
@@ -171,7 +173,7 @@ def _guided(try_one: Callable[[], None], batch: Batch, counted: Counter[str]) ->
             os._exit(_within_memory(batch))  # it has no other way to stop
 
     flags = [f"-seed={batch.seed + 1}", f"-max_len={LONGEST}", "-len_control=0"]
-    quiet = ["-rss_limit_mb=0", "-verbosity=0"]
+    quiet = ["-rss_limit_mb=0", "-verbosity=0", f"-artifact_prefix={corpus}/"]
     atheris.Setup([sys.argv[0], *flags, *quiet, str(corpus)], one)
     atheris.Fuzz()
     return 0
