@@ -12,8 +12,10 @@ not run again, and what failed is told at the end with what makes it again.
 from __future__ import annotations
 
 import argparse
+import importlib
 import json
 import os
+import pkgutil
 import random
 import resource
 import shutil
@@ -153,9 +155,12 @@ def _guided(try_one: Callable[[], None], batch: Batch, counted: Counter[str]) ->
     """
     import atheris
 
-    # Not what numba compiles.
-    kernels = ["exwarp_cli.kernels", "exwarp_cli.compiled", "exwarp_cli.accel"]
-    with atheris.instrument_imports(include=["exwarp_cli.io"], exclude=kernels):
+    from exwarp_cli import compiled, kernels
+
+    for package in (compiled, kernels):  # before, as numba wants them without what atheris adds
+        for module in pkgutil.iter_modules(package.__path__, f"{package.__name__}."):
+            importlib.import_module(module.name)
+    with atheris.instrument_imports(include=["exwarp_cli.io"]):
         import exwarp_cli.io.exr
         import exwarp_cli.io.exr_decoding
         import exwarp_cli.io.shot  # noqa: F401
