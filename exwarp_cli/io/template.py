@@ -257,7 +257,7 @@ def read_headers(path: Path) -> list[dict[str, Any]]:
             except UnicodeDecodeError:
                 data, otherwise = in_utf8(path.read_bytes())
                 headers = _headers(io.BytesIO(data))
-    except (RuntimeError, ValueError, OSError) as error:
+    except (RuntimeError, ValueError, OSError, ArithmeticError) as error:  # a rate of 0/0 as well
         raise damaged(path, str(error)) from error
     for (part, name), text in otherwise.items():
         if text is not None:

@@ -230,3 +230,13 @@ class TestMotion:
         result = exwarp("upsample", keys, "-o", tmp_path / "out", *options)
         result.refused(2, "--motion", word)
         assert not (tmp_path / "out").exists()
+
+
+def test_a_rate_that_is_no_number(keys, exwarp, tmp_path):
+    """OpenEXR's bindings make a fraction of it."""
+    path = keys / "shot.0001.exr"
+    data = bytearray(path.read_bytes())
+    at = data.index(b"framesPerSecond\0rational\0") + len(b"framesPerSecond\0rational\0") + 4
+    data[at : at + 8] = bytes(8)
+    path.write_bytes(data)
+    exwarp("upsample", keys, "-o", tmp_path / "out", "-m", "hold").refused(3, "shot.0001.exr")
