@@ -28,6 +28,9 @@ longer than any frame takes, and longer than the clocks of a farm differ.
 """
 
 _LEFTOVER = re.compile(r"\..*\.(?P<host>[A-Za-z0-9_-]+)-(?P<pid>[0-9]+)-[0-9]+" + re.escape(MARK))
+_KILL, _EXITING = 1 << 8, 0x4
+"""SIGKILL among pending signals, and PF_EXITING among a process's flags, as Linux tells them."""
+
 _NAME_LIMIT = 255  # bytes in a file name, on every file system that matters
 _counter = itertools.count()
 
@@ -275,9 +278,15 @@ def _is_alive(pid: int) -> bool:
 
 
 def _has_ended(pid: int) -> bool:
-    """Whether a process that still has a number only waits for somebody to ask how it ended."""
+    """Whether a process that still has a number runs no more: it is being killed, or is dead.
+
+    A disk may hold it up for long, and who started it may not ask how it ended.
+    """
     try:
-        status = Path(f"/proc/{pid}/stat").read_bytes()
+        status = Path(f"/proc/{pid}/stat").read_bytes().rpartition(b")")[2].split()
+        told = Path(f"/proc/{pid}/status").read_text(encoding="utf-8", errors="replace")
     except OSError:  # no Linux, or it has just gone
         return False
-    return status.rpartition(b")")[2].split()[:1] in ([b"Z"], [b"X"])
+    pending = re.findall(r"^(?:SigPnd|ShdPnd):\s*([0-9a-f]+)$", told, re.MULTILINE)
+    killed = any(int(mask, 16) & _KILL for mask in pending)
+    return killed or status[0] in (b"Z", b"X") or bool(int(status[6]) & _EXITING)
