@@ -202,6 +202,8 @@ def run(args: list[str]) -> int:
             result = exwarp.main(args, prog_name="exwarp", standalone_mode=False, obj=origins)
         return result if isinstance(result, int) else 0
     except ExwarpError as error:
+        if _is_interrupted(error):
+            return _fail(f"interrupted; {_afterwards(args)}", INTERRUPTED)
         return _fail(_traced(str(error), origins), error.exit_code)
     except click.ClickException as error:
         return _fail(_with_hint(error, origins), error.exit_code)
@@ -221,6 +223,12 @@ def run(args: list[str]) -> int:
         return _fail(_traced(str(known), origins), known.exit_code)
     except Exception as error:
         return _defect(error)
+
+
+def _is_interrupted(error: BaseException) -> bool:
+    """Whether an interruption is behind an error: libraries make their own of it as they start."""
+    cause = error.__cause__
+    return isinstance(cause, KeyboardInterrupt) or (cause is not None and _is_interrupted(cause))
 
 
 def _debugs() -> bool:
