@@ -5,6 +5,7 @@ Signatures stay lazy, as an eagerly typed parallel kernel costs 0.35 s at import
 
 from __future__ import annotations
 
+import dis
 import types
 from collections.abc import Callable
 from contextlib import suppress
@@ -33,9 +34,10 @@ MAKERS = frozenset({"empty", "zeros", "ones", "full", "ascontiguousarray", "copy
 def compiled(text: Kernel) -> Kernel:
     """Compile on the first call, and keep the result on disk where that is possible."""
     assert isinstance(text, types.FunctionType)
-    built: Any = numba.njit(text, **COMMON)
+    options = {**COMMON, **(_counting(text) if _returns_nothing(text) else {})}
+    built: Any = numba.njit(text, **options)
     if isinstance(built, dispatcher.Dispatcher):  # and not the text: NUMBA_DISABLE_JIT
-        _keep(built, text, COMMON)
+        _keep(built, text, options)
     kernel: Kernel = built
     return kernel
 
@@ -52,6 +54,19 @@ def _counting(text: Kernel) -> dict[str, bool]:
     Else they belong to the caller, and counting who has them was a quarter of all instructions.
     """
     return {"_nrt": not MAKERS.isdisjoint(text.__code__.co_names)}
+
+
+def _returns_nothing(text: types.FunctionType) -> bool:
+    """Whether a function only writes: what Python gets may be an array."""
+    before: dis.Instruction | None = None
+    for step in dis.get_instructions(text):
+        told = before if step.opname == "RETURN_VALUE" else step
+        if step.opname.startswith("RETURN_") and step.opname != "RETURN_GENERATOR":
+            assert told is not None
+            if "CONST" not in told.opname or told.argval is not None:
+                return False
+        before = step
+    return True
 
 
 def knows_inside() -> bool:
@@ -71,10 +86,26 @@ def _keep(built: Any, text: types.FunctionType, options: dict[str, Any]) -> None
 
 
 if knows_inside():
-    from exwarp_cli.compiled import front_end, indexing, machine_code, passes, writing
+    from exwarp_cli.compiled import (
+        calls,
+        front_end,
+        in_place,
+        indexing,
+        loops,
+        machine_code,
+        passes,
+        structures,
+        variables,
+        writing,
+    )
 
     front_end.shorten()
     passes.shorten()
+    structures.shorten()
+    variables.shorten()
+    calls.shorten()
     indexing.shorten()
+    loops.shorten()
+    in_place.shorten()
     writing.shorten()
     machine_code.defer()

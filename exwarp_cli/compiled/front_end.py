@@ -11,7 +11,7 @@ import functools
 import gc
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from typing import Any
 
 from llvmlite import binding  # type: ignore[import-untyped]
@@ -22,12 +22,17 @@ from numba.core.ir import Inst, Loc, Var
 from numba.core.registry import cpu_target
 from numba.core.runtime.context import NRTContext
 from numba.core.targetconfig import ConfigStack
+from numba.core.typeinfer import ConstraintNetwork
 from numba.core.types.functions import BaseFunction
 from numba.core.typing.templates import _OverloadFunctionTemplate
 from numba.np import linalg
 
+from exwarp_cli.compiled.in_place import WRITTEN, signature_of
+
 RARELY = 50_000
 """New objects after which Python looks for unreachable ones; at its 700 that is a tenth of all."""
+NEVER = 1_000_000
+"""Such searches after which it looks through what has been there for longer."""
 
 PLAIN = frozenset({Loc, str, int, float, bool, type(None)})
 """Types of what stands in instructions and holds no variables."""
@@ -37,26 +42,27 @@ PLAIN = frozenset({Loc, str, int, float, bool, type(None)})
 _Tuple: Any = types.BaseTuple
 
 
+def wrap(owner: object, name: str, by: Callable[[Any], Any]) -> None:
+    """Put something around a function of numba's from now on."""
+    setattr(owner, name, by(getattr(owner, name)))
+
+
 def shorten() -> None:
     """Spare numba what it repeats, from now on; what it makes stays the same."""
-    compiler: Any = CompilerBase
-    compiler._compile_core = _collecting_rarely(compiler._compile_core)
+    wrap(CompilerBase, "_compile_core", _collecting_rarely)
     template: Any = _OverloadFunctionTemplate
     template._get_impl = _implementation
     for context in (cpu_target.target_context, cpu_target.typing_context):
-        kind: Any = type(context)
-        kind.load_additional_registries = _importing_once(kind.load_additional_registries)
-        kind.install_registry = _installing_once(kind.install_registry)
-    instruction: Any = Inst
-    instruction._rec_list_vars = _listing_plainly(instruction._rec_list_vars)
-    ordering: Any = utils
-    ordering.order_by_target_specificity = _ordering_once(utils.order_by_target_specificity)
-    counter: Any = NRTContext
-    counter._call_incref_decref = _counting_arrays(counter._call_incref_decref)
-    function: Any = BaseFunction
-    function.get_call_type = _typing_once(function.get_call_type)
-    base: Any = BaseContext
-    base.get_abi_sizeof = _measuring_once(base.get_abi_sizeof)
+        wrap(type(context), "load_additional_registries", _importing_once)
+        wrap(type(context), "install_registry", _installing_once)
+    wrap(Inst, "_rec_list_vars", _listing_plainly)
+    wrap(utils, "order_by_target_specificity", _ordering_once)
+    wrap(NRTContext, "_call_incref_decref", _counting_arrays)
+    wrap(BaseFunction, "get_call_type", _typing_once)
+    kinds: Any = type(types.Type)
+    kinds.__instancecheck__ = type.__instancecheck__
+    wrap(ConstraintNetwork, "propagate", _warning_once)
+    wrap(BaseContext, "get_abi_sizeof", _measuring_once)
     # Numba tells who may listen of every call of LLVM, and nobody does.
     binding.ffi.lib._lock._cblist.clear()
 
@@ -69,7 +75,7 @@ def _collecting_rarely(compile_core: Callable[[Any], Any]) -> Callable[[Any], An
         usual = gc.get_threshold()
         if usual[0] == 0 or usual[0] >= RARELY:  # switched off, or inside another one
             return compile_core(self)
-        gc.set_threshold(RARELY, *usual[1:])
+        gc.set_threshold(RARELY, NEVER, NEVER)
         try:
             return compile_core(self)
         finally:
@@ -184,13 +190,19 @@ def _typing_once(find: Callable[..., Any]) -> Callable[..., Any]:
 
     @functools.wraps(find)
     def finding(self: Any, context: Any, args: Any, kws: Any) -> Any:
-        if kws or not all(_is_plain(kind) for kind in args):
+        written = not kws and self.typing_key in WRITTEN
+        if kws or not (written or all(_is_plain(kind) for kind in args)):
             return find(self, context, args, kws)
         key = context, self, tuple(args)
         found = known.get(key)
+        if found is None and written:
+            found = signature_of(context, self.typing_key, args)
+            if found is not None:
+                self._impl_keys[found.args] = self.typing_key
+                known[key] = found
         if found is None:
             found = find(self, context, args, kws)
-            if self.get_impl_key(found) is self.typing_key:
+            if not written and self.get_impl_key(found) is self.typing_key:
                 known[key] = found
         return found
 
@@ -241,3 +253,26 @@ def _listing_plainly(
         return found
 
     return variables
+
+
+class _Silent:
+    """What catches no warnings, as somebody around it does."""
+
+    def catch_warnings(self, **_: Any) -> nullcontext[None]:
+        return nullcontext()
+
+
+def _warning_once(propagate: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+    """Catch warnings while types are inferred, not anew for each of their thousands of steps."""
+
+    @functools.wraps(propagate)
+    def propagating(self: Any, inference: Any) -> Any:
+        catcher = inference.warnings
+        with catcher.catch_warnings():
+            inference.warnings = _Silent()
+            try:
+                return propagate(self, inference)
+            finally:
+                inference.warnings = catcher
+
+    return propagating

@@ -8,15 +8,18 @@ from __future__ import annotations
 
 import functools
 import operator
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from llvmlite import ir  # type: ignore[import-untyped]
 from numba.core import types
 from numba.core.cgutils import pack_array
 from numba.core.imputils import impl_ret_borrowed
+from numba.cpython import slicing
 from numba.extending import lower_builtin
 from numba.np import arrayobj
+
+from exwarp_cli.compiled.front_end import wrap
 
 # As numba has no types of its own.
 _getitem: Any = arrayobj.getitem_arraynd_intp
@@ -26,6 +29,7 @@ _checked: Any = arrayobj.fix_integer_index
 _borrowed: Any = impl_ret_borrowed
 _packed: Any = pack_array
 _Tuple: Any = types.BaseTuple
+_wrapped: Any = slicing.fix_index
 
 
 def shorten() -> None:
@@ -34,6 +38,8 @@ def shorten() -> None:
     lower(operator.getitem, types.Array, types.Integer)(_get)
     lower(operator.getitem, types.Array, types.BaseTuple)(_get)
     lower(operator.setitem, types.Array, types.Any, types.Any)(_set)
+    wrap(slicing, "fix_slice", _bounding)
+    wrap(slicing, "get_slice_length", _counting)
 
 
 def _get(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -129,3 +135,40 @@ def _view(
     for name, value in fields.items():
         view = builder.insert_value(view, value, model.get_field_position(name))
     return view
+
+
+def _bounding(bound: Callable[..., None]) -> Callable[..., None]:
+    """Put a slice's ends into an array without branches, where it leaves nothing out."""
+
+    def bounding(builder: Any, part: Any, size: Any) -> None:
+        if not _leaves_nothing_out(part):
+            _ = part._value  # branches will write into it
+            bound(builder, part, size)
+            return
+        nothing = size.type(0)
+        for name in ("start", "stop"):
+            end = _wrapped(builder, getattr(part, name), size)
+            end = builder.select(builder.icmp_signed("<", end, nothing), nothing, end)
+            end = builder.select(builder.icmp_signed(">=", end, size), size, end)
+            setattr(part, name, end)
+
+    return bounding
+
+
+def _counting(count: Callable[..., Any]) -> Callable[..., Any]:
+    """Return how long a slice is, without divisions where it leaves nothing out."""
+
+    def counting(builder: Any, part: Any) -> Any:
+        if not _leaves_nothing_out(part):
+            return count(builder, part)
+        length = builder.sub(part.stop, part.start)
+        nothing = length.type(0)
+        return builder.select(builder.icmp_signed("<=", length, nothing), nothing, length)
+
+    return counting
+
+
+def _leaves_nothing_out(part: Any) -> bool:
+    """Whether a slice takes all between its ends."""
+    step = part.step
+    return isinstance(step, ir.Constant) and step.constant == 1

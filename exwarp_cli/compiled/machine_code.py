@@ -12,13 +12,17 @@ from __future__ import annotations
 
 from typing import Any
 
-from llvmlite.binding import Linkage  # type: ignore[import-untyped]
+from llvmlite.binding import Linkage, set_option  # type: ignore[import-untyped]
 from numba.core import config
 from numba.core.codegen import JITCodeLibrary
 from numba.core.registry import cpu_target
 
 LEVEL = 2
 """Of optimisation; 3 takes a tenth more time, and kernels are no faster."""
+
+LEFT_OUT = ("-disable-lsr", "-unroll-runtime=0")
+"""Of what LLVM does with loops: other steps through memory, and several turns at once where their
+number is not known. It took a quarter of LLVM's time, and kernels are no faster, summed up."""
 
 
 class DeferredLibrary(JITCodeLibrary):
@@ -126,3 +130,5 @@ class DeferredLibrary(JITCodeLibrary):
 def defer() -> None:
     """Have numba make machine code only of what is called from Python, from now on."""
     cpu_target.target_context.codegen()._library_class = DeferredLibrary
+    for option in LEFT_OUT:
+        set_option("", option)

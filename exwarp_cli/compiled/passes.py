@@ -17,20 +17,18 @@ from numba.core.postproc import PostProcessor, VariableLifetime
 from numba.core.transforms import canonicalize_cfg
 from numba.core.typed_passes import NopythonRewrites
 
+from exwarp_cli.compiled.front_end import wrap
+
 MAKING = frozenset({"call", "unary", "binop"})
 """Expressions that may make arrays."""
 
 
 def shorten() -> None:
     """Leave it out from now on."""
-    manager: Any = PassManager
-    manager._runPass = _passing_plainly(manager._runPass)
-    closures: Any = InlineClosureCallPass
-    closures.run = _inlining_closures(closures.run)
-    processor: Any = PostProcessor
-    processor.run = _looking_later(processor.run)
-    rewrites: Any = NopythonRewrites
-    rewrites.run_pass = _rewriting_arrays(rewrites.run_pass)
+    wrap(PassManager, "_runPass", _passing_plainly)
+    wrap(InlineClosureCallPass, "run", _inlining_closures)
+    wrap(PostProcessor, "run", _looking_later)
+    wrap(NopythonRewrites, "run_pass", _rewriting_arrays)
 
 
 def _passing_plainly(

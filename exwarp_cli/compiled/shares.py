@@ -37,6 +37,12 @@ def turns(count: int, share: Share) -> range:
     return range(count * number // shares, count * (number + 1) // shares)
 
 
+def rows_of(count: int, share: Share) -> slice:
+    """Return the turns of a share as a slice, where numpy takes them at once; see `turns`."""
+    some = turns(count, share)
+    return slice(some.start, some.stop)
+
+
 def run(kernel: Callable[..., None], arguments: Sequence[Any], shares: int) -> None:
     """Run a kernel in shares, a thread each; the caller takes those that nobody else comes to.
 

@@ -11,10 +11,12 @@ from llvmlite.ir import VoidType  # type: ignore[import-untyped]
 from llvmlite.ir._utils import NameScope  # type: ignore[import-untyped]
 from llvmlite.ir.values import Block, NamedValue  # type: ignore[import-untyped]
 
+from exwarp_cli.compiled.front_end import wrap
+
 
 def shorten() -> None:
     """Write so from now on."""
-    NameScope.register = _registering(NameScope.register)
+    wrap(NameScope, "register", _registering)
     NamedValue._to_string = _line
     NamedValue._get_reference = _reference
     Block.descr = _block

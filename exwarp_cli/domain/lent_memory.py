@@ -21,6 +21,7 @@ from collections import deque
 from contextlib import suppress
 from dataclasses import dataclass
 from math import prod
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -159,10 +160,18 @@ class _Block:
         return end - begin
 
     @property
-    def is_free(self) -> bool:
-        """Whether nobody holds any of it."""
-        held = len(self.memory) - sum(end - begin for begin, (end, _) in self.idle.items())
-        return held == sum(end - begin for begin, end in self.emptied.items())
+    def is_gone(self) -> bool:
+        """Whether all of it went back to the system."""
+        return len(self.memory) == sum(end - begin for begin, end in self.emptied.items())
+
+
+class _Idle(NamedTuple):
+    """A part of a block that nobody holds: bytes from `begin` on, and the age when it came back."""
+
+    block: _Block
+    begin: int
+    size: int
+    since: int
 
 
 class _Store:
@@ -190,7 +199,7 @@ class _Store:
         """Bytes of each part that nobody holds."""
         with self._lock:
             self._drain()
-            return [end - begin for b in self.blocks for begin, (end, _) in b.idle.items()]
+            return [part.size for part in self._parts()]
 
     def take(self, size: int, filed: bool) -> _Piece:
         """Take the smallest idle part that has so many bytes, or memory from the system.
@@ -200,18 +209,12 @@ class _Store:
         size = -(-size // mmap.PAGESIZE) * mmap.PAGESIZE
         with self._lock:
             self._drain()
-            fitting = [
-                (end - begin, -since, n, begin)
-                for n, block in enumerate(self.blocks)
-                if block.filed == filed
-                for begin, (end, since) in block.idle.items()
-                if end - begin >= size
-            ]
+            parts = self._parts()
+            fitting = [one for one in parts if one.block.filed == filed and one.size >= size]
             if fitting:
-                _, _, n, begin = min(fitting)
-                return self.blocks[n].lend(begin, size)
-            idle = sum(end - begin for b in self.blocks for begin, (end, _) in b.idle.items())
-            self._make_room(min(size, idle - self.waits))
+                best = min(fitting, key=lambda one: (one.size, -one.since))
+                return best.block.lend(best.begin, size)
+            self._make_room(min(size, sum(one.size for one in parts) - self.waits))
             block = _Block(size, filed)
             self.blocks.append(block)
             return block.lend(0, size)
@@ -221,17 +224,17 @@ class _Store:
         with self._lock:
             self._drain()
             self._age += 1
-            for since, block, begin in self._waiting():
-                if since < self._age - 1:
-                    block.empty(begin)
+            for one in self._parts():
+                if one.since < self._age - 1:
+                    one.block.empty(one.begin)
             self._drop()
 
     def forget(self) -> None:
         """Give back whatever nobody holds."""
         with self._lock:
             self._drain()
-            for _, block, begin in self._waiting():
-                block.empty(begin)
+            for one in self._parts():
+                one.block.empty(one.begin)
             self._drop()
 
     def _drain(self) -> None:
@@ -239,25 +242,25 @@ class _Store:
             piece = self.returned.popleft()
             piece.block.take_back(piece.begin, piece.end, self._age)
 
-    def _waiting(self) -> list[tuple[int, _Block, int]]:
-        """Return the idle parts, those that waited longest first."""
-        found = (
-            (since, block, begin)
+    def _parts(self) -> list[_Idle]:
+        """Return all that nobody holds."""
+        return [
+            _Idle(block, begin, end - begin, since)
             for block in self.blocks
-            for begin, (_, since) in block.idle.items()
-        )
-        return sorted(found, key=lambda part: part[0])
+            for begin, (end, since) in block.idle.items()
+        ]
 
     def _make_room(self, size: int) -> None:
-        for _, block, begin in self._waiting():
+        """Give so many bytes back, of those parts first that waited longest."""
+        for one in sorted(self._parts(), key=lambda one: one.since):
             if size <= 0:
                 break
-            size -= block.empty(begin)
+            size -= one.block.empty(one.begin)
         self._drop()
 
     def _drop(self) -> None:
-        """Let blocks go of which nobody holds anything and nothing waits."""
-        self.blocks = [block for block in self.blocks if block.idle or not block.is_free]
+        """Let blocks go that went back to the system."""
+        self.blocks = [block for block in self.blocks if not block.is_gone]
 
 
 def _room(size: int) -> mmap.mmap | None:

@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli.compiled.shares import WHOLE, Share, turns
+from exwarp_cli.kernels.blocks import all_of
 from exwarp_cli.kernels.jit import parallel, part, serial
 
 F32 = npt.NDArray[np.float32]
@@ -76,15 +77,6 @@ def widen_by_row(values: F32, shown: B8, low: F32, high: F32) -> None:
         part = slice(begin * channels, end * channels)
         widen(values[part], low[part], high[part])
         begin = end
-
-
-@part
-def all_of(shown: B8) -> bool:
-    """Whether all pixels [N] count; all are asked, as then the compiler takes many at once."""
-    every = True
-    for j in range(shown.size):
-        every &= shown[j]
-    return every
 
 
 @part

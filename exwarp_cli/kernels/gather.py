@@ -1,8 +1,8 @@
 """Backward sampling of an image along a motion field.
 
 Some pixels of a row are worked off at a time, in passes: places and weights in a loop without
-branches, then the mixing of all whether they have a source or not, then the few that lie at the
-border or nowhere, again.
+branches, then the mixing of all, four at once, whether they have a source or not, then the few that
+lie at the border or nowhere, again.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ import numpy.typing as npt
 
 from exwarp_cli.compiled.shares import WHOLE, Share, turns
 from exwarp_cli.kernels.jit import inlined, parallel, part, serial
-from exwarp_cli.kernels.lanes import LANES, mix_four
+from exwarp_cli.kernels.lanes import FLAGS, LANES, any_of_eight, mix_four
 
 F32 = npt.NDArray[np.float32]
 I32 = npt.NDArray[np.int32]
 B8 = npt.NDArray[np.bool_]
 U64 = np.uint64
 
-Work = tuple[I32, F32, B8, B8]
-"""Room for SPAN pixels: places and weights, line by line, what lies inside, and what is finite."""
+Work = tuple[I32, F32]
+"""Room for SPAN pixels: where each begins in the image, and two weights of each."""
 
 RGB, RGBA = 3, 4
 
@@ -79,13 +79,8 @@ def mix(
 
 @part
 def write_places(
-    corner: tuple[int, int],
-    line: F32,
-    shape: tuple[int, int, int],
-    places: I32,
-    weights: F32,
-    inside: B8,
-) -> None:
+    corner: tuple[int, int], line: F32, shape: tuple[int, int, int], work: Work, hole: B8
+) -> tuple[np.int32, bool]:
     """Write where the pixels of a span come from, for those with four neighbours in the image.
 
     Parameters
@@ -96,59 +91,79 @@ def write_places(
         float32 [2 w], x and y by turns: the motion field.
     shape
         H, W, C of the image.
-    places
-        int32 [3 SPAN], written: `at` of :func:`mix`; any, but inside the image, for other pixels.
-    weights
-        float32 [2 SPAN], written: those of :func:`mix`.
-    inside
-        bool [w], written: 0 <= x < W - 1 and 0 <= y < H - 1.
+    work
+        Written: places and weights for :func:`~exwarp_cli.kernels.lanes.mix_four`; those of other
+        pixels are 0.
+    hole
+        bool [w], written: not (0 <= x < W - 1 and 0 <= y < H - 1).
+
+    Returns
+    -------
+    tuple
+        The greatest of the places, and whether there are other pixels.
     """
+    places, weights = work
     width, channels = np.int32(shape[1]), np.int32(shape[2])
     end_x, end_y = np.float32(shape[1] - 1), np.float32(shape[0] - 1)
-    for j in range(line.size // 2):
-        x = np.float32(corner[1] + j) + line[2 * j]
+    furthest, outside = np.int32(0), False
+    for j in range(hole.size):
+        x = np.float32(np.int32(corner[1] + j)) + line[2 * j]
         y = np.float32(corner[0]) + line[2 * j + 1]
         lies = (x >= 0) & (y >= 0) & (x < end_x) & (y < end_y)
         x, y = x if lies else np.float32(0), y if lies else np.float32(0)
         left, top = np.int32(x), np.int32(y)  # rounds down
-        fx, fy = x - np.float32(left), y - np.float32(top)
-        weights[j], weights[SPAN + j] = fx, fy
-        places[j] = (top * width + left) * channels
-        # A sample of weight 0 must not spread its NaN: whole-pixel motion copies exactly.
-        places[SPAN + j] = np.int32(0) if fx == 0 else channels
-        places[2 * SPAN + j] = np.int32(0) if fy == 0 else width * channels
-        inside[j] = lies
+        weights[2 * j], weights[2 * j + 1] = x - np.float32(left), y - np.float32(top)
+        place = np.int32((top * width + left) * channels)
+        places[j] = place
+        furthest = max(furthest, place)
+        hole[j] = not lies
+        outside |= not lies
+    return furthest, outside
 
 
 @part
-def mix_span(pixels: F32, channels: int, places: I32, weights: F32, out: F32, finite: B8) -> None:
-    """Mix the pixels of a span.
+def mix_span(
+    pixels: F32, shape: tuple[int, int, int], furthest: np.int32, work: Work, out: F32, hole: B8
+) -> bool:
+    """Mix the pixels of a span, and mark those with a value that is not finite.
 
     Parameters
     ----------
-    pixels, channels
-        As in :func:`mix`.
-    places, weights
+    pixels, shape
+        float32 [H W C], and H, W, C.
+    furthest, work
         From :func:`write_places`.
     out
-        float32 [w C], written.
-    finite
-        bool [w], written: whether all values of a pixel are.
+        float32 [N], from the span to the end of its row, written; maybe one value after the span,
+        too.
+    hole
+        bool [w], changed.
+
+    Returns
+    -------
+    bool
+        Whether any is marked.
     """
-    count, safe = finite.size, pixels.size - LANES
-    for j in range(count if channels == RGBA else 0):
-        at = U64(places[j]), U64(places[SPAN + j]), U64(places[2 * SPAN + j])
-        finite[j] = mix_four(pixels, at, weights[j], weights[SPAN + j], out, U64(4 * j)) == 15
-    # The fourth value of RGB is the next pixel's first, which is written after it.
-    last = count - 1 if channels == RGB else 0
-    for j in range(0 if channels == RGBA else count):
-        first, right, below = places[j], places[SPAN + j], places[2 * SPAN + j]
-        at = U64(first), U64(right), U64(below)
-        fx, fy = weights[j], weights[SPAN + j]
-        if j < last and first + right + below <= safe:
-            finite[j] = (mix_four(pixels, at, fx, fy, out, U64(3 * j)) & 7) == 7
-        else:
-            finite[j] = mix(pixels, at, fx, fy, channels, out, channels * j)
+    places, weights = work
+    channels, marked = shape[2], False
+    below, fours = shape[1] * channels, 0
+    last = int(furthest) + below + channels
+    if RGB <= channels <= RGBA and last + LANES <= pixels.size:
+        fours = min(hole.size, (out.size - LANES) // channels + 1) // LANES * LANES
+    for j in range(0, fours, LANES):
+        strange = mix_four(pixels, (channels, below), places, weights, j, out)
+        if strange:
+            marked = True
+            for k in range(LANES):
+                hole[j + k] |= (strange >> (LANES * k)) & ((1 << channels) - 1) != 0
+    for j in range(fours, hole.size):
+        fx, fy = weights[2 * j], weights[2 * j + 1]
+        # A sample of weight 0 must not spread its NaN: whole-pixel motion copies exactly.
+        at = U64(places[j]), U64(0 if fx == 0 else channels), U64(0 if fy == 0 else below)
+        finite = mix(pixels, at, fx, fy, channels, out, channels * j)
+        hole[j] |= not finite
+        marked |= not finite
+    return marked
 
 
 @part
@@ -172,40 +187,53 @@ def sample_border(
 
 
 @part
+def show_border(
+    pixels: F32, shape: tuple[int, int, int], x: np.float32, y: np.float32, out: F32, place: int
+) -> bool:
+    """Sample where neighbours lie outside, and return whether that lies in the pixels' areas."""
+    height, width, channels = shape
+    shown = sample_border(pixels, shape, x, y, out, place)
+    if not shown:
+        clear(out, place, channels)
+    within = x >= -0.5 and y >= -0.5 and x <= width - 0.5 and y <= height - 0.5
+    return shown and bool(within)
+
+
+@part
+def clear(out: F32, place: int, channels: int) -> None:
+    """Write 0 to the values of a pixel."""
+    for c in range(channels):
+        out[U64(place) + U64(c)] = np.float32(0.0)
+
+
+@part
 def settle_rest(
     corner: tuple[int, int],
     line: F32,
     pixels: F32,
     shape: tuple[int, int, int],
-    work: Work,
     out: F32,
     hole: B8,
 ) -> None:
-    """Mark the holes of a span, and write anew what is a hole or lies at the border.
+    """Write the pixels of a span anew that are marked, and take the mark from the border's.
 
-    Parameters as in :func:`write_places` and :func:`mix_span`; `hole` is bool [w], written.
+    Parameters as in :func:`write_places` and :func:`mix_span`.
     """
-    rest, _, inside, finite = work  # places are mixed already
-    height, width, channels = shape
-    for j in range(hole.size):
-        hole[j] = not (inside[j] & finite[j])
-    count = np.int64(0)
-    for j in range(hole.size):
-        rest[np.uint64(count)] = j
-        count += np.int64(hole[j])
-    for k in range(count):
-        j = int(rest[k])
-        shown = False
-        if not inside[j]:
-            x = np.float32(corner[1] + j) + line[2 * j]
-            y = np.float32(corner[0]) + line[2 * j + 1]
-            if abs(x) < FURTHEST and abs(y) < FURTHEST:
-                shown = sample_border(pixels, shape, x, y, out, j * channels)
-                within = x >= -0.5 and y >= -0.5 and x <= width - 0.5 and y <= height - 0.5
-                hole[j] = not (shown and within)
-        if not shown:
-            for c in range(channels):
-                out[j * channels + c] = np.float32(0.0)
+    channels = shape[2]
+    end_x, end_y = np.float32(shape[1] - 1), np.float32(shape[0] - 1)
+    for start in range(0, hole.size, FLAGS):
+        end = min(start + FLAGS, hole.size)
+        if start + FLAGS <= end and not any_of_eight(hole, start):
+            continue
+        for j in range(start, end):
+            if hole[j]:
+                x = np.float32(corner[1] + j) + line[2 * j]
+                y = np.float32(corner[0]) + line[2 * j + 1]
+                inside = (x >= 0) & (y >= 0) & (x < end_x) & (y < end_y)
+                if not inside and abs(x) < FURTHEST and abs(y) < FURTHEST:
+                    hole[j] = not show_border(pixels, shape, x, y, out, j * channels)
+                else:
+                    clear(out, j * channels, channels)
 
 
 @part
@@ -220,12 +248,13 @@ def gather_span(
 ) -> None:
     """Sample some pixels of a row, the first at `corner`, its row and column.
 
-    `line` is float32 [2 w], `pixels` [H W C], `out` [w C]; `work` is room for SPAN pixels.
+    `line` is float32 [2 w], `pixels` [H W C], `work` room for SPAN pixels; `out` as for
+    :func:`mix_span`.
     """
-    places, weights, inside, finite = work
-    write_places(corner, line, shape, places, weights, inside)
-    mix_span(pixels, shape[2], places, weights, out, finite[: hole.size])
-    settle_rest(corner, line, pixels, shape, work, out, hole)
+    furthest, outside = write_places(corner, line, shape, work, hole)
+    marked = mix_span(pixels, shape, furthest, work, out, hole)
+    if outside or marked:
+        settle_rest(corner, line, pixels, shape, out, hole)
 
 
 def gather_bilinear_text(image: F32, field: F32, out: F32, hole: B8, share: Share = WHOLE) -> None:
@@ -248,13 +277,12 @@ def gather_bilinear_text(image: F32, field: F32, out: F32, hole: B8, share: Shar
         Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
     pixels, channels = np.ascontiguousarray(image).reshape(-1), image.shape[2]
-    places, weights = np.empty(3 * SPAN, np.int32), np.empty(2 * SPAN, np.float32)
-    work = places, weights, np.empty(SPAN, np.bool_), np.empty(SPAN, np.bool_)
+    work = np.empty(SPAN, np.int32), np.empty(2 * SPAN, np.float32)
     for i in turns(out.shape[0], share):
         line, target = np.ascontiguousarray(field[i]).reshape(-1), out[i].reshape(-1)
         for start in range(0, out.shape[1], SPAN):
             end = min(start + SPAN, out.shape[1])
-            some, made = line[2 * start : 2 * end], target[start * channels : end * channels]
+            some, made = line[2 * start : 2 * end], target[start * channels :]
             gather_span((i, start), some, pixels, image.shape, work, made, hole[i, start:end])
 
 

@@ -1,4 +1,4 @@
-"""Four neighbouring floats at once.
+"""Several neighbouring values at once.
 
 The compiler's loops take several pixels at once, but never the channels of one: it unrolls such
 short loops before it looks for vectors, and Numba leaves LLVM's search in straight code out.
@@ -6,6 +6,7 @@ short loops before it looks for vectors, and Numba leaves LLVM's search in strai
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,41 +17,65 @@ from numba.extending import intrinsic, overload
 
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
+I32 = npt.NDArray[np.int32]
+B8 = npt.NDArray[np.bool_]
 U64 = np.uint64
-At = tuple[U64, U64, U64]
 
-LANES = 4
+INDEX = ir.IntType(32)
+
+LANES, FLAGS = 4, 8
+"""How many values or pixels, and how many flags, are taken at once."""
 
 
-def mix_four(pixels: F32, at: At, fx: np.float32, fy: np.float32, out: F32, place: U64) -> int:
-    """Mix four times four neighbours bilinearly.
+def mix_four(
+    pixels: F32, steps: tuple[int, int], places: I32, weights: F32, first: int, out: F32
+) -> int:
+    """Mix four pixels bilinearly, each from four neighbours of three or four values.
 
     Parameters
     ----------
     pixels
         float32 [N].
-    at
-        Where in `pixels` the four upper left values begin, and how far the others are right of them
-        and below.
-    fx, fy
-        Weights of the right and the lower neighbours.
+    steps
+        How far a neighbour is from that left of it, which is how many values a pixel has, and from
+        that above it.
+    places
+        int32 [w], where in `pixels` the upper left neighbours begin. LANES values are read there
+        and from the other neighbours on.
+    weights
+        float32 [2 w], of the right and of the lower neighbours by turns. What has weight 0 is left
+        out, even if it is not finite.
+    first
+        The first of the four among the `w`.
     out
-        float32 [M], written from `place` on.
+        float32 [M], all pixels, of which four are written, and one value after them where they have
+        three.
 
     Returns
     -------
     int
-        A bit for each of the values, the first one's is 1: whether it is finite.
+        LANES bits for each of the four, the first one's lowest: what is written for it and is not
+        finite. The last of three values' is that of another pixel.
     """
-    first, right, below = (int(k) for k in at)
-    gx, gy = np.float32(1) - fx, np.float32(1) - fy
-    corners = (pixels[k : k + LANES] for k in (first, first + right))
-    upper = next(corners) * gx + next(corners) * fx
-    corners = (pixels[k : k + LANES] for k in (first + below, first + below + right))
-    lower = next(corners) * gx + next(corners) * fx
-    value = upper * gy + lower * fy
-    out[int(place) : int(place) + LANES] = value
-    return sum(1 << k for k in range(LANES) if np.isfinite(value[k]))
+    right, below = steps
+    strange = 0
+    for j in range(first, first + LANES):
+        fx, fy = weights[2 * j], weights[2 * j + 1]
+        rows = []
+        for at in (places[j], places[j] + (0 if fy == 0 else below)):
+            other = at + (0 if fx == 0 else right)
+            left = pixels[at : at + LANES] * (np.float32(1) - fx)
+            rows.append(left + pixels[other : other + LANES] * fx)
+        value = rows[0] * (np.float32(1) - fy) + rows[1] * fy
+        out[right * j : right * j + LANES] = value
+        for k in range(LANES):
+            strange |= int(not np.isfinite(value[k])) << (LANES * (j - first) + k)
+    return strange
+
+
+def any_of_eight(flags: B8, first: int) -> bool:
+    """Return whether any of eight flags of bool [N] is set, from the first one on."""
+    return bool(flags[first : first + FLAGS].any())
 
 
 def add_four(weight: np.float64, pixels: F32, at: U64, sums: F64, place: U64) -> None:
@@ -59,60 +84,113 @@ def add_four(weight: np.float64, pixels: F32, at: U64, sums: F64, place: U64) ->
     sums[int(place) : int(place) + LANES] += weight * seen
 
 
-def _spread(builder: Any, value: Any) -> Any:
-    """Return a vector of one value."""
-    vector = ir.Constant(ir.VectorType(value.type, LANES), ir.Undefined)
-    for lane in range(LANES):
-        vector = builder.insert_element(vector, value, ir.Constant(ir.IntType(32), lane))
-    return vector
+def _data(context: Any, builder: Any, kind: Any, array: Any) -> Any:
+    """Return a pointer to the values of an array of a Numba type."""
+    return context.make_array(kind)(context, builder, array).data
 
 
-def _four(context: Any, builder: Any, kind: Any, array: Any, index: Any) -> Any:
-    """Return a pointer to four elements of an array of a Numba type."""
-    data = context.make_array(kind)(context, builder, array).data
-    element = builder.gep(data, [index])
-    return builder.bitcast(element, ir.VectorType(element.type.pointee, LANES).as_pointer())
+def _from(builder: Any, data: Any, index: Any, count: int = LANES) -> Any:
+    """Return a pointer to a vector of so many values from an index on."""
+    vector = ir.VectorType(data.type.pointee, count)
+    return builder.bitcast(builder.gep(data, [index]), vector.as_pointer())
+
+
+def _chosen(builder: Any, one: Any, other: Any, lanes: Iterable[int]) -> Any:
+    """Return a vector of lanes of two others of one length, counted through both."""
+    which = list(lanes)
+    return builder.shuffle_vector(one, other, ir.Constant(ir.VectorType(INDEX, len(which)), which))
+
+
+def _spread(builder: Any, vector: Any, lanes: Iterable[int]) -> Any:
+    """Return a vector of some lanes of another, each LANES times."""
+    return _chosen(builder, vector, vector, [lane for lane in lanes for _ in range(LANES)])
+
+
+def _joined(builder: Any, vectors: Sequence[Any]) -> Any:
+    """Return a vector of all lanes of others; how many those are is a power of two."""
+    while len(vectors) > 1:
+        lanes = range(2 * vectors[0].type.count)
+        pairs = zip(vectors[::2], vectors[1::2], strict=True)
+        vectors = [_chosen(builder, one, other, lanes) for one, other in pairs]
+    return vectors[0]
+
+
+def _mix(builder: Any, one: Any, other: Any, share: Any) -> Any:
+    """Mix two vectors by the share of the other, which is left out where it has none."""
+    whole, none = (ir.Constant(share.type, [value] * share.type.count) for value in (1.0, 0.0))
+    other = builder.select(builder.fcmp_ordered("==", share, none), one, other)
+    rest = builder.fsub(whole, share)
+    return builder.fadd(builder.fmul(one, rest), builder.fmul(other, share))
 
 
 @intrinsic
 def _mix_four(
-    _: Any, pixels: Any, first: Any, right: Any, below: Any, fx: Any, fy: Any, out: Any, place: Any
+    _: Any, pixels: Any, right: Any, below: Any, places: Any, weights: Any, first: Any, out: Any
 ) -> Any:
     """The same in LLVM's instructions for vectors."""
-    vector = ir.VectorType(ir.FloatType(), LANES)
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        kinds = signature.args
+        start, places, weights, out = (
+            _data(context, builder, signature.args[k], values[k]) for k in (0, 3, 4, 6)
+        )
+        right, below, first = values[1], values[2], values[5]
+        numbers = [builder.add(first, ir.Constant(first.type, k)) for k in range(LANES)]
+        at = [builder.load(builder.gep(places, [number])) for number in numbers]
+        at = [builder.sext(place, first.type) for place in at]
+        shares = _from(builder, weights, builder.add(first, first), 2 * LANES)
+        shares = builder.load(shares, align=4)
+        fx, fy = (_spread(builder, shares, range(k, 2 * LANES, 2)) for k in (0, 1))
 
-        def load(index: Any) -> Any:
-            return builder.load(_four(context, builder, kinds[0], values[0], index), align=4)
+        def seen(begin: Any) -> Any:
+            fours = [builder.load(_from(builder, begin, place), align=4) for place in at]
+            return _joined(builder, fours)
 
-        def mix(one: Any, other: Any, share: Any, rest: Any) -> Any:
-            return builder.fadd(builder.fmul(one, rest), builder.fmul(other, share))
+        upper, lower = (
+            _mix(builder, seen(begin), seen(builder.gep(begin, [right])), fx)
+            for begin in (start, builder.gep(start, [below]))
+        )
+        value = _mix(builder, upper, lower, fy)
+        for k, number in enumerate(numbers):
+            four = _chosen(builder, value, value, range(LANES * k, LANES * (k + 1)))
+            builder.store(four, _from(builder, out, builder.mul(number, right)), align=4)
+        check = builder.fmul(value, ir.Constant(value.type, [0.0] * value.type.count))
+        strange = builder.fcmp_unordered("uno", check, check)  # NaN from infinity and NaN on
+        strange = builder.bitcast(strange, ir.IntType(value.type.count))
+        return builder.zext(strange, ir.IntType(64))
 
-        first, right, below, fx, fy = values[1:6]
-        place = values[7]
-        one, zero = (ir.Constant(vector, [value] * LANES) for value in (1.0, 0.0))
-        fx, fy = _spread(builder, fx), _spread(builder, fy)
-        gx, gy = builder.fsub(one, fx), builder.fsub(one, fy)
-        beneath = builder.add(first, below)
-        upper = mix(load(first), load(builder.add(first, right)), fx, gx)
-        lower = mix(load(beneath), load(builder.add(beneath, right)), fx, gx)
-        value = mix(upper, lower, fy, gy)
-        builder.store(value, _four(context, builder, kinds[6], values[6], place), align=4)
-        check = builder.fmul(value, zero)  # NaN from infinity and NaN on
-        finite = builder.bitcast(builder.fcmp_ordered("ord", check, check), ir.IntType(LANES))
-        return builder.zext(finite, ir.IntType(64))
-
-    return types.int64(pixels, first, right, below, fx, fy, out, place), generate
+    return types.int64(pixels, right, below, places, weights, first, out), generate
 
 
 @overload(mix_four, strict=False)
-def _compiled_mix_four(pixels: Any, at: Any, fx: Any, fy: Any, out: Any, place: Any) -> Any:
-    def mix(pixels, at, fx, fy, out, place):  # type: ignore[no-untyped-def]
-        return _mix_four(pixels, at[0], at[1], at[2], fx, fy, out, place)  # type: ignore[call-arg]
+def _compiled_mix_four(
+    pixels: Any, steps: Any, places: Any, weights: Any, first: Any, out: Any
+) -> Any:
+    def mix(pixels, steps, places, weights, first, out):  # type: ignore[no-untyped-def]
+        right, below = steps
+        return _mix_four(pixels, right, below, places, weights, first, out)  # type: ignore[call-arg]
 
     return mix
+
+
+@intrinsic
+def _any_of_eight(_: Any, flags: Any, first: Any) -> Any:
+    """The same by one whole number."""
+
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        data = _data(context, builder, signature.args[0], values[0])
+        eight = ir.IntType(8 * FLAGS)
+        whole = builder.bitcast(builder.gep(data, [values[1]]), eight.as_pointer())
+        return builder.icmp_unsigned("!=", builder.load(whole, align=1), ir.Constant(eight, 0))
+
+    return types.boolean(flags, first), generate
+
+
+@overload(any_of_eight, strict=False)
+def _compiled_any_of_eight(flags: Any, first: Any) -> Any:
+    def found(flags, first):  # type: ignore[no-untyped-def]
+        return _any_of_eight(flags, first)  # type: ignore[call-arg]
+
+    return found
 
 
 @intrinsic
@@ -120,11 +198,13 @@ def _add_four(_: Any, weight: Any, pixels: Any, at: Any, sums: Any, place: Any) 
     """The same in LLVM's instructions for vectors."""
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        kinds = signature.args
-        seen = builder.load(_four(context, builder, kinds[1], values[1], values[2]), align=4)
+        data, target = (_data(context, builder, signature.args[k], values[k]) for k in (1, 3))
+        seen = builder.load(_from(builder, data, values[2]), align=4)
         seen = builder.fpext(seen, ir.VectorType(ir.DoubleType(), LANES))
-        target = _four(context, builder, kinds[3], values[3], values[4])
-        added = builder.fmul(_spread(builder, values[0]), seen)
+        weight = ir.Constant(ir.VectorType(ir.DoubleType(), 1), ir.Undefined)
+        weight = builder.insert_element(weight, values[0], ir.Constant(INDEX, 0))
+        target = _from(builder, target, values[4])
+        added = builder.fmul(_spread(builder, weight, [0]), seen)
         builder.store(builder.fadd(builder.load(target, align=8), added), target, align=8)
         return context.get_dummy_value()
 

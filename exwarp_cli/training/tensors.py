@@ -9,6 +9,7 @@ from pathlib import Path
 import torch
 
 from exwarp_cli.errors import DamagedFileError, InputError
+from exwarp_cli.io.whole_file import read_whole
 
 
 def read_tensors(path: Path, device: str, damaged: DamagedFileError) -> object:
@@ -31,7 +32,7 @@ def read_tensors(path: Path, device: str, damaged: DamagedFileError) -> object:
         As given.
     """
     try:
-        data = path.read_bytes()
+        data = read_whole(path)
     except OSError as error:
         raise InputError(
             f"cannot read {path}: {error.strerror or error}; check the path and its rights"

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from exwarp_cli.kernels.gather import gather_bilinear_serial
 from tests.reference import gather as naive
 from tests.unit.kernel_calls import gathered
 
@@ -97,6 +98,29 @@ class TestGather:
         np.testing.assert_array_equal(
             found[inside], image[(rows + y)[inside], (columns + x)[inside]]
         )
+
+    @pytest.mark.parametrize("channels", [3, 4])
+    @pytest.mark.parametrize("width", [9, 259, 520])
+    def test_whole_pixels_are_copied_bit_for_bit(self, width, channels):
+        image = random_image((4, width, channels))
+        image[::2, ::3] = -0.0
+        image[:, 2::5] = 0.0
+        found, hole = gathered(image, uniform((4, width), 1, 1))
+        assert found[:-1, :-1].tobytes() == image[1:, 1:].tobytes()
+        assert not hole[:-1, :-1].any()
+
+    @pytest.mark.parametrize("channels", [3, 4])
+    def test_nothing_is_written_behind_a_row(self, channels):
+        image = random_image((6, 41, channels))
+        field = np.round(8 * random_field((6, 41))) / 8  # any sum is exact
+        expected, _ = gathered(image, field)
+        around = np.full((6 * 41 + 2) * channels, 7, np.float32)
+        out, hole = around[channels:-channels].reshape(image.shape), np.ones((6, 41), np.bool_)
+        for rows in (slice(3, 6), slice(0, 3)):  # the lower ones first
+            moved = field[rows] + np.float32([0, rows.start])
+            gather_bilinear_serial(image, moved, out[rows], hole[rows])
+        assert out.tobytes() == expected.tobytes()
+        assert (around[:channels] == 7).all() and (around[-channels:] == 7).all()
 
     @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
     def test_a_pixel_that_is_no_number_stays_one_pixel(self, bad):

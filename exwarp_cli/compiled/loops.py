@@ -1,0 +1,89 @@
+"""Loops over whole numbers, in few instructions where each is one more than that before.
+
+Numba divides by the distance of the numbers to find out how many there are, and raises an error
+where that is zero, and LLVM finds out that it is one.
+"""
+
+# mypy: disable-error-code="no-untyped-call"
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from llvmlite import ir  # type: ignore[import-untyped]
+from numba.core.imputils import builtin_registry
+from numba.cpython import rangeobj
+from numba.extending import lower_builtin
+
+from exwarp_cli.compiled.structures import Value
+
+
+def shorten() -> None:
+    """Have loops written so from now on."""
+    lower: Any = lower_builtin
+    usual = {kinds: run for run, what, kinds in builtin_registry.functions if what == "getiter"}
+    ranges: Any = rangeobj
+    for number, (state, iterator) in ranges.range_impl_map.items():
+        lower(range, number)(_range)
+        lower(range, number, number)(_range)
+        lower("getiter", state)(_beginning(usual[state,]))
+        lower("iternext", iterator)(_next)
+
+
+def _of(context: Any, builder: Any, kind: Any, value: Any = None) -> Any:
+    """Return what takes a value of a type apart, or makes one."""
+    made: Any = context.make_helper(builder, kind, value)
+    assert isinstance(made, Value)
+    return made
+
+
+def _range(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    """Return a range in steps of one."""
+    number = signature.args[0]
+    made = _of(context, builder, signature.return_type)
+    made.start = context.get_constant(number, 0) if len(arguments) == 1 else arguments[0]
+    made.stop = arguments[-1]
+    made.step = context.get_constant(number, 1)
+    return made._getvalue()
+
+
+def _beginning(usual: Callable[..., Any]) -> Callable[..., Any]:
+    """Return where a loop over a range begins."""
+
+    def beginning(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        through = _of(context, builder, signature.args[0], arguments[0])
+        step = through.step
+        if not (isinstance(step, ir.Constant) and step.constant == 1):
+            return usual(context, builder, signature, arguments)
+        count = builder.sub(through.stop, through.start)
+        nothing = count.type(0)
+        count = builder.select(builder.icmp_signed(">", count, nothing), count, nothing)
+        made = _of(context, builder, signature.return_type)
+        made.iter = _kept(builder, through.start)
+        made.stop, made.step = through.stop, step
+        made.count = _kept(builder, count)
+        return made._getvalue()
+
+    return beginning
+
+
+def _kept(builder: Any, value: Any) -> Any:
+    """Return where a value that changes with each turn is kept."""
+    with builder.goto_entry_block():
+        place = builder.alloca(value.type)
+    builder.store(value, place)
+    return place
+
+
+def _next(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    """Return the next number, and whether there is one."""
+    at = _of(context, builder, signature.args[0], arguments[0])
+    left, number = builder.load(at.count), builder.load(at.iter)
+    goes_on = builder.icmp_signed(">", left, left.type(0))
+    with builder.if_then(goes_on):
+        builder.store(builder.sub(left, left.type(1), flags=["nsw"]), at.count)
+        builder.store(builder.add(number, at.step), at.iter)
+    made = _of(context, builder, signature.return_type)
+    made.first, made.second = number, goes_on
+    return made._getvalue()
