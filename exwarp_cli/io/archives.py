@@ -17,6 +17,9 @@ Array = npt.NDArray[Any]
 MOST_BYTES = 1 << 26
 """Of one array."""
 
+MOST_OF_ALL = 1 << 28
+"""Bytes of all arrays of an archive: each may claim much in little."""
+
 _UNREADABLE = (
     *(zipfile.BadZipFile, zlib.error, ValueError, OSError, EOFError, MemoryError, struct.error),
     *(NotImplementedError, RuntimeError, KeyError, SyntaxError, OverflowError, TypeError),
@@ -61,9 +64,13 @@ def unpack(data: bytes) -> dict[str, Array]:
 def _arrays(data: bytes) -> dict[str, Array]:
     arrays = {}
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        for entry in archive.infolist():
+        entries = archive.infolist()
+        for entry in entries:
             if entry.file_size > MOST_BYTES:
                 raise ValueError(f"{entry.filename} is too large")
+        if sum(entry.file_size for entry in entries) > MOST_OF_ALL:
+            raise ValueError("it is too large")
+        for entry in entries:
             member = io.BytesIO(archive.read(entry))
             array = np.lib.format.read_array(member, allow_pickle=False)
             arrays[entry.filename.removesuffix(".npy")] = array

@@ -221,7 +221,7 @@ class OnnxInterpolator(OnnxNetwork):
         across = f"{size[1]}x{size[0]} pixels"
         stands = out.ndim == 4 and made.layout == "NCHW"
         laid = out.transpose(0, 2, 3, 1) if stands else out
-        taken = laid[..., start : start + 3]
+        taken = laid[..., start : start + 3] if laid.ndim == 4 else laid
         if taken.shape != (1, *size, 3):
             expected = (start + 3, *size) if made.layout == "NCHW" else (*size, start + 3)
             raise LayoutError(

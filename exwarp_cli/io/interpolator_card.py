@@ -54,6 +54,7 @@ from typing import Any, NoReturn
 
 from exwarp_cli.domain.interpolator import ENCODINGS
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError
+from exwarp_cli.io.whole_file import read_whole
 
 SCHEMA = "exwarp.interpolator/1"
 
@@ -62,6 +63,7 @@ Part = str | float
 """FIRST, SECOND, TIME or a number."""
 
 MOST_MULTIPLE = 512
+MOST_PARTS = 64
 MODES = {"edge": "edge", "reflect": "reflect", "zero": "constant"}
 """Ways to pad, and numpy's names of them."""
 
@@ -169,7 +171,7 @@ def read_card(model: Path) -> Card:
     """
     path = model.with_suffix(".json")
     try:
-        data = path.read_bytes()
+        data = read_whole(path)
     except FileNotFoundError as error:
         raise InputError(
             f"{model} has no card {path.name} beside it, which says what its inputs are; write one "
@@ -222,8 +224,15 @@ def _inputs(path: Path, value: Any) -> dict[str, tuple[Part, ...]]:
     found: dict[str, tuple[Part, ...]] = {}
     for name, given in value.items():
         parts = given if isinstance(given, list) else [given]
-        if not parts or not all(part in (FIRST, SECOND, TIME) or _finite(part) for part in parts):
-            _refuse(path, f"input {name!r}", given, "first, second, time, a number, or a list")
+        if not 0 < len(parts) <= MOST_PARTS or not all(
+            part in (FIRST, SECOND, TIME) or _finite(part) for part in parts
+        ):
+            _refuse(
+                path,
+                f"input {name!r}",
+                given,
+                f"first, second, time, a number, or a list of 1 to {MOST_PARTS} of them",
+            )
         found[name] = tuple(part if isinstance(part, str) else float(part) for part in parts)
     for frame in (FIRST, SECOND):
         if not any(frame in parts for parts in found.values()):

@@ -15,6 +15,11 @@ from exwarp_cli.io.model_checks import written_shape
 DTYPES = {"tensor(float)": np.float32, "tensor(float16)": np.float16}
 """What inputs may hold, as onnxruntime names it."""
 
+MADE = (*DTYPES, "tensor(double)", "tensor(uint8)", "tensor(uint16)")
+"""What the output may hold."""
+
+MOST_AXES = 4
+
 SHAPES: Mapping[str, Mapping[str, Any]] = {
     "rife": {"layout": "NCHW", "padding": {"multiple": 32, "mode": "edge", "place": "end"}},
     "ema-vfi": {"layout": "NCHW", "padding": {"multiple": 32, "mode": "edge", "place": "centre"}},
@@ -81,6 +86,11 @@ def require_nodes(
             f"{path} has no output {card.output!r}, which its card {card.path} names; its outputs "
             f"are {', '.join(outputs)}"
         )
+    if (kind := outputs[card.output].type) not in MADE:
+        raise LayoutError(
+            f"{path} has the output {card.output!r} as {kind}, which is no picture; name another "
+            f"one in its card {card.path}, or export the network with a float output"
+        )
     for name, parts in card.inputs.items():
         _require_shape(card, path, inputs[name], parts)
 
@@ -142,7 +152,7 @@ def _require_shape(card: Card, path: Path, node: Any, parts: Sequence[Part]) -> 
         expected: tuple[Any, ...]
         expected = (1, channels, "H", "W") if layout == "NCHW" else (1, "H", "W", channels)
     else:
-        expected = (1,) * len(node.shape)
+        expected = (1,) * min(len(node.shape), MOST_AXES)
     fits = len(node.shape) == len(expected) and all(
         not isinstance(have, int) or have == want
         for have, want in zip(node.shape, expected, strict=True)

@@ -6,6 +6,7 @@ A model's metadata may state `exwarp.interface`, the version of the inputs that 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,8 +17,9 @@ from exwarp_cli.errors import DamagedFileError, InputError, LayoutError
 STRIDE_KEY, INTERFACE_KEY = "exwarp.stride", "exwarp.interface"
 DEFAULT_STRIDE, MOST_STRIDE = 8, 256
 
-_ELSEWHERE = b"\n\x08location\x12"
-"""How ONNX files write the key under which they name the file of weights that are kept apart."""
+LONGEST_REASON = 240
+_CODES = re.compile(r"\[ONNXRuntimeError\] : \d+ : \w+ : ")
+_PLACE = re.compile(r"\S+\.(?:cc|h|cpp):\d+ ")
 
 REQUIRED = ("warped", "mask")
 """Inputs that a network must have; it may do without the others."""
@@ -71,13 +73,8 @@ def written_shape(shape: Sequence[Any]) -> str:
     return f"[{', '.join('?' if size is None else str(size) for size in shape)}]"
 
 
-def unusable(path: Path, data: bytes, error: Exception) -> InputError:
+def unusable(path: Path, error: Exception) -> InputError:
     """Say why a file is no model that runs."""
-    if _ELSEWHERE in data:
-        return LayoutError(
-            f"{path} keeps weights in other files, and one file is read only; save it with its "
-            "weights inside"
-        )
     return DamagedFileError(
         f"{path} is no ONNX model that onnxruntime can run ({reason(error)}); check the path, or "
         "export it again"
@@ -85,10 +82,27 @@ def unusable(path: Path, data: bytes, error: Exception) -> InputError:
 
 
 def reason(error: Exception) -> str:
-    """First line of what onnxruntime says, without its codes."""
+    """First line of what onnxruntime says, without its codes and the places in its own text."""
     line = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
-    text = line.rsplit(" : ", 1)[-1].strip().rstrip(".")
-    return text if len(text) <= 160 else text[:157] + "..."
+    text = _signed(_CODES.split(line)[-1]).strip().rstrip(".")
+    half = LONGEST_REASON // 2
+    return text if len(text) <= LONGEST_REASON else f"{text[:half]} … {text[-half:]}"
+
+
+def _signed(text: str) -> str:
+    """Leave out ``FILE.cc:LINE FUNCTION`` before what is said: a name, or the whole signature."""
+    place = _PLACE.search(text)
+    if place is None:
+        return text
+    rest = text[place.end() :]
+    if not place[0].startswith("/"):
+        return rest.partition(" ")[2] or text
+    depth = 0
+    for at, character in enumerate(rest):
+        depth += (character == "(") - (character == ")")
+        if character == ")" and depth == 0:
+            return rest[at + 1 :].removeprefix(" const") or text
+    return text
 
 
 def _require_names(path: Path, inputs: Mapping[str, Any], outputs: Mapping[str, Any]) -> None:
@@ -105,7 +119,8 @@ def _require_names(path: Path, inputs: Mapping[str, Any], outputs: Mapping[str, 
         )
     if list(outputs) != [OUTPUT]:
         raise LayoutError(
-            f"{path} has the output {', '.join(outputs)}; export it with one output named {OUTPUT}"
+            f"{path} has the output {', '.join(outputs) or 'none'}; export it with one output, "
+            f"named {OUTPUT}"
         )
 
 

@@ -7,6 +7,7 @@ import json
 from pathlib import Path
 
 from exwarp_cli.errors import DamagedFileError, InputError
+from exwarp_cli.io.whole_file import read_whole
 
 CHECKSUMS = "checksums.json"
 """Beside the shipped models: SHA-256 by file name."""
@@ -49,7 +50,7 @@ def read_model(path: Path | None, shipped: str, option: str) -> tuple[Path, byte
 
 def _read(path: Path) -> bytes:
     try:
-        return path.read_bytes()
+        return read_whole(path)
     except FileNotFoundError as error:
         raise InputError(f"there is no model {path}; check the path") from error
     except OSError as error:

@@ -16,7 +16,7 @@ from exwarp_cli.domain.extrapolator import INPUTS, OUTPUT, TIME, Inputs, Network
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.domain.lent_memory import lent, rest
 from exwarp_cli.domain.tiles import Span, Tile, cut
-from exwarp_cli.errors import InputError, LayoutError, MissingExtraError
+from exwarp_cli.errors import InputError, LayoutError, MissingExtraError, OutOfMemoryError
 from exwarp_cli.io.model_checks import (
     STRIDE_KEY,
     reason,
@@ -29,6 +29,7 @@ from exwarp_cli.io.model_checks import (
 from exwarp_cli.io.model_files import CHECKSUMS as CHECKSUMS
 from exwarp_cli.io.model_files import read_model as read_model
 from exwarp_cli.io.model_files import shipped_folder as shipped_folder
+from exwarp_cli.io.model_weights import with_weights
 from exwarp_cli.io.reach import reach_of
 
 SHIPPED = "extrapolator.onnx"
@@ -96,8 +97,8 @@ class OnnxNetwork:
 
     def __init__(self, path: Path, data: bytes, threads: int, device: str) -> None:
         self.path, self.device = path, device
-        self._data, self._threads = data, threads
-        self._checksum = hashlib.sha256(data).hexdigest()
+        self._data, self._threads = with_weights(path, data), threads
+        self._checksum = hashlib.sha256(self._data).hexdigest()
         self._sessions: dict[int, Any] = {}
         session = self._session(1)
         self.inputs: dict[str, Any] = {node.name: node for node in session.get_inputs()}
@@ -106,7 +107,7 @@ class OnnxNetwork:
 
     @property
     def checksum(self) -> str:
-        """SHA-256 of the model's file, in hexadecimal digits."""
+        """SHA-256 of the model's file, with all its weights in it, in hexadecimal digits."""
         return self._checksum
 
     def _answer(
@@ -148,8 +149,11 @@ class OnnxNetwork:
             with being_read(self.path):
                 (out,) = session.run([output], feeds, self._giving_back if last else None)
         except _failures() as error:
-            if "alloc" in str(error):
-                raise MemoryError from error
+            if isinstance(error, MemoryError) or "alloc" in str(error):
+                raise OutOfMemoryError(
+                    f"{self.path} needs more memory than there is for {width}x{height} pixels; "
+                    "close other programs, use fewer threads, or another model"
+                ) from error
             raise LayoutError(
                 f"{self.path} fails on {width}x{height} pixels ({reason(error)}); {advice}"
             ) from error
@@ -299,7 +303,12 @@ def open_session(path: Path, data: bytes, threads: int, device: str) -> Any:
                 data, options, providers=[*providers, "CPUExecutionProvider"], enable_fallback=False
             )
     except _failures() as error:
-        raise unusable(path, data, error) from error
+        if isinstance(error, MemoryError):
+            raise OutOfMemoryError(
+                f"{path} needs more memory than there is to be opened; close other programs, or "
+                "use another model"
+            ) from error
+        raise unusable(path, error) from error
     if device == "cuda" and CUDA not in session.get_providers():
         raise MissingExtraError(
             "--device cuda was asked for, but onnxruntime cannot start CUDA here; check the "
@@ -337,4 +346,4 @@ def _failures() -> tuple[type[Exception], ...]:
 
     kinds = [kind for kind in vars(state).values() if isinstance(kind, type)]
     own = [kind for kind in kinds if issubclass(kind, Exception)]
-    return (*own, RuntimeError, ValueError)
+    return (*own, RuntimeError, ValueError, MemoryError)

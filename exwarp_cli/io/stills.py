@@ -25,6 +25,7 @@ from exwarp_cli.domain.frame import Float32, Image, Window
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, UsageError
 from exwarp_cli.io.atomic import atomic_path, output_error
 from exwarp_cli.io.exr_encoding import Buffer
+from exwarp_cli.io.magic import EXR, PNG, head_of
 from exwarp_cli.io.still_seal import seal_still, software
 
 STILLS = (
@@ -45,7 +46,6 @@ _FILM_TRANSFERS = ("Printing density", "Logarithmic")
 _NOT_CARRIED = ("oiio:", "compression", "smpte:", "dpx:TimeCode", "jpeg:Compression", "Software")
 _DPX_NAME = 36
 _DPX_TEXTS = ((36, 136), (136, 160), (160, 260), (260, 460), (460, 660))  # SMPTE 268M
-_PNG = b"\x89PNG\r\n\x1a\n"
 _NO_DATE = "1970:01:01 00:00:00"
 
 
@@ -191,7 +191,10 @@ def _opened(path: Path) -> Iterator[Any]:
     """Open an image, its alpha as the file has it."""
     if not path.is_file():
         raise InputError(f"there is no image {path}; check the path")
-    if path.suffix.lower() == ".png" and not _ends(path):
+    head = head_of(path) or b""
+    if head.startswith(EXR):  # as a still it would lose windows, layers and attributes
+        raise InputError(f"{path} is an OpenEXR file by its content; name it .exr")
+    if head.startswith(PNG) and not _ends(path):
         raise _damaged(path, "")  # its decoder would print that too
     hint = oiio.ImageSpec()
     hint.attribute("oiio:UnassociatedAlpha", 1)
@@ -200,17 +203,16 @@ def _opened(path: Path) -> Iterator[Any]:
         if file is None:
             raise _damaged(path, oiio.geterror())
         try:
-            require_size(path, file.spec().width, file.spec().height)
+            require_size(path, file.spec().height, file.spec().width)
             yield file
         finally:
             file.close()
 
 
 def _ends(path: Path) -> bool:
-    """Whether the chunks of a PNG go on to its end; what is no PNG at all is for its reader."""
+    """Whether the chunks of a PNG go on to its end."""
     with path.open("rb") as file:
-        if file.read(len(_PNG)) != _PNG:
-            return True
+        file.seek(len(PNG))
         while len(head := file.read(8)) == 8:
             if head[4:] == b"IEND":
                 return True

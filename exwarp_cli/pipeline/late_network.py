@@ -7,13 +7,12 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 from exwarp_cli.domain import cores
+from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.io.models import SHIPPED, OnnxExtrapolator, read_model, runtime_version
 
 if TYPE_CHECKING:
     from exwarp_cli.domain.extrapolator import Inputs
     from exwarp_cli.domain.frame import Float32
-
-DEVICE = "cpu"
 
 
 class LateNetwork:
@@ -42,7 +41,7 @@ class LateNetwork:
 
     def __init__(self, threads: int | None) -> None:
         self.path, self._data = read_model(None, SHIPPED, "--extrapolator")
-        self.device, self._threads = DEVICE, threads
+        self.device, self._threads = UpsampleSettings.device, threads
         runtime_version()
 
     @cached_property

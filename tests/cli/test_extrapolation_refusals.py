@@ -2,14 +2,29 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
+import onnx
 import pytest
 
 from tests.cli import shots
 from tests.cli.shots import SMALL
+from tests.unit.test_model_weights import apart
 from tests.unit.tiny_models import filled_warp, save
+
+
+def as_pipe(path: Path) -> None:
+    """Put a pipe in a model's place, into which nobody writes."""
+    path.unlink()
+    os.mkfifo(path)
+
+
+def of_opset(version: int) -> onnx.ModelProto:
+    made = filled_warp()
+    made.opset_import[0].version = version
+    return made
 
 
 class TestRefusals:
@@ -34,6 +49,16 @@ class TestRefusals:
             (lambda path: path.unlink(), ("there is no model", "check the path")),
             (lambda path: path.write_bytes(b"text" * 99), ("no ONNX model", "export it again")),
             (lambda path: save(path, filled_warp(exwarp__stride="no")), ("exwarp.stride",)),
+            (lambda path: as_pipe(path), ("cannot read the model", "a pipe or a device")),
+            (
+                lambda path: save(path, apart(filled_warp(), "/etc/hostname")),
+                ("'/etc/hostname'", "only files in the folder of a model are read"),
+            ),
+            (
+                lambda path: save(path, apart(filled_warp(), "lost.bin")),
+                ("lost.bin", "copy that file along"),
+            ),
+            (lambda path: save(path, of_opset(999)), ("Opset 999", "export it again")),
             (lambda path: save(path, filled_warp(exwarp__interface="x/2")), ("x/2", "interface")),
         ],
     )

@@ -52,6 +52,7 @@ SENSELESS: list[tuple[Any, tuple[str, ...]]] = [
     (card(inputs=PAIR | {"c": "third"}), ("\"third\" as input 'c'", "first, second, time")),
     (card(inputs=PAIR | {"c": []}), ("[] as input 'c'",)),
     (card(inputs=PAIR | {"c": [["time"]]}), ("input 'c'",)),
+    (card(inputs=PAIR | {"c": [1] * 65}), ("input 'c'", "1 to 64")),
     (card(inputs=PAIR | {"c": True}), ("true as input 'c'",)),
     (card(inputs=PAIR | {"c": float("nan")}), ("NaN as input 'c'",)),
     (without("output"), ("null as output",)),
@@ -144,6 +145,35 @@ def two_times() -> onnx.ModelProto:
     return made
 
 
+def many_axes() -> onnx.ModelProto:
+    made = rife()
+    made.graph.input[2].CopyFrom(value("timestep", [1] * 70))
+    return made
+
+
+def texts() -> onnx.ModelProto:
+    nodes = [
+        onnx.helper.make_node("Add", list(PAIR), ["sum"]),
+        onnx.helper.make_node("Cast", ["sum"], ["out"], to=TensorProto.STRING),
+    ]
+    takes = [nchw(name, 3) for name in PAIR]
+    return model(nodes, takes, [nchw("out", 3, TensorProto.STRING)])
+
+
+def a_sequence() -> onnx.ModelProto:
+    out = onnx.helper.make_tensor_sequence_value_info("out", TensorProto.FLOAT, None)
+    nodes = [onnx.helper.make_node("SequenceConstruct", list(PAIR), ["out"])]
+    return model(nodes, [nchw(name, 3) for name in PAIR], [out])
+
+
+def a_number() -> onnx.ModelProto:
+    nodes = [
+        onnx.helper.make_node("Add", list(PAIR), ["sum"]),
+        onnx.helper.make_node("ReduceMax", ["sum"], ["out"], keepdims=0),
+    ]
+    return model(nodes, [nchw(name, 3) for name in PAIR], [value("out", [])])
+
+
 MISFITS: list[tuple[onnx.ModelProto, dict[str, Any], tuple[str, ...]]] = [
     (rife(), {}, ("input 'timestep'", "does not name")),
     (untimed(), {"inputs": TIMED}, ("no input 'timestep'", "img0, img1")),
@@ -156,6 +186,10 @@ MISFITS: list[tuple[onnx.ModelProto, dict[str, Any], tuple[str, ...]]] = [
     (rife(), {"inputs": {"img0": ["first", "time"], "img1": "second", "timestep": 1}}, ("4, H",)),
     (untimed(), {"output": {"name": "out", "layout": "NHWC"}}, ("gives [1, 3, ", ", 3]")),
     (untimed(), {"output": {"name": "out", "first_channel": 1}}, ("gives [1, 3, ", "[1, 4, ")),
+    (many_axes(), {"inputs": TIMED}, ("'timestep'", "[1, 1, 1, 1]; mend the card")),
+    (texts(), {}, ("output 'out' as tensor(string)", "no picture")),
+    (a_sequence(), {}, ("output 'out' as seq(tensor(float))", "no picture")),
+    (a_number(), {}, ("gives [] for ", "says [1, 3, ")),
     (convolution(scale=2), {"inputs": TIMED}, ("fails on ", "padding in its card")),
 ]
 
@@ -190,7 +224,9 @@ class TestNetworks:
         path = put(tmp_path / "net.onnx", untimed(), {"inputs": TIMED})
         options = {"save_as_external_data": True, "location": "w.bin", "size_threshold": 0}
         onnx.save(convolution(), str(path), **options)
-        with pytest.raises(LayoutError, match="keeps weights in other files"):
+        load_interpolator(path, 1, "cpu")
+        (tmp_path / "w.bin").rename(tmp_path / "x.bin")
+        with pytest.raises(InputError, match=r"net\.onnx keeps weights in .*w\.bin"):
             load_interpolator(path, 1, "cpu")
 
     def test_no_model(self, tmp_path):

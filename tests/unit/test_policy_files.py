@@ -153,6 +153,15 @@ class TestRefused:
         with pytest.raises(archives.ArchiveError, match=r"weights0\.npy is too large"):
             archives.unpack(saved.read_bytes())
 
+    def test_a_little_more_and_more(self, saved, monkeypatch):
+        """Arrays of which each alone is small enough."""
+        monkeypatch.setattr(archives, "MOST_OF_ALL", 1 << 20)
+        bomb = {f"x{k}": np.zeros((1 << 18) - 1000, np.int8) for k in range(4)}
+        assert len(archives.unpack(archives.pack(bomb, compressed=True))) == 4
+        saved.write_bytes(archives.pack(bomb | {"y": np.zeros(500)}, compressed=True))
+        with pytest.raises(archives.ArchiveError, match="it is too large"):
+            archives.unpack(saved.read_bytes())
+
     def test_a_header_that_claims_the_world(self, saved):
         huge = io.BytesIO()
         np.lib.format.write_array_header_1_0(

@@ -17,6 +17,7 @@ from PIL import ImageCms
 from exwarp_cli.domain.curves import FILM, LINEAR, SRGB
 from exwarp_cli.domain.frame import Image, Window
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, OutputError, UsageError
+from exwarp_cli.io.exr import ExrReader
 from exwarp_cli.io.still_seal import seal_still, still_facts
 from exwarp_cli.io.stills import (
     SEALED,
@@ -26,6 +27,7 @@ from exwarp_cli.io.stills import (
     still_size,
     write_still,
 )
+from tests.unit.exr_files import rgba, write_single
 
 DATE = "2024:05:06 07:08:09"
 FACTS = {"recipe": "ab" * 32, "kind": "generated", "sources": "1,2", "holeFraction": 0.25}
@@ -270,6 +272,30 @@ class TestBadFiles:
         data = path.read_bytes()
         path.write_bytes(data[: int(share * len(data))])
         with pytest.raises(DamagedFileError, match=r"cannot read the image .*; write it again"):
+            read_still(path)
+
+    @pytest.mark.parametrize("kind", ["png", "jpg", "tif", "dpx", "bmp", "gif"])
+    def test_a_library_that_guesses_by_content_says_nothing_itself(self, tmp_path, capfd, kind):
+        data = write(tmp_path / f"a.{kind}", noise(3, "uint8")).read_bytes()
+        for suffix in ("exr", "jpg", "dpx"):
+            for size in (len(data), len(data) // 2):
+                path = tmp_path / f"b.{suffix}"
+                path.write_bytes(data[:size])
+                try:
+                    if suffix == "exr":
+                        ExrReader(path)
+                    else:
+                        read_still(path)
+                except DamagedFileError as error:
+                    assert str(path) in str(error)
+                else:
+                    assert suffix != "exr" and (size == len(data) or kind == "bmp")
+        assert capfd.readouterr() == ("", "")
+
+    def test_openexr_by_another_name_is_no_still(self, tmp_path):
+        frame = write_single(tmp_path / "a.exr", rgba(3, 4))
+        path = frame.rename(tmp_path / "a.png")
+        with pytest.raises(InputError, match=r"a\.png is an OpenEXR file.*name it \.exr"):
             read_still(path)
 
     def test_too_many_channels(self, tmp_path):

@@ -64,6 +64,30 @@ def filled_warp(gain: float = 1.0, **metadata: str) -> onnx.ModelProto:
     return model(nodes, inputs(["warped", "mask"]), weights=weights, metadata=stated)
 
 
+def endless() -> onnx.ModelProto:
+    """Give the filled warp back, after a loop of 2^62 rounds."""
+    flags = {"i": TensorProto.INT64, "on": TensorProto.BOOL, "still": TensorProto.BOOL}
+    scalar = {name: helper.make_tensor_value_info(name, kind, []) for name, kind in flags.items()}
+    open_ = {name: helper.make_tensor_value_info(name, TensorProto.FLOAT, None) for name in "vw"}
+    body = helper.make_graph(
+        [
+            helper.make_node("Identity", ["on"], ["still"]),
+            helper.make_node("Identity", ["v"], ["w"]),
+        ],
+        "round",
+        [scalar["i"], scalar["on"], open_["v"]],
+        [scalar["still"], open_["w"]],
+    )
+    made = filled_warp()
+    made.graph.node[-1].output[0] = "once"
+    rounds = {"rounds": np.array(1 << 62, np.int64), "begin": np.array(True)}
+    made.graph.initializer.extend(numpy_helper.from_array(a, name) for name, a in rounds.items())
+    made.graph.node.append(
+        helper.make_node("Loop", ["rounds", "begin", "once"], [OUTPUT], body=body)
+    )
+    return made
+
+
 def blur(side: int = 9) -> onnx.ModelProto:
     """Blur the filled warp by a box, which spreads colour over what is empty beside it."""
     weights = {
