@@ -32,7 +32,7 @@ from exwarp_cli.errors import (
     system_error,
 )
 from exwarp_cli.io.standard_streams import prepare_streams
-from exwarp_cli.io.supervision import HANDED_ON, LIMIT_VARIABLE, End, limit, part
+from exwarp_cli.io.supervision import HANDED_ON, End, part
 
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
@@ -67,6 +67,7 @@ left out, 130 interrupted, 143 terminated, 1 a defect of ExWarp.
 """.replace("USERS_FILE", f"{click.get_app_dir('exwarp')}/exwarp.toml")
 
 DEFECT = 1
+AGAIN = "render, export or copy that file again"
 TERMINATED = 128 + signal.SIGTERM
 
 
@@ -151,7 +152,7 @@ def main() -> NoReturn:
         warnings.simplefilter("ignore")
     args = sys.argv[1:]
     # What prints help and completions reads no files.
-    end = part() if args and args[0] in COMMANDS and not {"-h", "--help"} & set(args) else None
+    end = part(_say) if _command_in(args) and not {"-h", "--help"} & set(args) else None
     code = run(args) if end is None else _told(end, args)
     try:
         sys.stdout.flush()
@@ -162,34 +163,30 @@ def main() -> NoReturn:
 
 def _told(end: End, args: list[str]) -> int:
     """Say how the process that worked ended, where it could not; return the exit code."""
-    if end.code is not None:
+    if end.code >= 0:
         return end.code
-    if end.signal in HANDED_ON:
-        signal.signal(end.signal, signal.SIG_DFL)
-        os.kill(os.getpid(), end.signal)
-    after, files = _afterwards(args), " or ".join(str(path) for path in end.reading)
+    ended_by = signal.Signals(-end.code)
+    if ended_by in HANDED_ON:
+        signal.signal(ended_by, signal.SIG_DFL)
+        os.kill(os.getpid(), ended_by)
+    after = _afterwards(args)
     if end.overdue:
         return _fail(
-            f"reading {files} took longer than {LIMIT_VARIABLE} allows ({limit():g} s), so it was "
-            f"ended; render or copy that file again, or allow more; {after}",
+            f"{end.reason}, so it was ended; {AGAIN}, or allow more; {after}",
             DamagedFileError.exit_code,
         )
-    if end.signal == signal.SIGKILL:
+    if ended_by == signal.SIGKILL:
+        while_reading = f" while it read {end.named}" if end.reading else ""
         return _fail(
-            "the process that worked was killed, as systems do that run out of memory; close other "
-            f"programs, or use fewer threads; {after}",
+            f"the process that worked was killed{while_reading}, as systems do that run out of "
+            f"memory; close other programs, or use fewer threads; {after}",
             OutOfMemoryError.exit_code,
         )
-    name = signal.Signals(end.signal).name
     if end.reading:
-        return _fail(
-            f"a library crashed ({name}) while it read {files}; render or copy that file again; "
-            f"{after}",
-            DamagedFileError.exit_code,
-        )
+        return _fail(f"{end.reason}; {AGAIN}; {after}", DamagedFileError.exit_code)
     return _fail(
-        f"a library crashed ({name}); this is a defect of ExWarp or of what it uses, please report "
-        f"it; {after}",
+        f"a library crashed ({ended_by.name}); this is a defect of ExWarp or of what it uses, "
+        f"please report it; {after}",
         DEFECT,
     )
 
@@ -201,34 +198,35 @@ def run(args: list[str]) -> int:
         with _terminable():
             result = exwarp.main(args, prog_name="exwarp", standalone_mode=False, obj=origins)
         return result if isinstance(result, int) else 0
-    except ExwarpError as error:
-        if _is_interrupted(error):
-            return _fail(f"interrupted; {_afterwards(args)}", INTERRUPTED)
-        return _fail(_traced(str(error), origins), error.exit_code)
-    except click.ClickException as error:
-        return _fail(_with_hint(error, origins), error.exit_code)
-    except (click.Abort, KeyboardInterrupt):
-        return _fail(f"interrupted; {_afterwards(args)}", INTERRUPTED)
-    except Terminated:
+    except (Exception, KeyboardInterrupt, Terminated) as error:
+        return _failed(error, args, origins)
+
+
+def _failed(error: BaseException, args: list[str], origins: Mapping[str, str]) -> int:
+    """Say what ended a command; return the exit code."""
+    stopped = _stop_behind(error)
+    if isinstance(stopped, Terminated):
         return _fail(f"terminated; {_afterwards(args)}", TERMINATED)
-    except MemoryError:
+    if stopped is not None:
+        return _fail(f"interrupted; {_afterwards(args)}", INTERRUPTED)
+    if isinstance(error, click.ClickException):
+        return _fail(_with_hint(error, origins), error.exit_code)
+    if isinstance(error, MemoryError):
         return _fail(
             "the memory does not suffice; close other programs, or use fewer threads",
             OutOfMemoryError.exit_code,
         )
-    except OSError as error:
-        known = system_error(error)
-        if known is None:
-            return _defect(error)
+    known = system_error(error) if isinstance(error, OSError) else error
+    if isinstance(known, ExwarpError):
         return _fail(_traced(str(known), origins), known.exit_code)
-    except Exception as error:
-        return _defect(error)
+    return _defect(error)
 
 
-def _is_interrupted(error: BaseException) -> bool:
-    """Whether an interruption is behind an error: libraries make their own of it as they start."""
-    cause = error.__cause__
-    return isinstance(cause, KeyboardInterrupt) or (cause is not None and _is_interrupted(cause))
+def _stop_behind(error: BaseException | None) -> BaseException | None:
+    """Return the interruption behind an error: libraries make their own of it as they start."""
+    while not isinstance(error, KeyboardInterrupt | Terminated | click.Abort | None):
+        error = error.__cause__
+    return error
 
 
 def _debugs() -> bool:
@@ -236,7 +234,7 @@ def _debugs() -> bool:
     return os.environ.get("EXWARP_DEBUG", "0") not in ("", "0")
 
 
-def _defect(error: Exception) -> int:
+def _defect(error: BaseException) -> int:
     return _fail(
         f"unexpected {type(error).__name__}: {error}; this is a defect of ExWarp, please report it "
         "with the details that EXWARP_DEBUG=1 in the environment shows",
@@ -250,17 +248,26 @@ def _afterwards(args: list[str]) -> str:
         "upsample": "frames written so far are whole, and --skip-existing goes on from there",
         "bench": "what was measured so far is kept, and the same command goes on from there",
     }.get(
-        next((word for word in args if word in COMMANDS), ""),
+        _command_in(args),
         "what was written so far is whole; run the command again",
     )
+
+
+def _command_in(args: list[str]) -> str:
+    """Return the command that a command line names, "" where it names none."""
+    return next((word for word in args if word in COMMANDS), "")
 
 
 def _fail(sentence: str, code: int) -> int:
     if _debugs():
         traceback.print_exc()
     if sentence:
-        click.echo(f"exwarp: error: {one_line(sentence)}", err=True)
+        _say(f"error: {sentence}")
     return code
+
+
+def _say(sentence: str) -> None:
+    click.echo(f"exwarp: {one_line(sentence)}", err=True)
 
 
 def _with_hint(error: click.ClickException, origins: Mapping[str, str]) -> str:

@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from exwarp_cli.commands.json_option import json_option, print_json
+from exwarp_cli.commands.printing import show
 from exwarp_cli.commands.progress_option import progress_option
 from exwarp_cli.commands.upsample import FrameRate
 from exwarp_cli.domain.bench import SETTINGS, SYSTEMS, BenchSettings
@@ -96,4 +97,4 @@ def command(
         print_json(written)
         return
     for line in what_is_where(settings.output):
-        click.echo(line)
+        show(line)

@@ -10,6 +10,7 @@ import click
 
 from exwarp_cli.commands.json_option import json_option, print_json
 from exwarp_cli.commands.metrics_option import metrics_option
+from exwarp_cli.commands.printing import show
 from exwarp_cli.commands.progress_option import HELP, progress_option
 from exwarp_cli.commands.source_options import max_pixels_option
 from exwarp_cli.domain.bounds import allow
@@ -132,9 +133,9 @@ def _print(result: Comparison) -> None:
         known = ((metric, values[metric.field]) for metric in shown)
         cells = ("-" if value is None else metric.text(value) for metric, value in known)
         table.add_row(name, *cells, str(values["frames"]))
-    click.echo(f"reference {result.reference.pattern}")
-    click.echo(f"test      {result.test.pattern}")
+    show(f"reference {result.reference.pattern}")
+    show(f"test      {result.test.pattern}")
     click.echo(f"{counted(len(result.frames), 'frame')}, matched by {result.matched_by}")
     for note in result.notes:
-        click.echo(note)
+        show(note)
     Console().print(table)

@@ -12,6 +12,7 @@ import click
 from exwarp_cli.commands import upsample
 from exwarp_cli.commands.group import HelpfulGroup
 from exwarp_cli.commands.json_option import json_option, print_json
+from exwarp_cli.commands.printing import show
 from exwarp_cli.domain.metric import METRICS
 from exwarp_cli.farm.chunks import DEFAULT_SIZE
 
@@ -137,7 +138,8 @@ def openjd(
     elif bundle is None:
         click.echo(yaml_text(template.document).encode(), nl=False)  # UTF-8 wherever it goes
     else:
-        click.echo(f"job bundle in {bundle}: deadline bundle submit {shlex.quote(str(bundle))}")
+        told = f"job bundle in {bundle}: deadline bundle submit {shlex.quote(str(bundle))}"
+        show(told)
 
 
 @command.command("commands", params=_shared())
@@ -155,10 +157,12 @@ def commands(chunk_size: int, program: str, as_json: bool, **options: Any) -> No
     if as_json:
         print_json(_document(lines))
         return
-    for line in [shell_line(words) for _, words in lines.chunks]:
+    chunks = [shell_line(words) for _, words in lines.chunks]
+    afterwards = [shell_line(words) for words in lines.afterwards]
+    for line in chunks:
         click.echo(line)
-    for words in lines.afterwards:
-        _say(f"when all are done: {shell_line(words)}")
+    for line in afterwards:
+        _say(f"when all are done: {line}")
 
 
 def _open(options: Mapping[str, Any], chunk_size: int, title: str | None) -> FarmJob:
@@ -232,4 +236,4 @@ def _tell(template: JobTemplate, job: FarmJob, bundle: Path | None) -> None:
 
 
 def _say(text: str) -> None:
-    click.echo(f"exwarp: {text}", err=True)
+    show(f"exwarp: {text}", err=True)

@@ -9,9 +9,12 @@ import click
 
 from exwarp_cli.commands.json_option import json_option, print_json
 from exwarp_cli.commands.source_options import source_options
+from exwarp_cli.domain.line import printable
 from exwarp_cli.domain.wording import counted
 
 if TYPE_CHECKING:
+    from rich.text import Text
+
     from exwarp_cli.pipeline.inspect import Inspection
 
 
@@ -70,7 +73,6 @@ def command(
 def _print(found: Inspection) -> None:
     from rich import box
     from rich.console import Console
-    from rich.markup import escape
     from rich.table import Table
 
     from exwarp_cli.io.channels import Role
@@ -78,21 +80,22 @@ def _print(found: Inspection) -> None:
 
     console = Console(highlight=False, soft_wrap=True)
     data = found.as_dict()
+    console.print(_text(data["pattern"]))
     console.print(
-        escape(
-            f"{data['pattern']}\n{data['count']} frames ({data['frames']}), {data['width']}x"
+        _text(
+            f"{data['count']} frames ({data['frames']}), {data['width']}x"
             f"{data['height']}, {data['fps']['base']:g} fps ({data['fps']['source']})"
             + (f", written by {data['producer']}" if data["pictures"] is None else "")
         )
     )
     for line in _structure(data):
-        console.print(escape(line))
+        console.print(_text(line))
     if data["pictures"] is not None:
         return
     table = Table("role", "channels", "type", box=box.SIMPLE)
     for role, names in data["roles"].items():
         kinds = sorted({found.types.get(name, "") for name in names})
-        table.add_row(role, escape(", ".join(names)), ", ".join(kinds))
+        table.add_row(role, _text(", ".join(names)), ", ".join(kinds))
     console.print(table)
     missing = missing_roles(found.shot.layout)
     if missing:
@@ -100,13 +103,20 @@ def _print(found: Inspection) -> None:
         named = (
             f"{role.value} ({halves[role]})" if role in halves else role.value for role in missing
         )
-        console.print(escape(f"not found: {', '.join(named)}"))
+        console.print(_text(f"not found: {', '.join(named)}"))
     motion = data["motion"]
     if motion is None and Role.MOTION not in found.shot.layout.incomplete:
         console.print(_ESTIMATED)
     if motion is not None:
         state = motion["source"] or "unsettled"
-        console.print(escape(f"motion {state}: {motion['evidence'] or motion['problem']}"))
+        console.print(_text(f"motion {state}: {motion['evidence'] or motion['problem']}"))
+
+
+def _text(text: str) -> Text:
+    """Return text that neither a terminal nor rich takes for more than text."""
+    from rich.text import Text
+
+    return Text(printable(text))
 
 
 _ESTIMATED = (

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from exwarp_cli.commands.json_option import json_option, print_json
+from exwarp_cli.commands.printing import show
 from exwarp_cli.commands.progress_option import progress_option
 from exwarp_cli.commands.summary_lines import summary_lines
 from exwarp_cli.domain.wording import counted
@@ -65,18 +66,18 @@ def _print(merged: Merged, output: Path) -> None:
     document = merged.document
     if document["frames"]["written"]:
         for line in summary_lines(document):
-            click.echo(line)
+            show(line)
     joined = counted(merged.reports, "report")
     click.echo(f"{joined} joined, {time_text(document['wall_s'])} of work")
     if merged.missing is not None:
         click.echo(f"key frames of the sequence that are in no report: {merged.missing}")
     if merged.superseded:
         named = _named(merged.superseded)
-        click.echo(f"older reports, of key frames that newer ones tell of: {named}")
+        show(f"older reports, of key frames that newer ones tell of: {named}")
     if merged.unseen:
         named = _named(merged.unseen)
-        click.echo(f"without pictures, as report.html is not there or cannot be read: {named}")
-    click.echo(f"report in {output}")
+        show(f"without pictures, as report.html is not there or cannot be read: {named}")
+    show(f"report in {output}")
 
 
 def _named(folders: Sequence[Path]) -> str:

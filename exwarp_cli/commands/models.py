@@ -8,6 +8,7 @@ import click
 
 from exwarp_cli.commands.group import HelpfulGroup
 from exwarp_cli.commands.json_option import json_option, print_json
+from exwarp_cli.commands.printing import show
 
 FILE = click.Path(path_type=Path)
 
@@ -41,7 +42,7 @@ def import_extranet(checkpoint: Path, model: Path, overwrite: bool, as_json: boo
     if as_json:
         print_json({"schema": SCHEMA, "kind": "extrapolator", "model": str(model)})
     else:
-        click.echo(f"{model}: give it to exwarp upsample --extrapolator")
+        show(f"{model}: give it to exwarp upsample --extrapolator")
 
 
 @command.command("interpolator-card", short_help="Write the card of an interpolation network.")
@@ -67,4 +68,5 @@ def interpolator_card(model: Path, shape: str, overwrite: bool, as_json: bool) -
         about = {"schema": SCHEMA, "kind": "interpolator", "model": str(model), "card": str(card)}
         print_json(about)
     else:
-        click.echo(f"{card}: look it over, then give {model} to exwarp upsample --interpolator")
+        told = f"{card}: look it over, then give {model} to exwarp upsample --interpolator"
+        show(told)

@@ -8,6 +8,7 @@ import click
 
 from exwarp_cli.commands.group import HelpfulGroup
 from exwarp_cli.commands.json_option import json_option, print_json
+from exwarp_cli.commands.printing import show
 
 MOST = 4096
 """Cores, or MAC units of a core: a slip of the pen must not fill the memory."""
@@ -118,4 +119,5 @@ def export(
             }
         )
     else:
-        click.echo(f"{folder}: {len(files)} files, {vectors} test vectors; see README.txt")
+        told = f"{folder}: {len(files)} files, {vectors} test vectors; see README.txt"
+        show(told)

@@ -49,6 +49,10 @@ def summary_lines(
         from exwarp_cli.report.page_parts import left_out_line
 
         lines.append(left_out_line(document["left_out"]))
+    if document["nonfinite"]:
+        from exwarp_cli.report.page_parts import nonfinite_line
+
+        lines.append(nonfinite_line(document["nonfinite"]))
     if document["verified"] is not None:
         lines.append(f"{counted(document['verified'], 'file')} read back, all as written")
     if document["render_time"] is not None:

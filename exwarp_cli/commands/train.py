@@ -9,6 +9,7 @@ import click
 
 from exwarp_cli.commands.group import HelpfulGroup
 from exwarp_cli.commands.json_option import json_option, print_json
+from exwarp_cli.commands.printing import show
 from exwarp_cli.commands.threads_option import threads_option
 from exwarp_cli.domain.line import one_line
 from exwarp_cli.training.settings import PolicySettings, TrainingSettings, require_sane_policy
@@ -80,7 +81,7 @@ def extrapolator(
     if as_json:
         print_json(_result("extrapolator", output, model, last_row(output / CURVE)))
     else:
-        click.echo(f"{model}: give it to exwarp upsample --extrapolator")
+        show(f"{model}: give it to exwarp upsample --extrapolator")
 
 
 @command.command("policy", context_settings={"show_default": True})
@@ -131,7 +132,8 @@ def policy(
     if as_json:
         print_json(_result("policy", output, output / SHIPPED_POLICY, scores))
     else:
-        click.echo(card(scores))
+        for line in card(scores).split("\n"):
+            show(line)
 
 
 def _result(kind: str, folder: Path, model: Path, scores: dict[str, Any]) -> dict[str, Any]:

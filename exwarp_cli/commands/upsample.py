@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import fields, replace
 from fractions import Fraction
 from importlib import import_module
@@ -15,10 +15,12 @@ import click
 
 from exwarp_cli.commands.json_option import json_option, print_json
 from exwarp_cli.commands.metrics_option import metrics_option
+from exwarp_cli.commands.printing import show
 from exwarp_cli.commands.progress_option import progress_option
 from exwarp_cli.commands.source_options import source_options
 from exwarp_cli.commands.spread_options import spread_options
 from exwarp_cli.commands.threads_option import threads_option
+from exwarp_cli.domain.being_read import begun_again, go_on_without
 from exwarp_cli.domain.settings import (
     DEVICES,
     ClusterSettings,
@@ -26,7 +28,7 @@ from exwarp_cli.domain.settings import (
     UpsampleSettings,
 )
 from exwarp_cli.domain.timeline import MOST
-from exwarp_cli.errors import UsageError
+from exwarp_cli.errors import IncompleteError, UsageError
 
 if TYPE_CHECKING:
     from exwarp_cli.domain.results import RunSummary
@@ -157,7 +159,8 @@ class FrameRate(click.ParamType[Fraction]):
 @click.option(
     "--keep-going",
     is_flag=True,
-    help="Leave out key intervals whose files are damaged or missing, and exit with 12.",
+    help="Leave out key intervals whose files are damaged or missing, and exit with 12, or with 0 "
+    "under --progress openjd.",
 )
 @click.option("--skip-existing", is_flag=True, help="Keep good frames of an earlier run.")
 @click.option("--overwrite", is_flag=True, help="Replace frames that exist.")
@@ -194,11 +197,15 @@ def command(
     from exwarp_cli.pipeline.progress import reporting
 
     settings = settings_of(options)
+    if settings.source.keep_going:
+        go_on_without()
+    if begun_again():  # what is there was written before
+        settings = replace(settings, skip_existing=True, overwrite=False)
     where = ClusterSettings(workers, cluster, chunk_size)
     runs = not (dry_run or where.spread)
     if runs and settings.threads != 1:
         Thread(target=_import_run, name="exwarp-import").start()
-    with reporting(progress, results_on_stdout=as_json) as told:
+    with _going_on(progress), reporting(progress, results_on_stdout=as_json) as told:
         job = replace(open_job(settings, runs), reported=as_json or report_folder is not None)
         place = _report_place(report_folder, as_chunk, job)
         if dry_run:
@@ -207,6 +214,20 @@ def command(
         summary = _run(job, where, place, told)
         _print(summary, settings, place, as_json)
         _require_complete(summary)
+
+
+@contextmanager
+def _going_on(progress: str) -> Iterator[None]:
+    """Let a task of a farm succeed that left out what it was told to leave out.
+
+    Engines of Open Job Description know success and failure alone. One that fails they try again,
+    and the steps after it, which join the reports and make the video, never begin.
+    """
+    try:
+        yield
+    except IncompleteError:
+        if progress != "openjd":
+            raise
 
 
 def settings_of(options: Mapping[str, Any]) -> UpsampleSettings:
@@ -300,7 +321,7 @@ def _tell(found: DryRun, as_json: bool) -> None:
         print_json(dry_run_document(found))
         return
     for line in dry_run_lines(found):
-        click.echo(line)
+        show(line)
 
 
 def _print(
@@ -320,9 +341,10 @@ def _print(
             return
         kept = f"{settings.output} is there already, as this run would write it"
         # A video without frames is an error, so it was kept.
-        click.echo(kept if is_clip(settings.output) else f"no frame falls to {settings.output}")
+        told = kept if is_clip(settings.output) else f"no frame falls to {settings.output}"
+        show(told)
         return
     for line in summary_lines(document, settings.output, settings.ground_truth is not None):
-        click.echo(line)
+        show(line)
     if place is not None:
-        click.echo(f"report in {place}")
+        show(f"report in {place}")

@@ -1,7 +1,7 @@
 """Which files libraries are reading now, told to whoever watches this process from outside.
 
 A decoder may crash on a damaged file, or never come back; then this process cannot say any more
-which file it was.
+which file it was. Where it wants to go on without that file, another process takes its place.
 """
 
 from __future__ import annotations
@@ -9,11 +9,14 @@ from __future__ import annotations
 import mmap
 import os
 import struct
+import threading
 from collections import deque
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from itertools import count
 from pathlib import Path
+
+from exwarp_cli.errors import DamagedFileError
 
 PLACES = 64
 """Files that can be told of at a time; those beyond are read without."""
@@ -29,12 +32,54 @@ class Board:
     """Memory that this process and the one that watches it share.
 
     Made before the process is parted in two; the one that reads files calls `hang_up`.
+
+    Attributes
+    ----------
+    refused
+        Files that are not read any more, with what is said of them.
+    singly
+        Whether files are read one after the other, so that it is known which one is bad.
     """
 
     def __init__(self) -> None:
-        self._memory = mmap.mmap(-1, PLACES * ROOM)
+        self._memory = mmap.mmap(-1, PLACES * ROOM + 1)  # the last byte: whether it goes on
         self._free = deque(range(PLACES))
         self._numbers = count(1)
+        self._one = threading.RLock()
+        self.refused: dict[Path, str] = {}
+        self.singly = False
+
+    @property
+    def goes_on(self) -> bool:
+        """Whether the process that reads wants to go on without files that are bad."""
+        return self._memory[-1] == 1
+
+    @goes_on.setter
+    def goes_on(self, wanted: bool) -> None:
+        self._memory[-1] = int(wanted)
+
+    @property
+    def is_used(self) -> bool:
+        """Whether a process before this one failed at a file."""
+        return self.singly or bool(self.refused)
+
+    def clear(self) -> None:
+        """Forget what was being read; who read it is gone."""
+        self._memory[: PLACES * ROOM] = bytes(PLACES * ROOM)
+
+    @contextmanager
+    def read(self, path: Path) -> Iterator[None]:
+        """Tell of a file while the block reads it, as `note` does.
+
+        Raises
+        ------
+        DamagedFileError
+            When it is not read any more.
+        """
+        if path in self.refused:
+            raise DamagedFileError(self.refused[path])
+        with self._one if self.singly else nullcontext(), self.note(path):
+            yield
 
     @contextmanager
     def note(self, path: Path) -> Iterator[None]:
@@ -76,11 +121,25 @@ def hang_up(board: Board) -> None:
     _board = board
 
 
+def go_on_without() -> None:
+    """Have another process take this one's place where a library fails at a file."""
+    if _board is not None:
+        _board.goes_on = True
+
+
+def begun_again() -> bool:
+    """Whether this process took the place of one that failed at a file."""
+    return _board is not None and _board.is_used
+
+
 @contextmanager
 def being_read(path: Path) -> Iterator[None]:
-    """Tell of a file while a library that may fail on it reads it in the block."""
-    if _board is None:
-        yield
-        return
-    with _board.note(path):
+    """Tell of a file while a library that may fail on it reads it in the block.
+
+    Raises
+    ------
+    DamagedFileError
+        When a library failed at it before.
+    """
+    with nullcontext() if _board is None else _board.read(path):
         yield

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from exwarp_cli.errors import LayoutError
+
+if TYPE_CHECKING:
+    from exwarp_cli.domain.frame import Window
 
 MOST_PIXELS = 2**28
 """Pixels of a frame that are read unless more is allowed: 16384x16384."""
@@ -18,7 +22,7 @@ def allow(pixels: int) -> None:
     _most = pixels
 
 
-def require_size(path: Path, width: int, height: int) -> None:
+def require_size(path: Path, height: int, width: int) -> None:
     """Refuse a frame that says it is larger than allowed.
 
     Raises
@@ -26,14 +30,14 @@ def require_size(path: Path, width: int, height: int) -> None:
     LayoutError
         When it does.
     """
-    if width * height > _most:
+    if height * width > _most:
         raise LayoutError(
             f"{path} says that it is {width}x{height} pixels, more than --max-pixels {_most}; "
             "render or copy it again if it is not, or allow more"
         )
 
 
-def require_canvas(what: object, width: int, height: int) -> None:
+def require_canvas(what: object, canvas: Window) -> None:
     """Refuse windows that lie so far apart that no frame may be as large as what holds them all.
 
     Raises
@@ -41,8 +45,8 @@ def require_canvas(what: object, width: int, height: int) -> None:
     LayoutError
         When they do.
     """
-    if width * height > _most:
+    if canvas.width * canvas.height > _most:
         raise LayoutError(
-            f"the data and display windows of {what} lie in {width}x{height} pixels, more than "
-            f"--max-pixels {_most}; correct them, or allow more"
+            f"the data and display windows of {what} lie in {canvas.width}x{canvas.height} pixels, "
+            f"more than --max-pixels {_most}; correct them, or allow more"
         )

@@ -234,13 +234,16 @@ def outside(canvas: Window, window: Window) -> Bool:
     return ~place(np.ones(window.shape, np.bool_), window, canvas)
 
 
-def broken_pixels(pixels: Float32) -> Bool:
-    """bool [H, W]: pixels [H, W, C] with a NaN or infinity in any channel."""
-    with np.errstate(invalid="ignore"):
-        # Nearly always finite: the ends, in a fourteenth of the time that looking at each pixel
-        # takes, or the sum, which is faster where pixels lie apart.
+def broken_pixels(pixels: npt.NDArray[np.floating[Any]]) -> Bool:
+    """bool [H, W]: pixels [H, W, C] with a NaN or infinity in any channel, float32 or float16."""
+    if pixels.dtype == np.float16:  # whose comparisons take ten times as long as those of its bits
+        bits = pixels.view(np.uint16) & np.uint16(0x7FFF)
+        return np.asarray((bits >= np.uint16(0x7C00)).any(axis=-1))
+    with np.errstate(invalid="ignore", over="ignore"):
+        # Nearly always finite: the sum of squares, in a thirtieth of the time that looking at each
+        # pixel takes, or the sum, which is faster where pixels lie apart. Both may overflow.
         if pixels.flags.c_contiguous:
-            found = pixels.max(initial=0) - pixels.min(initial=0).astype(np.float64)
+            found = np.vdot(pixels, pixels)
         else:
             found = pixels.sum(dtype=np.float64)
     if np.isfinite(found):

@@ -131,6 +131,7 @@ def join(runs: Sequence[RunSummary], names: Sequence[str] = ()) -> RunSummary:
         ),
         files=_files(parts),
         verified=_verified(parts),
+        nonfinite=tuple(one for part in parts for one in part.run.nonfinite),
     )
 
 
@@ -155,6 +156,7 @@ def part_of(run: RunSummary, keys: Collection[int]) -> RunSummary:
         left_out=tuple(one for one in run.left_out if one.key in keys),
         files=files,
         verified=None if run.verified is None else len(files),
+        nonfinite=tuple(one for one in run.nonfinite if one.key in keys),
     )
 
 

@@ -12,6 +12,9 @@ Description reads lines in pieces of 64,000, of which a later one could pass for
 _BREAK = re.compile(r"\s*[\t-\r\x1c-\x1f\x85\u2028\u2029]\s*")
 """Whatever some reader takes for the end of a line, with the space around it."""
 
+_MISLEADING = re.compile(r"[\0-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069]")
+"""Control characters, ends of lines and paragraphs, and what overrides or embeds a direction."""
+
 
 def one_line(text: str) -> str:
     """Return text as one line of printable characters.
@@ -33,6 +36,25 @@ def one_line(text: str) -> str:
         half = LONGEST // 2 - 2
         line = f"{line[:half]} … {line[-half:]}"
     return line
+
+
+def printable(text: str) -> str:
+    """Return text of which a terminal shows all and obeys nothing.
+
+    Line ends, control characters and what turns the direction of others are spelled out, all else
+    is as it was, so that names can be copied.
+
+    Examples
+    --------
+    >>> printable("a\\nb")
+    'a\\\\nb'
+    """
+    return _MISLEADING.sub(lambda found: _spelled(found[0]), text)
+
+
+def misleads(text: str) -> bool:
+    """Whether text holds what `printable` spells out; a command with it is not what is seen."""
+    return _MISLEADING.search(text) is not None
 
 
 def _spelled(character: str) -> str:

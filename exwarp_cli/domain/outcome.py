@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from exwarp_cli.domain.cuts import Cut
 from exwarp_cli.domain.joining import join_cuts
-from exwarp_cli.domain.results import FrameRecord, LeftOut, WrittenFile
+from exwarp_cli.domain.results import BrokenPixels, FrameRecord, LeftOut, WrittenFile
 
 
 @dataclass(frozen=True)
@@ -19,6 +19,7 @@ class Outcome:
     left_out: tuple[LeftOut, ...] = ()
     files: tuple[WrittenFile, ...] = ()
     verified: int | None = None
+    nonfinite: tuple[BrokenPixels, ...] = ()
 
     @property
     def shown(self) -> int:
@@ -35,4 +36,5 @@ class Outcome:
             tuple(one for part in parts for one in part.left_out),
             tuple(file for part in parts for file in part.files),
             sum(counts) if counts else None,
+            tuple(one for part in parts for one in part.nonfinite),
         )

@@ -130,7 +130,7 @@ class FrameRecord:
 
 @dataclass(frozen=True)
 class LeftOut:
-    """A key interval that was left out, as its input cannot be used.
+    """What was left out of a key interval, as its input or its ground truth cannot be used.
 
     Attributes
     ----------
@@ -139,12 +139,42 @@ class LeftOut:
     frames
         Numbers of the output frames that are missing for it, ascending.
     reason
-        What is wrong with the input, in a sentence.
+        What is wrong, in a sentence.
+    scores
+        Numbers of the frames whose ground truth it is that cannot be used, ascending; they are made
+        all the same.
     """
 
     key: int
     frames: tuple[int, ...]
     reason: str
+    scores: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class BrokenPixels:
+    """Pixels of the input that are NaN or infinite. Nothing is made of them.
+
+    Attributes
+    ----------
+    key
+        Input number of the selected key frame, or of the one before a slot with G-buffers.
+    slot
+        0 for the key frame itself, else 1 or more.
+    view
+        That has them; "" where there are none.
+    channels
+        What they are in: "colour", "motion", "depth" and the like, or the name of a layer.
+    pixels
+        How many have a value that is not finite; in a depth only NaN counts, as infinity is how
+        renderers write the background.
+    """
+
+    key: int
+    slot: int
+    view: str
+    channels: str
+    pixels: int
 
 
 @dataclass(frozen=True)
@@ -330,6 +360,8 @@ class RunSummary:
         What was written, with checksums; () where nobody asked.
     verified
         How many files were read back and found as they were made; None where that was not asked.
+    nonfinite
+        What is not finite in the frames that were read, ascending.
     """
 
     method: str
@@ -353,6 +385,7 @@ class RunSummary:
     left_out: tuple[LeftOut, ...] = ()
     files: tuple[WrittenFile, ...] = ()
     verified: int | None = None
+    nonfinite: tuple[BrokenPixels, ...] = ()
 
     @property
     def selected(self) -> tuple[int, ...]:

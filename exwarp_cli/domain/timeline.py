@@ -210,6 +210,9 @@ def listed(text: str) -> list[Any]:
     """
     if re.search(r"\d\s+\d", text):
         raise ValueError(f"no comma between two numbers of {text!r}")  # one would be made of both
+    plain = re.fullmatch(r"\s*(\d{1,5})\s*(?:-\s*(\d{1,5})\s*)?", text, re.ASCII)
+    if plain and int(plain[1]) <= int(plain[2] or plain[1]):  # most often, and at once
+        return list(range(int(plain[1]), int(plain[2] or plain[1]) + 1))
     from fileseq.frameset import FrameSet  # not for `exwarp --help`, nor where all is done
 
     try:

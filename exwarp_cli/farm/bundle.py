@@ -8,6 +8,7 @@ from typing import Any
 
 import yaml
 
+from exwarp_cli.domain.line import misleads
 from exwarp_cli.errors import OutputExistsError
 from exwarp_cli.farm.openjd import JobTemplate
 from exwarp_cli.io.atomic import atomic_write_text, is_there, make_folder
@@ -36,7 +37,13 @@ _Dumper.add_representer(str, _represent_text)
 
 def yaml_text(document: dict[str, Any]) -> str:
     """Write a document as YAML that every version reads alike."""
-    return yaml.dump(document, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=100)
+    text = _yaml(document, as_it_is=True)
+    # Of what no editor shows, such as marks that turn the direction of a line, escapes do.
+    return _yaml(document, as_it_is=False) if misleads(text.replace("\n", "")) else text
+
+
+def _yaml(document: dict[str, Any], as_it_is: bool) -> str:
+    return yaml.dump(document, Dumper=_Dumper, sort_keys=False, allow_unicode=as_it_is, width=100)
 
 
 def write_bundle(folder: Path, template: JobTemplate) -> None:

@@ -6,6 +6,7 @@ import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from exwarp_cli.domain.line import misleads, printable
 from exwarp_cli.errors import UsageError
 from exwarp_cli.farm.calls import Blank, FarmJob, Word
 from exwarp_cli.farm.chunks import frames_text, split
@@ -53,15 +54,14 @@ def shell_line(words: Sequence[str]) -> str:
     Raises
     ------
     UsageError
-        When a word has a line end, which would make two lines of it.
+        When a word has a line end, which would make two lines of it, or what else a terminal obeys.
     """
-    line = shlex.join(words)
-    if "\n" in line or "\r" in line:
+    if bad := [word for word in words if misleads(word)]:
         raise UsageError(
-            f"{next(word for word in words if not word.isprintable())!r} has a line end in it, and "
-            "each command is one line; rename it, or take --json"
+            f"{printable(bad[0])} has a line end or control character in it, which no line of a "
+            "shell should have; rename it, or take --json"
         )
-    return line
+    return shlex.join(words)
 
 
 def _filled(program: str, call: Sequence[Word], frames: str, everything: str) -> tuple[str, ...]:

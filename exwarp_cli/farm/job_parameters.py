@@ -74,8 +74,8 @@ class JobParameters:
         group = _GROUPS[place.purpose.flow]
         name = f"{place.name}{'File' if place.is_file else 'Folder'}"
         reference = self._path(name, place.path, place.is_file, place, place.label)
-        if place.beside is not None:
-            self._path(f"{place.name}Card", place.beside, True, place, f"{place.label}: its card")
+        for what, path in place.beside.items():
+            self._path(f"{place.name}{what}", path, True, place, f"{place.label}: {what.lower()}")
         rest = place.rest
         if place.pattern:
             pattern, name = f"{place.pattern}{place.after}", f"{place.name}Pattern"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from pathlib import Path
 
@@ -12,6 +12,7 @@ from exwarp_cli.errors import InputError
 from exwarp_cli.io.aov_files import parse_aovs
 from exwarp_cli.io.clip import is_clip
 from exwarp_cli.io.frame_names import NamePattern
+from exwarp_cli.io.model_weights import files_of
 
 
 class Flow(Enum):
@@ -69,6 +70,10 @@ PURPOSES: Mapping[str, Purpose] = {
 """By the name of the parameter in `upsample`; all others name no files."""
 
 
+NETWORKS = ("extrapolator", "interpolator")
+"""Those of them that are ONNX models."""
+
+
 @dataclass(frozen=True)
 class Place:
     """A file or folder of a job, and how an option names it.
@@ -88,7 +93,7 @@ class Place:
     before, after
         What the option's value has around the path.
     beside
-        A file that is read with this one, without being named; None without.
+        Files that are read with this one, without being named, by what a job calls them.
     """
 
     purpose: Purpose
@@ -99,7 +104,7 @@ class Place:
     pattern: str = ""
     before: str = ""
     after: str = ""
-    beside: Path | None = None
+    beside: Mapping[str, Path] = field(default_factory=dict, hash=False)
 
     @property
     def rest(self) -> str:
@@ -143,7 +148,7 @@ def locate(parameter: str, text: str) -> Place:
     if purpose.form is Form.FOLDER:
         return place
     if purpose.form is Form.FILE:
-        return replace(place, is_file=True, beside=_card(parameter, place.path))
+        return replace(place, is_file=True, beside=_beside(parameter, place.path))
     if purpose.flow is Flow.WRITTEN:
         folder, pattern = _written(text, place.path)
     elif is_clip(text) and place.path.is_file():
@@ -176,10 +181,15 @@ def _written(text: str, path: Path) -> tuple[Path, str]:
     return path.parent, path.name
 
 
-def _card(parameter: str, path: Path) -> Path | None:
-    """Return the description that is read beside a network that interpolates."""
-    card = path.with_suffix(".json")
-    return card if parameter == "interpolator" and card.is_file() else None
+def _beside(parameter: str, path: Path) -> dict[str, Path]:
+    """Return what is read beside a network: its card, and the weights that it keeps apart."""
+    found = {}
+    if parameter == "interpolator" and (card := path.with_suffix(".json")).is_file():
+        found["Card"] = card
+    if parameter in NETWORKS and path.is_file():
+        for number, file in enumerate(files_of(path), start=1):
+            found[f"Weights{number}"] = file
+    return found
 
 
 def _is_text(text: str) -> bool:

@@ -235,7 +235,8 @@ def open_clip(path: Path) -> Clip:
     except FfmpegError as error:
         raise damaged_clip(path, str(error)) from error
     seen = _Seen.parse(path, said)
-    require_size(path, *seen.size)
+    width, height = seen.size
+    require_size(path, height, width)
     sound = None
     if seen.codecs:
         sound = Soundtrack(path, seen.codecs, max(packets.time(0), Fraction(0)))

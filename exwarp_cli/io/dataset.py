@@ -181,7 +181,7 @@ def open_scene(folder: str | Path) -> RenderedScene:
         content = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError as error:
         raise InputError(f"{path} is missing; render the scene, which writes it") from error
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise DamagedFileError(
             f"{path} cannot be read ({error}); render the scene again"
         ) from error

@@ -20,6 +20,7 @@ from exwarp_cli.domain.bounds import require_canvas, require_size
 from exwarp_cli.domain.frame import Window
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, MissingFrameError
 from exwarp_cli.io.exr_decoding import ScanLines, Wanted
+from exwarp_cli.io.magic import EXR, head_of, kind_of
 
 
 @dataclass(frozen=True)
@@ -102,6 +103,9 @@ class ExrReader:
             raise MissingFrameError(f"{path} does not exist; check the path or render the frame")
         try:
             with being_read(path):
+                head = head_of(path)
+                if head is not None and not head.startswith(EXR):
+                    raise damaged(path, f"its content is {kind_of(head)}")
                 file = oiio.ImageInput.open(str(path))
         except TypeError as error:  # what the bindings make of bytes that are no text
             raise InputError(
@@ -112,9 +116,6 @@ class ExrReader:
         if file is None:
             said = _said(oiio.geterror)
             raise _subsampled(path) if "ubsampled" in said else damaged(path, said)
-        if file.format_name() != "openexr":
-            file.close()
-            raise damaged(path, f"its content is {file.format_name()}")
         self._file: oiio.ImageInput = file
         self._scan_lines: ScanLines | None = None
         self.parts = self._parts()
@@ -137,13 +138,11 @@ class ExrReader:
             specs.append(spec)
         if not specs:
             raise damaged(self.path, "it holds no image")
-        for spec in specs:
-            require_size(self.path, spec.width, spec.height)
-            require_size(self.path, spec.full_width, spec.full_height)
         parts = [_part(i, spec, len(specs) > 1) for i, spec in enumerate(specs)]
         for part in parts:
-            height, width = part.data_window.union(part.display_window).shape
-            require_canvas(self.path, width, height)
+            require_size(self.path, *part.data_window.shape)
+            require_size(self.path, *part.display_window.shape)
+            require_canvas(self.path, part.data_window.union(part.display_window))
         return _told_apart(parts)
 
     @property

@@ -21,6 +21,7 @@ from exwarp_cli.io.clip import Clip, ClipReader, is_clip, open_clip
 from exwarp_cli.io.exr import ExrReader
 from exwarp_cli.io.frame_files import FrameTemplate, read_picture
 from exwarp_cli.io.frame_names import split_name
+from exwarp_cli.io.frames import count_broken
 from exwarp_cli.io.output import file_digest
 from exwarp_cli.io.sequence import EXR, Sequence, find_sequence
 from exwarp_cli.io.shot import Shot
@@ -95,15 +96,17 @@ class ClipSequence(Sequence):
         return str(self.directory)
 
 
-def find_frames(spec: str) -> Sequence:
+def find_frames(spec: str, gaps: bool = False) -> Sequence:
     """Find a video, a sequence of stills, or one of EXR; in a folder that holds both, the EXR.
+
+    With `gaps` frames that are missing in between are listed, too.
 
     Raises
     ------
     InputError
         When there is none, or several.
     """
-    return find_plain(spec) or find_sequence(spec)
+    return find_plain(spec, gaps) or find_sequence(spec, gaps=gaps)
 
 
 def find_plain(spec: str, gaps: bool = False) -> Sequence | None:
@@ -203,17 +206,18 @@ def key_picture(shot: Shot, number: int) -> Image:
             f"{image.pixels.shape[-1]} channels, and the first frame is {shot.display.width}x"
             f"{shot.display.height} with {channels}; write all frames alike"
         )
+    shot.nonfinite.note(number, {Role.COLOUR.value: count_broken((image.pixels,))})
     return image
 
 
-def picture_size(sequence: Sequence) -> Window:
-    """Return the display window of any kind of sequence, by its first frame."""
+def picture_size(sequence: Sequence, number: int) -> Window:
+    """Return the display window of any kind of sequence, by one of its frames."""
     if isinstance(sequence, ClipSequence):
         return sequence.frames.display
-    first = next(iter(sequence.files.values()))
+    path = sequence.files[number]
     if is_plain(sequence):
-        return Window(0, 0, *still_size(first))
-    with ExrReader(first) as file:
+        return Window(0, 0, *still_size(path))
+    with ExrReader(path) as file:
         return file.parts[0].display_window
 
 

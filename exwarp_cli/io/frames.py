@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from exwarp_cli.domain.frame import (
+    Bool,
     Float32,
     GBuffer,
     Image,
@@ -116,34 +117,46 @@ def read_raw(
     image = None
     if (pixels := found.stack(Role.COLOUR, canvas)) is not None:
         image = Image(pixels, canvas, shot.display)
-        _refuse_broken(pixels, path)
+        _refuse_broken(found.broken[Role.COLOUR.value] / (canvas.width * canvas.height), path)
     gbuffer = _geometry(found, shot, canvas)
     if ids is not None:
         source = shot.files(number)[ids.cryptomatte.aov]
-        stencil, shown = ids.read(found.joined(ranks, canvas, 0.0), gbuffer.depth, source)
+        stencil, shown = ids.read(
+            found.joined(Role.STENCIL, ranks, canvas, 0.0), gbuffer.depth, source
+        )
         gbuffer = replace(gbuffer, stencil=stencil, objects=shown)
     raw = RawFrame(number, path, image, gbuffer, found.stack(Role.MOTION, canvas, np.nan))
+    shot.nonfinite.note(number, found.broken)
     rest()
     return raw
 
 
 @dataclass(frozen=True)
 class _Planes:
-    """Channels of a frame as read, with the data window of each, and those of each role."""
+    """Channels of a frame as read, with the data window of each, and those of each role.
+
+    In `broken` is counted how many pixels of what was asked for are not finite, by role.
+    """
 
     planes: Mapping[ChannelRef, np.ndarray]
     windows: Mapping[ChannelRef, Window]
     refs: Mapping[Role, tuple[ChannelRef, ...]]
+    broken: dict[str, int] = field(default_factory=dict)
 
     def stack(self, role: Role, canvas: Window, fill: float = 0.0) -> Float32 | None:
         """Return a role's channels, float32 [H, W, C] on a canvas; None where it is not there."""
-        return self.joined(self.refs[role], canvas, fill) if role in self.refs else None
+        return self.joined(role, self.refs[role], canvas, fill) if role in self.refs else None
 
-    def joined(self, refs: tuple[ChannelRef, ...], canvas: Window, fill: float) -> Float32:
-        """Return channels, float32 [H, W, C] on a canvas."""
+    def joined(
+        self, role: Role, refs: tuple[ChannelRef, ...], canvas: Window, fill: float
+    ) -> Float32:
+        """Return channels of a role, float32 [H, W, C] on a canvas."""
         members = [self.planes[ref].astype(np.float32, copy=False) for ref in refs]
         if len({self.windows[ref] for ref in refs}) == 1:
-            return place(joined(members), self.windows[refs[0]], canvas, fill)
+            pixels = joined(members)
+            self.broken[role.value] = count_broken((pixels,), role)
+            return place(pixels, self.windows[refs[0]], canvas, fill)
+        self.broken[role.value] = count_broken(members, role)
         placed = [
             place(plane, self.windows[ref], canvas, fill)
             for ref, plane in zip(refs, members, strict=True)
@@ -158,7 +171,9 @@ def _geometry(found: _Planes, shot: Shot, canvas: Window) -> GBuffer:
     stencil = None
     if Role.STENCIL in found.refs:
         ref = found.refs[Role.STENCIL][0]
-        stencil = place(clean_stencil(found.planes[ref]), found.windows[ref], canvas)
+        plane = found.planes[ref]
+        found.broken[Role.STENCIL.value] = count_broken((plane,), Role.STENCIL)
+        stencil = place(clean_stencil(plane), found.windows[ref], canvas)
     known = None if depth is None else clean_depth(shot.depth.distance(depth[..., 0]), normal)
     return GBuffer(
         canvas,
@@ -288,11 +303,32 @@ def clean_stencil(ids: np.ndarray) -> Int32:
     return out
 
 
-def _refuse_broken(pixels: Float32, path: Path) -> None:
-    # Where the first half is sound, no share of the rest is too large.
-    if not broken_pixels(pixels[: len(pixels) // 2 + 1]).any():
-        return
-    share = float(broken_pixels(pixels).mean())
+def count_broken(planes: Iterable[np.ndarray], role: Role | None = None) -> int:
+    """Count the pixels that are not finite in some of these channels.
+
+    In a depth these are NaN alone: infinity is how renderers write the background.
+
+    Parameters
+    ----------
+    planes
+        [H, W] or [H, W, C] of any types; those of other windows than the first are left out.
+    role
+        What they are for, as far as that is known.
+    """
+    found: Bool | None = None
+    for plane in planes:
+        if plane.dtype.kind != "f":
+            continue
+        values = plane.reshape(*plane.shape[:2], -1)
+        broken = np.isnan(values).any(axis=-1) if role is Role.DEPTH else broken_pixels(values)
+        if found is None:
+            found = broken
+        elif found.shape == broken.shape:
+            found |= broken
+    return 0 if found is None else int(np.count_nonzero(found))
+
+
+def _refuse_broken(share: float, path: Path) -> None:
     if share > MAX_BROKEN:
         raise DamagedFileError(
             f"{path} has NaN or infinite colour in {share:.0%} of its pixels; render it again"

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 
 import numpy as np
 
-from exwarp_cli.io.channels import ChannelRef
-from exwarp_cli.io.frames import read_planes
-from exwarp_cli.io.layers import Layer
+from exwarp_cli.io.channels import ChannelRef, Role
+from exwarp_cli.io.frames import count_broken, read_planes
+from exwarp_cli.io.layers import Kind, Layer
 from exwarp_cli.io.shot import Shot
 from exwarp_cli.io.template import Plane
 
@@ -30,7 +30,7 @@ class LayerStore:
     """
 
     def __init__(
-        self, shot: Shot, layers: Iterable[Layer], more: Iterable[ChannelRef] = ()
+        self, shot: Shot, layers: Collection[Layer], more: Iterable[ChannelRef] = ()
     ) -> None:
         self._shot = shot
         groups: dict[tuple[str, int], dict[ChannelRef, bool]] = {}
@@ -43,6 +43,7 @@ class LayerStore:
             if ref not in known:
                 groups.setdefault((ref.aov, -1), {})[ref] = False
         self._groups = tuple(groups.values())
+        self._layers = tuple(layers)
         self._frames: dict[int, Planes] = {}
 
     def frame(self, number: int) -> Planes:
@@ -61,7 +62,17 @@ class LayerStore:
                 for ref, half in group.items():
                     found[ref] = Plane(_kept(planes[ref], half), windows[ref])
             self._frames[number] = found
+            self._shot.nonfinite.note(number, dict(self._broken(found)))
         return self._frames[number]
+
+    def _broken(self, found: Planes) -> Iterator[tuple[str, int]]:
+        """Count the pixels of layers that are not finite; those of a role have its name."""
+        roles = {refs: role for role, refs in self._shot.layout.roles.items()}
+        for layer in self._layers:
+            role = roles.get(layer.refs)
+            counted = Role.DEPTH if layer.kind is Kind.DEPTH else role
+            count = count_broken((found[ref].values for ref in layer.refs), counted)
+            yield layer.name if role is None else role.value, count
 
     def keep(self, numbers: Iterable[int]) -> None:
         """Drop all other frames."""

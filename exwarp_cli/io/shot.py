@@ -20,6 +20,7 @@ from exwarp_cli.io.exr import Channel, Part
 from exwarp_cli.io.id_reading import IdReading
 from exwarp_cli.io.layouts import corrected, merged, moved
 from exwarp_cli.io.layouts import spelled as spelled
+from exwarp_cli.io.nonfinite import NonFinite
 from exwarp_cli.io.sequence import Sequence, find_sequence
 from exwarp_cli.io.shot_files import Looks, ShotFiles, find_files, look
 from exwarp_cli.io.soundness import first_of, require_sound
@@ -67,6 +68,8 @@ class Shot:
         Number of the frame that it was recognised by.
     keep_going
         Whether frames may be missing or damaged, which are left out then.
+    nonfinite
+        What was found in its frames; a shot that is read in another way has its own.
     """
 
     sequence: Sequence
@@ -84,6 +87,7 @@ class Shot:
     by_hand: Mapping[str, Any] = field(default_factory=dict)
     first: int = 0
     keep_going: bool = False
+    nonfinite: NonFinite = field(default_factory=NonFinite, init=False, compare=False, repr=False)
 
     def files(self, number: int) -> dict[str, Path]:
         """Files of one frame by AOV; "" is the main one.

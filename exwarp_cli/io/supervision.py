@@ -2,7 +2,8 @@
 
 Decoders and drivers are other people's C and C++: on a damaged file they may crash, or never come
 back. So the command runs in a child, and its parent, which only waits, says in a sentence what
-became of it. What the child wrote is whole either way: files are renamed into place.
+became of it. What the child wrote is whole either way: files are renamed into place. A command that
+goes on without bad files begins again, without those.
 
 The child dies with its parent, and gets the signals that its parent gets.
 """
@@ -15,12 +16,12 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from exwarp_cli.domain.being_read import Board, hang_up
 
@@ -41,6 +42,9 @@ AT_ONCE_S = 1.0
 """Seconds in which a second interruption is taken for the same one: a terminal sends it to both
 processes, and the parent hands it on."""
 
+MOST_AGAIN = 32
+"""How often a command begins again: what fails more often is not a matter of single files."""
+
 HANDED_ON = tuple(
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
 )
@@ -54,33 +58,73 @@ class End:
     Attributes
     ----------
     code
-        What it exited with; None where a signal ended it.
-    signal
-        That one's number; 0 where none did.
+        What it exited with; below 0 the signal that ended it, as of `subprocess`.
     reading
         The files that libraries were reading then.
     overdue
         Whether it was ended because one of them took too long.
+    stopped
+        Whether somebody wanted it to end.
     """
 
-    code: int | None
-    signal: int = 0
+    code: int
     reading: tuple[Path, ...] = ()
     overdue: bool = False
+    stopped: bool = False
+
+    @property
+    def is_failure(self) -> bool:
+        """Whether a library failed, rather than that a user or the system ended it."""
+        crashed = self.code < 0 and -self.code not in (*HANDED_ON, signal.SIGKILL)
+        return not self.stopped and (self.overdue or crashed)
+
+    @property
+    def named(self) -> str:
+        """The files in words."""
+        return " or ".join(str(path) for path in self.reading)
+
+    @property
+    def reason(self) -> str:
+        """What became of it where libraries were reading files, without what to do."""
+        if self.overdue:
+            return f"reading {self.named} took longer than {LIMIT_VARIABLE} allows ({limit():g} s)"
+        return f"a library crashed ({signal.Signals(-self.code).name}) while it read {self.named}"
 
 
-def part() -> End | None:
+def part(tell: Callable[[str], None]) -> End | None:
     """Part this process in a child that works and a parent that waits for it.
+
+    Parameters
+    ----------
+    tell
+        Says a sentence to the user.
 
     Returns
     -------
     End or None
         None in the child, and where processes cannot be parted, as on Windows: there the command
-        runs alone. In the parent, once the child has ended, how it did.
+        runs alone. In the parent, once the last child has ended, how it did.
     """
     if not hasattr(os, "fork") or os.environ.get(ALONE_VARIABLE) == "0":
         return None
     board = Board()
+    usual = {number: signal.getsignal(number) for number in HANDED_ON}
+    for _ in range(MOST_AGAIN):
+        end = _part(board, usual)
+        if end is None or not (end.reading and end.is_failure and board.goes_on):
+            return end
+        board.clear()
+        if len(end.reading) > 1 and not board.singly:
+            board.singly = True
+            tell(f"{end.reason}; beginning again, to find out which")
+        else:
+            board.refused |= dict.fromkeys(end.reading, f"{end.reason}; render or copy it again")
+            tell(f"{end.reason}; beginning again without it")
+    return _part(board, usual)
+
+
+def _part(board: Board, usual: Mapping[int, Any]) -> End | None:
+    """Part this process once, with what signals do in the child."""
     alive, held = os.pipe()  # the child's end closes with it
     for stream in (sys.stdout, sys.stderr):
         with suppress(OSError, ValueError, AttributeError):
@@ -89,13 +133,19 @@ def part() -> End | None:
     child = os.fork()
     if child == 0:
         os.close(alive)
+        for number, handler in usual.items():
+            if handler is not None:  # something other than Python set it
+                signal.signal(number, handler)
         _die_with(parent)
         _interrupted_once()
         hang_up(board)
         return None
     os.close(held)
-    _hand_on(child)
-    return _await(child, alive, board, limit())
+    handed_on = _hand_on(child, usual)
+    try:
+        return _await(child, alive, board, handed_on)
+    finally:
+        os.close(alive)
 
 
 def limit() -> float:
@@ -107,8 +157,9 @@ def limit() -> float:
     return told if told > 0 else float("inf")
 
 
-def _await(child: int, alive: int, board: Board, most: float) -> End:
+def _await(child: int, alive: int, board: Board, handed_on: list[int]) -> End:
     """Wait for the child; end it where a file takes too long."""
+    most = limit()
     since: dict[int, float] = {}
     overdue = False
     tick = min(TICK_S, most)
@@ -118,11 +169,8 @@ def _await(child: int, alive: int, board: Board, most: float) -> End:
         done, status = os.waitpid(child, 0 if gone else os.WNOHANG)
         reading = board.notes()
         if done:
-            code = os.waitstatus_to_exitcode(status)
             files = tuple(dict.fromkeys(reading.values()))
-            if code >= 0:
-                return End(code)
-            return End(None, -code, files, overdue)
+            return End(os.waitstatus_to_exitcode(status), files, overdue, bool(handed_on))
         # Whoever stops both processes for an hour does not want them ended afterwards.
         passed = min(time.monotonic() - begin, 2 * tick)
         since = {number: since.get(number, 0.0) + passed for number in reading}
@@ -132,16 +180,25 @@ def _await(child: int, alive: int, board: Board, most: float) -> End:
                 os.kill(child, signal.SIGKILL)
 
 
-def _hand_on(child: int) -> None:
-    """Have the child get the signals that end a command; who ignores one keeps to that."""
+def _hand_on(child: int, usual: Mapping[int, Any]) -> list[int]:
+    """Have the child get the signals that end a command; who ignores one keeps to that.
+
+    Returns
+    -------
+    list of int
+        Those that came, as they come.
+    """
+    came: list[int] = []
 
     def hand_on(number: int, _frame: FrameType | None) -> None:
+        came.append(number)
         with suppress(ProcessLookupError):
             os.kill(child, number)
 
-    for number in HANDED_ON:
-        if signal.getsignal(number) is not signal.SIG_IGN:
+    for number, handler in usual.items():
+        if handler is not signal.SIG_IGN:
             signal.signal(number, hand_on)
+    return came
 
 
 def _interrupted_once() -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import OpenEXR
 
 from exwarp_cli.domain.being_read import being_read
-from exwarp_cli.domain.frame import Float32, Window
+from exwarp_cli.domain.frame import Float32, Window, broken_pixels
 from exwarp_cli.errors import InputError, LayoutError
 from exwarp_cli.io.channel_rows import Channel as Written
 from exwarp_cli.io.channel_rows import Unrounded
@@ -97,11 +97,11 @@ class ViewLayers:
 
     @property
     def keys(self) -> dict[PlaneKey, bool]:
-        """Every channel, the beauty's first, and whether it holds light or the like."""
+        """Every channel, the beauty's first, and whether its values are bounded."""
         found = {(self.view, ref): True for ref in self.colour}
         for layer in self.layers:
             for ref in layer.refs:
-                found.setdefault((self.view, ref), layer.kind is Kind.COLOUR)
+                found.setdefault((self.view, ref), layer.kind is not Kind.DEPTH)
         return found
 
 
@@ -118,8 +118,7 @@ class PlaneTemplate:
     dtype
         Pixel type: half, float or uint32.
     bounded
-        Whether values beyond half's range become its largest, as is right for light; a depth may be
-        infinite.
+        Whether values beyond the type's range become its largest; a depth may be infinite.
     """
 
     key: PlaneKey
@@ -129,7 +128,9 @@ class PlaneTemplate:
 
     def channel(self, values: np.ndarray) -> Written:
         """Return values [H, W] in the channel's type; floats for halfs are rounded later."""
-        if self.dtype != np.float16:
+        if self.dtype == np.float32 and values.dtype == np.float32 and self.bounded:
+            return within_floats(np.ascontiguousarray(values))
+        if self.dtype != np.float16 or values.dtype == np.float16:
             return np.ascontiguousarray(values, dtype=self.dtype)
         if values.dtype == np.float32:
             return Unrounded(values, self.bounded)
@@ -230,13 +231,22 @@ def read_template(path: Path, wanted: tuple[ViewLayers, ...]) -> Template:
 def quantise(pixels: Float32, template: Template) -> Float32:
     """Round pixels to the types that the file will have, so that what is scored is what is kept.
 
-    Half values beyond its range become its largest, not infinity.
+    Values beyond a type's range become its largest, not infinity.
     """
     out = pixels.copy()
     for i, plane in enumerate(template.colour):
         if plane.dtype == np.float16:
             out[..., i] = Unrounded(pixels[..., i], plane.bounded).rounded()
+        elif plane.dtype == np.float32 and plane.bounded:
+            out[..., i] = within_floats(pixels[..., i])
     return out
+
+
+def within_floats(values: Float32) -> Float32:
+    """Return made values with the largest floats where numbers near them overflowed on the way."""
+    if not broken_pixels(values[..., None]).any():
+        return values
+    return np.nan_to_num(values)
 
 
 def read_headers(path: Path) -> list[dict[str, Any]]:

@@ -147,10 +147,8 @@ def _compared(job: Job) -> tuple[tuple[ForeseenFrame, ...], tuple[Cut, ...] | No
     """Foresee frames where good ones are kept; return the cuts that were met, too."""
     loader = make_loader(job)
     if job.targets.frames is None:
-        kept = False
-        if not job.settings.source.keep_going:
-            note = note_of(loader.leading_recipes, job.settings, job.keys)
-            kept = is_kept(job.targets, job.settings, note)
+        note = note_of(loader.leading_recipes, job.settings, job.keys)
+        kept = is_kept(job.targets, job.settings, note)
         return tuple(_foreseen(job, slot, kept) for slot in job.slots), None
     keys = job.source.keys
     sink = Sink(job.targets, job.settings, keys.display, job.source.output_fps, keys.view)

@@ -85,8 +85,7 @@ class Estimates:
             images = self.frame(key).image, self.frame(key + 1).image
             windows = images[0].data_window, images[1].data_window
             canvas = windows[0].union(windows[1])
-            height, width = canvas.shape
-            require_canvas(f"frame {self.frame(key).number} and the next one", width, height)
+            require_canvas(f"frame {self.frame(key).number} and the next one", canvas)
             there, back = estimate(*(image.on(canvas).pixels for image in images))
             self._flows[key] = _on(there, canvas, windows[0]), _on(back, canvas, windows[1])
         return self._flows[key]

@@ -10,6 +10,7 @@ from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import LayoutError, UsageError
 from exwarp_cli.io.footage import find_frames, picture_size
 from exwarp_cli.io.sequence import Sequence
+from exwarp_cli.io.soundness import first_of
 from exwarp_cli.io.views import expand
 from exwarp_cli.pipeline.source import FrameOf, Source, align
 from exwarp_cli.synthesis.methods import METHODS, Judge, Method
@@ -171,14 +172,23 @@ def require_factor(
         )
 
 
-def find_truth(spec: str, source: Source) -> tuple[Sequence, FrameOf]:
-    """Find ground truth of any kind, and refuse one of another size before any work."""
-    sequence = find_frames(expand(spec, source.keys.view or None)[0])
+def find_truth(spec: str, source: Source, bearable: bool = False) -> tuple[Sequence, FrameOf]:
+    """Find ground truth of any kind, and refuse one of another size before any work.
+
+    Its first frame tells, or where some may be of no use (`bearable`) the first that is of any.
+    """
+    sequence = find_frames(expand(spec, source.keys.view or None)[0], bearable)
     frame_of = align(source.timeline, sequence, "--ground-truth")
-    window, display = picture_size(sequence), source.keys.display
-    if window.shape != display.shape:
-        raise LayoutError(
-            f"--ground-truth {sequence.pattern} is {window.width}x{window.height} and the "
-            f"input is {display.width}x{display.height}; give one of the same resolution"
-        )
+    display = source.keys.display
+
+    def require_alike(number: int) -> None:
+        window = picture_size(sequence, number)
+        if window.shape != display.shape:
+            raise LayoutError(
+                f"--ground-truth {sequence.pattern} is {window.width}x{window.height} and the "
+                f"input is {display.width}x{display.height}; give one of the same resolution"
+            )
+
+    numbers = sequence.numbers
+    first_of(numbers if bearable else numbers[:1], require_alike)
     return sequence, frame_of

@@ -68,8 +68,7 @@ class Staging:
         canvas = self._display.union(loaded.frame.image.data_window)
         if loaded.following is not None:
             canvas = canvas.union(loaded.following.image.data_window)
-        height, width = canvas.shape
-        require_canvas(f"frame {loaded.frame.number} and the next one", width, height)
+        require_canvas(f"frame {loaded.frame.number} and the next one", canvas)
         ids = self._moving.of(loaded, canvas)
         return self._settled(with_stencils(loaded, ids), (canvas, ids))
 

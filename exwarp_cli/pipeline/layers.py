@@ -172,11 +172,19 @@ class _Maker:
     slot: int
 
     def layer(self, layer: Layer) -> dict[ChannelRef, np.ndarray]:
-        """Make a layer's channels, [H, W] each."""
+        """Make a layer's channels, [H, W] each; all finite, but for infinity in a depth."""
+        found = self._made(layer)
+        if layer.kind is not Kind.COLOUR:  # which is mended where it is mixed
+            nothing = np.inf if layer.kind is Kind.DEPTH else 0.0
+            self.how.sources.mend(list(found.values()), nothing)
+        return found
+
+    def _made(self, layer: Layer) -> dict[ChannelRef, np.ndarray]:
+        """Make a layer's channels from the values of the frames."""
         frames, refs = self.frames, layer.refs
         rendered = frames.slots[self.slot - 1] if frames.slots else {}
         if all(ref in rendered for ref in refs):
-            return {ref: self._placed(rendered[ref]) for ref in refs}
+            return {ref: np.array(self._placed(rendered[ref])) for ref in refs}
         motion = self.view.content.motion
         if layer.kind is Kind.MOTION and motion:
             return {

@@ -1,8 +1,8 @@
-"""What is said of key intervals that are left out."""
+"""What is said of what is left out."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 from exwarp_cli.domain.results import LeftOut, RunSummary
 from exwarp_cli.domain.timeline import Slot, Timeline, ranges
@@ -17,9 +17,17 @@ def left_out(timeline: Timeline, key: int, slots: Sequence[Slot], reason: str) -
     return LeftOut(timeline.numbers[key], frames, reason)
 
 
+def unscored(timeline: Timeline, key: int, reasons: Mapping[int, str]) -> Iterator[LeftOut]:
+    """Yield what is recorded of an interval whose ground truth cannot be used, by slot."""
+    for slot, reason in sorted(reasons.items()):
+        number = timeline.number(Slot(key, slot))
+        yield LeftOut(timeline.numbers[key], (), reason, (number,))
+
+
 def tell_left_out(progress: Progress, one: LeftOut) -> None:
     """Say at once what is left out, and why."""
-    progress.message(f"left out {_named(one.frames)}: {one.reason}")
+    what = f"left out {_named(one.frames)}" if one.frames else f"not scored {_named(one.scores)}"
+    progress.message(f"{what}: {one.reason}")
 
 
 def require_complete(run: RunSummary) -> None:
@@ -32,11 +40,21 @@ def require_complete(run: RunSummary) -> None:
     """
     if not run.left_out:
         return
-    many, frames = len(run.left_out), [n for one in run.left_out for n in one.frames]
+    missing = [one for one in run.left_out if one.frames]
+    many, frames = len(missing), [n for one in missing for n in one.frames]
+    scores = sorted({n for one in run.left_out for n in one.scores})
+    told, cause = [], []
+    if missing:
+        verb = "was" if many == 1 else "were"
+        whole = counted(len(run.selected), "key interval")
+        told.append(f"{many} of {whole} {verb} left out ({_named(frames)})")
+        cause.append("the input")
+    if scores:
+        told.append(f"{_named(scores)} {'was' if len(scores) == 1 else 'were'} not scored")
+        cause.append("the ground truth")
     raise IncompleteError(
-        f"{many} of {counted(len(run.selected), 'key interval')} {'was' if many == 1 else 'were'} "
-        f"left out ({_named(frames)}), see above or left_out in report.json; mend the input and "
-        "run again with --skip-existing"
+        f"{', and '.join(told)}, see above or left_out in report.json; mend {' and '.join(cause)} "
+        "and run again with --skip-existing"
     )
 
 

@@ -95,6 +95,8 @@ class Loaded:
     again
         Reads `frame` again, of which only colour is here, as the interval before had it as
         `following`; None where all of it is.
+    unscored
+        Why ground truth of some slots cannot be used, by slot, as far as that is borne.
     """
 
     key: int
@@ -115,6 +117,7 @@ class Loaded:
     views: tuple[Loaded, ...] = ()
     late: Callable[[Loaded], Loaded] | None = None
     again: Callable[[], KeyFrame] | None = None
+    unscored: dict[int, str] = field(default_factory=dict)
 
     def lean(self) -> Loaded:
         """Return the interval without geometry, once it is staged: with raw vectors and positions,

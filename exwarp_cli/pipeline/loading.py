@@ -52,7 +52,8 @@ class IntervalLoader:
         self._source = source
         self._method = method
         self._settings = settings
-        self._truth = TruthFrames(source, truth, settings.measured)
+        bears = settings.source.keep_going and not method.needs_truth
+        self.truth = TruthFrames(source, truth, settings.measured, bears)
         self.losses = Losses(settings.source.keep_going)
         """Frames that are lost; all views tell the same."""
         # What frames hold: of this view first, then of others in the same files.
@@ -121,8 +122,7 @@ class IntervalLoader:
         back = self._older(key, lookahead)
         older = None if back is None else self._in_shot(back)
         layers = None if self._layers is None else self._layers.read(key, lookahead, back)
-        slots = self._source.timeline.made_of(key)
-        truth, ends = self._truth.of(slots), self._truth.ends(key)
+        truth, ends, unscored = self.truth.around(key)
         self.forget(key)
         if self._ahead is not None and following is not None:
             self._frames[key + 1] = self._ahead.lean(key + 1, following)
@@ -132,7 +132,7 @@ class IntervalLoader:
             key, frame, following, gbuffers, past, observed, truth, template, recipes, elapsed,
             ends, times, self._followed(key), layers, older,
             late=None if self._late is None else partial(self._late.complete, history=history),
-            again=again,
+            again=again, unscored=unscored,
         )  # fmt: skip
 
     def follow(self, leader: IntervalLoader) -> None:

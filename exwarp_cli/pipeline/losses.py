@@ -14,6 +14,10 @@ from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.errors import InputError
 
 
+class _NotedError(Exception):
+    """The cause of an error of a frame that is noted as lost."""
+
+
 class Losses:
     """Frames that are lost, by their slot, whose index is 0 for key frames.
 
@@ -26,7 +30,6 @@ class Losses:
     def __init__(self, bearable: bool = False) -> None:
         self.bearable = bearable
         self._reasons: dict[Slot, str] = {}
-        self._told: int | None = None  # the error on its way out that was noted, by its id
 
     def __len__(self) -> int:
         return len(self._reasons)
@@ -43,21 +46,15 @@ class Losses:
         if not self.bearable:
             yield
             return
-        self._told = None
         if slot in self._reasons:
-            raise self._error(slot)
+            raise InputError(self._reasons[slot]) from _NotedError()
         try:
             yield
         except InputError as error:
-            if id(error) == self._told:  # of another frame, which is read for this one
+            if isinstance(error.__cause__, _NotedError):  # another frame, read for this one
                 raise
             self._reasons[slot] = str(error)  # without what its traceback holds
-            raise self._error(slot) from None
-
-    def _error(self, slot: Slot) -> InputError:
-        error = InputError(self._reasons[slot])
-        self._told = id(error)
-        return error
+            raise InputError(self._reasons[slot]) from _NotedError()
 
     def has(self, key: int) -> bool:
         """Whether a key frame is known to be lost, by its index."""

@@ -14,7 +14,7 @@ from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Protocol, TextIO
 
 from exwarp_cli.domain.line import one_line
-from exwarp_cli.errors import ExwarpError, OutputError, UsageError, system_error
+from exwarp_cli.errors import ExwarpError, IncompleteError, OutputError, UsageError, system_error
 from exwarp_cli.pipeline.eta import Clock, Estimate, PacedEstimate, named
 
 if TYPE_CHECKING:
@@ -93,7 +93,8 @@ class OpenJdProgress(NoProgress):
     """Lines of Open Job Description's sessions, for farms that run its jobs.
 
     ``openjd_progress: 25.0`` and ``openjd_status: 10/40, frame 1010, 1:20 left`` come together, as
-    often as plain lines; ``openjd_fail: SENTENCE`` at the end of a command that fails. Messages are
+    often as plain lines; ``openjd_fail: SENTENCE`` at the end of a command that fails, but for one
+    that left out what it was told to leave out: its sentence is the last status. Messages are
     plain lines of the log: as a status each would stand there until the next one, though it is no
     state. The specification lets actions write to stdout or stderr ("How Jobs Are Run", Stdout and
     Stderr Messages), and there are runners that read stdout alone.
@@ -118,6 +119,9 @@ class OpenJdProgress(NoProgress):
 
     def fail(self, text: str, exit_code: int) -> None:
         """Tell why; the runner learns the exit code from the process itself."""
+        if exit_code == IncompleteError.exit_code:
+            _print_line(self._stream, f"openjd_status: {text}")
+            return
         # Never empty: a runner takes no line that ends with the colon.
         _print_line(self._stream, f"openjd_fail: {one_line(text) or f'exit code {exit_code}'}")
 
@@ -193,7 +197,7 @@ class BarProgress(NoProgress):
             MofNCompleteColumn(),
             TimeRemainingColumn(),
             TextColumn("{task.description}", markup=False),
-            console=Console(file=self._stream),
+            console=Console(file=self._stream, emoji=False),
         )
         self._task = self._bar.add_task("", total=total)
         self._bar.start()

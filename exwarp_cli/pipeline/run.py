@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from typing import Any
 
 from exwarp_cli import __version__
 from exwarp_cli.domain import lent_memory
@@ -13,14 +14,14 @@ from exwarp_cli.domain.frame import Image
 from exwarp_cli.domain.results import FrameKind, FrameRecord, LeftOut
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import Slot
-from exwarp_cli.errors import InputError, LayoutError
+from exwarp_cli.errors import InputError, OutputError
 from exwarp_cli.io.decisions import parse_decision
 from exwarp_cli.io.footage import picture
 from exwarp_cli.io.output import PREFIX
 from exwarp_cli.pipeline.choosing import Chooser
 from exwarp_cli.pipeline.geometry import Staging
 from exwarp_cli.pipeline.layers import Beside
-from exwarp_cli.pipeline.leaving_out import left_out, tell_left_out
+from exwarp_cli.pipeline.leaving_out import left_out, tell_left_out, unscored
 from exwarp_cli.pipeline.loaded import Loaded, Unmade
 from exwarp_cli.pipeline.making import Made, SlotMaker, rounded
 from exwarp_cli.pipeline.progress import Progress
@@ -204,6 +205,9 @@ class Run:
         frame is looked ahead to, as two of them are in memory then.
         """
         loaded, staged, interval = work.loaded, work.staged, work.staged.interval
+        for one in unscored(self.source.timeline, loaded.key, loaded.unscored):
+            self.left_out.append(one)
+            tell_left_out(self.progress, one)
         if self.source.timeline.shows(loaded.key):
             self._pass_key(loaded)
         slots = self.source.timeline.made_of(loaded.key)
@@ -298,9 +302,23 @@ class Run:
     def _resume(self, slot: Slot, interval: Interval | None, loaded: Loaded) -> Made:
         """Record a frame that an earlier run wrote."""
         number = self.source.timeline.number(slot)
-        known = self.sink.written(number)
-        holes = known.get("holeFraction")
-        record = FrameRecord(
+        try:
+            record = self._recorded(slot, self.sink.written(number))
+        except (LookupError, TypeError, ValueError, AttributeError, RecursionError) as error:
+            raise OutputError(
+                f"what {self.sink.name(number)} says of itself was changed by hand; remove it, or "
+                "give --overwrite to replace all frames"
+            ) from error
+        scored = slot.index in loaded.truth
+        if interval is None or not (scored or self.watcher is not None):
+            return Made(record)
+        image = self.sink.read(number) if scored else None
+        return Made(record, image, mask=self.maker.mask(interval, slot))
+
+    def _recorded(self, slot: Slot, known: Mapping[str, Any]) -> FrameRecord:
+        """Return the record of a frame from what its header says."""
+        number, holes = self.source.timeline.number(slot), known.get("holeFraction")
+        return FrameRecord(
             number=number,
             file=self.sink.name(number),
             key=self.source.timeline.numbers[slot.key],
@@ -314,11 +332,6 @@ class Run:
             path=known.get("path"),
             decision=parse_decision(known.get("decision")),
         )
-        scored = slot.index in loaded.truth
-        if interval is None or not (scored or self.watcher is not None):
-            return Made(record)
-        image = self.sink.read(number) if scored else None
-        return Made(record, image, mask=self.maker.mask(interval, slot))
 
     def _scored(self, made: Made, loaded: Loaded) -> FrameRecord:
         """Score a frame against ground truth, where there is some, on the display window."""
@@ -327,11 +340,6 @@ class Run:
         if truth is None or image is None:
             return record
         display = self.source.keys.display
-        if truth.display_window.shape != display.shape:
-            raise LayoutError(
-                f"--ground-truth for frame {record.number} is {truth.display_window} and the input "
-                f"is {display}; give a sequence of the same resolution"
-            )
         assert self._scoring is not None
         begin = time.perf_counter()
         reference, test = truth.on(truth.display_window).pixels, image.on(display).pixels

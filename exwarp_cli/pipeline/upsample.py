@@ -21,6 +21,7 @@ from exwarp_cli.pipeline.job import Job, open_job
 from exwarp_cli.pipeline.layers import Beside, anything_beside
 from exwarp_cli.pipeline.loading import IntervalLoader
 from exwarp_cli.pipeline.making import SlotMaker
+from exwarp_cli.pipeline.nonfinite import broken_pixels_of
 from exwarp_cli.pipeline.progress import NoProgress, Progress
 from exwarp_cli.pipeline.run import Run
 from exwarp_cli.pipeline.sink import FRAMES_BEHIND, Sink
@@ -109,16 +110,20 @@ def write_intervals(job: Job, progress: Progress, watcher: Watcher | None = None
     allocator.trim()
     loader = make_loader(job)
     note = ""
-    # A video may lack something whose files are as they were: it is made again then.
-    if not (job.targets.frames or settings.source.keep_going):
+    if job.targets.frames is None:
         note = note_of(loader.leading_recipes, settings, job.keys)
     try:
-        if watcher is None and note and is_kept(job.targets, settings, note):
+        if watcher is None and is_kept(job.targets, settings, note):
             return Outcome(cuts=loader.cuts)
         run = _run_of(job, note, progress, watcher)
         with working():
             frames = run.write_all(loader, job.keys)
-        made = Outcome(frames, loader.cuts, tuple(run.left_out))
+        made = Outcome(
+            frames,
+            loader.cuts,
+            tuple(run.left_out),
+            nonfinite=broken_pixels_of(job, loader.truth_nonfinite),
+        )
         return checked(made, job, run.sink.sums)
     finally:
         job.close()

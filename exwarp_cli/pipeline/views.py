@@ -17,6 +17,7 @@ from exwarp_cli.pipeline.source import Source, open_source
 
 if TYPE_CHECKING:
     from exwarp_cli.domain.cuts import Cut
+    from exwarp_cli.io.nonfinite import NonFinite
     from exwarp_cli.pipeline.early_frames import Beginning
     from exwarp_cli.pipeline.loading import IntervalLoader
     from exwarp_cli.pipeline.recipes import Recipes
@@ -49,6 +50,11 @@ class JointLoader:
     def cuts(self) -> tuple[Cut, ...] | None:
         """The cuts that were met so far; None where none are looked for or given."""
         return self._leader.shots.cuts
+
+    @property
+    def truth_nonfinite(self) -> NonFinite:
+        """What was found in ground truth so far."""
+        return self._leader.truth.nonfinite
 
     def load(self, key: int, needed: Needed) -> Loaded | Unmade:
         """Read an interval; see `IntervalLoader.load`. A frame depends on all its views.

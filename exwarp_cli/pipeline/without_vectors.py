@@ -93,7 +93,12 @@ def video_look(source: Source, keys: tuple[int, ...], note: str = "") -> VideoLo
 
 
 def note_of(recipes: Recipes, settings: UpsampleSettings, keys: tuple[int, ...]) -> str:
-    """Digest what a video depends on that is written alone; it keeps that as its comment."""
+    """Digest what a video depends on that is written alone; it keeps that as its comment.
+
+    "" where it may lack something whose files are as they were: it is made again then.
+    """
+    if settings.source.keep_going:
+        return ""
     source = recipes.source
     count = len(source.timeline.numbers)
     instants: list[Slot] = []
@@ -115,6 +120,6 @@ def note_of(recipes: Recipes, settings: UpsampleSettings, keys: tuple[int, ...])
 def is_kept(targets: Targets, settings: UpsampleSettings, note: str) -> bool:
     """Whether a video that is written alone is there already, as this run would make it."""
     wanted = settings.skip_existing and settings.ground_truth is None
-    if not wanted or targets.frames is not None or targets.video is None:
+    if not (wanted and note) or targets.frames is not None or targets.video is None:
         return False
     return video_note(targets.video) == note

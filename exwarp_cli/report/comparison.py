@@ -12,6 +12,7 @@ from exwarp_cli.report.frames_csv import (
     LATER_HOLE_SCORES,
     LATER_SCORES,
     later_cells,
+    name_cell,
     score_cells,
     table,
 )
@@ -65,11 +66,11 @@ def comparison_csv(result: Comparison) -> str:
     """Write a row for every compared frame as CSV text."""
     rows = (
         (
-            *(frame.test, frame.reference, frame.file, frame.hole_fraction),
+            *(frame.test, frame.reference, name_cell(frame.file), frame.hole_fraction),
             *score_cells(frame.score),
             *score_cells(frame.hole_score),
             *later_cells(frame.score, frame.hole_score),
-            *(frame.origin.kind, frame.origin.made_by),
+            *(name_cell(frame.origin.kind), name_cell(frame.origin.made_by)),
         )
         for frame in result.frames
     )

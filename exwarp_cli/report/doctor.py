@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from exwarp_cli.domain.checkup import Checkup, Outcome
+from exwarp_cli.domain.line import printable
 from exwarp_cli.domain.wording import enumerated
 
 _TITLES = {"exr": "EXR"}
@@ -50,9 +51,9 @@ def rows(checkup: Checkup, verbose: bool) -> list[Row]:
         Row(
             check.outcome,
             title(name),
-            check.found,
-            tuple(remark.text for remark in check.remarks),
-            check.lines if verbose else (),
+            printable(check.found),
+            tuple(printable(remark.text) for remark in check.remarks),
+            tuple(map(printable, check.lines)) if verbose else (),
         )
         for name, check in checkup.checks.items()
     ]

@@ -40,6 +40,9 @@ truth, whatever was measured. After these columns come the timed steps, each as 
 """
 
 
+_FORMULA = (*"=+-@'", "\t", "\r", "\n")
+
+
 def frames_csv(frames: tuple[FrameRecord, ...]) -> str:
     """Write the records as CSV text: a header line, then a row a frame in the given order.
 
@@ -69,6 +72,19 @@ def cell(value: Any) -> str:
     if value is None:
         return ""
     return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def name_cell(name: str | None) -> str | None:
+    """Write what somebody else named so that no spreadsheet takes it for a formula, and runs it.
+
+    An apostrophe in front says that it is text; `named` takes it away.
+    """
+    return f"'{name}" if name is not None and name.startswith(_FORMULA) else name
+
+
+def named(text: str) -> str:
+    """Read what `name_cell` wrote."""
+    return text.removeprefix("'")
 
 
 def score_cells(score: Score | None) -> tuple[float | None, ...]:
@@ -105,7 +121,14 @@ def seen_cells(decision: Decision | None) -> tuple[float | None, ...]:
 
 def _row(frame: FrameRecord, steps: list[str]) -> list[Any]:
     return [
-        *(frame.number, frame.file, frame.key, frame.slot, frame.kind.value, frame.method),
+        *(
+            frame.number,
+            name_cell(frame.file),
+            frame.key,
+            frame.slot,
+            frame.kind.value,
+            frame.method,
+        ),
         " ".join(str(number) for number in frame.sources),
         *(frame.hole_fraction, frame.nonfinite_pixels),
         *score_cells(frame.score),

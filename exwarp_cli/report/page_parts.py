@@ -139,8 +139,23 @@ def cuts_line(cuts: Sequence[Mapping[str, Any]]) -> str:
 
 def left_out_line(left_out: Sequence[Mapping[str, Any]]) -> str:
     """Say what was left out, as `report.json` lists it; at least one."""
-    frames = ranges([number for one in left_out for number in one["frames"]])
-    return f"{counted(len(left_out), 'key interval')} left out: frames {frames}"
+    missing = [one for one in left_out if one["frames"]]
+    frames, scores = (
+        ranges(sorted({number for one in left_out for number in one[what]}))
+        for what in ("frames", "scores")
+    )
+    told = [f"{counted(len(missing), 'key interval')} left out: frames {frames}"] if missing else []
+    return "; ".join([*told, *([f"not scored: frames {scores}"] if scores else [])])
+
+
+def nonfinite_line(found: Sequence[Mapping[str, Any]]) -> str:
+    """Say what is NaN or infinite in the input, as `report.json` lists it; at least one."""
+    by_channels: dict[str, int] = {}
+    for one in found:
+        by_channels[one["channels"]] = by_channels.get(one["channels"], 0) + one["pixels"]
+    told = ", ".join(f"{channels} in {counted(n, 'pixel')}" for channels, n in by_channels.items())
+    frames = counted(len({(one["key"], one["slot"]) for one in found}), "frame")
+    return f"NaN or infinite in {frames} of the input: {told}; nothing is made of them"
 
 
 def worst_table(

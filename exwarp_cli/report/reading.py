@@ -18,6 +18,7 @@ from exwarp_cli.domain.cuts import Cut
 from exwarp_cli.domain.decision import Decision
 from exwarp_cli.domain.features import Features
 from exwarp_cli.domain.results import (
+    BrokenPixels,
     FrameKind,
     FrameRecord,
     InputSummary,
@@ -38,6 +39,7 @@ from exwarp_cli.report.frames_csv import (
     LATER_HOLE_SCORES,
     LATER_SCORES,
     frames_csv,
+    named,
 )
 from exwarp_cli.report.summary import SCHEMA, report
 
@@ -49,7 +51,7 @@ STEP = "_ms"
 
 SETTINGS = ("key", "slot")
 
-ADDED: dict[str, Any] = {"left_out": [], "files": [], "verified": None}
+ADDED: dict[str, Any] = {"left_out": [], "files": [], "verified": None, "nonfinite": []}
 """What reports of earlier versions do not tell, as it was then."""
 
 MOST_KEYS = 10_000_000
@@ -200,15 +202,17 @@ def _run(document: Mapping[str, Any], frames: tuple[FrameRecord, ...]) -> RunSum
         keys=_selected(document),
         version=document["version"],
         left_out=tuple(
-            LeftOut(one["key"], tuple(one["frames"]), one["reason"]) for one in document["left_out"]
+            LeftOut(one["key"], tuple(one["frames"]), one["reason"], tuple(one["scores"]))
+            for one in document["left_out"]
         ),
         files=tuple(WrittenFile(**one) for one in document["files"]),
         verified=document["verified"],
+        nonfinite=tuple(BrokenPixels(**one) for one in document["nonfinite"]),
     )
     if made.setting not in SETTINGS:
         raise ValueError(f"the setting {made.setting}")
     models = (made.extrapolator, made.policy, made.interpolator)
-    for part in (made, made.input, *models, *made.left_out, *made.files):
+    for part in (made, made.input, *models, *made.left_out, *made.files, *made.nonfinite):
         _require_types(part)
     return made
 
@@ -272,7 +276,7 @@ def _frame(row: Mapping[str, str]) -> FrameRecord:
     pixels = _number(row["nonfinite_pixels"])
     return FrameRecord(
         number=int(row["frame"]),
-        file=row["file"],
+        file=named(row["file"]),
         key=int(row["key"]),
         slot=int(row["slot"]),
         kind=FrameKind(row["kind"]),

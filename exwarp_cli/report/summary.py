@@ -56,6 +56,7 @@ def report(run: RunSummary) -> dict[str, Any]:
         "left_out": [asdict(one) for one in run.left_out],
         "files": [asdict(one) for one in run.files],
         "verified": run.verified,
+        "nonfinite": [asdict(one) for one in run.nonfinite],
         "wall_s": run.wall_seconds,
     }
     plain: dict[str, Any] = finite(found)

@@ -15,6 +15,7 @@ from exwarp_cli.report.page_parts import (
     facts_of,
     file_name,
     metric_plots,
+    nonfinite_line,
     number,
     percent,
     quality_numbers,
@@ -31,6 +32,9 @@ from exwarp_cli.synthesis.methods import METHODS
 
 BLEND = "blend"
 """What makes a frame of two key frames without a network, as `plots.KINDS` names it."""
+
+MOST_ROWS = 200
+"""Of a table on the page; report.json has them all."""
 
 
 def upsample_page(run: RunSummary, document: dict[str, Any], album: Album | None = None) -> Page:
@@ -65,6 +69,7 @@ def upsample_page(run: RunSummary, document: dict[str, Any], album: Album | None
             Section("holes", "Holes and features", _evidence(run, document)),
             Section("timing", "Time", _timing(frames, document)),
             Section("left-out", "Left out", _left_out(document)),
+            Section("nonfinite", "NaN and infinities", _nonfinite(document)),
             Section("input", "Input and settings", _settings(document)),
         ),
     )
@@ -104,7 +109,12 @@ def headline(document: dict[str, Any]) -> list[Number]:
     found += quality_numbers(document["quality"]["all"])
     if document["left_out"]:
         missing = sum(len(one["frames"]) for one in document["left_out"])
-        found.append(Number("Left out", f"{missing:,}", "frames whose input cannot be used"))
+        unscored = sum(len(one["scores"]) for one in document["left_out"])
+        if missing:
+            found.append(Number("Left out", f"{missing:,}", "frames whose input cannot be used"))
+        if unscored:
+            told = "frames whose ground truth cannot be used"
+            found.append(Number("Not scored", f"{unscored:,}", told))
     if document["input"]["motion"]["source"] == "estimated":
         told = "from colour by optical flow, far less exact than a renderer's vectors"
         found.append(Number("Motion", "estimated", told))
@@ -305,11 +315,28 @@ def _timing(frames: tuple[FrameRecord, ...], document: dict[str, Any]) -> list[B
 def _left_out(document: dict[str, Any]) -> list[Block]:
     """List what was left out as its input cannot be used."""
     rows: list[list[Cell]] = [
-        [str(one["key"]), ranges(one["frames"]), one["reason"]] for one in document["left_out"]
+        [str(one["key"]), ranges(one["frames"]), ranges(one["scores"]), one["reason"]]
+        for one in document["left_out"]
     ]
     if not rows:
         return []
-    return [Table("Key intervals left out", ("key frame", "frames", "why"), rows)]
+    columns = ("key frame", "frames", "not scored", "why")
+    whole = all(one["scores"] for one in document["left_out"])
+    return [Table("Not scored" if whole else "Key intervals left out", columns, rows)]
+
+
+def _nonfinite(document: dict[str, Any]) -> list[Block]:
+    """List what is not finite in the input."""
+    found = document["nonfinite"]
+    if not found:
+        return []
+    rows: list[list[Cell]] = [
+        [str(one["key"]), str(one["slot"]), *([one["view"]] if one["view"] else []),
+         one["channels"], number(one["pixels"], 0)]
+        for one in found[:MOST_ROWS]
+    ]  # fmt: skip
+    columns = ["key frame", "slot", *(["view"] if found[0]["view"] else []), "channels", "pixels"]
+    return [Table("Not finite in the input", columns, rows, nonfinite_line(found))]
 
 
 def _settings(document: dict[str, Any]) -> list[Block]:

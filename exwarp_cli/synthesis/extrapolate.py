@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from exwarp_cli.compiled import shares
-from exwarp_cli.compiled.shares import Share, turns
+from exwarp_cli.compiled.shares import Share, rows_of
 from exwarp_cli.domain.extrapolator import HISTORY, INPUTS, Inputs, NetworkInputs
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, KeyFrame
 from exwarp_cli.domain.lent_memory import lent, rest
@@ -206,8 +206,7 @@ def prepare(
 
 def _encode(made: Float32, share: Share) -> None:
     """Encode the colour of a network's planes [C, N], of a share of their pixels."""
-    some = turns(made.shape[1], share)
-    part = made[:, some.start : some.stop]
+    part = made[:, rows_of(made.shape[1], share)]
     for first, count in COLOUR_PLANES:
         for line in part[first : first + count]:
             encode_in_place(line)
@@ -216,8 +215,8 @@ def _encode(made: Float32, share: Share) -> None:
 
 def _copy(given: Float32, out: Float32, share: Share) -> None:
     """Copy a share of the rows."""
-    some = turns(len(out), share)
-    out[some.start : some.stop] = given[some.start : some.stop]
+    rows = rows_of(len(out), share)
+    out[rows] = given[rows]
 
 
 def _shading(frame: KeyFrame, divided: bool) -> Float32:

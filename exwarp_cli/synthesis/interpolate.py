@@ -40,7 +40,8 @@ def blend_by_depth(before: Warped, after: Warped, time: float) -> Float32:
 def cross_fade(before: Float32, after: Float32, time: float) -> Float32:
     """Mix two layers [H, W, C] at a time, 0 to 1; what is not finite is filled from around."""
     first, second = repair(before), repair(after)
-    return (first + np.float32(time) * (second - first)).astype(np.float32)
+    with np.errstate(over="ignore", invalid="ignore"):  # of the largest floats
+        return (first + np.float32(time) * (second - first)).astype(np.float32)
 
 
 def as_shown(pixels: Float32) -> Float32:
@@ -49,12 +50,14 @@ def as_shown(pixels: Float32) -> Float32:
     Two key frames along estimated motion seldom show quite the same: half of each looks right where
     it is half of what is seen, worth 0.25 dB. The curve goes on below 0 and above 1.
     """
-    return np.concatenate([SRGB.to_code(pixels[..., :3]), pixels[..., 3:]], axis=-1)
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.concatenate([SRGB.to_code(pixels[..., :3]), pixels[..., 3:]], axis=-1)
 
 
 def as_light(pixels: Float32) -> Float32:
     """Invert `as_shown`."""
-    return np.concatenate([SRGB.to_linear(pixels[..., :3]), pixels[..., 3:]], axis=-1)
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.concatenate([SRGB.to_linear(pixels[..., :3]), pixels[..., 3:]], axis=-1)
 
 
 def between(before: Float32, after: Float32, time: float, network: Interpolator) -> Float32:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from exwarp_cli.compiled import shares
-from exwarp_cli.compiled.shares import Share, turns
+from exwarp_cli.compiled.shares import Share, rows_of
 from exwarp_cli.domain.frame import Float32, GBuffer, KeyFrame
 from exwarp_cli.domain.lent_memory import lent
 from exwarp_cli.kernels import jit, planes
@@ -43,8 +43,7 @@ def modulation_of(gbuffer: GBuffer) -> Float32 | None:
 
 def _modulate(albedo: Float32, specular: Float32, out: Float32, share: Share) -> None:
     """Write the modulation of a share of the rows."""
-    some = turns(len(out), share)
-    rows = slice(some.start, some.stop)
+    rows = rows_of(len(out), share)
     np.add(albedo[rows], specular[rows], out=out[rows])
     np.clip(out[rows], np.float32(DARKEST), np.float32(BRIGHTEST), out=out[rows])
 
@@ -83,8 +82,8 @@ def decode(coded: Float32) -> Float32:
 
 def _decode(coded: Float32, out: Float32, share: Share) -> None:
     """Write the linear values of a share of those that are given, both flat."""
-    some = turns(coded.size, share)
-    _signed(np.expm1, coded[some.start : some.stop], out[some.start : some.stop])
+    some = rows_of(coded.size, share)
+    _signed(np.expm1, coded[some], out[some])
 
 
 def _signed(curve: np.ufunc, values: Float32, out: Float32) -> Float32:

@@ -271,15 +271,18 @@ def retiming(interval: Interval, slot: int, shown: Predicted) -> Retiming:
         The beauty. Where a network made it, which knows no other layers, they are moved instead.
     """
     name, shape = shown.method, interval.key.image.pixels.shape[:2]
+    key, following = interval.key.gbuffer, interval.following
     path = PATHS.get(name.upper())
     if path is not None and HOLD in path.made_by:  # warps alone go to any number of slots
         while slot and path.made_by[slot - 1] == HOLD:
             slot -= 1  # a repeat of what the slot before showed
     if name == "hold" or slot == 0:
-        return Retiming(Manner.REPEAT, 0.0, in_place(shape))
-    time, key, following = interval.time(slot), interval.key.gbuffer, interval.following
+        return Retiming(Manner.REPEAT, 0.0, in_place(shape, _depth(key)))
+    time = interval.time(slot)
     if name == "blend" or not interval.has_motion:
-        return Retiming(Manner.FADE, time, in_place(shape, later=time > 0.5))
+        later = time > 0.5
+        shows = following.gbuffer if later and following is not None else key
+        return Retiming(Manner.FADE, time, in_place(shape, _depth(shows), later))
     assert key is not None
     back = interval.back(slot)
     if path is not None or following is None:
@@ -288,3 +291,8 @@ def retiming(interval: Interval, slot: int, shown: Predicted) -> Retiming:
     assert following.gbuffer is not None
     depths = depth_of(key), depth_of(following.gbuffer)
     return Retiming(Manner.BLEND, time, moved_between(back, forward, depths, time), back, forward)
+
+
+def _depth(gbuffer: GBuffer | None) -> Float32 | None:
+    """Return the depth of a key frame's pixels; None where no geometry tells."""
+    return None if gbuffer is None else depth_of(gbuffer)

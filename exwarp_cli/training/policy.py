@@ -229,7 +229,7 @@ def _note_checksums(folder: Path, names: Sequence[str]) -> None:
     path = folder / CHECKSUMS
     try:
         known = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise DamagedFileError(
             f"{path} is no JSON ({error}); remove it, or write to another folder with -o"
         ) from error

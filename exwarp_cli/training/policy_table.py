@@ -148,7 +148,7 @@ def load_table(path: Path) -> PolicyTable:
         _require_whole(table)
     except FileNotFoundError as error:
         raise InputError(f"there is no policy table {path}; check the path") from error
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         reason = (str(error) or type(error).__name__).splitlines()[0]
         raise DamagedFileError(
             f"{path} is no policy table that can be read ({reason}); make it again with --data"

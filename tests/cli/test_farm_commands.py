@@ -10,7 +10,7 @@ import pytest
 
 from tests.cli import shots
 from tests.cli.documents import document_of
-from tests.cli.farm_engine import EXWARP, environment
+from tests.cli.farm_engine import EXWARP, HOSTILE, environment
 from tests.cli.shots import FORWARD, SMALL
 
 NAME = "it's {a} shot: é #1"
@@ -60,6 +60,28 @@ class TestLines:
         result = exwarp("farm", "commands", NAME, "-o", "a\nb", *FORWARD)
         result.refused(2, "line end", "--json")
         assert exwarp("farm", "commands", NAME, "-o", "a\nb", *FORWARD, "--json").code == 0
+
+    @pytest.mark.parametrize("name", ["a\tb", "a\x1b[1mb", "a\x85b", "a\u2028b", "a\u202eb"])
+    @pytest.mark.parametrize("option", ["-o", "--report"])
+    def test_nor_is_one_that_a_terminal_obeys(self, shot, exwarp, name, option):
+        """Of colours ``click`` would leave the rest: another name."""
+        given = (NAME, "-o", "out", *FORWARD, option, name)
+        exwarp("farm", "commands", *given).refused(2, "control character", "--json")
+        found = document_of(exwarp("farm", "commands", *given, "--json"), "exwarp.chunks/1")
+        assert any(name in word for word in found["chunks"][0]["command"])
+
+    @pytest.mark.parametrize(
+        "name", [HOSTILE, "~", "-a", "a\xa0b", "a\u200db", "a;b&c|d>e", "%!\\"]
+    )
+    def test_a_shell_reads_the_words_that_were_meant(self, shot, exwarp, tmp_path, name):
+        result = exwarp("farm", "commands", NAME, "-o", f"{name}/", "--report", name, *FORWARD)
+        (line,), (after,) = result.out.splitlines(), result.err.splitlines()
+        for text in (line, after.partition("when all are done: ")[2]):
+            script = f"set -- {text}\nprintf '%s\\0' \"$@\""
+            words = subprocess.run(
+                ["/bin/sh", "-c", script], capture_output=True, check=True
+            ).stdout
+            assert str(tmp_path / name) in words.decode().split("\0")
 
     @pytest.mark.slow
     def test_a_shell_runs_them_in_any_order(self, shot, exwarp, upsample, tmp_path):

@@ -235,6 +235,25 @@ class TestPlaces:
         literal = json.dumps(made["steps"]).replace("{{Param.", "").replace("{{Task.Param.", "")
         assert "{{" not in literal and "{{" not in made["name"]
 
+    @pytest.mark.parametrize("name", ["a\nb", "a\x1b[1mb", "a\u202eb", "a\u2028b", "!!x", "~", "-"])
+    def test_what_no_editor_shows_is_escaped(self, tmp_path, monkeypatch, exwarp, name):
+        monkeypatch.chdir(tmp_path)
+        shots.sequence(tmp_path / name, shots.plain, (1, 2), SMALL)
+        for more in ((), ("--plain",), ("--json",)):
+            result = exwarp("farm", "openjd", f"./{name}", "-o", f"out{name}/", *FORWARD, *more)
+            assert result.code == 0 and result.out.replace("\n", "").isprintable()
+            told = parameters(checked(result.out))
+            assert told["SequenceFolder"]["default"] == name
+            assert told["OutputFolder"]["default"] == f"out{name}"
+        bundle = exwarp("farm", "openjd", f"./{name}", "-o", "o/", *FORWARD, "--bundle", f"b{name}")
+        assert bundle.out.rstrip("\n").isprintable()
+        made = checked((tmp_path / f"b{name}" / "template.yaml").read_text("utf-8"))
+        assert "default" not in parameters(made)["SequenceFolder"]
+        values = yaml.safe_load(
+            (tmp_path / f"b{name}" / "parameter_values.yaml").read_text("utf-8")
+        )
+        assert str(tmp_path / name) in [told["value"] for told in values["parameterValues"]]
+
     def test_texts_that_readers_take_for_numbers_are_quoted(self, tmp_path, monkeypatch, exwarp):
         monkeypatch.chdir(tmp_path)
         shots.sequence(tmp_path / "1e3", shots.plain, (1, 2), SMALL)

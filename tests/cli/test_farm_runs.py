@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -164,6 +165,24 @@ class TestTrouble:
             for folder in ("report", "whole")
         )
         assert merged == whole and len(whole) == 48
+
+    @pytest.mark.parametrize("damage", ["cut", "gone"])
+    def test_what_is_left_out_keeps_no_step_from_its_turn(
+        self, keys, job, exwarp, tmp_path, damage
+    ):
+        if damage == "gone":
+            (keys / "shot.0009.exr").unlink()
+        last = ("--report", "report", "--video", "a.mp4", "--keep-going")
+        template = job("keys", "-o", "out", "--chunk-size", 4, "-m", "s6", *last)
+        if damage == "cut":
+            (keys / "shot.0009.exr").write_bytes(b"damaged")
+        ended = openjd("run", template, cwd=tmp_path)
+        assert ended.code == 0 and ended.log.count("--------- Running Task") == 5, ended.log
+        assert "openjd_status: 1 of 4 key intervals was left out (frames 33-36)" in ended.log
+        found = json.loads((tmp_path / "report" / "report.json").read_text())
+        assert [one["frames"] for one in found["left_out"]] == [[33, 34, 35, 36]]
+        assert "1 key interval left out: frames 33-36" in ended.log
+        assert len(shots.names(tmp_path / "out")) == 44 and (tmp_path / "a.mp4").stat().st_size
 
     def test_a_task_that_fails_says_why(self, keys, job, tmp_path):
         template = job("keys", "-o", "out", "--chunk-size", 6, "-m", "softsplat")

@@ -11,24 +11,13 @@ import pytest
 
 from tests.cli import shots
 from tests.cli.shots import FORWARD, KEYS, SMALL, VECTORS, contents, names
+from tests.cli.spoiling import remove, scribble, truncate
 
 FRAMES = 4 * KEYS
 BROKEN = 3
 """Number of the key frame that is lost: its interval has the output frames 9 to 12."""
 
 EXTRAPOLATING = ("s3", "exwarp")
-
-
-def remove(path: Path) -> None:
-    path.unlink()
-
-
-def truncate(path: Path) -> None:
-    path.write_bytes(path.read_bytes()[: path.stat().st_size * 2 // 3])
-
-
-def scribble(path: Path) -> None:
-    path.write_bytes(b"this is no image")
 
 
 def shrink(path: Path) -> None:
@@ -93,6 +82,18 @@ def test_everything_else_is_made(kept, keys, damage):
         "exwarp: error: 1 of 5 key intervals was left out (frames 9-12), see above or left_out in "
         "report.json; mend the input and run again with --skip-existing"
     )
+
+
+def test_a_task_of_a_farm_succeeds_and_tells(exwarp, keys, tmp_path):
+    """Engines take every other code for a failure, try again, and join no reports."""
+    remove(damaged_at(keys, BROKEN))
+    options = (*FORWARD, "--progress", "openjd", "--threads", 1)
+    result = exwarp("upsample", keys, "-o", tmp_path / "out", "--keep-going", *options)
+    assert result.code == 0 and "openjd_fail" not in result.out
+    last = [line for line in result.out.splitlines() if line.startswith("openjd_status: ")][-1]
+    assert "1 of 5 key intervals was left out (frames 9-12)" in last
+    result = exwarp("upsample", keys, "-o", tmp_path / "out", "--skip-existing", *options)
+    assert result.code == 3 and "openjd_fail" in result.out
 
 
 def test_without_it_nothing_goes_on(exwarp, keys, tmp_path):
@@ -215,8 +216,9 @@ class TestOtherFiles:
     def test_ground_truth(self, kept, keys, tmp_path):
         truth = shots.truth(tmp_path / "truth", KEYS, street=SMALL)
         truncate(damaged_at(truth, 7))
-        out, _ = kept("out", keys, *FORWARD, "--ground-truth", truth)
-        assert numbered(out) == set(range(1, FRAMES + 1)) - {6, 7, 8}
+        out, err = kept("out", keys, *FORWARD, "--ground-truth", truth)
+        assert numbered(out) == set(range(1, FRAMES + 1)), "it costs scores alone"
+        assert "not scored frame 7: " in err
 
     def test_layers(self, kept, tmp_path):
         keys = shots.sequence(tmp_path / "keys", shots.blender5, range(1, 5), SMALL)

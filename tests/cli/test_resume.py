@@ -10,6 +10,7 @@ import imageio_ffmpeg
 import pytest
 
 from exwarp_cli.io.atomic import MARK, _host
+from exwarp_cli.pipeline import sink
 from tests.cli import shots
 from tests.cli.street import Street
 
@@ -163,3 +164,27 @@ class TestSkipExisting:
         video = tmp_path / "a.mp4"
         upsample(plain_shot, done, "--skip-existing", *self.OPTIONS, "--video", video)
         assert imageio_ffmpeg.count_frames_and_secs(str(video))[0] == 12
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"kind": "nothing"},
+        {"sources": "first"},
+        {"decision": "[]"},
+        {"decision": "{"},
+        {"decision": '{"node":1}'},
+        {"decision": "[" * 100_000},
+        {"holeFraction": "many"},
+    ],
+)
+def test_what_frames_say_of_themselves_may_be_forged(
+    nine, exwarp, upsample, tmp_path, monkeypatch, change
+):
+    """Their checksum is no signature."""
+    options = ("-m", "s6", *FORWARD, "--progress", "none")
+    upsample(nine, tmp_path / "out", *options)
+    told = sink.facts_in
+    monkeypatch.setattr(sink, "facts_in", lambda path: told(path) | change)
+    result = exwarp("upsample", nine, "-o", tmp_path / "out", *options, "--skip-existing")
+    result.refused(5, "shot.0002.exr says of itself")

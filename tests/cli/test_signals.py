@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from exwarp_cli.cli import Terminated
 from exwarp_cli.errors import MissingExtraError
 from exwarp_cli.io.atomic import MARK
 from exwarp_cli.io.output import is_intact
@@ -104,18 +105,22 @@ class TestTermination:
         assert set(shots.names(tmp_path)) == {"out", "holes"}
 
 
-def test_an_interruption_that_a_library_renames(exwarp, keys, monkeypatch):
+@pytest.mark.parametrize(
+    ("stopped", "code", "word"),
+    [(KeyboardInterrupt, 130, "interrupted"), (Terminated, 143, "terminated")],
+)
+def test_an_interruption_that_a_library_renames(exwarp, keys, monkeypatch, stopped, code, word):
     """As onnxruntime does while it is imported."""
 
     def start(*_: object) -> None:
         try:
             try:
-                raise KeyboardInterrupt
-            except KeyboardInterrupt as stop:
+                raise stopped
+            except stopped as stop:
                 raise ImportError("initialization failed") from stop
         except ImportError as error:
             raise MissingExtraError("onnxruntime cannot be loaded") from error
 
     monkeypatch.setattr(job, "open_job", start)
     refused = exwarp(*arguments(keys, keys.parent / "interrupted"))
-    refused.refused(130, "interrupted")
+    refused.refused(code, word)

@@ -1,7 +1,7 @@
 """``python -m tests.faults.crashing HOW AFTER ARGUMENTS``: exwarp with a decoder that fails.
 
 HOW is the name of a signal by which the process ends, or ``hang``; AFTER, how many times it decodes
-before.
+before, or how the path of the file ends that it fails at.
 """
 
 from __future__ import annotations
@@ -18,12 +18,13 @@ from exwarp_cli.io import exr
 
 
 def main() -> None:
-    how, after = sys.argv[1], int(sys.argv[2])
+    how, after = sys.argv[1:3]
     del sys.argv[1:3]
     decode, counted = exr.ExrReader._decoded, itertools.count()
 
     def failing(self: exr.ExrReader, wanted: Any) -> Any:
-        if next(counted) >= after:
+        here = next(counted) >= int(after) if after.isdigit() else str(self.path).endswith(after)
+        if here:
             if how != "hang":
                 os.kill(os.getpid(), signal.Signals[how])
             time.sleep(1000)

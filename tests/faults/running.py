@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import os
 import resource
+import signal
 import subprocess
 import sys
+import time
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -31,11 +34,17 @@ PLAIN = ("-m", "softsplat", "--motion", "forward", "--threads", "1", "--progress
 
 @dataclass(frozen=True)
 class Outcome:
-    """What is left of a command."""
+    """What is left of a command.
+
+    `peak_mb` is how much memory it had at most, and `alone` whether in processes of its own. Linux
+    counts what the process had that started it: 0 where no more is known than that.
+    """
 
     code: int
     out: str
     err: str
+    peak_mb: int = 0
+    alone: bool = False
 
     @property
     def told(self) -> list[str]:
@@ -87,13 +96,36 @@ def started(
 
 def ended(process: subprocess.Popen[str], seconds: float = BOUND_S) -> Outcome:
     """Wait for a command; TimeoutExpired for one that hangs."""
-    try:
-        out, err = process.communicate(timeout=seconds)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.communicate()
-        raise
-    return Outcome(process.returncode, out, err)
+    pipes = [pipe for pipe in (process.stdout, process.stderr) if pipe is not None]
+    with process, ThreadPoolExecutor(len(pipes)) as pool:
+        texts = [pool.submit(pipe.read) for pipe in pipes]
+        try:
+            peak = _reaped(process, time.monotonic() + seconds)
+        except subprocess.TimeoutExpired:
+            os.killpg(process.pid, signal.SIGKILL)  # what it started holds the pipes open
+            process.wait()
+            raise
+        out, err = (text.result() for text in texts)
+    if peak <= resource.getrusage(resource.RUSAGE_SELF).ru_maxrss:
+        peak = 0
+    return Outcome(process.returncode, out, err, peak // 1024, alone=True)
+
+
+def _reaped(process: subprocess.Popen[str], deadline: float) -> int:
+    """Wait for a process, and return what it or its children had at most, kilobytes."""
+    while process.returncode is None:
+        try:
+            pid, status, usage = os.wait4(process.pid, os.WNOHANG)
+        except ChildProcessError:  # it was waited for already
+            process.wait()
+            break
+        if pid:
+            process.returncode = os.waitstatus_to_exitcode(status)
+            return usage.ru_maxrss
+        if time.monotonic() > deadline:
+            raise subprocess.TimeoutExpired(process.args, deadline)
+        time.sleep(0.01)
+    return 0
 
 
 def run(*arguments: object, **more: object) -> Outcome:

@@ -100,23 +100,18 @@ static int opened(int (*real)(const char *, int, ...), const char *path, int fla
   return real(path, flags, mode);
 }
 
-int open(const char *path, int flags, ...) {
-  REAL(int, "open", const char *, int, ...);
-  va_list more;
-  va_start(more, flags);
-  int mode = va_arg(more, int);
-  va_end(more);
-  return opened(real, path, flags, mode);
-}
+#define OPENING(name)                         \
+  int name(const char *path, int flags, ...) { \
+    REAL(int, #name, const char *, int, ...);  \
+    va_list more;                              \
+    va_start(more, flags);                     \
+    int mode = va_arg(more, int);              \
+    va_end(more);                              \
+    return opened(real, path, flags, mode);    \
+  }
 
-int open64(const char *path, int flags, ...) {
-  REAL(int, "open64", const char *, int, ...);
-  va_list more;
-  va_start(more, flags);
-  int mode = va_arg(more, int);
-  va_end(more);
-  return opened(real, path, flags, mode);
-}
+OPENING(open)
+OPENING(open64)
 
 ssize_t read(int fd, void *room, size_t size) {
   REAL(ssize_t, "read", int, void *, size_t);

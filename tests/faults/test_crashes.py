@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -14,13 +16,46 @@ import pytest
 from tests.cli import shots
 from tests.cli.processes import await_files
 from tests.faults.running import PLAIN, Outcome, ended, require_whole, run, started
+from tests.unit.tiny_models import endless, save
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs processes of POSIX")
 
-INPUT, DEFECT, MEMORY = 3, 1, 11
+INPUT, DEFECT, MEMORY, INCOMPLETE = 3, 1, 11, 12
+
+GOING = (*PLAIN, "--keep-going")
+BAD = "shot.0004.exr"
 
 
-def failing(how: str, after: int, *arguments: object, **environment: str) -> Outcome:
+TWO_AT_ONCE = """
+import os, sys, threading, time
+from pathlib import Path
+from exwarp_cli.domain.being_read import being_read, go_on_without
+from exwarp_cli.errors import DamagedFileError
+from exwarp_cli.io.supervision import part
+
+def read_well():
+    with being_read(Path("a.exr")):
+        begun.set()
+        time.sleep(0.2)
+
+end = part(lambda told: print(told, flush=True))
+if end is not None:
+    sys.exit(end.code)
+go_on_without()
+begun = threading.Event()
+other = threading.Thread(target=read_well)
+other.start()
+begun.wait()
+try:
+    with being_read(Path("b.exr")):
+        os.abort()
+except DamagedFileError as error:
+    print(type(error).__name__, flush=True)
+other.join()
+"""
+
+
+def failing(how: str, after: object, *arguments: object, **environment: str) -> Outcome:
     words = [sys.executable, "-m", "tests.faults.crashing", how, str(after), *map(str, arguments)]
     process = subprocess.Popen(
         words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
@@ -54,7 +89,12 @@ class TestCrash:
         out = tmp_path / "out"
         outcome = failing("SIGKILL", 5, "upsample", keys, "-o", out, *PLAIN)
         outcome.judge(MEMORY)
+        assert f"while it read {keys}/shot.000" in outcome.told[0]
         require_whole(out, rendered)
+
+    def test_options_before_the_command(self, keys, tmp_path):
+        told = ("--config", "none", "upsample", keys, "-o", tmp_path / "out", *PLAIN)
+        failing("SIGSEGV", 5, *told).judge(INPUT)
 
     def test_before_anything_is_written(self, keys, tmp_path):
         outcome = failing("SIGSEGV", 0, "upsample", keys, "-o", tmp_path / "out", *PLAIN)
@@ -73,6 +113,65 @@ class TestCrash:
         assert outcome.code == -signal.SIGSEGV
 
 
+@pytest.fixture(scope="module")
+def without(keys, tmp_path_factory):
+    """What is written where that file cannot be read."""
+    folder = tmp_path_factory.mktemp("without")
+    shutil.copytree(keys, folder / "keys")
+    (folder / "keys" / BAD).write_bytes(b"no image")
+    run("upsample", folder / "keys", "-o", folder / "out", *GOING).judge(INCOMPLETE)
+    return shots.contents(folder / "out")
+
+
+class TestKeepGoing:
+    """A library fails at one file, time and again."""
+
+    @pytest.mark.parametrize("how", ["SIGSEGV", "hang"])
+    @pytest.mark.parametrize("options", [("--threads", "1"), ("--threads", "2"), ("--overwrite",)])
+    def test_it_begins_again_without_it(self, keys, without, tmp_path, how, options):
+        out, report = tmp_path / "out", tmp_path / "report"
+        out.mkdir()
+        if "--overwrite" in options:
+            (out / "shot.0001.exr").write_bytes(b"of somebody")
+        told = ("upsample", keys, "-o", out, *GOING, "--report", report, *options)
+        outcome = failing(how, f"{keys.name}/{BAD}", *told, EXWARP_FILE_TIMEOUT="1.5")
+        assert outcome.code == INCOMPLETE, outcome.err
+        assert outcome.err.count("; beginning again without it") == 1
+        assert shots.contents(out) == without
+        left = json.loads((report / "report.json").read_text())["left_out"]
+        assert [one["frames"] for one in left] == [[13, 14, 15, 16]]
+        assert BAD in left[0]["reason"] and "render or copy it again" in left[0]["reason"]
+
+    def test_without_a_file_to_blame(self, keys, rendered, tmp_path):
+        """It fails at whatever comes after some time, and so at more and more files."""
+        out = tmp_path / "out"
+        outcome = failing("SIGSEGV", 5, "upsample", keys, "-o", out, *GOING)
+        outcome.judge(INPUT, INCOMPLETE)
+        require_whole(out, rendered)
+
+    def test_which_of_two_files_it_was(self):
+        """Two are read when the process crashes; one after the other tells."""
+        process = subprocess.Popen(
+            [sys.executable, "-c", TWO_AT_ONCE], stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+            text=True,
+        )  # fmt: skip
+        outcome = ended(process)
+        assert outcome.code == 0, outcome.err
+        found, told, without = outcome.out.splitlines()
+        assert found.startswith("a library crashed (SIGABRT) while it read ")
+        assert found.endswith("; beginning again, to find out which")
+        assert told == "a library crashed (SIGABRT) while it read b.exr; beginning again without it"
+        assert without == "DamagedFileError"
+
+    def test_who_is_interrupted_does_not_begin_again(self, keys, tmp_path):
+        words = ("upsample", keys, "-o", tmp_path / "out", *GOING)
+        process = started(*words)
+        await_files(process, tmp_path / "out", 4)
+        process.send_signal(signal.SIGINT)
+        outcome = ended(process)
+        assert outcome.code in (130, 0) and "again" not in outcome.err.replace("run again", "")
+
+
 def child_of(process: subprocess.Popen[str]) -> int:
     """Return the number of the process that works."""
     for _ in range(1000):
@@ -81,6 +180,27 @@ def child_of(process: subprocess.Popen[str]) -> int:
             return int(listed[0])
         time.sleep(0.002)
     pytest.fail("there was none")
+
+
+class TestModel:
+    def test_one_that_never_comes_to_an_end_is_named(self, keys, tmp_path):
+        """And nothing of it is written."""
+        path = save(tmp_path / "endless.onnx", endless())
+        told = (
+            "upsample",
+            keys,
+            "-o",
+            tmp_path / "out",
+            *PLAIN,
+            "-m",
+            "s3",
+            "--extrapolator",
+            path,
+        )
+        outcome = run(*told, environment={"EXWARP_FILE_TIMEOUT": "1.5"})
+        outcome.judge(INPUT)
+        assert f"reading {path} took longer" in outcome.told[0]
+        assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="others do not tell")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import onnx
 import pytest
 import yaml
 from hypothesis import given
@@ -15,6 +16,7 @@ from exwarp_cli.farm.bundle import write_bundle, yaml_text
 from exwarp_cli.farm.calls import FarmJob, Given
 from exwarp_cli.farm.openjd import JobTemplate, Workers, job_template
 from exwarp_cli.farm.places import Place, locate
+from tests.unit.tiny_models import convolution
 
 ROOT = Path("/shots")
 TEXTS = st.text(st.characters(exclude_categories=["Cs", "Cc"]), min_size=1, max_size=60)
@@ -109,6 +111,17 @@ def test_a_card_goes_with_its_network(tmp_path):
     made = job_template(job(Given("interpolator", "--interpolator", found)), Workers(), tmp_path)
     told = {p["name"]: p.get("default") for p in made.document["parameterDefinitions"]}
     assert told["InterpolatorFile"] == "net.onnx" and told["InterpolatorCard"] == "net.json"
+
+
+def test_weights_go_with_their_network(tmp_path):
+    options = {"save_as_external_data": True, "location": "w {{x}}.data", "size_threshold": 0}
+    onnx.save(convolution(), str(tmp_path / "net.onnx"), **options)
+    found = locate("extrapolator", str(tmp_path / "net.onnx"))
+    made = job_template(job(Given("extrapolator", "--extrapolator", found)), Workers(), tmp_path)
+    told = {p["name"]: p.get("default") for p in made.document["parameterDefinitions"]}
+    assert told["ExtrapolatorFile"] == "net.onnx"
+    assert told["ExtrapolatorWeights1"] == "w {{x}}.data"
+    words_of(made)
 
 
 def test_paths_that_are_no_text():

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from exwarp_cli.domain.line import LONGEST, one_line
+from exwarp_cli.domain.line import LONGEST, misleads, one_line, printable
 
 
 @given(st.text(alphabet=st.characters(exclude_categories=()), max_size=100))
@@ -43,3 +43,19 @@ def test_a_long_text_keeps_what_went_wrong_and_what_to_do():
     assert len(line) <= LONGEST
     assert line.startswith("what xx") and line.endswith("xx do") and " … " in line
     assert one_line("y" * LONGEST) == "y" * LONGEST
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("a\nb\tc\r", "a\\nb\\tc\\r"),
+        ("\x1b[31m\x9b", "\\x1b[31m\\x9b"),
+        ("r\u202egnp.\u2066exe\u2069", "r\\u202egnp.\\u2066exe\\u2069"),
+        ("a\x85b\u2028c\u2029", "a\\x85b\\u2028c\\u2029"),
+        ("  two  ", "  two  "),
+        ("caf\udce9 \u200d\xa0\ufeff 東京", "caf\udce9 \u200d\xa0\ufeff 東京"),
+    ],
+)
+def test_names_are_shown_as_they_are_but_for_what_misleads(text, shown):
+    assert printable(text) == shown
+    assert misleads(text) == (text != shown) and not misleads(shown)

@@ -162,6 +162,11 @@ class TestOpenJd:
             "openjd_status: 3 frames done",
         ]
 
+    def test_what_was_left_out_as_it_was_told_is_no_failure(self):
+        stream = io.StringIO()
+        OpenJdProgress(stream).fail("1 of 5 key intervals was left out", 12)
+        assert stream.getvalue() == "openjd_status: 1 of 5 key intervals was left out\n"
+
     def test_a_farm_s_log_stays_readable(self):
         stream, clock = io.StringIO(), FakeClock()
         progress = OpenJdProgress(stream, clock)

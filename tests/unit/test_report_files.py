@@ -16,7 +16,7 @@ from exwarp_cli.domain.features import Features
 from exwarp_cli.domain.results import Score
 from exwarp_cli.errors import OutputError
 from exwarp_cli.report.folder import write_report
-from exwarp_cli.report.frames_csv import cell, frames_csv
+from exwarp_cli.report.frames_csv import cell, frames_csv, named
 from tests.unit.sample_runs import interval, path_run, run
 
 COLUMNS = [
@@ -140,6 +140,13 @@ def test_file_names_that_csv_could_break_on_come_back() -> None:
     frame = replace(interval(1001, "", 1001)[0], file='a, "b"\n\r \udcff.exr')
     text = frames_csv((frame,))
     assert rows_of(text)[0]["file"] == 'a, "b"\n\\r \\udcff.exr'
+
+
+@pytest.mark.parametrize("name", ["=1+1", "+a", "-a", "@a", "'a", "''", "\t=a", "a=1"])
+def test_no_spreadsheet_takes_a_file_name_for_a_formula(name: str) -> None:
+    frame = replace(interval(1001, "", 1001)[0], file=f"{name}.exr")
+    written = rows_of(frames_csv((frame,)))[0]["file"]
+    assert written[0] not in "=+-@\t" and named(written) == f"{name}.exr"
 
 
 def test_folder_is_made_and_files_are_whole(tmp_path: Path) -> None:

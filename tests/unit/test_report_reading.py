@@ -19,14 +19,17 @@ from exwarp_cli.domain.cuts import Cut
 from exwarp_cli.domain.decision import CHOICES, NODES, PATHS, Decision
 from exwarp_cli.domain.features import Features
 from exwarp_cli.domain.results import (
+    BrokenPixels,
     FrameKind,
     FrameRecord,
     InputSummary,
     InterpolatorSummary,
+    LeftOut,
     NetworkSummary,
     PolicySummary,
     RunSummary,
     Score,
+    WrittenFile,
 )
 from exwarp_cli.errors import DamagedFileError, InputError
 from exwarp_cli.report.frames_csv import frames_csv
@@ -95,6 +98,12 @@ runs = st.builds(
     layers=st.lists(words).map(tuple),
     keys=st.sets(numbers, max_size=5).map(lambda keys: tuple(sorted(keys))),
     version=words,
+    left_out=st.lists(st.builds(LeftOut, numbers, st.tuples(numbers), words)).map(tuple),
+    files=st.lists(st.builds(WrittenFile, words, maybe(numbers), words, words)).map(tuple),
+    verified=maybe(counts),
+    nonfinite=st.lists(
+        st.builds(BrokenPixels, numbers, st.integers(0, 9), words, words, counts)
+    ).map(tuple),
 )
 
 

@@ -56,6 +56,7 @@ CONTRACT: dict[str, Any] = {
     "left_out": None,
     "files": None,
     "verified": None,
+    "nonfinite": None,
     "wall_s": None,
 }
 

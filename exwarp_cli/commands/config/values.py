@@ -107,7 +107,10 @@ def _text(option: click.Option, value: object, where: str) -> str:
         fits = isinstance(value, str) or not names_paths(option)
     if not fits:
         raise _wrong(where, _wanted(option), value)
-    return str(value)
+    text = str(value)
+    if "\0" in text:
+        raise UsageError(f"{where} holds a NUL character, as no path or word can; remove it")
+    return text
 
 
 def _wanted(option: click.Option) -> str:

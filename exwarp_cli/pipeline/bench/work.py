@@ -176,7 +176,7 @@ def _kept(path: Path, token: str) -> dict[str, Any] | None:
     """Return what an earlier run measured, if it would come out the same."""
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         return None
     fits = isinstance(found, dict) and found.get("identity") == token
     return found if fits else None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from exwarp_cli.accel.mac_array import MacArray, schedule
 from exwarp_cli.accel.quantised_mlp import PAPER_SIZES
@@ -17,7 +18,7 @@ from exwarp_cli.report.bench.naming import Document, identify
 from exwarp_cli.report.bench.page import bench_page
 from exwarp_cli.report.bench.tables import tables_of
 from exwarp_cli.report.folder import PAGE_FILE
-from exwarp_cli.report.frames_csv import table
+from exwarp_cli.report.frames_csv import name_cell, table
 from exwarp_cli.report.page import render
 from exwarp_cli.report.summary import to_json
 
@@ -44,7 +45,7 @@ def write_benchmark(
     plain = document(found, schedule(MacArray(), PAPER_SIZES), clock_hz)
     for one in tables_of(plain):
         header = [column.key for column in one.columns]
-        rows = ([row.get(key) for key in header] for row in one.rows)
+        rows = ([_cell(row.get(key)) for key in header] for row in one.rows)
         atomic_write_text(folder / f"{one.name}.csv", table(header, rows))
     atomic_write_text(folder / "features.csv", _points(found))
     atomic_write_text(folder / MARKDOWN_FILE, markdown(plain))
@@ -72,4 +73,8 @@ def _points(found: Benchmark) -> str:
         for point in feature_points(one)
     ]
     header = list(rows[0])
-    return table(header, ([row[key] for key in header] for row in rows))
+    return table(header, ([_cell(row[key]) for key in header] for row in rows))
+
+
+def _cell(value: Any) -> Any:
+    return name_cell(value) if isinstance(value, str) else value

@@ -12,7 +12,7 @@ SETTINGS = {"slot": "every slot", "key": "the key frames"}
 
 def markdown(document: Document) -> str:
     """Write all tables of a benchmark; columns in which nothing was measured are left out."""
-    parts = [f"# ExWarp benchmark\n\n{about(document)}\n"]
+    parts = [f"# ExWarp benchmark\n\n{_escaped(about(document))}\n"]
     parts += [_section(table) for table in tables_of(document) if table.rows]
     return "\n".join(parts)
 
@@ -59,6 +59,6 @@ def _section(table: Table) -> str:
 
 def _escaped(text: str) -> str:
     """Keep names of files from being taken for marks."""
-    for mark in "\\`*_|<>[]":
+    for mark in "\\`*_|<>[]&":
         text = text.replace(mark, f"\\{mark}")
     return " ".join(text.split())

@@ -36,6 +36,8 @@ class TestMistakes:
             ("[upsample]\nreport = 4", ("text, a path, and is a whole number",)),
             ("[upsample]\nmethod = 2026-01-01", ("must be text, and is a date",)),
             ("[upsample.method]\na = 1", ("must be text, and is a table",)),
+            ('[upsample]\npolicy = "a\\u0000b"', ("policy in", "a NUL character", "remove it")),
+            ('[upsample]\naov = ["depth=a\\u0000b"]', ("aov in", "a NUL character")),
             ("[upsample]\naov = [1]", ("must be text, a path, or an array of such",)),
             ("[upsample]\ntail = true\nno-tail = true", ("no-tail in", "says again what tail in")),
             ("[upsample]\ndevice = 'abacus'", ("'--device': 'abacus'", "device in [upsample] of")),

@@ -5,8 +5,8 @@
 In process, cases are drawn by hypothesis, and by atheris, which looks for inputs that reach code no
 input reached before. Through the command each has a process of its own. Every one has to end in
 success, or in one sentence and a documented exit code, in time, without partial files and within
-the memory of a small machine. Cases come in batches; a batch that went well is noted in FOLDER and
-not run again, and what failed is told at the end with what makes it again.
+the memory that its frames need. Cases come in batches; a batch that went well is noted in FOLDER
+and not run again. What failed is told there too, and at the end, with what makes it again.
 """
 
 from __future__ import annotations
@@ -80,12 +80,15 @@ def _run_all(wanted: list[Batch], state: Path, jobs: int) -> int:
     begin, lock = time.monotonic(), threading.Lock()
 
     def one(batch: Batch) -> str:
-        done = state / f"{batch.name}.json"
+        done, failed = state / f"{batch.name}.json", state / f"{batch.name}.txt"
         if done.exists():
             return ""
         failure = _started(batch)
-        if not failure:
+        if failure:
+            failed.write_text(failure)
+        else:
             done.write_text(json.dumps(asdict(batch)))
+            failed.unlink(missing_ok=True)
         with lock:
             seconds = time.monotonic() - begin
             print(f"{seconds:6.0f} s  {batch.name}: {(failure and 'FAILED') or 'ok'}", flush=True)

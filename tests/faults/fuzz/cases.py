@@ -20,7 +20,15 @@ from hypothesis import strategies as st
 from exwarp_cli import cli
 from exwarp_cli.io.output import is_intact
 from tests.cli import shots
-from tests.faults.fuzz.damage import DAMAGES, FOLDERS, Draw, draw_shot
+from tests.faults.fuzz.damage import DAMAGES, FOLDERS, Draw, draw_shot, files
+from tests.faults.fuzz.memory import (
+    GROWTH_MB,
+    MOST_PIXELS,
+    PROCESS_MB,
+    allowed_mb,
+    pixels_of,
+    watched,
+)
 from tests.faults.running import Outcome, require_no_leftovers
 
 SECONDS = 120
@@ -32,10 +40,14 @@ METHODS = ("s6", "softsplat", "exwarp", "s3", "blend", "hold")
 
 @dataclass(frozen=True)
 class Case:
-    """A command line and the folder in which everything of it lies."""
+    """A command line, and the folder in which everything of it lies.
+
+    `pixels` is how many its frames say that they have, as far as they are allowed.
+    """
 
     root: Path
     arguments: tuple[str, ...]
+    pixels: int
 
     @property
     def out(self) -> Path:
@@ -45,6 +57,10 @@ class Case:
     def judge(self, outcome: Outcome) -> None:
         """Refuse what no command may do, whatever it reads."""
         outcome.judge()
+        allowed = allowed_mb(self.pixels, PROCESS_MB if outcome.alone else GROWTH_MB)
+        assert outcome.peak_mb <= allowed, (
+            f"{outcome.peak_mb} MB for {self.pixels} pixels, more than {allowed}"
+        )
         require_no_leftovers(self.out)
         keys = next(path for path in self.root.iterdir() if path.name != "out")
         rendered = {path.read_bytes() for path in keys.glob("*.exr") if path.is_file()}
@@ -60,10 +76,10 @@ def drawn(draw: Draw) -> Iterator[Case]:
         keys = root / draw(st.sampled_from(FOLDERS))
         draw_shot(draw, keys)
         for damage in draw(st.lists(st.sampled_from(DAMAGES), min_size=1, max_size=2)):
-            if list(keys.glob("*.exr")):
+            if files(keys):
                 with suppress(OSError, RuntimeError):  # links, folders, what is not even written
                     damage(draw, keys)
-        yield Case(root, _command(draw, keys, root / "out"))
+        yield Case(root, _command(draw, keys, root / "out"), pixels_of(keys))
     finally:
         shutil.rmtree(root, ignore_errors=True)
 
@@ -72,7 +88,7 @@ def _command(draw: Draw, keys: Path, out: Path) -> tuple[str, ...]:
     name = draw(st.sampled_from(["upsample", "upsample", "upsample", "inspect", "features"]))
     spec = str(keys) if draw(st.booleans()) else str(keys / "shot.####.exr")
     motion = VECTORS if draw(st.booleans()) else ()
-    bound = ("--max-pixels", "1000000")
+    bound = ("--max-pixels", str(MOST_PIXELS))
     if name != "upsample":
         return (name, spec, *motion, *bound)
     more = draw(
@@ -91,10 +107,13 @@ class Hangs(BaseException):
 
 
 def in_process(case: Case) -> Outcome:
-    """Run a case's command in this process; what libraries print past Python counts as well."""
+    """Run a case's command in this process; what libraries print past Python counts as well.
+
+    Its peak is that by which the process grew.
+    """
     sys.stdout.flush()
     sys.stderr.flush()
-    with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
+    with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err, watched() as growth:
         kept = os.dup(1), os.dup(2)
         before = signal.signal(signal.SIGALRM, _hang)
         signal.alarm(SECONDS)
@@ -119,7 +138,7 @@ def in_process(case: Case) -> Outcome:
         for file in (out, err):
             file.seek(0)
         texts = [file.read().decode("utf-8", "replace") for file in (out, err)]
-    return Outcome(code, *texts)
+    return Outcome(code, *texts, peak_mb=growth.mb)
 
 
 def _hang(_number: int, _frame: FrameType | None) -> NoReturn:

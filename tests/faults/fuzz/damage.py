@@ -60,8 +60,13 @@ def draw_shot(draw: Draw, folder: Path) -> None:
         shots.write(folder / f"shot.{number:04d}.exr", parts, head)
 
 
+def files(folder: Path) -> list[Path]:
+    """Return the frames that are files: what links lead to may have no end."""
+    return sorted(path for path in folder.glob("*.exr") if path.is_file())
+
+
 def _file(draw: Draw, folder: Path) -> Path:
-    return Path(draw(st.sampled_from(sorted(folder.glob("*.exr")))))
+    return Path(draw(st.sampled_from(files(folder))))
 
 
 def _single(draw: Draw, folder: Path) -> tuple[Path, dict[str, Any], dict[str, np.ndarray]]:
