@@ -37,6 +37,11 @@ class Window:
         return self.height, self.width
 
     @property
+    def pixels(self) -> int:
+        """How many there are."""
+        return self.width * self.height
+
+    @property
     def corners(self) -> tuple[int, int, int, int]:
         """First column, first row, last column, last row, all inclusive."""
         return self.x, self.y, self.x + self.width - 1, self.y + self.height - 1

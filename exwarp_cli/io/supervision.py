@@ -91,6 +91,11 @@ class End:
         return f"a library crashed ({signal.Signals(-self.code).name}) while it read {self.named}"
 
 
+def parts() -> bool:
+    """Whether commands are parted into two processes: not on Windows, nor where one is wanted."""
+    return hasattr(os, "fork") and os.environ.get(ALONE_VARIABLE) != "0"
+
+
 def part(tell: Callable[[str], None]) -> End | None:
     """Part this process in a child that works and a parent that waits for it.
 
@@ -102,10 +107,10 @@ def part(tell: Callable[[str], None]) -> End | None:
     Returns
     -------
     End or None
-        None in the child, and where processes cannot be parted, as on Windows: there the command
-        runs alone. In the parent, once the last child has ended, how it did.
+        None in the child, and where processes are not parted: there the command runs alone. In the
+        parent, once the last child has ended, how it did.
     """
-    if not hasattr(os, "fork") or os.environ.get(ALONE_VARIABLE) == "0":
+    if not parts():
         return None
     board = Board()
     usual = {number: signal.getsignal(number) for number in HANDED_ON}

@@ -147,8 +147,7 @@ class Run:
     @property
     def _is_small(self) -> bool:
         """Whether memory permits to work on an interval before the last is done with."""
-        display = self.source.keys.display
-        return display.width * display.height <= MOST_AHEAD
+        return self.source.keys.display.pixels <= MOST_AHEAD
 
     @property
     def _ahead(self) -> int:

@@ -105,9 +105,11 @@ def write_intervals(job: Job, progress: Progress, watcher: Watcher | None = None
     """
     settings = job.settings
     use_threads(settings.threads)
-    # Of what vectors were measured in: half of the memory of a run at 3840x2160.
-    lent_memory.forget()
-    allocator.trim()
+    if job.source.keys.display.pixels > lent_memory.HUGE:
+        # Of what vectors were measured in: half of the memory of a run at 3840x2160. At 1920x1080
+        # frames take the same room.
+        lent_memory.forget()
+        allocator.trim()
     loader = make_loader(job)
     note = ""
     if job.targets.frames is None:
@@ -181,7 +183,7 @@ def _run_of(job: Job, note: str, progress: Progress, watcher: Watcher | None) ->
 
 def _behind(display: Window) -> int:
     """Return how many frames may wait to be written: fewer of large ones."""
-    return min(FRAMES_BEHIND, MOST_WAITING // (display.width * display.height * PIXEL_BYTES))
+    return min(FRAMES_BEHIND, MOST_WAITING // (display.pixels * PIXEL_BYTES))
 
 
 def make_chooser(job: Job) -> Chooser | None:

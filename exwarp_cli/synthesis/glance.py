@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli.domain.frame import Bool, Float32, Int32, KeyFrame, Window
+from exwarp_cli.kernels import cells
 
 CELLS = 128
 """Cells along a frame's longer side."""
@@ -15,7 +16,7 @@ CELLS = 128
 POINTS = 4
 """Pixels along a cell's side whose colour is averaged: noise of path tracing falls to a quarter."""
 
-Index = npt.NDArray[np.intp]
+Index = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -101,24 +102,39 @@ class _Sampling:
         return picked
 
 
-def _along(length: int, size: int, first: int, end: int) -> tuple[Index, Bool]:
-    """Return where cells lie along an axis, and which of them lie in the array."""
-    places = first + size * np.arange(max(1, length // size))
+def _along(length: int, size: int, first: Index | int, end: int) -> tuple[Index, Bool]:
+    """Return where pixels of cells lie along an axis, and which of them lie in the array.
+
+    Parameters
+    ----------
+    length
+        Of the display window along it.
+    size
+        Of a cell.
+    first
+        Those of the first cell; the others' follow, one cell's after the other's.
+    end
+        Of the array.
+    """
+    begins = size * np.arange(max(1, length // size))
+    places = np.add.outer(begins, first).ravel()
     return np.clip(places, 0, end - 1), (places >= 0) & (places < end)
 
 
 def _light(pixels: Float32, window: Window, display: Window, size: int) -> Float32:
     """Return mean square roots of luminance, float32 [h, w]: bright fireflies do not dominate."""
-    offsets = sorted({(2 * i + 1) * size // (2 * POINTS) for i in range(POINTS)})
-    total: Float32 | None = None
-    for dy in offsets:
-        for dx in offsets:
-            picked = _Sampling(window, display, size, (dy, dx)).pick(pixels[..., :3])
-            assert picked is not None
-            with np.errstate(invalid="ignore", over="ignore"):
-                luminance = picked @ np.array([0.2126, 0.7152, 0.0722], np.float32)
-                shown = np.sqrt(np.clip(luminance, 0, 1e4))
-            shown = np.nan_to_num(shown, copy=False)
-            total = shown if total is None else total + shown
-    assert total is not None
-    return total / np.float32(len(offsets) ** 2)
+    offsets = np.array(sorted({(2 * i + 1) * size // (2 * POINTS) for i in range(POINTS)}))
+    (rows, inside_rows), (columns, inside) = (
+        _along(length, size, offsets + first, end)
+        for length, first, end in (
+            (display.height, display.y - window.y, window.height),
+            (display.width, display.x - window.x, window.width),
+        )
+    )
+    height, width, channels = pixels.shape
+    light = np.empty((len(rows) // len(offsets), len(columns) // len(offsets)), np.float32)
+    cells.mean_roots(
+        np.ascontiguousarray(pixels).reshape(height, width * channels), channels,
+        np.where(inside_rows, rows, -1), np.where(inside, columns, -1), len(offsets), light,
+    )  # fmt: skip
+    return light

@@ -63,6 +63,22 @@ def every_error(kind: type[ExwarpError] = ExwarpError) -> list[type[ExwarpError]
     return [kind, *(e for below in kind.__subclasses__() for e in every_error(below))]
 
 
+@pytest.mark.parametrize("parted", ["0", "1"])
+def test_what_is_to_be_done_last_is_done(parted):
+    """The interpreter is not taken apart, but threads end, handlers run, and nothing is unsaid."""
+    body = """
+        import atexit, threading, time
+        atexit.register(print, "handled")
+        threading.Thread(target=lambda: (time.sleep(0.3), print("threaded"))).start()
+        sys.stderr.write("told")
+        raise click.exceptions.Exit(7)
+    """
+    environment = os.environ | {"EXWARP_SUPERVISE": parted}
+    result = subprocess.run(script(body), capture_output=True, text=True, env=environment)
+    assert (result.returncode, result.stderr) == (7, "told")
+    assert result.stdout.split() == ["threaded", "handled"]
+
+
 class TestHelp:
     @pytest.mark.parametrize("arguments", [["--help"], ["-h"], []])
     def test_it_lists_every_command(self, arguments):
