@@ -8,13 +8,25 @@ import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli.compiled.shares import WHOLE, Share, turns
-from exwarp_cli.kernels.jit import parallel, serial
+from exwarp_cli.kernels.jit import parallel, part, serial
+from exwarp_cli.kernels.reach import write_reach
 
 F32 = npt.NDArray[np.float32]
 
 
+@part
+def write_parabola(before: F32, after: F32, time: np.float32, out: F32) -> None:
+    """Write displacements [N] of a row; see `parabola_text`."""
+    half, square = np.float32(0.5) * time, np.float32(0.5) * time * time
+    for k in range(out.size):
+        p, n = before[k], after[k]
+        both = half * (n - p) + square * (n + p)
+        alone = -time * p if math.isnan(n) else both
+        out[k] = time * n if math.isnan(p) else alone
+
+
 def parabola_text(
-    before: F32, after: F32, time: np.float32, out: F32, share: Share = WHOLE
+    before: F32, after: F32, time: np.float32, out: F32, reach: F32, share: Share = WHOLE
 ) -> None:
     """Write t (n - p) / 2 + t² (n + p) / 2 for p = `before` and n = `after`.
 
@@ -29,21 +41,17 @@ def parabola_text(
         half the sum of both vectors counts t² times.
     out
         float32 [H, W, 2], written; NaN where both are unknown.
+    reach
+        Written as by :func:`~exwarp_cli.kernels.reach.row_reach_text`, row by row, which finds each
+        in the processor's cache; [0, 0, 2] where nobody asks.
     share
         Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
-    height, width, _ = after.shape
-    half, square = np.float32(0.5) * time, np.float32(0.5) * time * time
-    for i in turns(height, share):
-        for j in range(width):
-            for c in range(2):
-                p, n = before[i, j, c], after[i, j, c]
-                if math.isnan(p):
-                    out[i, j, c] = time * n
-                elif math.isnan(n):
-                    out[i, j, c] = -time * p
-                else:
-                    out[i, j, c] = half * (n - p) + square * (n + p)
+    for i in turns(after.shape[0], share):
+        line = out[i].reshape(-1)
+        write_parabola(before[i].reshape(-1), after[i].reshape(-1), time, line)
+        if reach.shape[0] > 0:
+            write_reach(i, line, reach[i])
 
 
 parabola = parallel(parabola_text)

@@ -15,7 +15,6 @@ import numpy.typing as npt
 from exwarp_cli.compiled.shares import WHOLE, Share, turns
 from exwarp_cli.kernels.jit import inlined, parallel, part, serial
 from exwarp_cli.kernels.patches import (
-    FARTHEST,
     NOTHING,
     Landings,
     Matrix,
@@ -26,15 +25,12 @@ from exwarp_cli.kernels.patches import (
     write_places,
     write_slopes,
 )
+from exwarp_cli.kernels.reach import SPAN
 
 F32 = npt.NDArray[np.float32]
 I32 = npt.NDArray[np.int32]
 
 ROWS_PER_BAND = 32
-
-SPAN = 64
-"""Pixels of a source row that a band takes or leaves together. With whole rows bands worked off 1.8
-times as many pixels as there are, where things move by up to 60 pixels."""
 
 
 @inlined
@@ -127,7 +123,7 @@ def splat_span(
 def next_run(reach: F32, first: int, rows: tuple[int, int]) -> tuple[int, int]:
     """Return the next spans, from `first` on, that touch the target rows; two equal ones if none.
 
-    `reach` is float32 [S + 1, 2], that of a source row from :func:`row_reach_text`.
+    `reach` is float32 [S + 1, 2], that of a source row from `row_reach_text`.
     """
     spans = reach.shape[0] - 1
     begin = first
@@ -217,7 +213,7 @@ def splat_text(
     depth
         float32 [H, W], smaller is nearer; +inf for background, which everything hides.
     reach
-        float32 [H, S + 1, 2], from :func:`row_reach`.
+        float32 [H, S + 1, 2], from :func:`~exwarp_cli.kernels.reach.row_reach_text`.
     field
         float32 [H, W, 2], written: from a target pixel to its source; NaN where nothing lands.
     near
@@ -243,51 +239,5 @@ def splat_text(
         splat_band(moves, depth, reach, (begin, end), places, depths)
 
 
-def reach_shape(shape: tuple[int, ...]) -> tuple[int, int, int]:
-    """Return the shape of what :func:`row_reach_text` writes for a frame [H, W]."""
-    return shape[0], -(-shape[1] // SPAN) + 1, 2
-
-
-@part
-def span_reach(row: np.float32, line: F32) -> tuple[np.float32, np.float32]:
-    """Return the least and the greatest row that the displacements [2 N] of a span lead to."""
-    low, high = np.float32(np.inf), np.float32(-np.inf)
-    for j in range(line.size // 2):
-        y = row + line[2 * j + 1]
-        if y < low:
-            low = y
-        if y > high:
-            high = y
-    return low, high
-
-
-def row_reach_text(displacement: F32, reach: F32, share: Share = WHOLE) -> None:
-    """Find which target rows each source row touches.
-
-    Parameters
-    ----------
-    displacement
-        As in :func:`splat_text`.
-    reach
-        float32 [H, S + 1, 2], written: the least and the greatest row, for each SPAN pixels and for
-        the whole row; the greatest is less where nothing is known.
-    share
-        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
-    """
-    height, width, _ = displacement.shape
-    spans = reach.shape[1] - 1
-    moves = np.ascontiguousarray(displacement).reshape(height, 2 * width)
-    for i in turns(height, share):
-        low, high = np.float32(np.inf), np.float32(-np.inf)
-        for span in range(spans):
-            begin, end = 2 * span * SPAN, min(2 * (span + 1) * SPAN, 2 * width)
-            least, most = span_reach(np.float32(i), moves[i, begin:end])
-            reach[i, span, 0], reach[i, span, 1] = least - FARTHEST, most + FARTHEST
-            low, high = min(low, least), max(high, most)
-        reach[i, spans, 0], reach[i, spans, 1] = low - FARTHEST, high + FARTHEST
-
-
 splat = parallel(splat_text)
 splat_serial = serial(splat_text)
-row_reach = parallel(row_reach_text)
-row_reach_serial = serial(row_reach_text)

@@ -20,7 +20,7 @@ from exwarp_cli.synthesis.camera import (
     scene_of,
     standing,
 )
-from exwarp_cli.synthesis.trajectory import displacement, followed, stencil_of
+from exwarp_cli.synthesis.trajectory import displaced, followed, reach_of, stencil_of
 
 TURN_PER_SLOT = math.acos(0.98)
 """Radians by which the normal of one dynamic surface may turn from slot to slot: ExtraNet's
@@ -143,7 +143,7 @@ def reproject(gbuffer: GBuffer, time: float) -> SlotField:
     time
         Of the slot, in key intervals from this key frame; negative is earlier.
     """
-    return moved_on(gbuffer, displacement(gbuffer, time))
+    return _moved_on(gbuffer, *displaced(gbuffer, time))
 
 
 def moved_on(gbuffer: GBuffer, motion: Float32) -> SlotField:
@@ -156,10 +156,12 @@ def moved_on(gbuffer: GBuffer, motion: Float32) -> SlotField:
     motion
         float32 [H, W, 2], pixels: where each of its pixels moves; NaN for nowhere.
     """
+    return _moved_on(gbuffer, motion, reach_of(motion))
+
+
+def _moved_on(gbuffer: GBuffer, motion: Float32, reach: Float32) -> SlotField:
     depth = depth_of(gbuffer)
     field, near = lent(motion.shape, np.float32), lent(depth.shape, np.float32)
-    reach = np.empty(splat.reach_shape(depth.shape), np.float32)
-    splat.row_reach(motion, reach)
     splat.splat(motion, depth, reach, field, near)
     hole: Bool = lent(depth.shape, np.bool_)
     return SlotField(field, near, np.isnan(near, out=hole), depth)

@@ -9,6 +9,7 @@ import numpy as np
 from exwarp_cli.domain.frame import Float32, GBuffer, Int32
 from exwarp_cli.domain.lent_memory import lent
 from exwarp_cli.kernels import parabola
+from exwarp_cli.kernels import reach as rows
 from exwarp_cli.kernels.follow import follow
 
 
@@ -33,16 +34,39 @@ def displacement(gbuffer: GBuffer, time: float) -> Float32:
         With n the displacement to the next frame and p to the previous one, the parabola
         through both, t (n - p) / 2 + t² (n + p) / 2; else t n, or -t p, constant velocity.
     """
+    return _displacement(gbuffer, time, np.zeros((0, 0, 2), np.float32))
+
+
+def displaced(gbuffer: GBuffer, time: float) -> tuple[Float32, Float32]:
+    """Return what `displacement` does, and what `reach_of` does of that."""
+    reach = np.empty(rows.reach_shape(gbuffer.window.shape), np.float32)
+    return _displacement(gbuffer, time, reach), reach
+
+
+def reach_of(motion: Float32) -> Float32:
+    """Return which rows displacements [H, W, 2] lead to, as splatting wants it."""
+    reach = np.empty(rows.reach_shape(motion.shape), np.float32)
+    rows.row_reach(motion, reach)
+    return reach
+
+
+def _displacement(gbuffer: GBuffer, time: float, reach: Float32) -> Float32:
+    """Return displacements, and write which rows they lead to, unless `reach` is [0, 0, 2]."""
     t = np.float32(time)
     after, before = gbuffer.to_next, gbuffer.to_previous
     if after is not None and before is not None:
         out: Float32 = lent(after.shape, np.float32)
-        parabola.parabola(before, after, t, out)
+        ways = np.ascontiguousarray(before), np.ascontiguousarray(after)
+        parabola.parabola(*ways, t, out, reach)
         return out
     if after is not None:
-        return t * after
-    assert before is not None
-    return -t * before
+        out = t * after
+    else:
+        assert before is not None
+        out = -t * before
+    if reach.size:
+        rows.row_reach(out, reach)
+    return out
 
 
 def followed(start: GBuffer, others: Sequence[GBuffer], way: int) -> Float32:

@@ -17,12 +17,12 @@ from exwarp_cli.kernels import edges, gather, holes, jit, splat
 from exwarp_cli.synthesis.geometry import (
     TURN_PER_SLOT,
     SlotField,
-    displacement,
     reproject,
     settle_motion,
 )
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import METHODS
+from exwarp_cli.synthesis.trajectory import displacement, reach_of
 from exwarp_cli.synthesis.warp import fill_holes, moved
 from tests.bench import goals
 from tests.bench.street import key_frame
@@ -97,19 +97,16 @@ def _geometry(raw: KeyFrame, settled: KeyFrame) -> dict[str, tuple[Work, Work]]:
     motion, depth, stencil = displacement(moving, TIME), buffers.depth, buffers.stencil
     assert depth is not None and stencil is not None and buffers.to_next is not None
     field, near = np.empty_like(motion), np.empty_like(depth)
-    reach = np.empty(splat.reach_shape(depth.shape), np.float32)
     edge, mask = np.empty(depth.shape, np.bool_), np.empty(depth.shape, np.bool_)
-    splat.row_reach(motion, reach)
     source = reproject(moving, TIME)
 
     def splat_all() -> None:
-        splat.row_reach(motion, reach)
-        splat.splat(motion, depth, reach, field, near)
+        splat.splat(motion, depth, reach_of(motion), field, near)
 
     cosine = np.float32(np.cos(SLOT * TURN_PER_SLOT))
     pairs = [(a, a) for a in (depth, stencil, buffers.position, buffers.normal)]
     works: dict[str, Work] = {
-        "row_reach": lambda: splat.row_reach(motion, reach),
+        "row_reach": lambda: reach_of(motion),
         "row_reach + splat": splat_all,
         "mark": lambda: holes.mark(source.field, *pairs, cosine, mask),
         "find_edges": lambda: edges.find_edges(depth, stencil, edge),

@@ -22,6 +22,7 @@ from exwarp_cli.kernels import (
     nearest,
     parabola,
     project,
+    reach,
     settling,
     splat,
     vectors,
@@ -61,15 +62,15 @@ def followed(
 
 
 def reached(displacement: np.ndarray, serial: bool = False) -> Arrays:
-    reach = np.zeros(splat.reach_shape(displacement.shape), np.float32)
-    build(splat, "row_reach", serial)(displacement, reach)
-    return (reach,)
+    found = np.zeros(reach.reach_shape(displacement.shape), np.float32)
+    build(reach, "row_reach", serial)(displacement, found)
+    return (found,)
 
 
 def splatted(displacement: np.ndarray, depth: np.ndarray, serial: bool = False) -> Arrays:
     field, near = np.zeros_like(displacement), np.zeros_like(depth)
-    (reach,) = reached(displacement, serial)
-    build(splat, "splat", serial)(displacement, depth, reach, field, near)
+    (rows,) = reached(displacement, serial)
+    build(splat, "splat", serial)(displacement, depth, rows, field, near)
     return field, near
 
 
@@ -134,8 +135,9 @@ def filled(
 
 def displaced(before: np.ndarray, after: np.ndarray, time: float, serial: bool = False) -> Arrays:
     out = np.zeros_like(after)
-    build(parabola, "parabola", serial)(before, after, np.float32(time), out)
-    return (out,)
+    found = np.zeros(reach.reach_shape(after.shape), np.float32)
+    build(parabola, "parabola", serial)(before, after, np.float32(time), out, found)
+    return out, found
 
 
 def edges_found(depth: np.ndarray, stencil: np.ndarray = NO_IDS, serial: bool = False) -> Arrays:

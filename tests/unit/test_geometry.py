@@ -10,16 +10,17 @@ import pytest
 
 from exwarp_cli.domain.frame import GBuffer, Window
 from exwarp_cli.kernels.holes import FOOTPRINTS
+from exwarp_cli.kernels.patches import FARTHEST
+from exwarp_cli.kernels.reach import SPAN
 from exwarp_cli.synthesis.geometry import (
     SlotField,
     compose_back,
     compose_forward,
     depth_of,
-    displacement,
     reproject,
     settle_motion,
-    stencil_of,
 )
+from exwarp_cli.synthesis.trajectory import displaced, displacement, reach_of, stencil_of
 from tests.unit.scenes import SKY, View, town
 
 TIMES = (0.25, 0.5, 0.75)
@@ -196,6 +197,29 @@ class TestDisplacement:
         unknown = self.field(*[np.nan] * 4)
         both = GBuffer(self.WINDOW, to_previous=unknown, to_next=unknown)
         assert np.isnan(displacement(both, 0.5)).all()
+
+    @pytest.mark.parametrize("width", [1, 63, 64, 97, 200])
+    @pytest.mark.parametrize("given", ["both", "to_next", "to_previous"])
+    def test_the_rows_that_it_leads_to_come_along(self, given, width):
+        """Those of every span and of the whole row; of a row without motion, none."""
+        rng = np.random.default_rng(width)
+        n, p = rng.normal(0, 20, (2, 7, width, 2)).astype(np.float32)
+        n[rng.random((7, width)) < 0.3] = p[rng.random((7, width)) < 0.3] = np.nan
+        n[4] = p[4] = np.nan
+        ways = {"to_next": n, "to_previous": p}
+        ways = ways if given == "both" else {given: ways[given]}
+        gbuffer = GBuffer(Window(0, 0, width, 7), **ways)
+        motion, reach = displaced(gbuffer, 0.75)
+        np.testing.assert_array_equal(motion, displacement(gbuffer, 0.75))
+        np.testing.assert_array_equal(reach, reach_of(motion))
+        for i, row in enumerate(motion):
+            spans = [*np.split(row, range(SPAN, width, SPAN)), row]
+            assert len(reach[i]) == len(spans)
+            for (low, high), span in zip(reach[i], spans, strict=True):
+                led = (np.float32(i) + span[:, 1])[~np.isnan(span[:, 1])]
+                near = (low + FARTHEST, high - FARTHEST)
+                assert near == (pytest.approx((led.min(), led.max())) if len(led) else near)
+                assert (low > high) == (len(led) == 0)
 
 
 def slots() -> list[GBuffer]:

@@ -22,10 +22,10 @@ SCRIPT = """
 import numpy as np
 from exwarp_cli.accel import kernel as accelerator
 from exwarp_cli.kernels import jit, parabola
-out = np.zeros((4, 5, 2), np.float32)
+out, reach = np.zeros((4, 5, 2), np.float32), np.zeros((0, 0, 2), np.float32)
 build = jit.build(parabola.parabola_text)
 for kernel in (parabola.parabola_serial, parabola.parabola):
-    kernel(out + 1, out + 2, np.float32(0.5), out)
+    kernel(out + 1, out + 2, np.float32(0.5), out, reach)
     print(sum(build.stats.cache_misses.values()), float(out[0, 0, 0]))
 states, outputs = np.ones((5, 1), np.int32), np.ones((5, 2), np.int32)
 weights, constants = np.zeros(4, np.int8), np.zeros((3, 3), np.int32)
@@ -51,8 +51,8 @@ def places(monkeypatch, *paths: Path) -> tuple[Path, ...]:
 def run() -> tuple[int, int]:
     """Compile or load a kernel, see that it works; how often it was loaded and compiled."""
     kernel: Any = builds.compiled(parabola.parabola_text)
-    out = np.zeros((4, 5, 2), np.float32)
-    kernel(out + 1, out + 2, np.float32(0.5), out, WHOLE)
+    out, reach = np.zeros((4, 5, 2), np.float32), np.zeros((0, 0, 2), np.float32)
+    kernel(out + 1, out + 2, np.float32(0.5), out, reach, WHOLE)
     assert (out == 0.5 * 0.5 * (2 - 1) + 0.5 * 0.25 * (2 + 1)).all()
     stats = kernel.stats
     return sum(stats.cache_hits.values()), sum(stats.cache_misses.values())
@@ -185,8 +185,8 @@ class TestNames:
     def test_the_types_of_arguments(self, folder):
         run()
         kernel: Any = builds.compiled(parabola.parabola_text)
-        out = np.zeros((4, 10, 2), np.float32)[:, ::2]
-        kernel(out + 1, out + 2, np.float32(0.5), out, WHOLE)
+        out, reach = np.zeros((4, 5, 2)), np.zeros((0, 0, 2), np.float32)
+        kernel(out + 1, out + 2, np.float32(0.5), out, reach, WHOLE)
         assert len(list(folder.iterdir())) == 2
 
 
