@@ -36,3 +36,14 @@ def test_vectors_are_those_of_the_twin(rows, channels, scales):
     raw = np.array(rows, np.float32)
     (found,) = scaled(raw, channels, scales)
     np.testing.assert_array_equal(found, naive_vectors.scale_vectors(raw, channels, scales))
+
+
+@given(
+    st.lists(st.tuples(VALUES, VALUES, VALUES, VALUES), min_size=1, max_size=20),
+    st.sampled_from([(0, 1), (1, 2), (2, 3), (3, 2), (0, 2)]),
+    st.tuples(st.sampled_from([1.0, -1.0, 960.0]), st.sampled_from([1.0, -540.0])),
+)
+def test_vectors_of_four_channels_are_those_of_the_twin(rows, channels, scales):
+    raw = np.array(rows, np.float32)
+    (found,) = scaled(raw, channels, scales)
+    np.testing.assert_array_equal(found, naive_vectors.scale_vectors(raw, channels, scales))
