@@ -56,6 +56,16 @@ def test_planes(height, width, kinds, seed):
     np.testing.assert_array_equal(out[..., places], naive.singles(planes, drop=True))
 
 
+@pytest.mark.parametrize("kind", ["f2", "f4", "u4"])
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 5])
+def test_planes_of_one_kind(count, kind):
+    rng = np.random.default_rng(count)
+    planes = some(rng, [kind] * count, (5, 67))
+    sizes, places = [{"f2": 2, "f4": 3, "u4": 4}[kind]] * count, rng.permutation(count).tolist()
+    out = decoded(from_planes, naive.planes24(planes), sizes, places, (5, 67))
+    np.testing.assert_array_equal(out[..., places], naive.singles(planes, drop=True))
+
+
 @SETTINGS
 @given(SIZES, SIZES, KINDS, SEEDS)
 def test_what_is_not_wanted_is_passed_over(height, width, kinds, seed):
