@@ -154,7 +154,7 @@ def from_halves(data: U8, columns: I64, out: U32) -> None:
 
 @part
 def rises_of(planes: U8, size: int, line: U32) -> None:
-    """Write the rises of a channel's line [W], given as planes of bytes [size W]; see `from_planes`.
+    """Write the rises of a channel's line [W], given as planes of bytes [size W].
 
     Of halfs they are 16 bits.
     """
@@ -185,7 +185,7 @@ def add_up_four(lines: U32, row: U32) -> None:
 
 @part
 def add_up_three(lines: U32, row: U32) -> None:
-    """Do as `add_up_four` with three channels, whose sums wait for each other no more than one's."""
+    """Do as `add_up_four` with three channels."""
     a, b, c = lines[0], lines[1], lines[2]
     p, q, r = np.uint32(0), np.uint32(0), np.uint32(0)
     for x in range(a.size):
@@ -202,6 +202,50 @@ def add_up(line: U32, row: U32) -> None:
         row[x] = value
 
 
+@part
+def are_one_kind(columns: I64) -> bool:
+    """Whether all channels that are wanted are halfs, or none is."""
+    halfs, others = False, False
+    for k in range(len(columns)):
+        halfs |= columns[k, 1] >= 0 and columns[k, 0] == 2
+        others |= columns[k, 1] >= 0 and columns[k, 0] > 2
+    return not (halfs and others)
+
+
+@part
+def add_up_pixels(lines: U32, halfs: bool, row: U32) -> None:
+    """Write where the rises of one, three or four channels [C, W] of a kind lead, [C W]."""
+    if lines.shape[0] == 4:
+        add_up_four(lines, row)
+    elif lines.shape[0] == 3:
+        add_up_three(lines, row)
+    else:
+        add_up(lines[0], row)
+    if halfs:
+        for k in range(row.size):
+            row[k] = single(row[k] & np.uint32(0xFFFF))
+
+
+@part
+def add_up_each(lines: U32, columns: I64, row: U32) -> None:
+    """Write where the rises of channels [C, W] lead, one after the other, [W, C]."""
+    for k in range(len(columns)):
+        size, place = columns[k]
+        if place < 0:
+            continue
+        line = lines[place]
+        if size > 2:
+            spread_sums(line, row, place)
+            continue
+        value = np.uint32(0)
+        for x in range(line.size):
+            value = np.uint32(value + line[x])
+            line[x] = value
+        for x in range(line.size):
+            line[x] = single(line[x] & np.uint32(0xFFFF))
+        spread(line, row, place)
+
+
 @serial
 def from_planes(data: U8, columns: I64, out: U32) -> None:
     """Read a chunk of PXR24: of each line and channel planes of bytes, the highest first, as rises.
@@ -210,42 +254,19 @@ def from_planes(data: U8, columns: I64, out: U32) -> None:
     kind, the usual ones, are written whole: two thirds of the time.
     """
     height, width, channels = out.shape
-    lines, line = np.empty((channels, width), np.uint32), np.empty(width, np.uint32)
-    whole = channels == 4 or channels == 3 or channels == 1
-    halfs = False
-    for k in range(len(columns)):
-        halfs |= columns[k, 0] == 2 and columns[k, 1] >= 0
-    for k in range(len(columns)):  # pixels that are of one kind
-        whole &= columns[k, 1] < 0 or (columns[k, 0] == 2) == halfs
-    at = 0
+    whole = (channels == 1 or channels == 3 or channels == 4) and are_one_kind(columns)
+    lines, halfs, at = np.empty((channels, width), np.uint32), False, 0
     for y in range(height):
-        row = out[y].reshape(-1)
         for k in range(len(columns)):
             size, place = columns[k]
-            here = data[at : at + size * width]
+            if place >= 0:
+                rises_of(data[at : at + size * width], size, lines[place])
+                halfs = size == 2
             at += size * width
-            if place < 0:
-                continue
-            rises_of(here, size, lines[place] if whole else line)
-            if not whole and size > 2:
-                spread_sums(line, out[y], place)
-            elif not whole:
-                value = np.uint32(0)
-                for x in range(width):
-                    value = np.uint32(value + line[x])
-                    line[x] = value
-                for x in range(width):
-                    line[x] = single(line[x] & np.uint32(0xFFFF))
-                spread(line, out[y], place)
-        if whole and channels == 4:
-            add_up_four(lines, row)
-        elif whole and channels == 3:
-            add_up_three(lines, row)
-        elif whole:
-            add_up(lines[0], row)
-        if whole and halfs:
-            for x in range(row.size):
-                row[x] = single(row[x] & np.uint32(0xFFFF))
+        if whole:
+            add_up_pixels(lines, halfs, out[y].reshape(-1))
+        else:
+            add_up_each(lines, columns, out[y])
 
 
 @serial
