@@ -16,6 +16,7 @@ from exwarp_cli.domain.frame import (
     Int32,
     KeyFrame,
     Window,
+    are_finite,
     broken_pixels,
     outside,
     place,
@@ -316,16 +317,23 @@ def count_broken(planes: Iterable[np.ndarray], role: Role | None = None) -> int:
         What they are for, as far as that is known.
     """
     found: Bool | None = None
+    shape: tuple[int, ...] | None = None
     for plane in planes:
         if plane.dtype.kind != "f":
             continue
-        values = plane.reshape(*plane.shape[:2], -1)
-        broken = np.isnan(values).any(axis=-1) if role is Role.DEPTH else broken_pixels(values)
-        if found is None:
-            found = broken
-        elif found.shape == broken.shape:
-            found |= broken
+        shape = shape or plane.shape[:2]
+        broken = _broken(plane.reshape(*plane.shape[:2], -1), role)
+        if broken is not None and broken.shape == shape:
+            found = broken if found is None else found | broken
     return 0 if found is None else int(np.count_nonzero(found))
+
+
+def _broken(values: np.ndarray, role: Role | None) -> Bool | None:
+    """bool [H, W]: pixels of [H, W, C] as `count_broken` counts them; None where there are none."""
+    if role is Role.DEPTH:
+        unknown = np.isnan(values)
+        return np.asarray(unknown.any(axis=-1)) if unknown.any() else None
+    return None if are_finite(values) else broken_pixels(values)
 
 
 def _refuse_broken(share: float, path: Path) -> None:
