@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import statistics
 import subprocess
 import sys
@@ -63,7 +64,9 @@ def _watched(options: tuple[object, ...], folder: Path, threads: int) -> tuple[f
     how = ("upsample", MARKET / "keys", "-o", out, "--progress", "none", "--threads", threads)
     command = [sys.executable, "-c", LARGE, *map(str, (*how, *options))]
     with (folder / "said").open("w+") as said:
-        running = subprocess.Popen(command, cwd=folder, stdout=said, stderr=said)
+        # In one process, so that what it begins are its helpers, and not itself.
+        alone = os.environ | {"EXWARP_SUPERVISE": "0"}
+        running = subprocess.Popen(command, cwd=folder, stdout=said, stderr=said, env=alone)
         while running.poll() is None:
             time.sleep(0.003)
             if not (out.is_dir() and any(out.iterdir())):
