@@ -16,8 +16,8 @@ I64 = npt.NDArray[np.int64]
 Runs = tuple[I32, I32, I32]
 """Of a row, from left to right: first columns, columns after the last, and labels."""
 
-SPAN = 64
-"""Pixels of a row that are looked at together."""
+SPAN, FINE = 64, 16
+"""Pixels of a row that are looked at together, and where these do not go on, so many of them."""
 
 
 @inlined
@@ -38,12 +38,17 @@ def join(parent: I32, one: int, other: int) -> int:
     return low
 
 
-@part
+@inlined
 def goes_on(span: I32, ident: np.int32) -> bool:
     """Whether some pixels all show one object, or none where `ident` is 0."""
+    if ident == 0:
+        most = np.int32(0)
+        for j in range(span.size):
+            most = max(most, span[j])
+        return bool(most == 0)
     changed = np.int32(0)
     for j in range(span.size):
-        changed |= max(span[j], np.int32(0)) ^ ident
+        changed |= span[j] ^ ident
     return bool(changed == 0)
 
 
@@ -55,15 +60,19 @@ def find_runs(row: I32, begins: I32, ends: I32) -> int:
         after = min(first + SPAN, row.size)
         if goes_on(row[first:after], ident):
             continue
-        for j in range(first, after):
-            value = max(row[j], np.int32(0))
-            if value != ident:
-                if ident > 0:
-                    ends[count - 1] = j
-                if value > 0:
-                    begins[count] = j
-                    count += 1
-                ident = value
+        for begin in range(first, after, FINE):
+            end = min(begin + FINE, after)
+            if goes_on(row[begin:end], ident):
+                continue
+            for j in range(begin, end):
+                value = max(row[j], np.int32(0))
+                if value != ident:
+                    if ident > 0:
+                        ends[count - 1] = j
+                    if value > 0:
+                        begins[count] = j
+                        count += 1
+                    ident = value
     if ident > 0:
         ends[count - 1] = row.size
     return count
