@@ -193,6 +193,13 @@ def _told(end: End, args: list[str]) -> int:
             f"{end.reason}, so it was ended; {AGAIN}, or allow more; {after}",
             DamagedFileError.exit_code,
         )
+    if end.stopped:  # what it crashed by is of no interest: libraries do when they are broken off
+        word, code = (
+            ("interrupted", INTERRUPTED)
+            if end.stopped == signal.SIGINT
+            else ("terminated", TERMINATED)
+        )
+        return _fail(f"{word}; {after}", code)
     if ended_by == signal.SIGKILL:
         while_reading = f" while it read {end.named}" if end.reading else ""
         return _fail(

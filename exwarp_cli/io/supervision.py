@@ -64,13 +64,13 @@ class End:
     overdue
         Whether it was ended because one of them took too long.
     stopped
-        Whether somebody wanted it to end.
+        The signal by which somebody wanted it to end; 0 where nobody did.
     """
 
     code: int
     reading: tuple[Path, ...] = ()
     overdue: bool = False
-    stopped: bool = False
+    stopped: int = 0
 
     @property
     def is_failure(self) -> bool:
@@ -175,7 +175,7 @@ def _await(child: int, alive: int, board: Board, handed_on: list[int]) -> End:
         reading = board.notes()
         if done:
             files = tuple(dict.fromkeys(reading.values()))
-            return End(os.waitstatus_to_exitcode(status), files, overdue, bool(handed_on))
+            return End(os.waitstatus_to_exitcode(status), files, overdue, *handed_on[:1])
         # Whoever stops both processes for an hour does not want them ended afterwards.
         passed = min(time.monotonic() - begin, 2 * tick)
         since = {number: since.get(number, 0.0) + passed for number in reading}

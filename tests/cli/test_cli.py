@@ -226,6 +226,28 @@ class TestSignals:
         assert err.strip().startswith(f"exwarp: error: {word}; ") and err.strip().count("\n") == 0
         assert list(tmp_path.iterdir()) == []
 
+    @pytest.mark.parametrize(
+        ("number", "code", "word"),
+        [(signal.SIGTERM, 143, "terminated"), (signal.SIGINT, 130, "interrupted")],
+    )
+    def test_a_library_that_crashes_when_it_is_broken_off_is_no_defect(self, number, code, word):
+        body = """
+            import os, time
+            try:
+                click.echo("ready")
+                time.sleep(60)
+            except BaseException:
+                os.abort()
+        """
+        with subprocess.Popen(
+            script(body), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        ) as process:
+            assert process.stdout.readline() == "ready\n"
+            process.send_signal(number)
+            err = process.stderr.read()
+        assert process.returncode == code
+        assert err.strip().startswith(f"exwarp: error: {word}; ") and err.strip().count("\n") == 0
+
     def test_a_reader_that_leaves_is_no_error_to_talk_about(self):
         command = script("for i in range(100_000): click.echo(f'line {i}')")
         with subprocess.Popen(
