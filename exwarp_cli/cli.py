@@ -194,12 +194,7 @@ def _told(end: End, args: list[str]) -> int:
             DamagedFileError.exit_code,
         )
     if end.stopped:  # what it crashed by is of no interest: libraries do when they are broken off
-        word, code = (
-            ("interrupted", INTERRUPTED)
-            if end.stopped == signal.SIGINT
-            else ("terminated", TERMINATED)
-        )
-        return _fail(f"{word}; {after}", code)
+        return _stopped(end.stopped == signal.SIGINT, args)
     if ended_by == signal.SIGKILL:
         while_reading = f" while it read {end.named}" if end.reading else ""
         return _fail(
@@ -230,10 +225,8 @@ def run(args: list[str]) -> int:
 def _failed(error: BaseException, args: list[str], origins: Mapping[str, str]) -> int:
     """Say what ended a command; return the exit code."""
     stopped = _stop_behind(error)
-    if isinstance(stopped, Terminated):
-        return _fail(f"terminated; {_afterwards(args)}", TERMINATED)
     if stopped is not None:
-        return _fail(f"interrupted; {_afterwards(args)}", INTERRUPTED)
+        return _stopped(not isinstance(stopped, Terminated), args)
     if isinstance(error, click.ClickException):
         return _fail(_with_hint(error, origins), error.exit_code)
     if isinstance(error, MemoryError):
@@ -252,6 +245,13 @@ def _stop_behind(error: BaseException | None) -> BaseException | None:
     while not isinstance(error, KeyboardInterrupt | Terminated | click.Abort | None):
         error = error.__cause__
     return error
+
+
+def _stopped(interrupted: bool, args: list[str]) -> int:
+    """Say that somebody wanted a command to end; return the exit code."""
+    if interrupted:
+        return _fail(f"interrupted; {_afterwards(args)}", INTERRUPTED)
+    return _fail(f"terminated; {_afterwards(args)}", TERMINATED)
 
 
 def _debugs() -> bool:

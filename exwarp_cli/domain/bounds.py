@@ -45,7 +45,7 @@ def require_canvas(what: object, canvas: Window) -> None:
     LayoutError
         When they do.
     """
-    if canvas.width * canvas.height > _most:
+    if canvas.pixels > _most:
         raise LayoutError(
             f"the data and display windows of {what} lie in {canvas.width}x{canvas.height} pixels, "
             f"more than --max-pixels {_most}; correct them, or allow more"

@@ -118,7 +118,7 @@ def read_raw(
     image = None
     if (pixels := found.stack(Role.COLOUR, canvas)) is not None:
         image = Image(pixels, canvas, shot.display)
-        _refuse_broken(found.broken[Role.COLOUR.value] / (canvas.width * canvas.height), path)
+        _refuse_broken(found.broken[Role.COLOUR.value] / canvas.pixels, path)
     gbuffer = _geometry(found, shot, canvas)
     if ids is not None:
         source = shot.files(number)[ids.cryptomatte.aov]

@@ -210,26 +210,29 @@ class TestSignals:
         time.sleep(60)
     """
 
-    @pytest.mark.parametrize(
+    STOPS = pytest.mark.parametrize(
         ("number", "code", "word"),
         [(signal.SIGTERM, 143, "terminated"), (signal.SIGINT, 130, "interrupted")],
     )
-    def test_temporaries_go_and_one_sentence_stays(self, tmp_path, number, code, word):
-        command = script(self.BODY.format(target=str(tmp_path / "a.exr")))
+
+    def require_stopped(self, body, number, code, word):
+        """Send a signal to a command that says when it is ready; it tells that in one sentence."""
         with subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+            script(body), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         ) as process:
             assert process.stdout.readline() == "ready\n"
             process.send_signal(number)
             err = process.stderr.read()
         assert process.returncode == code
         assert err.strip().startswith(f"exwarp: error: {word}; ") and err.strip().count("\n") == 0
+
+    @STOPS
+    def test_temporaries_go_and_one_sentence_stays(self, tmp_path, number, code, word):
+        body = self.BODY.format(target=str(tmp_path / "a.exr"))
+        self.require_stopped(body, number, code, word)
         assert list(tmp_path.iterdir()) == []
 
-    @pytest.mark.parametrize(
-        ("number", "code", "word"),
-        [(signal.SIGTERM, 143, "terminated"), (signal.SIGINT, 130, "interrupted")],
-    )
+    @STOPS
     def test_a_library_that_crashes_when_it_is_broken_off_is_no_defect(self, number, code, word):
         body = """
             import os, time
@@ -239,14 +242,7 @@ class TestSignals:
             except BaseException:
                 os.abort()
         """
-        with subprocess.Popen(
-            script(body), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-        ) as process:
-            assert process.stdout.readline() == "ready\n"
-            process.send_signal(number)
-            err = process.stderr.read()
-        assert process.returncode == code
-        assert err.strip().startswith(f"exwarp: error: {word}; ") and err.strip().count("\n") == 0
+        self.require_stopped(body, number, code, word)
 
     def test_a_reader_that_leaves_is_no_error_to_talk_about(self):
         command = script("for i in range(100_000): click.echo(f'line {i}')")
