@@ -195,11 +195,14 @@ class KeyFrame:
         Colour; non-finite pixels are as the renderer wrote them.
     gbuffer
         Geometry of the same instant, on the same window as `image`; None without AOVs.
+    broken
+        How many pixels of the rendered colour are NaN or infinite; None where nobody counted.
     """
 
     number: int
     image: Image
     gbuffer: GBuffer | None
+    broken: int | None = None
 
     def on(self, canvas: Window) -> KeyFrame:
         """Return the frame on another window."""

@@ -58,6 +58,8 @@ class RawFrame:
         Geometry without motion, on the window of `image`, else on the display window.
     motion
         float32 [H, W, C]: the motion channels as written; None without.
+    broken
+        How many pixels of the colour are NaN or infinite; None where that is not told at once.
     """
 
     number: int
@@ -65,6 +67,7 @@ class RawFrame:
     image: Image | None
     gbuffer: GBuffer
     motion: Float32 | None
+    broken: int | None = None
 
     def settle(self, convention: MotionConvention | None) -> GBuffer:
         """Return the G-buffer with motion read by a convention."""
@@ -82,7 +85,7 @@ class RawFrame:
         if self.image is None:
             raise LayoutError(f"{self.path} has no colour channels; render the beauty pass")
         gbuffer = self.settle(convention)
-        return KeyFrame(self.number, self.image, gbuffer)
+        return KeyFrame(self.number, self.image, gbuffer, self.broken)
 
 
 def read_raw(
@@ -126,7 +129,8 @@ def read_raw(
             found.joined(Role.STENCIL, ranks, canvas, 0.0), gbuffer.depth, source
         )
         gbuffer = replace(gbuffer, stencil=stencil, objects=shown)
-    raw = RawFrame(number, path, image, gbuffer, found.stack(Role.MOTION, canvas, np.nan))
+    motion = found.stack(Role.MOTION, canvas, np.nan)
+    raw = RawFrame(number, path, image, gbuffer, motion, found.broken_colour)
     shot.nonfinite.note(number, found.broken)
     rest()
     return raw
@@ -147,6 +151,12 @@ class _Planes:
     def stack(self, role: Role, canvas: Window, fill: float = 0.0) -> Float32 | None:
         """Return a role's channels, float32 [H, W, C] on a canvas; None where it is not there."""
         return self.joined(role, self.refs[role], canvas, fill) if role in self.refs else None
+
+    @property
+    def broken_colour(self) -> int | None:
+        """Pixels of the colour that are not finite; None unless all its channels lie alike."""
+        windows = {self.windows[ref] for ref in self.refs.get(Role.COLOUR, ())}
+        return self.broken[Role.COLOUR.value] if len(windows) == 1 else None
 
     def joined(
         self, role: Role, refs: tuple[ChannelRef, ...], canvas: Window, fill: float

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from exwarp_cli.domain.decision import PATHS, Plan
-from exwarp_cli.domain.frame import Bool, broken_pixels
+from exwarp_cli.domain.frame import Bool, KeyFrame, broken_pixels
 from exwarp_cli.domain.results import FrameRecord
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.pipeline.choosing import Chosen
@@ -59,13 +59,12 @@ def hole_fraction(mask: Bool | None) -> float | None:
 def broken_in(loaded: Loaded, known: Mapping[int, int]) -> dict[int, int]:
     """Count the pixels that are NaN or infinite, by frame; `known` are counts of some frames."""
     frames = (loaded.frame, loaded.following, *(older.frame for older in loaded.past))
-    return {
-        frame.number: known[frame.number]
-        if frame.number in known
-        else int(np.count_nonzero(broken_pixels(frame.image.pixels)))
-        for frame in frames
-        if frame is not None
-    }
+    return {frame.number: _broken(frame, known) for frame in frames if frame is not None}
+
+
+def _broken(frame: KeyFrame, known: Mapping[int, int]) -> int:
+    count = known.get(frame.number, frame.broken)
+    return int(np.count_nonzero(broken_pixels(frame.image.pixels))) if count is None else count
 
 
 def with_write_times(

@@ -8,6 +8,7 @@ import pytest
 from exwarp_cli.domain.frame import Window
 from exwarp_cli.domain.motion import AxisMap, MotionConvention
 from exwarp_cli.errors import DamagedFileError, LayoutError, MissingFrameError
+from exwarp_cli.io.channel_map import ChannelMap
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.frames import (
     MAX_BROKEN,
@@ -212,6 +213,22 @@ class TestBadFrames:
         with pytest.raises(MissingFrameError, match=r"a\.####\.exr lacks frame 3; finish"):
             read_raw(shot, 3)
 
+    def test_broken_colour_of_channels_that_lie_apart_is_not_told_at_once(self, tmp_path):
+        display = {"displayWindow": box(0, 0, 6, 6)}
+        alpha = np.full((4, 4), np.nan, np.float32)
+        colour = {name: one for name, one in rgba(6, 6).items() if name != "A"}
+        write_parts(
+            tmp_path / "a.0001.exr",
+            {
+                "rgb": (colour, display | {"dataWindow": box(0, 0, 6, 6)}),
+                "a": ({"A": alpha}, display | {"dataWindow": box(1, 1, 4, 4)}),
+            },
+        )
+        told = ChannelMap(tmp_path / "m", {Role.COLOUR: ("R", "G", "B", "a.A")})
+        raw = read_raw(open_shot(str(tmp_path), channel_map=told), 1)
+        assert raw.image is not None and np.isnan(raw.image.pixels).sum() == 16
+        assert raw.broken is None
+
     @pytest.mark.parametrize(("count", "refused"), [(8, False), (9, True), (16, True)])
     def test_mostly_broken_colour(self, tmp_path, count, refused):
         planes = rgba(4, 4)
@@ -223,5 +240,6 @@ class TestBadFrames:
             with pytest.raises(DamagedFileError, match=r"NaN or infinite colour in (56|100)%"):
                 read_raw(shot, 1)
         else:
-            image = read_raw(shot, 1).image
-            assert image is not None and np.isnan(image.pixels).sum() == count
+            raw = read_raw(shot, 1)
+            assert raw.image is not None and np.isnan(raw.image.pixels).sum() == count
+            assert raw.broken == raw.key(None).broken == count

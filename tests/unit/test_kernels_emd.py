@@ -12,7 +12,7 @@ from hypothesis.extra import numpy as arrays
 from scipy.stats import wasserstein_distance
 
 from exwarp_cli.kernels import emd
-from exwarp_cli.kernels.emd import BINS, ROWS_PER_BAND, Values, distances
+from exwarp_cli.kernels.emd import BINS, LANES, ROWS_PER_BAND, SPAN, Values, distances
 from exwarp_cli.kernels.jit import set_threads
 from tests.reference.features import distance
 from tests.unit.kernel_calls import counted, extended
@@ -228,6 +228,33 @@ class TestValues:
         np.testing.assert_array_equal(asked, [first, [[0, 0], [0, 800], [0, 0]]])
         np.testing.assert_array_equal(changed[[0, 2]], shares[[0, 2]])
         assert (changed[1] != shares[1]).any()
+
+
+@pytest.mark.parametrize("width", [1, 7, 8, SPAN - 1, SPAN, SPAN + 1, 5 * SPAN + LANES + 3])
+def test_rows_with_sky_between_are_counted_as_numpy_does(width):
+    """Surfaces and sky in stretches of every length, where values lie at edges, too."""
+    rng = np.random.default_rng(width)
+    values = rng.choice(np.linspace(-1, 1, 4 * BINS + 1), (60, width, 3)).astype(np.float32)
+    lengths = rng.integers(1, 2 * SPAN, values[..., 0].size)
+    changes = np.repeat(np.arange(lengths.size) % 2, lengths)[: values[..., 0].size]
+    shown = changes.reshape(values.shape[:2]).astype(bool)
+    shown[3], shown[4] = True, False
+    values[~shown] = 9
+    ends = np.array([[-1.0, 1.0], [-1.0, 1.25], [-2.0, 1.0]])
+    for counts in counted(values, shown, ends, True):
+        for c in range(3):
+            expected = np.histogram(values[shown][:, c], BINS, range=tuple(ends[c]))[0]
+            np.testing.assert_array_equal(counts.sum(axis=0)[c], expected)
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf])
+def test_extents_of_rows_that_count_whole_leave_out_what_is_not_finite(wrong):
+    values = scene(16)
+    expected = np.stack([values[:ROWS_PER_BAND].min((0, 1)), values[:ROWS_PER_BAND].max((0, 1))])
+    at = np.argwhere((values > expected[0]) & (values < expected[1]))[::50]
+    values[tuple(at.T)] = wrong
+    for ends in extended(values, everything(values)):
+        np.testing.assert_array_equal(ends[0].T, expected)
 
 
 @pytest.mark.parametrize("low", [0.0, -1.0, 3.0, -40.0])
