@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 
 from tests.bench import __main__ as every
-from tests.bench import goals
+from tests.bench import goals, running
 from tests.bench.bench_scaling import fitted
 from tests.bench.goals import Figure
-from tests.bench.running import environment, run
+from tests.bench.running import environment, lend_memory, run
 from tests.bench.timing import Ratio
 
 
@@ -153,3 +153,10 @@ def test_a_straight_line_is_told_from_a_bend() -> None:
     _, bent, r2 = fitted(sizes, [size**2 for size in sizes])
     assert bent > 0.3
     assert r2 < 0.99
+
+
+def test_memory_is_lent_by_a_program_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    took: dict[str, float] = {}
+    monkeypatch.setattr(running, "run", lambda c: took.update({c[-1]: run(c).peak_mb}))
+    lend_memory(1 << 20)
+    assert took[str(1 << 20)] > 0
