@@ -238,7 +238,10 @@ def test_rows_with_sky_between_are_counted_as_numpy_does(width):
     lengths = rng.integers(1, 2 * SPAN, values[..., 0].size)
     changes = np.repeat(np.arange(lengths.size) % 2, lengths)[: values[..., 0].size]
     shown = changes.reshape(values.shape[:2]).astype(bool)
-    shown[3], shown[4] = True, False
+    shown[3], shown[4:20] = True, False
+    single = [0, SPAN - 1, SPAN, SPAN + 1, 2 * SPAN, width - 1]
+    for i, at in enumerate(single, 5):
+        shown[i, min(at, width - 1)] = True
     values[~shown] = 9
     ends = np.array([[-1.0, 1.0], [-1.0, 1.25], [-2.0, 1.0]])
     for counts in counted(values, shown, ends, True):
