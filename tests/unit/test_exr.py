@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from pathlib import Path
 
 import numpy as np
 import OpenEXR
@@ -12,6 +13,7 @@ import pytest
 
 from exwarp_cli.domain.frame import Window
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, MissingFrameError
+from exwarp_cli.io import exr
 from exwarp_cli.io.exr import ExrReader
 from exwarp_cli.io.frames import read_image, read_plane
 from exwarp_cli.io.output import read_headers
@@ -250,6 +252,30 @@ class TestTiles:
         assert image.data_window == Window(-3, 5, 70, 37)
         assert image.display_window == Window(0, 0, 64, 48)
         np.testing.assert_array_equal(image.pixels, pixels)
+
+
+@pytest.mark.parametrize("size", [16, 48, 0], ids=["tiles", "large tiles", "lines"])
+@pytest.mark.parametrize("compression", ["piz", "dwaa", "dwab", "b44", "zip"])
+def test_what_is_read_in_bands_is_what_openimageio_reads_at_once(
+    tmp_path, monkeypatch, compression, size
+):
+    """Taller than a band for two cores, and of a window that begins anywhere."""
+    monkeypatch.setattr(exr.cores, "count", lambda: 2)
+    spec = oiio.ImageSpec(21, 2 * 2 * 256 + 37, 4, "half")
+    spec.channelnames = ("R", "G", "B", "A")
+    spec.tile_width = spec.tile_height = size
+    spec.x, spec.y, spec.full_width, spec.full_height = -3, 5, 64, 2000
+    spec.attribute("compression", compression)
+    path = str(tmp_path / "a.exr")
+    out = oiio.ImageOutput.create(path)
+    noise = np.random.default_rng(1).random((spec.height, spec.width, 4)).astype(np.float32)
+    assert out.open(path, spec) and out.write_image(noise) and out.close()
+    parts, found = read_all(Path(path))
+    assert parts[0].tiled == bool(size)
+    file = oiio.ImageInput.open(path)
+    expected = file.read_image(0, 0, 0, 4, "float")
+    for i, name in enumerate("RGBA"):
+        np.testing.assert_array_equal(found[name], expected[..., i])
 
 
 def one_sentence(error: InputError, path: object) -> bool:
