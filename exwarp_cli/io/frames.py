@@ -155,18 +155,23 @@ class _Planes:
     @property
     def broken_colour(self) -> int | None:
         """Pixels of the colour that are not finite; None unless all its channels lie alike."""
-        windows = {self.windows[ref] for ref in self.refs.get(Role.COLOUR, ())}
-        return self.broken[Role.COLOUR.value] if len(windows) == 1 else None
+        known = Role.COLOUR in self.refs and self.window(self.refs[Role.COLOUR]) is not None
+        return self.broken[Role.COLOUR.value] if known else None
+
+    def window(self, refs: tuple[ChannelRef, ...]) -> Window | None:
+        """Return the data window that all these channels have; None where they differ."""
+        windows = {self.windows[ref] for ref in refs}
+        return windows.pop() if len(windows) == 1 else None
 
     def joined(
         self, role: Role, refs: tuple[ChannelRef, ...], canvas: Window, fill: float
     ) -> Float32:
         """Return channels of a role, float32 [H, W, C] on a canvas."""
         members = [self.planes[ref].astype(np.float32, copy=False) for ref in refs]
-        if len({self.windows[ref] for ref in refs}) == 1:
+        if (window := self.window(refs)) is not None:
             pixels = joined(members)
             self.broken[role.value] = count_broken((pixels,), role)
-            return place(pixels, self.windows[refs[0]], canvas, fill)
+            return place(pixels, window, canvas, fill)
         self.broken[role.value] = count_broken(members, role)
         placed = [
             place(plane, self.windows[ref], canvas, fill)

@@ -6,8 +6,6 @@ key interval takes, which start-up is no part of. ``features + decision`` is the
 a policy that always warps, beside s6, which makes the same frames: what is read for it, and
 computed.
 
-Before each run the machine is made to hold free memory: see `running.lend_memory`.
-
 This program itself stays small, since Linux counts a parent's memory at the moment of the fork as
 its child's.
 """
@@ -22,7 +20,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from tests.bench import goals
-from tests.bench.running import Run, cleared, lend_memory, module, run, upsample
+from tests.bench.running import Run, cleared, module, run, upsample
 
 FLOOR, DECIDED = "codec floor", "features + decision"
 METHODS = ("s6", "softsplat")
@@ -69,7 +67,6 @@ def _measure(keys: Path, out: Path, policy: Path, options: argparse.Namespace) -
             pair = []
             for count in counts:
                 cleared(out)
-                lend_memory()
                 pair.append(run(command(count)))
             runs[name].append((pair[0], pair[1]))
     return runs

@@ -134,7 +134,11 @@ def module(name: str, *arguments: str) -> list[str]:
 
 
 def cleared(out: Path) -> None:
-    """Remove an earlier run's frames, and have their bytes on disk before the next is measured."""
+    """Bring the machine to where a run may be measured.
+
+    An earlier run's frames are removed, with their bytes on disk, and free memory is held.
+    """
     for frame in out.glob("*.exr"):
         frame.unlink()
     os.sync()
+    lend_memory()

@@ -9,6 +9,7 @@ from exwarp_cli.kernels import (
     blocks,
     edges,
     emd,
+    extents,
     fill,
     flip,
     flip_colour,
@@ -207,15 +208,16 @@ def averaged(
 
 
 def extended(values: np.ndarray, shown: np.ndarray, serial: bool = False) -> Arrays:
-    ends = np.zeros((-(-values.shape[0] // emd.ROWS_PER_BAND), values.shape[2], 2), np.float32)
-    build(emd, "extents", serial)(values, shown, ends)
+    bands = -(-values.shape[0] // extents.ROWS_PER_BAND)
+    ends = np.zeros((bands, values.shape[2], 2), np.float32)
+    build(extents, "extents", serial)(values, shown, ends)
     return (ends,)
 
 
 def counted(
     values: np.ndarray, shown: np.ndarray, ranges: np.ndarray, serial: bool = False
 ) -> Arrays:
-    bands = -(-values.shape[0] // emd.ROWS_PER_BAND)
+    bands = -(-values.shape[0] // extents.ROWS_PER_BAND)
     counts = np.full((bands, values.shape[2], emd.BINS), -1, np.int64)
     build(emd, "count", serial)(values, shown, ranges, counts)
     return (counts,)
