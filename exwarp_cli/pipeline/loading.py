@@ -345,7 +345,7 @@ class IntervalLoader:
             self._shapes[Slot(key, 0)] = GBuffer(g.window, g.depth, g.normal, g.position)
 
     def forget(self, key: int) -> None:
-        """Drop what no interval after this one needs."""
+        """Drop what no interval after this one needs, or not yet, as it only told about cuts."""
         self._source.early.drop()
         self._shapes = {slot: shape for slot, shape in self._shapes.items() if slot.key >= key}
         oldest = key + 1
@@ -357,7 +357,7 @@ class IntervalLoader:
         if self._layers is not None:
             self._layers.forget(key)
             oldest = min(oldest, key) if self._layers.looks_back else oldest
-        self._frames = {i: frame for i, frame in self._frames.items() if i >= oldest}
+        self._frames = {i: f for i, f in self._frames.items() if oldest <= i <= key + 1}
         self._instants = {s: buffer for s, buffer in self._instants.items() if s.key >= oldest}
         self.shots.forget(min(oldest, key))
         if self._estimates is not None:

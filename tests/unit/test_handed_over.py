@@ -16,6 +16,7 @@ from exwarp_cli.pipeline.geometry import Staging
 from exwarp_cli.pipeline.handed_over import looks_ahead_alone
 from exwarp_cli.pipeline.loaded import Loaded
 from exwarp_cli.pipeline.loading import IntervalLoader
+from exwarp_cli.pipeline.shots import _Leap
 from exwarp_cli.pipeline.source import open_source
 from exwarp_cli.synthesis.methods import METHODS
 from tests.unit.exr_files import write_single
@@ -120,6 +121,17 @@ def test_nothing_is_read_twice_where_windows_are_alike(folder):
     for key in range(COUNT):
         given = load(in_a_row, key)
         staging.interval(replace(given, again=fail if given.again else None))
+
+
+def test_what_was_read_to_find_a_cut_waits_for_its_turn_on_disk(folder, monkeypatch):
+    """Where the camera reverses, the vectors of a key frame are compared with a third one."""
+    expected = [load(loader(folder, "softsplat"), key).following for key in range(COUNT - 1)]
+    monkeypatch.setattr(_Leap, "of", lambda _: _Leap(9.0, 1.0, 1.0))
+    in_a_row = loader(folder, "softsplat")
+    for key, following in enumerate(expected):
+        assert_same(load(in_a_row, key).following, following)
+        assert in_a_row.shots._starts[min(key + 2, COUNT - 1)] is False
+        assert set(in_a_row._frames) == {key + 1}
 
 
 def test_only_where_nothing_but_the_next_key_frame_is_wanted():
