@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import functools
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import Any
 
@@ -20,6 +20,11 @@ Share = tuple[int, int]
 
 WHOLE: Share = (0, 1)
 """Which share of its turns a thread takes, and of how many: here all of them."""
+
+LEAST_SHARES = 8
+"""Into how many shares a kernel goes where several threads run it, or into one for each of them.
+Rows of sky take less time than others, and a thread that has to be woken comes late: with one share
+each, two cores took a tenth more time for what a network is given, as one waited for the other."""
 
 
 @part
@@ -43,8 +48,8 @@ def rows_of(count: int, share: Share) -> slice:
     return slice(some.start, some.stop)
 
 
-def run(kernel: Callable[..., None], arguments: Sequence[Any], shares: int) -> None:
-    """Run a kernel in shares, a thread each; the caller takes those that nobody else comes to.
+def run(kernel: Callable[..., None], arguments: Sequence[Any], threads: int) -> None:
+    """Run a kernel in shares, which threads take as they come; the caller is one of them.
 
     Parameters
     ----------
@@ -52,30 +57,41 @@ def run(kernel: Callable[..., None], arguments: Sequence[Any], shares: int) -> N
         Takes a share as its last argument.
     arguments
         All others.
-    shares
-        How many there are.
+    threads
+        How many may work at once. One takes the whole kernel.
 
     Raises
     ------
     Exception
         What the kernel raises. No thread works on the arguments any more then.
     """
-    if shares == 1:
+    if threads == 1:
         kernel(*arguments, WHOLE)
         return
+    shares = max(threads, LEAST_SHARES)
+    left = iter(range(shares))  # of which each thread that asks gets another number
     others: list[Future[None]] = []
     try:
-        for number in range(1, shares):
-            others.append(_pool().submit(kernel, *arguments, (number, shares)))
-        kernel(*arguments, (0, shares))
-        for number, other in enumerate(others, 1):
-            if other.cancel():
-                kernel(*arguments, (number, shares))
+        for _ in range(1, threads):
+            others.append(_pool().submit(_take, kernel, arguments, left, shares))
+        _take(kernel, arguments, left, shares)
     finally:
         _end([other for other in others if not other.cancel()])
     for other in others:
         if not other.cancelled():
             other.result()
+
+
+def _take(
+    kernel: Callable[..., None], arguments: Sequence[Any], left: Iterator[int], shares: int
+) -> None:
+    """Take shares while any are left; where one fails, nobody takes another."""
+    try:
+        for number in left:
+            kernel(*arguments, (number, shares))
+    finally:
+        for _ in left:
+            pass
 
 
 def _end(begun: Sequence[Future[None]]) -> None:

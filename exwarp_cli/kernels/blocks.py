@@ -43,29 +43,31 @@ def add_four(row: F32, size: int, sums: F64) -> None:
     x0, y0, x1, y1 = sums[0], sums[1], sums[2], sums[3]
     x2, y2, x3, y3 = sums[4], sums[5], sums[6], sums[7]
     step = 2 * size
-    for k in range(0, step, 2):
-        x0 += np.float64(row[k])
-        y0 += np.float64(row[k + 1])
-        x1 += np.float64(row[step + k])
-        y1 += np.float64(row[step + k + 1])
-        x2 += np.float64(row[2 * step + k])
-        y2 += np.float64(row[2 * step + k + 1])
-        x3 += np.float64(row[3 * step + k])
-        y3 += np.float64(row[3 * step + k + 1])
+    one, two, three, four = row[:step], row[step:], row[2 * step :], row[3 * step :]
+    for k in range(size):
+        x, y = np.uint64(2 * k), np.uint64(2 * k + 1)  # no test for counting from the end
+        x0 += np.float64(one[x])
+        y0 += np.float64(one[y])
+        x1 += np.float64(two[x])
+        y1 += np.float64(two[y])
+        x2 += np.float64(three[x])
+        y2 += np.float64(three[y])
+        x3 += np.float64(four[x])
+        y3 += np.float64(four[y])
     sums[0], sums[1], sums[2], sums[3] = x0, y0, x1, y1
     sums[4], sums[5], sums[6], sums[7] = x2, y2, x3, y3
 
 
 @part
 def add_rows(motion: F32, shown: B8, size: int, sums: F64, whole: B8) -> None:
-    """Add up all values of the rows of a row of blocks, by fours, whether they count or not.
+    """Add up the values of the rows of a row of blocks, by fours, as long as all pixels count.
 
     Parameters
     ----------
     motion, shown, size
         As of `block_means_text`, of these rows.
     sums
-        float64 [8 N], written: x and y of each block.
+        float64 [8 N], written: x and y of each block, where its four are whole.
     whole
         bool [N], written: whether all pixels of four blocks count, if they are finite.
     """
@@ -78,9 +80,10 @@ def add_rows(motion: F32, shown: B8, size: int, sums: F64, whole: B8) -> None:
         row = motion[i].reshape(-1)
         for four in range(whole.size):
             left = four * step
-            add_four(row[2 * left : 2 * (left + step)], size, sums[8 * four : 8 * (four + 1)])
-            if shown.size > 0:
-                whole[four] &= all_of(shown[i, left : left + step])
+            if shown.size > 0 and whole[four]:
+                whole[four] = all_of(shown[i][left : left + step])
+            if whole[four]:
+                add_four(row[2 * left : 2 * (left + step)], size, sums[8 * four : 8 * (four + 1)])
 
 
 @part

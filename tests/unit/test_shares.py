@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from exwarp_cli.compiled import shares
-from exwarp_cli.compiled.shares import WHOLE, Share, turns
+from exwarp_cli.compiled.shares import LEAST_SHARES, WHOLE, Share, turns
 from exwarp_cli.kernels import jit
 from tests.unit.all_kernel_cases import CASES
 
@@ -50,14 +50,16 @@ def test_compiled_turns_are_the_same():
 def test_every_turn_is_taken_once(number, size):
     values, seen = np.zeros(size), np.zeros(size)
     shares.run(count, (values, seen), number)
-    assert (values == 1).all() and (seen == number).all()
+    assert (values == 1).all()
+    assert (seen == (1 if number == 1 else max(number, LEAST_SHARES))).all()
 
 
 @pytest.mark.parametrize("name", CASES)
 def test_kernels_give_the_same_in_any_number_of_shares(name, monkeypatch):
     expected = CASES[name](True)
-    for number in (2, 5):
+    for number in (2, 5, LEAST_SHARES):
         monkeypatch.setattr(jit, "threads", lambda number=number: number)
+        monkeypatch.setattr(shares, "LEAST_SHARES", number)
         for one, other in zip(expected, CASES[name](False), strict=True):
             assert one.tobytes() == other.tobytes()
 
@@ -73,7 +75,7 @@ class TestThreads:
             monkeypatch.setattr(shares, "_pool", lambda: busy)
             shares.run(lambda share: takers.append(threading.get_ident()), (), 4)
             released.set()
-        assert takers == [threading.get_ident()] * 4
+        assert takers == [threading.get_ident()] * LEAST_SHARES
 
     @pytest.mark.parametrize("bad", [0, 1, 2])
     def test_an_error_is_raised_once_nobody_works_any_more(self, bad):
@@ -88,6 +90,7 @@ class TestThreads:
         with pytest.raises(MemoryError):
             shares.run(fail, (), 3)
         seen = list(ended)
+        assert len(seen) < LEAST_SHARES - 1  # nobody took another after that
         threading.Event().wait(0.06)
         assert ended == seen
 
