@@ -1,7 +1,8 @@
 """Peak memory of the whole command at 1920x1080 and 3840x2160, beside its bounds.
 
 ``python -m tests.bench.bench_memory [--count 5]``. Memory does not grow with the length, which
-``tests/cli/test_report.py`` pins, so a few key frames show the peak.
+``tests/cli/test_report.py`` pins, so a few key frames show the peak: at 1920x1080 so many that the
+camera turns back among them, as key frames are read there to see whether it is a cut.
 
 This program itself stays small, since Linux counts a parent's memory at the moment of the fork as
 its child's.
@@ -20,50 +21,69 @@ from tests.bench import goals
 from tests.bench.running import cleared, module, run, upsample
 
 HD, UHD = 1080, 2160
+COUNTS = {HD: 12, UHD: 5}
+"""Key frames by lines of the frame; of the example there are nine, then they go back."""
+
+OWN = ""
+"""The compression of the example, PXR24."""
+
 GOALS = {
-    ("s6", HD): 700.0,
-    ("softsplat", HD): 700.0,
-    ("s3", HD): 2000.0,
-    ("s6", UHD): 2000.0,
-    ("softsplat", UHD): 2000.0,
-    ("s3", UHD): 2000.0,
+    ("s6", HD, OWN): 700.0,
+    ("softsplat", HD, OWN): 700.0,
+    ("s6", HD, "piz"): 700.0,
+    ("softsplat", HD, "piz"): 700.0,
+    ("s6", HD, "dwaa"): 700.0,
+    ("softsplat", HD, "dwaa"): 700.0,
+    ("s3", HD, OWN): 2000.0,
+    ("s6", UHD, OWN): 2000.0,
+    ("softsplat", UHD, OWN): 2000.0,
+    ("s3", UHD, OWN): 2000.0,
 }
-"""MB by method and lines of the frame; s3 has two of three new frames extrapolated."""
+"""MB by method, lines of the frame and compression; s3 has two of three new frames extrapolated."""
 
 EXTRAPOLATES = "s3"
-COUNT, ROUNDS = 5, 1
+ROUNDS = 1
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = goals.parser_of("tests.bench.bench_memory", __doc__, ROUNDS, threads=True)
-    parser.add_argument("--count", type=int, default=COUNT, help="key frames, 4 or more")
+    parser.add_argument("--count", type=int, help="key frames, 4 or more")
     options = parser.parse_args(arguments)
     figures = []
     with tempfile.TemporaryDirectory(prefix="exwarp-bench-") as folder:
-        for height in (HD, UHD):
-            keys = Path(folder) / str(height)
-            size = ("--count", str(options.count), "--height", str(height))
-            run(module("tests.bench.big_input", str(keys), *size))
-        print(f"\npeak memory of upsample, {options.count} key frames, {options.threads} threads")
-        print(f"{'':24}{'peak MB':>9}{'goal':>9}")
-        for (method, height), goal in GOALS.items():
-            figures.append(_figure(Path(folder), method, height, goal, options))
+        print(f"\npeak memory of upsample, {options.threads} threads")
+        print(f"{'':28}{'key frames':>12}{'peak MB':>9}{'goal':>9}")
+        for (method, height, compression), goal in GOALS.items():
+            keys = Path(folder) / f"{height}{compression}"
+            if not keys.is_dir():
+                run(
+                    module(
+                        "tests.bench.big_input", str(keys), *_asked(height, compression, options)
+                    )
+                )
+            named = f"{method}, {height} lines" + (f", {compression}" if compression else "")
+            figures.append(_figure(keys, method, named, goal, options))
     return goals.finish(figures, options)
 
 
+def _asked(height: int, compression: str, options: argparse.Namespace) -> list[str]:
+    """Return what `big_input` is asked for."""
+    size = ["--height", str(height), "--count", str(options.count or COUNTS[height])]
+    return [*size, "--compression", compression] if compression else size
+
+
 def _figure(
-    folder: Path, method: str, height: int, goal: float, options: argparse.Namespace
+    keys: Path, method: str, name: str, goal: float, options: argparse.Namespace
 ) -> goals.Figure:
     """Run a method some times; print its peak, and return it."""
-    keys, out = folder / str(height), folder / "out"
+    out, count = keys.parent / "out", len(list(keys.iterdir()))
     # The third key frame is the first with two others before it, which networks see.
     frames = ("--frames", "3") if method == EXTRAPOLATES else ()
     peaks = []
     for _ in range(options.rounds):
         cleared(out)
         peaks.append(run(upsample(keys, out, method, options.threads, *frames)).peak_mb)
-    name = f"{method}, {height} lines"
-    print(f"{name:24}{statistics.median(peaks):9.0f}{goal:9.0f}")
+    print(f"{name:28}{1 if frames else count:12}{statistics.median(peaks):9.0f}{goal:9.0f}")
     ends = (statistics.median(peaks), min(peaks), max(peaks))
     return goals.Figure("memory", name, *ends, goal, "MB")
 
