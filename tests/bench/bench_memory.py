@@ -56,11 +56,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for (method, height, compression), goal in GOALS.items():
             keys = Path(folder) / f"{height}{compression}"
             if not keys.is_dir():
-                run(
-                    module(
-                        "tests.bench.big_input", str(keys), *_asked(height, compression, options)
-                    )
-                )
+                asked = _asked(height, compression, options)
+                run(module("tests.bench.big_input", str(keys), *asked))
             named = f"{method}, {height} lines" + (f", {compression}" if compression else "")
             figures.append(_figure(keys, method, named, goal, options))
     return goals.finish(figures, options)
