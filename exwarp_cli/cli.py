@@ -12,12 +12,10 @@ import os
 import re
 import signal
 import sys
-import threading
 import traceback
 import warnings
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
-from types import FrameType
+from collections.abc import Mapping
+from contextlib import suppress
 from typing import TYPE_CHECKING, NoReturn
 
 import click
@@ -33,6 +31,7 @@ from exwarp_cli.errors import (
     system_error,
 )
 from exwarp_cli.io.standard_streams import prepare_streams
+from exwarp_cli.io.stops import Stoppable, Terminated
 from exwarp_cli.io.supervision import HANDED_ON, End, part, parts
 
 if TYPE_CHECKING:
@@ -70,10 +69,6 @@ left out, 130 interrupted, 143 terminated, 1 a defect of ExWarp.
 DEFECT = 1
 AGAIN = "render, export or copy that file again"
 TERMINATED = 128 + signal.SIGTERM
-
-
-class Terminated(BaseException):
-    """SIGTERM arrived; not an `Exception`, so that nothing on the way takes it for a failure."""
 
 
 class LazyGroup(click.Group):
@@ -215,7 +210,7 @@ def run(args: list[str]) -> int:
     """Run a command line and return the exit code; errors are printed to stderr."""
     origins: dict[str, str] = {}  # of options that files and the environment set, by name
     try:
-        with _terminable():
+        with Stoppable():
             result = exwarp.main(args, prog_name="exwarp", standalone_mode=False, obj=origins)
         return result if isinstance(result, int) else 0
     except (Exception, KeyboardInterrupt, Terminated) as error:
@@ -307,21 +302,3 @@ def _traced(sentence: str, origins: Mapping[str, str]) -> str:
     named = (name for name in origins if re.search(rf"(?<![\w-]){name}(?![\w-])", sentence))
     where = [f"{name} is set by {origins[name]}" for name in named if origins[name] not in sentence]
     return "; ".join((sentence, *where))
-
-
-@contextmanager
-def _terminable() -> Iterator[None]:
-    """Let SIGTERM raise in the main thread, so that temporary files are removed on the way out."""
-    if threading.current_thread() is not threading.main_thread():
-        yield  # signals cannot be caught here, and are the embedding program's business
-        return
-    before = signal.signal(signal.SIGTERM, _terminate)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
-
-
-def _terminate(_number: int, _frame: FrameType | None) -> NoReturn:
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # a second one must not break off the clean-up
-    raise Terminated

@@ -5,7 +5,8 @@ back. So the command runs in a child, and its parent, which only waits, says in 
 became of it. What the child wrote is whole either way: files are renamed into place. A command that
 goes on without bad files begins again, without those.
 
-The child dies with its parent, and gets the signals that its parent gets.
+The child dies with its parent, and gets the signals that its parent gets. Where it does not end on
+them, it is ended.
 """
 
 from __future__ import annotations
@@ -38,9 +39,8 @@ LIMIT_VARIABLE = "EXWARP_FILE_TIMEOUT"
 ALONE_VARIABLE = "EXWARP_SUPERVISE"
 """Environment variable that is 0 where the command is to run in one process, for a debugger."""
 
-AT_ONCE_S = 1.0
-"""Seconds in which a second interruption is taken for the same one: a terminal sends it to both
-processes, and the parent hands it on."""
+GRACE_S = 60.0
+"""How long the child may take to end once it was told to: a frame's write, or a network's run."""
 
 MOST_AGAIN = 32
 """How often a command begins again: what fails more often is not a matter of single files."""
@@ -142,7 +142,6 @@ def _part(board: Board, usual: Mapping[int, Any]) -> End | None:
             if handler is not None:  # something other than Python set it
                 signal.signal(number, handler)
         _die_with(parent)
-        _interrupted_once()
         hang_up(board)
         return None
     os.close(held)
@@ -163,10 +162,11 @@ def limit() -> float:
 
 
 def _await(child: int, alive: int, board: Board, handed_on: list[int]) -> End:
-    """Wait for the child; end it where a file takes too long."""
+    """Wait for the child; end it where a file takes too long, or where it does not stop."""
     most = limit()
     since: dict[int, float] = {}
     overdue = False
+    stopped = 0.0
     tick = min(TICK_S, most)
     while True:
         begin = time.monotonic()
@@ -179,8 +179,9 @@ def _await(child: int, alive: int, board: Board, handed_on: list[int]) -> End:
         # Whoever stops both processes for an hour does not want them ended afterwards.
         passed = min(time.monotonic() - begin, 2 * tick)
         since = {number: since.get(number, 0.0) + passed for number in reading}
-        if not overdue and any(seconds > most for seconds in since.values()):
-            overdue = True
+        stopped += passed if handed_on else 0.0
+        overdue = not handed_on and any(seconds > most for seconds in since.values())
+        if overdue or stopped > GRACE_S:
             with suppress(ProcessLookupError):
                 os.kill(child, signal.SIGKILL)
 
@@ -204,21 +205,6 @@ def _hand_on(child: int, usual: Mapping[int, Any]) -> list[int]:
         if handler is not signal.SIG_IGN:
             signal.signal(number, hand_on)
     return came
-
-
-def _interrupted_once() -> None:
-    """Take interruptions that come at once for one: a second would break off cleaning up."""
-    if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
-        return
-    last = float("-inf")
-
-    def interrupt(number: int, frame: FrameType | None) -> None:
-        nonlocal last
-        before, last = last, time.monotonic()
-        if last - before > AT_ONCE_S:
-            signal.default_int_handler(number, frame)
-
-    signal.signal(signal.SIGINT, interrupt)
 
 
 def _die_with(parent: int) -> None:
