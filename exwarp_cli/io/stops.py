@@ -41,9 +41,10 @@ WAITING = {
 WHOLE = {
     "importlib._bootstrap", "importlib._bootstrap_external",
     "_frozen_importlib", "_frozen_importlib_external",
-    "weakref",
+    "weakref", "llvmlite.binding.executionengine",
 }  # fmt: skip
-"""Modules in which a stop waits, also where they called others."""
+"""Modules in which a stop waits, also where they called others. LLVM asks for machine code that is
+kept; where an exception is the answer, it goes on without, and what calls a kernel crashes."""
 
 WHOLE_FUNCTIONS = {
     ("threading", "start"),
