@@ -21,7 +21,7 @@ from exwarp_cli.io.clip import Clip, ClipReader, is_clip, open_clip
 from exwarp_cli.io.exr import ExrReader
 from exwarp_cli.io.frame_files import FrameTemplate, read_picture
 from exwarp_cli.io.frame_names import split_name
-from exwarp_cli.io.frames import count_broken
+from exwarp_cli.io.nonfinite import count_broken
 from exwarp_cli.io.output import file_digest
 from exwarp_cli.io.sequence import EXR, Sequence, find_sequence
 from exwarp_cli.io.shot import Shot

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from exwarp_cli.domain.frame import (
-    Bool,
     Float32,
     GBuffer,
     Image,
     Int32,
     KeyFrame,
     Window,
-    are_finite,
-    broken_pixels,
     outside,
     place,
 )
@@ -27,6 +24,7 @@ from exwarp_cli.errors import DamagedFileError, LayoutError
 from exwarp_cli.io.channels import ChannelRef, Role, detect, require
 from exwarp_cli.io.cryptomatte import find_cryptomattes
 from exwarp_cli.io.exr import ExrReader
+from exwarp_cli.io.nonfinite import count_broken
 from exwarp_cli.io.shot import Shot as Shot
 from exwarp_cli.io.shot import open_shot as open_shot
 from exwarp_cli.io.shot import plain, renamed
@@ -148,9 +146,16 @@ class _Planes:
     refs: Mapping[Role, tuple[ChannelRef, ...]]
     broken: dict[str, int] = field(default_factory=dict)
 
-    def stack(self, role: Role, canvas: Window, fill: float = 0.0) -> Float32 | None:
-        """Return a role's channels, float32 [H, W, C] on a canvas; None where it is not there."""
-        return self.joined(role, self.refs[role], canvas, fill) if role in self.refs else None
+    def stack(
+        self, role: Role, canvas: Window, fill: float = 0.0, count: bool = True
+    ) -> Float32 | None:
+        """Return a role's channels, float32 [H, W, C] on a canvas; None where it is not there.
+
+        Without `count` what covers just the canvas is left for others to look through.
+        """
+        if role not in self.refs:
+            return None
+        return self.joined(role, self.refs[role], canvas, fill, count)
 
     @property
     def broken_colour(self) -> int | None:
@@ -164,13 +169,19 @@ class _Planes:
         return windows.pop() if len(windows) == 1 else None
 
     def joined(
-        self, role: Role, refs: tuple[ChannelRef, ...], canvas: Window, fill: float
+        self,
+        role: Role,
+        refs: tuple[ChannelRef, ...],
+        canvas: Window,
+        fill: float,
+        count: bool = True,
     ) -> Float32:
-        """Return channels of a role, float32 [H, W, C] on a canvas."""
+        """Return channels of a role, float32 [H, W, C] on a canvas; see `stack`."""
         members = [self.planes[ref].astype(np.float32, copy=False) for ref in refs]
         if (window := self.window(refs)) is not None:
             pixels = joined(members)
-            self.broken[role.value] = count_broken((pixels,), role)
+            if count or window != canvas:
+                self.broken[role.value] = count_broken((pixels,), role)
             return place(pixels, window, canvas, fill)
         self.broken[role.value] = count_broken(members, role)
         placed = [
@@ -183,14 +194,18 @@ class _Planes:
 def _geometry(found: _Planes, shot: Shot, canvas: Window) -> GBuffer:
     """Return what was read but colour and motion."""
     depth = found.stack(Role.DEPTH, canvas, np.inf)
-    normal = found.stack(Role.NORMAL, canvas)
+    normal = found.stack(Role.NORMAL, canvas, count=False)
     stencil = None
     if Role.STENCIL in found.refs:
         ref = found.refs[Role.STENCIL][0]
         plane = found.planes[ref]
         found.broken[Role.STENCIL.value] = count_broken((plane,), Role.STENCIL)
         stencil = place(clean_stencil(plane), found.windows[ref], canvas)
-    known = None if depth is None else clean_depth(shot.depth.distance(depth[..., 0]), normal)
+    known, finite = None, False
+    if depth is not None:
+        known, finite = cleaned(shot.depth.distance(depth[..., 0]), normal)
+    if normal is not None and Role.NORMAL.value not in found.broken:
+        found.broken[Role.NORMAL.value] = 0 if finite else count_broken((normal,), Role.NORMAL)
     return GBuffer(
         canvas,
         known,
@@ -296,15 +311,20 @@ def clean_depth(depth: Float32, normal: Float32 | None) -> Float32:
 
     Background is written as 0, 1e10, infinity or NaN; Unreal marks it by the normal (-1, -1, -1).
     """
+    return cleaned(depth, normal)[0]
+
+
+def cleaned(depth: Float32, normal: Float32 | None) -> tuple[Float32, bool]:
+    """Do as `clean_depth`, and tell whether there are normals, all of them finite."""
     from exwarp_cli.kernels import depths  # numba: not for what only lists channels
 
     out: Float32 = lent(depth.shape, np.float32)
-    depths.known_depths(
-        np.ascontiguousarray(depth, np.float32).reshape(-1), np.float32(FAR), out.reshape(-1)
-    )
-    if normal is not None:
-        depths.hide_marked(np.ascontiguousarray(normal, np.float32).reshape(-1), out.reshape(-1))
-    return out
+    flat, far = np.ascontiguousarray(depth, np.float32).reshape(-1), np.float32(FAR)
+    if normal is None:
+        depths.known_depths(flat, far, out.reshape(-1))
+        return out, False
+    normals = np.ascontiguousarray(normal, np.float32).reshape(-1)
+    return out, depths.known_unmarked(flat, normals, far, out.reshape(-1))
 
 
 def clean_stencil(ids: np.ndarray) -> Int32:
@@ -317,38 +337,6 @@ def clean_stencil(ids: np.ndarray) -> Int32:
     out: Int32 = lent(ids.shape, np.int32)
     whole_ids(np.ascontiguousarray(ids, np.float32).reshape(-1), out.reshape(-1))
     return out
-
-
-def count_broken(planes: Iterable[np.ndarray], role: Role | None = None) -> int:
-    """Count the pixels that are not finite in some of these channels.
-
-    In a depth these are NaN alone: infinity is how renderers write the background.
-
-    Parameters
-    ----------
-    planes
-        [H, W] or [H, W, C] of any types; those of other windows than the first are left out.
-    role
-        What they are for, as far as that is known.
-    """
-    found: Bool | None = None
-    shape: tuple[int, ...] | None = None
-    for plane in planes:
-        if plane.dtype.kind != "f":
-            continue
-        shape = shape or plane.shape[:2]
-        broken = _broken(plane.reshape(*plane.shape[:2], -1), role)
-        if broken is not None and broken.shape == shape:
-            found = broken if found is None else found | broken
-    return 0 if found is None else int(np.count_nonzero(found))
-
-
-def _broken(values: np.ndarray, role: Role | None) -> Bool | None:
-    """bool [H, W]: pixels of [H, W, C] as `count_broken` counts them; None where there are none."""
-    if role is Role.DEPTH:
-        unknown = np.isnan(values)
-        return np.asarray(unknown.any(axis=-1)) if unknown.any() else None
-    return None if are_finite(values) else broken_pixels(values)
 
 
 def _refuse_broken(share: float, path: Path) -> None:
