@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.kernels.jit import part, serial
+from exwarp_cli.compiled.shares import WHOLE, Share, turns
+from exwarp_cli.kernels.jit import parallel, part, serial
 
 F32 = npt.NDArray[np.float32]
 B8 = npt.NDArray[np.bool_]
+I64 = npt.NDArray[np.int64]
 
 SAMPLES = 1 << 14
 """Values that tell about where the median lies."""
@@ -20,6 +22,9 @@ seven times the standard error of so many samples."""
 
 SPAN = 256
 """Values that are looked at together: most spans have none that is picked."""
+
+BANDS = 16
+"""Into how many parts values are divided: the grain of the parallel loop."""
 
 
 @part
@@ -44,9 +49,29 @@ def copy_between(values: F32, shown: B8, low: float, high: float, out: F32) -> N
         count += shown[n] & (value > np.float32(0)) & (value >= low) & (value <= high)
 
 
-@serial
-def pick_between(values: F32, shown: B8, low: float, high: float, out: F32) -> tuple[int, int, int]:
-    """Copy values above 0 that lie from `low` to `high`.
+@part
+def pick_some(values: F32, shown: B8, low: float, high: float, out: F32, told: I64) -> None:
+    """Do as `pick_between_text` with a band's values [N]; `out` has N + 1, `told` 3."""
+    total, below, count = 0, 0, 0
+    for begin in range(0, values.size, SPAN):
+        some, mask = values[begin : begin + SPAN], shown[begin : begin + SPAN]
+        counting, lower, between = tally(some, mask, low, high)
+        if between > 0:
+            copy_between(some, mask, low, high, out[count:])
+        total, below, count = total + counting, below + lower, count + between
+    told[0], told[1], told[2] = total, below, count
+
+
+def pick_between_text(
+    values: F32,
+    shown: B8,
+    low: np.float32,
+    high: np.float32,
+    out: F32,
+    told: I64,
+    share: Share = WHOLE,
+) -> None:
+    """Copy values above 0 that lie from `low` to `high`, by bands.
 
     Parameters
     ----------
@@ -57,21 +82,22 @@ def pick_between(values: F32, shown: B8, low: float, high: float, out: F32) -> t
     low, high
         Ends; both count.
     out
-        float32 [N + 1], its beginning is written.
-
-    Returns
-    -------
-    tuple of int
-        How many count in all, how many of them lie below `low`, and how many were copied.
+        float32 [B, M + 1] for bands of M values, of which the last may have fewer; the beginning of
+        each is written.
+    told
+        int64 [B, 3], written: how many of a band count in all, how many of them lie below `low`,
+        and how many were copied.
+    share
+        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
-    total, below, count = 0, 0, 0
-    for begin in range(0, values.size, SPAN):
-        some, mask = values[begin : begin + SPAN], shown[begin : begin + SPAN]
-        counting, lower, between = tally(some, mask, low, high)
-        if between > 0:
-            copy_between(some, mask, low, high, out[count:])
-        total, below, count = total + counting, below + lower, count + between
-    return total, below, count
+    step = out.shape[1] - 1
+    for band in turns(out.shape[0], share):
+        some = slice(min(band * step, values.size), min((band + 1) * step, values.size))
+        pick_some(values[some], shown[some], low, high, out[band], told[band])
+
+
+pick_between = parallel(pick_between_text)
+pick_between_serial = serial(pick_between_text)
 
 
 def positive(values: F32, shown: B8) -> np.float32:
@@ -95,10 +121,13 @@ def positive(values: F32, shown: B8) -> np.float32:
             some[max(0, some.size // 2 - near)],
             some[min(some.size // 2 + near, len(some) - 1)],
         )
-    out = np.empty(flat.size + 1, np.float32)
-    total, below, count = pick_between(flat, mask, low, high, out)
+    out = np.empty((BANDS, -(-flat.size // BANDS) + 1), np.float32)
+    told = np.empty((BANDS, 3), np.int64)
+    pick_between(flat, mask, low, high, out, told)
+    total, below, count = told.sum(axis=0).tolist()
     # An even number has two in the middle, whose mean is the median.
     first, last = (total - 1) // 2 - below, total // 2 - below
     if first < 0 or last >= count:
         return np.float32(np.median(flat[mask & (flat > 0)])) if total else np.float32(np.nan)
-    return np.float32(np.partition(out[:count], (first, last))[first : last + 1].mean())
+    picked = np.concatenate([some[:many] for some, many in zip(out, told[:, 2], strict=True)])
+    return np.float32(np.partition(picked, (first, last))[first : last + 1].mean())

@@ -7,14 +7,15 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.kernels.jit import part, serial
+from exwarp_cli.compiled.shares import WHOLE, Share, turns
+from exwarp_cli.kernels.jit import parallel, part, serial
 
 F32 = npt.NDArray[np.float32]
 
 
 @part
 def scale_neighbours(raw: F32, scales: tuple[np.float32, np.float32], out: F32) -> None:
-    """Do as `scale_vectors` by a channel and the next of four, from the first of them on.
+    """Do as `scale_some` by a channel and the next of four, from the first of them on.
 
     Channels whose place the compiler knows: half of the time.
     """
@@ -25,9 +26,27 @@ def scale_neighbours(raw: F32, scales: tuple[np.float32, np.float32], out: F32) 
         out[2 * n + 1] = y if known else np.float32(np.nan)
 
 
-@serial
-def scale_vectors(
+@part
+def scale_some(
     raw: F32, channels: tuple[int, int], scales: tuple[np.float32, np.float32], out: F32
+) -> None:
+    """Write two channels times their scales, all of the vectors given."""
+    if raw.shape[1] == 4 and channels[1] == channels[0] + 1:
+        scale_neighbours(raw.reshape(-1)[channels[0] :], scales, out.reshape(-1))
+        return
+    for n in range(out.shape[0]):
+        x, y = raw[n, channels[0]] * scales[0], raw[n, channels[1]] * scales[1]
+        known = math.isfinite(x + y)
+        out[n, 0] = x if known else np.float32(np.nan)
+        out[n, 1] = y if known else np.float32(np.nan)
+
+
+def scale_vectors_text(
+    raw: F32,
+    channels: tuple[int, int],
+    scales: tuple[np.float32, np.float32],
+    out: F32,
+    share: Share = WHOLE,
 ) -> None:
     """Write two channels times their scales.
 
@@ -39,12 +58,12 @@ def scale_vectors(
         Of x and y.
     out
         float32 [N, 2], written; NaN where one of both is not finite, or their sum.
+    share
+        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
-    if raw.shape[1] == 4 and channels[1] == channels[0] + 1:
-        scale_neighbours(raw.reshape(-1)[channels[0] :], scales, out.reshape(-1))
-        return
-    for n in range(out.shape[0]):
-        x, y = raw[n, channels[0]] * scales[0], raw[n, channels[1]] * scales[1]
-        known = math.isfinite(x + y)
-        out[n, 0] = x if known else np.float32(np.nan)
-        out[n, 1] = y if known else np.float32(np.nan)
+    mine = turns(out.shape[0], share)
+    scale_some(raw[mine.start : mine.stop], channels, scales, out[mine.start : mine.stop])
+
+
+scale_vectors = parallel(scale_vectors_text)
+scale_vectors_serial = serial(scale_vectors_text)

@@ -19,6 +19,7 @@ from exwarp_cli.kernels import (
     ids,
     labelling,
     lookup,
+    medians,
     misses,
     nearest,
     parabola,
@@ -230,11 +231,22 @@ def labelled(stencil: np.ndarray) -> Arrays:
     return labels, areas[: labelling.measure_areas(stencil, areas)]
 
 
-def scaled(raw: np.ndarray, axes: tuple[int, int], scales: tuple[float, float]) -> Arrays:
+def scaled(
+    raw: np.ndarray, axes: tuple[int, int], scales: tuple[float, float], serial: bool = False
+) -> Arrays:
     out = np.zeros((len(raw), 2), np.float32)
     x, y = scales
-    vectors.scale_vectors(raw, axes, (np.float32(x), np.float32(y)), out)
+    scale = build(vectors, "scale_vectors", serial)
+    scale(raw, axes, (np.float32(x), np.float32(y)), out)
     return (out,)
+
+
+def picked(values: np.ndarray, shown: np.ndarray, ends: Pair, serial: bool = False) -> Arrays:
+    out = np.full((medians.BANDS, -(-values.size // medians.BANDS) + 1), -1, np.float32)
+    told = np.full((medians.BANDS, 3), -1, np.int64)
+    build(medians, "pick_between", serial)(values, shown, *ends, out, told)
+    # What lies beyond is whatever was passed over last.
+    return told, *(some[:count] for some, count in zip(out, told[:, 2], strict=True))
 
 
 def rounded(values: np.ndarray) -> Arrays:

@@ -143,6 +143,13 @@ def seen_by(seed: int) -> calls.Arrays:
     return field(seed), at_slot, depth(seed + 1), rng.random(SHAPE) < 0.3, rng.random(SHAPE) < 0.2
 
 
+def scale(serial: bool) -> calls.Arrays:
+    """By channels that lie apart, and by neighbours of four."""
+    raw = image(63).reshape(-1, 4)
+    scales = (0.5, -3)
+    return calls.scaled(raw, (3, 1), scales, serial) + calls.scaled(raw, (2, 3), scales, serial)
+
+
 def choose(serial: bool) -> calls.Arrays:
     """With two key frames, and with one."""
     both = calls.chosen(seen_by(50), seen_by(52), 0.5, serial)
@@ -196,6 +203,10 @@ CASES: dict[str, Callable[[bool], calls.Arrays]] = {
     "rigid": project,
     "find_fringe": lambda serial: calls.fringe_found(field(18), depth(18), depth(19), serial),
     "block_means": lambda serial: calls.averaged(field(34), 8, shown(35), serial),
+    "scale_vectors": scale,
+    "pick_between": lambda serial: calls.picked(
+        depth(70).reshape(-1), shown(71).reshape(-1), (np.float32(2), np.float32(6)), serial
+    ),
     "extents": lambda serial: calls.extended(image(36), shown(37), serial),
     "count": count,
     "decode": lambda serial: calls.decoded(encoded(40), serial),
@@ -208,7 +219,6 @@ CASES: dict[str, Callable[[bool], calls.Arrays]] = {
 }
 
 ONE_BUILD: dict[str, Callable[[], calls.Arrays]] = {
-    "scale_vectors": lambda: calls.scaled(image(63).reshape(-1, 4), (3, 1), (0.5, -3)),
     "whole_ids": lambda: calls.rounded(image(64).reshape(-1).round(1)),
     "look_up": lambda: calls.looked_up(image(58), scattered(59)),
     "count_misses": lambda: calls.missed(scattered(60), scattered(61), scattered(62)[:, 0] ** 2),
