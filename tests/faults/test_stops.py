@@ -15,6 +15,7 @@ from exwarp_cli import cli
 from tests.cli import shots
 from tests.faults.breaking import STRUCK
 from tests.faults.running import (
+    BOUND_S,
     FULL,
     PLAIN,
     Outcome,
@@ -27,7 +28,6 @@ from tests.faults.running import (
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs processes of POSIX")
 
 METHOD = ("-m", "s6")
-HANGS_S = 30
 COUNT = 800 if FULL else 16
 """Steps that are struck."""
 
@@ -65,7 +65,7 @@ def broken(*arguments: object) -> Outcome:
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         env=os.environ | {"EXWARP_SUPERVISE": "0"}, start_new_session=True,
     )  # fmt: skip
-    return ended(process, HANGS_S)
+    return ended(process)
 
 
 @pytest.fixture(scope="module")
@@ -127,5 +127,5 @@ def test_what_does_not_end_is_ended():
         assert process.stdout is not None
         assert process.stdout.readline() == "works\n"
         process.send_signal(signal.SIGTERM)
-        told, _ = process.communicate(timeout=HANGS_S)
+        told, _ = process.communicate(timeout=BOUND_S)
     assert told == f"{-signal.SIGKILL} {signal.SIGTERM.value} False\n"
