@@ -28,7 +28,7 @@ from tests.faults.running import (
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs processes of POSIX")
 
 METHOD = ("-m", "s6")
-COUNT = 800 if FULL else 16
+COUNT = 400 if FULL else 16
 """Steps that are struck."""
 
 PARTS = 8
