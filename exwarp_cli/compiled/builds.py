@@ -5,7 +5,6 @@ Signatures stay lazy, as an eagerly typed parallel kernel costs 0.35 s at import
 
 from __future__ import annotations
 
-import dis
 import types
 from collections.abc import Callable
 from contextlib import suppress
@@ -57,16 +56,11 @@ def _counting(text: Kernel) -> dict[str, bool]:
 
 
 def _returns_nothing(text: types.FunctionType) -> bool:
-    """Whether a function only writes: what Python gets may be an array."""
-    before: dis.Instruction | None = None
-    for step in dis.get_instructions(text):
-        told = before if step.opname == "RETURN_VALUE" else step
-        if step.opname.startswith("RETURN_") and step.opname != "RETURN_GENERATOR":
-            assert told is not None
-            if "CONST" not in told.opname or told.argval is not None:
-                return False
-        before = step
-    return True
+    """Whether a function only writes: what Python gets may be an array.
+
+    As it is annotated; its instructions tell it too, in 15 ms for all kernels.
+    """
+    return text.__annotations__.get("return", "") in ("None", None)
 
 
 def knows_inside() -> bool:

@@ -39,6 +39,11 @@ from exwarp_cli.io.exr_chunks import (
 RUN = 1 << 21
 """Bytes of pixels that a thread takes at a time, or one chunk."""
 
+SLACK = 64
+"""Bytes that a chunk is read with and that may hold anything. Near the end of its input libdeflate
+goes bit by bit and copies byte by byte, and of ids or a constant channel so few bytes are left of a
+chunk that this was all of it: it took six times as long."""
+
 _IsalError: Any = isal_zlib.error  # an exception's class, which its stubs take for one
 _NOTHING = np.empty(0, np.uint8)
 
@@ -150,7 +155,7 @@ class ScanLines:
         for part, members in targets.items():
             stored = self._parts[part]
             assert stored is not None
-            tasks += [(part, _Run(self._bytes, stored, members, some)) for some in _runs(stored)]
+            tasks += [(part, _Run(self._followed, stored, members, some)) for some in _runs(stored)]
         broken: set[int] = set()
 
         def take(task: tuple[int, _Run]) -> None:
@@ -173,26 +178,29 @@ class ScanLines:
         return broken
 
     def _bytes(self, start: int, size: int) -> U8:
-        """Read bytes, from any thread; they stay until it reads the next ones.
+        """Read bytes, from any thread; they stay until it reads the next ones."""
+        return self._followed(start, size)[:-SLACK]
+
+    def _followed(self, start: int, size: int) -> U8:
+        """Read bytes likewise, before `SLACK` others of any value.
 
         Fresh memory for each run of chunks took as long as half of the reading.
         """
         out: U8 = getattr(self._own, "buffer", _NOTHING)
-        if len(out) < size:
-            out = self._own.buffer = np.empty(size, np.uint8)
-        out = out[:size]
+        if len(out) < size + SLACK:
+            out = self._own.buffer = np.zeros(size + SLACK, np.uint8)
         got = 0
         while got < size:
             if hasattr(os, "preadv"):
-                more = os.preadv(self._file.fileno(), [out[got:].data], start + got)
+                more = os.preadv(self._file.fileno(), [out[got:size].data], start + got)
             else:  # Windows
                 with self._lock:
                     self._file.seek(start + got)
-                    more = self._file.readinto(out[got:].data) or 0
+                    more = self._file.readinto(out[got:size].data) or 0
             if not more:
                 break
             got += more
-        return out[:got]
+        return out[: got + SLACK]
 
 
 def _runs(stored: Stored) -> Iterator[I64]:
@@ -220,7 +228,10 @@ class _Run:
             return False
 
     def _read(self) -> Iterator[tuple[int, U8]]:
-        """Yield each chunk's number and bytes; those that follow each other are read at once."""
+        """Yield each chunk's number, and its bytes before `SLACK` others.
+
+        Chunks that follow each other are read at once.
+        """
         leader = _leader(self.stored).size
         stored, size = self.stored, sum(self.stored.sizes) * self.stored.window.width
         starts = stored.starts[self.chunks]
@@ -232,31 +243,31 @@ class _Run:
             data = self.read(begin, int(ends[some[-1]]) - begin)
             data.flags.writeable = False  # kernels are compiled for arrays of one kind
             for i in some:
-                yield self.chunks[i], data[starts[i] - begin : ends[i] - begin]
+                yield self.chunks[i], data[starts[i] - begin : ends[i] - begin + SLACK]
 
     def _chunk(self, index: int, data: U8) -> bool:
-        """Decode one chunk; False when it is not what it should be."""
+        """Decode one chunk, before `SLACK` other bytes; False when it is not what it should be."""
         stored, leader = self.stored, _leader(self.stored)
-        if len(data) < leader.size:
+        if len(data) < leader.size + SLACK:
             return False
         first = index * stored.lines
         rows = min(stored.lines, stored.window.height - first)
         *number, line, size = leader.unpack_from(data.data)
         full = rows * stored.window.width * sum(stored.sizes)
-        packed = data[leader.size : leader.size + size]
+        packed = data[leader.size : leader.size + size + SLACK]
         named = not number or number[0] == stored.number
         if not named or line != stored.window.y + first or not 0 < size <= full:
             return False
-        return len(packed) == size and self._placed(packed, first, rows, full)
+        return len(packed) == size + SLACK and self._placed(packed, first, rows, full)
 
     def _placed(self, packed: U8, first: int, rows: int, full: int) -> bool:
         """Write a chunk's lines, of which the first and the number are given, to where they go."""
         from exwarp_cli.kernels import exr_rises  # numba: not for what reads no pixels
 
         stored = self.stored
-        if len(packed) == full:  # what did not become smaller is stored as it is
+        if len(packed) == full + SLACK:  # what did not become smaller is stored as it is
             for target in self.targets:
-                exr_rises.from_lines(packed, target.plain, target.out[first : first + rows])
+                exr_rises.from_lines(packed[:full], target.plain, target.out[first : first + rows])
         elif stored.compression == NONE:
             return False
         elif stored.compression == PXR24:
@@ -267,7 +278,7 @@ class _Run:
             for target in self.targets:
                 exr_rises.from_planes(data, target.sorted, target.out[first : first + rows])
         else:
-            data = _unrun(packed, full) if stored.compression == RLE else inflated(packed, full)
+            data = (_unrun if stored.compression == RLE else inflated)(packed, full)
             if data is None:
                 return False
             for target in self.targets:
@@ -284,11 +295,11 @@ def _leader(stored: Stored) -> struct.Struct:
 
 
 def _unrun(packed: U8, size: int) -> U8 | None:
-    """Return what run lengths stand for; None unless those are so many bytes."""
+    """Return what run lengths [N + SLACK] stand for; None unless those are so many bytes."""
     from exwarp_cli.kernels.exr_rises import from_runs
 
     out = np.empty(size, np.uint8)
-    if not from_runs(packed, out):
+    if not from_runs(packed[:-SLACK], out):
         return None
     out.flags.writeable = False
     return out
@@ -298,7 +309,7 @@ def _by_isal(packed: U8, size: int) -> bytes | None:
     """Inflate with ISA-L, which comes with the writer."""
     stream = isal_zlib.decompressobj()
     try:
-        out: bytes = stream.decompress(packed, size + 1)
+        out: bytes = stream.decompress(packed[:-SLACK], size + 1)
     except _IsalError:
         return None
     return out if stream.eof and not stream.unused_data else None
@@ -310,8 +321,8 @@ def _by_libdeflate(packed: U8, size: int) -> bytearray | None:
         out: bytearray = _libdeflate.zlib_decompress(packed, size)
     except _libdeflate.DeflateError:
         return None
-    whole = _libdeflate.adler32(out) == int.from_bytes(packed[-4:].tobytes(), "big")
-    return out if whole else None
+    checksum = packed[-SLACK - 4 : -SLACK]
+    return out if _libdeflate.adler32(out) == int.from_bytes(checksum.tobytes(), "big") else None
 
 
 try:
@@ -324,7 +335,10 @@ _inflate: Callable[[U8, int], bytes | bytearray | None] = _by_libdeflate if FAST
 
 
 def inflated(packed: U8, size: int) -> U8 | None:
-    """Inflate a zlib stream, uint8 [N]; None unless it is whole, and of just so many bytes."""
+    """Inflate a zlib stream, uint8 [N + SLACK]; None unless it is whole, and of just `size` bytes.
+
+    The last `SLACK` bytes are no part of it.
+    """
     data = _inflate(packed, size)
     if data is None or len(data) != size:
         return None

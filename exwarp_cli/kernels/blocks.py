@@ -91,6 +91,8 @@ def mean_of(motion: F32, shown: B8, mean: F64) -> None:
     """Write the mean [2] of what counts of a block's values [R, C, 2]; NaN where nothing does."""
     sum_x, sum_y, count = np.float64(0), np.float64(0), 0
     for i in range(motion.shape[0]):
+        if shown.size > 0 and not any_of(shown[i]):
+            continue  # as mostly in sky, half of all the time without
         for j in range(motion.shape[1]):
             vx, vy = np.float64(motion[i, j, 0]), np.float64(motion[i, j, 1])
             # Two float32 cannot add up to infinity here.

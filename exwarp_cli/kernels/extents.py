@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli.compiled.shares import WHOLE, Share, turns
-from exwarp_cli.kernels.blocks import all_of
+from exwarp_cli.kernels.blocks import all_of, any_of
 from exwarp_cli.kernels.jit import parallel, part, serial
 
 F32 = npt.NDArray[np.float32]
@@ -14,6 +14,13 @@ B8 = npt.NDArray[np.bool_]
 
 ROWS_PER_BAND = 32
 """Rows whose ends, and whose histogram, are found together; also the grain of the parallel loop."""
+
+FOUR = 4
+"""Rows that are looked at together."""
+
+SPAN = 256
+"""Pixels of a row that are looked at together. With ends of their own for each column of the frame,
+which the nearest cache does not hold, it took 1.2 to 1.4 times as long."""
 
 
 @part
@@ -25,31 +32,10 @@ def widen(values: F32, low: F32, high: F32) -> None:
 
 
 @part
-def widen_by_row(values: F32, shown: B8, low: F32, high: F32) -> None:
-    """Lower and raise the ends of each column, [W C], by what counts of a row.
-
-    By runs of pixels that count, whatever the channels: asking at each took twice as long.
-    """
-    width = shown.size
-    channels = values.size // width
-    begin = 0
-    while begin < width:
-        if not shown[begin]:
-            begin += 1
-            continue
-        end = begin
-        while end < width and shown[end]:
-            end += 1
-        part = slice(begin * channels, end * channels)
-        widen(values[part], low[part], high[part])
-        begin = end
-
-
-@part
-def widen_by_rows(values: F32, low: F32, high: F32) -> None:
-    """Do as `widen` by four rows [4, N] at once: the ends are fetched and put back once."""
-    one, two, three, four = values[0], values[1], values[2], values[3]
-    for k in range(low.size):
+def widen_by_four(rows: F32, some: slice, low: F32, high: F32) -> None:
+    """Do as `widen` by part of four rows [4, M] at once: the ends are fetched and put back once."""
+    one, two, three, four = rows[0][some], rows[1][some], rows[2][some], rows[3][some]
+    for k in range(one.size):
         least, most = low[k], high[k]
         for value in (one[k], two[k], three[k], four[k]):
             least = value if value < least else least
@@ -58,17 +44,43 @@ def widen_by_rows(values: F32, low: F32, high: F32) -> None:
 
 
 @part
-def widen_by_band(values: F32, shown: B8, low: F32, high: F32) -> None:
-    """Lower and raise the ends of each column, [W C], by what counts of some rows [R, W, C]."""
-    i = 0
-    while i < shown.shape[0]:
-        four = i + 4 <= shown.shape[0]
-        if four and all_of(shown[i : i + 4].reshape(-1)):
-            widen_by_rows(values[i : i + 4].reshape(4, -1), low, high)
-            i += 4
-        else:
-            widen_by_row(values[i].reshape(-1), shown[i], low, high)
-            i += 1
+def widen_by_runs(values: F32, shown: B8, span: slice, low: F32, high: F32) -> None:
+    """Lower and raise the ends by what counts of a span of a row, [W C].
+
+    By runs of pixels that count, whatever the channels: asking at each took twice as long.
+    """
+    channels = values.size // shown.size
+    begin = span.start
+    while begin < span.stop:
+        if not shown[begin]:
+            begin += 1
+            continue
+        end = begin
+        while end < span.stop and shown[end]:
+            end += 1
+        widen(values[begin * channels : end * channels], low, high)
+        begin = end
+
+
+@part
+def widen_by_rows(rows: F32, shown: B8, low: F32, high: F32) -> None:
+    """Lower and raise the ends by what counts of some rows, [R, W C].
+
+    Of spans, so that their ends, which are the same for all, stay in the nearest cache.
+    """
+    count, width = shown.shape
+    channels = rows.shape[1] // width
+    for begin in range(0, width, SPAN):
+        end = min(begin + SPAN, width)
+        every = True
+        for i in range(count):
+            every &= all_of(shown[i][begin:end])
+        if every and count == FOUR:
+            widen_by_four(rows, slice(begin * channels, end * channels), low, high)
+            continue
+        for i in range(count):
+            if every or any_of(shown[i][begin:end]):
+                widen_by_runs(rows[i], shown[i], slice(begin, end), low, high)
 
 
 @part
@@ -98,13 +110,16 @@ def extents_text(values: F32, shown: B8, out: F32, share: Share = WHOLE) -> None
     share
         Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
-    height, width, channels = values.shape
+    height, _, channels = values.shape
+    low, high = np.empty(SPAN * channels, np.float32), np.empty(SPAN * channels, np.float32)
     for band in turns(out.shape[0], share):
-        begin = band * ROWS_PER_BAND
-        low = np.full(width * channels, np.inf, np.float32)
-        high = np.full(width * channels, -np.inf, np.float32)
-        end = min(begin + ROWS_PER_BAND, height)
-        widen_by_band(values[begin:end], shown[begin:end], low, high)
+        for k in range(low.size):
+            low[k], high[k] = np.inf, -np.inf
+        begin, end = band * ROWS_PER_BAND, min((band + 1) * ROWS_PER_BAND, height)
+        for i in range(begin, end, FOUR):
+            some = slice(i, min(i + FOUR, end))
+            rows = values[some]
+            widen_by_rows(rows.reshape(rows.shape[0], -1), shown[some], low, high)
         for c in range(channels):
             least, most = np.float32(np.inf), np.float32(-np.inf)
             for j in range(c, low.size, channels):

@@ -4,7 +4,8 @@
 on their first third: the whole run's time is compared with the floor's, and so is what each further
 key interval takes, which start-up is no part of. ``features + decision`` is the learned method with
 a policy that always warps, beside s6, which makes the same frames: what is read for it, and
-computed.
+computed. It is told beside the codec floor that reads normals too as well: what they cost no
+program can leave out.
 
 This program itself stays small, since Linux counts a parent's memory at the moment of the fork as
 its child's.
@@ -22,9 +23,17 @@ from pathlib import Path
 from tests.bench import goals
 from tests.bench.running import Run, cleared, module, run, upsample
 
-FLOOR, DECIDED = "codec floor", "features + decision"
+FLOOR, NORMALS, DECIDED = "codec floor", "floor with normals", "features + decision"
 METHODS = ("s6", "softsplat")
-GOALS = {"s6": 1.10, DECIDED: 1.10}
+BASES = (
+    (FLOOR, FLOOR),
+    *((method, FLOOR) for method in METHODS),
+    (NORMALS, FLOOR),
+    (DECIDED, NORMALS),
+    (DECIDED, "s6"),
+)
+"""What is told, and what each is told beside."""
+GOALS = {("s6", FLOOR): 1.10, (DECIDED, "s6"): 1.10}
 ROUNDS = 3
 COUNT = 48
 """Key frames: two seconds of film, a short shot."""
@@ -75,9 +84,9 @@ def _measure(keys: Path, out: Path, policy: Path, options: argparse.Namespace) -
 def _commands(keys: Path, out: Path, policy: Path, threads: int) -> dict[str, Command]:
     first = min(int(path.stem.rsplit(".", 1)[1]) for path in keys.glob("*.exr"))
 
-    def floor(count: int) -> list[str]:
-        counted = ("--threads", str(threads), "--count", str(count))
-        return module("tests.bench.codec_floor", str(keys), str(out), *counted)
+    def floor(*more: str) -> Command:
+        plain = ("tests.bench.codec_floor", str(keys), str(out), "--threads", str(threads), *more)
+        return lambda count: module(*plain, "--count", str(count))
 
     def by(method: str, *more: str) -> Command:
         return lambda count: upsample(
@@ -85,29 +94,30 @@ def _commands(keys: Path, out: Path, policy: Path, threads: int) -> dict[str, Co
         )
 
     methods = {method: by(method) for method in METHODS}
-    return {FLOOR: floor, **methods, DECIDED: by("exwarp", "--policy", str(policy))}
+    decided = by("exwarp", "--policy", str(policy))
+    return {FLOOR: floor(), **methods, NORMALS: floor("--normals"), DECIDED: decided}
 
 
 def _told(runs: Runs, options: argparse.Namespace) -> list[goals.Figure]:
     """Print a table and return its figures."""
     intervals = options.count - options.count // 3
     print(
-        f"{'':20}{'':14}{'whole run':^34}{'a further interval':^34}\n{'':20}{'beside':14}"
+        f"{'':20}{'':20}{'whole run':^34}{'a further interval':^34}\n{'':20}{'beside':20}"
         f"{'wall':>8}{'cpu':>8}{'s':>9}{'cpu s':>9}{'wall':>8}{'cpu':>8}{'ms':>9}{'cpu ms':>9}"
         f"{'peak MB':>9}"
     )
     figures = []
-    for name, pairs in runs.items():
-        base = "s6" if name == DECIDED else FLOOR
+    for name, base in BASES:
+        pairs = runs[name]
         ratios = [_ratios(pair, other) for pair, other in zip(pairs, runs[base], strict=True)]
         columns = list(zip(*ratios, strict=True))
         wall, cpu, slope, slope_cpu = map(statistics.median, columns)
         taken = zip(*(_taken(pair, intervals) for pair in pairs), strict=True)
         s, cpu_s, ms, cpu_ms = map(statistics.median, taken)
-        goal = GOALS.get(name)
+        goal = GOALS.get((name, base))
         peak = max(whole.peak_mb for _, whole in pairs)
         print(
-            f"{name:20}{base:14}{wall:8.2f}{cpu:8.2f}{s:9.2f}{cpu_s:9.2f}{slope:8.2f}"
+            f"{name:20}{base:20}{wall:8.2f}{cpu:8.2f}{s:9.2f}{cpu_s:9.2f}{slope:8.2f}"
             f"{slope_cpu:8.2f}{1e3 * ms:9.0f}{1e3 * cpu_ms:9.0f}{peak:9.0f}"
             + (f"  goal {goal:.2f}" if goal else "")
         )

@@ -160,13 +160,13 @@ class TestWhatIsRead:
             {"a": (noise, {}), "z": ({"Z": plane(200, 300, 1)}, {}), "b": (noise, {})},
         )
         taken = []
-        plain = exr_decoding.ScanLines._bytes
+        plain = exr_decoding.ScanLines._followed
 
         def counted(self: Any, start: int, size: int) -> np.ndarray:
             taken.append((start, size))
             return plain(self, start, size)
 
-        monkeypatch.setattr(exr_decoding.ScanLines, "_bytes", counted)
+        monkeypatch.setattr(exr_decoding.ScanLines, "_followed", counted)
         found = here(path, lambda file: [list(file.parts[1].channels)])
         assert (found[1, "Z"] == 1).all()
         z = parts_of(path.read_bytes())[1]
