@@ -8,12 +8,13 @@ import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli.compiled.shares import WHOLE, Share, turns
-from exwarp_cli.kernels.jit import inlined, parallel, serial
+from exwarp_cli.kernels.jit import inlined, parallel, part, serial
 from exwarp_cli.kernels.surface import end_of
 
 F32 = npt.NDArray[np.float32]
 I32 = npt.NDArray[np.int32]
 B8 = npt.NDArray[np.bool_]
+Vector = tuple[np.float32, np.float32]
 
 LEAST_SCALE = 0.25
 """Pixels by which a vector may differ from the expected one before it counts for less …"""
@@ -41,6 +42,12 @@ def trust(
 
 
 @inlined
+def scale_of(ex: np.float32, ey: np.float32) -> np.float32:
+    """Return by how much a vector may differ from the expected one before it counts for less."""
+    return max(np.float32(LEAST_SCALE), np.float32(SCALE) * np.sqrt(ex * ex + ey * ey))
+
+
+@inlined
 def usable(stencil: I32, ident: np.int32, p: int, q: int, height: int, width: int) -> bool:
     """Whether pixel (p, q) exists and may show the point's surface; -2 is any."""
     inside = 0 <= p < width and 0 <= q < height
@@ -54,44 +61,22 @@ def floor_of(value: np.float32) -> int:
     return int(whole - 1 if value < np.float32(whole) else whole)
 
 
-@inlined
-def step_at(
-    step: F32,
-    stencil: I32,
-    ident: np.int32,
-    place: tuple[np.float32, np.float32],
-    hope: tuple[np.float32, np.float32],
-) -> tuple[np.float32, np.float32]:
-    """Return a point's motion over a step; NaN where nothing tells.
-
-    Parameters
-    ----------
-    step, stencil
-        As for :func:`follow_text`.
-    ident
-        Of the point; -2 is any.
-    place, hope
-        Where it is, and which motion is expected of it; x and y.
-    """
+@part
+def any_step(step: F32, stencil: I32, ident: np.int32, place: Vector, hope: Vector) -> Vector:
+    """Do as `step_at` with samples of which some may lie outside, be of other ids, or be NaN."""
     height, width, _ = step.shape
     one = np.float32(1)
     (x, y), (ex, ey) = place, hope
     foreseen = not math.isnan(ex + ey)
     total = np.float32(PRIOR) if foreseen else np.float32(0)
     sum_x, sum_y = (total * ex, total * ey) if foreseen else (total, total)
-    scale = max(np.float32(LEAST_SCALE), np.float32(SCALE) * np.sqrt(ex * ex + ey * ey))
+    scale = scale_of(ex, ey)
     near = x > -one and y > -one and x < width and y < height  # no for NaN
     left, top = (floor_of(x), floor_of(y)) if near else (-2, -2)
     fx, fy = x - np.float32(left), y - np.float32(top)
-    alike = 0 <= left < width - 1 and 0 <= top < height - 1
-    if alike and ident != np.int32(-2):  # all at once: mostly none differs
-        x0, x1 = np.uint64(left), np.uint64(left + 1)
-        y0, y1 = np.uint64(top), np.uint64(top + 1)
-        alike = (stencil[y0, x0] == ident) & (stencil[y0, x1] == ident)
-        alike = alike & (stencil[y1, x0] == ident) & (stencil[y1, x1] == ident)
     for corner in range(4):
         p, q = left + corner % 2, top + corner // 2
-        if not (alike or usable(stencil, ident, p, q, height, width)):
+        if not usable(stencil, ident, p, q, height, width):
             continue
         row, column = np.uint64(q), np.uint64(p)  # no test for counting from the end
         vx, vy = step[row, column, 0], step[row, column, 1]
@@ -106,6 +91,68 @@ def step_at(
     if total > 0:
         return sum_x / total, sum_y / total
     return np.float32(np.nan), np.float32(np.nan)
+
+
+@inlined
+def four_around(
+    step: F32, stencil: I32, ident: np.int32, place: Vector, hope: Vector
+) -> tuple[np.float32, np.float32, np.float32]:
+    """Return the sum of the weights, and the weighted sums of x and y, where all samples count.
+
+    Weights of 0 where they do not, or may not: see `step_at`. Added up in the same order as in
+    `any_step`, they are the same bits.
+    """
+    height, width, _ = step.shape
+    zero, one = np.float32(0), np.float32(1)
+    (x, y), (ex, ey) = place, hope
+    if not (x >= zero and y >= zero and x < width - 1 and y < height - 1):  # no for NaN
+        return zero, zero, zero
+    left, top = np.int64(x), np.int64(y)
+    x0, x1 = np.uint64(left), np.uint64(left + 1)  # no test for counting from the end
+    y0, y1 = np.uint64(top), np.uint64(top + 1)
+    if ident != np.int32(-2):
+        alike = (stencil[y0, x0] == ident) & (stencil[y0, x1] == ident)
+        alike = alike & (stencil[y1, x0] == ident) & (stencil[y1, x1] == ident)
+        if not alike:
+            return zero, zero, zero
+    ax, ay, bx, by = step[y0, x0, 0], step[y0, x0, 1], step[y0, x1, 0], step[y0, x1, 1]
+    cx, cy, dx, dy = step[y1, x0, 0], step[y1, x0, 1], step[y1, x1, 0], step[y1, x1, 1]
+    fx, fy = x - np.float32(left), y - np.float32(top)
+    a, b = (one - fx) * (one - fy), fx * (one - fy)
+    c, d = (one - fx) * fy, fx * fy
+    total, sum_x, sum_y = zero, zero, zero
+    if not math.isnan(ex + ey):
+        scale, total = scale_of(ex, ey), np.float32(PRIOR)
+        sum_x, sum_y = total * ex, total * ey
+        a, b = a * trust(ax, ay, ex, ey, scale), b * trust(bx, by, ex, ey, scale)
+        c, d = c * trust(cx, cy, ex, ey, scale), d * trust(dx, dy, ex, ey, scale)
+    total = total + a + b + c + d
+    sum_x = sum_x + a * ax + b * bx + c * cx + d * dx
+    sum_y = sum_y + a * ay + b * by + c * cy + d * dy
+    return total, sum_x, sum_y
+
+
+@inlined
+def step_at(step: F32, stencil: I32, ident: np.int32, place: Vector, hope: Vector) -> Vector:
+    """Return a point's motion over a step; NaN where nothing tells.
+
+    Mostly all four samples count. One after the other, with a test at each, they took 1.2 to 1.8
+    times as long.
+
+    Parameters
+    ----------
+    step, stencil
+        As for :func:`follow_text`.
+    ident
+        Of the point; -2 is any.
+    place, hope
+        Where it is, and which motion is expected of it; x and y.
+    """
+    total, sum_x, sum_y = four_around(step, stencil, ident, place, hope)
+    if total > 0 and not math.isnan(sum_x + sum_y):
+        return sum_x / total, sum_y / total
+    found: Vector = any_step(step, stencil, ident, place, hope)
+    return found
 
 
 def follow_text(
