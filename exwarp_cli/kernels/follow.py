@@ -62,7 +62,9 @@ def floor_of(value: np.float32) -> int:
 
 
 @part
-def any_step(step: F32, stencil: I32, ident: np.int32, place: Vector, hope: Vector) -> Vector:
+def any_step(
+    step: F32, stencil: I32, ident: np.int32, place: Vector, hope: Vector
+) -> tuple[np.float32, np.float32]:
     """Do as `step_at` with samples of which some may lie outside, be of other ids, or be NaN."""
     height, width, _ = step.shape
     one = np.float32(1)
@@ -133,7 +135,9 @@ def four_around(
 
 
 @inlined
-def step_at(step: F32, stencil: I32, ident: np.int32, place: Vector, hope: Vector) -> Vector:
+def step_at(
+    step: F32, stencil: I32, ident: np.int32, place: Vector, hope: Vector
+) -> tuple[np.float32, np.float32]:
     """Return a point's motion over a step; NaN where nothing tells.
 
     Mostly all four samples count. One after the other, with a test at each, they took 1.2 to 1.8

@@ -3,9 +3,8 @@
 ``python -m tests.bench.bench_command [--count 48]``. Each command runs on two seconds of film, and
 on their first third: the whole run's time is compared with the floor's, and so is what each further
 key interval takes, which start-up is no part of. ``features + decision`` is the learned method with
-a policy that always warps, beside s6, which makes the same frames: what is read for it, and
-computed. It is told beside the codec floor that reads normals too as well: what they cost no
-program can leave out.
+a policy that always warps, beside s6, which makes the same frames: what is read for it, normals,
+and what is computed. To tell these two apart the codec floor and s6 are also run with normals.
 
 This program itself stays small, since Linux counts a parent's memory at the moment of the fork as
 its child's.
@@ -23,13 +22,16 @@ from pathlib import Path
 from tests.bench import goals
 from tests.bench.running import Run, cleared, module, run, upsample
 
-FLOOR, NORMALS, DECIDED = "codec floor", "floor with normals", "features + decision"
+FLOOR, DECIDED = "codec floor", "features + decision"
+FLOOR_NORMALS, S6_NORMALS = "floor with normals", "s6 with normals"
 METHODS = ("s6", "softsplat")
 BASES = (
     (FLOOR, FLOOR),
     *((method, FLOOR) for method in METHODS),
-    (NORMALS, FLOOR),
-    (DECIDED, NORMALS),
+    (FLOOR_NORMALS, FLOOR),
+    (S6_NORMALS, "s6"),
+    (DECIDED, FLOOR_NORMALS),
+    (DECIDED, S6_NORMALS),
     (DECIDED, "s6"),
 )
 """What is told, and what each is told beside."""
@@ -94,8 +96,16 @@ def _commands(keys: Path, out: Path, policy: Path, threads: int) -> dict[str, Co
         )
 
     methods = {method: by(method) for method in METHODS}
-    decided = by("exwarp", "--policy", str(policy))
-    return {FLOOR: floor(), **methods, NORMALS: floor("--normals"), DECIDED: decided}
+    s6 = methods["s6"]
+    return {
+        FLOOR: floor(),
+        **methods,
+        FLOOR_NORMALS: floor("--normals"),
+        S6_NORMALS: lambda count: [
+            "tests.bench.with_normals" if word == "exwarp_cli" else word for word in s6(count)
+        ],
+        DECIDED: by("exwarp", "--policy", str(policy)),
+    }
 
 
 def _told(runs: Runs, options: argparse.Namespace) -> list[goals.Figure]:
