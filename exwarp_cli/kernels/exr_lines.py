@@ -5,7 +5,8 @@ ImfPxr24Compressor.cpp, which read what is made here. One thread makes a frame: 
 side by side.
 
 Every loop writes one array, and rows are taken from contiguous ones: then the compiler makes them
-loops over vectors, which take a tenth of the time.
+loops over vectors, which take a tenth of the time. Where they begin at 1 and look back, that stands
+on the compiler's seeing through `i - 1`; of slices it has nothing to see through.
 """
 
 from __future__ import annotations
@@ -13,11 +14,27 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.kernels.jit import inlined, serial
+from exwarp_cli.kernels.jit import inlined, part, serial
 
 U8 = npt.NDArray[np.uint8]
 U16 = npt.NDArray[np.uint16]
 U32 = npt.NDArray[np.uint32]
+
+
+@part
+def low_rises(now: U16, before: U16, out: U8) -> None:
+    """Write the rises of the lower bytes of pairs [N] plus 128."""
+    for i in range(out.size):
+        out[i] = np.uint8(np.uint16(now[i] - before[i]) + np.uint16(128))
+
+
+@part
+def high_rises(now: U16, before: U16, out: U8) -> None:
+    """Do as `low_rises` with the upper bytes."""
+    eight = np.uint16(8)
+    for i in range(out.size):
+        rise = np.uint16(np.uint16(now[i] >> eight) - np.uint16(before[i] >> eight))
+        out[i] = np.uint8(rise + np.uint16(128))
 
 
 @serial
@@ -35,14 +52,13 @@ def halves(lines: U16, chunk: int, out: U8) -> None:
     """
     for start in range(0, lines.size, chunk):
         here = lines[start : start + chunk]
+        last = here.size - 1
         low = out[2 * start : 2 * start + here.size]
         high = out[2 * start + here.size : 2 * start + 2 * here.size]
         low[0] = np.uint8(here[0])
-        high[0] = np.uint8((here[0] >> 8) - here[here.size - 1] + 128)
-        for i in range(1, here.size):
-            low[i] = np.uint8(here[i] - here[i - 1] + 128)
-        for i in range(1, here.size):
-            high[i] = np.uint8((here[i] >> 8) - (here[i - 1] >> 8) + 128)
+        high[0] = np.uint8((here[0] >> 8) - here[last] + 128)
+        low_rises(here[1:], here[:last], low[1:])
+        high_rises(here[1:], here[:last], high[1:])
 
 
 @inlined
