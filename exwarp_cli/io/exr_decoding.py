@@ -164,7 +164,7 @@ class ScanLines:
                 if part not in broken and not run.decode():
                     broken.add(part)
 
-        threads = min(cores.count(), len(tasks))
+        threads = min(cores.left(), len(tasks))
         if threads > 1:
             # No thread can be started when the interpreter ends, or the system has no more.
             with suppress(RuntimeError), ThreadPoolExecutor(threads, "exr") as pool:

@@ -30,8 +30,8 @@ def use_threads(count: int | None) -> None:
 
 
 def for_kernels() -> None:
-    """Have kernels that this thread starts use no more threads than others do.
+    """Have kernels that this thread starts use no more threads than cores are left for it.
 
-    Numba lets a new thread have a kernel's threads for all cores.
+    A new thread's kernels have threads for all cores, whatever others do.
     """
-    jit.set_threads(cores.count())
+    jit.set_threads(cores.left)

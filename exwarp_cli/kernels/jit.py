@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import inspect
+from collections.abc import Callable
 from threading import local
 
 import numba
@@ -69,15 +70,23 @@ def inlined(text: Kernel) -> Kernel:
     return builds.part(text, forceinline=True)
 
 
-def set_threads(count: int | None) -> None:
-    """Set how many threads run a kernel that this thread calls; None for all that there are."""
-    most = _most()
-    _own.count = most if count is None else max(1, min(count, most))
+def set_threads(count: int | Callable[[], int] | None) -> None:
+    """Set how many threads run a kernel that this thread calls.
+
+    Parameters
+    ----------
+    count
+        How many; what tells it at each call, as it may change; None for all that there are.
+    """
+    _own.count = count
 
 
 def threads() -> int:
-    """Return how many threads run a kernel that this thread calls."""
-    return int(getattr(_own, "count", _most()))
+    """Return how many threads run a kernel that this thread calls, 1 to all that there are."""
+    count: int | Callable[[], int] | None = getattr(_own, "count", None)
+    if callable(count):
+        count = count()
+    return _most() if count is None else max(1, min(count, _most()))
 
 
 def _most() -> int:

@@ -7,7 +7,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from typing import Generic, TypeVar
 
-from exwarp_cli.domain.cores import waiting
+from exwarp_cli.domain.cores import making, waiting
 from exwarp_cli.kernels import jit
 from exwarp_cli.pipeline.schedule import awaited, worked
 
@@ -53,7 +53,13 @@ class SlotsAtOnce:
             start = partial(jit.set_threads, self._share)  # holds for the thread that calls it
             self._pool = ThreadPoolExecutor(self._workers, "exwarp-slot", start)
         pool, share = self._pool, self._share
-        return Begun({slot: pool.submit(worked, partial(make, slot), share) for slot in slots})
+        return Begun({s: pool.submit(worked, partial(_made, make, s), share) for s in slots})
+
+
+def _made(make: Callable[[S], T], slot: S) -> T:
+    """Make a slot, on a core that is not left for others meanwhile."""
+    with making():
+        return make(slot)
 
 
 class Begun(Generic[S, T]):
