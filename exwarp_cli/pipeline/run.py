@@ -151,8 +151,13 @@ class Run:
 
     @property
     def _ahead(self) -> int:
-        """How many intervals to read ahead: none where slots of the last one are made meanwhile."""
-        return INTERVALS_AHEAD if self._is_small and not self._may_go_at_once else 0
+        """How many intervals to read ahead: none where slots of the last one are made meanwhile.
+
+        But where a network may extrapolate, which takes more memory than that, one is: staging for
+        a policy takes so long that a core waited for it, 2 % of the time where it warps.
+        """
+        waits = self._may_go_at_once and not self.method.extrapolates
+        return INTERVALS_AHEAD if self._is_small and not waits else 0
 
     def _needed(self, key: int, recipes: dict[int, str]) -> bool:
         """Whether an interval has to be computed: something is missing, or is to be scored."""
