@@ -35,13 +35,17 @@ GOALS = {
     ("s6", HD, "dwaa"): 700.0,
     ("softsplat", HD, "dwaa"): 700.0,
     ("s3", HD, OWN): 2000.0,
+    ("exwarp", HD, OWN): 2000.0,
     ("s6", UHD, OWN): 2000.0,
     ("softsplat", UHD, OWN): 2000.0,
     ("s3", UHD, OWN): 2000.0,
 }
-"""MB by method, lines of the frame and compression; s3 has two of three new frames extrapolated."""
+"""MB by method, lines of the frame and compression; s3 has two of three new frames extrapolated, and
+so has exwarp, which reads ahead meanwhile."""
 
-EXTRAPOLATES = "s3"
+EXTRAPOLATED = {"s3": range(3, 4), "exwarp": range(3, 6)}
+"""Key frames by methods that take seconds for a frame; the third is the first with two others before
+it, which networks see."""
 ROUNDS = 1
 
 
@@ -74,13 +78,13 @@ def _figure(
 ) -> goals.Figure:
     """Run a method some times; print its peak, and return it."""
     out, count = keys.parent / "out", len(list(keys.iterdir()))
-    # The third key frame is the first with two others before it, which networks see.
-    frames = ("--frames", "3") if method == EXTRAPOLATES else ()
+    some = EXTRAPOLATED.get(method)
+    frames = () if some is None else ("--frames", f"{some[0]}-{some[-1]}")
     peaks = []
     for _ in range(options.rounds):
         cleared(out)
         peaks.append(run(upsample(keys, out, method, options.threads, *frames)).peak_mb)
-    print(f"{name:28}{1 if frames else count:12}{statistics.median(peaks):9.0f}{goal:9.0f}")
+    print(f"{name:28}{count if some is None else len(some):12}{statistics.median(peaks):9.0f}{goal:9.0f}")
     ends = (statistics.median(peaks), min(peaks), max(peaks))
     return goals.Figure("memory", name, *ends, goal, "MB")
 
