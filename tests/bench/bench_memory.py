@@ -40,12 +40,12 @@ GOALS = {
     ("softsplat", UHD, OWN): 2000.0,
     ("s3", UHD, OWN): 2000.0,
 }
-"""MB by method, lines of the frame and compression; s3 has two of three new frames extrapolated, and
-so has exwarp, which reads ahead meanwhile."""
+"""MB by method, lines of the frame and compression; s3 has two of three new frames extrapolated,
+and so has exwarp, which reads ahead meanwhile."""
 
 EXTRAPOLATED = {"s3": range(3, 4), "exwarp": range(3, 6)}
-"""Key frames by methods that take seconds for a frame; the third is the first with two others before
-it, which networks see."""
+"""Key frames by methods that take seconds for a frame; the third is the first with two others
+before it, which networks see."""
 ROUNDS = 1
 
 
@@ -80,11 +80,12 @@ def _figure(
     out, count = keys.parent / "out", len(list(keys.iterdir()))
     some = EXTRAPOLATED.get(method)
     frames = () if some is None else ("--frames", f"{some[0]}-{some[-1]}")
+    count = count if some is None else len(some)
     peaks = []
     for _ in range(options.rounds):
         cleared(out)
         peaks.append(run(upsample(keys, out, method, options.threads, *frames)).peak_mb)
-    print(f"{name:28}{count if some is None else len(some):12}{statistics.median(peaks):9.0f}{goal:9.0f}")
+    print(f"{name:28}{count:12}{statistics.median(peaks):9.0f}{goal:9.0f}")
     ends = (statistics.median(peaks), min(peaks), max(peaks))
     return goals.Figure("memory", name, *ends, goal, "MB")
 
