@@ -22,18 +22,10 @@ U32 = npt.NDArray[np.uint32]
 
 
 @part
-def low_rises(now: U16, before: U16, out: U8) -> None:
-    """Write the rises of the lower bytes of pairs [N] plus 128."""
+def byte_rises(now: U16, before: U16, shift: np.uint16, out: U8) -> None:
+    """Write the rises of one byte of pairs [N], which is lowest once they are shifted, plus 128."""
     for i in range(out.size):
-        out[i] = np.uint8(np.uint16(now[i] - before[i]) + np.uint16(128))
-
-
-@part
-def high_rises(now: U16, before: U16, out: U8) -> None:
-    """Do as `low_rises` with the upper bytes."""
-    eight = np.uint16(8)
-    for i in range(out.size):
-        rise = np.uint16(np.uint16(now[i] >> eight) - np.uint16(before[i] >> eight))
+        rise = np.uint16(np.uint16(now[i] >> shift) - np.uint16(before[i] >> shift))
         out[i] = np.uint8(rise + np.uint16(128))
 
 
@@ -57,8 +49,8 @@ def halves(lines: U16, chunk: int, out: U8) -> None:
         high = out[2 * start + here.size : 2 * start + 2 * here.size]
         low[0] = np.uint8(here[0])
         high[0] = np.uint8((here[0] >> 8) - here[last] + 128)
-        low_rises(here[1:], here[:last], low[1:])
-        high_rises(here[1:], here[:last], high[1:])
+        byte_rises(here[1:], here[:last], np.uint16(0), low[1:])
+        byte_rises(here[1:], here[:last], np.uint16(8), high[1:])
 
 
 @inlined

@@ -39,9 +39,9 @@ def awaited(future: Future[T]) -> T:
         return future.result()
 
 
-def worked(task: Callable[[], T], many: int = 1) -> T:
-    """Do a task on a core, or on several."""
-    with working(many):
+def worked(task: Callable[[], T]) -> T:
+    """Do a task on a core."""
+    with working():
         return task()
 
 

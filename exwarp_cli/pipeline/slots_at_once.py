@@ -7,9 +7,9 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from typing import Generic, TypeVar
 
-from exwarp_cli.domain.cores import making, waiting
+from exwarp_cli.domain.cores import making, waiting, working
 from exwarp_cli.kernels import jit
-from exwarp_cli.pipeline.schedule import awaited, worked
+from exwarp_cli.pipeline.schedule import awaited
 
 S = TypeVar("S", bound=Hashable)
 T = TypeVar("T")
@@ -53,12 +53,12 @@ class SlotsAtOnce:
             start = partial(jit.set_threads, self._share)  # holds for the thread that calls it
             self._pool = ThreadPoolExecutor(self._workers, "exwarp-slot", start)
         pool, share = self._pool, self._share
-        return Begun({s: pool.submit(worked, partial(_made, make, s), share) for s in slots})
+        return Begun({slot: pool.submit(_made, make, slot, share) for slot in slots})
 
 
-def _made(make: Callable[[S], T], slot: S) -> T:
-    """Make a slot, on a core that is not left for others meanwhile."""
-    with making():
+def _made(make: Callable[[S], T], slot: S, share: int) -> T:
+    """Make a slot, on cores that are not left for others meanwhile."""
+    with working(share), making():
         return make(slot)
 
 

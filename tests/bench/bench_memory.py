@@ -77,10 +77,9 @@ def _figure(
     keys: Path, method: str, name: str, goal: float, options: argparse.Namespace
 ) -> goals.Figure:
     """Run a method some times; print its peak, and return it."""
-    out, count = keys.parent / "out", len(list(keys.iterdir()))
-    some = EXTRAPOLATED.get(method)
+    out, some = keys.parent / "out", EXTRAPOLATED.get(method)
     frames = () if some is None else ("--frames", f"{some[0]}-{some[-1]}")
-    count = count if some is None else len(some)
+    count = len(list(keys.iterdir()) if some is None else some)
     peaks = []
     for _ in range(options.rounds):
         cleared(out)

@@ -161,28 +161,25 @@ class TestOfTheProcess:
 
 
 def test_cores_are_left_that_no_frame_is_made_on():
-    was, inside, gate = cores.count(), threading.Barrier(3), threading.Barrier(3)
+    inside, gate = threading.Barrier(3), threading.Barrier(3)
     cores.share(4, 4)
-    try:
-        assert cores.left() == 4
+    assert cores.left() == 4
 
-        def make() -> None:
-            with cores.making():
-                inside.wait(SOON)
-                gate.wait(SOON)
-
-        with ThreadPoolExecutor(2) as pool:
-            made = [pool.submit(make) for _ in range(2)]
+    def make() -> None:
+        with cores.making():
             inside.wait(SOON)
-            assert cores.left() == 2
-            cores.share(2, 2)
-            assert cores.left() == 1, "who goes on beside them has one at least"
             gate.wait(SOON)
-            for each in made:
-                each.result(SOON)
+
+    with ThreadPoolExecutor(2) as pool:
+        made = [pool.submit(make) for _ in range(2)]
+        inside.wait(SOON)
         assert cores.left() == 2
-    finally:
-        cores.share(was, was)
+        cores.share(2, 2)
+        assert cores.left() == 1, "who goes on beside them has one at least"
+        gate.wait(SOON)
+        for each in made:
+            each.result(SOON)
+    assert cores.left() == 2
 
 
 def test_a_core_is_left_again_where_making_a_frame_fails():
