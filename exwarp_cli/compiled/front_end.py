@@ -69,13 +69,14 @@ def shorten() -> None:
 
 def _collecting_rarely(compile_core: Callable[[Any], Any]) -> Callable[[Any], Any]:
     """Let Python look for unreachable objects rarely while something is compiled."""
+    rarely = RARELY, NEVER, NEVER
 
     @functools.wraps(compile_core)
     def compiling(self: Any) -> Any:
         usual = gc.get_threshold()
-        if usual[0] == 0 or usual[0] >= RARELY:  # switched off, or inside another one
-            return compile_core(self)
-        gc.set_threshold(RARELY, NEVER, NEVER)
+        if usual[0] == 0 or usual[0] > RARELY or usual == rarely:
+            return compile_core(self)  # switched off, or rarer, or inside another one
+        gc.set_threshold(*rarely)
         try:
             return compile_core(self)
         finally:

@@ -5,11 +5,13 @@ from __future__ import annotations
 import ast
 import gc
 import re
+import weakref
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from llvmlite.ir.instructions import Instruction
 from numba.core import compiler, errors, ir
 from numba.core.runtime import _nrt_python
 from numba.core.runtime.nrt import rtsys
@@ -90,6 +92,16 @@ class TestCollecting:
         assert [first for first, *_ in seen] == [front_end.RARELY]
         assert gc.get_threshold() == before
 
+    def test_what_is_old_is_not_looked_through(self, seen):
+        before = gc.get_threshold()
+        gc.set_threshold(front_end.RARELY)  # as the command line does for its imports
+        try:
+            builds.compiled(lambda value: value + 3)(1)
+            assert [rest for _, *rest in seen] == [[front_end.NEVER, front_end.NEVER]]
+            assert gc.get_threshold()[0] == front_end.RARELY
+        finally:
+            gc.set_threshold(*before)
+
     def test_thresholds_come_back_after_an_error(self, seen):
         before = gc.get_threshold()
         with pytest.raises(errors.TypingError):
@@ -105,6 +117,36 @@ class TestCollecting:
             assert gc.get_threshold()[0] == 0
         finally:
             gc.set_threshold(*before)
+
+
+def test_code_that_llvm_has_read_needs_no_search_to_be_let_go(monkeypatch):
+    made: list[weakref.ref] = []
+    real = Instruction.__init__
+
+    def noted(self: Any, *rest: Any, **named: Any) -> None:
+        made.append(weakref.ref(self))
+        real(self, *rest, **named)
+
+    monkeypatch.setattr(Instruction, "__init__", noted)
+
+    @builds.part
+    def double_all(values: np.ndarray) -> None:
+        for i in range(values.size):
+            values[i] *= 2
+
+    def run(values: np.ndarray) -> None:
+        double_all(values[1:])
+
+    values = np.arange(4.0)
+    gc.disable()
+    try:
+        builds.compiled(run)(values)
+        left = sum(one() is not None for one in made)
+    finally:
+        gc.enable()
+    assert values.tolist() == [0, 2, 4, 6]
+    assert len(made) > 100
+    assert left < len(made) / 10  # those that what Python calls is made of
 
 
 def test_variables_of_instructions_are_those_that_numba_lists():
