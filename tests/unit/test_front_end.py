@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from llvmlite.ir.instructions import Instruction
+from llvmlite.ir.values import Argument, Block, Function, NamedValue
 from numba.core import compiler, errors, ir
 from numba.core.runtime import _nrt_python
 from numba.core.runtime.nrt import rtsys
@@ -120,14 +121,17 @@ class TestCollecting:
 
 
 def test_code_that_llvm_has_read_needs_no_search_to_be_let_go(monkeypatch):
-    made: list[weakref.ref] = []
-    real = Instruction.__init__
+    kinds = (Instruction, Block, Argument, Function)
+    made: dict[type, list[weakref.ref]] = {kind: [] for kind in kinds}
+    real = NamedValue.__init__
 
     def noted(self: Any, *rest: Any, **named: Any) -> None:
-        made.append(weakref.ref(self))
+        for kind in kinds:
+            if isinstance(self, kind):
+                made[kind].append(weakref.ref(self))
         real(self, *rest, **named)
 
-    monkeypatch.setattr(Instruction, "__init__", noted)
+    monkeypatch.setattr(NamedValue, "__init__", noted)
 
     @builds.part
     def double_all(values: np.ndarray) -> None:
@@ -141,12 +145,14 @@ def test_code_that_llvm_has_read_needs_no_search_to_be_let_go(monkeypatch):
     gc.disable()
     try:
         builds.compiled(run)(values)
-        left = sum(one() is not None for one in made)
+        left = {kind: sum(one() is not None for one in made[kind]) for kind in kinds}
     finally:
         gc.enable()
     assert values.tolist() == [0, 2, 4, 6]
-    assert len(made) > 100
-    assert left < len(made) / 10  # those that what Python calls is made of
+    assert len(made[Instruction]) > 100
+    assert left[Instruction] < len(made[Instruction]) / 10  # those of what Python calls
+    for kind in kinds:
+        assert left[kind] < len(made[kind]) / 5, kind.__name__
 
 
 def test_variables_of_instructions_are_those_that_numba_lists():
