@@ -82,6 +82,8 @@ def _keep(built: Any, text: types.FunctionType, options: dict[str, Any]) -> None
 if knows_inside():
     from exwarp_cli.compiled import (
         calls,
+        division,
+        folding,
         front_end,
         in_place,
         indexing,
@@ -98,6 +100,8 @@ if knows_inside():
     structures.shorten()
     variables.shorten()
     calls.shorten()
+    division.shorten()
+    folding.shorten()
     indexing.shorten()
     loops.shorten()
     in_place.shorten()

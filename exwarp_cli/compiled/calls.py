@@ -13,7 +13,7 @@ from typing import Any
 
 from llvmlite import ir  # type: ignore[import-untyped]
 from llvmlite.ir.instructions import Ret  # type: ignore[import-untyped]
-from numba.core import base, callconv, cgutils
+from numba.core import base, callconv, cgutils, types
 from numba.core.imputils import fix_returning_optional, impl_ret_new_ref
 from numba.core.lowering import Lower
 
@@ -28,7 +28,7 @@ _unfailing: set[str] = set()
 
 # As numba has no types of its own.
 _Convention: Any = callconv.CPUCallConv
-_space: Any = cgutils.alloca_once
+_cleared_space: Any = cgutils.alloca_once
 _unlikely: Any = cgutils.if_unlikely
 _optional: Any = fix_returning_optional
 _owned: Any = impl_ret_new_ref
@@ -104,15 +104,35 @@ def _call(
     self: Any, builder: Any, callee: Any, result: Any, kinds: Any, given: Any, attrs: Any = ()
 ) -> tuple[Any, Any]:
     """Call a function; return how that went, and what it returned."""
-    kind = self.get_return_type(result).pointee
+    returned = self.get_return_type(result)
+    kind = returned.pointee
     assert kind == self._get_return_argument(callee.function_type).pointee
-    returned = _space(builder, kind)
-    place = _space(builder, ir.PointerType(callconv.excinfo_t), name="excinfo")
+    nothing = isinstance(result, types.NoneType)
+    place = _nowhere(builder, kind) if nothing else _space(builder, kind)
+    if getattr(builder, "catches", True):
+        about = _cleared_space(builder, ir.PointerType(callconv.excinfo_t))
+    else:  # it is the caller's own failure as well
+        about = self._get_excinfo_argument(builder.function)
     arguments = list(self._get_arg_packer(kinds).as_arguments(builder, given))
     words = attrs.split() if isinstance(attrs, str) else attrs or ()
-    code = builder.call(callee, [returned, place, *arguments], attrs=tuple(words))
-    value = self.context.get_returned_value(builder, result, builder.load(returned))
-    return Outcome(builder, code, place), value
+    code = builder.call(callee, [place, about, *arguments], attrs=tuple(words))
+    found = ir.Constant(kind, None) if nothing else builder.load(place)
+    return Outcome(builder, code, about), self.context.get_returned_value(builder, result, found)
+
+
+def _nowhere(builder: Any, kind: Any) -> Any:
+    """Return memory for what functions write that return nothing, one place for all of them."""
+    places = vars(builder).setdefault("nowhere", {})
+    function = builder.function
+    if function not in places:
+        places[function] = _space(builder, kind)
+    return places[function]
+
+
+def _space(builder: Any, kind: Any) -> Any:
+    """Return memory for what a function writes where it succeeds; numba clears it first."""
+    with builder.goto_entry_block():
+        return builder.alloca(kind)
 
 
 def _function(description: Any, libraries: Any) -> Callable[..., Any]:
@@ -160,13 +180,12 @@ def _noting(write: Callable[[Any, Any], None]) -> Callable[[Any, Any], None]:
 
 
 def _failing(fail: Callable[..., None]) -> Callable[..., None]:
-    """Fail as what was called did, at once where no exception is caught."""
+    """Fail as what was called did, at once where no exception is caught: it was told by then."""
 
     def failing(self: Any, builder: Any, outcome: Any) -> None:
         if getattr(builder, "catches", True):
             fail(self, builder, outcome)
             return
-        builder.store(outcome.excinfoptr, self._get_excinfo_argument(builder.function))
         self._return_errcode_raw(builder, outcome.code)
 
     return failing

@@ -19,39 +19,63 @@ from numba.cpython import slicing
 from numba.extending import lower_builtin
 from numba.np import arrayobj
 
+from exwarp_cli.compiled.folding import known
 from exwarp_cli.compiled.front_end import wrap
 
 # As numba has no types of its own.
 _getitem: Any = arrayobj.getitem_arraynd_intp
 _getitem_tuple: Any = arrayobj.getitem_array_tuple
 _setitem: Any = arrayobj.setitem_array
+_reshaped: Any = arrayobj.array_reshape_vararg
 _checked: Any = arrayobj.fix_integer_index
 _borrowed: Any = impl_ret_borrowed
 _packed: Any = pack_array
 _Tuple: Any = types.BaseTuple
-_wrapped: Any = slicing.fix_index
+_tuple: Any = types.Tuple
+_many: Any = types.VarArg
+_slicing: Any = slicing
+_wrapped: Any = _slicing.fix_index
+
+LAST = types.intp.maxval
+"""What stands for the end of an array in a slice that names none."""
 
 
 def shorten() -> None:
     """Have arrays indexed so from now on, in all that is compiled."""
     lower: Any = lower_builtin
     lower(operator.getitem, types.Array, types.Integer)(_get)
+    lower(operator.getitem, types.Array, types.SliceType)(_get)
     lower(operator.getitem, types.Array, types.BaseTuple)(_get)
     lower(operator.setitem, types.Array, types.Any, types.Any)(_set)
+    lower("array.reshape", types.Array, _many(types.Any))(_reshape)
     wrap(slicing, "fix_slice", _bounding)
     wrap(slicing, "get_slice_length", _counting)
 
 
 def _get(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-    """Return an element, or what fewer indices than dimensions leave."""
+    """Return an element, or what fewer indices than dimensions, or a slice, leave."""
     kind, index = signature.args
     if not _is_plain(context, kind, index):
-        usual = _getitem_tuple if isinstance(index, _Tuple) else _getitem
-        return usual(context, builder, signature, arguments)
-    place, shape = _place(context, builder, kind, index, arguments)
+        if not _ends_with_slice(context, kind, index, signature.return_type):
+            usual = _getitem_tuple if isinstance(index, _Tuple) else _getitem
+            return usual(context, builder, signature, arguments)
+        place, shape = _slice(context, builder, kind, index, arguments)
+    else:
+        place, shape = _place(context, builder, kind, index, arguments)
     if not shape:
         return context.unpack_value(builder, kind.dtype, place)
     view = _view(context, builder, signature, arguments[0], place, shape)
+    return _borrowed(context, builder, signature.return_type, view)
+
+
+def _reshape(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    """Return an array of another shape: row by row, all of it is one row as it stands."""
+    kind, *sizes = signature.args
+    if kind.layout != "C" or len(sizes) > 1 or known(arguments[1]) != -1:
+        return _reshaped(context, builder, signature, arguments)
+    array = arguments[0]
+    place, count = (_field(context, builder, kind, array, name) for name in ("data", "nitems"))
+    view = _view(context, builder, signature, array, place, [count])
     return _borrowed(context, builder, signature.return_type, view)
 
 
@@ -84,6 +108,20 @@ def _is_plain(context: Any, kind: Any, index: Any) -> bool:
     )
 
 
+def _ends_with_slice(context: Any, kind: Any, index: Any, result: Any) -> bool:
+    """Whether an array is asked for by a slice that leaves nothing out, after whole numbers."""
+    *before, last = _indices(index) or (None,)
+    return (
+        isinstance(last, types.SliceType)
+        and not last.has_step
+        and isinstance(result, types.Array)
+        and result.layout == "C"
+        and (not before or _is_plain(context, kind, _tuple(before)))
+        and _is_plain(context, kind, types.intp)
+        and len(before) < kind.ndim
+    )
+
+
 def _field(context: Any, builder: Any, kind: Any, array: Any, name: str) -> Any:
     """Return what an array's value says of it."""
     return builder.extract_value(array, context.data_model_manager[kind].get_field_position(name))
@@ -110,6 +148,27 @@ def _place(
         at = step if at is None else builder.add(at, step)
     data = _field(context, builder, kind, array, "data")
     return builder.gep(data, [at]), sizes[len(numbers) :]
+
+
+def _slice(
+    context: Any, builder: Any, kind: Any, index: Any, arguments: Any
+) -> tuple[Any, list[Any]]:
+    """Return where a slice begins, and the sizes of its dimensions."""
+    array, given = arguments[:2]
+    *before, last = _indices(index)
+    values = _parts(builder, given) if isinstance(index, _Tuple) else [given]
+    sizes = _parts(builder, _field(context, builder, kind, array, "shape"))
+    place = _field(context, builder, kind, array, "data")
+    if before:
+        whole = _tuple(before)
+        numbers = context.make_tuple(builder, whole, values[:-1])
+        place, sizes = _place(context, builder, kind, whole, (array, numbers))
+    part = context.make_helper(builder, last, values[-1])
+    _slicing.fix_slice(builder, part, sizes[0])
+    begin = part.start
+    for size in sizes[1:]:
+        begin = builder.mul(begin, size)
+    return builder.gep(place, [begin]), [_slicing.get_slice_length(builder, part), *sizes[1:]]
 
 
 def _view(
@@ -141,16 +200,12 @@ def _bounding(bound: Callable[..., None]) -> Callable[..., None]:
     """Put a slice's ends into an array without branches, where it leaves nothing out."""
 
     def bounding(builder: Any, part: Any, size: Any) -> None:
-        if not _leaves_nothing_out(part):
+        if known(part.step) != 1:
             _ = part._value  # branches will write into it
             bound(builder, part, size)
             return
-        nothing = size.type(0)
-        for name in ("start", "stop"):
-            end = _wrapped(builder, getattr(part, name), size)
-            end = builder.select(builder.icmp_signed("<", end, nothing), nothing, end)
-            end = builder.select(builder.icmp_signed(">=", end, size), size, end)
-            setattr(part, name, end)
+        part.start = _within(builder, part.start, size)
+        part.stop = _within(builder, part.stop, size)
 
     return bounding
 
@@ -159,16 +214,25 @@ def _counting(count: Callable[..., Any]) -> Callable[..., Any]:
     """Return how long a slice is, without divisions where it leaves nothing out."""
 
     def counting(builder: Any, part: Any) -> Any:
-        if not _leaves_nothing_out(part):
+        if known(part.step) != 1:
             return count(builder, part)
         length = builder.sub(part.stop, part.start)
+        if known(part.start) == 0:
+            return length
         nothing = length.type(0)
         return builder.select(builder.icmp_signed("<=", length, nothing), nothing, length)
 
     return counting
 
 
-def _leaves_nothing_out(part: Any) -> bool:
-    """Whether a slice takes all between its ends."""
-    step = part.step
-    return isinstance(step, ir.Constant) and step.constant == 1
+def _within(builder: Any, end: Any, size: Any) -> Any:
+    """Return an end of a slice between the ends of an array."""
+    number = known(end)
+    if number == 0 or end is size:
+        return end
+    if number == LAST:
+        return size
+    nothing = end.type(0)
+    end = _wrapped(builder, end, size)
+    end = builder.select(builder.icmp_signed("<", end, nothing), nothing, end)
+    return builder.select(builder.icmp_signed(">=", end, size), size, end)

@@ -11,11 +11,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from llvmlite import ir  # type: ignore[import-untyped]
 from numba.core.imputils import builtin_registry
 from numba.cpython import rangeobj
 from numba.extending import lower_builtin
 
+from exwarp_cli.compiled.folding import known
 from exwarp_cli.compiled.structures import Value
 
 
@@ -53,37 +53,34 @@ def _beginning(usual: Callable[..., Any]) -> Callable[..., Any]:
 
     def beginning(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         through = _of(context, builder, signature.args[0], arguments[0])
-        step = through.step
-        if not (isinstance(step, ir.Constant) and step.constant == 1):
+        if known(through.step) != 1:
             return usual(context, builder, signature, arguments)
-        count = builder.sub(through.stop, through.start)
-        nothing = count.type(0)
-        count = builder.select(builder.icmp_signed(">", count, nothing), count, nothing)
+        with builder.goto_entry_block():
+            place = builder.alloca(through.start.type)
+        builder.store(through.start, place)
         made = _of(context, builder, signature.return_type)
-        made.iter = _kept(builder, through.start)
-        made.stop, made.step = through.stop, step
-        made.count = _kept(builder, count)
+        made.iter = made.count = place  # how many are left is told by the end
+        made.stop, made.step = through.stop, through.step
         return made._getvalue()
 
     return beginning
 
 
-def _kept(builder: Any, value: Any) -> Any:
-    """Return where a value that changes with each turn is kept."""
-    with builder.goto_entry_block():
-        place = builder.alloca(value.type)
-    builder.store(value, place)
-    return place
-
-
 def _next(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
     """Return the next number, and whether there is one."""
-    at = _of(context, builder, signature.args[0], arguments[0])
-    left, number = builder.load(at.count), builder.load(at.iter)
-    goes_on = builder.icmp_signed(">", left, left.type(0))
-    with builder.if_then(goes_on):
-        builder.store(builder.sub(left, left.type(1), flags=["nsw"]), at.count)
-        builder.store(builder.add(number, at.step), at.iter)
+    kind = signature.args[0]
+    at = _of(context, builder, kind, arguments[0])
+    number, stop, step = builder.load(at.iter), at.stop, at.step
+    compare = builder.icmp_signed if kind.yield_type.signed else builder.icmp_unsigned
+    goes_on, following = compare("<", number, stop), builder.add(number, step)
+    if known(step) != 1:
+        left = builder.load(at.count)
+        one = builder.icmp_signed("==", step, step.type(1))
+        goes_on = builder.select(one, goes_on, builder.icmp_signed(">", left, left.type(0)))
+        fewer = builder.select(one, left, builder.sub(left, left.type(1)))
+        builder.store(builder.select(goes_on, fewer, left), at.count)
+        following = builder.select(goes_on, following, number)
+    builder.store(following, at.iter)
     made = _of(context, builder, signature.return_type)
     made.first, made.second = number, goes_on
     return made._getvalue()

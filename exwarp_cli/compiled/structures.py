@@ -1,9 +1,10 @@
-"""Values of several parts, kept as values while code is made, not in memory.
+"""Values of several parts, kept as parts while code is made, not in memory.
 
 Numba gives each array, slice, pair and range that it looks into memory of its own, cleared first,
 and reads and writes the parts there; LLVM finds out that no memory is wanted. Here a part that was
-put into a value is taken as it is, and memory comes only when somebody asks where the value lies,
-or writes a part of it elsewhere than where it was made.
+put into a value is taken as it is, the value itself is put together only where an instruction wants
+all of it, and memory comes only when somebody asks where the value lies, or writes a part of it
+elsewhere than where it was made.
 """
 
 # mypy: disable-error-code="no-untyped-call"
@@ -14,7 +15,11 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from llvmlite import ir  # type: ignore[import-untyped]
-from llvmlite.ir.instructions import ExtractValue, InsertValue  # type: ignore[import-untyped]
+from llvmlite.ir.instructions import (  # type: ignore[import-untyped]
+    ExtractValue,
+    InsertValue,
+    PhiInstr,
+)
 from numba.core import cgutils, types
 from numba.core.runtime.context import NRTContext
 from numba.np import arrayobj
@@ -32,23 +37,55 @@ _space: Any = cgutils.alloca_once
 def shorten() -> None:
     """Have values made and taken apart so from now on."""
     builder: Any = ir.IRBuilder
+    builder.insert_value = insert_value
     builder.extract_value = extract_value
+    wrap(builder, "_insert", _putting_together)
     wrap(cgutils, "create_struct_proxy", _keeping_values)
     wrap(arrayobj, "make_array", _plain_arrays)
     counter: Any = NRTContext
     counter.get_meminfos = _memory
 
 
+class Whole(ir.Value):  # type: ignore[misc]
+    """A value with a part that was put into it, for which there is no instruction yet.
+
+    Parameters
+    ----------
+    aggregate
+        The value before.
+    value
+        The part.
+    indices
+        Where it is put, from outside in.
+    """
+
+    def __init__(self, aggregate: Any, value: Any, indices: Sequence[int]) -> None:
+        kind = aggregate.type
+        for index in indices:
+            kind = kind.elements[index]
+        assert value.type == kind
+        self.type, self.aggregate = aggregate.type, aggregate
+        self.value, self.indices = value, list(indices)
+
+
+def insert_value(
+    self: Any, whole: Any, part: Any, index: int | Sequence[int], name: str = ""
+) -> Whole:
+    """Return a value with a part put into it; it takes an instruction only where it is used."""
+    return Whole(whole, part, index if isinstance(index, Sequence) else [index])
+
+
 def extract_value(self: Any, whole: Any, index: int | Sequence[int], name: str = "") -> Any:
     """Return a part of a value: what was put there, where that is known."""
     wanted = list(index) if isinstance(index, Sequence) else [index]
-    while type(whole) is InsertValue:
-        given = list(whole.indices)
+    while type(whole) is Whole:
+        given = whole.indices
         shared = min(len(given), len(wanted))
         if given[:shared] != wanted[:shared]:
             whole = whole.aggregate
-        elif len(given) > len(wanted):
-            break  # only some of it was put there
+        elif len(given) > len(wanted):  # only some of it was put there
+            before = extract_value(self, whole.aggregate, wanted)
+            return Whole(before, whole.value, given[len(wanted) :])
         elif len(given) == len(wanted):
             return whole.value
         else:
@@ -56,6 +93,57 @@ def extract_value(self: Any, whole: Any, index: int | Sequence[int], name: str =
     found = ExtractValue(self.block, whole, wanted, name=name)
     self._insert(found)
     return found
+
+
+def put_together(builder: Any, whole: Whole) -> Any:
+    """Write the instructions that put a value together; return it."""
+    parts = []
+    before: Any = whole
+    while type(before) is Whole:
+        parts.append((before.value, before.indices))
+        before = before.aggregate
+    for part, indices in reversed(parts):
+        made = InsertValue(builder.block, before, _written(builder, part), indices)
+        builder._insert(made)
+        before = made
+    return before
+
+
+def _written(builder: Any, value: Any) -> Any:
+    """Return a value as instructions may use it."""
+    return put_together(builder, value) if type(value) is Whole else value
+
+
+def _putting_together(insert: Callable[[Any, Any], None]) -> Callable[[Any, Any], None]:
+    """Put the values together that an instruction uses, before it."""
+
+    def inserting(self: Any, instruction: Any) -> None:
+        used = instruction.operands
+        if any(type(one) is Whole for one in used):
+            instruction.operands = [_written(self, one) for one in used]
+        insert(self, instruction)
+
+    return inserting
+
+
+def write_chosen(function: Any) -> None:
+    """Put the values together among which a function chooses by the block that it comes from."""
+    for block in function.blocks:
+        for instruction in block.instructions:
+            if type(instruction) is not PhiInstr:
+                break
+            instruction.incomings = [
+                (_written_before(end, value), end) for value, end in instruction.incomings
+            ]
+
+
+def _written_before(block: Any, value: Any) -> Any:
+    """Return a value as instructions may use it that come after a block."""
+    if type(value) is not Whole:
+        return value
+    builder = ir.IRBuilder(block)
+    builder.position_before(block.terminator)
+    return put_together(builder, value)
 
 
 class Value(_Proxy):  # type: ignore[misc]

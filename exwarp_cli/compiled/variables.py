@@ -15,7 +15,7 @@ from typing import Any
 
 from numba.core import typed_passes
 from numba.core.analysis import must_use_alloca
-from numba.core.ir import Assign, Global
+from numba.core.ir import Assign, Del, Global
 from numba.core.ir_utils import enforce_no_dels, enforce_no_phis
 from numba.core.lowering import Lower
 from numba.core.postproc import PostProcessor
@@ -50,11 +50,7 @@ def _standing(lower: Any) -> set[str]:
     """Return the variables that stand for values."""
     code = lower.func_ir
     life = code.variable_lifetime
-    set_in: dict[str, list[int]] = defaultdict(list)
-    for offset, block in code.blocks.items():
-        for step in block.body:
-            if type(step) is Assign:
-                set_in[step.target.name].append(offset)
+    set_in, ends_in = _set_and_ended(code.blocks)
     used_in: dict[str, list[int]] = defaultdict(list)
     for offset, names in life.usedefs.usemap.items():
         for name in names:
@@ -62,16 +58,65 @@ def _standing(lower: Any) -> set[str]:
     before = life.cfg.dominators()
     in_memory = must_use_alloca(code.blocks)
     found = set()
-    for name, places in set_in.items():
-        if len(places) > 1 or name in in_memory:
+    for name, (place, *others) in set_in.items():
+        if others or name in in_memory:
             continue
-        users = used_in.get(name, ())
         # Blocks are written by their numbers.
-        if all(places[0] < user and places[0] in before[user] for user in users) and not (
-            users and _is_counted(lower, name)
-        ):
+        if not all(place < user and place in before[user] for user in used_in[name]):
+            continue
+        if not _is_counted(lower, name) or _ends_once(life.cfg, before, place, ends_in[name]):
             found.add(name)
     return found
+
+
+def _set_and_ended(blocks: dict[int, Any]) -> tuple[dict[str, list[int]], dict[str, list[int]]]:
+    """Return the blocks of code in which variables are set, and in which they end."""
+    set_in: dict[str, list[int]] = defaultdict(list)
+    ends_in: dict[str, list[int]] = defaultdict(list)
+    for offset, block in blocks.items():
+        for step in block.body:
+            if type(step) is Assign:
+                set_in[step.target.name].append(offset)
+            elif type(step) is Del:
+                ends_in[step.value].append(offset)
+    return set_in, ends_in
+
+
+def _ends_once(cfg: Any, before: Any, place: int, ends: list[int]) -> bool:
+    """Whether a variable ends no more than once each time that it is set.
+
+    Numba clears its memory where it ends, so that it may end once more; a value stays what it is.
+
+    Parameters
+    ----------
+    cfg
+        How blocks of code follow each other.
+    before
+        Which blocks lie on every way to a block.
+    place
+        The block that sets it.
+    ends
+        The blocks in which it ends.
+    """
+    if ends == [place]:
+        return True
+    if not all(place < end and place in before[end] for end in ends):
+        return False
+    return len(set(ends)) == len(ends) and not any(
+        _may_follow(cfg, end, ends, place) for end in ends
+    )
+
+
+def _may_follow(cfg: Any, first: int, others: list[int], without: int) -> bool:
+    """Whether one of some blocks may come after the first, by a way without a certain block."""
+    following: set[int] = set()
+    left = [first]
+    while left:
+        for block, _ in cfg.successors(left.pop()):
+            if block != without and block not in following:
+                following.add(block)
+                left.append(block)
+    return not following.isdisjoint(others)
 
 
 def tries(code: Any) -> bool:

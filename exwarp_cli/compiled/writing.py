@@ -17,6 +17,7 @@ from llvmlite.ir.values import Block, NamedValue  # type: ignore[import-untyped]
 from numba.core.codegen import CPUCodeLibrary
 
 from exwarp_cli.compiled.front_end import wrap
+from exwarp_cli.compiled.structures import write_chosen
 
 
 def shorten() -> None:
@@ -78,6 +79,8 @@ def _letting_go(add: Callable[[Any, Any], None]) -> Callable[[Any, Any], None]:
 
     @functools.wraps(add)
     def adding(self: Any, module: Any) -> None:
+        for function in module.functions:
+            write_chosen(function)
         add(self, module)
         for function in module.functions:
             for block in function.blocks:

@@ -136,7 +136,7 @@ def test_code_that_llvm_has_read_needs_no_search_to_be_let_go(monkeypatch):
     @builds.part
     def double_all(values: np.ndarray) -> None:
         for i in range(values.size):
-            values[i] *= 2
+            values[i] = (values[i] + 1) // 2 * 4 if values[i] % 2 == 1 else values[i] * 2
 
     def run(values: np.ndarray) -> None:
         double_all(values[1:])
@@ -148,7 +148,7 @@ def test_code_that_llvm_has_read_needs_no_search_to_be_let_go(monkeypatch):
         left = {kind: sum(one() is not None for one in made[kind]) for kind in kinds}
     finally:
         gc.enable()
-    assert values.tolist() == [0, 2, 4, 6]
+    assert values.tolist() == [0, 4, 4, 8]
     assert len(made[Instruction]) > 100
     assert left[Instruction] < len(made[Instruction]) / 10  # those of what Python calls
     for kind in kinds:

@@ -6,6 +6,7 @@ import math
 import sys
 from typing import Any
 
+import numba
 import numpy as np
 import pytest
 from numba.core.codegen import CPUCodeLibrary
@@ -67,6 +68,33 @@ class TestLoops:
         values = np.arange(12.0).reshape(4, 3)
         assert compiled(run, values) == run(values)
 
+    def test_they_go_on_in_pairs(self):
+        def run(count, step, found):
+            pairs = zip(range(count), range(0, 9, step))  # noqa: B905 - numba has no other
+            for k, (number, other) in enumerate(pairs):
+                found[k] += 10 * number + other
+
+        ran = builds.compiled(run)
+        for count in (0, 3, 7):
+            for step in (1, 2):
+                ours, theirs = np.zeros(9, np.int64), np.zeros(9, np.int64)
+                ran(count, step, ours)
+                run(count, step, theirs)
+                assert np.array_equal(ours, theirs)
+
+    @pytest.mark.parametrize("kind", [np.uint64, np.int32])
+    def test_of_other_kinds_of_numbers(self, kind):
+        def run(first, stop):
+            turns, last = 0, first
+            for number in range(first, stop):
+                turns, last = turns + 1, number
+            return turns, last
+
+        ran = builds.compiled(run)
+        assert ran(kind(3), kind(7)) == (4, 6) and ran(kind(7), kind(3)) == (0, 7)
+        highest = int(np.iinfo(kind).max)
+        assert ran(kind(highest - 2), kind(highest)) == (2, highest - 1)
+
 
 class TestSlices:
     def test_they_end_where_the_array_does(self):
@@ -79,6 +107,80 @@ class TestSlices:
                 expected = run(values, first, stop)
                 for one, other in zip(ran(values, first, stop), expected, strict=True):
                     assert np.array_equal(one, other)
+
+    def test_after_numbers_they_are_those_of_numpy(self):
+        def row(values, at, first, stop):
+            return values[at, first:stop]
+
+        def part(values, first, stop):
+            return values[first:stop], values[:stop], values[first:], values[1, 2, 1:], values[0:2]
+
+        cube = np.arange(60).reshape(3, 4, 5)
+        ran, ran_part = builds.compiled(row), builds.compiled(part)
+        for first in (-9, -2, 0, 1, 5):
+            for stop in (-9, -1, 0, 2, 9):
+                ours = [ran(cube, at, first, stop) for at in (-1, 0, 2)]
+                theirs = [row(cube, at, first, stop) for at in (-1, 0, 2)]
+                ours += ran_part(cube, first, stop)
+                theirs += part(cube, first, stop)
+                for one, other in zip(ours, theirs, strict=True):
+                    assert np.array_equal(one, other) and one.strides == other.strides
+                    assert one.size == 0 or np.shares_memory(one, cube)
+
+
+class TestShapes:
+    @pytest.mark.parametrize("name", ["rows", "columns", "part", "nothing"])
+    def test_all_of_it_in_a_row(self, name):
+        def run(values):
+            return values.reshape(-1)
+
+        cube = np.arange(60).reshape(3, 4, 5)
+        values = {
+            "rows": cube,
+            "columns": np.asfortranarray(cube),
+            "part": cube[1:],
+            "nothing": cube[:, :0],
+        }[name]
+        if name == "columns":
+            with pytest.raises((TypeError, NotImplementedError, numba.TypingError)):
+                compiled(run, values)
+            return
+        found = compiled(run, values)
+        assert found.strides == (8,) and np.array_equal(found, values.reshape(-1))
+        assert found.size == 0 or np.shares_memory(found, values)
+
+    def test_in_other_shapes(self):
+        def run(values):
+            return values.reshape(4, -1), values.reshape((5, 12)), values.reshape(60)
+
+        values = np.arange(60).reshape(3, 4, 5)
+        for one, other in zip(compiled(run, values), run(values), strict=True):
+            assert np.array_equal(one, other) and one.shape == other.shape
+
+
+class TestDivision:
+    @pytest.mark.parametrize("kind", [np.int64, np.int32, np.uint8])
+    def test_it_rounds_down_and_by_nothing_there_is_nothing(self, kind):
+        def run(number, by):
+            return number // by, number % by
+
+        ran, limits = builds.compiled(run), np.iinfo(kind)
+        some = {limits.min, limits.min + 1, limits.max, 0, 1, 2, 3, 7, 8}
+        some |= {-1, -3, -8} if limits.min < 0 else set()
+        for number in some:
+            for by in some:
+                fits = by != 0 and (number, by) != (-(2**63), -1)
+                expected = (number // by, number % by) if fits else (0, 0)
+                assert ran(kind(number), kind(by)) == expected, (number, by)
+
+    def test_by_what_is_known(self):
+        def run(number):
+            return number // 8, number % 8, number // 6, number % 6, number // -3, number % -3
+
+        ran = builds.compiled(run)
+        for number in (-(2**63), -17, -16, -6, -1, 0, 5, 6, 8, 2**63 - 1):
+            assert ran(number) == run(number)
+            assert ran(np.int32(number % 1000 - 500)) == run(number % 1000 - 500)
 
 
 class TestNumbers:
@@ -128,6 +230,24 @@ class TestArrays:
         kept, plane = compiled(run, 4)
         assert kept.dtype == np.float32 and kept.tolist() == [3] * 4
         assert plane.dtype == np.int16 and plane.tolist() == [[1, 2]] * 4
+
+    def test_they_are_given_back_once_wherever_they_end(self):
+        def run(out):
+            other = np.full(4, 7.0)
+            for k in range(out.size):
+                row = np.full(4, 1.0 * k)
+                if k % 2 == 0:  # it ends here, and after both branches
+                    other = np.full(4, 7.0)  # where that was
+                else:
+                    for j in range(row.size):
+                        out[k] += row[j]
+                last = np.full(4, 9.0)
+                out[k] += 100 * other[0] + last[0]
+
+        out, expected = np.zeros(6), np.zeros(6)
+        compiled(run, out)
+        run(expected)
+        assert out.tolist() == expected.tolist()
 
     def test_those_that_are_lent_are_counted_as_before(self):
         def take(values, out):
