@@ -81,12 +81,14 @@ def _keep(built: Any, text: types.FunctionType, options: dict[str, Any]) -> None
 
 if knows_inside():
     from exwarp_cli.compiled import (
+        bytecode,
         calls,
         division,
         folding,
         front_end,
         in_place,
         indexing,
+        lookups,
         loops,
         machine_code,
         passes,
@@ -96,6 +98,8 @@ if knows_inside():
     )
 
     front_end.shorten()
+    lookups.shorten()
+    bytecode.shorten()
     passes.shorten()
     structures.shorten()
     variables.shorten()

@@ -18,7 +18,7 @@ from llvmlite import binding  # type: ignore[import-untyped]
 from numba.core import types, utils
 from numba.core.base import BaseContext
 from numba.core.compiler import CompilerBase
-from numba.core.ir import Inst, Loc, Var
+from numba.core.ir import Expr, Inst, Loc, Var
 from numba.core.registry import cpu_target
 from numba.core.runtime.context import NRTContext
 from numba.core.targetconfig import ConfigStack
@@ -241,15 +241,21 @@ def _listing_plainly(
 
     @functools.wraps(listing)
     def variables(self: Any, value: Any) -> list[Var]:
-        if type(value) is dict:
+        kind = type(value)
+        if kind is Var:
+            return [value]
+        if kind is Expr:
+            value = value._kws.values()
+        elif kind is dict:
             value = value.values()
-        elif type(value) is not list and type(value) is not tuple:
+        elif kind is not list and kind is not tuple:
             return listing(self, value)
         found: list[Var] = []
         for one in value:
-            if type(one) is Var:
+            kind = type(one)
+            if kind is Var:
                 found.append(one)
-            elif type(one) not in PLAIN:
+            elif kind not in PLAIN:
                 found += variables(self, one)
         return found
 
