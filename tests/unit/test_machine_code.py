@@ -5,6 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import pytest
+from numba.core.callwrapper import PyCallWrapper
 
 from exwarp_cli.compiled import builds, cache, machine_code
 from exwarp_cli.compiled.shares import WHOLE
@@ -29,3 +31,22 @@ def test_parts_do_not_become_machine_code(monkeypatch):
     kernel(depth, np.zeros((0, 0), np.int32), edge, WHOLE)
     assert edge.tolist() == [[False, False, True, True, False, False]] * 5
     assert made == ["find_edges_text"]
+
+
+def test_entries_are_left_as_they_stand(monkeypatch):
+    built: list[str] = []
+    real = PyCallWrapper.build
+
+    def noted(self: Any) -> Any:
+        entry, api = real(self)
+        built.append(str(entry).partition("{")[0])
+        return entry, api
+
+    monkeypatch.setattr(PyCallWrapper, "build", noted)
+    monkeypatch.setattr(cache.KernelCache, "load_overload", lambda *_: None)
+    monkeypatch.setattr(cache.KernelCache, "save_overload", lambda *_: None)
+    kernel = builds.compiled(lambda pair, values: pair[0] + pair[1] + values[-1])
+    assert kernel((1, 2), np.arange(3)) == 5
+    with pytest.raises(TypeError, match="not enough arguments"):
+        kernel((1, 2))
+    assert len(built) == 1 and "noinline optnone" in built[0]
