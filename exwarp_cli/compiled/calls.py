@@ -18,6 +18,7 @@ from numba.core.imputils import fix_returning_optional, impl_ret_new_ref
 from numba.core.lowering import Lower
 
 from exwarp_cli.compiled.front_end import wrap
+from exwarp_cli.compiled.structures import memory
 from exwarp_cli.compiled.variables import tries
 
 FINE = (callconv.RETCODE_OK.constant, callconv.RETCODE_NONE.constant)
@@ -108,7 +109,7 @@ def _call(
     kind = returned.pointee
     assert kind == self._get_return_argument(callee.function_type).pointee
     nothing = isinstance(result, types.NoneType)
-    place = _nowhere(builder, kind) if nothing else _space(builder, kind)
+    place = _nowhere(builder, kind) if nothing else memory(builder, kind)
     if getattr(builder, "catches", True):
         about = _cleared_space(builder, ir.PointerType(callconv.excinfo_t))
     else:  # it is the caller's own failure as well
@@ -122,17 +123,10 @@ def _call(
 
 def _nowhere(builder: Any, kind: Any) -> Any:
     """Return memory for what functions write that return nothing, one place for all of them."""
-    places = vars(builder).setdefault("nowhere", {})
-    function = builder.function
-    if function not in places:
-        places[function] = _space(builder, kind)
-    return places[function]
-
-
-def _space(builder: Any, kind: Any) -> Any:
-    """Return memory for what a function writes where it succeeds; numba clears it first."""
-    with builder.goto_entry_block():
-        return builder.alloca(kind)
+    caller = builder.function
+    if not hasattr(caller, "nowhere"):
+        caller.nowhere = memory(builder, kind)
+    return caller.nowhere
 
 
 def _function(description: Any, libraries: Any) -> Callable[..., Any]:

@@ -1,6 +1,6 @@
 """What numba does before there is code for LLVM, without the work that is done again and again.
 
-Four fifths of the time of compilation pass there, in Python.
+More than half of the time of compilation passes there, in Python.
 """
 
 # mypy: disable-error-code="no-untyped-call"

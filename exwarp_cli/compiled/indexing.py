@@ -31,7 +31,6 @@ _checked: Any = arrayobj.fix_integer_index
 _borrowed: Any = impl_ret_borrowed
 _packed: Any = pack_array
 _Tuple: Any = types.BaseTuple
-_tuple: Any = types.Tuple
 _many: Any = types.VarArg
 _slicing: Any = slicing
 _wrapped: Any = _slicing.fix_index
@@ -55,13 +54,10 @@ def shorten() -> None:
 def _get(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
     """Return an element, or what fewer indices than dimensions, or a slice, leave."""
     kind, index = signature.args
-    if not _is_plain(context, kind, index):
-        if not _ends_with_slice(context, kind, index, signature.return_type):
-            usual = _getitem_tuple if isinstance(index, _Tuple) else _getitem
-            return usual(context, builder, signature, arguments)
-        place, shape = _slice(context, builder, kind, index, arguments)
-    else:
-        place, shape = _place(context, builder, kind, index, arguments)
+    if not _is_plain(context, kind, _without_slice(index, signature.return_type)):
+        usual = _getitem_tuple if isinstance(index, _Tuple) else _getitem
+        return usual(context, builder, signature, arguments)
+    place, shape = _place(context, builder, kind, index, arguments)
     if not shape:
         return context.unpack_value(builder, kind.dtype, place)
     view = _view(context, builder, signature, arguments[0], place, shape)
@@ -82,7 +78,8 @@ def _reshape(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
 def _set(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
     """Write an element."""
     kind, index, value = signature.args
-    if not _is_plain(context, kind, index) or len(_indices(index)) < kind.ndim:
+    numbers = _indices(index)
+    if not _is_plain(context, kind, numbers) or len(numbers) < kind.ndim:
         return _setitem(context, builder, signature, arguments)
     place, _ = _place(context, builder, kind, index, arguments)
     written = context.cast(builder, arguments[2], value, kind.dtype)
@@ -95,9 +92,19 @@ def _indices(index: Any) -> tuple[Any, ...]:
     return tuple(index.types) if isinstance(index, _Tuple) else (index,)
 
 
-def _is_plain(context: Any, kind: Any, index: Any) -> bool:
+def _without_slice(index: Any, result: Any) -> tuple[Any, ...]:
+    """Return the types of the indices, of a last slice that leaves nothing out that of its begin.
+
+    What it leaves lies row by row.
+    """
+    *before, last = _indices(index) or (None,)
+    if isinstance(last, types.SliceType) and not last.has_step and result.layout == "C":
+        last = types.intp
+    return (*before, last)
+
+
+def _is_plain(context: Any, kind: Any, numbers: Sequence[Any]) -> bool:
     """Whether an array lies row by row, and is asked for by whole numbers alone."""
-    numbers = _indices(index)
     return (
         type(kind) is types.Array
         and kind.layout == "C"
@@ -105,20 +112,6 @@ def _is_plain(context: Any, kind: Any, index: Any) -> bool:
         and not context.enable_boundscheck
         and 0 < len(numbers) <= kind.ndim
         and all(isinstance(number, types.Integer) for number in numbers)
-    )
-
-
-def _ends_with_slice(context: Any, kind: Any, index: Any, result: Any) -> bool:
-    """Whether an array is asked for by a slice that leaves nothing out, after whole numbers."""
-    *before, last = _indices(index) or (None,)
-    return (
-        isinstance(last, types.SliceType)
-        and not last.has_step
-        and isinstance(result, types.Array)
-        and result.layout == "C"
-        and (not before or _is_plain(context, kind, _tuple(before)))
-        and _is_plain(context, kind, types.intp)
-        and len(before) < kind.ndim
     )
 
 
@@ -135,40 +128,25 @@ def _parts(builder: Any, values: Any) -> list[Any]:
 def _place(
     context: Any, builder: Any, kind: Any, index: Any, arguments: Any
 ) -> tuple[Any, list[Any]]:
-    """Return where it is, and the sizes of the dimensions that are left."""
+    """Return where it is, and the sizes of the dimensions that are left, or that a slice leaves."""
     array, given = arguments[:2]
     sizes = _parts(builder, _field(context, builder, kind, array, "shape"))
     numbers = _indices(index)
     values = _parts(builder, given) if isinstance(index, _Tuple) else [given]
+    left = sizes[len(numbers) :]
     at: Any = None
     for k, (number, value) in enumerate(zip(numbers, values, strict=True)):
-        step = _checked(context, builder, number, value, sizes[k])
+        if isinstance(number, types.SliceType):
+            part = context.make_helper(builder, number, value)
+            _slicing.fix_slice(builder, part, sizes[k])
+            step, left = part.start, [_slicing.get_slice_length(builder, part), *left]
+        else:
+            step = _checked(context, builder, number, value, sizes[k])
         if sizes[k + 1 :]:
             step = builder.mul(step, functools.reduce(builder.mul, sizes[k + 1 :]))
         at = step if at is None else builder.add(at, step)
     data = _field(context, builder, kind, array, "data")
-    return builder.gep(data, [at]), sizes[len(numbers) :]
-
-
-def _slice(
-    context: Any, builder: Any, kind: Any, index: Any, arguments: Any
-) -> tuple[Any, list[Any]]:
-    """Return where a slice begins, and the sizes of its dimensions."""
-    array, given = arguments[:2]
-    *before, last = _indices(index)
-    values = _parts(builder, given) if isinstance(index, _Tuple) else [given]
-    sizes = _parts(builder, _field(context, builder, kind, array, "shape"))
-    place = _field(context, builder, kind, array, "data")
-    if before:
-        whole = _tuple(before)
-        numbers = context.make_tuple(builder, whole, values[:-1])
-        place, sizes = _place(context, builder, kind, whole, (array, numbers))
-    part = context.make_helper(builder, last, values[-1])
-    _slicing.fix_slice(builder, part, sizes[0])
-    begin = part.start
-    for size in sizes[1:]:
-        begin = builder.mul(begin, size)
-    return builder.gep(place, [begin]), [_slicing.get_slice_length(builder, part), *sizes[1:]]
+    return builder.gep(data, [at]), left
 
 
 def _view(

@@ -15,8 +15,8 @@ from types import BuiltinFunctionType, FunctionType
 from typing import Any
 
 from numba.core import base, types
-from numba.core.datamodel.manager import DataModelManager
 from numba.core.lowering import Lower
+from numba.core.registry import cpu_target
 from numba.core.typing.context import BaseContext
 
 from exwarp_cli.compiled.front_end import wrap
@@ -30,9 +30,8 @@ def shorten() -> None:
     wrap(base, "_has_loc", _reading_names)
     wrap(BaseContext, "resolve_getattr", _calling_functions)
     wrap(BaseContext, "resolve_value_type", _knowing_functions)
-    wrap(DataModelManager, "lookup", _keeping_models)
-    models: Any = DataModelManager
-    models.__getitem__ = models.lookup
+    models: Any = cpu_target.target_context.data_model_manager
+    models._cache = dict(models._cache)
     lower: Any = Lower
     lower._disable_sroa_like_opt = _computed_once(lower._disable_sroa_like_opt.fget)
 
@@ -74,20 +73,6 @@ def _knowing_functions(resolve: Callable[[Any, Any], Any]) -> Callable[[Any, Any
         return resolve(self, value)
 
     return resolving
-
-
-def _keeping_models(look: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
-    """Keep how values of a type are kept."""
-
-    @functools.wraps(look)
-    def looking(self: Any, kind: Any) -> Any:
-        known = vars(self).setdefault("known", {})
-        found = known.get(kind)
-        if found is None:
-            found = known[kind] = look(self, kind)
-        return found
-
-    return looking
 
 
 def _computed_once(compute: Callable[[Any], Any]) -> Any:

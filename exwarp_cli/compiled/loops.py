@@ -16,7 +16,7 @@ from numba.cpython import rangeobj
 from numba.extending import lower_builtin
 
 from exwarp_cli.compiled.folding import known
-from exwarp_cli.compiled.structures import Value
+from exwarp_cli.compiled.structures import Value, memory
 
 
 def shorten() -> None:
@@ -55,8 +55,7 @@ def _beginning(usual: Callable[..., Any]) -> Callable[..., Any]:
         through = _of(context, builder, signature.args[0], arguments[0])
         if known(through.step) != 1:
             return usual(context, builder, signature, arguments)
-        with builder.goto_entry_block():
-            place = builder.alloca(through.start.type)
+        place = memory(builder, through.start.type)
         builder.store(through.start, place)
         made = _of(context, builder, signature.return_type)
         made.iter = made.count = place  # how many are left is told by the end
@@ -73,7 +72,7 @@ def _next(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
     number, stop, step = builder.load(at.iter), at.stop, at.step
     compare = builder.icmp_signed if kind.yield_type.signed else builder.icmp_unsigned
     goes_on, following = compare("<", number, stop), builder.add(number, step)
-    if known(step) != 1:
+    if known(step) != 1:  # as of a loop inside of another iterator, which keeps it in memory
         left = builder.load(at.count)
         one = builder.icmp_signed("==", step, step.type(1))
         goes_on = builder.select(one, goes_on, builder.icmp_signed(">", left, left.type(0)))

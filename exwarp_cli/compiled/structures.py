@@ -31,7 +31,6 @@ KINDS = (types.Array, types.Pair, types.RangeType, types.RangeIteratorType, type
 
 # As numba has no types of its own.
 _Proxy: Any = cgutils.ValueStructProxy
-_space: Any = cgutils.alloca_once
 
 
 def shorten() -> None:
@@ -43,7 +42,7 @@ def shorten() -> None:
     wrap(cgutils, "create_struct_proxy", _keeping_values)
     wrap(arrayobj, "make_array", _plain_arrays)
     counter: Any = NRTContext
-    counter.get_meminfos = _memory
+    counter.get_meminfos = _counted
 
 
 class Whole(ir.Value):  # type: ignore[misc]
@@ -204,7 +203,7 @@ class Value(_Proxy):  # type: ignore[misc]
 
     def _moved(self) -> Any:
         """Put what was written so far into memory, in the block where it was written."""
-        place = _space(self._builder, self._be_type)
+        place = memory(self._builder, self._be_type)
         with self._builder.goto_block(self._block):
             self._builder.store(self._written, place)
         return place
@@ -234,7 +233,13 @@ def _plain_arrays(make: Callable[[Any], Any]) -> Callable[[Any], Any]:
     return making
 
 
-def _memory(self: Any, builder: Any, kind: Any, value: Any) -> list[tuple[Any, Any]]:
+def memory(builder: Any, kind: Any) -> Any:
+    """Return memory that is written before it is read; numba clears all that it takes."""
+    with builder.goto_entry_block():
+        return builder.alloca(kind)
+
+
+def _counted(self: Any, builder: Any, kind: Any, value: Any) -> list[tuple[Any, Any]]:
     """Return all memory in a value of which somebody counts who has it.
 
     Numba takes all parts out of a value, at any depth, to look for some.

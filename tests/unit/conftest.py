@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from numba.core.dispatcher import Dispatcher
 
-from exwarp_cli.compiled import builds
+from exwarp_cli.compiled import builds, cache
 from exwarp_cli.io.dataset import open_scene
 from exwarp_cli.training.footage import Footage
 from tests.unit.analytic_scene import write_scene
@@ -26,3 +26,11 @@ def unwritable_cache(monkeypatch) -> None:
 
     monkeypatch.setattr(builds, "knows_inside", lambda: False)
     monkeypatch.setattr(Dispatcher, "enable_caching", unwritable)
+
+
+@pytest.fixture
+def uncached(monkeypatch) -> None:
+    """Have all that is compiled made anew, by numba as it is known here, and not kept."""
+    assert builds.knows_inside()
+    monkeypatch.setattr(cache.KernelCache, "load_overload", lambda *_: None)
+    monkeypatch.setattr(cache.KernelCache, "save_overload", lambda *_: None)

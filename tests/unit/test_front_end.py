@@ -17,13 +17,9 @@ from numba.core import compiler, errors, ir
 from numba.core.runtime import _nrt_python
 from numba.core.runtime.nrt import rtsys
 
-from exwarp_cli.compiled import builds, cache, front_end
+from exwarp_cli.compiled import builds, front_end
 
-
-@pytest.fixture(autouse=True)
-def uncached(monkeypatch) -> None:
-    monkeypatch.setattr(cache.KernelCache, "load_overload", lambda *_: None)
-    monkeypatch.setattr(cache.KernelCache, "save_overload", lambda *_: None)
+pytestmark = pytest.mark.usefixtures("uncached")
 
 
 def test_a_part_is_compiled_once_for_functions_that_count_arrays_and_others(monkeypatch):

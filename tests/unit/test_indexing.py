@@ -9,13 +9,9 @@ import pytest
 from numba.core.runtime import _nrt_python
 from numba.core.runtime.nrt import rtsys
 
-from exwarp_cli.compiled import builds, cache
+from exwarp_cli.compiled import builds
 
-
-@pytest.fixture(autouse=True)
-def uncached(monkeypatch) -> None:
-    monkeypatch.setattr(cache.KernelCache, "load_overload", lambda *_: None)
-    monkeypatch.setattr(cache.KernelCache, "save_overload", lambda *_: None)
+pytestmark = pytest.mark.usefixtures("uncached")
 
 
 def element(values: np.ndarray, at: Any) -> Any:

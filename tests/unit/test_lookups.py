@@ -15,14 +15,9 @@ from numba.core.lowering import Lower
 from numba.core.registry import cpu_target
 from numba.core.typing.context import BaseContext
 
-from exwarp_cli.compiled import builds, cache
+from exwarp_cli.compiled import builds
 
-
-@pytest.fixture(autouse=True)
-def uncached(monkeypatch) -> None:
-    assert builds.knows_inside()
-    monkeypatch.setattr(cache.KernelCache, "load_overload", lambda *_: None)
-    monkeypatch.setattr(cache.KernelCache, "save_overload", lambda *_: None)
+pytestmark = pytest.mark.usefixtures("uncached")
 
 
 @pytest.fixture
@@ -73,7 +68,7 @@ def test_what_may_be_called_is_called(typing):
 
 def test_a_model_is_that_of_its_type():
     models = cpu_target.target_context.data_model_manager
-    real = DataModelManager.lookup.__wrapped__
+    real = DataModelManager.lookup
     for kind in (types.int64, types.boolean, types.Array(types.float32, 2, "C")):
         assert models[kind] is models.lookup(kind) is real(models, kind)
         assert models.copy()[kind] is not models[kind]

@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 from numba.core.callwrapper import PyCallWrapper
 
-from exwarp_cli.compiled import builds, cache, machine_code
+from exwarp_cli.compiled import builds, machine_code
 from exwarp_cli.compiled.shares import WHOLE
 from exwarp_cli.kernels import edges
+
+pytestmark = pytest.mark.usefixtures("uncached")
 
 
 def test_parts_do_not_become_machine_code(monkeypatch):
@@ -23,8 +25,6 @@ def test_parts_do_not_become_machine_code(monkeypatch):
         real(library)
 
     monkeypatch.setattr(machine_code.DeferredLibrary, "_make", noted)
-    monkeypatch.setattr(cache.KernelCache, "load_overload", lambda *_: None)
-    monkeypatch.setattr(cache.KernelCache, "save_overload", lambda *_: None)
     kernel = builds.compiled(edges.find_edges_text)
     depth, edge = np.ones((5, 6), np.float32), np.ones((5, 6), np.bool_)
     depth[:, 3:] = 9
@@ -43,8 +43,6 @@ def test_entries_are_left_as_they_stand(monkeypatch):
         return entry, api
 
     monkeypatch.setattr(PyCallWrapper, "build", noted)
-    monkeypatch.setattr(cache.KernelCache, "load_overload", lambda *_: None)
-    monkeypatch.setattr(cache.KernelCache, "save_overload", lambda *_: None)
     kernel = builds.compiled(lambda pair, values: pair[0] + pair[1] + values[-1])
     assert kernel((1, 2), np.arange(3)) == 5
     with pytest.raises(TypeError, match="not enough arguments"):

@@ -10,13 +10,9 @@ import numpy as np
 import pytest
 from numba.core import event
 
-from exwarp_cli.compiled import builds, cache
+from exwarp_cli.compiled import builds
 
-
-@pytest.fixture(autouse=True)
-def uncached(monkeypatch) -> None:
-    monkeypatch.setattr(cache.KernelCache, "load_overload", lambda *_: None)
-    monkeypatch.setattr(cache.KernelCache, "save_overload", lambda *_: None)
+pytestmark = pytest.mark.usefixtures("uncached")
 
 
 def test_functions_inside_functions_are_found():

@@ -11,13 +11,9 @@ import numpy as np
 import pytest
 from numba.core.codegen import CPUCodeLibrary
 
-from exwarp_cli.compiled import builds, cache
+from exwarp_cli.compiled import builds
 
-
-@pytest.fixture(autouse=True)
-def uncached(monkeypatch) -> None:
-    monkeypatch.setattr(cache.KernelCache, "load_overload", lambda *_: None)
-    monkeypatch.setattr(cache.KernelCache, "save_overload", lambda *_: None)
+pytestmark = pytest.mark.usefixtures("uncached")
 
 
 def compiled(function: Any, *given: Any) -> Any:
