@@ -54,9 +54,9 @@ IDLE_BYTES = 256 * 10**6
 it does. A policy that warped at 1920x1080 was busy for 67 of 688 ms an interval with having the
 system clear what is fresh."""
 
-IDLE_PER_PIXEL = 16
-"""The same of other methods: a frame of four floats. At 1920x1080 each interval took that much from
-the system else, as what was idle lay in pieces; 3 % of its time. Of 12 it still took 10 MB more."""
+IDLE_PER_PIXEL = 20
+"""The same of other methods: a frame of four floats, and a little. At 1920x1080 each interval took
+that much from the system else, as what was idle lay in pieces; 3 % of its time."""
 
 
 @dataclass(frozen=True)

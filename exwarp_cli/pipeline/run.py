@@ -9,6 +9,7 @@ from functools import cached_property, partial
 from typing import Any
 
 from exwarp_cli import __version__
+from exwarp_cli.compiled.resident import let_compiler_go
 from exwarp_cli.domain import lent_memory
 from exwarp_cli.domain.frame import Image
 from exwarp_cli.domain.results import FrameKind, FrameRecord, LeftOut
@@ -87,6 +88,7 @@ class Run:
                     under_way = self._steps(work)
                     del work  # before the next one is waited for, and staged
                     lent_memory.let_go()
+                    let_compiler_go()
                     next(under_way, None)
             except InputError:
                 _finish(under_way)  # that is sound
