@@ -49,8 +49,11 @@ kept; where an exception is the answer, it goes on without, and what calls a ker
 WHOLE_FUNCTIONS = {
     ("threading", "start"),
     ("concurrent.futures.thread", "submit"),
+    ("llvmlite.binding.ffi", "__init__"),
+    ("llvmlite.binding.ffi", "close"),
 }
-"""Functions in which a stop waits, also where they called others."""
+"""Functions in which a stop waits, also where they called others. What LLVM's bindings have made or
+closed by half is closed once more as it goes, which fails and is told."""
 
 
 class Terminated(BaseException):
