@@ -41,19 +41,18 @@ WAITING = {
 WHOLE = {
     "importlib._bootstrap", "importlib._bootstrap_external",
     "_frozen_importlib", "_frozen_importlib_external",
-    "weakref", "llvmlite.binding.executionengine",
+    "weakref", "llvmlite.binding",
 }  # fmt: skip
-"""Modules in which a stop waits, also where they called others. LLVM asks for machine code that is
-kept; where an exception is the answer, it goes on without, and what calls a kernel crashes."""
+"""Modules, and packages of them, in which a stop waits, also where they called others. LLVM asks
+for machine code that is kept; where an exception is the answer, it goes on without, and what calls
+a kernel crashes. Objects of its bindings that were made by half are closed as they go, which fails
+and is told."""
 
 WHOLE_FUNCTIONS = {
     ("threading", "start"),
     ("concurrent.futures.thread", "submit"),
-    ("llvmlite.binding.ffi", "__init__"),
-    ("llvmlite.binding.ffi", "close"),
 }
-"""Functions in which a stop waits, also where they called others. What LLVM's bindings have made or
-closed by half is closed once more as it goes, which fails and is told."""
+"""Functions in which a stop waits, also where they called others."""
 
 
 class Terminated(BaseException):
@@ -129,7 +128,9 @@ class Stoppable:
             return True
         at: FrameType | None = frame
         while at is not None and at is not self._outermost:
-            if _module(at) in WHOLE or (_module(at), at.f_code.co_name) in WHOLE_FUNCTIONS:
+            name = _module(at)
+            within = name in WHOLE or name.rpartition(".")[0] in WHOLE
+            if within or (name, at.f_code.co_name) in WHOLE_FUNCTIONS:
                 return True
             at = at.f_back
         return False

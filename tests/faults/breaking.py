@@ -25,7 +25,7 @@ from exwarp_cli.io.stops import Stoppable
 LOOKED_AT = (
     "threading", "queue", "weakref", "contextlib", "concurrent.futures", "importlib._bootstrap",
     "numba.core.compiler_lock", "numba.core.dispatcher", "numba.core.codegen",
-    "llvmlite.binding.executionengine", "llvmlite.binding.ffi", "exwarp_cli",
+    "llvmlite.binding", "exwarp_cli",
 )  # fmt: skip
 STRUCK = "exwarp: terminated here"
 CALLS = {"CALL", "CALL_FUNCTION_EX", "CALL_KW", "JUMP_BACKWARD"}

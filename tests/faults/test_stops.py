@@ -41,7 +41,7 @@ DELICATE = (
     "exwarp_cli.domain.cores:Cores._take", "exwarp_cli.domain.cores:Cores._give",
     "contextlib:_GeneratorContextManager.__enter__",
     "llvmlite.binding.executionengine:ExecutionEngine._raw_object_cache_getbuffer",
-    "llvmlite.binding.ffi:ObjectRef.__init__",
+    "llvmlite.binding.ffi:ObjectRef.__init__", "llvmlite.binding.context:ContextRef.__init__",
 )  # fmt: skip
 """Where a stop once made the command hang, or was told as a defect, or was dropped."""
 
