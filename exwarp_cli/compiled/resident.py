@@ -24,8 +24,6 @@ LIBRARY = "libllvmlite.so"
 _PLACE = re.compile(r"([0-9a-f]+)-([0-9a-f]+) r-[-x]p ")
 """Of memory that is mapped for itself, and not to be written; after it comes the file's name."""
 
-_CHANGED = re.compile(r"Anonymous: +([0-9]+) kB")
-
 
 def let_compiler_go() -> None:
     """Unmap the pages of the compiler's library; those that are used come back from its file.
@@ -50,16 +48,15 @@ def unchanged(lines: Iterable[str], name: str) -> Iterator[tuple[int, int]]:
     name
         Of its file, without folder.
     """
-    begin, end = 0, 0
+    place = None
     for line in lines:
-        place = _PLACE.match(line)
-        if place is not None and line.rstrip("\n").endswith(f"/{name}"):
-            begin, end = int(place[1], 16), int(place[2], 16)
-        changed = _CHANGED.match(line)
-        if changed is not None:
-            if end > begin and changed[1] == "0":
+        if line.endswith(f"/{name}\n"):
+            place = _PLACE.match(line)
+        elif place is not None and line.startswith("Anonymous:"):
+            begin, end = (int(address, 16) for address in place.groups())
+            if line.split()[1] == "0":
                 yield begin, end - begin
-            begin, end = 0, 0
+            place = None
 
 
 @functools.cache

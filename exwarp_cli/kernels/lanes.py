@@ -84,7 +84,7 @@ def add_four(weight: np.float64, pixels: F32, at: U64, sums: F64, place: U64) ->
     sums[int(place) : int(place) + LANES] += weight * seen
 
 
-def _data(context: Any, builder: Any, kind: Any, array: Any) -> Any:
+def data_of(context: Any, builder: Any, kind: Any, array: Any) -> Any:
     """Return a pointer to the values of an array of a Numba type."""
     return context.make_array(kind)(context, builder, array).data
 
@@ -131,7 +131,7 @@ def _mix_four(
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         start, places, weights, out = (
-            _data(context, builder, signature.args[k], values[k]) for k in (0, 3, 4, 6)
+            data_of(context, builder, signature.args[k], values[k]) for k in (0, 3, 4, 6)
         )
         right, below, first = values[1], values[2], values[5]
         numbers = [builder.add(first, ir.Constant(first.type, k)) for k in range(LANES)]
@@ -177,7 +177,7 @@ def _any_of_eight(_: Any, flags: Any, first: Any) -> Any:
     """The same by one whole number."""
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        data = _data(context, builder, signature.args[0], values[0])
+        data = data_of(context, builder, signature.args[0], values[0])
         eight = ir.IntType(8 * FLAGS)
         whole = builder.bitcast(builder.gep(data, [values[1]]), eight.as_pointer())
         return builder.icmp_unsigned("!=", builder.load(whole, align=1), ir.Constant(eight, 0))
@@ -198,7 +198,7 @@ def _add_four(_: Any, weight: Any, pixels: Any, at: Any, sums: Any, place: Any) 
     """The same in LLVM's instructions for vectors."""
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        data, target = (_data(context, builder, signature.args[k], values[k]) for k in (1, 3))
+        data, target = (data_of(context, builder, signature.args[k], values[k]) for k in (1, 3))
         seen = builder.load(_from(builder, data, values[2]), align=4)
         seen = builder.fpext(seen, ir.VectorType(ir.DoubleType(), LANES))
         weight = ir.Constant(ir.VectorType(ir.DoubleType(), 1), ir.Undefined)

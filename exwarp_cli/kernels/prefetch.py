@@ -10,6 +10,8 @@ from llvmlite import ir  # type: ignore[import-untyped]
 from numba.core import types
 from numba.extending import intrinsic, overload
 
+from exwarp_cli.kernels.lanes import data_of
+
 F32 = npt.NDArray[np.float32]
 
 LINE = 16
@@ -31,11 +33,11 @@ def _prefetch(_: Any, values: Any, place: Any) -> Any:
     """The same by the processor's instruction."""
 
     def generate(context: Any, builder: Any, signature: Any, given: Any) -> Any:
-        array = context.make_array(signature.args[0])(context, builder, given[0])
+        data = data_of(context, builder, signature.args[0], given[0])
         byte, number = ir.IntType(8).as_pointer(), ir.IntType(32)
         kind = ir.FunctionType(ir.VoidType(), [byte, number, number, number])
         called = builder.module.declare_intrinsic("llvm.prefetch", (byte,), kind)
-        begin = builder.bitcast(builder.gep(array.data, [given[1]]), byte)
+        begin = builder.bitcast(builder.gep(data, [given[1]]), byte)
         builder.call(called, [begin, *(ir.Constant(number, hint) for hint in _HINTS)])
         return context.get_dummy_value()
 
