@@ -337,6 +337,9 @@ def _runtime() -> Any:
             f"onnxruntime cannot be loaded ({error}); run 'pip install onnxruntime'"
         ) from error
     onnxruntime.set_default_logger_severity(4)
+    # The variable in `exwarp_cli` does not reach the tracing of builds for Windows, nor a process
+    # that imported onnxruntime before ExWarp.
+    onnxruntime.disable_telemetry_events()
     return onnxruntime
 
 
