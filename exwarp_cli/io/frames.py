@@ -127,8 +127,7 @@ def read_raw(
             found.joined(Role.STENCIL, ranks, canvas, 0.0), gbuffer.depth, source
         )
         gbuffer = replace(gbuffer, stencil=stencil, objects=shown)
-    motion = found.stack(Role.MOTION, canvas, np.nan)
-    raw = RawFrame(number, path, image, gbuffer, motion, found.broken_colour)
+    raw = RawFrame(number, path, image, gbuffer, _motion(found, shot, canvas), found.broken_colour)
     shot.nonfinite.note(number, found.broken)
     rest()
     return raw
@@ -217,6 +216,22 @@ def _geometry(found: _Planes, shot: Shot, canvas: Window) -> GBuffer:
         roughness=_only(_finite(found.stack(Role.ROUGHNESS, canvas))),
         metallic=_only(_finite(found.stack(Role.METALLIC, canvas))),
     )
+
+
+def _motion(found: _Planes, shot: Shot, canvas: Window) -> Float32 | None:
+    """Return the motion channels, NaN outside the display window where a channel ends before it.
+
+    Inside the display window a channel is 0 beyond its data window, as OpenEXR defines it: programs
+    cut a pass to the pixels that are not 0.
+    """
+    motion = found.stack(Role.MOTION, canvas)
+    if motion is None or shot.display.covers(canvas):
+        return motion
+    unseen = outside(canvas, shot.display)
+    for i, ref in enumerate(found.refs[Role.MOTION]):
+        if not found.windows[ref].covers(canvas):
+            motion[unseen & outside(canvas, found.windows[ref]), i] = np.nan
+    return motion
 
 
 def _positions(found: _Planes, canvas: Window, depth: Float32 | None) -> Float32 | None:

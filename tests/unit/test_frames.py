@@ -121,7 +121,25 @@ class TestReadRaw:
         stencil[2:4, 2:4] = 9
         np.testing.assert_array_equal(buffer.stencil, stencil)
         assert raw.motion is not None
-        assert np.isfinite(raw.motion[1]).all() and np.isnan(np.delete(raw.motion, 1, 0)).all()
+        # Beyond its data window a pass is 0: here vectors of what stands still.
+        assert (raw.motion[1] == (1.5, -2, 3, 4)).all()
+        assert (np.delete(raw.motion, 1, 0) == 0).all()
+
+    def test_vectors_that_end_before_the_overscan_are_unknown_there(self, tmp_path):
+        display = {"displayWindow": box(0, 0, 4, 4)}
+        write_parts(
+            tmp_path / "a.0001.exr",
+            {
+                "rgba": (rgba(6, 6), display | {"dataWindow": box(-1, -1, 6, 6)}),
+                "Vector": (motion(2, 4), display | {"dataWindow": box(0, 1, 4, 2)}),
+            },
+        )
+        raw = read_raw(open_shot(str(tmp_path)), 1)
+        assert raw.motion is not None
+        known = np.zeros((6, 6))
+        known[1:5, 1:5] = 1
+        np.testing.assert_array_equal(np.isfinite(raw.motion[..., 0]), known)
+        assert raw.motion[1:5, 1, 0].tolist() == [0, 1.5, 1.5, 0]
 
     def test_a_surface_beyond_the_end_of_the_positions_is_nowhere(self, tmp_path):
         """Not at the world's origin, to which it would be moved; background has no place anyway."""
