@@ -69,6 +69,16 @@ def nuke(path: Path, eyes: Eyes, number: int) -> None:
     write_single(path, changed, named_hero=True)
 
 
+def view_first(path: Path, eyes: Eyes, number: int) -> None:
+    """One part as newer Nuke writes it: right.R, right.Depth.Z, right.Vector.X."""
+    planes: Planes = {}
+    for view in VIEWS:
+        start = "" if view == VIEWS[0] else f"{view}."
+        for name, plane in eyes[view].items():
+            planes[start + name.removeprefix("Combined.")] = plane
+    OpenEXR.File(HEADER | {"multiView": list(VIEWS)}, planes).write(str(path))
+
+
 def parts(path: Path, eyes: Eyes, number: int) -> None:
     """A part for each layer and view, of data windows that move and leave the display window."""
     made = []
@@ -135,6 +145,7 @@ LAYOUTS: dict[str, Callable[[Path, Eyes, int], None]] = {
     "single": single,
     "single_named": single_named,
     "nuke": nuke,
+    "view_first": view_first,
     "parts": parts,
     "folders": folders,
     "aovs": aovs,

@@ -101,6 +101,8 @@ _RULES: dict[Role, tuple[_Rule, ...]] = {
     Role.COLOUR: (
         _Rule(("", "combined", "beauty", "rgba", "rgb", "color", "colour"), ("RGBA", "RGB")),
         _Rule(("pretonemaphdrcolor", "scenecolor", "finalimage", "c", "ci"), ("RGBA", "RGB")),
+        # What Blender's File Output calls its first input.
+        _Rule(("image",), ("RGBA", "RGB")),
     ),
     Role.DEPTH: (
         # OpenEXR's own name for it; what lies beside it as zdepth may be a picture from 0 to 1.
@@ -109,9 +111,11 @@ _RULES: dict[Role, tuple[_Rule, ...]] = {
         _Rule(("disparity", "inversedepth", "depthinverse", "invdepth"), ("Z", *_ONE)),
     ),
     Role.MOTION: (
-        _Rule(("vector",), ("XYZW",)),
+        _Rule(("vector",), ("XYZW", "RGBA")),
         _Rule((*FORWARD_NAMES, *BACKWARD_NAMES), ("UV", "XY", "RG")),
         _Rule(("motionvector", "motionvectors", "velocity", "motion"), ("XY", "UV", "RG")),
+        # Blender's File Output may leave out the fourth; the third alone is half a displacement.
+        _Rule(("vector",), ("XY", "RG")),
         _Rule(("rsmb", "reelsmart", "twixtor"), ("RG", "XY", "UV")),
     ),
     Role.NORMAL: (
@@ -132,7 +136,9 @@ _RULES: dict[Role, tuple[_Rule, ...]] = {
     Role.METALLIC: (_Rule(("metallic", "metalness", "metal"), _ONE),),
 }
 
-_PLAIN_WORDS = frozenset({"", "c", "ci", "rgba", "rgb", "color", "colour", "finalimage", "vector"})
+_PLAIN_WORDS = frozenset(
+    {"", "c", "ci", "rgba", "rgb", "color", "colour", "finalimage", "image", "vector"}
+)
 """Names that say nothing at the end of a longer one: a diffuse colour is no beauty."""
 
 _BY_LAST_WORDS = (
@@ -154,17 +160,25 @@ _SPACES = frozenset(
 _LONG_COMPONENTS = {"RED": "R", "GREEN": "G", "BLUE": "B", "ALPHA": "A"}
 
 
+def _letter(component: str) -> str:
+    """Return a component in capitals; a colour's name as its letter."""
+    return _LONG_COMPONENTS.get(component.upper(), component.upper())
+
+
 @dataclass
 class _Layer:
     """The channels of one layer.
 
     `leaf` is its name's last element; `endings` are its last words, each with the word before.
+    `part` holds its first channel. A `bare` layer has its name from the part alone.
     """
 
     name: str
     leaf: str
     endings: dict[str, str]
     own_file: bool
+    part: int = 0
+    bare: bool = False
     components: dict[str, ChannelRef] = field(default_factory=dict)
 
     def pick(self, letters: str) -> tuple[ChannelRef, ...] | None:
@@ -172,6 +186,10 @@ class _Layer:
         if any(key not in self.components for key in letters):
             return None
         return tuple(self.components[key] for key in letters)
+
+    def has(self, ref: ChannelRef) -> bool:
+        """Whether a channel is one of this layer's."""
+        return ref in self.components.values()
 
     def first(self, rule: _Rule) -> tuple[ChannelRef, ...]:
         """Return the channels that a rule asks for, () where some are absent."""
@@ -208,13 +226,21 @@ def detect(channels: Mapping[str, Iterable[Channel]]) -> Layout:
             # Of several view layers, geometry is looked for in the one whose colour is used.
             parent = _parent(found[0].name)
             near = [layer for layer in layers if _parent(f"{layer.name}.") == parent]
+            near = _of_part(near, next(layer.part for layer in layers if layer.has(found[0])))
             layers = near + [layer for layer in layers if layer not in near]
     if Role.COLOUR not in roles:
         roles.update(_only_colour(layers, roles))
     motion, guess, producer = _convention(layers, roles)
     if motion:
         roles[Role.MOTION] = motion
-    return Layout(roles, guess, producer, _incomplete(layers, roles))
+    ordered = {role: roles[role] for role in Role if role in roles}
+    return Layout(ordered, guess, producer, _incomplete(layers, roles))
+
+
+def _of_part(layers: list[_Layer], part: int) -> list[_Layer]:
+    """Return layers, those of a part first, without what lies beside other parts' pictures."""
+    kept = [layer for layer in layers if layer.part == part or layer.leaf or not layer.name]
+    return sorted(kept, key=lambda layer: layer.part != part)
 
 
 def require(layout: Layout, role: Role, where: str) -> tuple[ChannelRef, ...]:
@@ -244,23 +270,102 @@ def _layers(channels: Mapping[str, Iterable[Channel]]) -> list[_Layer]:
 
     A channel that is named by a word without a layer, as `hitPz`, is a layer of its own.
     """
-    layers: dict[tuple[str, str], _Layer] = {}
-    for aov, members in channels.items():
+    layers: dict[tuple[str, str, int], _Layer] = {}
+    for aov, listed in channels.items():
+        members = tuple(listed)
+        parts = _PartNames.of(members)
         for channel in members:
-            layer, _, component = channel.name.rpartition(".")
-            if is_cryptomatte(layer or aov):
+            if is_cryptomatte(channel.name.rpartition(".")[0] or aov):
                 continue
-            component = _LONG_COMPONENTS.get(component.upper(), component.upper())
-            if not layer and len(component) > 1:
-                layer, component = channel.name, "V"
-            key = (aov, layer)
+            layer, last, component, part = parts.place(channel)
+            key = (aov, layer, part)
             if key not in layers:
-                name = layer or aov
-                last = name.rsplit(".", 1)[-1]
                 own = bool(aov) and layer == ""
-                layers[key] = _Layer(name, _plain(last), _endings(last), own)
+                last = aov.rsplit(".", 1)[-1] if own else last
+                bare = layer != "" and parts.names(channel)
+                leaf, ends = _plain(last), _endings(last)
+                layers[key] = _Layer(layer or aov, leaf, ends, own, channel.part, bare)
             layers[key].components.setdefault(component, ChannelRef(aov, channel.name))
     return list(layers.values())
+
+
+@dataclass(frozen=True)
+class _PartNames:
+    """What the names of a file's parts say of the channels that carry no layer of their own.
+
+    `pictures` are the parts that hold R, G and B so. `leading` and `trailing` count the words that
+    the names of all such parts begin and end with: of `rgba_main` and `depth_main`, none and one.
+    """
+
+    pictures: frozenset[int] = frozenset()
+    leading: int = 0
+    trailing: int = 0
+
+    @classmethod
+    def of(cls, channels: Iterable[Channel]) -> _PartNames:
+        """Look through the channels of a file."""
+        letters: dict[int, set[str]] = {}
+        names: dict[str, list[str]] = {}
+        for channel in channels:
+            if cls.names(channel):
+                layer, _, component = channel.name.rpartition(".")
+                letters.setdefault(channel.part, set()).add(_letter(component))
+                names[layer] = _words(layer.rsplit(".", 1)[-1])
+        pictures = frozenset(part for part, held in letters.items() if {"R", "G", "B"} <= held)
+        leading = _shared(list(names.values()))
+        rest = [words[leading:][::-1] for words in names.values()]
+        return cls(pictures, leading, _shared(rest))
+
+    @staticmethod
+    def names(channel: Channel) -> bool:
+        """Whether a channel has its layer's name from its part."""
+        return "." not in channel.raw_name and channel.name != channel.raw_name
+
+    def place(self, channel: Channel) -> tuple[str, str, str, int]:
+        """Return a channel's layer, the last element of its name, the component, and the part.
+
+        The part is -1 where layers of one name are one layer, whatever their parts.
+        """
+        layer, _, component = channel.name.rpartition(".")
+        component, last, bare = _letter(component), layer.rsplit(".", 1)[-1], self.names(channel)
+        repeats = _plain(component) == _plain(last)
+        if len(component) > 1 and (not layer or bare or repeats):
+            return channel.name, channel.name.rsplit(".", 1)[-1], "V", -1
+        if bare and channel.part in self.pictures and component not in ("R", "G", "B", "A"):
+            # The name is the picture's; Z beside a picture is OpenEXR's own depth.
+            return layer, "", component, channel.part
+        if bare and _SAYS_NOTHING.fullmatch(_plain(layer)):
+            return "", "", component, channel.part
+        return layer, self.without_shared_words(last) if bare else last, component, -1
+
+    def without_shared_words(self, name: str) -> str:
+        """Return a part's name without the words that all parts' names have."""
+        if not self.leading and not self.trailing:
+            return name
+        words = _words(name)
+        return "_".join(words[self.leading : len(words) - self.trailing])
+
+
+_SAYS_NOTHING = re.compile(r"(part|subimage|image|layer|default|main)?[0-9]*")
+"""Names of parts that say nothing of what they hold."""
+
+
+def _words(name: str) -> list[str]:
+    """Split a name into words: at what is no letter or digit, and where capitals begin one."""
+    return re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[0-9]+", name)
+
+
+def _shared(names: list[list[str]]) -> int:
+    """Count the words that all of several names begin with and that change no role; one stays."""
+    if len(names) < 2:
+        return 0
+    count = 0
+    for column in list(zip(*names, strict=False))[: min(map(len, names)) - 1]:
+        word = column[0].lower()
+        if len(set(column)) > 1 or word in _SPACES or word in _NEVER_BEFORE:
+            break
+        count += 1
+    return count
 
 
 def _plain(name: str) -> str:
@@ -330,9 +435,9 @@ def _convention(
         return (), None, UNKNOWN
     mine = next(layer for layer in layers if motion[0] in layer.components.values())
     letters = "".join(ref.component[0].upper() for ref in motion)
-    unreal = recognise(mine.name, letters, (), mine.own_file)[1].startswith("Unreal")
+    producer = recognise(mine.name, letters, (), mine.own_file)[1]
     third = {"XY": "Z", "RG": "B"}.get(letters, "")
-    if third in mine.components and not unreal:
+    if third in mine.components and not producer.startswith(("Unreal", "Blender")):
         motion, letters = (*motion, mine.components[third]), letters + third
     colour = roles.get(Role.COLOUR, ())
     if mine.name.endswith("motion_vectors") and letters == "RG" and len(colour) == 4:
@@ -351,7 +456,9 @@ def _incomplete(
             continue
         for rule in rules:
             named = (layer for layer in layers if layer.leaf and layer.leaf in rule.leaves)
-            lame = next((layer for layer in named if not layer.first(rule)), None)
+            used = set(roles.get(role, ()))
+            left = (layer for layer in named if not used & set(layer.components.values()))
+            lame = next((layer for layer in left if not layer.first(rule)), None)
             if lame is not None and role not in out:
                 has = ", ".join(ref.component for ref in lame.components.values())
                 out[role] = f"{lame.name!r} has only {has}"
@@ -361,11 +468,17 @@ def _incomplete(
 def _only_colour(
     layers: list[_Layer], taken: Mapping[Role, tuple[ChannelRef, ...]]
 ) -> dict[Role, tuple[ChannelRef, ...]]:
-    """Take a single unclaimed RGB layer for colour, whatever its name."""
+    """Take a single unclaimed RGB layer for colour, whatever its name.
+
+    Of several, that whose channels have no layer in the file, but for its part's name: R, G and B
+    alone are the picture.
+    """
     used = {ref for refs in taken.values() for ref in refs}
     free = []
     for layer in layers:
         found = layer.pick("RGBA") or layer.pick("RGB")
         if found and not used.intersection(found):
-            free.append(found)
-    return {Role.COLOUR: free[0]} if len(free) == 1 else {}
+            free.append((layer.bare, found))
+    bare = [found for bare, found in free if bare]
+    only = bare if len(free) > 1 else [found for _, found in free]
+    return {Role.COLOUR: only[0]} if len(only) == 1 else {}

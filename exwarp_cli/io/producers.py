@@ -105,7 +105,7 @@ _VRAY = r"(?i)(^|[._])(vray\w+|zdepth|normals|renderid|materialid)$"
 
 _PRODUCERS = (
     _Signs("Unreal Movie Render Queue", "unreal-mrq", r"MovieRenderQueue_?MotionVectors?$"),
-    _Signs("Blender", "blender", r"(?i)(^|\.)vector$", least=4),
+    _Signs("Blender", "blender", r"(?i)(^|\.)vector$"),
     _Signs("Unreal (one file per AOV)", "unreal", r"MotionVector$", own_file=True),
     _Signs("RenderMan", "renderman", r"(?i)motion(fore|back)$"),
     _Signs("Nuke convention", "nuke", r"(?i)(forward|backward)$"),
@@ -154,9 +154,10 @@ def _reduced(convention: MotionConvention, count: int, backward: bool) -> Motion
         return convention
     before, after = convention.to_previous, convention.to_next
     if before is not None and after is not None:
-        one = before if backward else after
-        axes = replace(one, x_channel=0, y_channel=1)
-        return MotionConvention(axes, None) if backward else MotionConvention(None, axes)
+        if backward:
+            return MotionConvention(replace(before, x_channel=0, y_channel=1), None)
+        before, after = (axes if max(axes.channels) < count else None for axes in (before, after))
+        return MotionConvention(before, after)
 
     def plain(axes: AxisMap | None) -> AxisMap | None:
         return None if axes is None else replace(axes, length=None, alpha=None)

@@ -2,8 +2,9 @@
 
 OpenEXR writes views in two ways. In a single part, the attribute ``multiView`` lists them, the hero
 first: a channel has its view's name before its last element (``right.R``, ``forward.right.u``), but
-the hero's may go without. In several parts, each part has a ``view``. A third way is a sequence for
-each view, told in patterns by ``%V`` for the view's name, and ``%v`` for its first letter.
+the hero's may go without. Nuke writes the view first (``right.forward.u``). In several parts, each
+part has a ``view``. A third way is a sequence for each view, told in patterns by ``%V`` for the
+view's name, and ``%v`` for its first letter.
 
 A channel is known by its name without view: so names, channel maps and ``--motion`` are the same
 for every view of a shot.
@@ -43,7 +44,7 @@ def views_of(parts: Iterable[Part]) -> tuple[str, ...]:
     listed = [view for part in parts for view in (part.view, *part.views) if view]
     if listed:
         return tuple(dict.fromkeys(listed))
-    placed = [_place(c, part, tuple(_USUAL)) for part in parts for c in part.channels]
+    placed = [_place_before_last(c, part, tuple(_USUAL)) for part in parts for c in part.channels]
     names = {owner: {name for of, name, _ in placed if of == owner} for owner in ("", *_USUAL)}
     both = names["left"] and names["right"]
     return ("left", "right") if both and not names["left"] & names["right"] & names[""] else ()
@@ -198,6 +199,17 @@ def _element(channel: Channel) -> str:
 
 def _place(channel: Channel, part: Part, views: tuple[str, ...]) -> tuple[str, str, Channel]:
     """Return a channel's view, or "", and its name without it."""
+    owner, name, _ = _place_before_last(channel, part, views)
+    first, _, rest = channel.raw_name.partition(".")
+    if name == channel.name and "." in rest and first in views and part.view in ("", first):
+        return first, channel.name.removesuffix(channel.raw_name) + rest, channel
+    return owner, name, channel
+
+
+def _place_before_last(
+    channel: Channel, part: Part, views: tuple[str, ...]
+) -> tuple[str, str, Channel]:
+    """Do as `_place` where the view stands before the last element, as OpenEXR has it."""
     element = _element(channel)
     if element in views and part.view in ("", element):
         layer, _, component = channel.name.rpartition(".")

@@ -229,13 +229,13 @@ class TestPlain:
         assert names(found("beauty.RGB", "RGBA"), Role.COLOUR) == list("RGBA")
 
     def test_half_a_layer_is_not_taken_and_it_is_said(self):
-        layout = found("R", "forward.u", "Normal.XY", "Vector.XYZ")
+        layout = found("R", "forward.u", "Normal.XY", "Vector.XZ")
         assert layout.roles == {} and layout.guess is None
         assert layout.incomplete == {
-            Role.MOTION: "'Vector' has only X, Y, Z",
+            Role.MOTION: "'Vector' has only X, Z",
             Role.NORMAL: "'Normal' has only X, Y",
         }
-        with pytest.raises(LayoutError, match=r"motion channels.*\('Vector' has only X, Y, Z\)"):
+        with pytest.raises(LayoutError, match=r"motion channels.*\('Vector' has only X, Z\)"):
             require(layout, Role.MOTION, "x.exr")
 
     def test_half_of_the_vectors_beside_whole_ones_is_said_too(self):
@@ -247,6 +247,25 @@ class TestPlain:
         layout = found("foo.X", "bar.QW", "mask")
         assert layout.roles == {} and layout.producer == "unknown"
         assert Role.DEPTH not in layout
+
+
+class TestBlendersFileOutput:
+    @pytest.mark.parametrize(("letters", "used"), [("XYZ", "XY"), ("XY", "XY"), ("RGB", "RG")])
+    def test_x_and_y_lead_to_the_previous_frame(self, letters, used):
+        layout = found("Image.RGBA", "Depth.V", f"Vector.{letters}")
+        assert names(layout, Role.COLOUR) == expand("Image.RGBA")
+        assert names(layout, Role.DEPTH) == ["Depth.V"]
+        assert names(layout, Role.MOTION) == expand(f"Vector.{used}")
+        assert layout.producer == "Blender" and layout.incomplete == {}
+        assert layout.guess == MotionConvention(AxisMap(0, 1, 1, -1), None)
+
+    def test_four_components_under_a_colour_s_letters(self):
+        layout = found("RGBA", "Vector.RGBA")
+        assert names(layout, Role.MOTION) == expand("Vector.RGBA")
+        assert layout.guess == PRESETS["blender"]
+
+    def test_vectors_by_both_names_are_preferred(self):
+        assert names(found("RGB", "Vector.XYZ", "forward.uv"), Role.MOTION) == expand("forward.uv")
 
 
 class TestUnreal:

@@ -101,6 +101,19 @@ class TestChannelsOf:
         assert seen(parts, "right") == {"m.Q": "m.Q", "R": "right.R"}
         assert seen(parts) == {"Q": "Q", "m.Q": "m.Q", "f.u": "f.left.u"}
 
+    def test_a_view_before_all_else(self):
+        names = ["R", "depth.Z", "forward.u", "right.R", "right.depth.Z", "right.a.forward.u"]
+        parts = [part(*names, "forward.right.v", views=("left", "right"))]
+        assert seen(parts) == {"R": "R", "depth.Z": "depth.Z", "forward.u": "forward.u"}
+        assert seen(parts, "right") == {
+            "R": "right.R",
+            "depth.Z": "right.depth.Z",
+            "a.forward.u": "right.a.forward.u",
+            "forward.v": "forward.right.v",
+        }
+        assert seen([part("right.depth.Z", view="right")]) == {"depth.Z": "right.depth.Z"}
+        assert seen([part("right.depth.Z", view="left")]) == {"right.depth.Z": "right.depth.Z"}
+
     def test_a_layer_named_like_another_view_stays_with_its_part(self):
         parts = [part("a.right.X", view="left"), part("a.X", index=1, view="right")]
         assert seen(parts) == {"a.right.X": "a.right.X"}
