@@ -76,6 +76,7 @@ def _print(found: Inspection) -> None:
     from rich.table import Table
 
     from exwarp_cli.io.channels import Role
+    from exwarp_cli.io.layouts import alpha_left_out
     from exwarp_cli.pipeline.inspect import missing_roles
 
     console = Console(highlight=False, soft_wrap=True)
@@ -96,7 +97,12 @@ def _print(found: Inspection) -> None:
     for role, names in data["roles"].items():
         kinds = sorted({found.types.get(name, "") for name in names})
         table.add_row(role, _text(", ".join(names)), ", ".join(kinds))
+    for meaning, names in _unused(found):
+        kinds = sorted({found.types.get(name, "") for name in names})
+        table.add_row(meaning, _text(", ".join(names)), ", ".join(kinds))
     console.print(table)
+    if (left_out := alpha_left_out(found.shot.layout)) is not None:
+        console.print(_text(left_out))
     missing = missing_roles(found.shot.layout)
     if missing:
         halves = found.shot.layout.incomplete
@@ -110,6 +116,19 @@ def _print(found: Inspection) -> None:
     if motion is not None:
         state = motion["source"] or "unsettled"
         console.print(_text(f"motion {state}: {motion['evidence'] or motion['problem']}"))
+
+
+def _unused(found: Inspection) -> list[tuple[str, list[str]]]:
+    """Return what channels without a role are and their names, layer by layer."""
+    from exwarp_cli.io.shot import spelled
+    from exwarp_cli.pipeline.inspect import unused_channels
+
+    hashed = {ref for one in found.shot.cryptomattes for ref in one.refs}
+    layers: dict[tuple[str, str], list[str]] = {}
+    for ref in unused_channels(found.shot):
+        name, meaning = spelled(ref), "Cryptomatte" if ref in hashed else "no role"
+        layers.setdefault((meaning, name.rpartition(".")[0]), []).append(name)
+    return [(meaning, names) for (meaning, _), names in layers.items()]
 
 
 def _text(text: str) -> Text:

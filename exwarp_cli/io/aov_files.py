@@ -109,7 +109,13 @@ def recognise(aov: AovFile, channels: Mapping[str, Channel], where: object) -> L
         )
     guess = found.guess if role in found and role is Role.MOTION else None
     producer = own.producer
-    return Layout({role: tuple(ChannelRef(role.value, name) for name in refs)}, guess, producer)
+    alphas = found.alphas if role is Role.COLOUR else ()
+    return Layout(
+        {role: tuple(ChannelRef(role.value, name) for name in refs)},
+        guess,
+        producer,
+        alphas=tuple(ChannelRef(role.value, ref.name) for ref in alphas),
+    )
 
 
 def named(name: str, channels: Iterable[str], option: str, where: object) -> str:
@@ -202,9 +208,8 @@ def _single(role: Role, channels: Mapping[str, Channel]) -> tuple[str, ...]:
     return ()
 
 
-def _listed(names: Iterable[str], most: int = 12) -> str:
-    names = list(names)
-    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
+def _listed(names: Iterable[str]) -> str:
+    return ", ".join(names)
 
 
 def _example(role: Role) -> str:

@@ -8,7 +8,7 @@ the names that ``exwarp inspect`` prints: with their layer, without their view, 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -139,6 +139,7 @@ def channel_map_text(
     texts: Mapping[str, str | None],
     channels: Mapping[Role, tuple[str, ...]],
     aovs: tuple[AovFile, ...],
+    unused: Iterable[str] = (),
 ) -> str:
     """Write out a channel map, with comments that say what can be changed.
 
@@ -152,6 +153,8 @@ def channel_map_text(
         Names by role; roles that are absent become comments.
     aovs
         Roles in sequences of their own.
+    unused
+        Names of the channels without a role, which become comments.
     """
     lines = [
         f"# What the channels of {quoted(about)} hold, for exwarp --channel-map.",
@@ -168,6 +171,8 @@ def channel_map_text(
     for role in (role for role in Role if role not in apart):
         named = ", ".join(quoted(name) for name in channels.get(role, ()))
         lines.append(f"{'' if named else '# '}{role.value} = [{named}]")
+    if names := tuple(unused):
+        lines += ["", "# Channels that have no role so far:", *(f"# {quoted(n)}" for n in names)]
     lines += ["", "# Roles in sequences of their own, as --aov takes them: PATTERN[:CHANNELS]."]
     lines.append("[aovs]")
     for aov in aovs:

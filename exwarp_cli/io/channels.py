@@ -77,12 +77,15 @@ class Layout:
     incomplete
         Layers that go by a role's name but lack channels, and so are not taken: what each has, in
         words, for example "'forward' has only u".
+    alphas
+        Channels that may be the alpha of a colour without, where there are several: none is taken.
     """
 
     roles: Mapping[Role, tuple[ChannelRef, ...]]
     guess: MotionConvention | None = None
     producer: str = UNKNOWN
     incomplete: Mapping[Role, str] = field(default_factory=dict)
+    alphas: tuple[ChannelRef, ...] = ()
 
     def __contains__(self, role: Role) -> bool:
         return role in self.roles
@@ -157,6 +160,9 @@ _SPACES = frozenset(
 )
 """Such words before normals and positions, which count in world space alone."""
 
+_PICTURES = frozenset(leaf for rule in _RULES[Role.COLOUR] for leaf in rule.leaves)
+_ALPHAS = frozenset({"a", "alpha"})
+
 _LONG_COMPONENTS = {"RED": "R", "GREEN": "G", "BLUE": "B", "ALPHA": "A"}
 
 
@@ -190,6 +196,15 @@ class _Layer:
     def has(self, ref: ChannelRef) -> bool:
         """Whether a channel is one of this layer's."""
         return ref in self.components.values()
+
+    @property
+    def alpha(self) -> ChannelRef | None:
+        """The alpha of a picture that lies elsewhere; None where there is none."""
+        if {"R", "G", "B"} <= set(self.components):
+            return None  # this layer's own
+        if self.leaf in _ALPHAS:
+            return next((self.components[c] for c in ("A", *_ONE) if c in self.components), None)
+        return self.components.get("A") if self.leaf in _PICTURES else None
 
     def first(self, rule: _Rule) -> tuple[ChannelRef, ...]:
         """Return the channels that a rule asks for, () where some are absent."""
@@ -230,11 +245,29 @@ def detect(channels: Mapping[str, Iterable[Channel]]) -> Layout:
             layers = near + [layer for layer in layers if layer not in near]
     if Role.COLOUR not in roles:
         roles.update(_only_colour(layers, roles))
+    alphas = _alphas(near, layers, roles.get(Role.COLOUR, ()))
+    if len(alphas) == 1:
+        roles[Role.COLOUR] += alphas
     motion, guess, producer = _convention(layers, roles)
     if motion:
         roles[Role.MOTION] = motion
     ordered = {role: roles[role] for role in Role if role in roles}
-    return Layout(ordered, guess, producer, _incomplete(layers, roles))
+    several = alphas if len(alphas) > 1 else ()
+    return Layout(ordered, guess, producer, _incomplete(layers, roles), several)
+
+
+def _alphas(
+    near: list[_Layer], layers: list[_Layer], colour: tuple[ChannelRef, ...]
+) -> tuple[ChannelRef, ...]:
+    """Return the alphas of other layers that may be a colour's: those that lie near, if any."""
+    if len(colour) != 3:
+        return ()
+    for some in (near, layers):
+        found = (layer.alpha for layer in some)
+        refs = tuple(ref for ref in found if ref is not None and ref.aov == colour[0].aov)
+        if refs:
+            return refs
+    return ()
 
 
 def _of_part(layers: list[_Layer], part: int) -> list[_Layer]:
@@ -243,8 +276,17 @@ def _of_part(layers: list[_Layer], part: int) -> list[_Layer]:
     return sorted(kept, key=lambda layer: layer.part != part)
 
 
-def require(layout: Layout, role: Role, where: str) -> tuple[ChannelRef, ...]:
+def require(
+    layout: Layout, role: Role, where: str, channels: Iterable[str]
+) -> tuple[ChannelRef, ...]:
     """Return a role's channels.
+
+    Parameters
+    ----------
+    layout, role
+        What is recognised, and what is wanted of it.
+    where, channels
+        The file, and the names of all its channels, for the message.
 
     Raises
     ------
@@ -254,8 +296,8 @@ def require(layout: Layout, role: Role, where: str) -> tuple[ChannelRef, ...]:
     if role not in layout:
         partly = f" ({layout.incomplete[role]})" if role in layout.incomplete else ""
         raise LayoutError(
-            f"{where} has no {role.value} channels that are recognised{partly}; "
-            "list its channels with 'exwarp inspect' and render the missing pass"
+            f"{where} has no {role.value} channels that are recognised{partly}, only "
+            f"{', '.join(channels)}; name them in a channel map, or render the missing pass"
         )
     return layout.roles[role]
 

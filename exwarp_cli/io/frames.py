@@ -282,11 +282,18 @@ def read_image(path: Path, view: str = "") -> Image:
         views = views_of(file.parts)
         channels = channels_of(file.parts, choose(views, view or None, path) if views else "")
         mattes = find_cryptomattes({"": renamed(channels)}, {"": file.headers})
-        refs = require(detect({"": plain(channels, mattes)}), Role.COLOUR, str(path))
+        layout = detect({"": plain(channels, mattes)})
+        refs = require(layout, Role.COLOUR, str(path), channels)
         chosen = [channels[ref.name] for ref in refs]
         planes = file.read(chosen)
         part = file.parts[chosen[0].part]
-    pixels = joined([planes[c].astype(np.float32, copy=False) for c in chosen])
+        windows = [file.parts[channel.part].data_window for channel in chosen]
+    pixels = joined(
+        [
+            place(planes[channel].astype(np.float32, copy=False), window, part.data_window)
+            for channel, window in zip(chosen, windows, strict=True)
+        ]
+    )
     return Image(pixels, part.data_window, part.display_window)
 
 
@@ -298,7 +305,8 @@ def read_plane(path: Path, name: str) -> tuple[Float32, Window, Window]:
                 if name in (channel.name, channel.raw_name):
                     plane = file.read([channel])[channel].astype(np.float32)
                     return np.ascontiguousarray(plane), part.data_window, part.display_window
-    raise LayoutError(f"{path} has no channel {name!r}; list its channels with 'exwarp inspect'")
+        names = ", ".join(channel.name for part in file.parts for channel in part.channels)
+    raise LayoutError(f"{path} has no channel {name!r}, only {names}; name one of them")
 
 
 def joined(planes: list[np.ndarray]) -> Float32:

@@ -30,7 +30,8 @@ def corrected(
     same = roles.get(Role.MOTION) == layout.roles.get(Role.MOTION)
     producer = told.producer or layout.producer
     guess = layout.guess if same else None
-    return replace(layout, roles=_ordered(roles), guess=guess, producer=producer)
+    alphas = () if Role.COLOUR in told.channels else layout.alphas
+    return replace(layout, roles=_ordered(roles), guess=guess, producer=producer, alphas=alphas)
 
 
 def moved(layout: Layout, names: Mapping[str, str]) -> Layout:
@@ -39,7 +40,8 @@ def moved(layout: Layout, names: Mapping[str, str]) -> Layout:
         role: tuple(replace(ref, aov=names.get(ref.aov, ref.aov)) for ref in refs)
         for role, refs in layout.roles.items()
     }
-    return replace(layout, roles=roles)
+    alphas = tuple(replace(ref, aov=names.get(ref.aov, ref.aov)) for ref in layout.alphas)
+    return replace(layout, roles=roles, alphas=alphas)
 
 
 def merged(layout: Layout, more: Layout) -> Layout:
@@ -47,7 +49,20 @@ def merged(layout: Layout, more: Layout) -> Layout:
     roles = _ordered({**layout.roles, **more.roles})
     guess = more.guess if Role.MOTION in more else layout.guess
     ours = Role.MOTION in more and more.guess is not None
-    return replace(layout, roles=roles, guess=guess, producer=(more if ours else layout).producer)
+    producer = (more if ours else layout).producer
+    alphas = more.alphas if Role.COLOUR in more else layout.alphas
+    return replace(layout, roles=roles, guess=guess, producer=producer, alphas=alphas)
+
+
+def alpha_left_out(layout: Layout) -> str | None:
+    """Say that a colour has no alpha as several channels may be it; None where that is not so."""
+    if not layout.alphas:
+        return None
+    names = ", ".join(spelled(ref) for ref in layout.alphas)
+    return (
+        f"alpha is left out, as {names} may each be it; name one as the fourth of channels.colour "
+        "in a channel map"
+    )
 
 
 def spelled(ref: ChannelRef) -> str:

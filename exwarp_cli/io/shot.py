@@ -64,6 +64,8 @@ class Shot:
     by_hand
         In what the layout is another than the files' own for their hero view, as plain data; what
         was made of the shot depends on it.
+    every
+        Every channel of the view that can be read, recognised or not, in the order of the files.
     first
         Number of the frame that it was recognised by.
     keep_going
@@ -85,6 +87,7 @@ class Shot:
     cryptomattes: tuple[Cryptomatte, ...] = ()
     ids: IdReading | None = None
     by_hand: Mapping[str, Any] = field(default_factory=dict)
+    every: tuple[ChannelRef, ...] = ()
     first: int = 0
     keep_going: bool = False
     nonfinite: NonFinite = field(default_factory=NonFinite, init=False, compare=False, repr=False)
@@ -105,6 +108,11 @@ class Shot:
                     "frame out"
                 )
         return {aov: sequence.files[number] for aov, sequence in sequences.items()}
+
+    @property
+    def listed(self) -> str:
+        """Every channel, by the names that a channel map takes, for a message."""
+        return ", ".join(map(spelled, self.every)) or "none that can be read"
 
     def channels(self, parts: Iterable[Part], aov: str = "") -> dict[str, Channel]:
         """Return the channels of this shot's view in a file, by the names that the layout has."""
@@ -238,7 +246,7 @@ def _open(found: Looks, wish: _Wish, named_view: str, views: tuple[str, ...]) ->
     display = main[0].display_window
     shot = Shot(
         found.leader, found.aovs, layout, display, views, view, within, cryptomattes=mattes,
-        first=found.number, keep_going=wish.keep_going,
+        every=refs_of(channels), first=found.number, keep_going=wish.keep_going,
     )  # fmt: skip
     for aov in wish.aovs:
         shot = _joined(shot, aov)
@@ -251,6 +259,11 @@ def _open(found: Looks, wish: _Wish, named_view: str, views: tuple[str, ...]) ->
 def renamed(channels: Mapping[str, Channel]) -> tuple[Channel, ...]:
     """Return channels with the names that they are known by, for detection."""
     return tuple(replace(channel, name=name) for name, channel in channels.items())
+
+
+def refs_of(channels: Mapping[str, Iterable[str]]) -> tuple[ChannelRef, ...]:
+    """Return the channels of files, whose names are known by AOV."""
+    return tuple(ChannelRef(aov, name) for aov, names in channels.items() for name in names)
 
 
 def plain(
@@ -311,6 +324,7 @@ def _joined(shot: Shot, aov: AovFile) -> Shot:
         aovs={**shot.aovs, name: replace(sequence, files=files)},
         layout=merged(shot.layout, found),
         within={**shot.within, name: within},
+        every=shot.every + (() if name in shot.aovs else refs_of({name: channels})),
         cryptomattes=shot.cryptomattes + tuple(one for one in mattes if name not in shot.aovs),
     )
     return _led(joined, name) if aov.role is Role.COLOUR else joined
@@ -344,6 +358,7 @@ def _led(shot: Shot, aov: str) -> Shot:
         sequence=shot.aovs[aov],
         aovs=aovs if leads else {MAIN: shot.sequence, **aovs},
         layout=moved(shot.layout, names),
+        every=tuple(replace(ref, aov=names.get(ref.aov, ref.aov)) for ref in shot.every),
         within={names.get(name, name): view for name, view in shot.within.items()},
         cryptomattes=tuple(one.moved(names) for one in shot.cryptomattes),
     )

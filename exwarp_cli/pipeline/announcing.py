@@ -19,6 +19,7 @@ from exwarp_cli.domain.wording import counted
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.cryptomatte_manifest import SHOWN, shown
 from exwarp_cli.io.footage import is_plain, unevenness_of
+from exwarp_cli.io.layouts import alpha_left_out
 from exwarp_cli.pipeline.contents import Content, files_apart
 
 if TYPE_CHECKING:
@@ -155,6 +156,8 @@ def announce(
     )
     if (uneven := unevenness_of(source.keys.sequence)) is not None:
         progress.message(uneven)
+    if (left_out := alpha_left_out(source.keys.layout)) is not None:
+        progress.message(left_out)
     if settings.source.gbuffers is not None and source.slots is None:
         progress.message(
             "--gbuffers is left out: it has no readable vectors to the previous slot, and "

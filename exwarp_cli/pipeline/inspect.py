@@ -80,6 +80,7 @@ class Inspection:
             "roles": {
                 role.value: [spelled(ref) for ref in refs] for role, refs in layout.roles.items()
             },
+            "channels": dict(self.types),
             "depth_kind": self.shot.depth.kind.value if Role.DEPTH in layout else None,
             "cryptomattes": [_matte(one, manifest) for one, manifest in self.cryptomattes],
             "dynamic": None if moving is None else list(moving.names),
@@ -150,12 +151,20 @@ def save_channel_map(found: Inspection, path: Path, overwrite: bool) -> None:
         "depth_kind": None if shot.depth.kind is DepthKind.UNKNOWN else shot.depth.kind.value,
     }
     about = shot.aovs.get(MAIN, shot.sequence).pattern
-    write_channel_map(path, channel_map_text(about, texts, channels, shot.aov_files), overwrite)
+    unused = [spelled(_as_opened(ref)) for ref in unused_channels(shot) if _in_map(shot, ref)]
+    text = channel_map_text(about, texts, channels, shot.aov_files, unused)
+    write_channel_map(path, text, overwrite)
 
 
 def _as_opened(ref: ChannelRef) -> ChannelRef:
     """Return a channel as it is called before a colour sequence of its own leads the shot."""
     return replace(ref, aov="") if ref.aov == MAIN else ref
+
+
+def _in_map(shot: Shot, ref: ChannelRef) -> bool:
+    """Whether the table [channels] of a map can name a channel: not of files that [aovs] names."""
+    led = any(aov.role is Role.COLOUR for aov in shot.aov_files)
+    return ref.aov not in {aov.role.value for aov in shot.aov_files} and not (led and not ref.aov)
 
 
 def _look(shot: Shot) -> tuple[tuple[Part, ...], dict[str, str]]:
@@ -168,6 +177,12 @@ def _look(shot: Shot) -> tuple[tuple[Part, ...], dict[str, str]]:
             parts = parts or file.parts
         types |= {spelled(ChannelRef(aov, name)): c.pixel_type for name, c in channels.items()}
     return parts, types
+
+
+def unused_channels(shot: Shot) -> list[ChannelRef]:
+    """Return the channels without a role, Cryptomattes' among them, in the order of the files."""
+    used = {ref for refs in shot.layout.roles.values() for ref in refs}
+    return [ref for ref in shot.every if ref not in used]
 
 
 def missing_roles(layout: Layout) -> list[Role]:

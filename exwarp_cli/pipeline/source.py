@@ -140,8 +140,8 @@ def open_source(
     keys, settings = open_keys(settings)
     if Role.COLOUR not in keys.layout:
         raise LayoutError(
-            f"{keys.sequence.pattern} has no colour channels that are recognised; list its "
-            "channels with 'exwarp inspect'"
+            f"{keys.sequence.pattern} has no colour channels that are recognised, only "
+            f"{keys.listed}; name them in a channel map, or render the beauty pass"
         )
     fps, fps_source = rate_of(keys, settings.fps)
     timeline = _timeline(keys, settings, fps)

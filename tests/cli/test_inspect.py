@@ -13,7 +13,7 @@ from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.pipeline.upsample import upsample
 from tests.cli import shots
 from tests.stereo_shots import arguments, write_stereo
-from tests.unit.exr_files import deep_part, flat_part, rgba, write_tiled
+from tests.unit.exr_files import deep_part, flat_part, plane, rgba, write_tiled
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +80,62 @@ class TestWhatIsShown:
             f"crypto_object00.{c}": plane for c, plane in rgba(4, 5, "float32").items()
         }
         shots.write(tmp_path / "a.0001.exr", {"": planes})
-        assert "Cryptomatte crypto_object (object): " in exwarp("inspect", tmp_path).out
+        shown = exwarp("inspect", tmp_path).out
+        assert "Cryptomatte crypto_object (object): " in shown and "no role" not in shown
+        assert all(f"crypto_object00.{c}" in shown for c in "RGBA")
+
+
+class TestUnrecognisedChannels:
+    """Every channel is shown by the name that a channel map takes, recognised or not."""
+
+    PLANES = ("R", "G", "B", "smoke.speed", "smoke.heat", "wetness", "crypto_asset00.r")
+
+    @pytest.fixture
+    def keys(self, tmp_path) -> Path:
+        planes = {name: plane(4, 5, 0.25) for name in self.PLANES}
+        further = {name: plane(4, 5, 0.5) for name in ("U", "V", "Q.X")}
+        shots.write(tmp_path / "keys/a.0001.exr", {"rgb": planes, "odd": further})
+        return tmp_path / "keys"
+
+    NAMES = ("rgb.R", "rgb.wetness", "smoke.speed", "smoke.heat", "odd.U", "odd.V", "Q.X")
+
+    def test_in_the_table_and_in_json(self, keys, exwarp):
+        shown = exwarp("inspect", keys).out
+        rows = [line for line in shown.splitlines() if "no role" in line]
+        assert len(rows) == 5 and "smoke.heat, smoke.speed" in shown
+        assert all(name in shown for name in (*self.NAMES, "crypto_asset00.r"))
+        channels = json.loads(exwarp("inspect", keys, "--json").out)["channels"]
+        assert len(channels) == 10 and set(self.NAMES) <= set(channels)
+        assert set(channels.values()) == {"float"}
+
+    def test_in_a_channel_map_which_takes_them(self, keys, exwarp, tmp_path):
+        target = tmp_path / "m.toml"
+        assert exwarp("inspect", keys, "--write-channel-map", target).code == 0
+        text = target.read_text(encoding="utf-8")
+        for name in self.NAMES[1:]:
+            assert f'# "{name}"' in text
+            role = f'# depth = []\ndepth = ["{name}"]'
+            target.write_text(text.replace("# depth = []", role), encoding="utf-8")
+            mapped = exwarp("inspect", keys, "--channel-map", target, "--json")
+            assert json.loads(mapped.out)["roles"]["depth"] == [name]
+
+    def test_in_errors(self, exwarp, tmp_path):
+        names = [f"layer{i}.Q" for i in range(20)]
+        shots.write(tmp_path / "a.0001.exr", {"": {name: plane(4, 5, 0.5) for name in names}})
+        listed = ", ".join(sorted(names))
+        words = ("no colour channels", f"only {listed}; name them in a channel map")
+        exwarp("upsample", tmp_path, "-o", tmp_path / "out").refused(3, *words)
+        exwarp("inspect", tmp_path, "--aov", f"depth={tmp_path}").refused(3, f"only {listed};")
+
+    def test_files_of_aovs(self, split, exwarp, tmp_path):
+        sequence, _ = split
+        more = Path(sequence).parent / "more"
+        command = ("inspect", more, "--aov", f"colour={sequence}")
+        channels = json.loads(exwarp(*command, "--json").out)["channels"]
+        assert {"R", "main:Normal.X", "main:Object Index.X"} <= set(channels)
+        target = tmp_path / "m.toml"
+        assert exwarp(*command, "--write-channel-map", target).code == 0
+        assert "no role" not in target.read_text(encoding="utf-8")
 
 
 class TestChannelMaps:

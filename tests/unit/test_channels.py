@@ -236,7 +236,7 @@ class TestPlain:
             Role.NORMAL: "'Normal' has only X, Y",
         }
         with pytest.raises(LayoutError, match=r"motion channels.*\('Vector' has only X, Z\)"):
-            require(layout, Role.MOTION, "x.exr")
+            require(layout, Role.MOTION, "x.exr", ["R"])
 
     def test_half_of_the_vectors_beside_whole_ones_is_said_too(self):
         layout = found("RGB", "forward.uv", "backward.u")
@@ -353,8 +353,9 @@ def test_other_names_are_no_cryptomatte(layer):
 class TestRequire:
     def test_what_is_there(self):
         layout = found("RGB")
-        assert require(layout, Role.COLOUR, "x.exr") == layout.roles[Role.COLOUR]
+        assert require(layout, Role.COLOUR, "x.exr", "RGB") == layout.roles[Role.COLOUR]
 
     def test_what_is_not(self):
-        with pytest.raises(LayoutError, match=r"^x\.exr has no motion channels .*exwarp inspect"):
-            require(found("RGB"), Role.MOTION, "x.exr")
+        said = r"^x\.exr has no motion channels .*, only R, G, foo\.X; name them in a channel map"
+        with pytest.raises(LayoutError, match=said):
+            require(found("RGB"), Role.MOTION, "x.exr", ["R", "G", "foo.X"])
