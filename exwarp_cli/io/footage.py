@@ -20,7 +20,7 @@ from exwarp_cli.io.channels import ChannelRef, Layout, Role
 from exwarp_cli.io.clip import Clip, ClipReader, is_clip, open_clip
 from exwarp_cli.io.exr import ExrReader
 from exwarp_cli.io.frame_files import FrameTemplate, read_picture
-from exwarp_cli.io.frame_names import split_name
+from exwarp_cli.io.frame_names import file_type, split_names
 from exwarp_cli.io.nonfinite import count_broken
 from exwarp_cli.io.output import file_digest
 from exwarp_cli.io.sequence import EXR, Sequence, find_sequence
@@ -131,7 +131,7 @@ def find_plain(spec: str, gaps: bool = False) -> Sequence | None:
 
 def is_plain(sequence: Sequence) -> bool:
     """Whether a sequence is a video or one of stills."""
-    return sequence.suffix.lower() not in EXR
+    return sequence.type not in EXR
 
 
 def shot_of(sequence: Sequence, keep_going: bool = False) -> Shot:
@@ -158,7 +158,7 @@ def shot_of(sequence: Sequence, keep_going: bool = False) -> Shot:
             if keep_going:
                 read_picture(path)
             display, alpha = Window(0, 0, *still_size(path)), read_still_template(path).has_alpha
-            producer = f"{sequence.suffix.lstrip('.').upper()} images"
+            producer = f"{sequence.type.lstrip('.').upper()} images"
         colour = tuple(ChannelRef("", name) for name in ("RGBA" if alpha else "RGB"))
         layout = Layout({Role.COLOUR: colour}, producer=producer)
         return Shot(sequence, {}, layout, display, first=number, keep_going=keep_going)
@@ -241,7 +241,7 @@ def plain_template(shot: Shot, number: int, suffix: str) -> FrameTemplate:
         Of the files to write. EXR is half and scene-linear, stills are as their key frame, and
         frames of a video have sRGB codes of 8 bits, or of 16 if it has more than 8.
     """
-    if suffix.lower() in EXR:
+    if file_type(suffix) in EXR:
         planes = tuple(
             PlaneTemplate(("", ref), ref.name, np.dtype(np.float16), bounded=True)
             for ref in shot.layout.roles[Role.COLOUR]
@@ -329,4 +329,4 @@ def _holds(folder: Path, suffixes: tuple[str, ...]) -> bool:
             names = [entry.name for entry in entries if not entry.name.startswith(".")]
     except OSError:
         return False  # who looks for the sequence says why
-    return any(split_name(name, suffixes) is not None for name in names)
+    return bool(split_names(names, suffixes))

@@ -1,18 +1,22 @@
 """How frame numbers stand in file names: tokens such as ``####``, padding, grouping.
 
-Strings only; nothing here looks at a disk. A number may carry a minus sign where the text before it
-is empty or ends in a separator, so ``shot-0001.exr`` is frame 1 and ``shot.-0001.exr`` is frame -1.
+Strings only; nothing here looks at a disk. The frame number stands right before the image suffix,
+or further ahead (``beauty_0101_denoised.exr``): then it is the one that varies. It may carry a
+minus sign where the text before it is empty or ends in a separator, so ``shot-0001.exr`` is frame 1
+and ``shot.-0001.exr`` is frame -1.
 """
 
 from __future__ import annotations
 
 import re
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass
 
 _TOKEN = re.compile(r"#+|@+|%[0-9]{0,2}d|\$F[0-9]{0,2}")
 _NUMBER = re.compile(r"-?[0-9]+")
+_VERSION = re.compile(r"(^|.*[._ -])[vV]", re.DOTALL)
+_BETWEEN = re.compile(r"(?<![^._ -])-?[0-9]+(?=[._ -])")
 _TRAILING_NUMBER = re.compile(r"(?P<base>.*?)(?P<number>-?[0-9]+)", re.DOTALL)
 
 
@@ -81,6 +85,56 @@ def split_name(name: str, suffixes: tuple[str, ...]) -> NamePattern | None:
     if not _sign_is_sign(base, number):
         base, number = base + number[0], number[1:]
     return NamePattern(base, len(number), name[len(name) - length :])
+
+
+def split_names(names: Iterable[str], suffixes: tuple[str, ...]) -> dict[str, NamePattern]:
+    """Read the names of a folder's files: which digits of each are the frame number.
+
+    The digits right before the suffix are it, as `split_name` has it. Names without such digits, or
+    with those of a version that no other file has, are read by the number between separators that
+    varies most among the files; of several, or of a file that stands alone, the last.
+
+    Returns
+    -------
+    dict
+        Patterns by name; names without a frame number are left out.
+    """
+    ends = {name: split_name(name, suffixes) for name in names}
+    inner = {
+        name: _inner_patterns(name, suffixes)
+        for name, end in ends.items()
+        if end is None or _VERSION.fullmatch(end.base)
+    }
+    trailing = Counter((end.base, end.suffix) for end in ends.values() if end is not None)
+    varying = Counter((p.base, p.suffix) for patterns in inner.values() for p in patterns)
+    out: dict[str, NamePattern] = {}
+    for name, end in ends.items():
+        patterns = inner.get(name, ())
+        best = max(patterns, key=lambda p: (varying[p.base, p.suffix], len(p.base)), default=None)
+        if end is not None and best is not None:
+            alone = trailing[end.base, end.suffix] == 1
+            best = best if alone and varying[best.base, best.suffix] > 1 else end
+        if (pattern := best or end) is not None:
+            out[name] = pattern
+    return out
+
+
+def _inner_patterns(name: str, suffixes: tuple[str, ...]) -> tuple[NamePattern, ...]:
+    """Return the patterns of the numbers that stand between separators, and not at the end."""
+    length = next((len(s) for s in suffixes if name.lower().endswith(s)), 0)
+    if not length:
+        return ()
+    found = []
+    for match in _BETWEEN.finditer(name[: len(name) - length]):
+        start = match.start()
+        start += not _sign_is_sign(name[:start], match[0])
+        found.append(NamePattern(name[:start], match.end() - start, name[match.end() :]))
+    return tuple(found)
+
+
+def file_type(suffix: str) -> str:
+    """Return the image suffix of what stands after a frame number, in lower case."""
+    return f".{suffix.rpartition('.')[2].lower()}"
 
 
 def group_names(pattern: NamePattern, names: Iterable[str]) -> list[tuple[int, dict[int, str]]]:

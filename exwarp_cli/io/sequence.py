@@ -12,7 +12,13 @@ from pathlib import Path
 from exwarp_cli.domain.timeline import ranges, without_gaps
 from exwarp_cli.errors import InputError, MissingFrameError, OutputError, UsageError
 from exwarp_cli.io.atomic import is_there
-from exwarp_cli.io.frame_names import NamePattern, group_names, is_printed, split_name
+from exwarp_cli.io.frame_names import (
+    NamePattern,
+    file_type,
+    group_names,
+    is_printed,
+    split_names,
+)
 
 EXR = (".exr",)
 
@@ -69,6 +75,11 @@ class Sequence:
     padding: int
     suffix: str
     files: dict[int, Path]
+
+    @property
+    def type(self) -> str:
+        """Image suffix in lower case, for example ``.exr``."""
+        return file_type(self.suffix)
 
     @property
     def pattern(self) -> str:
@@ -131,6 +142,11 @@ class OutputPattern:
     base: str
     padding: int
     suffix: str
+
+    @property
+    def type(self) -> str:
+        """Image suffix in lower case, for example ``.exr``."""
+        return file_type(self.suffix)
 
     @property
     def name(self) -> str:
@@ -232,7 +248,7 @@ def output_pattern(spec: str, source: Sequence, suffixes: tuple[str, ...] = EXR)
     pattern = NamePattern.parse(path.name)
     suffix = path.suffix.lower()
     if suffix not in suffixes and (suffix in _OTHER_MEDIA or pattern is not None):
-        kind = "EXR" if source.suffix.lower() in EXR else "EXR or still images"
+        kind = "EXR" if source.type in EXR else "EXR or still images"
         raise UsageError(
             f"the output {spec} is not an EXR pattern, and ExWarp writes such frames as {kind} "
             f"only; name a folder or a pattern such as out.####{suffixes[0]}"
@@ -263,7 +279,10 @@ def _candidates(folder: Path, suffixes: tuple[str, ...]) -> list[AovSet | Sequen
     """Sequences of a folder, those of one AOV set as one."""
     # Names that start with a dot are other programs' bookkeeping, such as macOS' "._" files.
     names = [name for name in _file_names(folder) if not name.startswith(".")]
-    kinds = {split for name in names if (split := split_name(name, suffixes))}
+    splits = split_names(names, suffixes)
+    # Text after the number is read where no file has its number at the end.
+    plain = {split for split in splits.values() if split.suffix.lower() in suffixes}
+    kinds = plain or set(splits.values())
     stems = {replace(kind, padding=1) for kind in kinds}
     sequences = [s for stem in sorted(stems) for s in _sequences(folder, stem, names)]
     return _gather_aovs(sequences)
@@ -313,7 +332,7 @@ def _complete(found: AovSet, gaps: bool) -> AovSet:
 
 def _named(spec: str, suffixes: tuple[str, ...]) -> Sequence:
     """Find the sequence of a pattern or of one frame."""
-    path = Path(spec)
+    path = _in_its_case(Path(spec))
     if path.is_file():
         return _around(path, suffixes)
     pattern = NamePattern.parse(path.name)
@@ -335,15 +354,35 @@ def _named(spec: str, suffixes: tuple[str, ...]) -> Sequence:
     return replace(exact[0], padding=pattern.padding)
 
 
+def _in_its_case(path: Path) -> Path:
+    """Return a path with its name's suffix as files have it, where only one case of it is there."""
+    if path.is_file() or not path.parent.is_dir():
+        return path
+    pattern = NamePattern.parse(path.name)
+    ending = path.suffix if pattern is None else pattern.suffix
+    start = path.name.removesuffix(ending) if pattern is None else pattern.base
+    if not ending:
+        return path
+    there = [
+        name[len(name) - len(ending) :]
+        for name in _file_names(path.parent)
+        if name.startswith(start) and name.lower().endswith(ending.lower())
+    ]
+    if len(set(there)) != 1 or there[0] == ending:
+        return path
+    return path.with_name(path.name.removesuffix(ending) + there[0])
+
+
 def _around(frame: Path, suffixes: tuple[str, ...]) -> Sequence:
     _require_suffix(frame, suffixes)
-    stem = split_name(frame.name, suffixes)
+    names = _file_names(frame.parent)
+    stem = split_names(names, suffixes).get(frame.name)
     if stem is None:
         raise InputError(
             f"{frame} has no frame number before its suffix, so it is no frame of a sequence; "
             "name the frames like shot.0001.exr, or give a pattern such as shot.####_left.exr"
         )
-    found = _sequences(frame.parent, stem, _file_names(frame.parent))
+    found = _sequences(frame.parent, stem, names)
     return next(s for s in found if frame.name in {path.name for path in s.files.values()})
 
 

@@ -119,7 +119,7 @@ class Sink(Held):
     def copies(self, source: Path) -> bool:
         """Whether a key frame's file is copied, and not decoded and written anew."""
         frames = self._targets.frames
-        return frames is not None and frames.suffix.lower() == source.suffix.lower()
+        return frames is not None and frames.type == source.suffix.lower()
 
     def has_copy(self, number: int, source: Path) -> bool:
         """Whether an earlier run copied a key frame's file, and it is kept."""

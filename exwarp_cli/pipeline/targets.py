@@ -52,7 +52,8 @@ class Targets:
         frames = None if alone else _frames(settings, source)
         holes = None
         if settings.write_holes is not None:
-            holes = output_pattern(settings.write_holes, replace(source, suffix=EXR[0]))
+            text = source.suffix[: -len(source.type)]
+            holes = output_pattern(settings.write_holes, replace(source, suffix=text + EXR[0]))
             if holes == frames:
                 raise UsageError(
                     "--write-holes and -o name the same files; give the masks a folder of their own"
@@ -131,11 +132,11 @@ def _frames(settings: UpsampleSettings, source: Sequence) -> OutputPattern:
     """Read where frames go: those of EXR as EXR, others as EXR or stills of any kind."""
     plain = is_plain(source)
     found = output_pattern(settings.output, source, (*STILLS, *EXR) if plain else EXR)
-    if found.suffix.lower() in STILLS:
+    if found.type in STILLS:
         require_writer(found.path(0))
         if settings.compression is not None:
             raise UsageError(
-                f"--compression is for EXR, and frames are written as {found.suffix}; leave it "
+                f"--compression is for EXR, and frames are written as {found.type}; leave it "
                 "out, or name a pattern such as out.####.exr"
             )
     return found

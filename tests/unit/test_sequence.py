@@ -71,12 +71,87 @@ class TestSpellings:
         assert find_sequence(found.pattern) == found
         assert find_sequence(str(found.files[9])) == found
 
-    def test_text_between_number_and_suffix_needs_a_pattern(self, tmp_path):
+
+class TestTextAfterTheNumber:
+    @pytest.mark.parametrize(
+        ("names", "pattern", "numbers"),
+        [
+            (["b_0101_denoised.exr", "b_0102_denoised.exr"], "b_####_denoised.exr", [101, 102]),
+            (["a.0009_left.exr", "a.0010_left.exr"], "a.####_left.exr", [9, 10]),
+            (["a.9.final.exr", "a.10.final.exr"], "a.#.final.exr", [9, 10]),
+            (["a.-1_x.exr", "a.0_x.exr", "a.1_x.exr"], "a.#_x.exr", [-1, 0, 1]),
+            (["a-0001-x.EXR", "a-0002-x.EXR"], "a-####-x.EXR", [1, 2]),
+            (["0001_left.exr", "0002_left.exr"], "####_left.exr", [1, 2]),
+            (["b_1001_denoised.exr"], "b_####_denoised.exr", [1001]),
+            # Of several numbers the one that varies.
+            (
+                ["sh010_v002_0101_denoised.exr", "sh010_v002_0102_denoised.exr"],
+                "sh010_v002_####_denoised.exr",
+                [101, 102],
+            ),
+            (["a_0101_2_x.exr", "a_0102_2_x.exr"], "a_####_2_x.exr", [101, 102]),
+            (["a_2_0101_x.exr", "a_2_0102_x.exr"], "a_2_####_x.exr", [101, 102]),
+            (["a_0101_v2.exr", "a_0102_v2.exr", "a_0103_v2.exr"], "a_####_v2.exr", [101, 102, 103]),
+            (["a_4k_0101_2048x858_x.exr"], "a_4k_####_2048x858_x.exr", [101]),
+        ],
+    )
+    def test_folder_pattern_and_frame_name_the_same_sequence(
+        self, tmp_path, names, pattern, numbers
+    ):
+        fill(tmp_path, *names)
+        found = find_sequence(str(tmp_path))
+        assert (Path(found.pattern).name, found.numbers) == (pattern, numbers)
+        assert find_sequence(found.pattern) == found
+        assert find_sequence(f"{tmp_path}/{names[0]}") == found
+        assert sorted(found.files.values()) == sorted(tmp_path / name for name in names)
+
+    def test_two_texts_are_two_sequences(self, tmp_path):
         fill(tmp_path, "a.0001_left.exr", "a.0002_left.exr", "a.0001_right.exr")
-        found = find_sequence(f"{tmp_path}/a.####_left.exr")
-        assert (found.suffix, found.numbers) == ("_left.exr", [1, 2])
-        with pytest.raises(InputError, match="no frame number before its suffix"):
-            find_sequence(f"{tmp_path}/a.0001_left.exr")
+        assert find_sequence(f"{tmp_path}/a.####_left.exr").numbers == [1, 2]
+        assert find_sequence(f"{tmp_path}/a.0001_right.exr").numbers == [1]
+        with pytest.raises(InputError, match=r"2 sequences, a\.####_left\.exr \(1-2\), a\.####_r"):
+            find_sequence(str(tmp_path))
+
+    def test_numbers_at_the_end_come_first(self, tmp_path):
+        fill(tmp_path, "a.0001.exr", "a.0002.exr", "a.0001_old.exr", "still_07_x.exr")
+        assert find_sequence(str(tmp_path)).numbers == [1, 2]
+        assert find_sequence(f"{tmp_path}/a.0001_old.exr").suffix == "_old.exr"
+
+    @pytest.mark.parametrize(
+        "names",
+        [
+            ["v1.exr", "v2.exr"],
+            ["a_v001.exr", "a_v002.exr"],
+            ["a_0101_v1.exr", "a_0101_v2.exr"],
+            ["a_0101_v1.exr"],
+            ["shot010_v2.0001.exr"],
+        ],
+    )
+    def test_what_varies_at_the_end_is_the_number(self, tmp_path, names):
+        fill(tmp_path, *names)
+        assert find_sequence(str(tmp_path)).suffix == ".exr"
+
+    @pytest.mark.parametrize("names", [["4k_a.exr"], ["cam1_a.exr", "cam2_a.exr"], ["sh010_a.exr"]])
+    def test_digits_of_words_are_no_number(self, tmp_path, names):
+        fill(tmp_path, *names)
+        with pytest.raises(InputError, match=f"{names[0]} has no frame number before its suffix"):
+            find_sequence(str(tmp_path))
+
+
+class TestCapitalSuffixes:
+    @pytest.mark.parametrize(
+        "spec", ["", "a.####.EXR", "a.####.exr", "a.0001.EXR", "a.0001.exr", "a.%04d.Exr"]
+    )
+    def test_they_are_taken_in_any_case(self, tmp_path, spec):
+        fill(tmp_path, "a.0001.EXR", "a.0002.EXR", "notes.exr")
+        found = find_sequence(f"{tmp_path}/{spec}")
+        assert (found.suffix, found.numbers) == (".EXR", [1, 2])
+
+    def test_files_in_both_cases_are_two_sequences(self, tmp_path):
+        fill(tmp_path, "a.0001.EXR", "a.0002.exr")
+        with pytest.raises(InputError, match="2 sequences"):
+            find_sequence(str(tmp_path))
+        assert find_sequence(f"{tmp_path}/a.####.exr").numbers == [2]
 
 
 class TestNumbers:
