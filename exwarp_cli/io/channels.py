@@ -160,7 +160,11 @@ _SPACES = frozenset(
 )
 """Such words before normals and positions, which count in world space alone."""
 
-_PICTURES = frozenset(leaf for rule in _RULES[Role.COLOUR] for leaf in rule.leaves)
+_LEAVES = {
+    role: frozenset(e for rule in rules for e in rule.leaves) for role, rules in _RULES.items()
+}
+_PICTURES = _LEAVES[Role.COLOUR]
+_DATA = frozenset.union(*_LEAVES.values()) - _PICTURES
 _ALPHAS = frozenset({"a", "alpha"})
 
 _LONG_COMPONENTS = {"RED": "R", "GREEN": "G", "BLUE": "B", "ALPHA": "A"}
@@ -262,9 +266,9 @@ def _alphas(
     """Return the alphas of other layers that may be a colour's: those that lie near, if any."""
     if len(colour) != 3:
         return ()
-    for some in (near, layers):
-        found = (layer.alpha for layer in some)
-        refs = tuple(ref for ref in found if ref is not None and ref.aov == colour[0].aov)
+    for candidates in (near, layers):
+        alphas = (layer.alpha for layer in candidates)
+        refs = tuple(ref for ref in alphas if ref is not None and ref.aov == colour[0].aov)
         if refs:
             return refs
     return ()
@@ -382,7 +386,7 @@ class _PartNames:
 
     def without_shared_words(self, name: str) -> str:
         """Return a part's name without the words that all parts' names have."""
-        if not self.leading and not self.trailing:
+        if _plain(name) in _DATA or not (self.leading or self.trailing):
             return name
         words = _words(name)
         return "_".join(words[self.leading : len(words) - self.trailing])
@@ -404,7 +408,7 @@ def _shared(names: list[list[str]]) -> int:
     count = 0
     for column in list(zip(*names, strict=False))[: min(map(len, names)) - 1]:
         word = column[0].lower()
-        if len(set(column)) > 1 or word in _SPACES or word in _NEVER_BEFORE:
+        if len(set(column)) > 1 or word in _DATA | _PICTURES | _SPACES | _NEVER_BEFORE:
             break
         count += 1
     return count
@@ -520,7 +524,8 @@ def _only_colour(
     for layer in layers:
         found = layer.pick("RGBA") or layer.pick("RGB")
         if found and not used.intersection(found):
-            free.append((layer.bare, found))
-    bare = [found for bare, found in free if bare]
-    only = bare if len(free) > 1 else [found for _, found in free]
+            data = {layer.leaf, *layer.endings} & _DATA
+            free.append((layer.bare and not data, found))
+    bare = [picture for bare, picture in free if bare]
+    only = bare if len(free) > 1 else [picture for _, picture in free]
     return {Role.COLOUR: only[0]} if len(only) == 1 else {}

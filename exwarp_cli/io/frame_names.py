@@ -124,12 +124,12 @@ def _inner_patterns(name: str, suffixes: tuple[str, ...]) -> tuple[NamePattern, 
     length = next((len(s) for s in suffixes if name.lower().endswith(s)), 0)
     if not length:
         return ()
-    found = []
+    patterns = []
     for match in _BETWEEN.finditer(name[: len(name) - length]):
         start = match.start()
         start += not _sign_is_sign(name[:start], match[0])
-        found.append(NamePattern(name[:start], match.end() - start, name[match.end() :]))
-    return tuple(found)
+        patterns.append(NamePattern(name[:start], match.end() - start, name[match.end() :]))
+    return tuple(patterns)
 
 
 def file_type(suffix: str) -> str:

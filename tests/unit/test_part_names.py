@@ -113,8 +113,27 @@ def test_words_that_all_parts_share_say_nothing(tmp_path, before, after):
     }
 
 
-def test_words_of_a_space_are_not_left_out(tmp_path):
-    parts = {"camera_normal": "X Y Z", "camera_position": "X Y Z"}
+@pytest.mark.parametrize(
+    ("parts", "roles"),
+    [
+        ({"camera_normal": "X Y Z", "camera_position": "X Y Z"}, {}),
+        ({"key_depth": "Z", "fill_depth": "Z"}, {"depth": "key_depth.Z"}),
+        (
+            {"Diffuse Color": "R G B", "Glossy Color": "R G B"},
+            {
+                "albedo": "Diffuse Color.R Diffuse Color.G Diffuse Color.B",
+                "specular": "Glossy Color.R Glossy Color.G Glossy Color.B",
+            },
+        ),
+        ({"HitPz": "Z", "HitN": "X Y Z"}, {"depth": "HitPz.Z", "normal": "HitN.X HitN.Y HitN.Z"}),
+    ],
+)
+def test_words_with_a_meaning_are_not_left_out(tmp_path, parts, roles):
+    assert roles_of(layout_of(tmp_path, parts)) == roles
+
+
+def test_data_in_a_part_is_no_beauty_though_no_other_picture_is_bare(tmp_path):
+    parts = {"view_normal": "R G B", "lights": "key.R key.G key.B"}
     assert roles_of(layout_of(tmp_path, parts)) == {}
 
 
