@@ -256,8 +256,7 @@ def join_text(colour: F32, modulation: F32, filled: F32, out: F32, share: Share 
     modulation
         float32 [H, W, 3] that it is multiplied with; [0, 0, 3] for nothing.
     filled
-        float32 [H, W, C]: the filled warp, whose further channels are taken over. Where it has some
-        and all is 0, so is the frame.
+        float32 [H, W, C]: the filled warp, whose further channels are taken over.
     out
         float32 [H, W, C], written.
     share
@@ -266,14 +265,11 @@ def join_text(colour: F32, modulation: F32, filled: F32, out: F32, share: Share 
     height, width, channels = filled.shape
     for i in turns(height, share):
         for j in range(width):
-            empty = channels > 3
-            for c in range(channels):
-                empty = empty and filled[i, j, c] == 0
             for c in range(3):
                 value = colour[c, i, j]
                 if modulation.size:
                     value *= modulation[i, j, c]
-                out[i, j, c] = np.float32(0) if empty else value
+                out[i, j, c] = value
             for c in range(3, channels):
                 out[i, j, c] = filled[i, j, c]
 

@@ -17,6 +17,7 @@ from exwarp_cli.kernels import jit, planes
 from exwarp_cli.synthesis.geometry import SlotField
 from exwarp_cli.synthesis.history import LookBack, Past
 from exwarp_cli.synthesis.modulation import decode, demodulated, encode_in_place, modulation_of
+from exwarp_cli.synthesis.source_bounds import Side, Sources, hold_within
 from exwarp_cli.synthesis.surface import SMOOTH
 from exwarp_cli.synthesis.warp import fill_holes, moved, sampled
 
@@ -32,6 +33,11 @@ first three of all are those from 13 on, times the mask."""
 
 NO_PLANE, NO_VECTORS = np.zeros((0, 0), np.float32), np.zeros((0, 0, 3), np.float32)
 """What kernels are given for what is not known."""
+
+LIGHT_CHANGE = 2.0
+"""Factor by which the light on the same surfaces may differ in an older key frame. Beyond, it was
+a fade, a flash or a lamp: the network painted speckles of the other light, up to 120 of 255 after a
+black key frame."""
 
 ALL = slice(None)
 """Every row or column."""
@@ -146,19 +152,22 @@ class Prepared:
     modulation
         float32 [H, W, 3] that its answer is multiplied with; None for an answer that is colour.
     filled
-        float32 [H, W, C]: the filled warp, whose alpha is taken over. Where it has some, and both
-        colour and alpha are 0, so they are in the frame.
+        float32 [H, W, C]: the filled warp, whose alpha is taken over.
+    sources
+        The key frames, in whose range around the slot's places the frame is held.
     """
 
     inputs: Inputs
     modulation: Float32 | None
     filled: Float32
+    sources: Sources
 
     def finish(self, answer: Float32) -> Float32:
         """Turn the network's answer, float32 [3, H, W], into scene-linear colour [H, W, C]."""
         out: Float32 = lent(self.filled.shape, np.float32)
         modulation = NO_VECTORS if self.modulation is None else self.modulation
         planes.join(decode(answer), modulation, self.filled, out)
+        hold_within(out, self.sources)
         return out
 
 
@@ -178,7 +187,7 @@ def prepare(
     back, seen
         The slot's motion field to the key frame, and what is known of its surfaces.
     key, past
-        F_k, and F_k-1 and F_k-2 as far as they are there.
+        F_k, and F_k-1 and F_k-2 as far as they are there. Those in other light are left out.
     """
     modulation = _modulation(seen)
     divided = modulation is not None
@@ -190,18 +199,22 @@ def prepare(
     shares.run(_copy, (pixels, filled), jit.threads())
     fill_holes(filled, depth, hole)
     history = [Moved(pixels, ~hole)]
+    sides = [Side(key.image.pixels, back.field, ~hole)]
     del pixels
     rest()
     for step, field, hidden in zip(past, seen.fields, seen.hidden, strict=False):
         pixels, unseen = sampled(_shading(step.frame, divided), field)
-        history.append(Moved(pixels, ~(unseen | hidden)))
-        del pixels
+        older = Moved(pixels, ~(unseen | hidden))
+        if _lit_alike(history[0], older):
+            history.append(older)
+            sides.append(Side(step.frame.image.pixels, field, older.visible))
+        del pixels, older
         rest()
     history += [history[-1]] * (HISTORY - len(history))
     now, before, oldest = history
     median = _median(surface.depth)
     inputs = SlotInputs((now, before, oldest), filled, surface, median, slot / FACTOR)
-    return Prepared(inputs, modulation, filled)
+    return Prepared(inputs, modulation, filled, Sources((sides[0],), tuple(sides[1:]), depth))
 
 
 def _encode(made: Float32, share: Share) -> None:
@@ -211,6 +224,17 @@ def _encode(made: Float32, share: Share) -> None:
         for line in part[first : first + count]:
             encode_in_place(line)
     np.multiply(part[13:16], part[16], out=part[:3])
+
+
+def _lit_alike(frame: Moved, other: Moved) -> bool:
+    """True if the surfaces that both frames show have about the same light in both."""
+    both = frame.visible & other.visible
+    lights = []
+    for pixels in (frame.pixels, other.pixels):
+        # A mean of roots: a mean goes by a few highlights, a median by a background without light.
+        roots = (np.sqrt(np.abs(pixels[..., c])) for c in range(3))
+        lights.append(sum(float(np.sum(root, where=both, dtype=np.float64)) for root in roots) ** 2)
+    return max(lights) <= LIGHT_CHANGE * min(lights)
 
 
 def _copy(given: Float32, out: Float32, share: Share) -> None:

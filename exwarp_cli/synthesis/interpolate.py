@@ -7,7 +7,7 @@ import numpy as np
 from exwarp_cli.domain.curves import SRGB
 from exwarp_cli.domain.frame import Bool, Float32
 from exwarp_cli.domain.interpolator import Interpolator
-from exwarp_cli.domain.lent_memory import lent
+from exwarp_cli.domain.lent_memory import copied, lent
 from exwarp_cli.kernels import blend
 from exwarp_cli.synthesis.warp import Warped, fill_holes, repair
 
@@ -75,6 +75,6 @@ def between(before: Float32, after: Float32, time: float, network: Interpolator)
     Returns
     -------
     float32 [H, W, 3 or 4]
-        Scene-linear, premultiplied alpha.
+        Scene-linear, premultiplied alpha; a new array.
     """
-    return network(repair(before), repair(after), time)
+    return copied(network(repair(before), repair(after), time))

@@ -84,6 +84,14 @@ class Interval:
         """Whether slots can be warped from the key frame."""
         return bool(self.slots) or (self.key.gbuffer is not None and self.key.gbuffer.has_motion)
 
+    @property
+    def leads_both_ways(self) -> bool:
+        """True if motion fields lead from the slots to both key frames."""
+        after = None if self.following is None else self.following.gbuffer
+        if after is None or not after.has_motion or not self.has_motion:
+            return False
+        return all(slot.to_previous is not None for slot in self.slots)
+
     def time(self, slot: int) -> float:
         """When a slot is, 1 for the first after the key frame: fraction of the key interval."""
         return self.times[slot - 1]

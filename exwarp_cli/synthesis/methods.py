@@ -19,6 +19,7 @@ from exwarp_cli.synthesis.interpolate import (
     cross_fade,
 )
 from exwarp_cli.synthesis.interval import Interval
+from exwarp_cli.synthesis.source_bounds import hold_in_range, hold_within, sources_between
 from exwarp_cli.synthesis.warp import repair, warp, warp_alone
 
 
@@ -194,8 +195,13 @@ def _onnx(interval: Interval, slot: int) -> Predicted:
     if interval.following is None:
         return _causal(interval, slot)
     assert interval.interpolator is not None
-    frames = (interval.key.image.pixels, interval.following.image.pixels)
+    frames = (repair(interval.key.image.pixels), repair(interval.following.image.pixels))
     pixels = between(*frames, interval.time(slot), interval.interpolator)
+    if interval.leads_both_ways:
+        fields = (interval.back(slot), interval.forward(slot))
+        hold_within(pixels, sources_between(frames, fields))
+    else:
+        hold_in_range(pixels, frames)
     sources = (interval.key.number, interval.following.number)
     return Predicted(pixels, FrameKind.GENERATED, "onnx", sources, INTERPOLATE)
 

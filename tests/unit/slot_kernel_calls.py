@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from exwarp_cli.kernels import follow, planes, project, surface
+from exwarp_cli.kernels import extremes, follow, planes, project, surface
 from tests.unit import kernel_calls as calls
 from tests.unit import kernel_cases as cases
 from tests.unit.kernel_calls import Arrays, build
@@ -101,6 +101,33 @@ def demodulated(
     return (out,)
 
 
+def bounds_raised(
+    pixels: np.ndarray,
+    field: np.ndarray,
+    wanted: np.ndarray,
+    clear: bool,
+    sign: float,
+    serial: bool = False,
+) -> Arrays:
+    bound = np.full((*field.shape[:2], pixels.shape[2]), -np.inf, np.float32)
+    call = build(extremes, "raise_bounds", serial)
+    call(pixels, field, wanted, clear, np.float32(sign), bound)
+    return (bound,)
+
+
+def held(
+    bound: np.ndarray,
+    wanted: np.ndarray,
+    sign: float,
+    channels: int,
+    frame: np.ndarray,
+    serial: bool = False,
+) -> Arrays:
+    out = frame.copy()
+    build(extremes, "hold", serial)(bound, wanted, np.float32(sign), channels, out)
+    return (out,)
+
+
 def cameras(seed: int) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(seed)
     return np.eye(3, 4) + rng.normal(0, 0.02, (3, 4)), np.eye(3) + rng.normal(0, 0.01, (3, 3))
@@ -162,10 +189,25 @@ def _spread(serial: bool) -> Arrays:
 def _join(serial: bool) -> Arrays:
     """With and without surface colour."""
     filled = frame(79)[0]
-    filled[4:9, 3:8] = 0
     colour = np.ascontiguousarray(frame(80)[0][..., :3].transpose(2, 0, 1))
     divided = joined(colour, np.abs(cases.vectors(81, 0.3)), filled, serial)
     return divided + joined(colour, None, filled[..., :3].copy(), serial)
+
+
+def _raise_bounds(serial: bool) -> Arrays:
+    """All pixels of a frame, and those whose alpha is 0 alone."""
+    pixels = cases.image(87)
+    pixels[::2, ::2, 3] = 0
+    upper = bounds_raised(pixels, cases.field(88), seen(89), False, 1, serial)
+    return upper + bounds_raised(pixels, cases.field(88), seen(89), True, -1, serial)
+
+
+def _hold(serial: bool) -> Arrays:
+    """All pixels, and some."""
+    bound = frame(90)[0]
+    bound[3, 4] = -np.inf
+    upper = held(bound, calls.NO_MASK, 1, 4, frame(91)[0], serial)
+    return upper + held(bound, seen(92), -1, 3, frame(91)[0], serial)
 
 
 CASES: dict[str, Callable[[bool], Arrays]] = {
@@ -175,5 +217,7 @@ CASES: dict[str, Callable[[bool], Arrays]] = {
     "go_on": lambda serial: gone_on(cases.field(82), cases.field(83), seen(84), serial),
     "spread": _spread,
     "join": _join,
+    "raise_bounds": _raise_bounds,
+    "hold": _hold,
     "demodulate": lambda serial: demodulated(frame(85)[0], *colours(86), serial),
 }

@@ -175,7 +175,9 @@ def test_an_element_stays_empty_around_its_object(interval, slot):
     assert (made[~empty, :3] > 0).all()
     np.testing.assert_array_equal(made[..., 3], filled[..., 3])
     without_alpha = seen_as(bright, pixels[..., :3]).extrapolated(slot)
-    assert (without_alpha > 0).all(), "black is a colour where there is no alpha"
+    lit = (without_alpha > 0).all(axis=-1)
+    assert lit[~empty].all() and not lit[empty].all()
+    assert lit[empty].any(), "beside the object black is a colour where there is no alpha"
 
 
 PARTS = ("depth", "position", "stencil", "normal", "to_next", "to_previous")

@@ -1,0 +1,127 @@
+"""The least and greatest values of a frame around the places that a slot's pixels come from."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from exwarp_cli.compiled.shares import WHOLE, Share, turns
+from exwarp_cli.kernels.jit import parallel, part, serial
+
+F32 = npt.NDArray[np.float32]
+B8 = npt.NDArray[np.bool_]
+U64 = np.uint64
+
+REACH = 2
+"""Pixels on each side of a place that count: a window of 5x5."""
+
+ALPHA = 3
+"""The channel that holds alpha, where there are more than three."""
+
+
+@part
+def raise_pixel(
+    pixels: F32,
+    shape: tuple[int, int, int],
+    place: tuple[int, int],
+    clear: bool,
+    sign: np.float32,
+    bound: F32,
+) -> None:
+    """Raise a pixel's bounds, float32 [C], to `sign` times the values around a place.
+
+    Parameters as in :func:`raise_bounds_text`; `pixels` are float32 [H W C].
+    """
+    height, width, channels = shape
+    top, bottom = max(place[0] - REACH, 0), min(place[0] + REACH, height - 1)
+    left, right = max(place[1] - REACH, 0), min(place[1] + REACH, width - 1)
+    for i in range(top, bottom + 1):
+        for j in range(left, right + 1):
+            first = U64((i * width + j) * channels)
+            if clear and pixels[first + U64(ALPHA)] != 0:
+                continue
+            for c in range(channels):
+                value = np.float32(sign * pixels[first + U64(c)])
+                if value > bound[c] and value < np.float32(np.inf):
+                    bound[c] = value
+
+
+def raise_bounds_text(
+    pixels: F32,
+    field: F32,
+    wanted: B8,
+    clear: bool,
+    sign: np.float32,
+    bound: F32,
+    share: Share = WHOLE,
+) -> None:
+    """Raise bounds to the greatest of `sign` times a frame's values around a motion field's ends.
+
+    Parameters
+    ----------
+    pixels
+        float32 [H, W, C] of the frame. What is not finite does not count.
+    field
+        float32 [h, w, 2], pixels: from the slot to the frame. Beyond the frame its edge counts.
+    wanted
+        bool [h, w]: whose bounds are raised.
+    clear
+        Whether only pixels of the frame with an alpha of 0 count.
+    sign
+        1 for upper bounds; -1 for lower ones, which are negated.
+    bound
+        float32 [h, w, C], changed; -inf where there is no bound yet.
+    share
+        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
+    """
+    shape, flat = pixels.shape, pixels.reshape(-1)
+    right, bottom = np.float32(pixels.shape[1] - 1), np.float32(pixels.shape[0] - 1)
+    for i in turns(field.shape[0], share):
+        for j in range(field.shape[1]):
+            x, y = np.float32(j) + field[i, j, 0], np.float32(i) + field[i, j, 1]
+            if wanted[i, j] and not math.isnan(x) and not math.isnan(y):
+                x = min(max(x, np.float32(0)), right)
+                y = min(max(y, np.float32(0)), bottom)
+                # Nothing negative is left, so converting rounds down.
+                place = int(y + np.float32(0.5)), int(x + np.float32(0.5))
+                raise_pixel(flat, shape, place, clear, sign, bound[i, j])
+
+
+raise_bounds = parallel(raise_bounds_text)
+raise_bounds_serial = serial(raise_bounds_text)
+
+
+def hold_text(
+    bound: F32, wanted: B8, sign: np.float32, channels: int, frame: F32, share: Share = WHOLE
+) -> None:
+    """Hold a frame below upper bounds, or above lower ones.
+
+    Parameters
+    ----------
+    bound
+        float32 [H, W, C], `sign` times the bounds; -inf for a bound of 0.
+    wanted
+        bool [H, W]: the pixels that are held; [0, 0] for all.
+    sign
+        1 for upper bounds, -1 for lower ones.
+    channels
+        How many are held.
+    frame
+        float32 [H, W, C], changed.
+    share
+        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
+    """
+    height, width, _ = frame.shape
+    for i in turns(height, share):
+        for j in range(width):
+            if wanted.size == 0 or wanted[i, j]:
+                for c in range(channels):
+                    most = bound[i, j, c] if bound[i, j, c] > -np.inf else np.float32(0)
+                    if sign * frame[i, j, c] > most:
+                        frame[i, j, c] = sign * most + np.float32(0)  # no negative zero
+
+
+hold = parallel(hold_text)
+hold_serial = serial(hold_text)
