@@ -113,8 +113,8 @@ class TestFrames:
         for order, brighter in ((9, False), (10, True), (11, True)):
             a, b = (shots.colour_of(out / f"shot.{order + 1:04d}.exr")[..., :3] for out in pairs)
             assert np.array_equal(a, b) is not brighter
-            if brighter:  # the shot is brighter than 0.1 nearly everywhere
-                assert np.median(a / b) > 1.8
+            if brighter:  # as bright as what lies beside it in the key frame
+                assert np.median(a / b) > 1.2
 
 
 class TestElement:
