@@ -89,6 +89,8 @@ def _print(found: Inspection) -> None:
             + (f", written by {data['producer']}" if data["pictures"] is None else "")
         )
     )
+    if data["fps"]["note"] is not None:
+        console.print(_text(data["fps"]["note"]))
     for line in _structure(data):
         console.print(_text(line))
     if data["pictures"] is not None:

@@ -72,11 +72,11 @@ class FrameRate(click.ParamType[Fraction]):
     "-m",
     "--method",
     metavar="NAME",
-    help="Default: exwarp, or softsplat where motion is estimated. exwarp: the learned policy "
-    "chooses between warping and the network; s1 to s6: the paper's paths, s6 warps only; oracle, "
-    "oracle-return: the best path by --ground-truth; softsplat: warp both neighbours and blend by "
-    "depth; onnx: the network of --interpolator, from colour alone; blend: cross-fade; hold: "
-    "repeat.",
+    help="Default: exwarp, or softsplat where motion is estimated or the factor is not 4. exwarp: "
+    "the learned policy chooses between warping and the network; s1 to s6: the paper's paths, s6 "
+    "warps only; oracle, oracle-return: the best path by --ground-truth; softsplat: warp both "
+    "neighbours and blend by depth; onnx: the network of --interpolator, from colour alone; blend: "
+    "cross-fade; hold: repeat.",
 )
 @click.option(
     "--layers",
@@ -117,7 +117,7 @@ class FrameRate(click.ParamType[Fraction]):
     show_default=True,
     help="What the network runs on.",
 )
-@click.option("--fps", type=FrameRate(), help="Rate of the input; else its own, else 30.")
+@click.option("--fps", type=FrameRate(), help="Rate of the key frames; else their own, else 30.")
 @click.option(
     "--factor",
     type=click.IntRange(2, MOST),

@@ -26,7 +26,8 @@ class SourceSettings:
         A motion convention by hand: a preset's name or for example ``previous=X,-Y next=-Z,W``;
         None to measure it.
     fps
-        Frames per second of the key frames; None to take the header's, else `DEFAULT_FPS`.
+        Frames per second of the key frames; None to take the header's, else `DEFAULT_FPS`, divided
+        by the step of the frame numbers.
     start_frame
         Number of the first output frame; None for the first key frame's.
     tail
@@ -80,7 +81,8 @@ class UpsampleSettings:
     output
         Folder or pattern for the frames.
     method
-        Name in the registry of methods; None for exwarp, or softsplat where motion is estimated.
+        Name in the registry of methods; None for exwarp, or softsplat where motion is estimated or
+        the factor is not 4.
     frames
         Range of key frames by input number; None for all.
     ground_truth

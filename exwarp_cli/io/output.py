@@ -19,6 +19,7 @@ import numpy as np
 import OpenEXR
 
 from exwarp_cli.domain.frame import Bool, Image, Window, place
+from exwarp_cli.domain.frame_rates import parsed_rate
 from exwarp_cli.errors import OutputError, UsageError
 from exwarp_cli.io import checksum
 from exwarp_cli.io.atomic import atomic_write_bytes
@@ -54,11 +55,8 @@ SMALLER = {f"{name}:4": Smaller(COMPRESSIONS[name]) for name in ("zips", "zip", 
 
 
 def frame_rate(header: Mapping[str, Any]) -> Fraction | None:
-    """Return framesPerSecond from a header, None when absent or not positive."""
-    value = header.get("framesPerSecond")
-    if not isinstance(value, Fraction) or value <= 0:
-        return None
-    return value
+    """Return framesPerSecond from a header, of any type; None when absent or not positive."""
+    return parsed_rate(header.get("framesPerSecond"))
 
 
 def compression_of(name: str | None) -> Any:

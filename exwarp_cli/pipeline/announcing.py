@@ -8,6 +8,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from exwarp_cli.domain.frame_rates import NEAR
 from exwarp_cli.domain.results import (
     InputSummary,
     InterpolatorSummary,
@@ -21,6 +22,7 @@ from exwarp_cli.io.cryptomatte_manifest import SHOWN, shown
 from exwarp_cli.io.footage import is_plain, unevenness_of
 from exwarp_cli.io.layouts import alpha_left_out
 from exwarp_cli.pipeline.contents import Content, files_apart
+from exwarp_cli.pipeline.opening import step_note
 
 if TYPE_CHECKING:
     from exwarp_cli.io.interpolator import OnnxInterpolator
@@ -154,10 +156,14 @@ def announce(
         f"{source.keys.sequence.pattern}: {counted(count, 'key frame')} at "
         f"{float(source.fps):g} fps ({source.fps_source}), {_geometry(source)}"
     )
-    if (uneven := unevenness_of(source.keys.sequence)) is not None:
-        progress.message(uneven)
-    if (left_out := alpha_left_out(source.keys.layout)) is not None:
-        progress.message(left_out)
+    for note in (
+        step_note(source.timeline.numbers, source.fps, source.fps_source),
+        _compatible_note(settings, source),
+        unevenness_of(source.keys.sequence),
+        alpha_left_out(source.keys.layout),
+    ):
+        if note is not None:
+            progress.message(note)
     if settings.source.gbuffers is not None and source.slots is None:
         progress.message(
             "--gbuffers is left out: it has no readable vectors to the previous slot, and "
@@ -181,6 +187,20 @@ def announce(
             f"after the last key frame there is no next one, so {method.name} falls back to "
             f"{fallback} there; --no-tail leaves those frames out"
         )
+
+
+def _compatible_note(settings: UpsampleSettings, source: Source) -> str | None:
+    """Say that the output's rate is not the one asked for, but one that keeps key frames."""
+    asked, rate = settings.source.to_fps, source.output_fps
+    if asked is None or abs(asked - rate) <= NEAR * rate:
+        return None
+    every, seldom = source.timeline.factor.denominator, (asked / source.fps).denominator
+    shown = "every key frame" if every == 1 else f"one key frame in {every}"
+    return (
+        f"--to-fps {float(asked):g} is taken as {rate}, exactly "
+        f"{float(source.timeline.factor):g} times the input's {source.fps}, which keeps {shown}; "
+        f"{float(asked):g} itself keeps one in {seldom}"
+    )
 
 
 def announce_truth(progress: Progress, truth: Sequence, source: Source) -> None:

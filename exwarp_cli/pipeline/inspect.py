@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from exwarp_cli.io.shot import MAIN, Shot, spelled
 from exwarp_cli.pipeline.motion_finding import find_motion
 from exwarp_cli.pipeline.motion_option import motion_names
 from exwarp_cli.pipeline.object_ids import looked_into, read_ids
-from exwarp_cli.pipeline.opening import open_keys, open_plain, rate_of
+from exwarp_cli.pipeline.opening import open_keys, open_plain, rate_of, step_note
 
 
 @dataclass(frozen=True)
@@ -54,11 +55,16 @@ class Inspection:
     parts: tuple[Part, ...]
     finding: MotionFinding | None
     problem: str | None
-    fps: float
+    fps: Fraction
     fps_source: str
     types: Mapping[str, str] = field(default_factory=dict)
     cryptomattes: tuple[tuple[Cryptomatte, Manifest], ...] = ()
     pictures: Mapping[str, Any] | None = None
+
+    @property
+    def fps_note(self) -> str | None:
+        """How the rate of frames that are numbered in steps is read; None for others."""
+        return step_note(self.shot.sequence.numbers, self.fps, self.fps_source)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the findings as plain data, for JSON."""
@@ -71,7 +77,7 @@ class Inspection:
             "count": len(sequence.numbers),
             "width": self.shot.display.width,
             "height": self.shot.display.height,
-            "fps": {"base": self.fps, "source": self.fps_source},
+            "fps": {"base": float(self.fps), "source": self.fps_source, "note": self.fps_note},
             "producer": layout.producer,
             "views": list(self.shot.views),
             "view": self.shot.view or None,
@@ -104,7 +110,7 @@ def inspect(settings: SourceSettings) -> Inspection:
         Timeline.of(plain.sequence.numbers)
         fps, fps_source = rate_of(plain, settings.fps)
         pictures = facts_of(plain.sequence)
-        return Inspection(plain, (), None, None, float(fps), fps_source, pictures=pictures)
+        return Inspection(plain, (), None, None, fps, fps_source, pictures=pictures)
     shot, settings = open_keys(settings)
     Timeline.of(shot.sequence.numbers)
     shot, _ = read_ids(settings.dynamic, shot, None)
@@ -116,7 +122,7 @@ def inspect(settings: SourceSettings) -> Inspection:
         problem = str(error)
     fps, fps_source = rate_of(shot, settings.fps)
     mattes = tuple(looked_into(shot))
-    return Inspection(shot, parts, finding, problem, float(fps), fps_source, types, mattes)
+    return Inspection(shot, parts, finding, problem, fps, fps_source, types, mattes)
 
 
 def save_channel_map(found: Inspection, path: Path, overwrite: bool) -> None:

@@ -34,7 +34,12 @@ from exwarp_cli.pipeline.finding import (
 from exwarp_cli.pipeline.scoring import require_measurable
 from exwarp_cli.pipeline.targets import Targets
 from exwarp_cli.pipeline.views import open_sources
-from exwarp_cli.pipeline.without_vectors import USUAL, require_able, usual_method
+from exwarp_cli.pipeline.without_vectors import (
+    USUAL,
+    require_able,
+    usual_method,
+    usual_note,
+)
 
 if TYPE_CHECKING:
     from exwarp_cli.domain.outcome import Outcome
@@ -143,6 +148,8 @@ class Job:
     def announce(self, progress: Progress) -> None:
         """Say what was found, and what is going to happen."""
         announce(progress, self.settings, self.source, self.method, self.keys)
+        if (note := usual_note(self.source, self.settings)) is not None:
+            progress.message(note)
         if self.truth is not None:
             announce_truth(progress, self.truth[0], self.source)
         announce_contents(progress, self.contents)
@@ -244,7 +251,8 @@ def _open_input(settings: UpsampleSettings, runs: bool) -> tuple[Method, tuple[S
     run = Beginning(settings.frames, expected) if runs else None
     motion_needed = named is None or named.needs_motion
     sources = open_sources(settings.source, motion_needed, pictures=True, run=run)
-    idle = IDLE_PER_PIXEL * sources[0].keys.display.pixels
-    lent_memory.let_wait(IDLE_BYTES if expected.extrapolates else idle)
     method = named or find_method(usual_method(sources[0], settings))
+    lent_memory.file_from(_filed_from(method))
+    idle = IDLE_PER_PIXEL * sources[0].keys.display.pixels
+    lent_memory.let_wait(IDLE_BYTES if method.extrapolates else idle)
     return method, sources

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
 from exwarp_cli.domain.bounds import allow
+from exwarp_cli.domain.frame_rates import number_step, standard_rate
 from exwarp_cli.domain.settings import DEFAULT_FPS, SourceSettings
 from exwarp_cli.errors import LayoutError, UsageError
 from exwarp_cli.io.aov_files import AovFile, parse_aovs
@@ -126,17 +128,35 @@ def _said(settings: SourceSettings) -> tuple[tuple[AovFile, ...], ChannelMap | N
 
 
 def rate_of(keys: Shot, given: Fraction | None) -> tuple[Fraction, str]:
-    """Return the base rate, and whether it is from the option, the header, a video or assumed."""
+    """Return the base rate, and whether it is from the option, the header, a video or assumed.
+
+    A header has the scene's rate, and so has what is assumed. Of a scene at 24 fps that is rendered
+    in steps of 4 (1, 5, 9 …) the key frames come at 6.
+    """
     if given is not None:
-        return given, "option"
+        return standard_rate(given), "option"
     own = own_rate(keys.sequence)
     if own is not None:
         return own, "file"
-    if is_plain(keys.sequence):
-        return DEFAULT_FPS, "assumed"
-    first = keys.sequence.files[keys.first]
-    for header in read_headers(first):
-        found = frame_rate(header)
-        if found is not None:
-            return found, "header"
-    return DEFAULT_FPS, "assumed"
+    rate = None if is_plain(keys.sequence) else _rate_in(keys.sequence.files[keys.first])
+    step = number_step(keys.sequence.numbers)
+    return (DEFAULT_FPS / step, "assumed") if rate is None else (rate / step, "header")
+
+
+def step_note(numbers: Sequence[int], fps: Fraction, fps_source: str) -> str | None:
+    """Say how the rate of frames that are numbered in steps is read, and how else it could be."""
+    step = number_step(numbers)
+    if step == 1 or fps_source not in ("header", "assumed"):
+        return None
+    scene = f"{float(fps * step):g}"
+    what = f"the header's {scene} fps are" if fps_source == "header" else f"{scene} fps are assumed"
+    return (
+        f"frames are numbered in steps of {step}: {what} taken for the rate of the scene, of which "
+        f"one frame in {step} is rendered, so the key frames come at {float(fps):g} fps; if the "
+        f"key frames themselves come at {scene} fps, give --fps {scene}"
+    )
+
+
+def _rate_in(path: Path) -> Fraction | None:
+    """Return the rate that a file's headers have; None without."""
+    return next(filter(None, map(frame_rate, read_headers(path))), None)

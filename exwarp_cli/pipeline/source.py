@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 
 from exwarp_cli.domain.cuts import CutWish, parse_cuts
+from exwarp_cli.domain.frame_rates import compatible_rate, standard_rate
 from exwarp_cli.domain.motion import MotionConvention, MotionFinding
 from exwarp_cli.domain.settings import SourceSettings
 from exwarp_cli.domain.timeline import FACTOR, MOST, Slot, Timeline, ranges
@@ -218,7 +219,7 @@ def factor_of(settings: SourceSettings, fps: Fraction) -> Fraction:
         return Fraction(FACTOR if settings.factor is None else settings.factor)
     if settings.factor is not None:
         raise UsageError("--factor and --to-fps say the same in two ways; give one of them")
-    factor = settings.to_fps / fps
+    factor = compatible_rate(fps, standard_rate(settings.to_fps)) / fps
     if not 1 < factor <= MOST:
         raise UsageError(
             f"--to-fps {float(settings.to_fps):g} is {float(factor):g} times the input's "

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from fractions import Fraction
 from pathlib import Path
 
 import pytest
@@ -165,6 +166,39 @@ class TestFrameRate:
         shots.sequence(tmp_path / "keys", shots.blender5, (1, 2))
         result = exwarp("upsample", tmp_path / "keys", "-o", tmp_path / "out", "-m", "hold")
         assert result.code == 0 and "30 fps (assumed)" in result.err
+
+    @pytest.mark.parametrize("step", [2, 3, 4, 5])
+    def test_numbers_in_steps_have_a_part_of_the_header_s_rate(
+        self, exwarp, colours, tmp_path, step
+    ):
+        keys, out = colours(range(1, 3 * step, step)), tmp_path / "out"
+        command = ("upsample", keys, "-m", "blend", "--progress", "plain")
+        found = exwarp(*command, "-o", out)
+        assert found.code == 0, found.err
+        assert f"at {30 / step:g} fps (header)" in found.err
+        assert f"numbered in steps of {step}: the header's 30 fps" in found.err
+        assert found.err.count("give --fps 30") == 1
+        header, _ = shots.read(out / "shot.0002.exr")
+        assert header["framesPerSecond"] == Fraction(30, step) * 4
+
+    def test_their_rate_can_be_said(self, exwarp, colours, tmp_path):
+        keys, out = colours((1, 5, 9)), tmp_path / "out"
+        found = exwarp("upsample", keys, "-o", out, "-m", "blend", "--fps", 30)
+        assert found.code == 0 and "in steps" not in found.err
+        assert shots.read(out / "shot.0002.exr")[0]["framesPerSecond"] == 120
+
+    def test_inspect_says_so_too(self, exwarp, colours):
+        keys = colours((1, 5, 9))
+        assert "7.5 fps (header)" in (told := exwarp("inspect", keys).out)
+        assert "if the key frames themselves come at 30 fps, give --fps 30" in told
+        found = json.loads(exwarp("inspect", keys, "--json").out)["fps"]
+        assert (found["base"], found["source"]) == (7.5, "header")
+
+    def test_what_is_assumed_is_the_scene_s_rate_too(self, exwarp, tmp_path):
+        shots.sequence(tmp_path / "keys", shots.blender5, (1, 5), TINY)
+        result = exwarp("upsample", tmp_path / "keys", "-o", tmp_path / "out", "-m", "hold")
+        assert result.code == 0 and "7.5 fps (assumed)" in result.err
+        assert "30 fps are assumed" in result.err
 
 
 class TestInputForms:

@@ -90,12 +90,45 @@ def test_a_key_frame_that_is_shown_late_is_a_new_frame(upsample, keys, tmp_path)
     assert (found["frames"]["generated"], found["frames"]["dropped"]) == (2, 8)
 
 
-def test_exact_broadcast_rates(upsample, keys, tmp_path):
-    upsample(keys, tmp_path / "out", "--fps", "23.976", "--to-fps", 60, "-m", "hold")
-    header, _ = shots.read(tmp_path / "out" / "shot.0002.exr")
-    assert header["framesPerSecond"] == 60
-    # The first key frame falls on an output instant, and then none for a thousand.
-    assert len(shots.names(tmp_path / "out")) == 13
+@pytest.mark.parametrize(
+    ("base", "asked", "rate"),
+    [
+        ("23.976", "60", Fraction(60000, 1001)),
+        ("24", "59.94", Fraction(60)),
+        ("23.98", "60", Fraction(60000, 1001)),
+        ("24000/1001", "60000/1001", Fraction(60000, 1001)),
+    ],
+)
+def test_broadcast_rates_keep_key_frames(exwarp, keys, tmp_path, base, asked, rate):
+    """Exactly 60 out of 23.976 would keep one key frame in a thousand."""
+    out, options = tmp_path / "out", ("--fps", base, "--to-fps", asked, "-m", "hold")
+    found = exwarp("upsample", keys, "-o", out, "--progress", "plain", *options)
+    assert found.code == 0, found.err
+    assert ("--to-fps" in found.err) == (abs(Fraction(asked) - rate) > Fraction(1, 100))
+    if asked != "60000/1001":
+        assert f"is taken as {rate}" in found.err and "keeps one key frame in 2" in found.err
+    assert shots.read(out / "shot.0002.exr")[0]["framesPerSecond"] == rate
+    assert len(shots.names(out)) == 13
+    for number, written in ((1, 1), (3, 6), (5, 11)):
+        source, passed = keys / f"shot.{number:04d}.exr", out / f"shot.{written:04d}.exr"
+        assert shots.read(passed)[1].keys() == shots.read(source)[1].keys()
+
+
+@pytest.mark.parametrize("rate", [("--factor", 2), ("--fps", 24, "--to-fps", 60)])
+def test_a_rate_needs_no_method(exwarp, keys, tmp_path, rate):
+    command = ("upsample", keys, "--progress", "plain", *FORWARD, *rate)
+    found = exwarp(*command, "-o", tmp_path / "out")
+    assert found.code == 0, found.err
+    assert "no --method is named: softsplat makes the frames" in found.err
+    exwarp(*command, "-o", tmp_path / "named", "-m", "softsplat")
+    assert shots.contents(tmp_path / "out") == shots.contents(tmp_path / "named")
+
+
+def test_four_times_the_rate_keeps_the_usual_method(exwarp, keys, tmp_path):
+    command = ("upsample", keys, "-o", tmp_path / "out", "--progress", "plain", *FORWARD)
+    for rate in ((), ("--factor", 4), ("--to-fps", 120)):
+        found = exwarp(*command, *rate, "--dry-run")
+        assert found.code == 0 and "method exwarp" in found.out and "no --method" not in found.err
 
 
 def test_any_split_into_chunks_gives_the_same_bytes(upsample, keys, tmp_path):
@@ -193,7 +226,7 @@ def test_g_buffers_at_twice_the_rate(upsample, keys, tmp_path):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (("--factor", 2), ("--method exwarp", "4 times", "s6, softsplat")),
+        (("--factor", 2, "-m", "exwarp"), ("--method exwarp", "4 times", "s6, softsplat")),
         (("--factor", 8, "-m", "s3"), ("--method s3",)),
         (("--to-fps", 60, "--factor", 2, "-m", "s6"), ("--factor and --to-fps",)),
         (("--to-fps", 30, "-m", "s6"), ("--to-fps 30 is 1 times",)),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from fractions import Fraction
 from pathlib import Path
 
@@ -81,6 +82,37 @@ class TestRate:
     def test_then_the_header(self, tmp_path):
         shot = self.shot(tmp_path, framesPerSecond=Fraction(24000, 1001))
         assert rate_of(shot, None) == (Fraction(24000, 1001), "header")
+
+    @pytest.mark.parametrize(
+        ("value", "rate"),
+        [
+            (24, 24),
+            (24.0, 24),
+            (23.976, Fraction(24000, 1001)),
+            ("24", 24),
+            ("24000/1001", Fraction(24000, 1001)),
+            ("29.97", Fraction(30000, 1001)),
+            (Fraction(2147483647, 89478485), 24),
+            (Fraction(23976024, 1000000), Fraction(24000, 1001)),
+            (Fraction(1998, 83), Fraction(1998, 83)),
+        ],
+    )
+    def test_the_header_s_may_be_of_any_type(self, tmp_path, value, rate):
+        assert rate_of(self.shot(tmp_path, framesPerSecond=value), None) == (rate, "header")
+
+    def test_the_header_s_may_be_a_double(self, tmp_path):
+        shot = self.shot(tmp_path, framesPerSecond=Fraction(24))
+        path = tmp_path / "a.0001.exr"
+        rational = b"framesPerSecond\0rational\0" + struct.pack("<Iii", 8, 24, 1)
+        double = b"framesPerSecond\0double\0" + struct.pack("<Id", 8, 23.976)
+        before, after = path.read_bytes().split(rational)
+        path.write_bytes(before + double + after)
+        assert rate_of(shot, None) == (Fraction(24000, 1001), "header")
+
+    @pytest.mark.parametrize("value", ["fast", "", 0, -24, "1/0", float("nan")])
+    def test_what_is_no_rate_is_left_out(self, tmp_path, value):
+        shot = self.shot(tmp_path, framesPerSecond=value)
+        assert rate_of(shot, None) == (DEFAULT_FPS, "assumed")
 
     def test_else_it_is_assumed(self, tmp_path):
         assert rate_of(self.shot(tmp_path), None) == (DEFAULT_FPS, "assumed")
