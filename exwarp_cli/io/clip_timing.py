@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_right
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import pairwise
@@ -22,6 +23,9 @@ WHOLE_RATES = (8, 10, 12, 12.5, 15, 16, 18, 20, 24, 25, 30, 48, 50, 60, 90, 100,
 
 SNAP = 0.004
 """Share by which a measured rate may miss one that is meant."""
+
+MOST_FRAMES = 0.9
+"""Share of the frames that lie at a rate's instants where some are missing and it is meant."""
 
 
 @dataclass(frozen=True)
@@ -150,12 +154,16 @@ def pace(packets: Packets, said: Fraction | None) -> Pacing:
         away = max(abs(time * rate - place) for place, time in enumerate(seconds))
         if away <= packets.tick * rate:
             return Pacing(rate, every)
+    # Where the rate varies, a header has a mean that stands for nothing: 29.83 of a phone's 30.
+    standard = (usual,) if usual in _STANDARD else ()
+    likely = _standard_near(most, packets.tick)
     # A mean far off that of most frames tells of frames that are missing, or too many.
     drifting = (meant(mean), mean.limit_denominator(1001)) if _near(mean, most) else ()
-    for rate in (usual, meant(most), *drifting):
+    nearest = sorted(likely, key=lambda rate: abs(rate - mean))
+    for rate in (*standard, *nearest, meant(most), *drifting):
         if all(abs(time * rate - place) < Fraction(1, 2) for place, time in enumerate(seconds)):
             return Pacing(rate, every, varies=True)
-    rate = meant(most)
+    rate = _rate_of_most(seconds, packets.tick, likely) or meant(most)
     instants = range(round(seconds[-1] * rate) + 1)
     half = 1 / (2 * rate)
     shown = tuple(bisect_right(seconds, place / rate + half) - 1 for place in instants)
@@ -164,13 +172,37 @@ def pace(packets: Packets, said: Fraction | None) -> Pacing:
 
 def meant(rate: Fraction) -> Fraction:
     """Return the usual rate that a measured one is near to, else the rate itself, simplified."""
-    known = [Fraction(whole) * scale for whole in WHOLE_RATES for scale in _SCALES]
-    best = min(known, key=lambda usual: abs(usual - rate))
+    best = min(_STANDARD, key=lambda usual: abs(usual - rate))
     return best if _near(best, rate) else rate.limit_denominator(1001)
+
+
+def _standard_near(rate: Fraction, tick: Fraction) -> list[Fraction]:
+    """Return the standard rates that one which is measured in so many ticks may stand for.
+
+    Times in milliseconds have a median of 42 at 24 fps, which would be 23.8.
+    """
+    return [one for one in _STANDARD if abs(one - rate) <= (SNAP + tick * rate) * one]
+
+
+def _rate_of_most(
+    seconds: Sequence[Fraction], tick: Fraction, rates: Sequence[Fraction]
+) -> Fraction | None:
+    """Return the rate at whose instants nearly all frames lie; None without such a one."""
+
+    def share(rate: Fraction) -> float:
+        places = (time * rate for time in seconds)
+        return sum(abs(p - round(p)) <= tick * rate for p in places) / len(seconds)
+
+    best = max(rates, key=share, default=None)
+    return best if best is not None and share(best) >= MOST_FRAMES else None
 
 
 def _near(one: Fraction, other: Fraction) -> bool:
     return abs(one - other) <= SNAP * other
 
 
-_SCALES = (Fraction(1), Fraction(1000, 1001))
+_STANDARD = tuple(
+    Fraction(whole) * scale
+    for whole in WHOLE_RATES
+    for scale in (Fraction(1), Fraction(1000, 1001))
+)

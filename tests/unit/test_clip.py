@@ -126,6 +126,19 @@ class TestPace:
         found = pace(ticks(*times), Fraction(25))
         assert found.rate == 25 and found.skipped == 1 and found.repeated == 0
 
+    @pytest.mark.parametrize("rate", [Fraction(24), Fraction(24000, 1001), Fraction(60)])
+    def test_missing_frames_leave_a_standard_rate(self, rate):
+        """In milliseconds, the mean and the median of what is there are neither."""
+        exact = [round(1000 * i / rate) for i in range(145) if i not in (40, 90)]
+        found = pace(ticks(*exact), Fraction(143, 6))
+        assert found.rate == rate and found.repeated == 2 and found.skipped == 0
+
+    def test_a_header_s_mean_is_no_rate_where_frames_vary(self):
+        rng = np.random.default_rng(5)
+        times = [round(100 / 3 * i) + int(rng.integers(-4, 5)) for i in range(60)]
+        found = pace(ticks(*times), Fraction(2983, 100))
+        assert found.rate == 30 and found.shown == tuple(range(60))
+
     def test_one_frame_and_untold_times_take_the_header(self):
         assert pace(ticks(0), Fraction(24)).shown == (0,)
         assert pace(ticks(0), None).rate == 30
