@@ -87,8 +87,9 @@ def command(
 ) -> None:
     """Score sequence B against A, the ground truth.
 
-    A and B are folders, patterns such as shot.####.exr, or any one frame of a sequence. Frames are
-    matched by number where one sequence has all numbers of the other, else by order. Compared is
+    A and B are folders, patterns such as shot.####.exr, any one frame of a sequence, or videos, of
+    EXR or other stills. Frames are matched by number where one sequence has all numbers of the
+    other, else by order, and by the instant where their pictures show different rates. Compared is
     the display window, sRGB-encoded and clipped to [0, 1]; for HDR-FLIP as it is. Flicker follows
     A's own motion vectors.
     """

@@ -22,6 +22,7 @@ from exwarp_cli.io.cryptomatte_manifest import SHOWN, shown
 from exwarp_cli.io.footage import is_plain, unevenness_of
 from exwarp_cli.io.layouts import alpha_left_out
 from exwarp_cli.pipeline.contents import Content, files_apart
+from exwarp_cli.pipeline.finding import OtherRate
 from exwarp_cli.pipeline.opening import step_note
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
     from exwarp_cli.io.sequence import Sequence
     from exwarp_cli.pipeline.late_network import LateNetwork
     from exwarp_cli.pipeline.progress import Progress
-    from exwarp_cli.pipeline.source import Source
+    from exwarp_cli.pipeline.source import FrameOf, Source
     from exwarp_cli.synthesis.methods import Method
 
 SURFACE_COLOURS = {Role.ALBEDO: "diffuse", Role.SPECULAR: "glossy"}
@@ -203,8 +204,11 @@ def _compatible_note(settings: UpsampleSettings, source: Source) -> str | None:
     )
 
 
-def announce_truth(progress: Progress, truth: Sequence, source: Source) -> None:
-    """Say where ground truth is longer than the output: it may be at another rate."""
+def announce_truth(progress: Progress, truth: Sequence, frame_of: FrameOf, source: Source) -> None:
+    """Say where ground truth is at another rate; or longer than the output, so that it may be."""
+    if isinstance(frame_of, OtherRate):
+        progress.message(frame_of.note)
+        return
     count = math.ceil(len(source.timeline.numbers) * source.timeline.factor)
     if len(truth.numbers) > count:
         progress.message(

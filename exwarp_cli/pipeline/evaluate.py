@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 
 from exwarp_cli.domain.frame import Bool, Image, place
 from exwarp_cli.domain.metric import METRICS
-from exwarp_cli.domain.results import Score
+from exwarp_cli.domain.results import FrameKind, Score
 from exwarp_cli.domain.settings import MeasureSettings
 from exwarp_cli.domain.timeline import parse_frames, ranges
+from exwarp_cli.domain.wording import counted
 from exwarp_cli.errors import InputError, LayoutError, MissingFrameError
-from exwarp_cli.io.frames import read_image, read_plane
+from exwarp_cli.io.footage import close, find_frames, picture
+from exwarp_cli.io.frames import read_plane
 from exwarp_cli.io.sequence import Sequence, find_sequence
+from exwarp_cli.io.views import expand
 from exwarp_cli.pipeline.comparing import Pair, Scorer
 from exwarp_cli.pipeline.measuring import (
     Origin,
@@ -25,7 +29,10 @@ from exwarp_cli.pipeline.measuring import (
     scorer,
 )
 from exwarp_cli.pipeline.progress import NoProgress, Progress
+from exwarp_cli.pipeline.truth_rate import truth_rate
 from exwarp_cli.pipeline.watching import Watcher
+
+KEY = FrameKind.KEY.value
 
 MASK_CHANNEL = "holes"
 """Channel of a mask file; above 0.5 is a hole."""
@@ -135,21 +142,24 @@ def evaluate(
     """
     measuring = measuring or MeasureSettings()
     require_consistent(measuring, holes)
-    truth, judged = find_sequence(reference), find_sequence(test)
+    truth, judged = (_frames(spec, measuring.view) for spec in (reference, test))
     masks = None if holes is None else find_sequence(holes)
-    matched_by, paired = pair(truth, judged)
+    matched_by, paired, told = pair(truth, judged, measuring.view)
     pairs = _select(paired, frames)
     mask_files = {} if masks is None else _mask_files(masks, judged, paired)
     files = [
-        _Files(a, b, truth.files[a], judged.files[b], mask_files.get(b), measuring.view)
-        for a, b in pairs.items()
+        _Files(a, b, truth, judged, mask_files.get(b), measuring.view) for a, b in pairs.items()
     ]
-    origins = origins_of([one.test for one in files])
+    origins = origins_of([judged.files[one.b] for one in files])
     require_generated(measuring, origins, judged)
     scoring, notes = scorer(measuring, reference, truth, origins)
-    compared, shape = _score(files, scoring, progress or NoProgress(), watcher)
+    try:
+        compared, shape = _score(files, scoring, progress or NoProgress(), watcher)
+    finally:
+        close(truth, judged)
     if measuring.preset is None:  # which has its own rule for rendered frames
         notes = (*rendered_note(origins), *notes)
+    notes = (*told, *notes)
     compared = tuple(replace(f, origin=o) for f, o in zip(compared, origins, strict=True))
     found = Comparison(
         *(truth, judged, masks, matched_by, shape[1], shape[0], compared),
@@ -165,21 +175,28 @@ def evaluate(
 
 @dataclass(frozen=True)
 class _Files:
-    """The numbers and files of one pair of frames; the first is the reference's."""
+    """One pair of frames, the reference's first, and its mask."""
 
     a: int
     b: int
-    reference: Path
-    test: Path
+    reference: Sequence
+    test: Sequence
     mask: Path | None
     view: str
 
+    @property
+    def name(self) -> str:
+        """Name of the test's file."""
+        return self.test.files[self.b].name
+
     def read(self) -> Pair:
         """Read the pair and its mask, all of one size."""
-        truth, judged = _shown(self.reference, self.view), _shown(self.test, self.view)
+        reference = self.reference.files[self.a]
+        truth = _shown(self.reference, self.a, self.view)
+        judged = _shown(self.test, self.b, self.view)
         shape = truth.display_window.shape
-        _require_shape(judged.display_window.shape, self.test, shape, self.reference)
-        mask = None if self.mask is None else _read_mask(self.mask, shape, self.reference)
+        _require_shape(judged.display_window.shape, self.test.files[self.b], shape, reference)
+        mask = None if self.mask is None else _read_mask(self.mask, shape, reference)
         return Pair(self.a, truth.pixels, judged.pixels, mask)
 
 
@@ -205,22 +222,27 @@ def _score(
     finally:
         progress.finish()
     compared = tuple(
-        ComparedFrame(one.a, one.b, one.test.name, overall, inside, share)
+        ComparedFrame(one.a, one.b, one.name, overall, inside, share)
         for one, (overall, inside), share in zip(files, scores, shares, strict=True)
     )
     return compared, shape
 
 
-def pair(reference: Sequence, test: Sequence) -> tuple[str, dict[int, int]]:
+def pair(
+    reference: Sequence, test: Sequence, view: str = ""
+) -> tuple[str, dict[int, int], tuple[str, ...]]:
     """Find the frame of `test` that belongs to each frame of `reference`.
 
     By number where the numbers of one sequence are all among the other's (frames that only the
-    longer one has are left out); otherwise by order, if both have equally many.
+    longer one has are left out). Otherwise by order, if both have equally many, or are as ExWarp
+    writes them: a tail more or less. Where both begin alike and their pictures show another rate,
+    by the instant.
 
     Returns
     -------
-    str, dict of int to int
-        "number" or "order", and the test's number by the reference's, ascending.
+    str, dict of int to int, tuple of str
+        "number" or "order"; the test's number by the reference's, ascending; and what a reader of
+        the numbers should know.
 
     Raises
     ------
@@ -228,15 +250,57 @@ def pair(reference: Sequence, test: Sequence) -> tuple[str, dict[int, int]]:
         When neither is possible.
     """
     a, b = sorted(reference.files), sorted(test.files)
-    if set(a) <= set(b) or set(b) <= set(a):
-        return "number", {n: n for n in a if n in test.files}
+    by_number = set(a) <= set(b) or set(b) <= set(a)
+    if len(a) != len(b) and (a[0] == b[0] or not by_number):
+        kinds = [origin.kind for origin in origins_of([test.files[n] for n in b])]
+        rate = _rate(reference, test, kinds, view)
+        if rate != 1:
+            return "order", *_by_instant(a, b, rate)
+        if not by_number and abs(len(a) - len(b)) < _interval(kinds):
+            left = f"the last {counted(abs(len(a) - len(b)), 'frame')} of the longer sequence"
+            return "order", dict(zip(a, b, strict=False)), (f"{left} have no partner",)
+    if by_number:
+        return "number", {n: n for n in a if n in test.files}, ()
     if len(a) != len(b):
         raise MissingFrameError(
             f"the frames {ranges(a)} of {reference.pattern} and {ranges(b)} of {test.pattern} "
             f"match neither by number nor by order ({len(a)} against {len(b)}); "
             "renumber one sequence, or move the frames that the other lacks elsewhere"
         )
-    return "order", dict(zip(a, b, strict=True))
+    return "order", dict(zip(a, b, strict=True)), ()
+
+
+def _rate(reference: Sequence, test: Sequence, kinds: list[str | None], view: str) -> Fraction:
+    """Return how many frames the reference has per frame of the test, as the pictures show."""
+    a, b = sorted(reference.files), sorted(test.files)
+    # Rendered frames are the reference's own pictures; where no header tells, any will do.
+    rendered = [place for place, kind in enumerate(kinds) if kind is None or kind == KEY]
+    return truth_rate(
+        rendered,
+        len(b),
+        len(a),
+        lambda place: picture(test, b[place], view),
+        lambda place: picture(reference, a[place], view),
+    )
+
+
+def _interval(kinds: list[str | None]) -> int:
+    """Return the longest run of frames between rendered ones; 0 where no header tells."""
+    runs = "".join("r" if kind in (None, KEY) else "n" for kind in kinds).split("r")
+    return 0 if set(kinds) <= {None} else max(map(len, runs)) + 1
+
+
+def _by_instant(
+    a: list[int], b: list[int], rate: Fraction
+) -> tuple[dict[int, int], tuple[str, ...]]:
+    """Pair frames of sequences that begin alike, the first with `rate` times as many frames."""
+    places = [(place * rate, place) for place in range(len(b))]
+    paired = {a[int(at)]: b[place] for at, place in places if at.denominator == 1 and at < len(a)}
+    note = (
+        f"the first sequence has {rate.numerator} frames for each {rate.denominator} of the "
+        f"second, as the pictures show: those of the same instant are compared"
+    )
+    return paired, (note,)
 
 
 def _select(paired: dict[int, int], frames: str | None) -> dict[int, int]:
@@ -280,9 +344,14 @@ def _require_scores(found: Comparison) -> None:
         )
 
 
-def _shown(path: Path, view: str) -> Image:
+def _frames(spec: str, view: str) -> Sequence:
+    """Find a sequence of any kind, of a view where the name has a token for it."""
+    return find_frames(expand(spec, view or None)[0])
+
+
+def _shown(sequence: Sequence, number: int, view: str) -> Image:
     """Read what is meant to be seen of a frame."""
-    image = read_image(path, view)
+    image = picture(sequence, number, view)
     return image.on(image.display_window)
 
 

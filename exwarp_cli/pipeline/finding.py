@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
+from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from exwarp_cli.domain.settings import UpsampleSettings
-from exwarp_cli.domain.timeline import FACTOR
-from exwarp_cli.errors import LayoutError, UsageError
-from exwarp_cli.io.footage import find_frames, picture_size
+from exwarp_cli.domain.timeline import FACTOR, Slot, Timeline
+from exwarp_cli.errors import InputError, LayoutError, UsageError
+from exwarp_cli.io.footage import find_frames, picture, picture_size
 from exwarp_cli.io.sequence import Sequence
 from exwarp_cli.io.soundness import first_of
 from exwarp_cli.io.views import expand
 from exwarp_cli.pipeline.source import FrameOf, Source, align
+from exwarp_cli.pipeline.truth_rate import truth_rate
 from exwarp_cli.synthesis.methods import METHODS, Judge, Method
 
 if TYPE_CHECKING:
@@ -176,6 +180,13 @@ def find_truth(spec: str, source: Source, bearable: bool = False) -> tuple[Seque
     """Find ground truth of any kind, and refuse one of another size before any work.
 
     Its first frame tells, or where some may be of no use (`bearable`) the first that is of any.
+    Where it is certainly at another rate than the output, its frames go to the slots at their
+    instants; see `OtherRate`.
+
+    Raises
+    ------
+    InputError
+        When it is not found, has gaps, is of another size, or has no frame at any slot's instant.
     """
     sequence = find_frames(expand(spec, source.keys.view or None)[0], bearable)
     frame_of = align(source.timeline, sequence, "--ground-truth")
@@ -191,4 +202,68 @@ def find_truth(spec: str, source: Source, bearable: bool = False) -> tuple[Seque
 
     numbers = sequence.numbers
     first_of(numbers if bearable else numbers[:1], require_alike)
-    return sequence, frame_of
+    return sequence, _at_its_rate(source, sequence, frame_of)
+
+
+@dataclass(frozen=True)
+class OtherRate:
+    """Matches ground truth to slots that is at another rate than the output: by the instant.
+
+    Attributes
+    ----------
+    timeline
+        Of the output.
+    numbers
+        Of the frames of the ground truth, from the first key frame's on.
+    rate
+        Frames of it per frame of the output.
+    """
+
+    timeline: Timeline
+    numbers: tuple[int, ...]
+    rate: Fraction
+
+    def __call__(self, slot: Slot) -> int | None:
+        """Return the number of a slot's frame; None where it has none."""
+        place = self.timeline.order(slot) * self.rate
+        there = place.denominator == 1 and place < len(self.numbers)
+        return self.numbers[int(place)] if there else None
+
+    @property
+    def note(self) -> str:
+        """What is said of it."""
+        scored = "each new frame is scored against the frame of its own instant"
+        if self.rate.denominator > 1:
+            scored = "new frames at whose instant it has none are not scored"
+        return (
+            f"--ground-truth has {float(self.timeline.factor * self.rate):g} frames for each key "
+            f"frame and the output {float(self.timeline.factor):g}, as the pictures show: {scored}"
+        )
+
+
+def _at_its_rate(source: Source, sequence: Sequence, frame_of: FrameOf) -> FrameOf:
+    """Return what matches ground truth to slots at the rate that its pictures show."""
+    timeline, keys = source.timeline, source.keys
+    first = frame_of(Slot(0, 0))
+    numbers = tuple(n for n in sorted(sequence.numbers) if first is not None and n >= first)
+    shown = {
+        timeline.order(Slot(k, 0)): k for k in range(len(timeline.numbers)) if timeline.shows(k)
+    }
+    rate = truth_rate(
+        sorted(shown),
+        math.ceil(len(timeline.numbers) * timeline.factor),
+        len(numbers),
+        lambda place: picture(keys.sequence, timeline.numbers[shown[place]], keys.view),
+        lambda place: picture(sequence, numbers[place], keys.view),
+    )
+    if rate == 1:
+        return frame_of
+    found = OtherRate(timeline, numbers, rate)
+    made = (slot for key in range(len(timeline.numbers)) for slot in timeline.made_of(key))
+    if all(found(slot) is None for slot in made):
+        raise InputError(
+            f"--ground-truth {sequence.pattern} has {float(timeline.factor * rate):g} frames for "
+            f"each key frame and the output {float(timeline.factor):g}, so none is of a new "
+            f"frame's instant; give a sequence at {float(source.output_fps):g} fps"
+        )
+    return found

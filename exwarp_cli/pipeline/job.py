@@ -151,7 +151,7 @@ class Job:
         if (note := usual_note(self.source, self.settings)) is not None:
             progress.message(note)
         if self.truth is not None:
-            announce_truth(progress, self.truth[0], self.source)
+            announce_truth(progress, *self.truth, self.source)
         announce_contents(progress, self.contents)
         announce_models(progress, self.models, self.source)
 

@@ -12,7 +12,8 @@ from exwarp_cli.domain.results import FrameKind
 from exwarp_cli.domain.settings import PRESETS, MeasureSettings
 from exwarp_cli.domain.threshold import GENERATED
 from exwarp_cli.errors import InputError, UsageError
-from exwarp_cli.io.output import written_attributes
+from exwarp_cli.io.clip import is_clip
+from exwarp_cli.io.frame_files import facts_in
 from exwarp_cli.io.sequence import Sequence
 from exwarp_cli.pipeline.comparing import ExtranetScores, Scorer, SequenceScores
 from exwarp_cli.pipeline.flow import Flow, open_flow
@@ -63,7 +64,7 @@ def origins_of(files: Listed[Path]) -> list[Origin]:
     DamagedFileError
         When a header cannot be read.
     """
-    return [_origin(written_attributes(path)) for path in files]
+    return [_origin({} if is_clip(str(path)) else facts_in(path)) for path in files]
 
 
 def _origin(known: dict[str, Any]) -> Origin:
@@ -147,7 +148,7 @@ def _generated(origins: Listed[Origin]) -> list[bool] | None:
 
 def rendered_note(origins: Listed[Origin]) -> tuple[str, ...]:
     """Say that frames which were rendered raise the means over an upsampled sequence, if any do."""
-    rendered = sum(origin.kind is None for origin in origins)
+    rendered = sum(not (origin.generated or origin.dropped) for origin in origins)
     if rendered in (0, len(origins)):
         return ()
     return (

@@ -165,16 +165,6 @@ def test_all_layers_at_any_rate(upsample, keys, tmp_path, rate):
         assert planes.keys() == shots.read(keys / "shot.0001.exr")[1].keys()
 
 
-@pytest.mark.parametrize(("factor", "told"), [(2, True), (4, False)])
-def test_truth_that_may_be_at_another_rate_is_told(exwarp, keys, tmp_path, factor, told):
-    truth = truth_at(tmp_path / "truth", Fraction(4))
-    options = ("--factor", factor, "-m", "hold", "--frames", 1, "--progress", "plain")
-    found = exwarp("upsample", keys, "-o", tmp_path / "out", "--ground-truth", truth, *options)
-    assert found.code == 0, found.err
-    line = "--ground-truth has 17 frames, and the whole output 10; scores only hold if it is at 60"
-    assert (line in found.err) == told
-
-
 def test_that_there_is_no_next_key_frame_is_told_at_any_rate(exwarp, keys, tmp_path):
     """The fourth key frame is no output instant of 24 to 30, and one frame is made after it."""
     few = tmp_path / "keys"

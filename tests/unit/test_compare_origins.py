@@ -93,10 +93,8 @@ def test_headers_that_tell_nothing_leave_nulls(
 
 def test_each_header_is_read_once(shots: tuple[str, str], monkeypatch) -> None:
     read: list[str] = []
-    known = measuring.written_attributes
-    monkeypatch.setattr(
-        measuring, "written_attributes", lambda path: read.append(path.name) or known(path)
-    )
+    known = measuring.facts_in
+    monkeypatch.setattr(measuring, "facts_in", lambda path: read.append(path.name) or known(path))
     for settings in (MeasureSettings(("psnr_db",)), MeasureSettings(("ssim",), "extranet")):
         read.clear()
         evaluate(*shots, frames="2-4", measuring=settings)
