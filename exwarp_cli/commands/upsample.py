@@ -157,6 +157,11 @@ class FrameRate(click.ParamType[Fraction]):
     help="Of generated frames: zip, piz, dwaa, none …; zip:4 is slower and mostly smaller.",
 )
 @click.option(
+    "--keep-bytes",
+    is_flag=True,
+    help="Copy key frames byte for byte; else their headers get the frame rate of the output.",
+)
+@click.option(
     "--keep-going",
     is_flag=True,
     help="Leave out key intervals whose files are damaged or missing, and exit with 12, or with 0 "

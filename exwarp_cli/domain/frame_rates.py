@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from fractions import Fraction
 from itertools import pairwise
 from typing import Any
@@ -18,6 +19,22 @@ BROADCAST = Fraction(1000, 1001)
 FINEST, LARGEST = 10**6, 2**27
 """Largest denominator and numerator of a rate that is read: eight times it, or a part of it, still
 fits OpenEXR's 32-bit integers."""
+
+
+@dataclass(frozen=True)
+class OutputRate:
+    """Frames per second of an output.
+
+    Attributes
+    ----------
+    fps
+        What a video has.
+    written
+        What headers of frames say; None where the rate is only assumed.
+    """
+
+    fps: Fraction
+    written: Fraction | None
 
 
 def parsed_rate(value: Any) -> Fraction | None:

@@ -115,6 +115,8 @@ class UpsampleSettings:
         Which layers generated frames hold: "beauty", "all", or names with wildcards.
     verify
         Whether to read everything back and compare it.
+    keep_bytes
+        Whether key frames are copied byte for byte, also where their rate is not the output's.
     """
 
     source: SourceSettings
@@ -136,6 +138,7 @@ class UpsampleSettings:
     metrics: tuple[str, ...] | None = None
     layers: str = "beauty"
     verify: bool = False
+    keep_bytes: bool = False
 
     @property
     def measured(self) -> tuple[str, ...]:

@@ -18,7 +18,7 @@ from exwarp_cli.pipeline.job import Job
 from exwarp_cli.pipeline.loaded import Loaded
 from exwarp_cli.pipeline.recipes import key_recipe
 from exwarp_cli.pipeline.sink import Sink
-from exwarp_cli.pipeline.upsample import make_loader
+from exwarp_cli.pipeline.upsample import make_loader, make_sink
 from exwarp_cli.pipeline.without_vectors import is_kept, note_of
 
 
@@ -150,8 +150,7 @@ def _compared(job: Job) -> tuple[tuple[ForeseenFrame, ...], tuple[Cut, ...] | No
         note = note_of(loader.leading_recipes, job.settings, job.keys)
         kept = is_kept(job.targets, job.settings, note)
         return tuple(_foreseen(job, slot, kept) for slot in job.slots), None
-    keys = job.source.keys
-    sink = Sink(job.targets, job.settings, keys.display, job.source.output_fps, keys.view)
+    sink = make_sink(job)
     frames = []
     for key in job.keys:
         loaded = loader.load(key, lambda *_: False)
@@ -174,7 +173,7 @@ def _is_there(job: Job, sink: Sink, slot: Slot, recipes: dict[int, str]) -> bool
     path = keys.sequence.files[key_number]
     if sink.copies(path):
         return sink.has_copy(number, path)
-    return sink.has(number, key_recipe(keys, key_number), masked=False)
+    return sink.has(number, key_recipe(keys, key_number, job.source.written_fps), masked=False)
 
 
 def _foreseen(job: Job, slot: Slot, kept: bool) -> ForeseenFrame:

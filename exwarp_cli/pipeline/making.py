@@ -165,7 +165,7 @@ class SlotMaker:
     def _attributes(self, record: FrameRecord, recipe: str) -> dict[str, Any]:
         """Header attributes of a generated frame."""
         out: dict[str, Any] = {
-            "framesPerSecond": self._source.output_fps,
+            **rate_attribute(self._source),
             f"{PREFIX}version": __version__,
             f"{PREFIX}method": record.method,
             f"{PREFIX}kind": record.kind.value,
@@ -190,6 +190,11 @@ class SlotMaker:
         if compression is not None:
             out["compression"] = compression
         return out
+
+
+def rate_attribute(source: Source) -> dict[str, Any]:
+    """Return the header attribute for the rate of the output; none where the rate is assumed."""
+    return {} if source.written_fps is None else {"framesPerSecond": source.written_fps}
 
 
 def rounded(image: Image, template: FrameTemplate) -> Image:

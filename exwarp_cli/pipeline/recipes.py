@@ -8,6 +8,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Collection, Iterable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -115,7 +116,7 @@ class Recipes:
             "setting": source.setting,
             "motion": repr(None if source.finding is None else source.finding.convention),
             "compression": self.compression,
-            "fps": str(source.fps),
+            "fps": f"{source.fps}{'' if source.written_fps else ' assumed'}",
             "files": files,
         }
         common |= _seen_otherwise(source)
@@ -165,9 +166,12 @@ class Recipes:
         return self._digests[token]
 
 
-def key_recipe(keys: Shot, number: int) -> str:
-    """Digest what a key frame depends on that is not copied but decoded and written anew."""
-    found = {"version": __version__, "key": digest_of(keys.sequence, number)}
+def key_recipe(keys: Shot, number: int, rate: Fraction | None = None) -> str:
+    """Digest what a key frame depends on that is not copied but decoded and encoded.
+
+    The rate is what its header says; None where it says none.
+    """
+    found = {"version": __version__, "key": digest_of(keys.sequence, number), "fps": str(rate)}
     return hashlib.sha256(json.dumps(found, sort_keys=True).encode()).hexdigest()
 
 

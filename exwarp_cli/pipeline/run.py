@@ -24,7 +24,7 @@ from exwarp_cli.pipeline.geometry import Staging
 from exwarp_cli.pipeline.layers import Beside
 from exwarp_cli.pipeline.leaving_out import left_out, tell_left_out, unscored
 from exwarp_cli.pipeline.loaded import Loaded, Unmade
-from exwarp_cli.pipeline.making import Made, SlotMaker, rounded
+from exwarp_cli.pipeline.making import Made, SlotMaker, rate_attribute, rounded
 from exwarp_cli.pipeline.progress import Progress
 from exwarp_cli.pipeline.recipes import key_recipe
 from exwarp_cli.pipeline.schedule import read_ahead
@@ -261,11 +261,11 @@ class Run:
         keys, number = self.source.keys, self.source.timeline.numbers[loaded.key]
         if not self.sink.keeps_frames:
             return False
-        recipe = key_recipe(keys, number)
+        recipe = key_recipe(keys, number, self.source.written_fps)
         if self.sink.has(output, recipe, masked=False):
             return True
         attributes = {
-            "framesPerSecond": self.source.output_fps,
+            **rate_attribute(self.source),
             f"{PREFIX}version": __version__,
             f"{PREFIX}kind": FrameKind.KEY.value,
             f"{PREFIX}key": number,

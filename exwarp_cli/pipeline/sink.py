@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from fractions import Fraction
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,17 +13,18 @@ import numpy as np
 
 from exwarp_cli.domain import cores
 from exwarp_cli.domain.frame import Bool, Image, Window
+from exwarp_cli.domain.frame_rates import OutputRate
 from exwarp_cli.domain.settings import UpsampleSettings
-from exwarp_cli.io.atomic import atomic_copy
 from exwarp_cli.io.exr_encoding import Buffer
 from exwarp_cli.io.frame_files import FrameTemplate, facts_in, read_picture, write_picture
 from exwarp_cli.io.held import Held
+from exwarp_cli.io.key_file import key_file
 from exwarp_cli.io.output import PREFIX, write_mask
 from exwarp_cli.io.template import Plane, PlaneKey
 from exwarp_cli.io.video import VideoLook, VideoWriter, to_display
 from exwarp_cli.pipeline.schedule import WriteBehind
 from exwarp_cli.pipeline.targets import Targets, key_is_there, slot_is_there
-from exwarp_cli.pipeline.verifying import FRAME, HOLES, Sums, sum_in, sum_of
+from exwarp_cli.pipeline.verifying import FRAME, HOLES, Sums, sum_of
 
 FRAMES_BEHIND = 4
 
@@ -40,8 +40,8 @@ class Sink(Held):
         Of the run.
     display
         The window that the video and the hole masks show.
-    fps
-        Of the video.
+    rate
+        Of the video, and what headers of key frames get.
     view
         Which view of written frames is read again; "" for the hero, and without views.
     behind
@@ -57,7 +57,7 @@ class Sink(Held):
         targets: Targets,
         settings: UpsampleSettings,
         display: Window,
-        fps: Fraction,
+        rate: OutputRate,
         view: str = "",
         behind: int = FRAMES_BEHIND,
         look: VideoLook | None = None,
@@ -66,7 +66,8 @@ class Sink(Held):
         self._targets = targets
         self._settings = settings
         self._display = display
-        self._fps = fps
+        self._fps = rate.fps
+        self._key_rate = None if settings.keep_bytes else rate.written
         self._view = view
         self._behind = behind
         self._look = look
@@ -123,10 +124,12 @@ class Sink(Held):
 
     def has_copy(self, number: int, source: Path) -> bool:
         """Whether an earlier run copied a key frame's file, and it is kept."""
-        return self._settings.skip_existing and key_is_there(self._frame_path(number), source)
+        if not self._settings.skip_existing:
+            return False
+        return key_is_there(self._frame_path(number), key_file(source, self._key_rate))
 
     def pass_key(self, number: int, source: Path) -> bool:
-        """Copy a key frame's file: its bytes, so all its layers and attributes.
+        """Copy a key frame's file, all its layers and attributes but for another frame rate.
 
         Returns
         -------
@@ -205,10 +208,11 @@ class Sink(Held):
         return self._targets.frames.path(number)
 
     def _copy(self, number: int, source: Path) -> None:
-        """Copy a key frame's file; its checksum is that of the source."""
-        atomic_copy(source, self._frame_path(number))
+        """Copy a key frame's file; its checksum is that of what the source gives."""
+        file = key_file(source, self._key_rate)
+        file.write(self._frame_path(number))
         if self._wants_sums:
-            self.sums[FRAME, number] = sum_in(source)
+            self.sums[FRAME, number] = sum_of(file.pieces())
 
     def _put(self, kind: str, number: int, write: Callable[[], list[Buffer]]) -> None:
         """Write a file; its checksum is that of what is in memory."""

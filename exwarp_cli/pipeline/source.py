@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 
 from exwarp_cli.domain.cuts import CutWish, parse_cuts
-from exwarp_cli.domain.frame_rates import compatible_rate, standard_rate
+from exwarp_cli.domain.frame_rates import OutputRate, compatible_rate, standard_rate
 from exwarp_cli.domain.motion import MotionConvention, MotionFinding
 from exwarp_cli.domain.settings import SourceSettings
 from exwarp_cli.domain.timeline import FACTOR, MOST, Slot, Timeline, ranges
@@ -80,6 +80,16 @@ class Source:
     def output_fps(self) -> Fraction:
         """Frames per second of the output."""
         return self.fps * self.timeline.factor
+
+    @property
+    def output_rate(self) -> OutputRate:
+        """Frames per second of the output, and what written frames say of them."""
+        return OutputRate(self.output_fps, self.written_fps)
+
+    @property
+    def written_fps(self) -> Fraction | None:
+        """The rate that written frames say they have; None where it is assumed."""
+        return None if self.fps_source == "assumed" else self.output_fps
 
     @property
     def moves(self) -> bool:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import filecmp
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,6 +13,7 @@ from exwarp_cli.io.atomic import is_there, make_folder, output_error, remove_lef
 from exwarp_cli.io.clip import is_clip
 from exwarp_cli.io.footage import is_plain
 from exwarp_cli.io.frame_files import recipe_in
+from exwarp_cli.io.key_file import KeyFile
 from exwarp_cli.io.sequence import EXR, OutputPattern, Sequence, output_pattern
 from exwarp_cli.io.stills import STILLS, require_writer
 from exwarp_cli.io.video import require_container
@@ -142,10 +142,10 @@ def _frames(settings: UpsampleSettings, source: Sequence) -> OutputPattern:
     return found
 
 
-def key_is_there(target: Path, source: Path) -> bool:
-    """Whether a key frame was passed through already: the same bytes."""
+def key_is_there(target: Path, source: KeyFile) -> bool:
+    """Whether a key frame was passed through already: the bytes that this job writes for it."""
     try:
-        return target.exists() and filecmp.cmp(target, source, shallow=False)
+        return target.exists() and source.is_at(target)
     except OSError:
         return False
 

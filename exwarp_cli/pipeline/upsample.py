@@ -213,6 +213,6 @@ def make_loader(job: Job) -> JointLoader:
 
 def make_sink(job: Job, note: str = "", behind: int = FRAMES_BEHIND) -> Sink:
     """Return where frames go; `note` is what a video that is written alone says of itself."""
-    keys, fps = job.source.keys, job.source.output_fps
+    keys, rate = job.source.keys, job.source.output_rate
     look = video_look(job.source, job.keys, note)
-    return Sink(job.targets, job.settings, keys.display, fps, keys.view, behind, look, job.sums)
+    return Sink(job.targets, job.settings, keys.display, rate, keys.view, behind, look, job.sums)
