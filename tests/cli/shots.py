@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import struct
 from collections.abc import Callable, Iterable, Mapping
 from fractions import Fraction
 from pathlib import Path
@@ -186,6 +188,18 @@ def names(folder: Path) -> list[str]:
 def contents(folder: Path) -> dict[str, bytes]:
     """Bytes of every file of a folder, by name."""
     return {name: (folder / name).read_bytes() for name in names(folder)}
+
+
+def passed_through(source: Path, rate: Fraction | int) -> bytes:
+    """Return the bytes of a key frame with another rate in the headers of all parts."""
+    value = struct.pack("<Iii", 8, *Fraction(rate).as_integer_ratio())
+    parts, known = (
+        len(OpenEXR.File(str(source), header_only=True).parts),
+        rb"(framesPerSecond\0rational\0).{12}",
+    )
+    data, count = re.subn(known, lambda m: m[1] + value, source.read_bytes(), flags=re.DOTALL)
+    assert count == parts
+    return data
 
 
 def psnr(reference: np.ndarray, test: np.ndarray) -> float:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import csv
 import json
 from fractions import Fraction
+from hashlib import sha256
 from pathlib import Path
 
+import OpenEXR
 import pytest
 
 from tests.cli import shots
@@ -84,7 +86,7 @@ class TestNumbers:
         upsample(keys, tmp_path / "out", "-m", "blend")
         for key, slot in ((1001, 1001), (1002, 1005), (1003, 1009)):
             got = tmp_path / "out" / f"shot.{slot}.exr"
-            assert got.read_bytes() == (keys / f"shot.{key}.exr").read_bytes()
+            assert got.read_bytes() == shots.passed_through(keys / f"shot.{key}.exr", 120)
 
     def test_the_report_counts_what_is_on_disk(self, colours, upsample, tmp_path):
         keys, report = colours((1001, 1002, 1003)), tmp_path / "report"
@@ -162,10 +164,64 @@ class TestFrameRate:
         assert float(header["framesPerSecond"]) == pytest.approx(4 * base, abs=4e-3)
         assert fps["effective"] == pytest.approx(4 * base, abs=4e-3)
 
-    def test_without_any_it_is_assumed_and_said(self, exwarp, tmp_path):
-        shots.sequence(tmp_path / "keys", shots.blender5, (1, 2))
-        result = exwarp("upsample", tmp_path / "keys", "-o", tmp_path / "out", "-m", "hold")
+    def test_without_any_it_is_assumed_and_said_and_written_nowhere(self, exwarp, tmp_path):
+        keys = shots.sequence(tmp_path / "keys", shots.blender5, (1, 2))
+        result = exwarp("upsample", keys, "-o", tmp_path / "out", "-m", "hold")
         assert result.code == 0 and "30 fps (assumed)" in result.err
+        for name in shots.names(tmp_path / "out"):
+            assert "framesPerSecond" not in shots.read(tmp_path / "out" / name)[0]
+        for key, slot in ((1, 1), (2, 5)):
+            source = keys / f"shot.{key:04d}.exr"
+            assert (tmp_path / "out" / f"shot.{slot:04d}.exr").read_bytes() == source.read_bytes()
+        assert exwarp("compare", keys, keys).code == 0
+
+    def test_a_rate_that_is_said_is_written_into_frames_of_an_earlier_run(self, exwarp, tmp_path):
+        keys = shots.sequence(tmp_path / "keys", shots.blender5, (1, 2), TINY)
+        command = ("upsample", keys, "-o", tmp_path / "out", "-m", "hold", "--skip-existing")
+        exwarp(*command)
+        assert exwarp(*command, "--fps", 30).code == 0
+        rates = [
+            part.header["framesPerSecond"]
+            for name in shots.names(tmp_path / "out")
+            for part in OpenEXR.File(str(tmp_path / "out" / name), header_only=True).parts
+        ]
+        assert len(rates) > 8 and set(rates) == {Fraction(120)}
+
+    def test_all_written_frames_have_one(self, colours, exwarp, tmp_path):
+        """Whatever is resumed, verified or said in the report."""
+        keys, out, report = colours((1, 2, 3)), tmp_path / "out", tmp_path / "report"
+        command = ("upsample", keys, "-o", out, "-m", "blend", "--report", report, "--verify")
+        assert exwarp(*command).code == 0
+        rates = {name: shots.read(out / name)[0]["framesPerSecond"] for name in shots.names(out)}
+        assert len(rates) == 12 and set(rates.values()) == {120}
+        before = shots.contents(out)
+        again = exwarp(*command, "--skip-existing")
+        assert again.code == 0, again.err
+        assert shots.contents(out) == before
+        document = json.loads((report / "report.json").read_text())
+        assert document["frames"]["resumed"] == 12
+        sums = {one["file"]: one["sha256"] for one in document["files"]}
+        assert sums == {name: sha256(data).hexdigest() for name, data in before.items()}
+        foreseen = exwarp(*command[:-1], "--skip-existing", "--dry-run")
+        assert "12 of them there already and kept" in foreseen.out
+
+    def test_key_frames_can_be_copied_byte_for_byte(self, colours, upsample, tmp_path):
+        keys, out = colours((1, 2)), tmp_path / "out"
+        upsample(keys, out, "-m", "blend", "--keep-bytes", "--verify")
+        kept, made = (shots.read(out / f"shot.{n:04d}.exr")[0] for n in (5, 2))
+        assert (kept["framesPerSecond"], made["framesPerSecond"]) == (30, 120)
+        source = keys / "shot.0002.exr"
+        assert (out / "shot.0005.exr").read_bytes() == source.read_bytes()
+        upsample(keys, out, "-m", "blend", "--skip-existing")
+        assert (out / "shot.0005.exr").read_bytes() == shots.passed_through(source, 120)
+
+    def test_a_rate_that_is_the_output_s_already_leaves_the_bytes(self, upsample, tmp_path):
+        """A header of 30 fps, and every fourth frame of it rendered."""
+        keys = shots.sequence(tmp_path / "keys", shots.colour_only, (1, 5, 9), TINY)
+        upsample(keys, tmp_path / "out", "-m", "blend")
+        for name in shots.names(keys):
+            assert (tmp_path / "out" / name).read_bytes() == (keys / name).read_bytes()
+        assert shots.read(tmp_path / "out" / "shot.0002.exr")[0]["framesPerSecond"] == 30
 
     @pytest.mark.parametrize("step", [2, 3, 4, 5])
     def test_numbers_in_steps_have_a_part_of_the_header_s_rate(

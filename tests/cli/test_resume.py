@@ -109,10 +109,15 @@ class TestSkipExisting:
         assert not changed & {"shot.0001.exr", "shot.0005.exr", "shot.0009.exr"}
 
     @pytest.mark.parametrize(
-        "other", [("--compression", "piz"), ("--motion", "next=-u,v"), ("--fps", "25")]
+        ("other", "replaced"),
+        [
+            (("--compression", "piz"), 9),
+            (("--motion", "next=-u,v"), 9),
+            (("--fps", "25"), 12),  # key frames have it in their headers, too
+        ],
     )
-    def test_other_settings_count(self, plain_shot, upsample, done, other):
-        assert len(self.resume(upsample, plain_shot, done, *self.OPTIONS, *other)) == 9
+    def test_other_settings_count(self, plain_shot, upsample, done, other, replaced):
+        assert len(self.resume(upsample, plain_shot, done, *self.OPTIONS, *other)) == replaced
 
     def test_a_changed_source_counts_for_its_frames_alone(
         self, plain_shot, upsample, done, tmp_path

@@ -74,9 +74,9 @@ class TestChecksums:
 
     def test_nobody_pays_for_what_nobody_asked(self, upsample, shot, tmp_path, monkeypatch):
         keys, *rest = shot["key"]
-        for name in ("sum_of", "sum_in"):
-            monkeypatch.setattr(sink, name, None)
-            monkeypatch.setattr(verifying, name, None)
+        for module in (sink, verifying):
+            monkeypatch.setattr(module, "sum_of", None)
+        monkeypatch.setattr(verifying, "sum_in", None)
         upsample(keys, tmp_path / "out", "-m", "s6", *rest)
 
 
