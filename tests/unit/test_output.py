@@ -265,7 +265,7 @@ class TestFilledWindow:
 class TestSmallThings:
     @pytest.mark.parametrize(
         ("value", "rate"),
-        [(Fraction(24), 24), (Fraction(0), None), (Fraction(-5), None), (25.0, None), (None, None)],
+        [(Fraction(24), 24), (Fraction(0), None), (Fraction(-5), None), (25.0, 25), (None, None)],
     )
     def test_frame_rate(self, value, rate):
         header = {} if value is None else {"framesPerSecond": value}
