@@ -193,7 +193,8 @@ def command(
     """Write SEQUENCE at four times its frame rate, or another.
 
     SEQUENCE is a folder, a pattern such as shot.####.exr, or any one frame. Rendered frames pass
-    through unchanged; those between them are made from their motion vectors.
+    through unchanged, but for a frame rate in their header that is not the output's; those between
+    them are made from their motion vectors.
 
     It may also be a video, or PNG, JPEG, TIFF, DPX and other stills, or EXR without vectors: motion
     is then estimated from colour, which needs the extra 'video' and is far less exact.
