@@ -37,6 +37,12 @@ samples the mean error is known to a hundredth."""
 Ranked = dict[Key, list[tuple[float, AxisMap]]]
 """Readings of channels in a direction, and their errors: the best first."""
 
+TELLING = 0.25
+"""Error without motion below which what is measured is too weak to refuse a known name."""
+
+SPAN_FLOOR = 0.01
+"""An error of short vectors must be below that of full ones by this to be read so."""
+
 HARDLY_BEATS = 0.9
 """Up to this share, and no other reading better, a convention known by name stands untested: pixels
 at silhouettes miss whatever the vectors, and in a slow shot they are most of the error."""

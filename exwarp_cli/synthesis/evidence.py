@@ -8,11 +8,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.domain.frame import Float32
 from exwarp_cli.domain.motion import AxisMap
-from exwarp_cli.synthesis.probing import Probe, probe
+from exwarp_cli.synthesis.probing import Probe, probe, trail
 from exwarp_cli.synthesis.readings import FREE_STEP, Form, fixed, forms, free, nearby
-from exwarp_cli.synthesis.sampling import Sampled
+from exwarp_cli.synthesis.sampling import Interval, Sampled
 
 F64 = npt.NDArray[np.float64]
 
@@ -50,8 +49,8 @@ class Evidence:
         maps = list(readings)
         if not maps:
             return []
-        each = [p.errors(_apply(maps, p, count), count) for p in self.probes]
-        return [float(np.mean(errors)) for errors in zip(*each, strict=True)]
+        each = [p.errors(p.shifts(maps, count), count) for p in self.probes]
+        return [float(error) for error in self._mean(each)]
 
     def error(self, reading: AxisMap) -> float:
         """Mean error of one candidate."""
@@ -59,7 +58,13 @@ class Evidence:
 
     def still(self) -> float:
         """Mean error of no motion."""
-        return float(np.mean([_still(p) for p in self.probes]))
+        return float(self._mean([_still(p) for p in self.probes]))
+
+    def _mean(self, each: Sequence[F64 | float]) -> F64:
+        """Average over the probes, each by how much it tells points apart."""
+        weights = [p.weight for p in self.probes]
+        told = weights if sum(weights) > 0 else None
+        return np.asarray(np.average(np.stack(each), axis=0, weights=told))
 
     @property
     def raw(self) -> F64:
@@ -125,7 +130,7 @@ class Evidence:
         """Whether two candidates move the samples differently enough to be told apart."""
         gaps = []
         for one in self.probes:
-            moved_a, moved_b = _apply([a, b], one, COARSE).astype(np.float64)
+            moved_a, moved_b = one.shifts([a, b], COARSE).astype(np.float64)
             gaps.append(np.abs(moved_a - moved_b).mean())
         return float(np.mean(gaps)) > SAME_PIXELS
 
@@ -158,7 +163,9 @@ def channel_pairs(names: tuple[str, ...]) -> list[tuple[int, int]]:
 
 
 def gathered(
-    pairs: Sequence[tuple[Sampled, Sampled]], names: tuple[str, ...]
+    pairs: Sequence[tuple[Sampled, Sampled]],
+    names: tuple[str, ...],
+    intervals: Sequence[Interval] = (),
 ) -> dict[Key, Evidence]:
     """Gather empty or filled evidence for every pair of channels and both directions."""
     odd = len(names) - 1 if len(names) % 2 else None
@@ -180,10 +187,11 @@ def gathered(
             for one, found in zip(channels, probe(*ends, used), strict=True):
                 if found is not None:
                     out[one, later].probes.append(found)
+    for way in intervals:
+        for later in (False, True):
+            followed = trail(way, later)
+            if followed is not None:
+                for one in channels:
+                    out[one, later].probes.append(followed)
     return out
 
-
-def _apply(readings: Sequence[AxisMap], sampled: Probe, count: int | None) -> Float32:
-    """Displacements [K, N, 2] of a probe's samples by K readings."""
-    raw = sampled.raw[sampled.part(count)]
-    return np.stack([reading.apply(raw) for reading in readings])

@@ -6,12 +6,15 @@ A frame is reduced as soon as it is read: of six frames of a sequence 150 MB sta
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer
+from exwarp_cli.domain.motion import ABOUT, MIDDLE
 
 Index = npt.NDArray[np.intp]
 
@@ -22,6 +25,15 @@ GRID = 5
 
 LEAST = 100
 """Samples below which a frame says nothing."""
+
+AT_REST = 0.01
+"""Vectors up to this share of the frame's longest count as no motion."""
+
+FEW_MOVE = 0.5
+"""Share of moving pixels below which these are sampled more densely than the frame."""
+
+MOST_VECTORS = 1 << 20
+"""Vectors that are kept of a frame between two key frames, on a coarser grid if needed."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +61,9 @@ class Sampled:
     usable, still
         bool [G]: pixels that show a surface, off the frame's rim, and of those the ones that do not
         move by themselves; `still` is None where that is not known, or does not matter.
+    regular, moving
+        bool [G]: pixels of the regular grid, and pixels whose vectors are not at rest. Where few
+        move, the pixels beyond the regular grid are further moving ones.
     position, depth, perceived
         float32 [H, W, ...]: what a point is told by; None without. Where there are positions they
         tell it alone.
@@ -63,6 +78,8 @@ class Sampled:
     x: Index
     motion: Float32
     usable: Bool
+    regular: Bool
+    moving: Bool
     still: Bool | None
     position: Float32 | None
     depth: Float32 | None
@@ -75,7 +92,8 @@ def sampled(frame: Instant) -> Sampled:
     """Reduce a frame."""
     height, width, _ = frame.motion.shape
     buffer = frame.gbuffer
-    grid = np.arange(0, height * width, max(1, height * width // (GRID * SAMPLES)))
+    step = max(1, height * width // (GRID * SAMPLES))
+    grid, moving = _with_movers(frame.motion.reshape(height * width, -1), step)
     y, x = np.divmod(grid, width)
     motion = frame.motion[y, x]
     usable = (y > 0) & (y < height - 1) & (x > 0) & (x < width - 1)
@@ -95,6 +113,8 @@ def sampled(frame: Instant) -> Sampled:
         x,
         motion,
         usable,
+        grid % step == 0,
+        moving,
         still,
         buffer.position,
         None if told else buffer.depth,
@@ -102,6 +122,79 @@ def sampled(frame: Instant) -> Sampled:
         (width, height),
         not np.isfinite(motion).any() and not np.isfinite(frame.motion).any(),
     )
+
+
+def _with_movers(vectors: Float32, step: int) -> tuple[Index, Bool]:
+    """Return the regular grid, with further moving pixels where few move, and which pixels move.
+
+    A mover of a thousandth of the frame has 30 pixels on the regular grid: too few to measure by.
+    """
+    regular = np.arange(0, len(vectors), step)
+    moving = is_moving(vectors[regular])
+    if step == 1 or np.mean(moving) >= FEW_MOVE:
+        return regular, moving
+    every = is_moving(vectors)
+    movers = np.flatnonzero(every)
+    grid = np.union1d(regular, movers[:: max(1, len(movers) // SAMPLES)])
+    return grid, every[grid]
+
+
+def is_moving(vectors: Float32) -> Bool:
+    """Return which vectors [N, C] are not at rest, bool [N].
+
+    Rest is 0, or about 0.5 if most vectors have just one such value. The last of an odd number of
+    channels is not part of a vector.
+    """
+    used = vectors[:, : 2 * (vectors.shape[1] // 2)]
+    if not used.size:
+        return np.zeros(len(vectors), bool)
+    some = used[:: max(1, len(used) // SAMPLES)]
+    usual = np.median(np.where(np.isfinite(some), some, 0), axis=0)
+    middle = (np.abs(usual - MIDDLE) < ABOUT) & (np.mean(some == usual, axis=0) > FEW_MOVE)
+    away = np.abs(used - np.where(middle, usual, 0).astype(np.float32))
+    away[~np.isfinite(away)] = 0
+    lengths = away.max(axis=1)
+    return np.asarray(lengths > AT_REST * lengths.max())
+
+
+@dataclass(frozen=True)
+class Interval:
+    """Two neighbouring key frames with colour, and the vectors of all frames on the way.
+
+    Attributes
+    ----------
+    numbers
+        Of the two key frames.
+    before, after
+        Their colours, float32 [H, W, 3], as the eye sees them.
+    vectors
+        Motion channels of the frames from the earlier key frame to the later one, both included,
+        float32 [h, w, C]: of every `stride`-th pixel.
+    stride
+        Distance of the pixels that vectors are kept of.
+    """
+
+    numbers: tuple[int, int]
+    before: Float32
+    after: Float32
+    vectors: tuple[Float32, ...]
+    stride: int
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the frames."""
+        height, width, _ = self.before.shape
+        return width, height
+
+
+def interval(
+    numbers: tuple[int, int], before: Float32, after: Float32, vectors: Iterable[Float32]
+) -> Interval:
+    """Reduce two key frames' colours and the vectors between to what tells a convention."""
+    height, width, _ = before.shape
+    stride = max(1, math.ceil(math.sqrt(height * width / MOST_VECTORS)))
+    kept = tuple(np.ascontiguousarray(field[::stride, ::stride]) for field in vectors)
+    return Interval(numbers, _perceived(before), _perceived(after), kept, stride)
 
 
 def _perceived(colour: Float32) -> Float32:
