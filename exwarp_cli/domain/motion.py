@@ -173,6 +173,16 @@ class MotionConvention:
 
         return MotionConvention(scaled(self.to_previous), scaled(self.to_next))
 
+    def scaled(self, factor: float) -> MotionConvention:
+        """Return the convention of vectors that are shorter by a factor."""
+
+        def longer(axes: AxisMap | None) -> AxisMap | None:
+            if axes is None:
+                return None
+            return replace(axes, x_scale=axes.x_scale * factor, y_scale=axes.y_scale * factor)
+
+        return replace(self, to_previous=longer(self.to_previous), to_next=longer(self.to_next))
+
     def describe(self, channels: tuple[str, ...]) -> str:
         """Return the convention in the notation of ``--motion``."""
         units = ("width", "height") if self.of_frame else ("", "")
@@ -203,6 +213,10 @@ class MotionFinding:
     clear
         Whether all channels were measured to be what their names say, in both directions, and no
         other reading comes near: more frames would tell the same.
+    resting
+        Whether nothing moves in the frames that were measured.
+    preset
+        The name that ``--motion`` takes for what was measured; "" without.
     """
 
     convention: MotionConvention
@@ -212,6 +226,8 @@ class MotionFinding:
     still_error: float | None = None
     runner_up_error: float | None = None
     clear: bool = False
+    resting: bool = False
+    preset: str = ""
 
 
 def _number(value: float) -> str:

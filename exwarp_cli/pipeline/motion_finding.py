@@ -5,21 +5,42 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 from collections.abc import Sequence as Listed
 from contextlib import suppress
-from functools import cache
+from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
-from exwarp_cli.domain.frame import place
-from exwarp_cli.domain.motion import MotionFinding
+from exwarp_cli.domain.frame import Float32, place
+from exwarp_cli.domain.motion import MotionConvention, MotionFinding
 from exwarp_cli.errors import InputError, MotionError
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.frames import RawFrame, Shot, read_raw
+from exwarp_cli.io.producers import PRESETS
 from exwarp_cli.pipeline.early_frames import EarlyFrames, serves
 from exwarp_cli.pipeline.motion_option import motion_names, parse_motion
 from exwarp_cli.pipeline.shots import pairs_within
-from exwarp_cli.synthesis.calibration import calibrate
+from exwarp_cli.synthesis.calibration import calibrate, looks_like
 from exwarp_cli.synthesis.cuts import is_cut
-from exwarp_cli.synthesis.sampling import Instant, Sampled, sampled
+from exwarp_cli.synthesis.sampling import LEAST, Instant, Interval, Sampled, interval, sampled
+
+SPREAD, MOST_MOVING = 16, 3
+"""Pairs that are looked through for motion where the first ones hold none, and those measured."""
+
+
+@dataclass(frozen=True)
+class KeyColours:
+    """Key frames whose colour tells what the vectors of frames between them mean.
+
+    Attributes
+    ----------
+    keys
+        The key frames.
+    numbers
+        For each key frame, the number of the frame at its instant; None where there is none.
+    """
+
+    keys: Shot
+    numbers: tuple[int | None, ...]
 
 
 def find_motion(
@@ -28,6 +49,7 @@ def find_motion(
     detect: bool = True,
     starts: Collection[int] = (),
     early: EarlyFrames | None = None,
+    colours: KeyColours | None = None,
 ) -> MotionFinding | None:
     """Settle the motion convention of a shot, by hand or by measuring; None without motion.
 
@@ -43,6 +65,8 @@ def find_motion(
         Numbers of frames before which cuts are known.
     early
         Where frames are kept that a run reads first.
+    colours
+        Key frames with colour, where the shot itself has none.
 
     Raises
     ------
@@ -52,47 +76,177 @@ def find_motion(
     if Role.MOTION not in shot.layout:
         return None
     names, size = motion_names(shot), (shot.display.width, shot.display.height)
-    if given is not None:
-        convention = parse_motion(given, names, size)
-        return MotionFinding(convention, "given", f"{convention.describe(names)} given by --motion")
-    numbers = shot.sequence.numbers
-    guess = None if shot.layout.guess is None else shot.layout.guess.sized(*size)
+    measuring = _Measuring(shot, early or EarlyFrames(), starts, colours, names)
+    if given is None:
+        guess = None if shot.layout.guess is None else shot.layout.guess.sized(*size)
+        return measuring.finding(guess, detect)
+    convention = parse_motion(given, names, size)
+    told = f"{convention.describe(names)} given by --motion"
+    with suppress(InputError, MotionError):
+        told += _contradiction(measuring.finding(convention, detect), convention, names)
+    return MotionFinding(convention, "given", told)
 
-    @cache
-    def frame(number: int) -> Sampled:
-        return _sampled(shot, early or EarlyFrames(), number)
 
-    def by(firsts: list[int]) -> MotionFinding:
+def _contradiction(
+    finding: MotionFinding, convention: MotionConvention, names: tuple[str, ...]
+) -> str:
+    """Say what was measured where it contradicts --motion; "" where it does not."""
+    if finding.source != "corrected":
+        return ""
+    measured = finding.evidence.partition(";")[0]
+    return f", but the frames contradict it: {measured}{looks_like(finding.preset)}"
+
+
+class _Measuring:
+    """Measures the vectors of a shot in some pairs of its frames; see `find_motion`."""
+
+    def __init__(
+        self,
+        shot: Shot,
+        early: EarlyFrames,
+        starts: Collection[int],
+        colours: KeyColours | None,
+        names: tuple[str, ...],
+    ) -> None:
+        self._shot = shot
+        self._early = early
+        self._starts = starts
+        self._colours = colours
+        self._names = names
+        self._numbers = shot.sequence.numbers
+        self._frames: dict[tuple[int, bool], Sampled] = {}
+
+    def finding(self, guess: MotionConvention | None, detect: bool) -> MotionFinding:
+        """Measure by world positions if there are any, else by depth and colour.
+
+        World positions of what moves by itself are not found again. Before a resting camera,
+        nothing else moves, so there colour tells.
+        """
+        layout = self._shot.layout
+        try:
+            found = self._beside_cuts(guess, detect, by_colour=False)
+        except MotionError:
+            if not (Role.POSITION in layout and Role.COLOUR in layout):
+                raise
+            return self._beside_cuts(guess, detect, by_colour=True)
+        if found.source == "untested" and Role.POSITION in layout and Role.COLOUR in layout:
+            return self._beside_cuts(guess, detect, by_colour=True)
+        return found
+
+    def _beside_cuts(
+        self, guess: MotionConvention | None, detect: bool, by_colour: bool
+    ) -> MotionFinding:
+        """Measure in pairs that cross no known cut, and where that fails, none that is seen."""
+        firsts = pairs_within(len(self._numbers), self._parted)
+        try:
+            return self._in_pairs(firsts, guess, by_colour)
+        except MotionError:
+            if not detect or Role.COLOUR not in self._shot.layout:
+                raise
+            others = pairs_within(
+                len(self._numbers),
+                lambda i: self._parted(i) or _cut_by_colour(self._shot, self._numbers, i),
+            )
+            if others == firsts:
+                raise
+            return self._in_pairs(others, guess, by_colour)
+
+    def _in_pairs(
+        self, firsts: list[int], guess: MotionConvention | None, by_colour: bool
+    ) -> MotionFinding:
+        """Measure by the first pair alone, which most runs read first anyway, if it tells all.
+
+        If nothing moves in all of them, look for pairs in which something does.
+        """
+        if len(firsts) > 1:
+            with suppress(MotionError):
+                found = self._by(firsts[:1], guess, by_colour)
+                if found.clear:
+                    return found
+        found = self._by(firsts, guess, by_colour)
+        moving = self._moving_pairs(firsts, by_colour) if found.resting else []
+        return self._by(moving, guess, by_colour) if moving else found
+
+    def _by(
+        self, firsts: list[int], guess: MotionConvention | None, by_colour: bool
+    ) -> MotionFinding:
+        """Measure in these pairs."""
+        numbers = self._numbers
         # One after the other: each is decoded on all threads, and two at once took a sixth more.
-        pairs = [(frame(numbers[i]), frame(numbers[i + 1])) for i in firsts]
-        return calibrate(pairs, guess, names)
-
-    def lacks(i: int) -> bool:
-        return shot.keep_going and not all(_is_sound(frame, n) for n in numbers[i - 1 : i + 1])
-
-    firsts = pairs_within(len(numbers), lambda i: numbers[i] in starts or lacks(i))
-    try:
-        return _measured(by, firsts)
-    except MotionError:
-        if not detect or Role.COLOUR not in shot.layout:
-            raise
-        others = pairs_within(
-            len(numbers),
-            lambda i: numbers[i] in starts or lacks(i) or _cut_by_colour(shot, numbers, i),
+        pairs = [tuple(self._frame(numbers[j], by_colour) for j in (i, i + 1)) for i in firsts]
+        width, height = self._shot.display.width, self._shot.display.height
+        return calibrate(
+            [(before, after) for before, after in pairs],
+            guess,
+            self._names,
+            self._intervals(len(firsts)),
+            {name: preset.sized(width, height) for name, preset in PRESETS.items()},
+            min((b - a for a, b in pairwise(numbers)), default=1),
         )
-        if others == firsts:
-            raise
-        return _measured(by, others)
 
+    def _moving_pairs(self, firsts: list[int], by_colour: bool) -> list[int]:
+        """Return pairs in which something moves, of some that are evenly spread; few at most."""
+        count = len(self._numbers) - 1
+        others = sorted({count * i // SPREAD for i in range(SPREAD)} - set(firsts))
+        moving: list[int] = []
+        for first in others:
+            if self._parted(first + 1) or len(moving) == MOST_MOVING:
+                continue
+            ends = [self._frame(self._numbers[i], by_colour) for i in (first, first + 1)]
+            if any(np.count_nonzero(one.moving & one.usable) >= LEAST for one in ends):
+                moving.append(first)
+            else:
+                self._frames.clear()
+        return moving
 
-def _measured(by: Callable[[list[int]], MotionFinding], firsts: list[int]) -> MotionFinding:
-    """Measure by the first pair alone, which most runs read first anyway, where it tells all."""
-    if len(firsts) > 1:
-        with suppress(MotionError):
-            finding = by(firsts[:1])
-            if finding.clear:
-                return finding
-    return by(firsts)
+    def _frame(self, number: int, by_colour: bool) -> Sampled:
+        """Read and reduce a frame; what was reduced before is kept."""
+        key = number, by_colour
+        if key not in self._frames:
+            self._frames[key] = _sampled(self._shot, self._early, number, by_colour)
+        return self._frames[key]
+
+    def _parted(self, index: int) -> bool:
+        """Whether a frame and the one before it do not belong together, or cannot be read."""
+        numbers = self._numbers
+        if numbers[index] in self._starts:
+            return True
+        return self._shot.keep_going and not all(
+            _is_sound(lambda n: self._frame(n, False), n) for n in numbers[index - 1 : index + 1]
+        )
+
+    def _intervals(self, count: int) -> list[Interval]:
+        """Read so many intervals between key frames whose colours tell; [] without colours."""
+        colours = self._colours
+        if colours is None:
+            return []
+        ends = colours.numbers
+
+        def parted(index: int) -> bool:
+            return ends[index] in self._starts or None in ends[index - 1 : index + 1]
+
+        found = (self._interval(i) for i in pairs_within(len(ends), parted)[:count])
+        return [one for one in found if one is not None]
+
+    def _interval(self, index: int) -> Interval | None:
+        """Read two key frames' colours and the vectors between; None where one cannot be read."""
+        assert self._colours is not None
+        shot, ends = self._colours.keys, self._colours.numbers
+        numbers = shot.sequence.numbers[index], shot.sequence.numbers[index + 1]
+        first, last = ends[index], ends[index + 1]
+        assert first is not None and last is not None
+        try:
+            before, after = (
+                read_raw(shot, number, (Role.COLOUR,)).key(None).image.on(shot.display).pixels
+                for number in numbers
+            )
+            between = [number for number in self._numbers if first <= number <= last]
+            vectors = [_vectors(self._shot, number) for number in between]
+        except InputError:
+            if not self._shot.keep_going:
+                raise
+            return None
+        return interval(numbers, before, after, vectors)
 
 
 def _cut_by_colour(shot: Shot, numbers: Listed[int], index: int) -> bool:
@@ -111,19 +265,30 @@ def _is_sound(frame: Callable[[int], Sampled], number: int) -> bool:
     return True
 
 
-def _sampled(shot: Shot, early: EarlyFrames, number: int) -> Sampled:
+def _sampled(shot: Shot, early: EarlyFrames, number: int, by_colour: bool) -> Sampled:
     """Read a frame on the display window: data windows differ, and normalised vectors go by it."""
-    raw = _read(shot, early, number)
+    raw = _read(shot, early, number, by_colour)
     assert raw.motion is not None
     motion = place(raw.motion, raw.gbuffer.window, shot.display, np.nan)
     colour = None if raw.image is None else raw.image.on(shot.display).pixels
-    return sampled(Instant(number, raw.gbuffer.on(shot.display), motion, colour))
+    gbuffer = raw.gbuffer.on(shot.display)
+    if by_colour and gbuffer.position is not None:
+        gbuffer = gbuffer.without("position")
+    return sampled(Instant(number, gbuffer, motion, colour))
 
 
-def _read(shot: Shot, early: EarlyFrames, number: int) -> RawFrame:
+def _vectors(shot: Shot, number: int) -> Float32:
+    """Read a frame's motion channels on the display window."""
+    raw = read_raw(shot, number, (Role.MOTION,))
+    assert raw.motion is not None
+    return place(raw.motion, raw.gbuffer.window, shot.display, np.nan)
+
+
+def _read(shot: Shot, early: EarlyFrames, number: int, by_colour: bool) -> RawFrame:
     """Read of a frame what vectors are measured by, or as a run does where that has it in it."""
     # World positions tell points apart best, and alone; reading the rest takes most of the time.
-    seen = (Role.POSITION,) if Role.POSITION in shot.layout else (Role.COLOUR,)
+    by_position = Role.POSITION in shot.layout and not by_colour
+    seen = (Role.POSITION,) if by_position else (Role.COLOUR,)
     roles = (Role.MOTION, Role.DEPTH, Role.STENCIL, *seen)
     if number in early.numbers:
         try:

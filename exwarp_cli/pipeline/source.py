@@ -23,7 +23,7 @@ from exwarp_cli.io.channels import Role
 from exwarp_cli.io.frames import Shot
 from exwarp_cli.io.sequence import Sequence
 from exwarp_cli.pipeline.early_frames import Beginning, EarlyFrames
-from exwarp_cli.pipeline.motion_finding import find_motion
+from exwarp_cli.pipeline.motion_finding import KeyColours, find_motion
 from exwarp_cli.pipeline.object_ids import read_ids
 from exwarp_cli.pipeline.opening import open_keys, open_plain, open_slots, rate_of
 
@@ -174,7 +174,8 @@ def open_source(
     if run is not None and slots is None:
         early = EarlyFrames.of(run, keys, timeline, cuts.detect)
     try:
-        finding = find_motion(shot, settings.motion, cuts.detect, starts, early)
+        colours = _key_colours(keys, slots, timeline, slot_number)
+        finding = find_motion(shot, settings.motion, cuts.detect, starts, early, colours)
     except MotionError:
         if motion_needed:
             raise
@@ -187,6 +188,18 @@ def open_source(
     return Source(
         keys, slots, slot_number, timeline, finding, fps, fps_source, cuts, estimated, early
     )
+
+
+def _key_colours(
+    keys: Shot, slots: Shot | None, timeline: Timeline, slot_number: FrameOf
+) -> KeyColours | None:
+    """Return the key frames to measure slots' vectors by, where these have no colour."""
+    if slots is None or {Role.COLOUR, Role.POSITION} & set(slots.layout.roles):
+        return None
+    if (keys.display.width, keys.display.height) != (slots.display.width, slots.display.height):
+        return None
+    count = len(timeline.numbers)
+    return KeyColours(keys, tuple(slot_number(Slot(key, 0)) for key in range(count)))
 
 
 def _require_vectors(shot: Shot, finding: MotionFinding | None, slots: Shot | None) -> None:

@@ -9,17 +9,18 @@ with a flipped axis 68 %, with anything else under 18 %), else by depth and colo
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from exwarp_cli.domain.frame import Bool
 from exwarp_cli.domain.motion import AxisMap, MotionConvention, MotionFinding
 from exwarp_cli.errors import MotionError
 from exwarp_cli.kernels.jit import threads
 from exwarp_cli.synthesis.evidence import CLEARLY_BETTER, Evidence, Key, channel_pairs, gathered
-from exwarp_cli.synthesis.sampling import Sampled
+from exwarp_cli.synthesis.sampling import Interval, Sampled
 
 TIE_RATIO, TIE_FLOOR = 1.1, 0.01
 """An error up to this much above the least does not speak against a convention known by name."""
@@ -43,13 +44,24 @@ TELLING = 0.25
 SPAN_FLOOR = 0.01
 """An error of short vectors must be below that of full ones by this to be read so."""
 
+TELLING = 0.25
+"""Error without motion below which what was measured is too weak to refuse a known name."""
+
+SPAN_FLOOR = 0.01
+"""By how much the error of short vectors must be the smaller one for them to be read so."""
+
 HARDLY_BEATS = 0.9
 """Up to this share, and no other reading better, a convention known by name stands untested: pixels
 at silhouettes miss whatever the vectors, and in a slow shot they are most of the error."""
 
 
 def calibrate(
-    pairs: Sequence[tuple[Sampled, Sampled]], guess: MotionConvention | None, names: tuple[str, ...]
+    pairs: Sequence[tuple[Sampled, Sampled]],
+    guess: MotionConvention | None,
+    names: tuple[str, ...],
+    intervals: Sequence[Interval] = (),
+    presets: Mapping[str, MotionConvention] | None = None,
+    step: int = 1,
 ) -> MotionFinding:
     """Find the convention of motion channels.
 
@@ -62,6 +74,12 @@ def calibrate(
         What the channel names say; None when they say nothing.
     names
         Names of the motion channels' components, for the evidence.
+    intervals
+        Neighbouring key frames with colour, where these frames have none.
+    presets
+        Conventions by the name that ``--motion`` takes, in pixels: those that fit are named.
+    step
+        By how much numbers rise from frame to frame: vectors may span one of these numbers.
 
     Raises
     ------
@@ -72,17 +90,98 @@ def calibrate(
     if not pairs:
         return _untested(guess, "one frame alone shows no motion")
     frames = ", ".join(f"{a.number}-{b.number}" for a, b in pairs)
-    measured = {k: e for k, e in gathered(pairs, names).items() if e.probes}
+    if intervals:
+        keys = ", ".join(f"{first}-{last}" for first, last in (one.numbers for one in intervals))
+        frames += f" and the colour of key frames {keys}"
+    visible = None if guess is None else _visible(guess, pairs)
+    measured = {k: e for k, e in gathered(pairs, names, intervals).items() if e.probes}
     if not measured:
-        return _untested(guess, _why_nothing(pairs, frames, names))
+        return _untested(visible, _why_nothing(pairs, frames, names))
     if max(e.still() for e in measured.values()) < STILL_ERROR:
-        return _untested(guess, f"frames {frames} hold too little motion to measure")
+        return _too_little(pairs, visible, names, frames)
+    wanted = _spanning(guess, measured, step)
+    finding = _of_written(measured, wanted, names, frames, presets or {})
+    if wanted == guess or finding.convention != wanted:
+        return finding
+    span = f"{finding.evidence}; vectors span one frame of the {step} from key frame to key frame"
+    return replace(finding, evidence=span)
+
+
+def _of_written(
+    measured: dict[Key, Evidence],
+    guess: MotionConvention | None,
+    names: tuple[str, ...],
+    frames: str,
+    presets: Mapping[str, MotionConvention],
+) -> MotionFinding:
+    """Find the convention of all channels, but for those that hold no vectors."""
     written = {key: e for key, e in measured.items() if not e.empty}
     if written and {channels for channels, _ in written} != set(channel_pairs(names)):
         kept = {channels for channels, _ in written}
         measured = {key: e for key, e in measured.items() if key[0] in kept}
-        return _settled(measured, _without(guess, kept), names, frames, kept)
-    return _settled(measured, guess, names, frames, channel_pairs(names))
+        return _settled(measured, _without(guess, kept), names, frames, kept, presets)
+    return _settled(measured, guess, names, frames, channel_pairs(names), presets)
+
+
+def _too_little(
+    pairs: Sequence[tuple[Sampled, Sampled]],
+    guess: MotionConvention | None,
+    names: tuple[str, ...],
+    frames: str,
+) -> MotionFinding:
+    """Return what is read where too little moves to measure: at rest, every reading is the same."""
+    if any(_movers(one).any() for pair in pairs for one in pair):
+        return _untested(guess, f"frames {frames} hold too little motion to measure")
+    if guess is not None:
+        reason = f"frames {frames} hold too little motion to measure"
+        return replace(_untested(guess, reason), resting=True)
+    rest = float(np.nan_to_num(np.nanmedian(pairs[0][0].motion[:, :2])))
+    convention = MotionConvention(AxisMap(0, 1, 1.0, -1.0, still=rest))
+    told = (
+        f"{convention.describe(names)} assumed, as the channel names are not known: nothing moves "
+        f"in frames {frames}, where every reading is the same"
+    )
+    return MotionFinding(convention, "untested", told, resting=True)
+
+
+def _movers(frame: Sampled) -> Bool:
+    """Return which samples of a frame have vectors that are not at rest."""
+    return np.asarray(frame.moving & frame.usable)
+
+
+def _visible(guess: MotionConvention, pairs: Sequence[tuple[Sampled, Sampled]]) -> MotionConvention:
+    """Return the named convention without a length or alpha that makes every vector vanish."""
+    moving = np.concatenate([one.motion[_movers(one)] for pair in pairs for one in pair])
+
+    def seen(axes: AxisMap | None) -> AxisMap | None:
+        if axes is None or not len(moving):
+            return axes
+        plain = replace(axes, length=None, alpha=None)
+        vanishes = not np.nan_to_num(axes.apply(moving)).any()
+        return plain if vanishes and np.nan_to_num(plain.apply(moving)).any() else axes
+
+    return replace(guess, to_previous=seen(guess.to_previous), to_next=seen(guess.to_next))
+
+
+def _spanning(
+    guess: MotionConvention | None, measured: dict[Key, Evidence], step: int
+) -> MotionConvention | None:
+    """Return what the names say, for vectors over one frame or all that key frames are apart.
+
+    Both directions are judged together: they span the same.
+    """
+    if guess is None or step == 1:
+        return guess
+    short = guess.scaled(step)
+    full_error, short_error = (_error(one, measured) for one in (guess, short))
+    return short if short_error + SPAN_FLOOR < full_error else guess
+
+
+def _error(convention: MotionConvention, measured: dict[Key, Evidence]) -> float:
+    """Return the mean error of a convention, by those directions that can be measured."""
+    named = {key: _named(key, convention) for key in measured}
+    errors = [measured[key].error(axes) for key, axes in named.items() if axes is not None]
+    return float(np.mean(errors)) if errors else math.inf
 
 
 def _settled(
@@ -91,6 +190,7 @@ def _settled(
     names: tuple[str, ...],
     frames: str,
     kept: Collection[tuple[int, int]],
+    presets: Mapping[str, MotionConvention],
 ) -> MotionFinding:
     """Find the convention of those channels that hold vectors; see `calibrate`."""
     with ThreadPoolExecutor(min(threads(), len(measured)), "exwarp-measure") as pool:
@@ -103,7 +203,8 @@ def _settled(
             scaled = _judged(freely, measured, guess)
             better = scaled.error * CLEARLY_BETTER + TIE_FLOOR < verdict.error
             verdict = scaled if scaled.explains and better else verdict
-    found = verdict.finding(measured, guess, names, frames)
+    fits = [_fitting(presets, measured, one) for one in (verdict.convention, guess)]
+    found = verdict.finding(measured, guess, names, frames, (fits[0], fits[1]))
     lost = [f"{names[x]},{names[y]}" for x, y in channel_pairs(names) if (x, y) not in kept]
     if not lost:
         return found
@@ -147,16 +248,118 @@ def _judged(
     option = _assign(ranked, measured, guess)
     chosen = {key: _named_or_best(ranked[key], measured[key], guess) for key in option}
     others = [[ranked[key][0][0] for key in o] for o in _options(ranked) if o != option]
+    rival = math.inf
+    together = _together(ranked, measured, chosen)
+    if together:
+        chosen, rival = together
     maps = {key: found for key, (_, found) in chosen.items()}
+    if not together:
+        rival = min(_rival(ranked[key], measured[key], found) for key, found in maps.items())
     return _Verdict(
         maps,
         float(np.mean([error for error, _ in chosen.values()])),
         float(np.mean([measured[key].still() for key in chosen])),
-        min(_rival(ranked[key], measured[key], found) for key, found in maps.items()),
+        rival,
         max(error / (measured[key].still() or 1.0) for key, (error, _) in chosen.items()),
         _untried(maps, measured, guess),
         min(map(max, others), default=math.inf),
     )
+
+
+Chosen = dict[Key, tuple[float, AxisMap]]
+"""A reading of each direction's channels, and its error."""
+
+
+def _together(
+    ranked: Ranked, measured: dict[Key, Evidence], chosen: Chosen
+) -> tuple[Chosen, float] | None:
+    """Return the best reading of both directions that has one span and one sign convention.
+
+    Each direction by itself may be explained a little better by another span: vectors over one
+    frame of four, read as three of them in a shot that slows down.
+
+    Returns
+    -------
+    tuple or None
+        The readings, and the error of the best such reading that moves points elsewhere. None
+        where the directions agree already, or are clearly better apart.
+    """
+    if len(chosen) != 2 or _alike(*(axes for _, axes in chosen.values())):
+        return None
+    joint = sorted(_joint(ranked, measured, tuple(chosen)), key=_mean)
+    best = joint[0]
+    if _mean(best) > CLEARLY_BETTER * _mean(chosen) + TIE_FLOOR:
+        return None
+
+    def differs(other: Chosen) -> bool:
+        return any(measured[key].differ(other[key][1], best[key][1]) for key in best)
+
+    return best, next((_mean(other) for other in joint if differs(other)), 1.0)
+
+
+def _joint(
+    ranked: Ranked, measured: dict[Key, Evidence], option: tuple[Key, ...]
+) -> Iterator[Chosen]:
+    """Yield readings of both directions with one span and one sign convention."""
+    for key, other in (option, option[::-1]):
+        places = dict(zip(key[0], other[0], strict=True))
+        for error, axes in ranked[key]:
+            partners = [
+                replace(
+                    axes,
+                    x_channel=places[axes.x_channel],
+                    y_channel=places[axes.y_channel],
+                    x_scale=sign * axes.x_scale,
+                    y_scale=sign * axes.y_scale,
+                )
+                for sign in (1.0, -1.0)
+            ]
+            for found, partner in zip(measured[other].errors(partners), partners, strict=True):
+                yield {key: (error, axes), other: (found, partner)}
+
+
+def _mean(chosen: Chosen) -> float:
+    """Return the mean error of readings."""
+    return float(np.mean([error for error, _ in chosen.values()]))
+
+
+def _alike(a: AxisMap, b: AxisMap) -> bool:
+    """Whether readings of two directions have one span and one sign convention."""
+    return (
+        (a.x_channel < a.y_channel) == (b.x_channel < b.y_channel)
+        and abs(a.x_scale) == abs(b.x_scale)
+        and a.x_scale * b.y_scale == a.y_scale * b.x_scale
+        and (a.still, a.length, a.alpha) == (b.still, b.length, b.alpha)
+    )
+
+
+def _fitting(
+    presets: Mapping[str, MotionConvention],
+    measured: dict[Key, Evidence],
+    convention: MotionConvention | None,
+) -> str:
+    """Return the preset that reads vectors as a convention does; "" without.
+
+    Many programs write alike: the shortest of their names is as good as any.
+    """
+    if convention is None:
+        return ""
+
+    def same(a: AxisMap | None, b: AxisMap | None, later: bool) -> bool:
+        if a is None or b is None or a == b:
+            return a == b
+        key = _key(a, later)
+        return key == _key(b, later) and key in measured and not measured[key].differ(a, b)
+
+    channels = len(next(iter(measured.values())).raw[0])
+    fits = [
+        name
+        for name, preset in presets.items()
+        if preset.count <= channels
+        and same(preset.to_previous, convention.to_previous, False)
+        and same(preset.to_next, convention.to_next, True)
+    ]
+    return min(fits, key=len, default="")
 
 
 def _untried(
@@ -235,24 +438,25 @@ class _Verdict:
         guess: MotionConvention | None,
         names: tuple[str, ...],
         frames: str,
+        presets: tuple[str, str],
     ) -> MotionFinding:
-        """Accept the convention, or say why not; see :func:`calibrate`."""
+        """Accept the convention, or say why not; see :func:`calibrate`.
+
+        `presets` are those that read as this convention does, and as the names say; "" without.
+        """
         read = self.convention.describe(names)
         told = None if guess is None else guess.describe(names)
         if not self.explains:
             if self.hardly(guess):
                 return _untested(guess, f"frames {frames} hold too little motion to measure")
-            one = " in one of the two directions" if self.error <= BEATS_STILL * self.still else ""
-            raise MotionError(
-                f"no reading of the motion channels explains the motion between frames {frames}"
-                f"{one} (error {self.error:.3f}, {self.still:.3f} without motion); check the "
-                "pass, or give --motion"
-            )
+            if guess is not None and self.still < TELLING:
+                return _untested(guess, f"frames {frames} tell too little to contradict them")
+            raise MotionError(self._unexplained(measured, frames, presets[1]))
         if self.convention != guess and not self.alone:
             known = "are not known" if told is None else f"say {told}, which is worse"
             raise MotionError(
                 f"frames {frames} do not tell the conventions {read} and others apart and the "
-                f"channel names {known}; give --motion"
+                f"channel names {known}; give --motion{looks_like(presets[0])}"
             )
         corrected = guess is not None and self.convention != guess
         fitted = self.fitted(measured, guess)
@@ -264,12 +468,34 @@ class _Verdict:
         )
         errors = self.error, self.still, self.rival
         source = "corrected" if corrected else "calibrated"
-        return MotionFinding(self.convention, source, evidence, *errors, self._clear(guess))
+        clear = self._clear(guess)
+        return MotionFinding(self.convention, source, evidence, *errors, clear, preset=presets[0])
+
+    def _unexplained(self, measured: dict[Key, Evidence], frames: str, named: str) -> str:
+        """Say that nothing explains the motion, what may be the cause, and what to do."""
+        one = " in one of the two directions" if self.error <= BEATS_STILL * self.still else ""
+        empty = all(evidence.empty for evidence in measured.values())
+        cause = (
+            "they hold one value everywhere, so the pass is empty, or motion blur was on: switch "
+            "it off and render the pass again"
+            if empty
+            else "check the pass"
+        )
+        return (
+            f"no reading of the motion channels explains the motion between frames {frames}{one} "
+            f"(error {self.error:.3f}, {self.still:.3f} without motion); {cause}, or give --motion"
+            f"{'' if empty else looks_like(named)}"
+        )
 
     def _clear(self, guess: MotionConvention | None) -> bool:
         """Whether `MotionFinding.clear` holds, where no channels were left out."""
         as_named = self.convention == guess and not self.untried
         return as_named and min(self.rival, self.turned) > CLEARLY_WORSE * self.error
+
+
+def looks_like(preset: str) -> str:
+    """Return the end of a sentence that names a preset which fits, as a hint; "" without."""
+    return f" (looks like {preset.capitalize()}: --motion {preset})" if preset else ""
 
 
 def _untested(guess: MotionConvention | None, reason: str) -> MotionFinding:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.domain.motion import AxisMap
+from exwarp_cli.domain.motion import ABOUT, MIDDLE, AxisMap
 from exwarp_cli.synthesis.probing import Probe, probe, trail
 from exwarp_cli.synthesis.readings import FREE_STEP, Form, fixed, forms, free, nearby
 from exwarp_cli.synthesis.sampling import Interval, Sampled
@@ -73,8 +73,16 @@ class Evidence:
 
     @property
     def empty(self) -> bool:
-        """Whether both channels hold one value everywhere: a pass that was never written."""
-        return bool((np.ptp(self.raw[:, self.channels], axis=0) == 0).all())
+        """Whether both channels hold one value everywhere: a pass that was never written.
+
+        Of moving pixels alone, that value has to be one of no motion: all may move alike.
+        """
+        values = self.raw[:, self.channels]
+        constant = bool((np.ptp(values, axis=0) == 0).all())
+        if not any(p.resting for p in self.probes):
+            return constant
+        rests = (values[0] == 0) | (np.abs(values[0] - MIDDLE) < ABOUT)
+        return constant and bool(rests.all())
 
     @property
     def forms(self) -> tuple[Form, ...]:
@@ -131,7 +139,10 @@ class Evidence:
         gaps = []
         for one in self.probes:
             moved_a, moved_b = one.shifts([a, b], COARSE).astype(np.float64)
-            gaps.append(np.abs(moved_a - moved_b).mean())
+            apart = np.abs(moved_a - moved_b)
+            # Points that leave the frame by both are no difference; by one of them, a large one.
+            apart[np.isnan(moved_a) != np.isnan(moved_b)] = 2 * SAME_PIXELS
+            gaps.append(np.nan_to_num(apart).mean())
         return float(np.mean(gaps)) > SAME_PIXELS
 
 
@@ -194,4 +205,3 @@ def gathered(
                 for one in channels:
                     out[one, later].probes.append(followed)
     return out
-

@@ -263,10 +263,10 @@ def _chosen(usable: Bool, moving: Bool, regular: Bool, change: F64) -> tuple[Ind
     """
     even = _evenly(usable & regular)
     movers, resting = usable & moving, usable & regular & ~moving
-    few = np.count_nonzero(moving & regular) < FEW_MOVE * max(1, np.count_nonzero(usable & regular))
+    few = np.count_nonzero(movers & regular) < FEW_MOVE * np.count_nonzero(usable & regular)
     if not few or np.count_nonzero(movers) < LEAST or not resting.any():
         return even, False
-    if change[resting].mean() > RESTS * change[movers].mean():
+    if float(np.mean(change[resting])) > RESTS * float(np.mean(change[movers])):
         return even, False
     return _evenly(movers), True
 
@@ -279,11 +279,11 @@ def _changes(here: Sampled, there: Sampled) -> F64:
         return np.asarray(np.minimum(gap / COLOUR_TOLERANCE, 1), np.float64)
     if here.depth is None or there.depth is None:
         return np.zeros(len(y))
-    near: F64 = here.depth[y, x].astype(np.float64)
-    far: F64 = there.depth[y, x].astype(np.float64)
+    depth = np.asarray(here.depth[y, x], np.float64)
+    tolerance = DEPTH_TOLERANCE * depth + _steps(depth)
     with np.errstate(invalid="ignore"):
-        gap = np.abs(near - far) / (DEPTH_TOLERANCE * near + _steps(near))
-    return np.where(np.isfinite(gap), np.minimum(gap, 1), 1)
+        apart = np.abs(depth - there.depth[y, x]) / tolerance
+    return np.asarray(np.where(np.isfinite(apart), np.minimum(apart, 1), 1), np.float64)
 
 
 def _observables(

@@ -26,8 +26,8 @@ GRID = 5
 LEAST = 100
 """Samples below which a frame says nothing."""
 
-AT_REST = 0.01
-"""Vectors up to this share of the frame's longest count as no motion."""
+AT_REST, NOTHING = 0.01, 1e-6
+"""Vectors up to this share of the frame's longest, or up to this value, count as no motion."""
 
 FEW_MOVE = 0.5
 """Share of moving pixels below which these are sampled more densely than the frame."""
@@ -154,7 +154,7 @@ def is_moving(vectors: Float32) -> Bool:
     away = np.abs(used - np.where(middle, usual, 0).astype(np.float32))
     away[~np.isfinite(away)] = 0
     lengths = away.max(axis=1)
-    return np.asarray(lengths > AT_REST * lengths.max())
+    return np.asarray(lengths > max(AT_REST * lengths.max(), NOTHING))
 
 
 @dataclass(frozen=True)

@@ -25,9 +25,9 @@ from tests.unit.motion_pairs import (
 from tests.unit.scenes import town
 
 
-def still_pairs() -> list[tuple[Sampled, Sampled]]:
+def still_pairs(value: float = 0.0) -> list[tuple[Sampled, Sampled]]:
     seen = town().still().view(0.0)
-    raw = np.zeros((*seen.surface.shape, 4), np.float32)
+    raw = np.full((*seen.surface.shape, 4), value, np.float32)
     frames = [Instant(n, seen.gbuffer(motion=False), raw, seen.colour) for n in (7, 8)]
     return pairs_of(frames)
 
@@ -43,10 +43,27 @@ class TestUntested:
         assert (found.convention, found.source) == (BLENDER, "untested")
         assert "one frame alone" in found.evidence
 
-    @pytest.mark.parametrize("given", [[], still_pairs()], ids=["one frame", "stills"])
-    def test_without_names_either_it_is_an_error(self, given):
+    def test_one_frame_without_names_either_is_an_error(self):
         with pytest.raises(MotionError, match=r"is unknown: .*; give --motion"):
-            calibrate(given, None, XYZW)
+            calibrate([], None, XYZW)
+
+    @pytest.mark.parametrize("value", [0.0, 0.5])
+    def test_where_nothing_moves_any_reading_serves_and_it_is_said(self, value):
+        found = calibrate(still_pairs(value), None, XYZW)
+        assert (found.source, found.resting) == ("untested", True)
+        assert "nothing moves in frames 7-8" in found.evidence
+        axes = found.convention.to_previous
+        assert axes is not None
+        np.testing.assert_array_equal(axes.apply(np.full((5, 4), value, np.float32)), 0)
+
+    def test_slow_motion_without_names_is_still_an_error(self):
+        frames = []
+        for number in range(2):
+            seen = town().view(number / 60)
+            raw = raw_of(seen, BLENDER, 4, 1 / 60)
+            frames.append(Instant(number, seen.gbuffer(motion=False), raw, seen.colour))
+        with pytest.raises(MotionError, match=r"is unknown: .*too little motion"):
+            calibrate(pairs_of(frames), None, XYZW)
 
 
 def with_values(frames: list[Instant], channels: slice, value: float) -> list[Instant]:
