@@ -14,7 +14,7 @@ from exwarp_cli.domain.cuts import AUTO
 @click.command("features")
 @click.argument("sequence")
 @click.option("--gbuffers", metavar="SEQ", help="G-buffers rendered at the output rate.")
-@click.option("--motion", metavar="CONVENTION", help="Read vectors so, and measure nothing.")
+@click.option("--motion", metavar="CONVENTION", help="Read vectors so, whatever is measured.")
 @source_options
 @click.option(
     "--cuts",

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @click.command("inspect")
 @click.argument("sequence")
-@click.option("--motion", metavar="CONVENTION", help="Read vectors so, and measure nothing.")
+@click.option("--motion", metavar="CONVENTION", help="Read vectors so, whatever is measured.")
 @source_options
 @click.option(
     "--write-channel-map",

@@ -92,7 +92,7 @@ class FrameRate(click.ParamType[Fraction]):
 @click.option(
     "--motion",
     metavar="CONVENTION",
-    help="Read vectors so, and measure nothing: a preset (blender, unreal, unreal-mrq, arnold, "
+    help="Read vectors so, whatever is measured: a preset (blender, unreal, unreal-mrq, arnold, "
     "vray, redshift, renderman, karma, moonray, nuke, reelsmart, twixtor, forward, backward, "
     "forward+backward) or e.g. 'previous=X,-Y next=-Z,W'.",
 )

@@ -19,7 +19,18 @@ from exwarp_cli.domain.frame import Bool
 from exwarp_cli.domain.motion import AxisMap, MotionConvention, MotionFinding
 from exwarp_cli.errors import MotionError
 from exwarp_cli.kernels.jit import threads
-from exwarp_cli.synthesis.evidence import CLEARLY_BETTER, Evidence, Key, channel_pairs, gathered
+from exwarp_cli.synthesis.evidence import (
+    AROUND,
+    CLEAR_FLOOR,
+    CLEARLY_BETTER,
+    COARSE,
+    FITTED,
+    Evidence,
+    Key,
+    channel_pairs,
+    gathered,
+)
+from exwarp_cli.synthesis.readings import FREE_STEP, nearby
 from exwarp_cli.synthesis.sampling import Interval, Sampled
 
 TIE_RATIO, TIE_FLOOR = 1.1, 0.01
@@ -97,7 +108,7 @@ def calibrate(
     measured = {k: e for k, e in gathered(pairs, names, intervals).items() if e.probes}
     if not measured:
         return _untested(visible, _why_nothing(pairs, frames, names))
-    if max(e.still() for e in measured.values()) < STILL_ERROR:
+    if max(e.moved() for e in measured.values()) < STILL_ERROR:
         return _too_little(pairs, visible, names, frames)
     wanted = _spanning(guess, measured, step)
     finding = _of_written(measured, wanted, names, frames, presets or {})
@@ -288,7 +299,9 @@ def _together(
         return None
     joint = sorted(_joint(ranked, measured, tuple(chosen)), key=_mean)
     best = joint[0]
-    if _mean(best) > CLEARLY_BETTER * _mean(chosen) + TIE_FLOOR:
+    if any(axes not in measured[key].usual() for key, (_, axes) in best.items()):
+        best = _fitted(best, measured, FREE_STEP)
+    if _mean(best) > CLEARLY_WORSE * _mean(chosen) + TIE_FLOOR:
         return None
 
     def differs(other: Chosen) -> bool:
@@ -316,6 +329,22 @@ def _joint(
             ]
             for found, partner in zip(measured[other].errors(partners), partners, strict=True):
                 yield {key: (error, axes), other: (found, partner)}
+
+
+def _fitted(chosen: Chosen, measured: dict[Key, Evidence], reach: float) -> Chosen:
+    """Fit the scale of readings together within a ratio, by ever smaller steps."""
+    best = chosen
+    while reach > FITTED:
+        near = {key: list(nearby(axes, reach)) for key, (_, axes) in best.items()}
+        tried = {
+            key: list(zip(measured[key].errors(maps, COARSE), maps, strict=True))
+            for key, maps in near.items()
+        }
+        count = len(next(iter(near.values())))
+        steps = [{key: entries[i] for key, entries in tried.items()} for i in range(count)]
+        best = min([best, *steps], key=_mean)
+        reach **= 0.5
+    return {key: (measured[key].error(axes), axes) for key, (_, axes) in best.items()}
 
 
 def _mean(chosen: Chosen) -> float:
@@ -419,11 +448,15 @@ class _Verdict:
         """Whether there is no need to look for other scales than the usual ones."""
         if self.convention == guess:
             return self.explains or self.hardly(guess)
-        return (
-            self.explains
-            and self.alone
-            and not any(measured[key].scaled_is_better(m) for key, m in self.maps.items())
-        )
+        return self.explains and self.alone and not self._scaled_is_better(measured)
+
+    def _scaled_is_better(self, measured: dict[Key, Evidence]) -> bool:
+        """Whether another scale near the convention's own is clearly better, one for both."""
+        if len(self.maps) < 2 or not _alike(*self.maps.values()):
+            return any(measured[key].scaled_is_better(m) for key, m in self.maps.items())
+        own = {key: (measured[key].error(axes), axes) for key, axes in self.maps.items()}
+        better = _mean(_fitted(own, measured, AROUND))
+        return better * CLEARLY_BETTER + CLEAR_FLOOR < _mean(own)
 
     def fitted(self, measured: dict[Key, Evidence], guess: MotionConvention | None) -> bool:
         """Whether a scale is none of the usual ones."""
@@ -449,10 +482,13 @@ class _Verdict:
         if not self.explains:
             if self.hardly(guess):
                 return _untested(guess, f"frames {frames} hold too little motion to measure")
-            if guess is not None and self.still < TELLING:
+            telling = max(evidence.moved() for evidence in measured.values())
+            if guess is not None and telling < TELLING:
                 return _untested(guess, f"frames {frames} tell too little to contradict them")
             raise MotionError(self._unexplained(measured, frames, presets[1]))
         if self.convention != guess and not self.alone:
+            if guess is not None and self._nearly(guess, measured):
+                return _untested(guess, f"frames {frames} do not tell it and others apart")
             known = "are not known" if told is None else f"say {told}, which is worse"
             raise MotionError(
                 f"frames {frames} do not tell the conventions {read} and others apart and the "
@@ -486,6 +522,11 @@ class _Verdict:
             f"(error {self.error:.3f}, {self.still:.3f} without motion); {cause}, or give --motion"
             f"{'' if empty else looks_like(named)}"
         )
+
+    def _nearly(self, guess: MotionConvention, measured: dict[Key, Evidence]) -> bool:
+        """Whether what the names say explains the motion, and no worse than the best, clearly."""
+        error = _error(guess, measured)
+        return error <= HARDLY_BEATS * self.still and error <= CLEARLY_WORSE * self.error
 
     def _clear(self, guess: MotionConvention | None) -> bool:
         """Whether `MotionFinding.clear` holds, where no channels were left out."""

@@ -60,6 +60,10 @@ class Evidence:
         """Mean error of no motion."""
         return float(self._mean([_still(p) for p in self.probes]))
 
+    def moved(self) -> float:
+        """Mean error of no motion, less what noise alone makes."""
+        return self.still() - float(self._mean([p.floor for p in self.probes]))
+
     def _mean(self, each: Sequence[F64 | float]) -> F64:
         """Average over the probes, each by how much it tells points apart."""
         weights = [p.weight for p in self.probes]

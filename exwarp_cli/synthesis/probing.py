@@ -53,8 +53,8 @@ class Probe:
         Pixels [N, 2], and the motion channels there [N, C].
     here, there, tolerance
         Of each observable: values [N, C], the neighbour's image, and the distance that is a miss.
-    weights
-        Of each observable: by how much its values tell points apart.
+    weights, floors
+        Of each observable: by how much its values tell points apart, and its error by noise alone.
     resting
         True if the camera rests, so that depths need no correction for its movement.
     """
@@ -65,12 +65,18 @@ class Probe:
     there: list[Float32]
     tolerance: list[F64]
     weights: list[float]
+    floors: list[float]
     resting: bool = False
 
     @property
     def weight(self) -> float:
         """By how much the probe tells points apart."""
         return sum(self.weights)
+
+    @property
+    def floor(self) -> float:
+        """The mean error by noise alone."""
+        return float(np.average(self.floors, weights=self.weights if self.weight > 0 else None))
 
     def part(self, count: int | None) -> slice:
         """Return which samples stand for all where only about so many are looked up."""
@@ -178,7 +184,7 @@ def trail(way: Interval, later: bool) -> Trail | None:
     tolerance = np.full(len(y), COLOUR_TOLERANCE)
     return Trail(
         np.stack([x, y], axis=1).astype(np.float64), first[chosen],
-        [values], [there], [tolerance], [_telling(here, y, x, tolerance)],
+        [values], [there], [tolerance], [_telling(here, y, x, tolerance)], [_floor(way.noise)],
         fields=fields, stride=way.stride,
     )  # fmt: skip
 
@@ -233,6 +239,7 @@ def _probe(here: Sampled, there: Sampled, usable: Bool) -> Probe | None:
         [np.ascontiguousarray(v[1]) for v in values],
         [v[2] for v in values],
         [v[3] for v in values],
+        [_floor(here.noise) if v[0].shape[1] > 1 else 0.0 for v in values],
         resting,
     )
 
@@ -306,6 +313,11 @@ def _observables(
         told = _telling(here.perceived, y, x, tolerance)
         out.append((mine, there.perceived, tolerance, told))
     return out
+
+
+def _floor(noise: float) -> float:
+    """Return the error of colours by noise alone: of three channels, the mean of a distance."""
+    return min(0.92 * noise / COLOUR_TOLERANCE, 1.0)
 
 
 def _telling(image: Float32, y: Index, x: Index, tolerance: F64) -> float:

@@ -32,6 +32,9 @@ AT_REST, NOTHING = 0.01, 1e-6
 FEW_MOVE = 0.5
 """Share of moving pixels below which these are sampled more densely than the frame."""
 
+MOST_NOISE, FARTHEST = 0.05, 3
+"""Noise between two frames' colours above which they are smoothed, and how many pixels around."""
+
 MOST_VECTORS = 1 << 20
 """Vectors that are kept of a frame between two key frames, on a coarser grid if needed."""
 
@@ -67,6 +70,8 @@ class Sampled:
     position, depth, perceived
         float32 [H, W, ...]: what a point is told by; None without. Where there are positions they
         tell it alone.
+    noise
+        How far two frames' colours are apart by noise alone.
     size
         Width and height.
     empty
@@ -84,6 +89,7 @@ class Sampled:
     position: Float32 | None
     depth: Float32 | None
     perceived: Float32 | None
+    noise: float
     size: tuple[int, int]
     empty: bool
 
@@ -107,6 +113,7 @@ def sampled(frame: Instant) -> Sampled:
         # half of the frame no reading was better than none.
         still = usable & (buffer.stencil[y, x] == 0)
     told = buffer.position is not None
+    seen = None if told or frame.colour is None else _perceived(frame.colour)
     return Sampled(
         frame.number,
         y,
@@ -118,7 +125,8 @@ def sampled(frame: Instant) -> Sampled:
         still,
         buffer.position,
         None if told else buffer.depth,
-        None if told or frame.colour is None else _perceived(frame.colour),
+        None if seen is None else seen[0],
+        0.0 if seen is None else seen[1],
         (width, height),
         not np.isfinite(motion).any() and not np.isfinite(frame.motion).any(),
     )
@@ -167,6 +175,8 @@ class Interval:
         Of the two key frames.
     before, after
         Their colours, float32 [H, W, 3], as the eye sees them.
+    noise
+        How far these are apart by noise alone.
     vectors
         Motion channels of the frames from the earlier key frame to the later one, both included,
         float32 [h, w, C]: of every `stride`-th pixel.
@@ -177,6 +187,7 @@ class Interval:
     numbers: tuple[int, int]
     before: Float32
     after: Float32
+    noise: float
     vectors: tuple[Float32, ...]
     stride: int
 
@@ -194,9 +205,48 @@ def interval(
     height, width, _ = before.shape
     stride = max(1, math.ceil(math.sqrt(height * width / MOST_VECTORS)))
     kept = tuple(np.ascontiguousarray(field[::stride, ::stride]) for field in vectors)
-    return Interval(numbers, _perceived(before), _perceived(after), kept, stride)
+    (earlier, noise), (later, _) = _perceived(before), _perceived(after)
+    return Interval(numbers, earlier, later, noise, kept, stride)
 
 
-def _perceived(colour: Float32) -> Float32:
-    """Scene-linear RGB compressed roughly as the eye does, float32 [H, W, 3]."""
-    return np.sqrt(np.maximum(np.nan_to_num(colour[..., :3], posinf=0, neginf=0), 0))
+def _perceived(colour: Float32) -> tuple[Float32, float]:
+    """Scene-linear RGB compressed roughly as the eye does, without much noise; and what is left.
+
+    Noise that is as large as the tolerance makes every reading as bad as no motion.
+    """
+    seen = np.sqrt(np.maximum(np.nan_to_num(colour[..., :3], posinf=0, neginf=0), 0))
+    noise = _noise(seen)
+    reach = min(math.ceil((noise / MOST_NOISE - 1) / 2), FARTHEST)
+    return (_smoothed(seen, reach), noise / (2 * reach + 1)) if reach > 0 else (seen, noise)
+
+
+def _noise(image: Float32) -> float:
+    """Return the standard deviation of two images' difference by noise, over all channels.
+
+    By the median of what a mask leaves that takes no notice of edges and slopes (Immerkær,
+    "Fast Noise Variance Estimation", 1996); its coefficients' squares sum to 36.
+    """
+    height, width, channels = image.shape
+    if min(height, width) < 3:
+        return 0.0
+    step = max(1, height * width // (GRID * SAMPLES))
+    y, x = np.divmod(np.arange(0, (height - 2) * (width - 2), step), width - 2)
+    mask = ((1, -2, 1), (-2, 4, -2), (1, -2, 1))
+    left = np.zeros((len(y), channels), np.float32)
+    for i, j in np.ndindex(3, 3):
+        left += mask[i][j] * image[y + i, x + j]
+    per_channel = float(np.median(np.abs(left))) / 0.6745 / 6
+    return per_channel * math.sqrt(2 * channels)
+
+
+def _smoothed(image: Float32, reach: int) -> Float32:
+    """Return the mean over squares of 2 reach + 1 pixels; the rim is repeated outward."""
+    height, width, _ = image.shape
+    padded = np.pad(image, ((reach, reach), (reach, reach), (0, 0)), "edge")
+    size = 2 * reach + 1
+    rows, out = np.zeros_like(padded[:height]), np.zeros_like(image)
+    for i in range(size):
+        rows += padded[i : i + height]
+    for j in range(size):
+        out += rows[:, j : j + width]
+    return out / np.float32(size * size)
