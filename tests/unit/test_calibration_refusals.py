@@ -202,3 +202,54 @@ class TestErrors:
         assert blind is not None
         applied = blind.apply(frames[1].motion)
         np.testing.assert_allclose(applied, truth.to_previous.apply(frames[1].motion), atol=1e-5)
+
+
+class TestPresetsAreNamed:
+    """What is refused says which preset would read the vectors."""
+
+    def test_a_reading_that_fits_one_but_does_not_stand_out(self):
+        # In a slow shot, depth alone does not tell the best reading from others.
+        frames = []
+        for number in range(3):
+            seen = town().view(number / 4)
+            raw = raw_of(seen, BLENDER, 4, 1 / 4)
+            depth_alone = replace(seen.gbuffer(motion=False), position=None)
+            frames.append(Instant(number, depth_alone, raw, None))
+        with pytest.raises(MotionError, match=r"\(looks like Blender: --motion blender\)$"):
+            calibrate(pairs_of(frames), None, XYZW, presets=PRESETS)
+
+    def test_what_the_names_say(self):
+        rng = np.random.default_rng(5)
+        frames = [
+            replace(f, motion=rng.normal(0, 9, (*f.motion.shape[:2], 2)).astype(np.float32))
+            for f in instants(BLENDER, 4)
+        ]
+        with pytest.raises(MotionError, match=r"\(looks like Unreal: --motion unreal\)$"):
+            calibrate(pairs_of(frames), PRESETS["unreal"], XY, presets=PRESETS)
+
+
+class TestWeakEvidence:
+    """What tells points apart badly does not refuse a convention that is known by name."""
+
+    @pytest.mark.parametrize("levels", [20, 40, 106])
+    def test_coarse_depth(self, levels):
+        frames = []
+        for number, frame in enumerate(instants(PRESETS["unreal"], 2, position=None, colour=None)):
+            depth = frame.gbuffer.depth
+            assert depth is not None
+            most = depth[np.isfinite(depth)].max()
+            coarse = (np.rint(depth / most * levels) / levels * most).astype(np.float32)
+            frames.append(Instant(number, replace(frame.gbuffer, depth=coarse), frame.motion, None))
+        found = calibrate(pairs_of(frames), PRESETS["unreal"], XY)
+        assert found.convention == PRESETS["unreal"]
+
+    def test_noise(self):
+        rng = np.random.default_rng(7)
+        frames = []
+        for frame in instants(BLENDER, 4, position=None, depth=None):
+            assert frame.colour is not None
+            noise = rng.normal(0, 0.15, frame.colour.shape)
+            frames.append(replace(frame, colour=(frame.colour + noise).astype(np.float32)))
+        assert calibrate(pairs_of(frames), BLENDER, XYZW).convention == BLENDER
+        wrong = both(AxisMap(0, 1, 1, 1), AxisMap(2, 3, -1, -1))
+        assert calibrate(pairs_of(frames), wrong, XYZW).convention == BLENDER
