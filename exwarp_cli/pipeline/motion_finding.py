@@ -81,15 +81,13 @@ def find_motion(
         guess = None if shot.layout.guess is None else shot.layout.guess.sized(*size)
         return measuring.finding(guess, detect)
     convention = parse_motion(given, names, size)
-    told = f"{convention.describe(names)} given by --motion"
+    evidence = f"{convention.describe(names)} given by --motion"
     with suppress(InputError, MotionError):
-        told += _contradiction(measuring.finding(convention, detect), convention, names)
-    return MotionFinding(convention, "given", told)
+        evidence += _contradiction(measuring.finding(convention, detect))
+    return MotionFinding(convention, "given", evidence)
 
 
-def _contradiction(
-    finding: MotionFinding, convention: MotionConvention, names: tuple[str, ...]
-) -> str:
+def _contradiction(finding: MotionFinding) -> str:
     """Say what was measured where it contradicts --motion; "" where it does not."""
     if finding.source != "corrected":
         return ""

@@ -9,7 +9,7 @@ with a flipped axis 68 %, with anything else under 18 %), else by depth and colo
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
@@ -19,21 +19,27 @@ from exwarp_cli.domain.frame import Bool
 from exwarp_cli.domain.motion import AxisMap, MotionConvention, MotionFinding
 from exwarp_cli.errors import MotionError
 from exwarp_cli.kernels.jit import threads
+from exwarp_cli.synthesis.directions import (
+    CLEARLY_WORSE,
+    TIE_FLOOR,
+    Ranked,
+    alike,
+    fitted_together,
+    mean_error,
+    together,
+)
 from exwarp_cli.synthesis.evidence import (
     AROUND,
     CLEAR_FLOOR,
     CLEARLY_BETTER,
-    COARSE,
-    FITTED,
     Evidence,
     Key,
     channel_pairs,
     gathered,
 )
-from exwarp_cli.synthesis.readings import FREE_STEP, nearby
 from exwarp_cli.synthesis.sampling import Interval, Sampled
 
-TIE_RATIO, TIE_FLOOR = 1.1, 0.01
+TIE_RATIO = 1.1
 """An error up to this much above the least does not speak against a convention known by name."""
 
 STILL_ERROR = 0.08
@@ -41,13 +47,6 @@ STILL_ERROR = 0.08
 
 BEATS_STILL = 0.7
 """The best candidate's error must be below this share of the error without motion."""
-
-CLEARLY_WORSE = 1.5
-"""Every other reading's error above this multiple settles a convention known by name: of 6000
-samples the mean error is known to a hundredth."""
-
-Ranked = dict[Key, list[tuple[float, AxisMap]]]
-"""Readings of channels in a direction, and their errors: the best first."""
 
 TELLING = 0.25
 """Error without motion below which what is measured is too weak to refuse a known name."""
@@ -148,11 +147,11 @@ def _too_little(
         return replace(_untested(guess, reason), resting=True)
     rest = float(np.nan_to_num(np.nanmedian(pairs[0][0].motion[:, :2])))
     convention = MotionConvention(AxisMap(0, 1, 1.0, -1.0, still=rest))
-    told = (
+    evidence = (
         f"{convention.describe(names)} assumed, as the channel names are not known: nothing moves "
         f"in frames {frames}, where every reading is the same"
     )
-    return MotionFinding(convention, "untested", told, resting=True)
+    return MotionFinding(convention, "untested", evidence, resting=True)
 
 
 def _movers(frame: Sampled) -> Bool:
@@ -260,11 +259,11 @@ def _judged(
     chosen = {key: _named_or_best(ranked[key], measured[key], guess) for key in option}
     others = [[ranked[key][0][0] for key in o] for o in _options(ranked) if o != option]
     rival = math.inf
-    together = _together(ranked, measured, chosen)
-    if together:
-        chosen, rival = together
+    joint = together(ranked, measured, chosen)
+    if joint:
+        chosen, rival = joint
     maps = {key: found for key, (_, found) in chosen.items()}
-    if not together:
+    if not joint:
         rival = min(_rival(ranked[key], measured[key], found) for key, found in maps.items())
     return _Verdict(
         maps,
@@ -274,91 +273,6 @@ def _judged(
         max(error / (measured[key].still() or 1.0) for key, (error, _) in chosen.items()),
         _untried(maps, measured, guess),
         min(map(max, others), default=math.inf),
-    )
-
-
-Chosen = dict[Key, tuple[float, AxisMap]]
-"""A reading of each direction's channels, and its error."""
-
-
-def _together(
-    ranked: Ranked, measured: dict[Key, Evidence], chosen: Chosen
-) -> tuple[Chosen, float] | None:
-    """Return the best reading of both directions that has one span and one sign convention.
-
-    Each direction by itself may be explained a little better by another span: vectors over one
-    frame of four, read as three of them in a shot that slows down.
-
-    Returns
-    -------
-    tuple or None
-        The readings, and the error of the best such reading that moves points elsewhere. None
-        where the directions agree already, or are clearly better apart.
-    """
-    if len(chosen) != 2 or _alike(*(axes for _, axes in chosen.values())):
-        return None
-    joint = sorted(_joint(ranked, measured, tuple(chosen)), key=_mean)
-    best = joint[0]
-    if any(axes not in measured[key].usual() for key, (_, axes) in best.items()):
-        best = _fitted(best, measured, FREE_STEP)
-    if _mean(best) > CLEARLY_WORSE * _mean(chosen) + TIE_FLOOR:
-        return None
-
-    def differs(other: Chosen) -> bool:
-        return any(measured[key].differ(other[key][1], best[key][1]) for key in best)
-
-    return best, next((_mean(other) for other in joint if differs(other)), 1.0)
-
-
-def _joint(
-    ranked: Ranked, measured: dict[Key, Evidence], option: tuple[Key, ...]
-) -> Iterator[Chosen]:
-    """Yield readings of both directions with one span and one sign convention."""
-    for key, other in (option, option[::-1]):
-        places = dict(zip(key[0], other[0], strict=True))
-        for error, axes in ranked[key]:
-            partners = [
-                replace(
-                    axes,
-                    x_channel=places[axes.x_channel],
-                    y_channel=places[axes.y_channel],
-                    x_scale=sign * axes.x_scale,
-                    y_scale=sign * axes.y_scale,
-                )
-                for sign in (1.0, -1.0)
-            ]
-            for found, partner in zip(measured[other].errors(partners), partners, strict=True):
-                yield {key: (error, axes), other: (found, partner)}
-
-
-def _fitted(chosen: Chosen, measured: dict[Key, Evidence], reach: float) -> Chosen:
-    """Fit the scale of readings together within a ratio, by ever smaller steps."""
-    best = chosen
-    while reach > FITTED:
-        near = {key: list(nearby(axes, reach)) for key, (_, axes) in best.items()}
-        tried = {
-            key: list(zip(measured[key].errors(maps, COARSE), maps, strict=True))
-            for key, maps in near.items()
-        }
-        count = len(next(iter(near.values())))
-        steps = [{key: entries[i] for key, entries in tried.items()} for i in range(count)]
-        best = min([best, *steps], key=_mean)
-        reach **= 0.5
-    return {key: (measured[key].error(axes), axes) for key, (_, axes) in best.items()}
-
-
-def _mean(chosen: Chosen) -> float:
-    """Return the mean error of readings."""
-    return float(np.mean([error for error, _ in chosen.values()]))
-
-
-def _alike(a: AxisMap, b: AxisMap) -> bool:
-    """Whether readings of two directions have one span and one sign convention."""
-    return (
-        (a.x_channel < a.y_channel) == (b.x_channel < b.y_channel)
-        and abs(a.x_scale) == abs(b.x_scale)
-        and a.x_scale * b.y_scale == a.y_scale * b.x_scale
-        and (a.still, a.length, a.alpha) == (b.still, b.length, b.alpha)
     )
 
 
@@ -452,11 +366,11 @@ class _Verdict:
 
     def _scaled_is_better(self, measured: dict[Key, Evidence]) -> bool:
         """Whether another scale near the convention's own is clearly better, one for both."""
-        if len(self.maps) < 2 or not _alike(*self.maps.values()):
+        if len(self.maps) < 2 or not alike(*self.maps.values()):
             return any(measured[key].scaled_is_better(m) for key, m in self.maps.items())
         own = {key: (measured[key].error(axes), axes) for key, axes in self.maps.items()}
-        better = _mean(_fitted(own, measured, AROUND))
-        return better * CLEARLY_BETTER + CLEAR_FLOOR < _mean(own)
+        better = mean_error(fitted_together(own, measured, AROUND))
+        return better * CLEARLY_BETTER + CLEAR_FLOOR < mean_error(own)
 
     def fitted(self, measured: dict[Key, Evidence], guess: MotionConvention | None) -> bool:
         """Whether a scale is none of the usual ones."""

@@ -67,8 +67,8 @@ class Evidence:
     def _mean(self, each: Sequence[F64 | float]) -> F64:
         """Average over the probes, each by how much it tells points apart."""
         weights = [p.weight for p in self.probes]
-        told = weights if sum(weights) > 0 else None
-        return np.asarray(np.average(np.stack(each), axis=0, weights=told))
+        usable = weights if sum(weights) > 0 else None
+        return np.asarray(np.average(np.stack(each), axis=0, weights=usable))
 
     @property
     def raw(self) -> F64:

@@ -305,13 +305,13 @@ def _observables(
         depth = here.depth[y, x].astype(np.float64)
         every = here.depth[here.y, here.x].astype(np.float64)
         tolerance = DEPTH_TOLERANCE * depth + _steps(every, depth)
-        told = _telling(here.depth[..., None], y, x, tolerance)
-        out.append((depth[:, None], there.depth[..., None], tolerance, told))
+        weight = _telling(here.depth[..., None], y, x, tolerance)
+        out.append((depth[:, None], there.depth[..., None], tolerance, weight))
     if here.perceived is not None and there.perceived is not None:
         mine = here.perceived[y, x].astype(np.float64)
         tolerance = np.full(len(y), COLOUR_TOLERANCE)
-        told = _telling(here.perceived, y, x, tolerance)
-        out.append((mine, there.perceived, tolerance, told))
+        weight = _telling(here.perceived, y, x, tolerance)
+        out.append((mine, there.perceived, tolerance, weight))
     return out
 
 

@@ -156,9 +156,9 @@ def is_moving(vectors: Float32) -> Bool:
     used = vectors[:, : 2 * (vectors.shape[1] // 2)]
     if not used.size:
         return np.zeros(len(vectors), bool)
-    some = used[:: max(1, len(used) // SAMPLES)]
-    usual = np.median(np.where(np.isfinite(some), some, 0), axis=0)
-    middle = (np.abs(usual - MIDDLE) < ABOUT) & (np.mean(some == usual, axis=0) > FEW_MOVE)
+    samples = used[:: max(1, len(used) // SAMPLES)]
+    usual = np.median(np.where(np.isfinite(samples), samples, 0), axis=0)
+    middle = (np.abs(usual - MIDDLE) < ABOUT) & (np.mean(samples == usual, axis=0) > FEW_MOVE)
     away = np.abs(used - np.where(middle, usual, 0).astype(np.float32))
     away[~np.isfinite(away)] = 0
     lengths = away.max(axis=1)
