@@ -113,8 +113,8 @@ def _print(found: Inspection) -> None:
         )
         console.print(_text(f"not found: {', '.join(named)}"))
     motion = data["motion"]
-    if motion is None and Role.MOTION not in found.shot.layout.incomplete:
-        console.print(_ESTIMATED)
+    if motion is None:
+        console.print(_text(_without_vectors(found)))
     if motion is not None:
         state = motion["source"] or "unsettled"
         console.print(_text(f"motion {state}: {motion['evidence'] or motion['problem']}"))
@@ -138,6 +138,13 @@ def _text(text: str) -> Text:
     from rich.text import Text
 
     return Text(printable(text))
+
+
+def _without_vectors(found: Inspection) -> str:
+    """Say what `upsample` does where no vectors are recognised, and why."""
+    from exwarp_cli.io.unrecognised import is_colour_alone, no_vectors
+
+    return _ESTIMATED if is_colour_alone(found.shot) else no_vectors(found.shot)
 
 
 _ESTIMATED = (

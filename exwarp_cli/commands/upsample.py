@@ -97,6 +97,12 @@ class FrameRate(click.ParamType[Fraction]):
     "forward+backward) or e.g. 'previous=X,-Y next=-Z,W'.",
 )
 @click.option(
+    "--estimate-motion",
+    is_flag=True,
+    help="Estimate motion from colour where a render with other passes has no usable vectors; far "
+    "less exact, and an error else. Plain footage needs no leave.",
+)
+@click.option(
     "--extrapolator",
     metavar="FILE",
     help="ONNX network that extrapolates; else the one that comes with ExWarp.",
@@ -196,8 +202,9 @@ def command(
     through unchanged, but for a frame rate in their header that is not the output's; those between
     them are made from their motion vectors.
 
-    It may also be a video, or PNG, JPEG, TIFF, DPX and other stills, or EXR without vectors: motion
-    is then estimated from colour, which needs the extra 'video' and is far less exact.
+    It may also be a video, or PNG, JPEG, TIFF, DPX and other stills, or EXR with colour alone:
+    motion is then estimated from colour, which needs the extra 'video' and is far less exact. A
+    render with depth, normals or other passes needs vectors, or --estimate-motion.
     """
     from exwarp_cli.pipeline.job import open_job
     from exwarp_cli.pipeline.progress import reporting

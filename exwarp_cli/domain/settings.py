@@ -51,6 +51,9 @@ class SourceSettings:
         Pixels that a frame may have.
     keep_going
         Whether key intervals are left out whose files are damaged or missing.
+    estimate_motion
+        Whether motion may be estimated from colour for a render with passes but without usable
+        vectors. Plain footage needs no leave.
     """
 
     sequence: str
@@ -68,6 +71,7 @@ class SourceSettings:
     dynamic: str | None = None
     max_pixels: int = MOST_PIXELS
     keep_going: bool = False
+    estimate_motion: bool = False
 
 
 @dataclass(frozen=True)

@@ -106,6 +106,7 @@ _RULES: dict[Role, tuple[_Rule, ...]] = {
         _Rule(("pretonemaphdrcolor", "scenecolor", "finalimage", "c", "ci"), ("RGBA", "RGB")),
         # What Blender's File Output calls its first input.
         _Rule(("image",), ("RGBA", "RGB")),
+        _Rule(("rgbcolor", "rgbcolour"), ("RGBA", "RGB")),
     ),
     Role.DEPTH: (
         # OpenEXR's own name for it; what lies beside it as zdepth may be a picture from 0 to 1.
@@ -119,6 +120,7 @@ _RULES: dict[Role, tuple[_Rule, ...]] = {
         _Rule(("motionvector", "motionvectors", "velocity", "motion"), ("XY", "UV", "RG")),
         # Blender's File Output may leave out the fourth; the third alone is half a displacement.
         _Rule(("vector",), ("XY", "RG")),
+        _Rule(("mv", "mvec", "motionvec", "speed"), ("XY", "UV", "RG")),
         _Rule(("rsmb", "reelsmart", "twixtor"), ("RG", "XY", "UV")),
     ),
     Role.NORMAL: (
@@ -153,6 +155,18 @@ where each lobe has its own."""
 _NEVER_BEFORE = frozenset({"shadow", "denoising", "noisy", "variance", "holdout", "bump"})
 """Words before a role's name that make it another thing: Blender's denoising depth is that of what
 a mirror shows."""
+
+_SHORT_WORDS = frozenset({"mv"})
+"""Roles' names of three letters or fewer that end longer names of nothing else."""
+
+_SUFFIXES = frozenset(
+    {"pass", "layer", "aov", "element", "channel", "channels", "raw", "nofilter", "unfiltered"}
+    | {"filtered", "float", "32f", "16f"}
+)
+"""Words after a role's name that leave it that, as numbers and versions (`v2`) do."""
+
+_WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[0-9]+[a-z]?")
+"""A word of a name: `VRayZDepth_v2` has V, Ray, Z, Depth, v, 2."""
 
 _SPACES = frozenset(
     {"camera", "cam", "view", "eye", "screen", "local", "object", "obj", "rest", "reference", "ref"}
@@ -306,6 +320,17 @@ def require(
     return layout.roles[role]
 
 
+def role_named(name: str) -> Role | None:
+    """Return the role that a name stands for as a whole, None where it stands for none.
+
+    One letter stands for a pass as a capital alone: `N`, `P`, `Z`.
+    """
+    leaf = _plain(name)
+    if not leaf or (len(leaf) == 1 and not name.strip("._- ").isupper()):
+        return None
+    return next((r for r, rules in _RULES.items() if any(leaf in x.leaves for x in rules)), None)
+
+
 def _parent(name: str) -> str:
     """Return what stands before a channel's layer: "A" for "A.Combined.R"."""
     return name.rpartition(".")[0].rpartition(".")[0]
@@ -419,10 +444,35 @@ def _plain(name: str) -> str:
     return re.sub(r"[^a-z0-9]", "", name.lower())
 
 
+def words_of(name: str) -> list[str]:
+    """Return the words of a name in lower case, split at separators, CamelCase and digits."""
+    return [word.lower() for word in _WORD.findall(name)]
+
+
 def _endings(name: str) -> dict[str, str]:
-    """Return the last words of a name with the word before, most first, without the whole of it."""
-    words = [word for word in re.split(r"[^A-Za-z0-9]+", name.lower()) if word]
-    return {"".join(words[i:]): words[i - 1] for i in range(1, len(words))}
+    """Return the last words of a name with the word before, most first, without the whole of it.
+
+    Words are what separators part, then also what CamelCase does; suffixes are left out.
+    """
+    parted = [word for word in re.split(r"[^A-Za-z0-9]+", name.lower()) if word]
+    out = {"".join(parted[i:]): parted[i - 1] for i in range(1, len(parted))}
+    words = words_of(name)
+    for end in _ends(words):
+        for i in range(1 if end == len(words) else 0, end):
+            out.setdefault("".join(words[i:end]), words[i - 1] if i else "")
+    return out
+
+
+def _ends(words: list[str]) -> list[int]:
+    """Return where a name may end: at its last word, and before each of its suffixes."""
+    ends = [len(words)]
+    while ends[-1] > 1 and (words[ends[-1] - 1] in _SUFFIXES or words[ends[-1] - 1].isdigit()):
+        # The "v" of a version.
+        version = words[ends[-1] - 1].isdigit() and words[ends[-1] - 2] == "v"
+        if ends[-1] - 1 - version < 1:
+            break
+        ends.append(ends[-1] - 1 - version)
+    return ends
 
 
 def _first(layers: list[_Layer], rules: Iterable[_Rule], role: Role) -> tuple[ChannelRef, ...]:
@@ -442,8 +492,11 @@ def _first(layers: list[_Layer], rules: Iterable[_Rule], role: Role) -> tuple[Ch
 def _ends_in(layer: _Layer, leaf: str, role: Role) -> bool:
     """Whether a layer's name ends in a role's, and the word before leaves it that."""
     # Single letters and "id" end names of anything.
-    if len(leaf) <= 3 or leaf in _PLAIN_WORDS or leaf not in layer.endings:
+    short = len(leaf) <= 3 and leaf not in _SHORT_WORDS
+    if short or leaf in _PLAIN_WORDS or leaf not in layer.endings:
         return False
+    if role is Role.COLOUR and not layer.leaf.endswith(leaf):
+        return False  # beauty_1, beauty_2: pictures of one light each
     before = layer.endings[leaf]
     spoilt = before in _SPACES and role in (Role.NORMAL, Role.POSITION)
     return before not in _NEVER_BEFORE and not spoilt

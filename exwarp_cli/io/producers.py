@@ -52,6 +52,15 @@ BACKWARD_NAMES = ("backward", "motionback")
 _CRYPTOMATTE = re.compile(r"(^|[._:])(crypto[A-Za-z_]*(\d\d)?|\w*HitProxyMask\d\d)$", re.IGNORECASE)
 
 
+def direction_named(layer: str) -> str:
+    """Return "forward" or "backward" where a layer of vectors goes by that name, else ""."""
+    name = re.sub(r"[^a-z]", "", layer.lower())
+    for direction, names in (("forward", FORWARD_NAMES), ("backward", BACKWARD_NAMES)):
+        if name.endswith(names):
+            return direction
+    return ""
+
+
 def is_cryptomatte(layer: str) -> bool:
     """Whether a layer goes by a usual name of Cryptomatte: a rank of ids and coverage, or preview.
 
@@ -116,6 +125,7 @@ _PRODUCERS = (
     _Signs("Redshift", "redshift", r"MotionVectors$", components="RG"),
     _Signs("V-Ray", "vray", r"(?i)velocity$", least=3),
     _Signs("V-Ray", "vray", r"(?i)velocity$", beside=_VRAY),
+    _Signs("V-Ray", "vray", r"(?i)(^|[._])(mv|speed)$", beside=_VRAY),
     _Signs("ReelSmart or Twixtor", "reelsmart", r"(?i)(^|[._])(rsmb|reelsmart|twixtor)\w*$|^$"),
 )
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -19,6 +19,7 @@ from exwarp_cli.io.frame_names import (
     is_printed,
     split_names,
 )
+from exwarp_cli.io.pass_sets import pass_sets
 
 EXR = (".exr",)
 
@@ -100,7 +101,10 @@ class Sequence:
 
 @dataclass(frozen=True)
 class AovSet:
-    """Sequences of one shot, one file per AOV and frame, as Unreal dumps them for ExtraNet.
+    """Sequences of one shot, one file per AOV and frame.
+
+    Unreal dumps them so for ExtraNet; Redshift, V-Ray and Movie Render Queue write a sequence a
+    pass, which :mod:`exwarp_cli.io.pass_sets` recognises by their names.
 
     Attributes
     ----------
@@ -109,15 +113,18 @@ class AovSet:
     aovs
         All other sequences by the name of their AOV, for example ``MotionVector``; with the frame
         numbers of the colour, or all with the same ones where there is no colour.
+    motion
+        Name of the AOV that leads where there is no colour.
     """
 
     colour: Sequence | None
     aovs: dict[str, Sequence]
+    motion: str = MOTION_AOV
 
     @property
     def leader(self) -> Sequence:
         """The sequence that stands for the set: colour, else motion."""
-        return self.colour or self.aovs[MOTION_AOV]
+        return self.colour or self.aovs[self.motion]
 
     @property
     def members(self) -> tuple[Sequence, ...]:
@@ -194,13 +201,25 @@ def _found(spec: str, suffixes: tuple[str, ...]) -> Sequence:
         ) from error
 
 
-def find_aov_set(spec: str, suffixes: tuple[str, ...] = EXR, gaps: bool = False) -> AovSet | None:
+def find_aov_set(
+    spec: str,
+    suffixes: tuple[str, ...] = EXR,
+    gaps: bool = False,
+    needed: Callable[[AovSet], Collection[str]] | None = None,
+) -> AovSet | None:
     """Find the one-file-per-AOV set that a folder, pattern or frame belongs to.
+
+    Parameters
+    ----------
+    spec, suffixes, gaps
+        As `find_sequence` takes them.
+    needed
+        Returns which AOVs of a set are used; None for all.
 
     Returns
     -------
     AovSet or None
-        None when `spec` names an ordinary sequence.
+        None when `spec` names an ordinary sequence, or no AOV is needed.
 
     Raises
     ------
@@ -210,10 +229,30 @@ def find_aov_set(spec: str, suffixes: tuple[str, ...] = EXR, gaps: bool = False)
         When an AOV lacks a frame that the colour has (or any other AOV, without colour).
     """
     leader = find_sequence(spec, suffixes)
-    for candidate in _candidates(leader.directory, suffixes):
-        if isinstance(candidate, AovSet) and leader in candidate.members:
-            return _complete(candidate, gaps)
-    return None
+    found = [c for c in _candidates(leader.directory, suffixes) if isinstance(c, AovSet)]
+    mine = [c for c in found if c.leader == leader] or [c for c in found if leader in c.members]
+    if len(mine) > 1:
+        raise InputError(
+            f"{leader.pattern} is a pass of {len(mine)} sequences, "
+            f"{_listing([c.leader for c in mine])}; name one of those"
+        )
+    if not mine:
+        return None
+    names = mine[0].aovs if needed is None else needed(mine[0])
+    aovs = {name: member for name, member in mine[0].aovs.items() if name in names}
+    return _complete(replace(mine[0], aovs=aovs), gaps) if aovs else None
+
+
+def beside(sequence: Sequence) -> dict[str, Sequence]:
+    """Return the sequences of a folder whose names begin as a sequence's does, by what follows."""
+    stem = sequence.base.rstrip("._- ")
+    found = {}
+    for candidate in _candidates(sequence.directory, (sequence.suffix.lower(),)):
+        for member in candidate.members if isinstance(candidate, AovSet) else (candidate,):
+            name = member.base.rstrip("._- ")
+            if stem and name != stem and name.startswith(stem) and member.suffix == sequence.suffix:
+                found[name[len(stem) :].lstrip("._- ")] = member
+    return found
 
 
 def output_pattern(spec: str, source: Sequence, suffixes: tuple[str, ...] = EXR) -> OutputPattern:
@@ -296,7 +335,16 @@ def _gather_aovs(sequences: list[Sequence]) -> list[AovSet | Sequence]:
             shots[shot].setdefault(match["aov"], sequence)
     sets = [s for members in shots.values() if len(members) > 1 and (s := _as_set(members))]
     taken = [member.pattern for s in sets for member in s.members]
-    return [*sets, *(s for s in sequences if s.pattern not in taken)]
+    rest = [s for s in sequences if s.pattern not in taken]
+    for found in pass_sets([(s.base, s.suffix) for s in rest]):
+        colour = None if found.colour is None else rest[found.colour]
+        aovs = {name: rest[index] for name, index in found.passes.items()}
+        for name, index in found.more.items():
+            if colour is not None and set(colour.files) <= set(rest[index].files):
+                aovs.setdefault(name, rest[index])
+        sets.append(AovSet(colour, aovs, found.motion))
+        taken += [member.pattern for member in sets[-1].members]
+    return [*sets, *(s for s in rest if s.pattern not in taken)]
 
 
 def _as_set(members: dict[str, Sequence]) -> AovSet | None:
@@ -316,7 +364,8 @@ def _complete(found: AovSet, gaps: bool) -> AovSet:
     if gaps:
         every = without_gaps(wanted)
         colour = None if found.colour is None else found.colour.over(every)
-        return AovSet(colour, {name: member.over(every) for name, member in found.aovs.items()})
+        aovs = {name: member.over(every) for name, member in found.aovs.items()}
+        return replace(found, colour=colour, aovs=aovs)
     for name, sequence in found.aovs.items():
         if absent := sorted(wanted - set(sequence.files)):
             raise MissingFrameError(

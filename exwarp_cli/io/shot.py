@@ -149,7 +149,7 @@ def open_shot(
     """
     wish = _Wish.of(view, aovs, channel_map, keep_going)
     expanded, named_view, views = expand(spec, wish.view)
-    return _opened(find_files(expanded, keep_going), wish, named_view, views)
+    return _opened(find_files(expanded, keep_going, wish.decided), wish, named_view, views)
 
 
 def open_views(
@@ -167,7 +167,7 @@ def open_views(
         return (open_shot(spec, view, aovs, channel_map, keep_going),)
     wish = replace(_Wish.of(None, aovs, channel_map, keep_going), view=None)
     expanded, named_view, views = expand(spec, None)
-    found = find_files(expanded, keep_going)
+    found = find_files(expanded, keep_going, wish.decided)
     hero = _opened(found, wish, named_view, views)
     if not hero.views:
         raise LayoutError(f"{hero.sequence.pattern} has no views; leave --view {ALL} out")
@@ -186,6 +186,12 @@ class _Wish:
     aovs: tuple[AovFile, ...]
     channel_map: ChannelMap | None
     keep_going: bool
+
+    @property
+    def decided(self) -> frozenset[Role]:
+        """Roles whose channels the user names."""
+        mapped = () if self.channel_map is None else self.channel_map.channels
+        return frozenset([*(aov.role for aov in self.aovs), *mapped])
 
     @classmethod
     def of(

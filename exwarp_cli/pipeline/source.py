@@ -22,6 +22,7 @@ from exwarp_cli.errors import (
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.frames import Shot
 from exwarp_cli.io.sequence import Sequence
+from exwarp_cli.io.unrecognised import is_colour_alone, no_vectors
 from exwarp_cli.pipeline.early_frames import Beginning, EarlyFrames
 from exwarp_cli.pipeline.motion_finding import KeyColours, find_motion
 from exwarp_cli.pipeline.object_ids import read_ids
@@ -63,6 +64,8 @@ class Source:
         Whether motion is needed and there are no vectors, so that it is estimated from colour.
     early
         Frames that were read already.
+    unusable
+        Why vectors that are there are not used, and motion is estimated instead; "" otherwise.
     """
 
     keys: Shot
@@ -75,6 +78,7 @@ class Source:
     cuts: CutWish
     estimated: bool = False
     early: EarlyFrames = field(default_factory=EarlyFrames, compare=False, repr=False)
+    unusable: str = ""
 
     @property
     def output_fps(self) -> Fraction:
@@ -105,7 +109,8 @@ class Source:
     def motion_told(self) -> tuple[str, str] | None:
         """Where motion is from, in a word and in a sentence; None without motion."""
         if self.estimated:
-            return ESTIMATED
+            name, how = ESTIMATED
+            return name, f"{how}; vectors are not used: {self.unusable}" if self.unusable else how
         return None if self.finding is None else (self.finding.source, self.finding.evidence)
 
     @property
@@ -130,7 +135,8 @@ def open_source(
         Whether the method uses motion vectors. Without, a convention that cannot be settled is no
         error, and G-buffers at the output rate without vectors to the previous slot are left out.
     pictures
-        Whether videos, stills and EXR without vectors are taken, and their motion estimated.
+        Whether videos, stills and EXR with colour alone are taken, and their motion estimated; and
+        EXR with other passes and without usable vectors, where `settings` allow it.
     run
         That it is opened for: frames that it reads first are kept for it. None without.
 
@@ -173,21 +179,23 @@ def open_source(
     early = EarlyFrames()
     if run is not None and slots is None:
         early = EarlyFrames.of(run, keys, timeline, cuts.detect)
+    unusable = ""
     try:
         colours = _key_colours(keys, slots, timeline, slot_number)
         finding = find_motion(shot, settings.motion, cuts.detect, starts, early, colours)
-    except MotionError:
-        if motion_needed:
+    except MotionError as error:
+        if motion_needed and not (pictures and _may_estimate(settings)):
             raise
-        finding = None
-    estimated = motion_needed and pictures and _nothing_tells(shot, settings)
+        finding, unusable = None, str(error)
+    estimated = finding is None and motion_needed and pictures and _is_estimated(shot, settings)
     if motion_needed and not estimated:
         _require_vectors(shot, finding, slots)
     if slots is not None and (finding is None or finding.convention.to_previous is None):
         slots, slot_number, finding = None, _no_number, None
     return Source(
-        keys, slots, slot_number, timeline, finding, fps, fps_source, cuts, estimated, early
-    )
+        keys, slots, slot_number, timeline, finding, fps, fps_source, cuts, estimated, early,
+        unusable,
+    )  # fmt: skip
 
 
 def _key_colours(
@@ -205,12 +213,7 @@ def _key_colours(
 def _require_vectors(shot: Shot, finding: MotionFinding | None, slots: Shot | None) -> None:
     """Refuse a shot without vectors, and G-buffers of slots without those to the previous one."""
     if finding is None:
-        half = shot.layout.incomplete.get(Role.MOTION)
-        told = "" if half is None else f" ({half})"
-        raise LayoutError(
-            f"{shot.sequence.pattern} has no motion vectors that are recognised{told}; render the "
-            "motion pass, or use --method hold or blend"
-        )
+        raise LayoutError(no_vectors(shot))
     if slots is not None and finding.convention.to_previous is None:
         raise LayoutError(
             f"--gbuffers {slots.sequence.pattern} has no readable vectors to the previous slot, "
@@ -223,11 +226,19 @@ def _timeline(keys: Shot, settings: SourceSettings, fps: Fraction) -> Timeline:
     return Timeline.of(keys.sequence.numbers, settings.start_frame, settings.tail, factor)
 
 
-def _nothing_tells(shot: Shot, settings: SourceSettings) -> bool:
-    """Whether nothing is there that could tell motion, nor meant to: then it can be estimated."""
+def _may_estimate(settings: SourceSettings) -> bool:
+    """Whether the user allows an estimate, and means no vectors."""
+    return settings.estimate_motion and settings.gbuffers is None and settings.motion is None
+
+
+def _is_estimated(shot: Shot, settings: SourceSettings) -> bool:
+    """Whether the motion of a shot without usable vectors is estimated from colour.
+
+    A render with passes is meant to have vectors: a farm would not notice that they are missing.
+    """
     meant = settings.gbuffers is not None or settings.motion is not None
-    there = Role.MOTION in shot.layout or Role.MOTION in shot.layout.incomplete
-    return not (meant or there)
+    footage = not meant and Role.MOTION not in shot.layout and is_colour_alone(shot)
+    return footage or _may_estimate(settings)
 
 
 def factor_of(settings: SourceSettings, fps: Fraction) -> Fraction:
