@@ -75,7 +75,6 @@ def _print(found: Inspection) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from exwarp_cli.io.channels import Role
     from exwarp_cli.io.layouts import alpha_left_out
     from exwarp_cli.pipeline.inspect import missing_roles
 
@@ -118,6 +117,8 @@ def _print(found: Inspection) -> None:
     if motion is not None:
         state = motion["source"] or "unsettled"
         console.print(_text(f"motion {state}: {motion['evidence'] or motion['problem']}"))
+    if data["depth_evidence"] is not None:
+        console.print(_text(f"depth {data['depth_evidence']}"))
 
 
 def _unused(found: Inspection) -> list[tuple[str, list[str]]]:

@@ -219,6 +219,8 @@ class InputSummary:
         Names of what moves, as ``--dynamic`` found them; None where nothing was said.
     step
         From each key frame's number to the next one's.
+    depth
+        Why depth is read otherwise than its name says, or left out; None where it is not.
     """
 
     pattern: str
@@ -231,6 +233,7 @@ class InputSummary:
     motion_evidence: str | None
     dynamic: tuple[str, ...] | None = None
     step: int = 1
+    depth: str | None = None
 
     @property
     def numbers(self) -> range:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 
 import numpy as np
@@ -45,6 +45,7 @@ class DepthKind(Enum):
 
     AXIS = "axis"
     RAY = "ray"
+    NEGATIVE = "negative"
     INVERSE = "inverse"
     NORMALISED = "normalised"
     REVERSED = "reversed"
@@ -65,12 +66,15 @@ class DepthReading:
         normalised and reversed ones. Not used for the others.
     measured
         Whether world positions told, rather than a name or a person.
+    evidence
+        What a user should know of how it is read, or why it is left out; "" for nothing.
     """
 
     kind: DepthKind = DepthKind.UNKNOWN
     offset: float = 0.0
     scale: float = 1.0
     measured: bool = False
+    evidence: str = field(default="", compare=False)
 
     @classmethod
     def of(cls, kind: DepthKind) -> DepthReading:
@@ -91,10 +95,12 @@ class DepthReading:
         Float32
             The same array where values are distances already, along the axis or the ray. Else
             float32 [...], with +inf where the value stands for background: 0 of an inverse, the far
-            end of a normalised range.
+            end of a normalised range, what is not below 0 of negative distances.
         """
         if self.kind in (DepthKind.AXIS, DepthKind.RAY, DepthKind.UNKNOWN):
             return depth
+        if self.kind is DepthKind.NEGATIVE:
+            return np.where(depth < 0, -depth, np.float32(np.inf)).astype(np.float32)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             if self.kind is DepthKind.INVERSE:
                 out = self.scale / (depth - np.float64(self.offset))
@@ -141,6 +147,20 @@ def measured(depth: Float32, position: Float32) -> DepthReading | None:
     axis, ray, inside = found
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         return _kind(values[inside], axis[inside], ray[inside])
+
+
+def is_negative(depth: Float32) -> bool:
+    """Return whether depth values are distances below 0, as along a camera's -z axis.
+
+    Parameters
+    ----------
+    depth
+        float32 [H, W] as written. Of what is finite and no background more must lie below 0 than
+        above: filters that ring leave a few such pixels in any depth.
+    """
+    with np.errstate(invalid="ignore"):
+        surface = depth[np.isfinite(depth) & (np.abs(depth) < FAR)]
+    return int(np.count_nonzero(surface < 0)) > int(np.count_nonzero(surface > 0))
 
 
 def relative_to_camera(first: Float32, other: Float32) -> bool:
@@ -251,6 +271,8 @@ def _kind(values: F64, axis: F64, ray: F64) -> DepthReading | None:
     """Return what values at known distances are."""
     if len(values) < LEAST:
         return None
+    if np.median(values) < 0 and _apart(values / np.median(values / axis), axis) < FITS:
+        return DepthReading(DepthKind.NEGATIVE, measured=True)
     along = {kind: _apart(values / np.median(values / z), z)
              for kind, z in ((DepthKind.AXIS, axis), (DepthKind.RAY, ray))}  # fmt: skip
     if min(along.values()) < FITS and np.median(values) > 0:

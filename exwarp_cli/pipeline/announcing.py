@@ -172,6 +172,8 @@ def announce(
         )
     if source.motion_told is not None:
         progress.message("motion {}: {}".format(*source.motion_told))
+    if (depth := _depth(source)) is not None:
+        progress.message(f"depth {depth}")
     if (names := _dynamic(source)) is not None:
         listed = ", ".join(shown(name) for name in names[:SHOWN])
         more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
@@ -260,7 +262,13 @@ def input_summary(source: Source) -> InputSummary:
         motion_evidence=None if motion is None else motion[1],
         dynamic=_dynamic(source),
         step=next((b - a for a, b in pairwise(source.timeline.numbers)), 1),
+        depth=_depth(source),
     )
+
+
+def _depth(source: Source) -> str | None:
+    """Return how depth is read where that is another way than its name says; None elsewhere."""
+    return (source.slots or source.keys).depth.evidence or None
 
 
 def _dynamic(source: Source) -> tuple[str, ...] | None:

@@ -64,6 +64,10 @@ class EarlyFrames:
         """Keep a frame for the run."""
         self._frames[frame.number] = frame
 
+    def seen(self, number: int) -> RawFrame | None:
+        """Return a frame that is kept, and go on keeping it; None where it is not."""
+        return self._frames.get(number)
+
     def take(self, number: int, roles: tuple[Role, ...]) -> RawFrame | None:
         """Hand a frame out, if it was read with just these roles."""
         return self._frames.pop(number, None) if roles == self.roles else None

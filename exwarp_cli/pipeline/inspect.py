@@ -21,6 +21,7 @@ from exwarp_cli.io.exr import ExrReader, Part
 from exwarp_cli.io.footage import facts_of
 from exwarp_cli.io.producers import UNKNOWN
 from exwarp_cli.io.shot import MAIN, Shot, spelled
+from exwarp_cli.pipeline.depth_kind import with_depth_ordered
 from exwarp_cli.pipeline.motion_finding import find_motion
 from exwarp_cli.pipeline.motion_option import motion_names
 from exwarp_cli.pipeline.object_ids import looked_into, read_ids
@@ -88,6 +89,7 @@ class Inspection:
             },
             "channels": dict(self.types),
             "depth_kind": self.shot.depth.kind.value if Role.DEPTH in layout else None,
+            "depth_evidence": self.shot.depth.evidence or None,
             "cryptomattes": [_matte(one, manifest) for one, manifest in self.cryptomattes],
             "dynamic": None if moving is None else list(moving.names),
             "pictures": self.pictures,
@@ -120,6 +122,7 @@ def inspect(settings: SourceSettings) -> Inspection:
         finding = find_motion(shot, settings.motion)
     except MotionError as error:
         problem = str(error)
+    shot = with_depth_ordered(shot, None if finding is None else finding.convention)
     fps, fps_source = rate_of(shot, settings.fps)
     mattes = tuple(looked_into(shot))
     return Inspection(shot, parts, finding, problem, fps, fps_source, types, mattes)

@@ -15,6 +15,7 @@ from typing import Any
 from exwarp_cli import __version__
 from exwarp_cli.domain.results import InterpolatorSummary, NetworkSummary
 from exwarp_cli.domain.timeline import Slot
+from exwarp_cli.io.channels import Role
 from exwarp_cli.io.footage import digest_of, is_plain
 from exwarp_cli.io.frames import Shot
 from exwarp_cli.io.output import file_digest
@@ -182,6 +183,13 @@ def _seen_otherwise(source: Source) -> dict[str, Any]:
         found["flow"] = flow_identity()
     if source.keys.by_hand:
         found["read"] = source.keys.by_hand
+    turned = [
+        [reading.kind.value, reading.offset, reading.scale, Role.DEPTH in shot.layout]
+        for shot in (source.keys, source.slots)
+        if shot is not None and (reading := shot.depth).evidence
+    ]
+    if turned:
+        found["depth"] = turned
     ids = (source.slots or source.keys).ids
     if ids is not None:
         found["ids"] = ids.identity

@@ -23,6 +23,7 @@ from exwarp_cli.io.channels import Role
 from exwarp_cli.io.frames import Shot
 from exwarp_cli.io.sequence import Sequence
 from exwarp_cli.io.unrecognised import is_colour_alone, no_vectors
+from exwarp_cli.pipeline.depth_kind import read_alike, with_depth_ordered
 from exwarp_cli.pipeline.early_frames import Beginning, EarlyFrames
 from exwarp_cli.pipeline.motion_finding import KeyColours, find_motion
 from exwarp_cli.pipeline.object_ids import read_ids
@@ -187,6 +188,8 @@ def open_source(
         if motion_needed and not (pictures and _may_estimate(settings)):
             raise
         finding, unusable = None, str(error)
+    keys, slots = _with_depth(keys, slots, finding, (starts, early))
+    shot = slots or keys
     estimated = finding is None and motion_needed and pictures and _is_estimated(shot, settings)
     if motion_needed and not estimated:
         _require_vectors(shot, finding, slots)
@@ -208,6 +211,33 @@ def _key_colours(
         return None
     count = len(timeline.numbers)
     return KeyColours(keys, tuple(slot_number(Slot(key, 0)) for key in range(count)))
+
+
+def _with_depth(
+    keys: Shot,
+    slots: Shot | None,
+    finding: MotionFinding | None,
+    known: tuple[Collection[int], EarlyFrames],
+) -> tuple[Shot, Shot | None]:
+    """Return key frames and slots with depth as their vectors say it grows.
+
+    Depth of the same name in both is read alike. `known` are the starts of shots, and frames that
+    were read already.
+    """
+    if finding is None:
+        return keys, slots
+    starts, early = known
+    shot = slots or keys
+    found = with_depth_ordered(shot, finding.convention, starts, early)
+    if found is shot:
+        return keys, slots
+    early.drop()  # their depth was read in the other way
+    if slots is None:
+        return found, None
+    names = [{ref.name for ref in each.layout.roles.get(Role.DEPTH, ())} for each in (keys, slots)]
+    if names[0] == names[1] and keys.depth == slots.depth:
+        keys = read_alike(keys, found)
+    return keys, found
 
 
 def _require_vectors(shot: Shot, finding: MotionFinding | None, slots: Shot | None) -> None:

@@ -260,6 +260,7 @@ def _input(told: Mapping[str, Any]) -> InputSummary:
         motion_source=motion["source"],
         motion_evidence=motion["evidence"],
         dynamic=None if dynamic is None else tuple(dynamic),
+        depth=told.get("depth"),
     )
 
 

@@ -108,6 +108,7 @@ def _input(run: RunSummary) -> dict[str, Any]:
         "producer": source.producer,
         "motion": {"source": source.motion_source, "evidence": source.motion_evidence},
         "dynamic": None if source.dynamic is None else list(source.dynamic),
+        "depth": source.depth,
         "step": source.step,
         "selected": ranges(run.selected) or None,
     }

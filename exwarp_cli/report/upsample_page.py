@@ -353,6 +353,7 @@ def _settings(document: dict[str, Any]) -> list[Block]:
         ["G-buffers", geometry],
         ["motion", source["motion"]["source"]],
         ["evidence", source["motion"]["evidence"]],
+        ["depth", source["depth"]],
         ["moving by name", ", ".join(source["dynamic"]) if source["dynamic"] else None],
         ["cuts", _cuts(document["cuts"])],
         ["method", document["method"]],

@@ -52,6 +52,14 @@ def test_a_distance_stays_as_it_is(tmp_path, distance):
     np.testing.assert_array_equal(read, distance.astype(np.float32))
 
 
+@pytest.mark.parametrize("position", [True, False])
+def test_negative_distances_count(tmp_path, distance, position):
+    found = with_depth_measured(shot(tmp_path, "Z", -distance, position))
+    assert found.depth.kind is DepthKind.NEGATIVE and "|z|" in found.depth.evidence
+    read = read_raw(found, 1).gbuffer.depth
+    np.testing.assert_array_equal(read, distance.astype(np.float32))
+
+
 def test_without_positions_nothing_is_measured(tmp_path, distance):
     opened = shot(tmp_path, "Z", 1 / distance, position=False)
     assert with_depth_measured(opened) is opened

@@ -27,7 +27,7 @@ CONTRACT: dict[str, Any] = {
     "input": {
         **dict.fromkeys(("pattern", "first", "last", "width", "height", "producer")),
         "motion": {"source": None, "evidence": None},
-        **dict.fromkeys(("dynamic", "step", "selected")),
+        **dict.fromkeys(("dynamic", "depth", "step", "selected")),
     },
     "frames": dict.fromkeys(("key", "written", "generated", "dropped", "resumed")),
     "fps": dict.fromkeys(("base", "effective", "output", "throughput", "source", "factor")),
