@@ -103,7 +103,9 @@ def is_colour_alone(shot: Shot) -> bool:
     bare = set(shot.layout.roles) <= {Role.COLOUR} and not shot.layout.incomplete
     if not bare or shot.aovs or shot.cryptomattes:
         return False
-    return not unrecognised(shot) and not _vectors_beside(shot)
+    # Some renderers keep the beauty's alpha in a layer of its own.
+    more = [ref for ref in unrecognised(shot) if ref.component.lower() not in ("a", "alpha")]
+    return not more and not _vectors_beside(shot)
 
 
 def _vectors_beside(shot: Shot) -> list[str]:
@@ -112,8 +114,15 @@ def _vectors_beside(shot: Shot) -> list[str]:
     return [member.pattern for name, member in found.items() if _has_motion_word(name)]
 
 
-def no_vectors(shot: Shot) -> str:
+def no_vectors(shot: Shot, estimable: bool = True) -> str:
     """Return the message that a shot has no usable vectors: its unknown channels, and what to do.
+
+    Parameters
+    ----------
+    shot
+        The shot.
+    estimable
+        Whether the command can estimate motion instead.
 
     Raises
     ------
@@ -134,7 +143,8 @@ def no_vectors(shot: Shot) -> str:
         name = f"; likeliest: {names}, to be named as in --aov motion={pattern}:{channels}"
     elif patterns := _vectors_beside(shot):
         name = f"; likeliest: {patterns[0]}, to be named as in --aov motion={patterns[0]}:R,G"
-    passes = "" if is_colour_alone(shot) else ", or allow --estimate-motion"
+    allowed = estimable and not is_colour_alone(shot)
+    passes = ", or allow --estimate-motion" if allowed else ""
     return (
         f"{shot.sequence.pattern} has no motion vectors that are recognised{said}{unknown}{name}; "
         f"render the motion pass{passes}, or use --method hold or blend"

@@ -192,7 +192,7 @@ def open_source(
     shot = slots or keys
     estimated = finding is None and motion_needed and pictures and _is_estimated(shot, settings)
     if motion_needed and not estimated:
-        _require_vectors(shot, finding, slots)
+        _require_vectors(shot, finding, slots, pictures)
     if slots is not None and (finding is None or finding.convention.to_previous is None):
         slots, slot_number, finding = None, _no_number, None
     return Source(
@@ -240,10 +240,12 @@ def _with_depth(
     return keys, found
 
 
-def _require_vectors(shot: Shot, finding: MotionFinding | None, slots: Shot | None) -> None:
+def _require_vectors(
+    shot: Shot, finding: MotionFinding | None, slots: Shot | None, estimable: bool
+) -> None:
     """Refuse a shot without vectors, and G-buffers of slots without those to the previous one."""
     if finding is None:
-        raise LayoutError(no_vectors(shot))
+        raise LayoutError(no_vectors(shot, estimable and slots is None))
     if slots is not None and finding.convention.to_previous is None:
         raise LayoutError(
             f"--gbuffers {slots.sequence.pattern} has no readable vectors to the previous slot, "
