@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -75,9 +76,6 @@ def _print(found: Inspection) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from exwarp_cli.io.layouts import alpha_left_out
-    from exwarp_cli.pipeline.inspect import missing_roles
-
     console = Console(highlight=False, soft_wrap=True)
     data = found.as_dict()
     console.print(_text(data["pattern"]))
@@ -102,23 +100,33 @@ def _print(found: Inspection) -> None:
         kinds = sorted({found.types.get(name, "") for name in names})
         table.add_row(meaning, _text(", ".join(names)), ", ".join(kinds))
     console.print(table)
-    if (left_out := alpha_left_out(found.shot.layout)) is not None:
-        console.print(_text(left_out))
-    missing = missing_roles(found.shot.layout)
+    for line in _findings(found, data):
+        console.print(_text(line))
+
+
+def _findings(found: Inspection, data: Mapping[str, Any]) -> Iterator[str]:
+    """Yield what is left out or absent, and how motion and depth are read."""
+    from exwarp_cli.io.layouts import alpha_left_out
+    from exwarp_cli.pipeline.inspect import missing_roles
+
+    layout = found.shot.layout
+    if (left_out := alpha_left_out(layout)) is not None:
+        yield left_out
+    missing = missing_roles(layout)
     if missing:
-        halves = found.shot.layout.incomplete
+        halves = layout.incomplete
         named = (
             f"{role.value} ({halves[role]})" if role in halves else role.value for role in missing
         )
-        console.print(_text(f"not found: {', '.join(named)}"))
+        yield f"not found: {', '.join(named)}"
     motion = data["motion"]
     if motion is None:
-        console.print(_text(_without_vectors(found)))
-    if motion is not None:
+        yield _without_vectors(found)
+    else:
         state = motion["source"] or "unsettled"
-        console.print(_text(f"motion {state}: {motion['evidence'] or motion['problem']}"))
+        yield f"motion {state}: {motion['evidence'] or motion['problem']}"
     if data["depth_evidence"] is not None:
-        console.print(_text(f"depth {data['depth_evidence']}"))
+        yield f"depth {data['depth_evidence']}"
 
 
 def _unused(found: Inspection) -> list[tuple[str, list[str]]]:
