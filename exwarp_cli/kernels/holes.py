@@ -21,6 +21,25 @@ nearest source pixel is up to 0.71 pixels off, and its own sample as much again.
 DEPTH_TOLERANCE = np.float32(0.1)
 """Relative change of depth up to which two pixels may be the same surface, without positions."""
 
+ROUNDINGS = np.float32(1.1)
+"""Steps that rounded depths of one point lie apart at most: one, as far as it can be measured."""
+
+Steps = tuple[np.float32, np.float32]
+"""To which values were rounded: a depth's step in scene units, and that of its inverse."""
+
+Limits = tuple[np.float32, np.float32, np.float32, np.float32]
+
+
+@inlined
+def same_depth(a: np.float32, b: np.float32, tolerance: np.float32, steps: Steps) -> bool:
+    """Whether two depths, neither of background, differ by no more than a share of the larger.
+
+    Rounded depths of one point lie up to a step apart; of the inverse that is |1/a - 1/b|. Added to
+    the share instead of as another bound, the step hid holes at near outlines: 0.1 dB lost.
+    """
+    rounding = steps[0] + steps[1] * a * b
+    return not abs(a - b) > max(tolerance * max(a, b), ROUNDINGS * rounding)
+
 
 @inlined
 def apart(position: F32, i: int, j: int, other: F32, y: int, x: int) -> np.float32:
@@ -49,11 +68,14 @@ def spacing(position: F32, i: int, j: int, down: int, right: int) -> np.float32:
 
 
 @inlined
-def beyond_footprint(position: F32, i: int, j: int, squared: np.float32) -> bool:
+def beyond_footprint(
+    position: F32, i: int, j: int, squared: np.float32, rounded: np.float32
+) -> bool:
     """Whether a squared distance is more than FOOTPRINTS of the pixel at (i, j).
 
     The footprint is its size in world space, which grows with distance and at grazing angles: the
-    sum of its spacing on both axes. What is within that of one axis needs no roots.
+    sum of its spacing on both axes. What is within that of one axis needs no roots. `rounded` is
+    the step of the positions as a share of each; both ends together are off by up to a step.
     """
     total, many = np.float32(0.0), FOOTPRINTS * FOOTPRINTS
     for axis in range(2):
@@ -62,7 +84,10 @@ def beyond_footprint(position: F32, i: int, j: int, squared: np.float32) -> bool
             if squared <= many * step:
                 return False
             total += np.float32(math.sqrt(step))
-    return bool(math.sqrt(squared) > FOOTPRINTS * total)
+    size, p, q = np.float32(0), np.uint64(i), np.uint64(j)
+    for c in range(3):
+        size += abs(position[p, q, c])
+    return bool(math.sqrt(squared) > FOOTPRINTS * total + rounded * size)
 
 
 @inlined
@@ -80,6 +105,7 @@ def other_surface(
     positions: tuple[F32, F32],
     normals: tuple[F32, F32],
     least_cosine: np.float32,
+    rounded: np.float32,
 ) -> bool:
     """Whether position (static) or normal (dynamic) at (i, j) now and (y, x) then disagree.
 
@@ -99,7 +125,7 @@ def other_surface(
     here, there = positions
     if here.shape[0] == 0:
         return False
-    return bool(beyond_footprint(here, i, j, apart(here, i, j, there, y, x)))
+    return bool(beyond_footprint(here, i, j, apart(here, i, j, there, y, x), rounded))
 
 
 def mark_text(
@@ -108,7 +134,7 @@ def mark_text(
     stencils: tuple[I32, I32],
     positions: tuple[F32, F32],
     normals: tuple[F32, F32],
-    least_cosine: np.float32,
+    limits: Limits,
     hole: B8,
     share: Share = WHOLE,
 ) -> None:
@@ -124,8 +150,10 @@ def mark_text(
         int32 [H, W] or [0, 0] when unknown; negative where ids mix.
     positions, normals
         float32 [H, W, 3] or [0, 0, 3] when unknown.
-    least_cosine
-        Of the angle by which the normal of one dynamic surface may turn on the way.
+    limits
+        The cosine of the angle by which the normal of one dynamic surface may turn on the way, and
+        the steps to which values were rounded, 0 if not at all: depths in scene units, their
+        inverse, and positions as a share of each.
     hole
         bool [H, W], written.
     share
@@ -135,11 +163,12 @@ def mark_text(
     -----
     ExtraNet's tests: ids differ; a static pixel's world positions lie further apart than a bias
     that grows with depth and grazing angle; a dynamic pixel's normal turned. Without positions the
-    depths stand in.
+    depths stand in. What rounding alone can do is no difference.
     """
     height, width, _ = field.shape
     known_ids = stencils[0].shape[0] > 0
     known_positions = positions[0].shape[0] > 0
+    least_cosine, linear, inverse, rounded = limits
     for i in turns(height, share):
         for j in range(width):
             fx, fy = np.float32(j) + field[i, j, 0], np.float32(i) + field[i, j, 1]
@@ -158,13 +187,12 @@ def mark_text(
             now, then = (stencils[0][i, j], stencils[1][y, x]) if known_ids else (0, 0)
             if now >= 0 and then >= 0 and now != then:
                 continue
-            if other_surface(
-                i, j, y, x, positions, normals, least_cosine if now > 0 else np.float32(-2)
-            ):
+            cosine = least_cosine if now > 0 else np.float32(-2)
+            if other_surface(i, j, y, x, positions, normals, cosine, rounded):
                 continue
             if not known_positions and now <= 0:
                 a, b = depths[0][i, j], depths[1][y, x]
-                if abs(a - b) > DEPTH_TOLERANCE * max(a, b):
+                if not same_depth(a, b, DEPTH_TOLERANCE, (linear, inverse)):
                     continue
             hole[i, j] = False
 

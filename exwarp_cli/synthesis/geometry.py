@@ -20,6 +20,7 @@ from exwarp_cli.synthesis.camera import (
     scene_of,
     standing,
 )
+from exwarp_cli.synthesis.rounding import coarser, depth_step, normal_step, relative_step
 from exwarp_cli.synthesis.trajectory import displaced, followed, reach_of, stencil_of
 
 TURN_PER_SLOT = math.acos(0.98)
@@ -259,6 +260,25 @@ def unmatched(slot: GBuffer, key: GBuffer, field: Float32, count: int) -> Bool:
     if slot.normal is not None and key.normal is not None:
         normals = (slot.normal, key.normal)
     hole = np.empty(depth.shape, np.bool_)
-    cosine = np.float32(math.cos(count * TURN_PER_SLOT))
-    holes.mark(field, (depth, depth_of(key)), stencils, positions, normals, cosine, hole)
+    depths = depth, depth_of(key)
+    cosine = math.cos(min(count * TURN_PER_SLOT + _turn_of(normals), math.pi))
+    limits = np.float32(cosine), *_steps_of(depths, positions)
+    holes.mark(field, depths, stencils, positions, normals, limits, hole)
     return hole
+
+
+def _steps_of(
+    depths: tuple[Float32, Float32], positions: tuple[Float32, Float32]
+) -> tuple[np.float32, np.float32, np.float32]:
+    """Return the steps that depths, their inverse and positions of two instants were rounded to."""
+    nothing = np.float32(0)
+    if positions[0].size:  # which are compared instead of depths
+        return nothing, nothing, np.float32(max(relative_step(p) for p in positions))
+    return *coarser(*map(depth_step, depths)), nothing
+
+
+def _turn_of(normals: tuple[Float32, Float32]) -> float:
+    """Return by which angle, radians, rounding alone may turn a normal between two instants."""
+    if not normals[0].size:
+        return 0.0
+    return math.sqrt(3) * max(normal_step(normal) for normal in normals)

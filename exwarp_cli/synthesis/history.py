@@ -16,6 +16,7 @@ from exwarp_cli.kernels.follow import follow, follow_shown
 from exwarp_cli.kernels.surface import go_on
 from exwarp_cli.synthesis.camera import Camera, Index, Scene, camera_by, place_still, scene_of
 from exwarp_cli.synthesis.geometry import SlotField, moved_on, stands_still, unmatched
+from exwarp_cli.synthesis.rounding import EXACT
 from exwarp_cli.synthesis.surface import lookup, reprojected
 from exwarp_cli.synthesis.trajectory import displacement, stencil_of
 
@@ -24,6 +25,9 @@ SAME_POINT = 2.0
 
 UNFORESEEN = np.zeros((0, 0, 2), np.float32)
 """What is expected where nothing is."""
+
+UNCOMPARED = (np.zeros((0, 0), np.float32),) * 2
+"""Depths that are not compared."""
 
 
 @dataclass(frozen=True)
@@ -284,7 +288,9 @@ def _rendered(
             break
         # Its own vectors foretell a point so many slots ago badly, and mislead: with them older
         # frames were up to 1.4 dB further from the truth where things move.
-        follow(step.motion, stencil_of(newer), stencil_of(surface), UNFORESEEN, moved)
+        # Depth tells a hidden point only where something else foretells its motion.
+        ids = stencil_of(newer), stencil_of(surface)
+        follow(step.motion, ids, UNCOMPARED, EXACT, np.float32(0), UNFORESEEN, moved)
         placed = _placed(moved, here, step, surface)
         fields.append(placed)
         hidden.append(unmatched(surface, older, placed, slot + FACTOR * count))

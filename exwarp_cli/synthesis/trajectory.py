@@ -10,12 +10,18 @@ from exwarp_cli.domain.frame import Float32, GBuffer, Int32
 from exwarp_cli.domain.lent_memory import lent
 from exwarp_cli.kernels import parabola
 from exwarp_cli.kernels import reach as rows
-from exwarp_cli.kernels.follow import follow
+from exwarp_cli.kernels.follow import CLOSE, follow
+from exwarp_cli.synthesis.rounding import EXACT, coarser, depth_step
 
 
 def stencil_of(gbuffer: GBuffer) -> Int32:
     """Return the ids, int32 [H, W], or [0, 0] when unknown."""
     return gbuffer.stencil if gbuffer.stencil is not None else np.zeros((0, 0), np.int32)
+
+
+def distances_of(gbuffer: GBuffer) -> Float32:
+    """Return the depths, float32 [H, W], or [0, 0] when unknown."""
+    return gbuffer.depth if gbuffer.depth is not None else np.zeros((0, 0), np.float32)
 
 
 def displacement(gbuffer: GBuffer, time: float) -> Float32:
@@ -86,16 +92,22 @@ def followed(start: GBuffer, others: Sequence[GBuffer], way: int) -> Float32:
     -------
     float32 [H, W, 2]
         Displacement in pixels over one step more than there are others. Where another surface
-        hides a point on its way, it goes on as its own vectors foretell.
+        hides a point on its way, by its id or its depth, it goes on as its own vectors foretell.
     """
     step = start.to_next if way > 0 else start.to_previous
     assert step is not None
     moved = step.copy()
     before = displacement(start, way) if others else moved
+    own = distances_of(start)
+    rounded = depth_step(own) if others else EXACT
     for count, other in enumerate(others, start=2):
         after = displacement(start, way * count)
         step = other.to_next if way > 0 else other.to_previous
         assert step is not None
-        follow(step, stencil_of(other), stencil_of(start), after - before, moved)
+        there = distances_of(other)
+        ids, depths = (stencil_of(other), stencil_of(start)), (there, own)
+        steps = coarser(rounded, depth_step(there))
+        close = np.float32(CLOSE * (count - 1))
+        follow(step, ids, depths, steps, close, after - before, moved)
         before = after
     return moved

@@ -104,11 +104,12 @@ def _geometry(raw: KeyFrame, settled: KeyFrame) -> dict[str, tuple[Work, Work]]:
         splat.splat(motion, depth, reach_of(motion), field, near)
 
     cosine = np.float32(np.cos(SLOT * TURN_PER_SLOT))
+    limits = cosine, *(np.float32(0),) * 3
     pairs = [(a, a) for a in (depth, stencil, buffers.position, buffers.normal)]
     works: dict[str, Work] = {
         "row_reach": lambda: reach_of(motion),
         "row_reach + splat": splat_all,
-        "mark": lambda: holes.mark(source.field, *pairs, cosine, mask),
+        "mark": lambda: holes.mark(source.field, *pairs, limits, mask),
         "find_edges": lambda: edges.find_edges(depth, stencil, edge),
         "find_fringe": lambda: edges.find_fringe(source.field, source.depth, depth, mask),
         "displacement()": lambda: displacement(moving, TIME),

@@ -6,15 +6,24 @@ import math
 
 import numpy as np
 
+LEAST, SHARE = 0.25, 0.1
+"""Pixels, and share of the expected vector, by which a vector may differ from it."""
+
+LEAST_TRUST = 0.25
+CLOSE, TOLERANCE = 0.02, 0.1
+"""Relative differences of depth up to which a sample surely, and possibly, shows the surface."""
+
+Pair = tuple[np.ndarray, np.ndarray]
+OTHER, DOUBTFUL, SAME = range(3)
+
 
 def follow(
     step: np.ndarray,
     expected: np.ndarray,
     moved: np.ndarray,
-    stencils: tuple[np.ndarray, np.ndarray] | None = None,
-    prior: float = 0.2,
-    least: float = 0.25,
-    share: float = 0.1,
+    stencils: Pair | None = None,
+    depths: Pair | None = None,
+    rounded: tuple[float, float] = (0, 0),
 ) -> np.ndarray:
     """Return how far points have come, float64 [H, W, 2]."""
     height, width = moved.shape[:2]
@@ -25,23 +34,52 @@ def follow(
             if math.isnan(x + y):
                 continue
             hope = expected[i, j].astype(np.float64)
-            foreseen = not np.isnan(hope).any()
-            weights, values = ([prior], [hope]) if foreseen else ([], [])
+            weights, values = [], []
             left, top = math.floor(x), math.floor(y)
             for q in (top, top + 1):
                 for p in (left, left + 1):
                     if not (0 <= p < width and 0 <= q < height):
                         continue
                     vector = step[q, p].astype(np.float64)
-                    other = stencils is not None and stencils[0][q, p] != stencils[1][i, j]
-                    if other or np.isnan(vector).any():
-                        continue
-                    weight = (1 - abs(x - p)) * (1 - abs(y - q))
-                    if foreseen:
-                        scale = max(least, share * float(np.hypot(*hope)))
-                        weight /= (1 + (np.hypot(*(vector - hope)) / scale) ** 2) ** 2
-                    weights.append(weight)
-                    values.append(vector)
+                    like = likeness((q, p), (i, j), stencils, depths, rounded)
+                    weight = trust(vector, hope, like)
+                    if weight > 0:
+                        weights.append(weight * (1 - abs(x - p)) * (1 - abs(y - q)))
+                        values.append(vector)
             if sum(weights) > 0:
                 out[i, j] = moved[i, j] + np.average(values, axis=0, weights=weights)
+            elif not np.isnan(hope).any():
+                out[i, j] = moved[i, j] + hope
     return out
+
+
+def likeness(
+    there: tuple[int, int],
+    here: tuple[int, int],
+    stencils: Pair | None,
+    depths: Pair | None,
+    rounded: tuple[float, float],
+) -> int:
+    """Return whether a pixel shows a point's surface."""
+    if stencils is not None and stencils[0][there] != stencils[1][here]:
+        return OTHER
+    if depths is None or (stencils is not None and stencils[1][here] > 0):
+        return SAME
+    a, b = float(depths[0][there]), float(depths[1][here])
+    if math.isinf(a) or math.isinf(b):
+        return SAME if a == b else OTHER
+    rounding = 1.1 * (rounded[0] + rounded[1] * a * b)
+    if abs(a - b) <= max(CLOSE * max(a, b), rounding):
+        return SAME
+    return DOUBTFUL if abs(a - b) <= max(TOLERANCE * max(a, b), rounding) else OTHER
+
+
+def trust(vector: np.ndarray, hope: np.ndarray, like: int) -> float:
+    """Return how much a sample counts beside what is expected."""
+    if like == OTHER or np.isnan(vector).any():
+        return 0.0
+    if np.isnan(hope).any():
+        return 1.0
+    scale = max(LEAST, SHARE * float(np.hypot(*hope)))
+    found = 1 / (1 + (np.hypot(*(vector - hope)) / scale) ** 2) ** 2
+    return 0.0 if like == DOUBTFUL and found < LEAST_TRUST else float(found)

@@ -30,11 +30,13 @@ def mark(
     positions: Pair | None,
     normals: Pair | None,
     constants: tuple[float, float, float],
+    steps: tuple[float, float, float] = (0, 0, 0),
 ) -> np.ndarray:
     """Return the hole mask; None is unknown.
 
     `constants` are the footprints that positions may lie apart, the relative tolerance of depth and
-    the least cosine between normals.
+    the least cosine between normals; `steps` those to which depth, its inverse and positions, as a
+    share of each, were rounded.
     """
     footprints, depth_tolerance, min_cosine = constants
     height, width = depths[0].shape
@@ -59,8 +61,10 @@ def mark(
                 other |= float(now @ then) < min_cosine * lengths
             if not dynamic and positions is not None:
                 apart = float(np.linalg.norm(positions[0][here] - positions[1][there]))
-                other |= apart > footprints * footprint(positions[0], i, j)
+                rounding = steps[2] * float(np.abs(positions[0][here]).sum())
+                other |= apart > footprints * footprint(positions[0], i, j) + rounding
             if not dynamic and positions is None:
-                other |= abs(a - b) > depth_tolerance * max(a, b)
+                rounding = 1.1 * (steps[0] + steps[1] * a * b)
+                other |= abs(a - b) > max(depth_tolerance * max(a, b), rounding)
             hole[here] = other
     return hole

@@ -35,6 +35,7 @@ Pair = tuple[np.ndarray, np.ndarray]
 Side = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 NO_IDS = np.zeros((0, 0), np.int32)
+NO_DEPTH = np.zeros((0, 0), np.float32)
 NO_MASK = np.zeros((0, 0), np.bool_)
 NO_VECTORS = np.zeros((0, 0, 3), np.float32)
 
@@ -57,9 +58,19 @@ def followed(
     moved: np.ndarray,
     stencils: Pair | None = None,
     serial: bool = False,
+    depths: Pair | None = None,
+    rounded: tuple[float, float] = (0, 0),
 ) -> Arrays:
     out = moved.copy()
-    build(follow, "follow", serial)(step, *(stencils or (NO_IDS, NO_IDS)), expected, out)
+    build(follow, "follow", serial)(
+        step,
+        stencils or (NO_IDS, NO_IDS),
+        depths or (NO_DEPTH, NO_DEPTH),
+        (np.float32(rounded[0]), np.float32(rounded[1])),
+        np.float32(0.02),
+        expected,
+        out,
+    )
     return (out,)
 
 
@@ -84,6 +95,7 @@ def marked(
     normals: Pair | None = None,
     least_cosine: float = 0.98,
     serial: bool = False,
+    steps: tuple[float, float, float] = (0, 0, 0),
 ) -> Arrays:
     hole = np.zeros(field.shape[:2], np.bool_)
     build(holes, "mark", serial)(
@@ -92,7 +104,7 @@ def marked(
         stencils or (NO_IDS, NO_IDS),
         positions or (NO_VECTORS, NO_VECTORS),
         normals or (NO_VECTORS, NO_VECTORS),
-        np.float32(least_cosine),
+        tuple(np.float32(limit) for limit in (least_cosine, *steps)),
         hole,
     )
     return (hole,)

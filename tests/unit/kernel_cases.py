@@ -74,7 +74,7 @@ def mark(serial: bool) -> calls.Arrays:
         (vectors(10, 0.1), vectors(11, 0.1)),
         serial=serial,
     )
-    return full + calls.marked(field(4, 0.3), depths, serial=serial)
+    return full + calls.marked(field(4, 0.3), depths, serial=serial, steps=(0.1, 0.01, 0))
 
 
 def fill(serial: bool) -> calls.Arrays:
@@ -115,10 +115,12 @@ def settle(serial: bool) -> calls.Arrays:
 
 
 def follow(serial: bool) -> calls.Arrays:
-    """With ids, and without."""
+    """With ids, with depths, and without."""
     fields = field(29), field(30), field(31)
     known = calls.followed(*fields, (ids(32), ids(33)), serial)
-    return known + calls.followed(*fields, serial=serial)
+    depths = (depth(37), depth(38))
+    deep = calls.followed(*fields, serial=serial, depths=depths, rounded=(0.5, 0.01))
+    return known + deep + calls.followed(*fields, serial=serial)
 
 
 def shown(seed: int) -> np.ndarray:

@@ -5,9 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from exwarp_cli.kernels.follow import any_step
 from tests.reference.follow import follow
-from tests.unit.kernel_calls import followed
-from tests.unit.kernel_cases import SHAPE, field, ids
+from tests.unit.kernel_calls import NO_IDS, followed
+from tests.unit.kernel_cases import SHAPE, depth, field, ids
+
+EXACT = np.float32(0), np.float32(0)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -18,6 +21,32 @@ def test_it_is_the_naive_twin(seed, known, serial):
     stencils = (ids(seed), ids(seed + 30)) if known else None
     (found,) = followed(step, expected, moved, stencils, serial)
     np.testing.assert_allclose(found, follow(step, expected, moved, stencils), atol=2e-4)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize("rounded", [(0.0, 0.0), (0.5, 0.0), (0.0, 0.02)])
+def test_with_depths_it_is_the_naive_twin(seed, known, rounded):
+    step, expected, moved = field(seed), field(seed + 10), field(seed + 20)
+    stencils = (ids(seed), ids(seed + 30)) if known else None
+    depths = depth(seed), depth(seed + 40)
+    (found,) = followed(step, expected, moved, stencils, depths=depths, rounded=rounded)
+    twin = follow(step, expected, moved, stencils, depths=depths, rounded=rounded)
+    np.testing.assert_allclose(found, twin, atol=2e-4)
+
+
+def test_both_ways_through_the_kernel_add_up_the_same_bits():
+    """Beyond an edge of NaN, samples are taken one by one; without it, all four at once."""
+    step, expected, moved = np.nan_to_num(field(3)), field(13), np.nan_to_num(field(23))
+    depths = depth(3), depth(43)
+    (inside,) = followed(step, expected, moved, depths=depths)
+    shown = NO_IDS, depths[0], EXACT, np.float32(0.02)
+    bits = np.empty_like(moved)
+    for i, j in np.ndindex(SHAPE):
+        place = np.float32(j) + moved[i, j, 0], np.float32(i) + moved[i, j, 1]
+        point = np.int32(-2), depths[1][i, j]
+        bits[i, j] = any_step(step, shown, point, place, tuple(expected[i, j]))
+    np.testing.assert_array_equal(inside, moved + bits)
 
 
 def constant(x: float, y: float) -> np.ndarray:
@@ -46,8 +75,57 @@ def test_what_is_before_a_point_does_not_take_it_along():
     still = constant(0.0, 0.0)
     (by_id,) = followed(step, still, still, (stencil, own))
     np.testing.assert_array_equal(by_id, still)
-    (by_surprise,) = followed(step, still, still)
-    assert np.abs(by_surprise).max() < 0.01
+    own = np.full(SHAPE, 10, np.float32)
+    before = own.copy()
+    before[10:14, 4:8] = 5
+    (by_depth,) = followed(step, still, still, depths=(before, own))
+    np.testing.assert_array_equal(by_depth, still)
+
+
+def test_vectors_that_agree_are_followed_whatever_was_expected():
+    (found,) = followed(constant(2.0, 0.0), constant(3.0, 0.0), constant(0.5, 0.5))
+    np.testing.assert_allclose(found, constant(2.5, 0.5), atol=1e-6)
+
+
+def test_where_vectors_differ_the_expected_one_chooses():
+    step = constant(0.0, 0.0)
+    step[:, ::2] = (4.0, 0.0)
+    (found,) = followed(step, constant(3.8, 0.0), constant(0.5, 0.0))
+    np.testing.assert_allclose(found[:, :-1], constant(4.5, 0.0)[:, :-1], atol=0.01)
+
+
+@pytest.mark.parametrize(("rounded", "way"), [((0, 0), 3.0), ((2, 0), 2.0), ((0, 0.2), 2.0)])
+def test_rounded_depths_are_no_other_surface(rounded, way):
+    depths = np.full(SHAPE, 3, np.float32), np.full(SHAPE, 5, np.float32)
+    still = constant(0.0, 0.0)
+    (found,) = followed(
+        constant(2.0, 0.0), constant(3.0, 0.0), still, depths=depths, rounded=rounded
+    )
+    np.testing.assert_allclose(found, constant(way, 0.0))
+
+
+@pytest.mark.parametrize(("nearer", "way"), [(0.01, 2.0), (0.05, 3.0), (0.2, 3.0)])
+def test_at_another_depth_a_surprising_vector_is_another_surface(nearer, way):
+    own = np.full(SHAPE, 5, np.float32)
+    depths, still = (own * np.float32(1 - nearer), own), constant(0.0, 0.0)
+    (found,) = followed(constant(2.0, 0.0), constant(3.0, 0.0), still, depths=depths)
+    np.testing.assert_allclose(found, constant(way, 0.0))
+
+
+@pytest.mark.parametrize(("nearer", "way"), [(0.05, 2.9), (0.2, 3.0)])
+def test_what_comes_nearer_as_expected_is_followed(nearer, way):
+    own = np.full(SHAPE, 5, np.float32)
+    depths, still = (own * np.float32(1 - nearer), own), constant(0.0, 0.0)
+    (found,) = followed(constant(2.9, 0.0), constant(3.0, 0.0), still, depths=depths)
+    np.testing.assert_allclose(found, constant(way, 0.0))
+
+
+def test_what_has_an_id_may_come_nearer():
+    depths = np.full(SHAPE, 3, np.float32), np.full(SHAPE, 5, np.float32)
+    ball = np.ones(SHAPE, np.int32)
+    still = constant(0.0, 0.0)
+    (found,) = followed(constant(2.0, 0.0), constant(3.0, 0.0), still, (ball, ball), depths=depths)
+    np.testing.assert_allclose(found, constant(2.0, 0.0))
 
 
 def test_without_expectation_samples_alone_lead_on():

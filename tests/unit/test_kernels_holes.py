@@ -77,6 +77,32 @@ class TestMark:
         np.testing.assert_array_equal(found, expected)
         assert 0 < found.sum() < found.size
 
+    @pytest.mark.parametrize("known", [(), ("stencils", "positions", "normals")])
+    @pytest.mark.parametrize("steps", [(0.6, 0, 0.002), (0, 0.03, 0.01)])
+    def test_equals_the_naive_twin_where_values_are_rounded(self, known, steps):
+        case = self.random_case(2)
+        given = {name: case[name] for name in known}
+        (found,) = marked(case["field"], case["depths"], **given, steps=steps)
+        absent = dict.fromkeys(("stencils", "positions", "normals")) | given
+        twin = naive.mark(case["field"], case["depths"], **absent, constants=CONSTANTS, steps=steps)
+        np.testing.assert_array_equal(found, twin)
+        assert (found != marked(case["field"], case["depths"], **given)[0]).any()
+
+    @pytest.mark.parametrize(
+        ("steps", "hole"),
+        [((0, 0, 0), True), ((0.9, 0, 0), True), ((1, 0, 0), False), ((0, 0.06, 0), False)],
+    )
+    def test_a_step_of_rounding_is_no_other_surface(self, steps, hole):
+        other = WALL - np.float32(1)
+        assert (marked(STILL, (WALL, other), steps=steps)[0] == hole).all()
+
+    @pytest.mark.parametrize(("step", "hole"), [(0, True), (2.0**-10, False)])
+    def test_positions_far_from_the_origin_may_differ_by_their_rounding(self, step, hole):
+        here = plane_positions(1000.0)
+        there = here + np.float32([0.8, 0, 0])
+        found = marked(STILL, (WALL, WALL), None, (here, there), steps=(0, 0, step))[0]
+        assert (found == hole).all()
+
     def test_what_stays_is_seen(self):
         same = (plane_positions(), plane_positions())
         ids = (np.ones(SHAPE, np.int32),) * 2
