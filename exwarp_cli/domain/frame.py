@@ -215,16 +215,19 @@ class KeyFrame:
         return replace(self, gbuffer=gbuffer)
 
     def extended(self, canvas: Window) -> KeyFrame:
-        """Return the frame on a larger window, for warping.
+        """Return the frame on another window, for warping.
 
         Inside the display window, what the data window leaves out is empty, and stays so: it gets
-        no motion. Outside, where another frame may have data, it is unknown: NaN, hence a hole.
+        no motion. Outside, where another frame may have data, it is unknown: NaN, hence a hole. A
+        canvas that leaves out some of the display window is that of a picture's region, beyond
+        which nothing is known at all.
         """
         placed = self.on(canvas)
         if canvas == self.image.data_window:
             return placed
         around = outside(canvas, self.image.data_window)
-        beyond = outside(canvas, self.image.display_window)
+        display = self.image.display_window
+        beyond = outside(canvas, display) if canvas.covers(display) else np.bool_(True)
         pixels = np.where((around & beyond)[..., None], np.float32(np.nan), placed.image.pixels)
         gbuffer = placed.gbuffer
         if gbuffer is not None:

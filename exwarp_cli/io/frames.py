@@ -369,6 +369,23 @@ def _refuse_broken(share: float, path: Path) -> None:
         )
 
 
+def colour_window(shot: Shot, number: int) -> Window:
+    """Return the data window of a frame's colour, from its header alone.
+
+    Raises
+    ------
+    InputError
+        When the file is missing or damaged, or has no such channel.
+    """
+    ref = shot.layout.roles[Role.COLOUR][0]
+    path = shot.files(number)[ref.aov]
+    with ExrReader(path) as file:
+        channel = shot.channels(file.parts, ref.aov).get(ref.name)
+        if channel is None:
+            raise LayoutError(f"{path} has no channel {ref.name!r}; render it again")
+        return file.parts[channel.part].data_window
+
+
 def read_planes(
     shot: Shot, number: int, *groups: Sequence[ChannelRef]
 ) -> tuple[dict[ChannelRef, np.ndarray], dict[ChannelRef, Window]]:

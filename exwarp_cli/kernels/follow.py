@@ -46,7 +46,7 @@ On the market square without ids and positions, slots 2 and 3 warped from the ke
 bilinear composition 23.20 and 21.71, a fifth sample 23.63 and 22.46, choosing without depths 23.42
 and 22.05, with them 23.61 and 22.44. Over three steps of simulated leaves at like depths, error in
 pixels, mean / 90th percentile: composition 0.43 / 1.32, a fifth sample 0.06 / 0.16, choosing
-without depths 0.19 / 0.62, with DEPTH_TOLERANCE alone 0.13 / 0.17, with CLOSE 0.05 / 0.05.
+without depths 0.19 / 0.62, with DEPTH_TOLERANCE alone 0.13 / 0.17, with CLOSE 0.06 / 0.06.
 """
 
 OTHER, DOUBTFUL, SAME = 0, 1, 2

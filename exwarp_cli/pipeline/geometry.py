@@ -63,10 +63,14 @@ class Staging:
         self._past: dict[tuple[int, Basis], Past] = {}
 
     def interval(self, loaded: Loaded) -> Interval:
-        """Bring what was read onto one window: the display's and the data of the frames around."""
+        """Bring what was read onto one window: the display's and the data of the frames around.
+
+        Of a region of a picture, its own.
+        """
         assert loaded.frame is not None
-        canvas = self._display.union(loaded.frame.image.data_window)
-        if loaded.following is not None:
+        window = loaded.frame.image.data_window
+        canvas = window if loaded.region else self._display.union(window)
+        if loaded.following is not None and not loaded.region:
             canvas = canvas.union(loaded.following.image.data_window)
         require_canvas(f"frame {loaded.frame.number} and the next one", canvas)
         ids = self._moving.of(loaded, canvas)

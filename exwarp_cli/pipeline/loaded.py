@@ -97,6 +97,8 @@ class Loaded:
         `following`; None where all of it is.
     unscored
         Why ground truth of some slots cannot be used, by slot, as far as that is borne.
+    region
+        Whether the key frame's data window is all of the picture that there is, and slots keep it.
     """
 
     key: int
@@ -118,6 +120,7 @@ class Loaded:
     late: Callable[[Loaded], Loaded] | None = None
     again: Callable[[], KeyFrame] | None = None
     unscored: dict[int, str] = field(default_factory=dict)
+    region: bool = False
 
     def lean(self) -> Loaded:
         """Return the interval without geometry, once it is staged: with raw vectors and positions,

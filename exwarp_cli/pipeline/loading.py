@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import partial
 from itertools import takewhile
 
 from exwarp_cli.domain.extrapolator import HISTORY
-from exwarp_cli.domain.frame import SURFACE_PARTS, GBuffer, KeyFrame
+from exwarp_cli.domain.frame import SURFACE_PARTS, GBuffer, KeyFrame, Window
 from exwarp_cli.domain.results import InterpolatorSummary, NetworkSummary
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR, Slot
+from exwarp_cli.errors import InputError
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.footage import is_plain, key_picture
-from exwarp_cli.io.frames import GEOMETRY, SURFACE, read_raw
+from exwarp_cli.io.frames import GEOMETRY, SURFACE, colour_window, read_raw
 from exwarp_cli.io.sequence import Sequence
 from exwarp_cli.pipeline.contents import Content, template_of
 from exwarp_cli.pipeline.early_frames import normals_tell, reads_late, run_roles, wants_normals
@@ -28,6 +29,7 @@ from exwarp_cli.pipeline.layer_frames import LayerReader
 from exwarp_cli.pipeline.loaded import Loaded, Observed, Older
 from exwarp_cli.pipeline.losses import Losses
 from exwarp_cli.pipeline.recipes import Recipes
+from exwarp_cli.pipeline.regions import Regions
 from exwarp_cli.pipeline.shots import Shots
 from exwarp_cli.pipeline.source import FrameOf, Source
 from exwarp_cli.pipeline.truth_frames import TruthFrames
@@ -72,6 +74,7 @@ class IntervalLoader:
         """The key frames whose instants intervals brought along."""
         self._followers: list[IntervalLoader] = []
         self.shots = Shots(source.cuts, source.timeline.numbers, self._key_frame, self.losses)
+        self._regions = Regions(source.keys.display, self._window_of)
         # Of other views everything is read: their frames are staged with those of the first.
         alone = own.leads and len(self._contents) == 1 and source.slots is None
         known = source.finding is not None and not source.estimated
@@ -113,6 +116,8 @@ class IntervalLoader:
         again = None if self._ahead is None else self._ahead.again(key)
         frame = self._in_shot(key)
         following = self._in_shot(key + 1) if lookahead else None
+        ahead = None if following is None else following.image
+        region = self._regions.is_region(key, frame.image, ahead)
         gbuffers = tuple(self._slot_gbuffer(slot) for slot in self._slots(key))
         history = self._history(key)
         past: tuple[Older, ...] = ()
@@ -132,7 +137,7 @@ class IntervalLoader:
             key, frame, following, gbuffers, past, observed, truth, template, recipes, elapsed,
             ends, times, self._followed(key), layers, older,
             late=None if self._late is None else partial(self._late.complete, history=history),
-            again=again, unscored=unscored,
+            again=again, unscored=unscored, region=region,
         )  # fmt: skip
 
     def follow(self, leader: IntervalLoader) -> None:
@@ -184,6 +189,17 @@ class IntervalLoader:
             return older
         spare = self.losses.spare
         return tuple(takewhile(lambda i: self._slots(i) and spare(self._slots(i)), older))
+
+    def _window_of(self, key: int) -> Window | None:
+        """Return the data window of a key frame's colour; None where none can be read."""
+        numbers, keys = self._source.timeline.numbers, self._source.keys
+        if is_plain(keys.sequence) or not 0 <= key < len(numbers):
+            return None
+        if key in self._frames:
+            return self._frames[key].image.data_window
+        with suppress(InputError):
+            return colour_window(keys, numbers[key])
+        return None
 
     def _in_shot(self, key: int) -> KeyFrame:
         """Return a key frame without vectors that lead to another shot."""
@@ -360,6 +376,7 @@ class IntervalLoader:
         self._frames = {i: f for i, f in self._frames.items() if oldest <= i <= key + 1}
         self._instants = {s: buffer for s, buffer in self._instants.items() if s.key >= oldest}
         self.shots.forget(min(oldest, key))
+        self._regions.forget(key)
         if self._estimates is not None:
             self._estimates.forget(oldest)
 
@@ -376,7 +393,7 @@ class IntervalLoader:
         seen = self._seen(key)
         back = KEYS_BACK if self._observes else HISTORY - 1 if self._method.extrapolates else 0
         back = max(back, int(older is not None))
-        cuts = self.shots.told(key, back, (*keys, *self._starts(key)))
+        cuts = [*self.shots.told(key, back, (*keys, *self._starts(key))), *self._steady(key)]
         instants = tuple(seen)
         if self._source.slots is not None:
             way = (slot for i in history for slot in self._slots(i))
@@ -391,7 +408,12 @@ class IntervalLoader:
         if lookahead and self._followed(key + 1):
             keys.append(key + 2)
         cuts = [*self.shots.told(key, 0, ()), f"flow {[index - key for index in keys]}"]
+        cuts += self._steady(key)
         return self.recipe_book.of(key, keys, (), cuts)
+
+    def _steady(self, key: int) -> list[str]:
+        """Say what slots depend on of the windows of key frames that they are not made of."""
+        return ["steady window"] if self._regions.is_steady(key) else []
 
     def _seen(self, key: int) -> list[Slot]:
         """Return the instants that the features of an interval's states come from."""
