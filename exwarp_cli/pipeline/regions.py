@@ -78,3 +78,27 @@ def is_opaque(image: Image) -> bool:
     """Whether a picture has no alpha, or is opaque in every pixel of its data window."""
     alpha = image.pixels[..., 3:]
     return not bool((alpha < OPAQUE).any())
+
+
+def remark(image: Image, region: bool) -> str | None:
+    """Return how a key frame's window is read, in a sentence; None where it speaks for itself.
+
+    Parameters
+    ----------
+    image
+        Its colour.
+    region
+        Whether slots after it keep the window.
+    """
+    window, display = image.data_window, image.display_window
+    if window.covers(display):
+        return None
+    if region:
+        return f"the data window {window} is a region of the picture {display}: new frames keep it"
+    if not is_opaque(image):
+        return None
+    return (
+        f"the data window {window} is opaque and differs from those of the key frames around: "
+        f"taken for a cropped object with nothing around it; if it is a region of the picture "
+        f"{display}, render all key frames with the same one"
+    )

@@ -27,6 +27,7 @@ from exwarp_cli.pipeline.loaded import Loaded, Unmade
 from exwarp_cli.pipeline.making import Made, SlotMaker, rate_attribute, rounded
 from exwarp_cli.pipeline.progress import Progress
 from exwarp_cli.pipeline.recipes import key_recipe
+from exwarp_cli.pipeline.regions import remark
 from exwarp_cli.pipeline.schedule import read_ahead
 from exwarp_cli.pipeline.scoring import IntervalScores
 from exwarp_cli.pipeline.sink import Sink
@@ -74,6 +75,7 @@ class Run:
     left_out: list[LeftOut] = field(default_factory=list)
     _scoring: IntervalScores | None = None
     _broken: dict[int, int] = field(default_factory=dict)
+    _told_windows: set[bool] = field(default_factory=set)
 
     def write_all(self, loader: JointLoader, keys: tuple[int, ...]) -> tuple[FrameRecord, ...]:
         """Work through the intervals: reading ahead, computing here, writing behind."""
@@ -100,6 +102,7 @@ class Run:
         """Stage an interval, and begin its slots where that can be done at once."""
         if isinstance(loaded, Unmade):
             return loaded
+        self._tell_window(loaded)
         try:
             loaded, staged = self._staged(loaded)
         except InputError as error:  # of what is read late
@@ -112,6 +115,15 @@ class Run:
             slots = sorted(slot for slot in made_of if slot not in staged.there)
             begun = self.at_once.begin(partial(self.maker.make, staged, loaded, here=True), slots)
         return _Work(loaded, staged, begun)
+
+    def _tell_window(self, loaded: Loaded) -> None:
+        """Say how windows smaller than the display window are read, once each way."""
+        if loaded.frame is None or loaded.region in self._told_windows:
+            return
+        text = remark(loaded.frame.image, loaded.region)
+        if text is not None:
+            self._told_windows.add(loaded.region)
+            self.progress.message(text)
 
     def _steps(self, work: _Work | Unmade) -> Iterator[None]:
         """Make an interval's frames, or leave them out."""
