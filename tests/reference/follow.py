@@ -34,7 +34,7 @@ def follow(
             if math.isnan(x + y):
                 continue
             hope = expected[i, j].astype(np.float64)
-            weights, values = [], []
+            weights, values, trusts, missing = [], [], [], 1.0
             left, top = math.floor(x), math.floor(y)
             for q in (top, top + 1):
                 for p in (left, left + 1):
@@ -42,14 +42,18 @@ def follow(
                         continue
                     vector = step[q, p].astype(np.float64)
                     like = likeness((q, p), (i, j), stencils, depths, rounded)
-                    weight = trust(vector, hope, like)
-                    if weight > 0:
-                        weights.append(weight * (1 - abs(x - p)) * (1 - abs(y - q)))
+                    trusted = trust(vector, hope, like)
+                    if trusted > 0:
+                        share = (1 - abs(x - p)) * (1 - abs(y - q))
+                        weights.append(trusted * share)
                         values.append(vector)
+                        trusts.append(trusted)
+                        missing -= share
+            if len(values) < 4 and not np.isnan(hope).any():
+                weights.append(max(missing, 0) * (max(trusts) if sum(weights) > 0 else 1))
+                values.append(hope)
             if sum(weights) > 0:
                 out[i, j] = moved[i, j] + np.average(values, axis=0, weights=weights)
-            elif not np.isnan(hope).any():
-                out[i, j] = moved[i, j] + hope
     return out
 
 
@@ -63,7 +67,7 @@ def likeness(
     """Return whether a pixel shows a point's surface."""
     if stencils is not None and stencils[0][there] != stencils[1][here]:
         return OTHER
-    if depths is None or (stencils is not None and stencils[1][here] > 0):
+    if depths is None:
         return SAME
     a, b = float(depths[0][there]), float(depths[1][here])
     if math.isinf(a) or math.isinf(b):
@@ -71,7 +75,8 @@ def likeness(
     rounding = 1.1 * (rounded[0] + rounded[1] * a * b)
     if abs(a - b) <= max(CLOSE * max(a, b), rounding):
         return SAME
-    return DOUBTFUL if abs(a - b) <= max(TOLERANCE * max(a, b), rounding) else OTHER
+    moves = stencils is not None and stencils[1][here] > 0
+    return DOUBTFUL if moves or abs(a - b) <= max(TOLERANCE * max(a, b), rounding) else OTHER
 
 
 def trust(vector: np.ndarray, hope: np.ndarray, like: int) -> float:
