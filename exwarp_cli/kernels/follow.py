@@ -46,8 +46,8 @@ LEAST_TRUST = 0.25
 On the market square without ids and positions, slots 2 and 3 warped from the key frame, dB:
 bilinear composition 23.20 and 21.71, a fifth sample 23.63 and 22.46, choosing without depths 23.42
 and 22.05, with them 23.62 and 22.45. Over three steps of simulated leaves at like depths, error in
-pixels, median / 90th / 99th percentile: composition 0.10 / 1.32 / 3.40, a fifth sample 0.02 / 0.16 /
-0.66, choosing without depths 0.00 / 0.62 / 2.77, with them 0.00 / 0.11 / 1.41; where depths are
+pixels, median / 90th / 99th percentile: composition 0.10 / 1.32 / 3.40, a fifth sample 0.02 / 0.16
+/ 0.66, choosing without depths 0.00 / 0.62 / 2.77, with them 0.00 / 0.11 / 1.41; where depths are
 further apart 0.00 / 0.09 / 0.55.
 """
 
