@@ -38,7 +38,8 @@ def test_new_frames_keep_it(keys, upsample, tmp_path, spec):
     assert set(shots.names(holes)) < set(expected("_denoised.exr"))
     for key, slot in ((101, 101), (102, 105), (103, 109)):
         written = out / f"sh010_v002_{slot:04d}_denoised.exr"
-        assert written.read_bytes() == (keys / f"sh010_v002_{key:04d}_denoised.exr").read_bytes()
+        source = keys / f"sh010_v002_{key:04d}_denoised.exr"
+        assert written.read_bytes() == shots.passed_through(source, 120)
 
 
 def test_a_run_is_finished_and_scored_by_such_names(keys, exwarp, upsample, tmp_path):
@@ -57,7 +58,8 @@ def test_a_pattern_in_o_sets_the_text(keys, upsample, tmp_path):
     upsample(keys, tmp_path / "out/x.####_hi.exr", "-m", "s6", *shots.FORWARD)
     assert shots.names(tmp_path / "out")[:2] == ["x.0101_hi.exr", "x.0102_hi.exr"]
     source = keys / "sh010_v002_0101_denoised.exr"
-    assert (tmp_path / "out/x.0101_hi.exr").read_bytes() == source.read_bytes()
+    written = tmp_path / "out/x.0101_hi.exr"
+    assert written.read_bytes() == shots.passed_through(source, 120)
 
 
 def test_stills_have_it_too(upsample, tmp_path):
