@@ -8,6 +8,7 @@
         MissingFrameError       3   a frame that the sequence should have and does not
         DamagedFileError        3   a file that is truncated, not an EXR, or unreadable
         LayoutError             3   channels, sizes or windows that do not fit together
+      UnreadableError           3   a file that the system does not let through; it may be sound
       MotionError               4   the convention of the motion vectors cannot be settled
       OutputError               5   a file that cannot be written (rights, space, folder)
         OutputExistsError       6   frames in the way, without --overwrite or --skip-existing
@@ -58,6 +59,15 @@ class DamagedFileError(InputError):
 
 class LayoutError(InputError):
     """Channels, sizes or windows that do not fit together."""
+
+
+class UnreadableError(ExwarpError):
+    """A file cannot be read for a reason that is not the file's: share, rights, open files.
+
+    It is no `InputError`, so that what goes on without damaged frames does not go on without it.
+    """
+
+    exit_code = 3
 
 
 class MotionError(ExwarpError):

@@ -16,6 +16,7 @@ from pathlib import Path
 
 from exwarp_cli.domain.cores import waiting
 from exwarp_cli.errors import InputError, OutputError
+from exwarp_cli.io.reading_retry import probe, with_retries
 
 MARK = ".exwarp-tmp"
 """Ending of every temporary name; no image or video reader takes it for one of its own."""
@@ -122,21 +123,33 @@ def atomic_copy(source: Path, target: Path) -> None:
     Raises
     ------
     InputError
-        When the source cannot be opened.
+        When there is no such source.
+    UnreadableError
+        When the system does not let the source through.
     OutputError
         When the copy cannot be written.
     """
-    try:
+
+    def copy() -> None:
         with source.open("rb"):
             pass
+        try:
+            with atomic_path(target) as temporary:
+                # Modes and times are the new file's own.
+                if not _copied_by_system(source, temporary):
+                    shutil.copyfile(source, temporary)
+        except OutputError:
+            failure = probe(source)  # a copy does not say which of the two files failed
+            if failure is None:
+                raise
+            raise failure from None
+
+    try:
+        with_retries(source, copy)
     except OSError as error:
         raise InputError(
             f"cannot read {source}: {error.strerror or error}; check the path and its rights"
         ) from error
-    with atomic_path(target) as temporary:
-        # Modes and times are the new file's own.
-        if not _copied_by_system(source, temporary):
-            shutil.copyfile(source, temporary)
 
 
 def _copied_by_system(source: Path, target: Path) -> bool:

@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,7 @@ from exwarp_cli.errors import DamagedFileError, InputError
 from exwarp_cli.io.clip_timing import Pacing, Packets, pace, read_packets
 from exwarp_cli.io.ffmpeg import EXACT, Drain, FfmpegError, told
 from exwarp_cli.io.held import Held
+from exwarp_cli.io.reading_retry import with_retries
 from exwarp_cli.io.video import (
     MATRICES,
     Soundtrack,
@@ -187,7 +189,19 @@ class ClipReader(Held):
         stack.callback(self._rest)
 
     def read(self, index: int) -> Float32:
-        """Return a frame, float32 [H, W, 3], scene-linear; raises DamagedFileError."""
+        """Return a frame, float32 [H, W, 3], scene-linear.
+
+        Raises
+        ------
+        DamagedFileError
+            When the video ends early, or cannot be decoded there.
+        UnreadableError
+            When the system does not let it through.
+        """
+        return with_retries(self._clip.path, partial(self._read, index))
+
+    def _read(self, index: int) -> Float32:
+        """Return a frame, decoded on from the last one or from the key frame before."""
         if self._last is not None and self._last[0] == index:
             return self._last[1]
         if self._frames is None or index < self._next:
@@ -226,7 +240,14 @@ def open_clip(path: Path) -> Clip:
         When there is no such file, or it is HDR or interlaced.
     DamagedFileError
         When it cannot be read as video.
+    UnreadableError
+        When the system does not let it through.
     """
+    return with_retries(path, partial(_open_clip, path))
+
+
+def _open_clip(path: Path) -> Clip:
+    """Look into a video, once."""
     if not path.is_file():
         raise InputError(f"there is no video {path}; check the path")
     try:

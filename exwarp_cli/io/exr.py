@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,7 @@ from exwarp_cli.domain.lent_memory import lent
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, MissingFrameError
 from exwarp_cli.io.exr_decoding import ScanLines, Wanted
 from exwarp_cli.io.magic import EXR, head_of, kind_of
+from exwarp_cli.io.reading_retry import with_retries
 
 LINES, LINES_OF_DWAB = 32, 256
 """Scan lines in a chunk of the lossy compressions, the most that any but DWAB has."""
@@ -100,10 +102,20 @@ class ExrReader:
         When it is one of luminance and chroma, whose channels are of different sizes.
     InputError
         When its name cannot be given to OpenImageIO, which takes UTF-8 alone.
+    UnreadableError
+        When the system does not let it through, now or while pixels are read.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        self._file: oiio.ImageInput = with_retries(path, self._opened)
+        self._scan_lines: ScanLines | None = None
+        self._failed = False
+        self.parts = self._parts()
+
+    def _opened(self) -> oiio.ImageInput:
+        """Open the file."""
+        path = self.path
         if not path.exists():
             raise MissingFrameError(f"{path} does not exist; check the path or render the frame")
         try:
@@ -121,17 +133,27 @@ class ExrReader:
         if file is None:
             said = _said(oiio.geterror)
             raise _subsampled(path) if "ubsampled" in said else damaged(path, said)
-        self._file: oiio.ImageInput = file
-        self._scan_lines: ScanLines | None = None
-        self.parts = self._parts()
+        return file
 
     def __enter__(self) -> ExrReader:
         return self
 
     def __exit__(self, *exc: object) -> None:
+        self._close()
+
+    def _close(self) -> None:
         self._file.close()
         if self._scan_lines is not None:
             self._scan_lines.close()
+            self._scan_lines = None
+
+    def _reopen(self) -> None:
+        """Open the file again after a failed read: a stale handle stays stale."""
+        self._close()
+        self._file = self._opened()
+        self._failed = False
+        if self._parts() != self.parts:
+            raise damaged(self.path, "it changes while it is read")
 
     def _parts(self) -> tuple[Part, ...]:
         """Describe every part."""
@@ -181,6 +203,24 @@ class ExrReader:
                     seen.add(channel)
         if any(self.parts[part].deep for _, part, _ in wanted):
             raise deep_only(self.path)
+        return with_retries(self.path, partial(self._read, wanted))
+
+    def _read(
+        self, wanted: Mapping[tuple[int, int, bool], Sequence[Channel]]
+    ) -> dict[Channel, np.ndarray]:
+        """Decode channels once, of a file that is opened again after a failure."""
+        if self._failed:
+            self._reopen()
+        try:
+            return self._decode(wanted)
+        except (OSError, DamagedFileError):
+            self._failed = True
+            raise
+
+    def _decode(
+        self, wanted: Mapping[tuple[int, int, bool], Sequence[Channel]]
+    ) -> dict[Channel, np.ndarray]:
+        """Decode channels here, and by OpenImageIO what is left."""
         out: dict[Channel, np.ndarray] = {}
         left: list[Channel] = []
         with being_read(self.path):

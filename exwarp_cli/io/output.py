@@ -27,6 +27,7 @@ from exwarp_cli.io.channel_rows import Channel
 from exwarp_cli.io.exr import damaged
 from exwarp_cli.io.exr_encoding import Buffer, Smaller, encoded
 from exwarp_cli.io.header_text import as_it_was, plain
+from exwarp_cli.io.reading_retry import with_retries
 from exwarp_cli.io.template import PREFIX as PREFIX
 from exwarp_cli.io.template import PartTemplate, Plane, PlaneKey, Template
 from exwarp_cli.io.template import ViewLayers as ViewLayers
@@ -231,10 +232,22 @@ def written_attributes(path: Path) -> dict[str, Any]:
 
 
 def file_digest(path: Path) -> str:
-    """Digest a file's bytes, hexadecimal, as generated files' checksums do."""
-    try:
+    """Digest a file's bytes, hexadecimal, as generated files' checksums do.
+
+    Raises
+    ------
+    DamagedFileError
+        When there is no such file.
+    UnreadableError
+        When the system does not let it through.
+    """
+
+    def digest() -> str:
         with path.open("rb") as file:
             return hashlib.file_digest(file, checksum.new).hexdigest()
+
+    try:
+        return with_retries(path, digest)
     except OSError as error:
         raise damaged(path, str(error.strerror)) from error
 

@@ -16,6 +16,7 @@ from typing import Any
 from exwarp_cli import __version__
 from exwarp_cli.errors import InputError
 from exwarp_cli.io import checksum
+from exwarp_cli.io.reading_retry import with_retries
 
 _MARK = f"exwarp:{checksum.NAME}=".encode()
 _ZEROS = checksum.ZEROS.encode()
@@ -48,11 +49,13 @@ def still_facts(path: Path) -> dict[str, Any] | None:
 
     Raises
     ------
+    UnreadableError
+        When the system does not let the file through.
     InputError
         When the file is there and cannot be read.
     """
     try:
-        data = path.read_bytes()
+        data = with_retries(path, path.read_bytes)
     except FileNotFoundError:
         return None
     except OSError as error:

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, UsageEr
 from exwarp_cli.io.atomic import atomic_path, output_error
 from exwarp_cli.io.exr_encoding import Buffer
 from exwarp_cli.io.magic import EXR, PNG, head_of
+from exwarp_cli.io.reading_retry import with_retries
 from exwarp_cli.io.still_seal import seal_still, software
 
 STILLS = (
@@ -106,7 +108,14 @@ def read_still(path: Path) -> tuple[Image, StillTemplate]:
         When it cannot be read whole.
     LayoutError
         When it has other channels than grey or RGB, with or without alpha.
+    UnreadableError
+        When the system does not let it through.
     """
+    return with_retries(path, partial(_read_still, path))
+
+
+def _read_still(path: Path) -> tuple[Image, StillTemplate]:
+    """Read an image, once."""
     with _opened(path) as file:
         template = _template(path, file.spec())
         codes = file.read_image(0, 0, 0, file.spec().nchannels, _type_of(template.dtype))
@@ -120,14 +129,22 @@ def read_still(path: Path) -> tuple[Image, StillTemplate]:
 
 def read_still_template(path: Path) -> StillTemplate:
     """Read the header of an image alone; raises what `read_still` does."""
-    with _opened(path) as file:
-        return _template(path, file.spec())
+
+    def read() -> StillTemplate:
+        with _opened(path) as file:
+            return _template(path, file.spec())
+
+    return with_retries(path, read)
 
 
 def still_size(path: Path) -> tuple[int, int]:
     """Return width and height of an image; raises what `read_still` does."""
-    with _opened(path) as file:
-        return file.spec().width, file.spec().height
+
+    def read() -> tuple[int, int]:
+        with _opened(path) as file:
+            return file.spec().width, file.spec().height
+
+    return with_retries(path, read)
 
 
 def require_writer(path: Path) -> Any:

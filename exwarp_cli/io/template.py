@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from exwarp_cli.io.channels import ChannelRef
 from exwarp_cli.io.exr import Channel, ExrReader, Part, damaged
 from exwarp_cli.io.header_text import in_utf8
 from exwarp_cli.io.layers import Kind, Layer
+from exwarp_cli.io.reading_retry import with_retries
 from exwarp_cli.io.render_time import render_seconds
 from exwarp_cli.io.views import channels_of, views_of
 
@@ -259,8 +261,17 @@ def read_headers(path: Path) -> list[dict[str, Any]]:
     ------
     DamagedFileError
         When a header cannot be read.
+    UnreadableError
+        When the system does not let the file through.
     """
+    return with_retries(path, partial(_read_headers, path))
+
+
+def _read_headers(path: Path) -> list[dict[str, Any]]:
+    """Read the header of every part, once."""
     try:
+        with path.open("rb") as file:
+            file.read(1)  # OpenEXR prints what the system refuses
         with being_read(path):
             try:
                 return _headers(str(path))

@@ -15,7 +15,7 @@ from exwarp_cli.domain.frame import Image
 from exwarp_cli.domain.results import FrameKind, FrameRecord, LeftOut
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import Slot
-from exwarp_cli.errors import InputError, OutputError
+from exwarp_cli.errors import InputError, OutputError, UnreadableError
 from exwarp_cli.io.decisions import parse_decision
 from exwarp_cli.io.footage import picture
 from exwarp_cli.io.output import PREFIX
@@ -92,7 +92,7 @@ class Run:
                     lent_memory.let_go()
                     let_compiler_go()
                     next(under_way, None)
-            except InputError:
+            except (InputError, UnreadableError):
                 _finish(under_way)  # that is sound
                 raise
             _finish(under_way)

@@ -123,7 +123,8 @@ class TestErrors:
         codes = {error.__name__: error.exit_code for error in every_error()}
         assert codes == {
             "ExwarpError": 1, "UsageError": 2, "InputError": 3, "MissingFrameError": 3,
-            "DamagedFileError": 3, "LayoutError": 3, "MotionError": 4, "OutputError": 5,
+            "DamagedFileError": 3, "LayoutError": 3, "UnreadableError": 3, "MotionError": 4,
+            "OutputError": 5,
             "OutputExistsError": 6, "MissingExtraError": 7, "QualityError": 8,
             "ClusterError": 9, "InstallationError": 10, "OutOfMemoryError": 11,
             "IncompleteError": 12,

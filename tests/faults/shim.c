@@ -1,9 +1,10 @@
 /* A file system and a clock that fail, put between a process and the C library by LD_PRELOAD.
 
    FAULT_PATH    calls on files whose path holds this text are meant
-   FAULT_CALL    write, fsync, rename, open or copy: what fails
+   FAULT_CALL    write, fsync, rename, open or copy: what fails; look: opening to read; read
    FAULT_ERRNO   with which error
    FAULT_AFTER   how many of them succeed before
+   FAULT_TIMES   how many of them fail; all for 0
    FAULT_SLOW_MS milliseconds that every read of such a file takes longer
    FAULT_CLOCK   seconds that the clock of the day goes back at every second look
 */
@@ -46,7 +47,9 @@ static int is_meant_fd(int fd) {
 /* Whether this call is to fail; sets errno then. */
 static int fails(const char *call) {
   if (strcmp(wish("FAULT_CALL"), call) != 0) return 0;
-  if (atomic_fetch_add(&calls, 1) < atoi(wish("FAULT_AFTER"))) return 0;
+  int number = atomic_fetch_add(&calls, 1), after = atoi(wish("FAULT_AFTER"));
+  int times = atoi(wish("FAULT_TIMES"));
+  if (number < after || (times && number >= after + times)) return 0;
   errno = atoi(wish("FAULT_ERRNO"));
   return 1;
 }
@@ -59,6 +62,11 @@ static void dawdle(int fd) {
     nanosleep(&wait, NULL);
     errno = before;
   }
+}
+
+static int cannot_read(int fd) {
+  dawdle(fd);
+  return strcmp(wish("FAULT_CALL"), "read") == 0 && is_meant_fd(fd) && fails("read");
 }
 
 #define REAL(type, name, ...) \
@@ -97,6 +105,7 @@ ssize_t copy_file_range(int in, off64_t *from, int out, off64_t *to, size_t size
 
 static int opened(int (*real)(const char *, int, ...), const char *path, int flags, int mode) {
   if ((flags & (O_WRONLY | O_RDWR)) && is_meant(path) && fails("open")) return -1;
+  if (!(flags & (O_WRONLY | O_RDWR)) && is_meant(path) && fails("look")) return -1;
   return real(path, flags, mode);
 }
 
@@ -113,27 +122,38 @@ static int opened(int (*real)(const char *, int, ...), const char *path, int fla
 OPENING(open)
 OPENING(open64)
 
+/* What std::ifstream and the C library's own streams open by. */
+#define STREAMING(name)                                                      \
+  FILE *name(const char *path, const char *mode) {                           \
+    REAL(FILE *, #name, const char *, const char *);                         \
+    if (*mode == 'r' && !strchr(mode, '+') && is_meant(path) && fails("look")) return NULL; \
+    return real(path, mode);                                                 \
+  }
+
+STREAMING(fopen)
+STREAMING(fopen64)
+
 ssize_t read(int fd, void *room, size_t size) {
   REAL(ssize_t, "read", int, void *, size_t);
-  dawdle(fd);
+  if (cannot_read(fd)) return -1;
   return real(fd, room, size);
 }
 
 ssize_t pread(int fd, void *room, size_t size, off_t at) {
   REAL(ssize_t, "pread", int, void *, size_t, off_t);
-  dawdle(fd);
+  if (cannot_read(fd)) return -1;
   return real(fd, room, size, at);
 }
 
 ssize_t pread64(int fd, void *room, size_t size, off64_t at) {
   REAL(ssize_t, "pread64", int, void *, size_t, off64_t);
-  dawdle(fd);
+  if (cannot_read(fd)) return -1;
   return real(fd, room, size, at);
 }
 
 ssize_t preadv(int fd, const struct iovec *rooms, int count, off_t at) {
   REAL(ssize_t, "preadv", int, const struct iovec *, int, off_t);
-  dawdle(fd);
+  if (cannot_read(fd)) return -1;
   return real(fd, rooms, count, at);
 }
 
