@@ -29,6 +29,11 @@ def summary_lines(
         f"{frames['key']} rendered, {frames['generated']} generated, {frames['dropped']} repeated",
         f"{fps['base']:g} fps in, {fps['output']:g} out{effective}",
     ]
+    if frames["resumed"] or frames["replaced"]:
+        lines.append(
+            f"{frames['resumed']} kept of an earlier run, {frames['made']} made, "
+            f"{frames['replaced']} replaced"
+        )
     if document["cuts"]:
         from exwarp_cli.report.page_parts import cuts_line
 

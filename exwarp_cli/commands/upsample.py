@@ -213,7 +213,9 @@ def command(
     if settings.source.keep_going:
         go_on_without()
     if begun_again():  # what is there was written before
-        settings = replace(settings, skip_existing=True, overwrite=False)
+        settings = replace(
+            settings, skip_existing=True, overwrite=False, replaces_foreign=settings.overwrite
+        )
     where = ClusterSettings(workers, cluster, chunk_size)
     runs = not (dry_run or where.spread)
     if runs and settings.threads != 1:

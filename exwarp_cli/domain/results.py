@@ -95,6 +95,8 @@ class FrameRecord:
         Against ground truth, over all pixels and over the hole mask; None where not measured.
     resumed
         Whether an earlier run had written it and this one only checked it.
+    replaced
+        Whether a file was there whose place it took.
     timing_ms
         Milliseconds by step of the work.
     made_by
@@ -126,6 +128,7 @@ class FrameRecord:
     path: str | None = None
     decision: Decision | None = None
     render: tuple[float, str] | None = None
+    replaced: bool = False
 
 
 @dataclass(frozen=True)

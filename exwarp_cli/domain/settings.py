@@ -99,6 +99,9 @@ class UpsampleSettings:
         Keep frames that an earlier run wrote, if they are undamaged and would come out the same.
     overwrite
         Replace frames that exist.
+    replaces_foreign
+        With `skip_existing`: replace even what ExWarp did not write. It is set for a process that
+        goes on after one with `overwrite`.
     video
         Path of a video to write too.
     exposure
@@ -143,6 +146,7 @@ class UpsampleSettings:
     layers: str = "beauty"
     verify: bool = False
     keep_bytes: bool = False
+    replaces_foreign: bool = False
 
     @property
     def measured(self) -> tuple[str, ...]:

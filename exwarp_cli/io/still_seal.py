@@ -62,6 +62,16 @@ def still_facts(path: Path) -> dict[str, Any] | None:
         raise InputError(
             f"cannot read {path}: {error.strerror or error}; check the path and its rights"
         ) from error
+    return facts_in_bytes(data)
+
+
+def has_seal(data: bytes) -> bool:
+    """Whether a file has a place for the checksum, whatever stands there."""
+    return _MARK in data
+
+
+def facts_in_bytes(data: bytes) -> dict[str, Any] | None:
+    """Return what an undamaged generated image was made of, from its file's bytes."""
     blank, at = _with_digits(data, _ZEROS), data.find(_MARK) + len(_MARK)
     end = at + checksum.DIGITS
     if blank is None or checksum.digits_of([blank]).encode() != data[at:end]:

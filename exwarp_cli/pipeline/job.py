@@ -31,6 +31,7 @@ from exwarp_cli.pipeline.finding import (
     require_factor,
     require_truth,
 )
+from exwarp_cli.pipeline.ownership import require_own
 from exwarp_cli.pipeline.scoring import require_measurable
 from exwarp_cli.pipeline.targets import Targets
 from exwarp_cli.pipeline.views import open_sources
@@ -142,8 +143,10 @@ class Job:
         return replace(self, keys=keys)
 
     def refuse(self) -> None:
-        """Refuse to overwrite, and touch nothing; see `Targets.refuse`."""
+        """Refuse to overwrite, and touch nothing; see `Targets.refuse` and `require_own`."""
         self.targets.refuse(self.settings, self.source.timeline, self.slots)
+        if self.settings.skip_existing and not self.settings.replaces_foreign:
+            require_own(self.targets, self.source, self.method, self.slots)
 
     def announce(self, progress: Progress) -> None:
         """Say what was found, and what is going to happen."""

@@ -95,6 +95,9 @@ class Loaded:
     again
         Reads `frame` again, of which only colour is here, as the interval before had it as
         `following`; None where all of it is.
+    key_digests
+        Digest of the key frames' files on both sides, by input number; the next one only for
+        look-ahead methods.
     unscored
         Why ground truth of some slots cannot be used, by slot, as far as that is borne.
     region
@@ -121,6 +124,7 @@ class Loaded:
     again: Callable[[], KeyFrame] | None = None
     unscored: dict[int, str] = field(default_factory=dict)
     region: bool = False
+    key_digests: dict[int, str] = field(default_factory=dict)
 
     def lean(self) -> Loaded:
         """Return the interval without geometry, once it is staged: with raw vectors and positions,

@@ -137,7 +137,9 @@ class IntervalLoader:
             key, frame, following, gbuffers, past, observed, truth, template, recipes, elapsed,
             ends, times, self._followed(key), layers, older,
             late=None if self._late is None else partial(self._late.complete, history=history),
-            again=again, unscored=unscored, region=region,
+            again=again, unscored=unscored, region=region, key_digests=self.recipe_book.key_digests(
+                (key, key + 1) if lookahead else (key,)
+            ),
         )  # fmt: skip
 
     def follow(self, leader: IntervalLoader) -> None:

@@ -13,6 +13,7 @@ from exwarp_cli.domain.frame import Bool, Image, Window, place
 from exwarp_cli.domain.results import FrameKind, FrameRecord
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import Slot
+from exwarp_cli.io.authorship import KEY_FRAMES, REQUESTED_METHOD
 from exwarp_cli.io.decisions import decision_text
 from exwarp_cli.io.frame_files import FrameTemplate, quantised
 from exwarp_cli.io.output import PREFIX, compression_of
@@ -113,10 +114,11 @@ class SlotMaker:
             made_by=predicted.made_by,
             path=None if plan is None else plan.path,
             decision=None if plan is None else plan.decision_of(slot.index),
+            replaced=self._sink.is_in_the_way(self._source.timeline.number(slot)),
         )
         if here:
             interval.forget(slot.index)
-        attributes = self._attributes(record, loaded.recipes[slot.index])
+        attributes = self._attributes(record, loaded)
         self._sink.write(record.number, image, mask, loaded.template, attributes, beside, here)
         if loaded.truth or self._sink.shows:
             return Made(record, rounded(image, loaded.template), mask=mask)
@@ -162,7 +164,7 @@ class SlotMaker:
         first = slot.index == 1 and not self._source.timeline.shows(slot.key)
         return FrameKind.GENERATED if first else predicted.kind
 
-    def _attributes(self, record: FrameRecord, recipe: str) -> dict[str, Any]:
+    def _attributes(self, record: FrameRecord, loaded: Loaded) -> dict[str, Any]:
         """Header attributes of a generated frame."""
         out: dict[str, Any] = {
             **rate_attribute(self._source),
@@ -173,8 +175,12 @@ class SlotMaker:
             f"{PREFIX}key": record.key,
             f"{PREFIX}slot": record.slot,
             f"{PREFIX}setting": self._source.setting,
-            f"{PREFIX}recipe": recipe,
+            f"{PREFIX}recipe": loaded.recipes[record.slot],
+            f"{PREFIX}{REQUESTED_METHOD}": self._method.name,
         }
+        if loaded.key_digests:
+            named = (f"{number}:{digest}" for number, digest in loaded.key_digests.items())
+            out[f"{PREFIX}{KEY_FRAMES}"] = ",".join(named)
         if record.made_by is not None:
             out[f"{PREFIX}madeBy"] = record.made_by
         if record.path is not None:

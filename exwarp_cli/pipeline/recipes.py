@@ -16,7 +16,7 @@ from exwarp_cli import __version__
 from exwarp_cli.domain.results import InterpolatorSummary, NetworkSummary
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.io.channels import Role
-from exwarp_cli.io.footage import digest_of, is_plain
+from exwarp_cli.io.footage import ClipSequence, digest_of, is_plain
 from exwarp_cli.io.frames import Shot
 from exwarp_cli.io.output import file_digest
 from exwarp_cli.io.sequence import Sequence
@@ -139,6 +139,16 @@ class Recipes:
             ).hexdigest()
             for slot in source.timeline.made_of(key)
         }
+
+    def key_digests(self, keys: Iterable[int]) -> dict[int, str]:
+        """Return the digests of key frames' main files, by input number; of a video none."""
+        shot, numbers = self.source.keys, self.source.timeline.numbers
+        if isinstance(shot.sequence, ClipSequence):
+            return {}
+        digests = {numbers[key]: self._digest(shot, numbers[key]) for key in keys}
+        if is_plain(shot.sequence):
+            return digests
+        return {number: json.loads(digest)[""] for number, digest in digests.items()}
 
     def _place(self, slot: Slot) -> dict[str, Any]:
         """Say which slot it is, of how many."""

@@ -110,6 +110,7 @@ class Run:
                 raise
             return Unmade(loaded.key, str(error), loaded.lean())
         begun = None
+        self._replace_key(loaded)
         if self._goes_at_once(loaded, staged):
             made_of = self.source.timeline.made_of(loaded.key)
             slots = sorted(slot for slot in made_of if slot not in staged.there)
@@ -253,18 +254,27 @@ class Run:
         self._scoring = None
         self.beside.begin(loaded, None)  # neither holds the interval on
 
+    def _replace_key(self, loaded: Loaded) -> None:
+        """Replace a copy of an earlier render before any frame that is made of the new one."""
+        timeline = self.source.timeline
+        path = self.source.keys.sequence.files[timeline.numbers[loaded.key]]
+        if timeline.shows(loaded.key) and self.sink.copies(path):
+            self.sink.replace_key(timeline.number(Slot(loaded.key, 0)), path)
+
     def _pass_key(self, loaded: Loaded) -> None:
         """Pass the key frame through."""
         number = self.source.timeline.numbers[loaded.key]
         output = self.source.timeline.number(Slot(loaded.key, 0))
         path = self.source.keys.sequence.files[number]
         copied = self.sink.copies(path)
+        replaced = self.sink.was_replaced(output) or self.sink.is_in_the_way(output)
         resumed = self.sink.pass_key(output, path) if copied else self._write_key(output, loaded)
         name = self.sink.name(output)
         record = FrameRecord(output, name, number, 0, FrameKind.KEY, "key", (number,))
         timing = {} if resumed else {"read": loaded.read_ms}
         render = loaded.template.render
-        self.records.append(replace(record, resumed=resumed, timing_ms=timing, render=render))
+        record = replace(record, resumed=resumed, replaced=replaced and not resumed)
+        self.records.append(replace(record, timing_ms=timing, render=render))
         self._show(self.records[-1], Made(record), loaded)
         self.progress.advance(output, "key")
 

@@ -15,6 +15,7 @@ from exwarp_cli.domain import cores
 from exwarp_cli.domain.frame import Bool, Image, Window
 from exwarp_cli.domain.frame_rates import OutputRate
 from exwarp_cli.domain.settings import UpsampleSettings
+from exwarp_cli.io.atomic import is_there
 from exwarp_cli.io.exr_encoding import Buffer
 from exwarp_cli.io.frame_files import FrameTemplate, facts_in, read_picture, write_picture
 from exwarp_cli.io.held import Held
@@ -74,6 +75,7 @@ class Sink(Held):
         self._wants_sums = sums
         self._video: VideoWriter | None = None
         self._shown: np.ndarray | None = None  # last, by the video
+        self._replaced_early: set[int] = set()
         self.write_ms: dict[int, float] = {}
         """Milliseconds that writing took, by the frame's number; complete at the end."""
         self.sums: Sums = {}
@@ -128,6 +130,26 @@ class Sink(Held):
             return False
         return key_is_there(self._frame_path(number), key_file(source, self._key_rate))
 
+    def is_in_the_way(self, number: int) -> bool:
+        """Whether a frame's file is there, which writing would replace."""
+        return self._targets.frames is not None and is_there(self._frame_path(number))
+
+    def replace_key(self, number: int, source: Path) -> None:
+        """Replace an earlier copy of a key frame at once, if it is another than the source.
+
+        The frames around a key frame name its digest, by which a later run knows a copy of an
+        earlier render. If they are replaced first and the run is killed, none names that copy.
+        """
+        if not self._settings.skip_existing or not self.is_in_the_way(number):
+            return
+        if number not in self._replaced_early and not self.has_copy(number, source):
+            self._timed(number, partial(self._copy, number, source))
+            self._replaced_early.add(number)
+
+    def was_replaced(self, number: int) -> bool:
+        """Whether `replace_key` replaced a key frame."""
+        return number in self._replaced_early
+
     def pass_key(self, number: int, source: Path) -> bool:
         """Copy a key frame's file, all its layers and attributes but for another frame rate.
 
@@ -136,6 +158,8 @@ class Sink(Held):
         bool
             Whether an earlier run had copied it.
         """
+        if number in self._replaced_early:
+            return False
         resumed = self.has_copy(number, source)
         if not resumed:
             self._writer.submit(partial(self._timed, number, partial(self._copy, number, source)))

@@ -30,13 +30,14 @@ COLUMNS = (
     *LATER_SCORES,
     *LATER_HOLE_SCORES,
     *("render_s", "render_source", "rendered_width", "rendered_height", "distance"),
-    *("scored", "scored_holes"),
+    *("scored", "scored_holes", "replaced"),
 )
 """A column that is new goes to the end: a line of this table is read by position, too.
 
 `rendered_width`, `rendered_height` and `distance` belong to the features: R is the product of the
 first two, EMD_Wp is judged by the last. `scored` and `scored_holes` are true where there was ground
-truth, whatever was measured. After these columns come the timed steps, each as ``<step>_ms``.
+truth, whatever was measured. `replaced` is true where a file made way for the frame. After these
+columns come the timed steps, each as ``<step>_ms``.
 """
 
 
@@ -139,6 +140,6 @@ def _row(frame: FrameRecord, steps: list[str]) -> list[Any]:
         *later_cells(frame.score, frame.hole_score),
         *(frame.render or (None, None)),
         *seen_cells(frame.decision),
-        *(frame.score is not None, frame.hole_score is not None),
+        *(frame.score is not None, frame.hole_score is not None, frame.replaced),
         *(frame.timing_ms.get(step) for step in steps),
     ]

@@ -293,6 +293,7 @@ def _frame(row: Mapping[str, str]) -> FrameRecord:
         path=row["path"] or None,
         decision=_decision(row),
         render=_render(row),
+        replaced=_truth(row["replaced"]),
     )
 
 

@@ -11,7 +11,8 @@ from exwarp_cli.report.quality import mean
 def render_time(run: RunSummary) -> dict[str, Any] | None:
     """Return what a run saved, from the render times in the headers of its key frames.
 
-    Frames of an earlier run are left out, as this one spent no time on them; so are repeats, which
+    Frames of an earlier run are left out, as this one spent no time on them, and so are key frames
+    of intervals that it kept whole; so are repeats, which
     nobody would call rendered. Key frames that fall on no output instant were rendered too.
 
     Returns
@@ -28,7 +29,8 @@ def render_time(run: RunSummary) -> dict[str, Any] | None:
     each = mean(seconds for seconds, _ in told)
     if each is None or not made:
         return None
-    keys = sum(frame.kind is FrameKind.KEY for frame in run.frames)
+    worked = {frame.key for frame in run.frames if not frame.resumed}
+    keys = sum(frame.kind is FrameKind.KEY and frame.key in worked for frame in run.frames)
     spent = max(run.wall_seconds - _scoring_s(run), 0.0)
     shown = {frame.key for frame in run.frames if frame.kind is FrameKind.KEY}
     unseen = len({frame.key for frame in run.frames if not frame.resumed} - shown)

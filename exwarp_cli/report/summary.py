@@ -115,14 +115,21 @@ def _input(run: RunSummary) -> dict[str, Any]:
 
 
 def _frames(frames: tuple[FrameRecord, ...]) -> dict[str, int]:
-    """Count the output frames; `written` counts those of an earlier run (`resumed`) too."""
+    """Count the output frames; `written` counts those of an earlier run (`resumed`) too.
+
+    `resumed`, `made` and `replaced` add up to `written`: replaced are those that took the place of
+    a file.
+    """
+    resumed, replaced = sum(f.resumed for f in frames), sum(f.replaced for f in frames)
     kinds = [frame.kind for frame in frames]
     return {
         "key": kinds.count(FrameKind.KEY),
         "written": len(frames),
         "generated": kinds.count(FrameKind.GENERATED),
         "dropped": kinds.count(FrameKind.DROPPED),
-        "resumed": sum(frame.resumed for frame in frames),
+        "resumed": resumed,
+        "made": len(frames) - resumed - replaced,
+        "replaced": replaced,
     }
 
 

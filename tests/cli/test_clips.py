@@ -11,7 +11,7 @@ import pytest
 
 from exwarp_cli import cli
 from exwarp_cli.io.clip import open_clip
-from tests.cli import pictures
+from tests.cli import pictures, shots
 from tests.cli.pictures import TEST_RATE, clip, frame, psnr, shown
 from tests.cli.shots import changed_by, colour_of, contents, names, read
 
@@ -146,7 +146,7 @@ class TestFrames:
         for part in ("4-5", "1-3"):
             upsample(keys, parts, "--frames", part)
         assert contents(whole) == contents(parts)
-        (parts / "pan.0006.png").write_bytes(b"damaged")
+        shots.truncate(parts / "pan.0006.png")
         (parts / "pan.0009.png").unlink()
         made = changed_by(lambda: upsample(keys, parts, "--skip-existing"), parts)
         assert made == {6, 9} and contents(whole) == contents(parts)

@@ -53,6 +53,8 @@ def test_slots_lie_where_they_should_in_time(upsample, keys, tmp_path, factor, m
         "generated": 4 * (factor - 1),
         "dropped": 0,
         "resumed": 0,
+        "made": 4 * factor + 1,
+        "replaced": 0,
     }
     assert found["fps"]["output"] == found["fps"]["effective"] == 30 * factor
     assert found["quality"]["all"]["frames"] == 4 * (factor - 1)

@@ -27,7 +27,7 @@ COLUMNS = [
     *("N_d", "EMD_Wn", "EMD_Wp", "Var_x", "Var_y", "R", "inputs"),
     *("hdr_flip", "vmaf", "flicker", "hdr_flip_holes", "flicker_holes"),
     *("render_s", "render_source", "rendered_width", "rendered_height", "distance"),
-    *("scored", "scored_holes"),
+    *("scored", "scored_holes", "replaced"),
 ]
 STEPS = ("read", "features", "decide", "warp", "holes", "extrapolate", "write")
 TIMES = [f"{step}_ms" for step in STEPS]
@@ -106,6 +106,7 @@ def test_every_value_has_its_cell() -> None:
         "distance": "7.0",
         "scored": "true",
         "scored_holes": "true",
+        "replaced": "false",
         "warp_ms": "1.5",
         "score_ms": "7.0",
     }

@@ -1,0 +1,219 @@
+"""Which files in the way of a resumed run are its own, so that it may replace them.
+
+Own are: frames that ExWarp wrote by the run's method, whole or damaged, whatever has changed since;
+and copies of key frames, of the source as it is, or as it was when the frames around it were made.
+Everything else may be a person's work, and is never replaced without --overwrite.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+from exwarp_cli.domain import cores
+from exwarp_cli.domain.results import FrameKind
+from exwarp_cli.domain.timeline import Slot
+from exwarp_cli.domain.wording import counted
+from exwarp_cli.errors import OutputExistsError
+from exwarp_cli.io.authorship import (
+    KEY_FRAMES,
+    REQUESTED_METHOD,
+    Authorship,
+    State,
+    authorship_of,
+)
+from exwarp_cli.io.output import file_digest
+from exwarp_cli.pipeline.source import Source
+from exwarp_cli.pipeline.targets import Targets, key_is_there
+from exwarp_cli.synthesis.methods import Method
+
+NAMED = 4
+"""Files that a refusal names, at most."""
+
+FALLBACKS = ("s6", "hold")
+"""Methods of the frames after the last key frame, where the run's method needs a next one."""
+
+SLACK_S = 60.0
+"""Seconds by which a key frame may be newer than the frames around it, as files are written side by
+side. It counts only where none of these names the key frame, see `_Examination._is_as_old`."""
+
+Reason = str
+"""Why a file is not the run's own, in words that stand in parentheses after its name."""
+
+
+def require_own(targets: Targets, source: Source, method: Method, slots: list[Slot]) -> None:
+    """Refuse to replace what the run's earlier parts did not write.
+
+    Parameters
+    ----------
+    targets
+        The files that the run writes.
+    source
+        Its input.
+    method
+        Makes its frames.
+    slots
+        The output instants that it writes. No other frame is looked at, but for those next to a key
+        frame that was rendered again.
+
+    Raises
+    ------
+    OutputExistsError
+        When files are in the way that are not the run's own.
+    UnreadableError
+        When the system does not let one of them through.
+    """
+    examination = _Examination(targets, source, method)
+    with ThreadPoolExecutor(cores.count(), "exwarp-own") as pool:
+        found = list(pool.map(examination.others, slots))
+    others = [other for some in found for other in some]
+    if not others:
+        return
+    listed = ", ".join(f"{path.name} ({reason})" for path, reason in others[:NAMED])
+    more = f" and {len(others) - NAMED} more" if len(others) > NAMED else ""
+    raise OutputExistsError(
+        f"{others[0][0].parent} has {counted(len(others), 'file')} that this run did not write: "
+        f"{listed}{more}; move what you want to keep, or give --overwrite to replace it"
+    )
+
+
+@dataclass(frozen=True)
+class _Examination:
+    """Looks at the files in the way of one run."""
+
+    targets: Targets
+    source: Source
+    method: Method
+    _known: dict[Path, Authorship | None] = field(default_factory=dict)
+
+    def others(self, slot: Slot) -> list[tuple[Path, Reason]]:
+        """Return the files of a slot that are not the run's own, each with the reason."""
+        number = self.source.timeline.number(slot)
+        found: list[tuple[Path, Reason | None]] = []
+        if self.targets.frames is not None:
+            path = self.targets.frames.path(number)
+            found.append((path, self._frame(path, slot)))
+        if self.targets.holes is not None and slot.index:
+            path = self.targets.holes.path(number)
+            authorship = self._authorship(path)
+            found.append((path, None if authorship is None else self._reason(authorship)))
+        return [(path, reason) for path, reason in found if reason is not None]
+
+    def _frame(self, path: Path, slot: Slot) -> Reason | None:
+        """Return why a frame is not the run's own; None if it is, or there is none."""
+        if not slot.index and key_is_there(path, self._key_file(slot.key)):
+            return None
+        authorship = self._authorship(path)
+        if authorship is None:
+            return None
+        reason = self._reason(authorship)
+        if authorship.state is not State.FOREIGN or reason is None:
+            return reason
+        try:
+            copied = self._is_of_the_source(path) or (
+                not slot.index
+                and (_begins(path, self._key_file(slot.key)) or self._was_key(path, slot))
+            )
+        except FileNotFoundError:  # another chunk has just replaced it
+            return None
+        return None if copied else reason
+
+    def _authorship(self, path: Path) -> Authorship | None:
+        if path not in self._known:
+            self._known[path] = authorship_of(path)
+        return self._known[path]
+
+    def _reason(self, authorship: Authorship) -> Reason | None:
+        """Return why a file is not the run's own, by what it says of itself; None if it is."""
+        if authorship.state is State.FOREIGN:
+            return "not written by ExWarp"
+        if authorship.state is State.EDITED:
+            return "changed since ExWarp wrote it"
+        by = _other_method(authorship, self.method)
+        return None if by is None else f"made by {by} and not by {self.method.name}"
+
+    def _key_file(self, key: int) -> Path:
+        return self.source.keys.sequence.files[self.source.timeline.numbers[key]]
+
+    def _is_of_the_source(self, path: Path) -> bool:
+        """Whether a file is a copy of any key frame as it is now."""
+        size = path.stat().st_size
+        return any(key_is_there(path, key) for key in self._keys_by_size.get(size, ()))
+
+    @cached_property
+    def _keys_by_size(self) -> dict[int, list[Path]]:
+        found: dict[int, list[Path]] = {}
+        for path in dict.fromkeys(self.source.keys.sequence.files.values()):
+            try:
+                found.setdefault(path.stat().st_size, []).append(path)
+            except OSError:  # missing, as --keep-going has it
+                continue
+        return found
+
+    def _was_key(self, path: Path, slot: Slot) -> bool:
+        """Whether a file is the key frame as it was when the frames around it were made."""
+        number = self.source.timeline.numbers[slot.key]
+        around = list(self._made_around(slot.key))
+        named = [_key_frames(authorship) for _, authorship in around]
+        digest = file_digest(path)
+        if any(digest in keys.values() for keys in named):
+            return True
+        if any(number in keys for keys in named):
+            return False
+        return self._is_as_old(path, [other for other, _ in around])
+
+    def _is_as_old(self, path: Path, around: list[Path]) -> bool:
+        """Whether a key frame that no header names is as old as the frames around it.
+
+        Earlier builds name none. Without a tail no frame is made of the last key frame, unless the
+        method looks ahead.
+        """
+        times = [other.stat().st_mtime for other in around]
+        return bool(times) and path.stat().st_mtime <= max(times) + SLACK_S
+
+    def _made_around(self, key: int) -> Iterator[tuple[Path, Authorship]]:
+        """Yield the generated frames before and after a key frame that are as they were written."""
+        timeline, frames = self.source.timeline, self.targets.frames
+        assert frames is not None
+        for index in (key, key - 1):
+            for slot in timeline.made_of(index) if index >= 0 else ():
+                path = frames.path(timeline.number(slot))
+                authorship = self._authorship(path)
+                if authorship is not None and authorship.state is State.INTACT:
+                    yield path, authorship
+
+
+def _other_method(authorship: Authorship, method: Method) -> str | None:
+    """Return the method that made a frame, if it is another than the run's.
+
+    Frames of earlier builds name only their own method; after the last key frame it may be a
+    fallback of the run's.
+    """
+    facts = authorship.facts
+    if facts.get("kind") == FrameKind.KEY.value:
+        return None
+    requested = facts.get(REQUESTED_METHOD)
+    if requested is not None:
+        return None if requested == method.name else str(requested)
+    own = facts.get("method")
+    fell_back = method.lookahead and own in FALLBACKS
+    return None if own in (None, method.name) or fell_back else str(own)
+
+
+def _key_frames(authorship: Authorship) -> dict[int, str]:
+    """Read the digests of key frames by number that a generated frame names."""
+    words = str(authorship.facts.get(KEY_FRAMES, "")).split(",")
+    pairs = (word.partition(":") for word in words)
+    return {int(number): digest for number, _, digest in pairs if number.lstrip("-").isdecimal()}
+
+
+def _begins(path: Path, source: Path) -> bool:
+    """Whether a file is a copy of another that was broken off, with or without zeros at its end."""
+    try:
+        copied, whole = path.read_bytes().rstrip(b"\0"), source.read_bytes()
+    except OSError:
+        return False
+    return whole.startswith(copied)
