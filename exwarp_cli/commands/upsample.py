@@ -173,7 +173,11 @@ class FrameRate(click.ParamType[Fraction]):
     help="Leave out key intervals whose files are damaged or missing, and exit with 12, or with 0 "
     "under --progress openjd.",
 )
-@click.option("--skip-existing", is_flag=True, help="Keep good frames of an earlier run.")
+@click.option(
+    "--skip-existing",
+    is_flag=True,
+    help="Keep good frames of an earlier run; never replace others' files.",
+)
 @click.option("--overwrite", is_flag=True, help="Replace frames that exist.")
 @click.option(
     "--verify", is_flag=True, help="Read all files back from the disk, and compare checksums."

@@ -96,7 +96,8 @@ class UpsampleSettings:
     compression
         Of generated frames; None keeps the key frame's.
     skip_existing
-        Keep frames that an earlier run wrote, if they are undamaged and would come out the same.
+        Keep frames that an earlier run wrote, if they are undamaged and would come out the same;
+        make its other frames again, and refuse to replace any other file.
     overwrite
         Replace frames that exist.
     replaces_foreign

@@ -1,7 +1,7 @@
 """Files of single frames, EXR or another still format by their suffix: written, read, recognised.
 
 A generated frame says what it was made of where its format keeps that: in EXR's header, and in PNG,
-JPEG and TIFF as text. Frames of other formats cannot be told from foreign ones.
+JPEG and TIFF as text. For other formats see `io.authorship`.
 """
 
 from __future__ import annotations

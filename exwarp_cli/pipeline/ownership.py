@@ -40,6 +40,9 @@ SLACK_S = 60.0
 """Seconds by which a key frame may be newer than the frames around it, as files are written side by
 side. It counts only where none of these names the key frame, see `_Examination._is_as_old`."""
 
+READERS = 4
+"""Files that are read side by side, at most: each is in memory whole."""
+
 Reason = str
 """Why a file is not the run's own, in words that stand in parentheses after its name."""
 
@@ -67,7 +70,7 @@ def require_own(targets: Targets, source: Source, method: Method, slots: list[Sl
         When the system does not let one of them through.
     """
     examination = _Examination(targets, source, method)
-    with ThreadPoolExecutor(cores.count(), "exwarp-own") as pool:
+    with ThreadPoolExecutor(min(cores.count(), READERS), "exwarp-own") as pool:
         found = list(pool.map(examination.others, slots))
     others = [other for some in found for other in some]
     if not others:
@@ -110,13 +113,10 @@ class _Examination:
         if authorship is None:
             return None
         reason = self._reason(authorship)
-        if authorship.state is not State.FOREIGN or reason is None:
-            return reason
+        if reason is None:
+            return None
         try:
-            copied = self._is_of_the_source(path) or (
-                not slot.index
-                and (_begins(path, self._key_file(slot.key)) or self._was_key(path, slot))
-            )
+            copied = self._is_of_the_source(path) or (not slot.index and self._was_key(path, slot))
         except FileNotFoundError:  # another chunk has just replaced it
             return None
         return None if copied else reason
@@ -154,7 +154,15 @@ class _Examination:
         return found
 
     def _was_key(self, path: Path, slot: Slot) -> bool:
-        """Whether a file is the key frame as it was when the frames around it were made."""
+        """Whether a file is the key frame as it was when the frames around it were made.
+
+        Or the beginning of what the key frame is now.
+        """
+        source = self._key_file(slot.key)
+        if source.suffix.lower() != path.suffix.lower():
+            return False  # key frames are decoded there, and carry a checksum
+        if _begins(path, source):
+            return True
         number = self.source.timeline.numbers[slot.key]
         around = list(self._made_around(slot.key))
         named = [_key_frames(authorship) for _, authorship in around]

@@ -318,3 +318,17 @@ class TestCounts:
         found = json.loads((report / "report.json").read_text())["render_time"]
         assert 90 < found["saved_s"] < 100  # one frame, and not nine
         assert 0.4 < found["saved_share"] < 0.5  # of it and its key frame
+
+
+def test_key_frames_that_exwarp_made_itself_may_be_painted_again(upsample, keys, out, tmp_path):
+    """A second run on the frames of a first one, between which an artist works."""
+    slow = tmp_path / "slow"
+    slow.mkdir()
+    for number in range(1, 4):
+        shutil.copy(out / f"shot.{number + 1:04d}.exr", slow / f"shot.{number:04d}.exr")
+    paint(slow / "shot.0002.exr")
+    upsample(slow, tmp_path / "twice", "-m", "hold", "--factor", 2)
+    paint(slow / "shot.0002.exr", owner="Bea")
+    upsample(slow, tmp_path / "twice", "-m", "hold", "--factor", 2, "--skip-existing")
+    passed = tmp_path / "twice" / "shot.0003.exr"
+    assert passed.read_bytes() == (slow / "shot.0002.exr").read_bytes()
