@@ -18,6 +18,7 @@ from exwarp_cli.domain.results import FrameKind
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.domain.wording import counted
 from exwarp_cli.errors import OutputExistsError
+from exwarp_cli.io.atomic import is_there
 from exwarp_cli.io.authorship import (
     KEY_FRAMES,
     REQUESTED_METHOD,
@@ -26,8 +27,10 @@ from exwarp_cli.io.authorship import (
     authorship_of,
 )
 from exwarp_cli.io.output import file_digest
+from exwarp_cli.io.video import video_note
 from exwarp_cli.pipeline.source import Source
 from exwarp_cli.pipeline.targets import Targets, key_is_there
+from exwarp_cli.pipeline.without_vectors import BY_EXWARP
 from exwarp_cli.synthesis.methods import Method
 
 NAMED = 4
@@ -73,6 +76,8 @@ def require_own(targets: Targets, source: Source, method: Method, slots: list[Sl
     with ThreadPoolExecutor(min(cores.count(), READERS), "exwarp-own") as pool:
         found = list(pool.map(examination.others, slots))
     others = [other for some in found for other in some]
+    if targets.video is not None and _is_foreign_video(targets.video):
+        others.append((targets.video, "not written by ExWarp"))
     if not others:
         return
     listed = ", ".join(f"{path.name} ({reason})" for path, reason in others[:NAMED])
@@ -192,6 +197,13 @@ class _Examination:
                 authorship = self._authorship(path)
                 if authorship is not None and authorship.state is State.INTACT:
                     yield path, authorship
+
+
+def _is_foreign_video(path: Path) -> bool:
+    """Whether something is where a video goes that does not name ExWarp in its comment."""
+    if not is_there(path) or not path.stat().st_size:
+        return False
+    return not (video_note(path) or "").startswith(BY_EXWARP)
 
 
 def _other_method(authorship: Authorship, method: Method) -> str | None:

@@ -29,7 +29,7 @@ from exwarp_cli.pipeline.slots_at_once import SlotsAtOnce
 from exwarp_cli.pipeline.verifying import Sums, files_of, verify, verify_video
 from exwarp_cli.pipeline.views import JointLoader
 from exwarp_cli.pipeline.watching import Watcher
-from exwarp_cli.pipeline.without_vectors import is_kept, note_of, video_look
+from exwarp_cli.pipeline.without_vectors import BY_EXWARP, is_kept, note_of, video_look
 
 MOST_WAITING = 80 * 10**6
 """Bytes of frames that wait to be written, beside those that are being written."""
@@ -214,5 +214,5 @@ def make_loader(job: Job) -> JointLoader:
 def make_sink(job: Job, note: str = "", behind: int = FRAMES_BEHIND) -> Sink:
     """Return where frames go; `note` is what a video that is written alone says of itself."""
     keys, rate = job.source.keys, job.source.output_rate
-    look = video_look(job.source, job.keys, note)
+    look = video_look(job.source, job.keys, note or BY_EXWARP)
     return Sink(job.targets, job.settings, keys.display, rate, keys.view, behind, look, job.sums)

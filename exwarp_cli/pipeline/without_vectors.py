@@ -22,6 +22,9 @@ from exwarp_cli.synthesis.optical_flow import require_video
 USUAL, USUAL_ELSEWHERE = "exwarp", "softsplat"
 """Methods where none is named: for the paper's factor along a renderer's vectors, and otherwise."""
 
+BY_EXWARP = "ExWarp"
+"""How the comment of every written video begins."""
+
 
 def usual_method(source: Source, settings: UpsampleSettings) -> str:
     """Return the name of the method where the user names none.
@@ -126,7 +129,7 @@ def note_of(recipes: Recipes, settings: UpsampleSettings, keys: tuple[int, ...])
         "cuts": repr(source.cuts),
     }
     digest = hashlib.sha256(json.dumps(found, sort_keys=True).encode()).hexdigest()
-    return f"ExWarp {digest}"
+    return f"{BY_EXWARP} {digest}"
 
 
 def is_kept(targets: Targets, settings: UpsampleSettings, note: str) -> bool:

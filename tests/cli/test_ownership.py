@@ -109,6 +109,19 @@ class TestRefused:
         (out / "shot.0003.exr").write_bytes(data)
         self.refused(exwarp, keys, out, "shot.0003.exr (changed since ExWarp wrote it)")
 
+    @pytest.mark.parametrize("alone", [True, False])
+    def test_a_video_of_another_program(self, exwarp, upsample, keys, out, tmp_path, alone):
+        video = tmp_path / "a.mp4"
+        how = ("-o", video) if alone else ("-o", out, "--video", video)
+        quiet = (*HOW, "--skip-existing", "--progress", "none")
+        for options in ((), ("--exposure", 1)):  # its own is replaced
+            assert exwarp("upsample", keys, *how, *quiet, *options).code == 0
+        pictures.clip(video.with_suffix(".mkv"), [pictures.frame(i) for i in range(4)], sound=False)
+        foreign = video.with_suffix(".mkv").rename(video).read_bytes()
+        result = exwarp("upsample", keys, *how, *quiet)
+        result.refused(6, "a.mp4 (not written by ExWarp)")
+        assert video.read_bytes() == foreign
+
 
 class TestReplaced:
     """What ExWarp wrote itself is made again where it is stale or damaged."""
