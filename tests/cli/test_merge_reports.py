@@ -313,11 +313,13 @@ class TestSubmittedAgain:
     """Jobs whose chunks have another size leave reports of the same key frames: the newer tells."""
 
     @pytest.fixture
-    def again(self, do, options) -> Callable[..., list[Path]]:
+    def again(self, do, options, tmp_path) -> Callable[..., list[Path]]:
         """Do chunks as a job that was submitted so many times before would."""
 
         def run(time: int, *parts: str, case: str = "s6 without tail") -> list[Path]:
             found = []
+            # Else the frames of a single run would be made, and these replaced.
+            shutil.rmtree(tmp_path / "parts", ignore_errors=True)
             for part in parts:
                 folder = do("parts", *options(case), "--overwrite", frames=part)
                 os.utime(folder / "report.json", (time, time))

@@ -18,7 +18,10 @@ from tests.cli.decisions.windows import moving_shots, parted
 from tests.cli.shots import changed_by, generated, read
 from tests.reference.decisions import PATHS
 
-HEADS = ("exwarp:method", "exwarp:recipe", "exwarp:xxh128", "exwarp:decision")
+HEADS = (
+    *("exwarp:method", "exwarp:requestedMethod", "exwarp:recipe", "exwarp:xxh128"),
+    "exwarp:decision",
+)
 """What a policy's frames have in their headers otherwise than those of a fixed path."""
 
 SPLITS = {"ones": ("4", "1", "6", "3", "2", "5"), "steps": ("1-5x2", "6,2", "4")}
