@@ -11,6 +11,7 @@ import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 from typing import BinaryIO
 
@@ -22,10 +23,11 @@ from exwarp_cli.io.exr import damaged
 from exwarp_cli.io.exr_chunks import FIRST, LAST
 from exwarp_cli.io.header_text import BODY, MULTIPART, Attribute, attributes_in
 from exwarp_cli.io.output import CHECKSUM, is_intact, seal
+from exwarp_cli.io.reading_retry import with_retries
 from exwarp_cli.io.sequence import EXR
 
 RATE = b"framesPerSecond"
-PIECE = 1 << 20
+PIECE = 1 << 23
 """Bytes that are copied at a time."""
 
 _FORMATS = {b"int": "<i", b"float": "<f", b"double": "<d"}
@@ -54,15 +56,33 @@ class KeyFile:
     rest: int = 0
 
     def pieces(self) -> Iterator[bytes]:
-        """Yield the file piece by piece; raises InputError where the source cannot be read."""
+        """Yield the file piece by piece.
+
+        Raises
+        ------
+        InputError
+            When there is no such source.
+        UnreadableError
+            When the system does not let the source through.
+        """
         yield self.head
-        try:
+        at = self.rest
+        while piece := self._piece(at):
+            at += len(piece)
+            yield piece
+
+    def _piece(self, at: int) -> bytes:
+        """Read a piece of the source; the file is opened anew, as a stale handle stays stale."""
+
+        def read() -> bytes:
             with self.source.open("rb") as file:
-                file.seek(self.rest)
-                while piece := file.read(PIECE):
-                    yield piece
+                file.seek(at)
+                return file.read(PIECE)
+
+        try:
+            return with_retries(self.source, read)
         except OSError as error:
-            raise _unreadable(self.source, error) from error
+            raise _missing(self.source, error) from error
 
     def write(self, target: Path) -> None:
         """Write the file, whole or not at all.
@@ -70,7 +90,9 @@ class KeyFile:
         Raises
         ------
         InputError
-            When the source cannot be read.
+            When there is no such source.
+        UnreadableError
+            When the system does not let the source through.
         OutputError
             When the target cannot be written.
         """
@@ -88,6 +110,42 @@ class KeyFile:
         with target.open("rb") as file:
             return all(file.read(len(piece)) == piece for piece in self.pieces())
 
+    def begins_with(self, data: bytes) -> bool:
+        """Return whether some bytes are the beginning of the file."""
+        at = 0
+        for piece in self.pieces():
+            if at >= len(data):
+                break
+            if not piece.startswith(data[at : at + len(piece)]):
+                return False
+            at += len(piece)
+        return at >= len(data)
+
+    def digest(self) -> str:
+        """Return the checksum of the file, hexadecimal; see `exwarp_cli.io.checksum`."""
+        return checksum.digits_of(self.pieces())
+
+
+def written_forms(source: Path, target: Path) -> tuple[KeyFile, ...]:
+    """Return what a run may have written for a key frame at a file's place: as it is, or rated.
+
+    Parameters
+    ----------
+    source
+        The key frame's file.
+    target
+        A file that may be its copy. Its header tells the frame rate of the run that wrote it.
+    """
+    plain = KeyFile(source)
+    try:
+        with target.open("rb") as file:
+            data, attributes = _header(file, target.stat().st_size)
+        own = next(one for one in attributes if one.name == RATE)
+        rate = _rate_of(own.kind, data[own.begin : own.end])
+        return plain, key_file(source, rate)
+    except (OSError, ValueError, struct.error, StopIteration, InputError):
+        return (plain,)  # the target or the source is no sound EXR, or the target has no rate
+
 
 def key_file(source: Path, rate: Fraction | None) -> KeyFile:
     """Return what is written for a key frame whose header is to have a frame rate.
@@ -102,19 +160,26 @@ def key_file(source: Path, rate: Fraction | None) -> KeyFile:
     Raises
     ------
     InputError
-        When the file cannot be read.
+        When there is no such file.
+    UnreadableError
+        When the system does not let it through.
     DamagedFileError
         When its header or its table of chunks is broken.
     """
     if rate is None or source.suffix.lower() not in EXR:
         return KeyFile(source)
     try:
+        return with_retries(source, partial(_rewritten, source, rate))
+    except OSError as error:
+        raise _missing(source, error) from error
+
+
+def _rewritten(source: Path, rate: Fraction) -> KeyFile:
+    try:
         with source.open("rb") as file:
             head, rest = _with_rate(file, source.stat().st_size, rate)
             if CHECKSUM.encode() in head:
                 head = _sealed(file, head, rest)
-    except OSError as error:
-        raise _unreadable(source, error) from error
     except (ValueError, struct.error) as error:
         raise damaged(source, str(error)) from error
     return KeyFile(source, head, rest)
@@ -214,7 +279,5 @@ def _sealed(file: BinaryIO, head: bytes, rest: int) -> bytes:
     return bytes(seal(blank, data[rest:])[0])
 
 
-def _unreadable(path: Path, error: OSError) -> InputError:
-    return InputError(
-        f"cannot read {path}: {error.strerror or error}; check the path and its rights"
-    )
+def _missing(path: Path, error: OSError) -> InputError:
+    return InputError(f"cannot read {path}: {error.strerror or error}; check the path")

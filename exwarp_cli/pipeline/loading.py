@@ -66,6 +66,7 @@ class IntervalLoader:
             source, method, settings.compression, truth, network, interpolator, policy, own.names
         )
         """What digests the frames of intervals."""
+        self.recipe_book.key_rate = None if settings.keep_bytes else source.written_fps
         self.recipe_book.reading = self._reading if self.losses.bearable else None
         self._frames: dict[int, KeyFrame] = {}
         self._instants: dict[Slot, GBuffer] = {}

@@ -26,6 +26,7 @@ from exwarp_cli.io.authorship import (
     State,
     authorship_of,
 )
+from exwarp_cli.io.key_file import written_forms
 from exwarp_cli.io.output import file_digest
 from exwarp_cli.io.video import video_note
 from exwarp_cli.pipeline.source import Source
@@ -45,6 +46,9 @@ side. It counts only where none of these names the key frame, see `_Examination.
 
 READERS = 4
 """Files that are read side by side, at most: each is in memory whole."""
+
+HEADER_GROWTH = 4096
+"""Bytes by which a frame rate in the headers of all parts may change a key frame's size."""
 
 Reason = str
 """Why a file is not the run's own, in words that stand in parentheses after its name."""
@@ -112,7 +116,7 @@ class _Examination:
 
     def _frame(self, path: Path, slot: Slot) -> Reason | None:
         """Return why a frame is not the run's own; None if it is, or there is none."""
-        if not slot.index and key_is_there(path, self._key_file(slot.key)):
+        if not slot.index and _is_copy(path, self._key_file(slot.key)):
             return None
         authorship = self._authorship(path)
         if authorship is None:
@@ -146,17 +150,20 @@ class _Examination:
     def _is_of_the_source(self, path: Path) -> bool:
         """Whether a file is a copy of any key frame as it is now."""
         size = path.stat().st_size
-        return any(key_is_there(path, key) for key in self._keys_by_size.get(size, ()))
+        near = (
+            key for key, length in self._key_sizes.items() if abs(size - length) <= HEADER_GROWTH
+        )
+        return any(_is_copy(path, key) for key in near)
 
     @cached_property
-    def _keys_by_size(self) -> dict[int, list[Path]]:
-        found: dict[int, list[Path]] = {}
+    def _key_sizes(self) -> dict[Path, int]:
+        sizes: dict[Path, int] = {}
         for path in dict.fromkeys(self.source.keys.sequence.files.values()):
             try:
-                found.setdefault(path.stat().st_size, []).append(path)
+                sizes[path] = path.stat().st_size
             except OSError:  # missing, as --keep-going has it
                 continue
-        return found
+        return sizes
 
     def _was_key(self, path: Path, slot: Slot) -> bool:
         """Whether a file is the key frame as it was when the frames around it were made.
@@ -230,10 +237,15 @@ def _key_frames(authorship: Authorship) -> dict[int, str]:
     return {int(number): digest for number, _, digest in pairs if number.lstrip("-").isdecimal()}
 
 
+def _is_copy(path: Path, source: Path) -> bool:
+    """Whether a file holds a key frame, as it is or with another frame rate in its header."""
+    return any(key_is_there(path, form) for form in written_forms(source, path))
+
+
 def _begins(path: Path, source: Path) -> bool:
     """Whether a file is a copy of another that was broken off, with or without zeros at its end."""
     try:
-        copied, whole = path.read_bytes().rstrip(b"\0"), source.read_bytes()
+        copied = path.read_bytes().rstrip(b"\0")
     except OSError:
         return False
-    return whole.startswith(copied)
+    return any(form.begins_with(copied) for form in written_forms(source, path))

@@ -18,6 +18,7 @@ from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.footage import ClipSequence, digest_of, is_plain
 from exwarp_cli.io.frames import Shot
+from exwarp_cli.io.key_file import key_file
 from exwarp_cli.io.output import file_digest
 from exwarp_cli.io.sequence import Sequence
 from exwarp_cli.pipeline.source import FrameOf, Source
@@ -53,6 +54,8 @@ class Recipes:
     reading
         In which a slot's frame is read, to note that it is lost where that fails; None where
         nothing may be.
+    key_rate
+        The frame rate that written key frames get; None where they are copied as they are.
     """
 
     source: Source
@@ -64,7 +67,9 @@ class Recipes:
     policy: str | None = None
     layers: tuple[str, ...] = ()
     reading: Callable[[Slot], AbstractContextManager[None]] | None = None
+    key_rate: Fraction | None = None
     _digests: OrderedDict[Token, str] = field(default_factory=OrderedDict, init=False)
+    _rewritten: OrderedDict[Path, str] = field(default_factory=OrderedDict, init=False)
 
     def share(self, other: Recipes) -> None:
         """Keep files' digests with those of another view, which may be of the same files."""
@@ -141,14 +146,26 @@ class Recipes:
         }
 
     def key_digests(self, keys: Iterable[int]) -> dict[int, str]:
-        """Return the digests of key frames' main files, by input number; of a video none."""
+        """Return the digests of written key frames by input number; none for a video."""
         shot, numbers = self.source.keys, self.source.timeline.numbers
         if isinstance(shot.sequence, ClipSequence):
             return {}
         digests = {numbers[key]: self._digest(shot, numbers[key]) for key in keys}
         if is_plain(shot.sequence):
             return digests
-        return {number: json.loads(digest)[""] for number, digest in digests.items()}
+        return {
+            number: self._written_digest(shot.sequence.files[number], json.loads(digest)[""])
+            for number, digest in digests.items()
+        }
+
+    def _written_digest(self, path: Path, digest: str) -> str:
+        """Return the digest of a key frame's file as it is written, from that of its source."""
+        if path not in self._rewritten:
+            file = key_file(path, self.key_rate)
+            self._rewritten[path] = file.digest() if file.head else digest
+            while len(self._rewritten) > DIGESTS:
+                self._rewritten.popitem(last=False)
+        return self._rewritten[path]
 
     def _place(self, slot: Slot) -> dict[str, Any]:
         """Say which slot it is, of how many."""
