@@ -38,6 +38,10 @@ def summary_lines(
         from exwarp_cli.report.page_parts import cuts_line
 
         lines.append(cuts_line(document["cuts"]))
+    if document["held"]:
+        from exwarp_cli.report.page_parts import held_line
+
+        lines.append(held_line(document["held"]))
     taken = {name: count for name, count in document["decisions"]["paths"].items() if count}
     if taken:
         listed = ", ".join(f"{name} {count}" for name, count in taken.items())

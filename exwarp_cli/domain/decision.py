@@ -12,6 +12,9 @@ EXTRAPOLATE = "extrapolate"
 HOLD = "hold"
 """What makes a frame: W, E, or the repetition of the frame before."""
 
+HELD = "held"
+"""Method of a frame that repeats the key frame, as the next one shows the same picture."""
+
 CHOICES = (WARP, EXTRAPOLATE)
 """What a node chooses between; also the order of the network's outputs."""
 

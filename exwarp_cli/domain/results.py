@@ -8,7 +8,7 @@ from fractions import Fraction
 
 from exwarp_cli import __version__
 from exwarp_cli.domain.cuts import Cut
-from exwarp_cli.domain.decision import Decision
+from exwarp_cli.domain.decision import HELD, Decision
 from exwarp_cli.domain.metric import METRICS
 from exwarp_cli.domain.timeline import FACTOR
 
@@ -82,7 +82,8 @@ class FrameRecord:
         Rendered, generated or repeated.
     method
         The method that made this very frame (a look-ahead run falls back to a causal method after
-        the last key frame); "key" for a rendered one.
+        the last key frame); "key" for a rendered one, "held" between key frames that show the same
+        picture.
     sources
         Input numbers of the rendered frames that its colour came from.
     hole_fraction
@@ -397,6 +398,15 @@ class RunSummary:
     def selected(self) -> tuple[int, ...]:
         """Input numbers of the selected key frames; where none were told, those with frames."""
         return self.keys or tuple(sorted({frame.key for frame in self.frames}))
+
+    @property
+    def held(self) -> tuple[int, ...]:
+        """Input numbers of the key frames that the slots after them repeat, ascending.
+
+        The next key frame shows the same picture; or none follows in the shot, and the key frame
+        itself repeats the one before.
+        """
+        return tuple(sorted({frame.key for frame in self.frames if frame.method == HELD}))
 
     @property
     def output_fps(self) -> float:

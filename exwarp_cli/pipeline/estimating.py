@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from exwarp_cli.domain.bounds import require_canvas
 from exwarp_cli.domain.frame import GBuffer, KeyFrame, Window, place
+from exwarp_cli.synthesis.holds import stands_one_way
 from exwarp_cli.synthesis.optical_flow import Flow, estimate, moving
 
 
@@ -51,8 +52,12 @@ class Estimates:
         window = frame.image.data_window
         return replace(frame, gbuffer=GBuffer(window, to_previous=back, to_next=ahead))
 
-    def moving(self, key: int, back: bool, ahead: bool) -> KeyFrame:
+    def moving(self, key: int, back: bool, ahead: bool, before: bool = False) -> KeyFrame:
         """Return a key frame for synthesis.
+
+        Where the picture stands towards one neighbour and moves towards the other, the motion
+        between them is no parabola, and what fits the repeated picture best is no motion. Then the
+        flow across the interval counts alone.
 
         Parameters
         ----------
@@ -60,12 +65,15 @@ class Estimates:
             Its index.
         back, ahead
             Whether the key frames before and after it may tell how it moves.
+        before
+            True for the interval before the key frame, False for the one after it.
         """
-        return moving(
-            self.frame(key),
-            self._to_previous(key) if back else None,
-            self._to_next(key) if ahead else None,
-        )
+        to_previous = self._to_previous(key) if back else None
+        to_next = self._to_next(key) if ahead else None
+        both = None if to_previous is None or to_next is None else (to_previous, to_next)
+        if both is not None and stands_one_way(*(flow.motion for flow in both)):
+            to_previous, to_next = (to_previous, None) if before else (None, to_next)
+        return moving(self.frame(key), to_previous, to_next)
 
     def forget(self, oldest: int) -> None:
         """Drop what no key frame from one on needs."""

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from exwarp_cli.domain.bounds import require_canvas
 from exwarp_cli.domain.extrapolator import HISTORY, Extrapolator
 from exwarp_cli.domain.frame import SURFACE_PARTS, Float32, GBuffer, KeyFrame, Window
@@ -16,6 +18,7 @@ from exwarp_cli.pipeline.loaded import Loaded, Older
 from exwarp_cli.pipeline.moving_ids import Ids, MovingIds, with_stencils
 from exwarp_cli.synthesis.geometry import settle_motion
 from exwarp_cli.synthesis.history import Past
+from exwarp_cli.synthesis.holds import around_holds
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.span import span_motion
 from exwarp_cli.synthesis.trajectory import displacement
@@ -61,6 +64,7 @@ class Staging:
         self._frames: dict[tuple[int, Basis], KeyFrame] = {}
         self._instants: dict[tuple[Slot, Basis], GBuffer] = {}
         self._past: dict[tuple[int, Basis], Past] = {}
+        self._incomplete: KeyFrame | None = None
 
     def interval(self, loaded: Loaded) -> Interval:
         """Bring what was read onto one window: the display's and the data of the frames around.
@@ -90,11 +94,15 @@ class Staging:
         if frame is None or frame.gbuffer is None or settled is None:
             return interval
         window = interval.key.image.data_window
-        placed = GBuffer(frame.gbuffer.window, **_surface(frame.gbuffer)).on(window)
-        key = replace(interval.key, gbuffer=replace(settled, **_surface(placed)))
+        surface = _surface(GBuffer(frame.gbuffer.window, **_surface(frame.gbuffer)).on(window))
+        key = replace(interval.key, gbuffer=replace(settled, **surface))
         basis = window, None
-        self._frames[loaded.key, basis] = key
-        return replace(interval, key=key, past=self._led_back(loaded, key, basis))
+        # What leads back goes by all vectors of the key frame: those of the interval may lack some.
+        whole = self._incomplete
+        assert whole is not None and whole.gbuffer is not None
+        whole = replace(whole, gbuffer=replace(whole.gbuffer, **surface))
+        self._frames[loaded.key, basis] = whole
+        return replace(interval, key=key, past=self._led_back(loaded, whole, basis))
 
     def _settled(self, loaded: Loaded, basis: Basis) -> Interval:
         """Settle what was read, on one window and with what moves as its stencil."""
@@ -104,11 +112,13 @@ class Staging:
             following = self._frame(loaded.key + 1, loaded.following, basis)
         key = self._frame(loaded.key, self._whole(loaded, basis), basis)
         if loaded.late is not None:  # without its surface, none that follows has a use for it
-            del self._frames[loaded.key, basis]
+            self._incomplete = self._frames.pop((loaded.key, basis))
         slots = tuple(settle_motion(gbuffer.on(basis[0])) for gbuffer in loaded.slots)
         past = self._led_back(loaded, key, basis)
         self._keep(loaded.key, slots, basis)
         networks = (self._network, self._interpolator)
+        if not (self._estimated or loaded.held or slots):
+            key, following = around_holds(key, following, loaded.after_hold)
         return Interval(
             key,
             following,
@@ -118,6 +128,7 @@ class Staging:
             loaded.times,
             estimated=self._estimated,
             keeps=bool(loaded.truth),
+            held=loaded.held,
         )
 
     def _whole(self, loaded: Loaded, basis: Basis) -> KeyFrame:
@@ -128,9 +139,11 @@ class Staging:
         return loaded.again()
 
     def _frame(self, index: int, frame: KeyFrame, basis: Basis) -> KeyFrame:
+        if self._estimated:  # the flows of an interval are its own
+            return frame.extended(basis[0])
         if (index, basis) not in self._frames:
             placed = frame.extended(basis[0])
-            if placed.gbuffer is not None and not self._estimated:
+            if placed.gbuffer is not None:
                 placed = replace(placed, gbuffer=settle_motion(placed.gbuffer))
                 rest()
             if self._bare and placed.gbuffer is not None:
@@ -151,6 +164,8 @@ class Staging:
 
     def _motion(self, index: int, older: Older, newer: KeyFrame, basis: Basis) -> Float32:
         """Return the motion, float32 [H, W, 2], from a key frame to the one before it."""
+        if older.held:
+            return np.zeros((*basis[0].shape, 2), np.float32)
         if not older.instants:
             assert newer.gbuffer is not None
             return displacement(newer.gbuffer, -1)

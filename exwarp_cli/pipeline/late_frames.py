@@ -28,11 +28,19 @@ class LateFrames:
         Of the key frames.
     within
         Returns a key frame's geometry, by index, without vectors that lead to another shot.
+    repeats
+        Returns True if a key frame, by index, shows the same picture as the one before it.
     """
 
-    def __init__(self, source: Source, within: Callable[[int, GBuffer], GBuffer]) -> None:
+    def __init__(
+        self,
+        source: Source,
+        within: Callable[[int, GBuffer], GBuffer],
+        repeats: Callable[[int], bool],
+    ) -> None:
         self._source = source
         self._within = within
+        self._repeats = repeats
         self._frames: dict[int, KeyFrame] = {}
 
     def complete(self, loaded: Loaded, history: Sequence[int]) -> Loaded:
@@ -52,7 +60,7 @@ class LateFrames:
         """
         assert loaded.frame is not None
         frame = self._with_surface(loaded.frame)
-        past = tuple(Older(self._whole(index), ()) for index in history)
+        past = tuple(Older(self._whole(i), (), self._repeats(i + 1)) for i in history)
         self._frames[loaded.key] = frame
         return replace(loaded, frame=frame, past=past, late=None)
 

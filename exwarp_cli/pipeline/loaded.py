@@ -23,10 +23,13 @@ class Older:
         With slot G-buffers those on the way to it, without surface: the key frame after it, the
         slots between from the last to the first, and this key frame; motion reaches over one slot.
         Empty in the key setting.
+    held
+        True if the key frame after this one shows the same picture: nothing moves between them.
     """
 
     frame: KeyFrame
     instants: tuple[GBuffer, ...]
+    held: bool = False
 
 
 @dataclass(frozen=True)
@@ -102,6 +105,11 @@ class Loaded:
         Why ground truth of some slots cannot be used, by slot, as far as that is borne.
     region
         Whether the key frame's data window is all of the picture that there is, and slots keep it.
+    held
+        True if every slot shows the picture of the key frame: the next key frame repeats it, or at
+        the end of a shot the key frame itself repeats the one before.
+    after_hold
+        True if the key frame shows the same picture as the one before it.
     """
 
     key: int
@@ -125,6 +133,8 @@ class Loaded:
     unscored: dict[int, str] = field(default_factory=dict)
     region: bool = False
     key_digests: dict[int, str] = field(default_factory=dict)
+    held: bool = False
+    after_hold: bool = False
 
     def lean(self) -> Loaded:
         """Return the interval without geometry, once it is staged: with raw vectors and positions,
@@ -134,7 +144,7 @@ class Loaded:
             frame=_colour(self.frame),
             following=_colour(self.following),
             slots=(),
-            past=tuple(Older(replace(older.frame, gbuffer=None), ()) for older in self.past),
+            past=tuple(Older(_colour_of(older.frame), (), older.held) for older in self.past),
             observed=(),
             late=None,
             again=None,
@@ -161,4 +171,8 @@ class Unmade:
 
 
 def _colour(frame: KeyFrame | None) -> KeyFrame | None:
-    return None if frame is None else replace(frame, gbuffer=None)
+    return None if frame is None else _colour_of(frame)
+
+
+def _colour_of(frame: KeyFrame) -> KeyFrame:
+    return replace(frame, gbuffer=None)

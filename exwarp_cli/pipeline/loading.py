@@ -16,7 +16,7 @@ from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR, Slot
 from exwarp_cli.errors import InputError
 from exwarp_cli.io.channels import Role
-from exwarp_cli.io.footage import is_plain, key_picture
+from exwarp_cli.io.footage import ClipSequence, is_plain, key_picture
 from exwarp_cli.io.frames import GEOMETRY, SURFACE, colour_window, read_raw
 from exwarp_cli.io.sequence import Sequence
 from exwarp_cli.pipeline.contents import Content, template_of
@@ -74,13 +74,14 @@ class IntervalLoader:
         self.told: frozenset[int] = frozenset()
         """The key frames whose instants intervals brought along."""
         self._followers: list[IntervalLoader] = []
-        self.shots = Shots(source.cuts, source.timeline.numbers, self._key_frame, self.losses)
+        numbers, lossy = source.timeline.numbers, isinstance(source.keys.sequence, ClipSequence)
+        self.shots = Shots(source.cuts, numbers, self._key_frame, self.losses, lossy)
         self._regions = Regions(source.keys.display, self._window_of)
         # Of other views everything is read: their frames are staged with those of the first.
         alone = own.leads and len(self._contents) == 1 and source.slots is None
         known = source.finding is not None and not source.estimated
         late = alone and known and reads_late(source.keys, method)
-        self._late = LateFrames(source, self.shots.within) if late else None
+        self._late = LateFrames(source, self.shots.within, self.shots.repeats) if late else None
         count = len(source.timeline.numbers)
         self._estimates = None
         if source.estimated:
@@ -116,14 +117,17 @@ class IntervalLoader:
             return Loaded(key, None, None, (), (), (), {}, template, recipes, elapsed)
         again = None if self._ahead is None else self._ahead.again(key)
         frame = self._in_shot(key)
-        following = self._in_shot(key + 1) if lookahead else None
+        following = self._in_shot(key + 1, before=True) if lookahead else None
         ahead = None if following is None else following.image
         region = self._regions.is_region(key, frame.image, ahead)
         gbuffers = tuple(self._slot_gbuffer(slot) for slot in self._slots(key))
         history = self._history(key)
         past: tuple[Older, ...] = ()
         if self._late is None:
-            past = tuple(Older(self._in_shot(i), self._way_back(i)) for i in history)
+            past = tuple(
+                Older(self._in_shot(i), self._way_back(i), self.shots.repeats(i + 1))
+                for i in history
+            )
         observed = self._observed(key)
         back = self._older(key, lookahead)
         older = None if back is None else self._in_shot(back)
@@ -141,6 +145,7 @@ class IntervalLoader:
             again=again, unscored=unscored, region=region, key_digests=self.recipe_book.key_digests(
                 (key, key + 1) if lookahead else (key,)
             ),
+            held=self._held(key), after_hold=self.shots.repeats(key),
         )  # fmt: skip
 
     def follow(self, leader: IntervalLoader) -> None:
@@ -167,6 +172,16 @@ class IntervalLoader:
         """Whether a key frame of the same shot comes after one."""
         last = key + 1 == len(self._source.timeline.numbers)
         return not last and not self.shots.starts_at(key + 1)
+
+    def _held(self, key: int) -> bool:
+        """Return True if the slots after a key frame show its picture.
+
+        What comes after a hold at the end of a shot, nothing but G-buffers of the slots tells: the
+        vectors of a frame that was copied are those of its first.
+        """
+        if self._followed(key):
+            return self.shots.repeats(key + 1)
+        return not self._slots(key) and self.shots.repeats(key)
 
     def _looks_ahead(self, key: int) -> bool:
         return self._method.lookahead and self._followed(key)
@@ -204,11 +219,14 @@ class IntervalLoader:
             return colour_window(keys, numbers[key])
         return None
 
-    def _in_shot(self, key: int) -> KeyFrame:
-        """Return a key frame without vectors that lead to another shot."""
+    def _in_shot(self, key: int, before: bool = False) -> KeyFrame:
+        """Return a key frame without vectors that lead to another shot.
+
+        With `before` it is wanted for the interval before it, not for the one after.
+        """
         if self._estimates is not None:
             began = key == 0 or self.shots.starts_at(key)
-            return self._estimates.moving(key, not began, self._looks_ahead(key))
+            return self._estimates.moving(key, not began, self._looks_ahead(key), before)
         frame = self._key_frame(key)
         if frame.gbuffer is None:
             return frame
@@ -396,7 +414,11 @@ class IntervalLoader:
         seen = self._seen(key)
         back = KEYS_BACK if self._observes else HISTORY - 1 if self._method.extrapolates else 0
         back = max(back, int(older is not None))
-        cuts = [*self.shots.told(key, back, (*keys, *self._starts(key))), *self._steady(key)]
+        cuts = [
+            *self.shots.told(key, back, (*keys, *self._starts(key))),
+            *self._steady(key),
+            *self._holds(key),
+        ]
         instants = tuple(seen)
         if self._source.slots is not None:
             way = (slot for i in history for slot in self._slots(i))
@@ -410,13 +432,23 @@ class IntervalLoader:
             keys.append(key - 1)
         if lookahead and self._followed(key + 1):
             keys.append(key + 2)
-        cuts = [*self.shots.told(key, 0, ()), f"flow {[index - key for index in keys]}"]
-        cuts += self._steady(key)
+        cuts = [
+            *self.shots.told(key, 0, ()),
+            f"flow {[index - key for index in keys]}",
+            *self._steady(key),
+            *self._holds(key),
+        ]
         return self.recipe_book.of(key, keys, (), cuts)
 
     def _steady(self, key: int) -> list[str]:
         """Say what slots depend on of the windows of key frames that they are not made of."""
         return ["steady window"] if self._regions.is_steady(key) else []
+
+    def _holds(self, key: int) -> list[str]:
+        """Say which holds the frames of an interval depend on; nothing where there are none."""
+        later = {key, *(index + 1 for index in self._history(key))}
+        repeats = [f"repeats {i - key}" for i in sorted(later) if self.shots.repeats(i)]
+        return (["held"] if self._held(key) else []) + repeats
 
     def _seen(self, key: int) -> list[Slot]:
         """Return the instants that the features of an interval's states come from."""

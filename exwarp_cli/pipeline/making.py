@@ -24,7 +24,7 @@ from exwarp_cli.pipeline.sink import Sink
 from exwarp_cli.pipeline.source import Source
 from exwarp_cli.pipeline.staged import Staged, hole_fraction
 from exwarp_cli.synthesis.interval import Interval
-from exwarp_cli.synthesis.methods import Method, Predicted, take
+from exwarp_cli.synthesis.methods import Method, Predicted, repeat_held, take
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ class SlotMaker:
             file=self._sink.name(self._source.timeline.number(slot)),
             key=interval.key.number,
             slot=slot.index,
-            kind=self._kind(predicted, slot),
+            kind=self._kind(predicted, slot, loaded.after_hold),
             method=predicted.method,
             sources=predicted.sources,
             hole_fraction=hole_fraction(mask),
@@ -139,6 +139,8 @@ class SlotMaker:
 
     def _predict(self, interval: Interval, plan: Plan | None, slot: int) -> Predicted:
         """Make a slot's frame: by the interval's path, or by the method itself."""
+        if interval.held:
+            return repeat_held(interval)
         if self._method.predict is not None:
             return self._method.predict(interval, slot)
         assert plan is not None
@@ -159,9 +161,10 @@ class SlotMaker:
         assert isinstance(loaded.template, Template)  # layers are for EXR
         return self._beside.make(slot.index, shown, predict, loaded.template)
 
-    def _kind(self, predicted: Predicted, slot: Slot) -> FrameKind:
+    def _kind(self, predicted: Predicted, slot: Slot, after_hold: bool) -> FrameKind:
         """Return a frame's kind: who repeats a key frame that was not shown shows it first."""
-        first = slot.index == 1 and not self._source.timeline.shows(slot.key)
+        shown = after_hold or self._source.timeline.shows(slot.key)
+        first = slot.index == 1 and not shown
         return FrameKind.GENERATED if first else predicted.kind
 
     def _attributes(self, record: FrameRecord, loaded: Loaded) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from exwarp_cli.errors import InputError, OutputError, UnreadableError
 from exwarp_cli.io.decisions import parse_decision
 from exwarp_cli.io.footage import picture
 from exwarp_cli.io.output import PREFIX
-from exwarp_cli.pipeline.choosing import Chooser
+from exwarp_cli.pipeline.choosing import Chooser, Chosen
 from exwarp_cli.pipeline.geometry import Staging
 from exwarp_cli.pipeline.layers import Beside
 from exwarp_cli.pipeline.leaving_out import left_out, tell_left_out, unscored
@@ -195,7 +195,7 @@ class Run:
         looks = len(there) < len(slots) or self.method.judge is Judge.POLICY
         chosen = None  # outside the decision tree
         if slots and looks and self.chooser is not None and interval is not None:
-            chosen = self.chooser(loaded, interval)
+            chosen = self._chosen(loaded, interval)
         shares = {"geometry": geometry_ms / max(len(slots), 1)}
         if chosen is not None:
             shares |= {step: ms / len(slots) for step, ms in chosen.timing_ms.items()}
@@ -211,6 +211,17 @@ class Run:
         elif interval is not None and self._only_moves(loaded, staged):
             staged = replace(staged, interval=interval.bare())
         return loaded.lean(), staged
+
+    def _chosen(self, loaded: Loaded, interval: Interval) -> Chosen | None:
+        """Have an interval's path decided; None where it is held, and nothing is to be decided.
+
+        A policy looks at it all the same.
+        """
+        assert self.chooser is not None
+        if interval.held and self.method.judge is not Judge.POLICY:
+            return None
+        chosen = self.chooser(loaded, interval)
+        return None if interval.held else chosen
 
     def _only_moves(self, loaded: Loaded, staged: Staged) -> bool:
         """Whether slots are made by settled motion, depth and ids of key frames alone."""

@@ -12,6 +12,7 @@ from exwarp_cli.domain.frame import Float32, GBuffer, KeyFrame
 from exwarp_cli.pipeline.losses import Losses
 from exwarp_cli.synthesis.cuts import is_cut_between
 from exwarp_cli.synthesis.glance import Glance, glance_at
+from exwarp_cli.synthesis.holds import is_same_picture
 
 LEAP = 0.01
 """Share of the frame's longer side from which a change of speed may come of a cut: 19 pixels of
@@ -32,9 +33,12 @@ class Shots:
     numbers
         Input numbers of all key frames.
     read
-        Called with the index of a key frame that was not seen, or forgotten; shows it by `see`.
+        Called with the index of a key frame that was not seen, or forgotten; shows it by `see`, and
+        returns it.
     losses
         Key frames that are lost: shots end before them, and begin after them.
+    lossy
+        True if a lossy codec may have changed pictures that are repeated.
 
     Raises
     ------
@@ -46,8 +50,9 @@ class Shots:
         self,
         wish: CutWish,
         numbers: Sequence[int],
-        read: Callable[[int], object],
+        read: Callable[[int], KeyFrame],
         losses: Losses | None = None,
+        lossy: bool = False,
     ) -> None:
         self._wish = wish
         self._numbers = numbers
@@ -58,10 +63,14 @@ class Shots:
         self._starts: dict[int, bool] = {}
         self._leaps: dict[int, _Leap | None] = {}
         self._leader: Shots | None = None
+        self._lossy = lossy
+        self._repeats: dict[int, bool] = {}
+        self._followers: list[Shots] = []
 
     def follow(self, leader: Shots) -> None:
-        """Let another view tell where shots begin: all views are cut alike."""
+        """Let another view tell where shots begin: all views are cut and held alike."""
         self._leader = leader
+        leader._followers.append(self)
 
     @property
     def cuts(self) -> tuple[Cut, ...] | None:
@@ -97,6 +106,24 @@ class Shots:
         if key not in self._starts:
             self._starts[key] = inside and (key in self._given or self._found(key))
         return self._starts[key]
+
+    def repeats(self, key: int) -> bool:
+        """Return True if a key frame shows the same picture as the one before it, in all views.
+
+        The first of a shot repeats nothing.
+        """
+        if self._leader is not None:
+            return self._leader.repeats(key)
+        if key not in self._repeats:
+            inside = 0 < key < len(self._numbers) and not self.starts_at(key)
+            self._repeats[key] = inside and all(
+                shots._shows_the_same(key) for shots in (self, *self._followers)
+            )
+        return self._repeats[key]
+
+    def _shows_the_same(self, key: int) -> bool:
+        before, after = (self._read(index).image for index in (key - 1, key))
+        return is_same_picture(before, after, self._lossy)
 
     def begin(self, key: int, back: int) -> int:
         """Return the first key frame of a shot, or the one so many before: the later of them."""

@@ -137,6 +137,15 @@ def cuts_line(cuts: Sequence[Mapping[str, Any]]) -> str:
     return f"cut{many} before key frame{many} {told}; nothing is interpolated across"
 
 
+def held_line(held: Sequence[int]) -> str:
+    """Say where the picture is held, as `report.json` lists it; at least one."""
+    many = "s" if len(held) > 1 else ""
+    return (
+        f"held after key frame{many} {ranges(held)}, which the next key frame repeats: the frames "
+        "between show the same picture"
+    )
+
+
 def left_out_line(left_out: Sequence[Mapping[str, Any]]) -> str:
     """Say what was left out, as `report.json` lists it; at least one."""
     missing = [one for one in left_out if one["frames"]]

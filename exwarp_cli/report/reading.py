@@ -51,7 +51,13 @@ STEP = "_ms"
 
 SETTINGS = ("key", "slot")
 
-ADDED: dict[str, Any] = {"left_out": [], "files": [], "verified": None, "nonfinite": []}
+ADDED: dict[str, Any] = {
+    "left_out": [],
+    "files": [],
+    "verified": None,
+    "nonfinite": [],
+    "held": [],
+}
 """What reports of earlier versions do not tell, as it was then."""
 
 MOST_KEYS = 10_000_000

@@ -51,6 +51,7 @@ def report(run: RunSummary) -> dict[str, Any]:
         "cuts": None
         if run.cuts is None
         else [{"frame": cut.number, "source": cut.source} for cut in run.cuts],
+        "held": list(run.held),
         "views": list(run.views),
         "layers": list(run.layers),
         "left_out": [asdict(one) for one in run.left_out],

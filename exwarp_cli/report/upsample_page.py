@@ -14,6 +14,7 @@ from exwarp_cli.report.page_parts import (
     cuts_line,
     facts_of,
     file_name,
+    held_line,
     metric_plots,
     nonfinite_line,
     number,
@@ -356,6 +357,7 @@ def _settings(document: dict[str, Any]) -> list[Block]:
         ["depth", source["depth"]],
         ["moving by name", ", ".join(source["dynamic"]) if source["dynamic"] else None],
         ["cuts", _cuts(document["cuts"])],
+        ["holds", held_line(document["held"]) if document["held"] else None],
         ["method", document["method"]],
         ["uses the next key frame", "yes" if document["lookahead"] else "no"],
     ]

@@ -60,6 +60,8 @@ class Interval:
         Whether motion was estimated from colour rather than rendered.
     keeps
         Whether what was worked out for slots is asked for again once they are made, to score them.
+    held
+        True if every slot shows the picture of the key frame, as the next key frame repeats it.
     """
 
     key: KeyFrame
@@ -71,6 +73,7 @@ class Interval:
     times: tuple[float, ...] = QUARTERS
     estimated: bool = False
     keeps: bool = False
+    held: bool = False
     _back: dict[int, SlotField] = field(default_factory=dict, init=False)
     _forward: dict[int, SlotField] = field(default_factory=dict, init=False)
     _scenes: dict[int, Scene | None] = field(default_factory=dict, init=False)
@@ -227,6 +230,8 @@ class Interval:
         """bool [H, W]: what the warp from the key frame cannot see; None without motion."""
         if not self.has_motion:
             return None
+        if self.held:  # the key frame shows all of it
+            return np.zeros(self.key.image.pixels.shape[:2], np.bool_)
         return self._holes[slot] if slot in self._holes else self.back(slot).hole
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from functools import partial
 
-from exwarp_cli.domain.decision import EXTRAPOLATE, HOLD, PATHS, WARP
+from exwarp_cli.domain.decision import EXTRAPOLATE, HELD, HOLD, PATHS, WARP
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.domain.interpolator import INTERPOLATE
 from exwarp_cli.domain.results import FrameKind
@@ -120,6 +120,11 @@ def _hold(interval: Interval, slot: int) -> Predicted:
     """Repeat the key frame."""
     pixels = repair(interval.key.image.pixels)
     return Predicted(pixels, FrameKind.DROPPED, "hold", (interval.key.number,), HOLD)
+
+
+def repeat_held(interval: Interval) -> Predicted:
+    """Repeat the key frame of a held interval, whatever the method: nothing new is to be seen."""
+    return replace(_hold(interval, 1), method=HELD)
 
 
 def take(path: str, interval: Interval, slot: int) -> Predicted:

@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from exwarp_cli.domain.decision import HOLD, PATHS
+from exwarp_cli.domain.decision import HELD, HOLD, PATHS
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer
 from exwarp_cli.domain.motion import MotionConvention
 from exwarp_cli.domain.timeline import FACTOR
@@ -276,7 +276,7 @@ def retiming(interval: Interval, slot: int, shown: Predicted) -> Retiming:
     if path is not None and HOLD in path.made_by:  # warps alone go to any number of slots
         while slot and path.made_by[slot - 1] == HOLD:
             slot -= 1  # a repeat of what the slot before showed
-    if name == "hold" or slot == 0:
+    if name in ("hold", HELD) or slot == 0:
         return Retiming(Manner.REPEAT, 0.0, in_place(shape, _depth(key)))
     time = interval.time(slot)
     if name == "blend" or not interval.has_motion:

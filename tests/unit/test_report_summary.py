@@ -53,6 +53,7 @@ CONTRACT: dict[str, Any] = {
     "interpolator": None,
     "render_time": None,
     "cuts": None,
+    "held": None,
     "views": None,
     "layers": None,
     "left_out": None,

@@ -1,0 +1,177 @@
+"""Holds: key frames that show the same picture as the one before, and the motion around them.
+
+A shot on twos shows each picture twice; held poses, freeze frames and files that were copied over
+missing ones look the same. Between two such key frames the picture stands, whatever the vectors
+say: a copied file holds those of the motion that led to it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from exwarp_cli.domain.curves import SRGB
+from exwarp_cli.domain.frame import Float32, GBuffer, Image, KeyFrame
+from exwarp_cli.synthesis.geometry import moved_on
+
+ROUNDING = 2.0**-10
+"""One step of a half float, relative to a value: what two writers of one picture may differ by."""
+
+LEAST_VALUE = 2.0**-24
+"""The smallest half float: below it no file tells values apart."""
+
+CODES = 2 / 255
+"""Difference of display-encoded values up to which pixels of a lossy video are the same. The limit
+holds for every pixel, so an object with more contrast than that is never held while it moves. A
+repeated picture that x264 wrote at a usual quality differs by 5 to 60 codes somewhere, as much as
+what moves by 0.1 pixels: such pairs are not held, and the motion estimated between them is 0."""
+
+EXAMINED = 16
+"""Every so many rows are compared first: most pairs differ there, which costs next to nothing."""
+
+STANDING, ESTIMATED_STANDING = 0.05, 0.25
+"""Pixels: vectors of a renderer, and estimated ones, up to this length stand still."""
+
+MOVING = 1.0
+"""Pixels from which on vectors move, beside those that stand."""
+
+OUTLIERS = 0.5
+"""Percent of estimated vectors that are left out, as some always go astray."""
+
+
+def is_same_picture(before: Image, after: Image, lossy: bool = False) -> bool:
+    """Return True if two key frames show the same picture.
+
+    Parameters
+    ----------
+    before, after
+        Neighbouring key frames.
+    lossy
+        True for the frames of a video, whose codec changes what it repeats: values may differ by
+        `CODES`. Of files with a picture each, values may differ by their rounding alone.
+
+    Returns
+    -------
+    bool
+        The greatest difference of any pixel decides, not the mean: a small object that moves over
+        a still background is no hold. NaN and infinities are equal to themselves.
+    """
+    if before.data_window != after.data_window or before.pixels.shape != after.pixels.shape:
+        return False
+    alike = _is_near if lossy else _is_equal
+    first, second = before.pixels, after.pixels
+    if not alike(first[::EXAMINED], second[::EXAMINED]):
+        return False
+    rows = range(0, len(first), 4 * EXAMINED)  # bands, so that temporaries stay small
+    return all(alike(first[y : y + rows.step], second[y : y + rows.step]) for y in rows)
+
+
+def _is_equal(first: Float32, second: Float32) -> bool:
+    """Return True if values are the same up to the rounding of a half float."""
+    if np.array_equal(first, second):
+        return True
+    with np.errstate(invalid="ignore", over="ignore"):
+        limit = ROUNDING * np.maximum(np.abs(first), np.abs(second)) + LEAST_VALUE
+        alike = np.isfinite(limit) & (np.abs(first - second) <= limit)
+    alike |= (first == second) | (np.isnan(first) & np.isnan(second))
+    return bool(alike.all())
+
+
+def _is_near(first: Float32, second: Float32) -> bool:
+    """Return True if values as a display shows them differ by `CODES` at most."""
+    if np.array_equal(first, second):
+        return True
+    codes = (SRGB.to_code(np.nan_to_num(pixels).clip(0, 1)) for pixels in (first, second))
+    return bool((np.abs(np.subtract(*codes)) <= CODES).all())
+
+
+def around_holds(
+    key: KeyFrame, following: KeyFrame | None, after_hold: bool = False
+) -> tuple[KeyFrame, KeyFrame | None]:
+    """Return the key frames of an interval with the vectors that tell how it moves in between.
+
+    Motion that starts or ends abruptly is no parabola. So where the picture stands on one side of a
+    key frame and moves on the other, its vectors across the interval may count alone:
+
+    - it stands in the interval and moved before, or moves on after it: those across count alone;
+    - it stands before the interval and after it, as on twos: the motion is a straight line;
+    - vectors lead one way alone, and those of one key frame are 0 because of the hold beyond it:
+      those of the other key frame lead it, turned round.
+
+    Parameters
+    ----------
+    key, following
+        With settled motion; `following` is None for causal methods.
+    after_hold
+        True if `key` shows the same picture as the key frame before it.
+
+    Returns
+    -------
+    tuple of KeyFrame
+        The same where nothing stands.
+    """
+    here = key.gbuffer
+    there = None if following is None else following.gbuffer
+    if here is None:
+        return key, following
+    if following is None or there is None:
+        straight = after_hold and _starts(here.to_previous, here.to_next)
+    else:
+        straight = _starts(here.to_previous, here.to_next) and _starts(
+            there.to_next, there.to_previous
+        )
+        if straight or _starts(there.to_previous, there.to_next):
+            following = replace(following, gbuffer=there.without("to_next"))
+        elif _leads_alone(there.to_next, here.to_next, here, there, "to_previous"):
+            following = replace(following, gbuffer=_turned_round(there, here, "to_next"))
+    if straight or _starts(here.to_next, here.to_previous):
+        key = replace(key, gbuffer=here.without("to_previous"))
+    elif there is not None and _leads_alone(
+        here.to_previous, there.to_previous, here, there, "to_next"
+    ):
+        key = replace(key, gbuffer=_turned_round(here, there, "to_previous"))
+    return key, following
+
+
+def stands_one_way(to_previous: Float32, to_next: Float32) -> bool:
+    """Return True if estimated vectors stand still to one neighbour and move to the other."""
+    lengths = [
+        float(np.percentile(np.abs(vectors), 100 - OUTLIERS)) for vectors in (to_previous, to_next)
+    ]
+    return min(lengths) <= ESTIMATED_STANDING and max(lengths) >= MOVING
+
+
+def _starts(standing: Float32 | None, moving: Float32 | None) -> bool:
+    """Return True if vectors one way are 0 throughout, and those the other way are not."""
+    if standing is None or moving is None:
+        return False
+    # Some rows first: nearly always they tell.
+    stands = _length(standing[::EXAMINED]) <= STANDING and _length(standing) <= STANDING
+    return stands and _length(moving) >= MOVING
+
+
+def _length(vectors: Float32) -> float:
+    """Return the greatest component of vectors, in pixels; 0 where none is finite."""
+    return float(np.max(np.abs(vectors), where=np.isfinite(vectors), initial=0.0))
+
+
+def _leads_alone(
+    standing: Float32 | None, moving: Float32 | None, here: GBuffer, there: GBuffer, lacking: str
+) -> bool:
+    """Return True if one key frame's vectors are 0, the other's are not, and none lead back."""
+    if getattr(here, lacking) is not None or getattr(there, lacking) is not None:
+        return False
+    return _starts(standing, moving)
+
+
+def _turned_round(gbuffer: GBuffer, other: GBuffer, way: str) -> GBuffer:
+    """Return a geometry with motion from the other key frame's vectors, which lead to it.
+
+    `way` names these: "to_previous" for those of the next key frame, "to_next" for those of the key
+    frame before. What they do not show stands, as its own vectors say.
+    """
+    found = np.nan_to_num(moved_on(other, getattr(other, way)).field, nan=0.0)
+    if way == "to_previous":
+        return replace(gbuffer, to_previous=None, to_next=found)
+    return replace(gbuffer, to_next=None, to_previous=found)
