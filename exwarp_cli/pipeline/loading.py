@@ -225,8 +225,10 @@ class IntervalLoader:
         With `before` it is wanted for the interval before it, not for the one after.
         """
         if self._estimates is not None:
-            began = key == 0 or self.shots.starts_at(key)
-            return self._estimates.moving(key, not began, self._looks_ahead(key), before)
+            # A repeated picture tells nothing of the motion that leads on from it.
+            back = key > 0 and not self.shots.starts_at(key) and not self.shots.repeats(key)
+            ahead = self._looks_ahead(key) and not (before and self.shots.repeats(key + 1))
+            return self._estimates.moving(key, back, ahead, before)
         frame = self._key_frame(key)
         if frame.gbuffer is None:
             return frame

@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 
 from exwarp_cli.domain.frame import Float32, place
-from exwarp_cli.domain.motion import MotionConvention, MotionFinding
+from exwarp_cli.domain.motion import AxisMap, MotionConvention, MotionFinding
 from exwarp_cli.errors import InputError, MotionError
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.frames import RawFrame, Shot, read_raw
@@ -19,12 +19,17 @@ from exwarp_cli.io.producers import PRESETS
 from exwarp_cli.pipeline.early_frames import EarlyFrames, serves
 from exwarp_cli.pipeline.motion_option import motion_names, parse_motion
 from exwarp_cli.pipeline.shots import pairs_within
+from exwarp_cli.pipeline.zero_vectors import zero_vectors_error
 from exwarp_cli.synthesis.calibration import calibrate, looks_like
 from exwarp_cli.synthesis.cuts import is_cut
+from exwarp_cli.synthesis.picture_motion import colour_moves, geometry_moves
 from exwarp_cli.synthesis.sampling import LEAST, Instant, Interval, Sampled, interval, sampled
 
 SPREAD, MOST_MOVING = 16, 3
 """Pairs that are looked through for motion where the first ones hold none, and those measured."""
+
+AROUND_HOLD = (1, -1, 2, -2, 3, -3, 5, -5, 8, -8, 16, -16, 32, -32)
+"""Distances at which another pair is sought in place of one that shows the same picture twice."""
 
 
 @dataclass(frozen=True)
@@ -121,6 +126,9 @@ class _Measuring:
         nothing else moves, so there colour tells.
         """
         layout = self._shot.layout
+        firsts = pairs_within(len(self._numbers), self._parted)
+        if self._hold_zeros(firsts):
+            return self._at_rest(firsts, guess, detect)
         try:
             found = self._beside_cuts(guess, detect, by_colour=False)
         except MotionError:
@@ -130,6 +138,76 @@ class _Measuring:
         if found.source == "untested" and Role.POSITION in layout and Role.COLOUR in layout:
             return self._beside_cuts(guess, detect, by_colour=True)
         return found
+
+    def _hold_zeros(self, firsts: list[int]) -> bool:
+        """Return True if the vectors of all these pairs are 0; the first pair nearly always tells.
+
+        The last of an odd number of channels is a length or an alpha.
+        """
+        used = 2 * (len(self._names) // 2)
+        ends = (self._frame(self._numbers[i + j], False) for i in firsts for j in (0, 1))
+        return bool(firsts) and not any(
+            np.any(one.motion[:, :used]) or np.any(one.moving) for one in ends
+        )
+
+    def _at_rest(
+        self, firsts: list[int], guess: MotionConvention | None, detect: bool
+    ) -> MotionFinding:
+        """Return what is read of vectors that are 0; raises MotionError if the picture moves."""
+        numbers, layout = self._numbers, self._shot.layout
+        frames = ", ".join(f"{numbers[i]}-{numbers[i + 1]}" for i in firsts)
+        if any(self._moves(first, detect) for first in firsts):
+            raise zero_vectors_error(self._names, frames, layout.producer)
+        if moving := self._moving_pairs(firsts, by_colour=False):
+            return self._by(moving, guess, by_colour=False)
+        told = f"the vectors of frames {frames} are 0, and nothing moves there"
+        convention = MotionConvention(AxisMap(0, 1, 1.0, -1.0)) if guess is None else guess
+        return MotionFinding(convention, "untested", told, resting=True)
+
+    def _moves(self, first: int, detect: bool) -> bool:
+        """Return True if the picture of a pair moves; what changes at a cut is no motion."""
+        numbers, layout = self._numbers, self._shot.layout
+        pair = numbers[first], numbers[first + 1]
+        found = geometry_moves(*(self._frame(number, False) for number in pair))
+        if Role.COLOUR not in layout:
+            return found is True
+        if found is None:
+            before, after = (self._frame(number, True).perceived for number in pair)
+            found = before is not None and after is not None and colour_moves(before, after)
+        return found and not (detect and _cut_by_colour(self._shot, numbers, first + 1))
+
+    def _beside_holds(self, firsts: list[int], by_colour: bool) -> list[int]:
+        """Return the pairs, in place of those that show one picture twice others nearby.
+
+        A picture that is repeated tells nothing of its vectors, which are those of the first one.
+        """
+        return sorted({self._beside_hold(first, by_colour) for first in firsts})
+
+    def _beside_hold(self, first: int, by_colour: bool) -> int:
+        if not self._shows_one_picture(first, by_colour):
+            return first
+        for distance in AROUND_HOLD:
+            other = first + distance
+            if not 0 <= other < len(self._numbers) - 1 or self._parted(other + 1):
+                continue
+            if not self._shows_one_picture(other, by_colour):
+                return other
+            if abs(distance) > 1:
+                self._frames.clear()
+        return first
+
+    def _shows_one_picture(self, first: int, by_colour: bool) -> bool:
+        """Return True if both frames of a pair are the same, though their vectors are not at rest.
+
+        Of a pair at rest, others are looked for where all of them are.
+        """
+        before, after = (self._frame(self._numbers[i], by_colour) for i in (first, first + 1))
+        if not (before.moving.any() or after.moving.any()):
+            return False
+        parts = ("position", "depth", "perceived")
+        known = [(getattr(before, part), getattr(after, part)) for part in parts]
+        there = [(a, b) for a, b in known if a is not None and b is not None]
+        return bool(there) and all(np.array_equal(a, b, equal_nan=True) for a, b in there)
 
     def _beside_cuts(
         self, guess: MotionConvention | None, detect: bool, by_colour: bool
@@ -158,9 +236,10 @@ class _Measuring:
         """
         if len(firsts) > 1:
             with suppress(MotionError):
-                found = self._by(firsts[:1], guess, by_colour)
+                found = self._by(self._beside_holds(firsts[:1], by_colour), guess, by_colour)
                 if found.clear:
                     return found
+        firsts = self._beside_holds(firsts, by_colour)
         found = self._by(firsts, guess, by_colour)
         moving = self._moving_pairs(firsts, by_colour) if found.resting else []
         return self._by(moving, guess, by_colour) if moving else found

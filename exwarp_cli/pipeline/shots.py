@@ -12,7 +12,7 @@ from exwarp_cli.domain.frame import Float32, GBuffer, KeyFrame
 from exwarp_cli.pipeline.losses import Losses
 from exwarp_cli.synthesis.cuts import is_cut_between
 from exwarp_cli.synthesis.glance import Glance, glance_at
-from exwarp_cli.synthesis.holds import is_same_picture
+from exwarp_cli.synthesis.holds import SOON, Change, change_between, is_same_picture
 
 LEAP = 0.01
 """Share of the frame's longer side from which a change of speed may come of a cut: 19 pixels of
@@ -65,6 +65,7 @@ class Shots:
         self._leader: Shots | None = None
         self._lossy = lossy
         self._repeats: dict[int, bool] = {}
+        self._changes: dict[int, Change] = {}
         self._followers: list[Shots] = []
 
     def follow(self, leader: Shots) -> None:
@@ -122,8 +123,26 @@ class Shots:
         return self._repeats[key]
 
     def _shows_the_same(self, key: int) -> bool:
+        """Return True if a key frame and the one before it show the same picture."""
         before, after = (self._read(index).image for index in (key - 1, key))
-        return is_same_picture(before, after, self._lossy)
+        if not self._lossy:
+            return is_same_picture(before, after)
+        change = self._changes[key] = change_between(before, after)
+        if change.is_noise() or not change.is_calm():
+            return change.is_noise()
+        for earlier in range(key - 1, max(key - 1 - SOON, 0), -1):
+            if self.starts_at(earlier):
+                return False
+            if not self._change(earlier).is_calm():
+                return change.is_calm_after(self._change(earlier))
+        return False
+
+    def _change(self, key: int) -> Change:
+        """Return the change from the key frame before to one."""
+        if key not in self._changes:
+            before, after = (self._read(index).image for index in (key - 1, key))
+            self._changes[key] = change_between(before, after)
+        return self._changes[key]
 
     def begin(self, key: int, back: int) -> int:
         """Return the first key frame of a shot, or the one so many before: the later of them."""

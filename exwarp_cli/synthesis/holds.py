@@ -7,7 +7,8 @@ say: a copied file holds those of the motion that led to it.
 
 from __future__ import annotations
 
-from dataclasses import replace
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,14 +22,23 @@ ROUNDING = 2.0**-10
 LEAST_VALUE = 2.0**-24
 """The smallest half float: below it no file tells values apart."""
 
-CODES = 2 / 255
-"""Difference of display-encoded values up to which pixels of a lossy video are the same. The limit
-holds for every pixel, so an object with more contrast than that is never held while it moves. A
-repeated picture that x264 wrote at a usual quality differs by 5 to 60 codes somewhere, as much as
-what moves by 0.1 pixels: such pairs are not held, and the motion estimated between them is 0."""
+NOISE = 2.0
+"""Greatest local difference, in codes of 255, up to which two frames of a lossy video are the same
+picture: the mean over 3x3 pixels, so that no small object escapes. What a codec changes of a
+repeated picture and what a slow mover changes look alike: repeats that x264 wrote with crf 18
+differ by 3 codes, with crf 23 by 2 to 6, with crf 30 by 4 to 19, and a disc with a contrast of 60
+codes that moves by 0.1 pixels by 3 to 7. So the limit is below both, where neither is seen."""
 
-EXAMINED = 16
-"""Every so many rows are compared first: most pairs differ there, which costs next to nothing."""
+NOISE_AFTER_MOTION, CALMER = 16.0, 10.0
+"""The same soon after a picture that differs clearly and by so many times as much, on average: then
+it is no slow mover, which changes the picture as much every time."""
+
+SOON = 2
+"""Pairs of frames before, of which one has to hold such motion: enough for shots on threes."""
+
+EXAMINED, BAND = 16, 64
+"""Every so many rows are compared first: most pairs differ there, which costs next to nothing. The
+rest is compared in bands of rows, so that temporaries stay small."""
 
 STANDING, ESTIMATED_STANDING = 0.05, 0.25
 """Pixels: vectors of a renderer, and estimated ones, up to this length stand still."""
@@ -40,31 +50,82 @@ OUTLIERS = 0.5
 """Percent of estimated vectors that are left out, as some always go astray."""
 
 
-def is_same_picture(before: Image, after: Image, lossy: bool = False) -> bool:
-    """Return True if two key frames show the same picture.
+def is_same_picture(before: Image, after: Image) -> bool:
+    """Return True if two key frames show the same picture, but for the rounding of values.
 
-    Parameters
-    ----------
-    before, after
-        Neighbouring key frames.
-    lossy
-        True for the frames of a video, whose codec changes what it repeats: values may differ by
-        `CODES`. Of files with a picture each, values may differ by their rounding alone.
-
-    Returns
-    -------
-    bool
-        The greatest difference of any pixel decides, not the mean: a small object that moves over
-        a still background is no hold. NaN and infinities are equal to themselves.
+    Each pixel must be the same: a small object that moves over a still background is no hold, nor
+    is a still scene whose noise differs. NaN and infinities are equal to themselves.
     """
-    if before.data_window != after.data_window or before.pixels.shape != after.pixels.shape:
+    if not _is_comparable(before, after):
         return False
-    alike = _is_near if lossy else _is_equal
     first, second = before.pixels, after.pixels
-    if not alike(first[::EXAMINED], second[::EXAMINED]):
+    if not _is_equal(first[::EXAMINED], second[::EXAMINED]):
         return False
-    rows = range(0, len(first), 4 * EXAMINED)  # bands, so that temporaries stay small
-    return all(alike(first[y : y + rows.step], second[y : y + rows.step]) for y in rows)
+    bands = (slice(y, y + BAND) for y in range(0, len(first), BAND))
+    return all(_is_equal(first[band], second[band]) for band in bands)
+
+
+@dataclass(frozen=True)
+class Change:
+    """By how much two frames of a video differ, in codes of 255 as a display shows them.
+
+    Attributes
+    ----------
+    mean
+        Over some rows.
+    local
+        The greatest mean over 3x3 pixels; infinite where some rows tell that it is large.
+    """
+
+    mean: float
+    local: float
+
+    def is_noise(self) -> bool:
+        """Return True if a codec explains the change, whatever was before."""
+        return self.local <= NOISE
+
+    def is_calm(self) -> bool:
+        """Return True if a codec may explain the change, if there was motion before."""
+        return self.local <= NOISE_AFTER_MOTION
+
+    def is_calm_after(self, earlier: Change) -> bool:
+        """Return True if a codec explains the change, as the earlier one was motion."""
+        moved = math.isinf(earlier.local) and earlier.mean >= CALMER * self.mean
+        return moved and self.is_calm()
+
+
+def change_between(before: Image, after: Image) -> Change:
+    """Compare two neighbouring frames of a lossy video, whose codec changes what it repeats."""
+    if not _is_comparable(before, after):
+        return Change(math.inf, math.inf)
+    first, second = before.pixels, after.pixels
+    some = _differences(first[::EXAMINED], second[::EXAMINED])
+    mean = float(some.mean())
+    # A row alone has a third of the 3x3 pixels around it.
+    if _local(some, rows=1) > 3 * NOISE_AFTER_MOTION:
+        return Change(mean, math.inf)
+    bands = (slice(max(0, y - 2), y + BAND) for y in range(0, len(first), BAND))
+    return Change(mean, max(_local(_differences(first[b], second[b])) for b in bands))
+
+
+def _is_comparable(before: Image, after: Image) -> bool:
+    return before.data_window == after.data_window and before.pixels.shape == after.pixels.shape
+
+
+def _differences(first: Float32, second: Float32) -> Float32:
+    """Return the greatest difference of a channel, in codes, float32 [H, W]."""
+    codes = [SRGB.to_code(np.nan_to_num(pixels).clip(0, 1)) for pixels in (first, second)]
+    found: Float32 = 255 * np.abs(codes[0] - codes[1]).max(axis=-1)
+    return found
+
+
+def _local(differences: Float32, rows: int = 3) -> float:
+    """Return the greatest mean over 3 columns and so many rows, or over fewer at small frames."""
+    sums = differences
+    for axis, size in ((0, min(rows, differences.shape[0])), (1, min(3, differences.shape[1]))):
+        ends = differences.shape[axis] - size + 1
+        sums = sum(np.take(sums, range(i, i + ends), axis) for i in range(size)) / size
+    return float(sums.max())
 
 
 def _is_equal(first: Float32, second: Float32) -> bool:
@@ -76,14 +137,6 @@ def _is_equal(first: Float32, second: Float32) -> bool:
         alike = np.isfinite(limit) & (np.abs(first - second) <= limit)
     alike |= (first == second) | (np.isnan(first) & np.isnan(second))
     return bool(alike.all())
-
-
-def _is_near(first: Float32, second: Float32) -> bool:
-    """Return True if values as a display shows them differ by `CODES` at most."""
-    if np.array_equal(first, second):
-        return True
-    codes = (SRGB.to_code(np.nan_to_num(pixels).clip(0, 1)) for pixels in (first, second))
-    return bool((np.abs(np.subtract(*codes)) <= CODES).all())
 
 
 def around_holds(
