@@ -32,8 +32,8 @@ def flickering(colour: np.ndarray, time: float) -> np.ndarray:
 def shadowed(colour: np.ndarray, time: float) -> np.ndarray:
     """A soft shadow wanders over the picture."""
     y, x = np.mgrid[: colour.shape[0], : colour.shape[1]]
-    far = np.hypot(x - 20 - 9 * time, y - 30)
-    shade = np.where(far < 14, 0.25, np.clip(0.25 + (far - 14) / 6, 0.25, 1))[..., None]
+    far = np.hypot(x - 30 - 5 * time, y - 30)
+    shade = np.clip(0.25 + (far - 8) / 4, 0.25, 1)[..., None]
     return np.concatenate([colour[..., :3] * shade, colour[..., 3:]], axis=-1)
 
 
@@ -102,4 +102,4 @@ def test_a_cut_between_still_shots_is_no_motion(upsample, tmp_path):
 def test_another_program_is_told_its_own_setting(exwarp, tmp_path):
     keys = frames(tmp_path / "keys", MOVING, steady, ("depth",), motion="forward")
     result = exwarp("upsample", keys, "-o", tmp_path / "out", "-m", "s6", "--progress", "none")
-    result.refused(4, "the motion channels", "forward", "switch it off in the renderer's settings")
+    result.refused(4, "the motion channels u, v", "switch it off in the renderer's settings")
