@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from exwarp_cli.domain.metric import METRICS
@@ -34,14 +35,7 @@ def summary_lines(
             f"{frames['resumed']} kept of an earlier run, {frames['made']} made, "
             f"{frames['replaced']} replaced"
         )
-    if document["cuts"]:
-        from exwarp_cli.report.page_parts import cuts_line
-
-        lines.append(cuts_line(document["cuts"]))
-    if document["held"]:
-        from exwarp_cli.report.page_parts import held_line
-
-        lines.append(held_line(document["held"]))
+    lines.extend(_lines_of_lists(document, ("cuts", "held")))
     taken = {name: count for name, count in document["decisions"]["paths"].items() if count}
     if taken:
         listed = ", ".join(f"{name} {count}" for name, count in taken.items())
@@ -54,19 +48,27 @@ def summary_lines(
     compared = bool(quality["frames"]) if scored is None else scored
     if compared and frames["written"] > frames["key"]:
         lines.append(f"against ground truth{_scores(quality)}")
-    if document["left_out"]:
-        from exwarp_cli.report.page_parts import left_out_line
-
-        lines.append(left_out_line(document["left_out"]))
-    if document["nonfinite"]:
-        from exwarp_cli.report.page_parts import nonfinite_line
-
-        lines.append(nonfinite_line(document["nonfinite"]))
+    lines.extend(_lines_of_lists(document, ("left_out", "nonfinite")))
     if document["verified"] is not None:
         lines.append(f"{counted(document['verified'], 'file')} read back, all as written")
     if document["render_time"] is not None:
         lines.append(_saved(document["render_time"]))
     return lines
+
+
+def _lines_of_lists(document: dict[str, Any], keys: tuple[str, ...]) -> Iterator[str]:
+    """Yield a line for each of a report's lists that is not empty."""
+    from exwarp_cli.report.page_parts import cuts_line, held_line, left_out_line, nonfinite_line
+
+    lines: dict[str, Callable[[list[Any]], str]] = {
+        "cuts": cuts_line,
+        "held": held_line,
+        "left_out": left_out_line,
+        "nonfinite": nonfinite_line,
+    }
+    for key in keys:
+        if document[key]:
+            yield lines[key](document[key])
 
 
 def _scores(quality: dict[str, Any]) -> str:

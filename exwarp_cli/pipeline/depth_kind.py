@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from exwarp_cli.io.frames import read_planes, read_raw
 from exwarp_cli.io.shot import Shot
 from exwarp_cli.io.soundness import first_of
 from exwarp_cli.pipeline.early_frames import EarlyFrames
-from exwarp_cli.pipeline.shots import pairs_within
+from exwarp_cli.pipeline.shots import pair_beside_hold, pairs_within
 from exwarp_cli.synthesis.depth_order import OrderVotes, camera_end, occlusion_votes
 
 ENOUGH, AGREE = 200, 0.75
@@ -106,13 +107,23 @@ def with_depth_ordered(
     if Role.DEPTH not in shot.layout:
         return shot
     numbers = shot.sequence.numbers
-    pairs = [
-        (numbers[i], numbers[i + 1])
-        for i in pairs_within(len(numbers), lambda i: numbers[i] in starts)
-    ]
+
+    def parted(index: int) -> bool:
+        return numbers[index] in starts
+
+    @lru_cache(maxsize=1)  # a pair is looked at twice in a row
+    def ways(first: int) -> list[tuple[Float32, Float32, Float32]]:
+        return list(_ways(shot, (numbers[first], numbers[first + 1]), convention, early))
+
+    def is_hold(first: int) -> bool:
+        return any(
+            np.any(motion) and np.array_equal(here, there, equal_nan=True)
+            for here, there, motion in ways(first)
+        )
+
     votes, ends = OrderVotes(), []
-    for pair in pairs:
-        for here, there, motion in _ways(shot, pair, convention, early):
+    for first in pairs_within(len(numbers), parted):
+        for here, there, motion in ways(pair_beside_hold(first, len(numbers), parted, is_hold)):
             votes += occlusion_votes(here, there, motion)
             ends.append((here, motion))
         if votes.count >= ENOUGH and votes.small_share >= AGREE:

@@ -18,7 +18,7 @@ from exwarp_cli.io.frames import RawFrame, Shot, read_raw
 from exwarp_cli.io.producers import PRESETS
 from exwarp_cli.pipeline.early_frames import EarlyFrames, serves
 from exwarp_cli.pipeline.motion_option import motion_names, parse_motion
-from exwarp_cli.pipeline.shots import pairs_within
+from exwarp_cli.pipeline.shots import pair_beside_hold, pairs_within
 from exwarp_cli.pipeline.zero_vectors import zero_vectors_error
 from exwarp_cli.synthesis.calibration import calibrate, looks_like
 from exwarp_cli.synthesis.cuts import is_cut
@@ -27,9 +27,6 @@ from exwarp_cli.synthesis.sampling import LEAST, Instant, Interval, Sampled, int
 
 SPREAD, MOST_MOVING = 16, 3
 """Pairs that are looked through for motion where the first ones hold none, and those measured."""
-
-AROUND_HOLD = (1, -1, 2, -2, 3, -3, 5, -5, 8, -8, 16, -16, 32, -32)
-"""Distances at which another pair is sought in place of one that shows the same picture twice."""
 
 
 @dataclass(frozen=True)
@@ -177,24 +174,16 @@ class _Measuring:
         return found and not (detect and _cut_by_colour(self._shot, numbers, first + 1))
 
     def _beside_holds(self, firsts: list[int], by_colour: bool) -> list[int]:
-        """Return the pairs, in place of those that show one picture twice others nearby.
-
-        A picture that is repeated tells nothing of its vectors, which are those of the first one.
-        """
+        """Return the pairs, in place of those that show one picture twice others nearby."""
         return sorted({self._beside_hold(first, by_colour) for first in firsts})
 
     def _beside_hold(self, first: int, by_colour: bool) -> int:
-        if not self._shows_one_picture(first, by_colour):
-            return first
-        for distance in AROUND_HOLD:
-            other = first + distance
-            if not 0 <= other < len(self._numbers) - 1 or self._parted(other + 1):
-                continue
-            if not self._shows_one_picture(other, by_colour):
-                return other
-            if abs(distance) > 1:
-                self._frames.clear()
-        return first
+        def is_hold(index: int) -> bool:
+            if abs(index - first) > 1:
+                self._frames.clear()  # so that few are in memory
+            return self._shows_one_picture(index, by_colour)
+
+        return pair_beside_hold(first, len(self._numbers), self._parted, is_hold)
 
     def _shows_one_picture(self, first: int, by_colour: bool) -> bool:
         """Return True if both frames of a pair are the same, though their vectors are not at rest.

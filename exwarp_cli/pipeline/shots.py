@@ -19,6 +19,9 @@ LEAP = 0.01
 1920. Cameras that change so much within a key interval are rare, and what leads across a cut leads
 to another camera, mostly by a good part of the frame."""
 
+AROUND_HOLD = (1, -1, 2, -2, 3, -3, 5, -5, 8, -8, 16, -16, 32, -32)
+"""Distances at which another pair is sought in place of one that shows the same picture twice."""
+
 
 class Shots:
     """Tells where shots begin, of every pair of key frames from those two alone.
@@ -260,6 +263,33 @@ class _Leap:
 def _length(vectors: Float32) -> float:
     """Median length of vectors [N, 2]."""
     return float(np.median(np.linalg.norm(vectors, axis=-1)))
+
+
+def pair_beside_hold(
+    first: int, count: int, parted: Callable[[int], bool], is_hold: Callable[[int], bool]
+) -> int:
+    """Return the first frame of a pair nearby that does not show one picture twice.
+
+    A picture that is repeated tells nothing of its vectors, which are those of the first one.
+
+    Parameters
+    ----------
+    first
+        The pair that is wanted: it and the frame after it. Returned if none nearby is better.
+    count
+        Of all frames.
+    parted
+        Called with the index of a frame; True if it does not belong to the frame before it.
+    is_hold
+        Called with the first frame of a pair; True if both frames show the same picture.
+    """
+    if not is_hold(first):
+        return first
+    for distance in AROUND_HOLD:
+        other = first + distance
+        if 0 <= other < count - 1 and not parted(other + 1) and not is_hold(other):
+            return other
+    return first
 
 
 def pairs_within(count: int, is_cut: Callable[[int], bool]) -> list[int]:

@@ -150,9 +150,8 @@ def test_held_frames_are_said_and_no_new_frames(exwarp, copies, tmp_path):
     assert "held after key frames 1-5x2,6, which the next key frame repeats" in result.out
     document = json.loads((report / "report.json").read_text())
     assert document["held"] == [1, 3, 5, 6]
-    assert document["frames"] | {"resumed": 0} == {
-        "key": 6, "written": 24, "generated": 6, "dropped": 12, "resumed": 0,
-    }  # fmt: skip
+    counts = document["frames"]
+    assert (counts["key"], counts["generated"], counts["dropped"]) == (6, 6, 12)
     assert document["fps"]["effective"] == 30 * (1 + 6 / 6)
     assert document["decisions"]["paths"]["S6"] == 2
     assert "held after key frames 1-5x2,6" in (report / "report.html").read_text()
@@ -175,7 +174,9 @@ def test_any_number_of_threads_gives_the_same_bytes(made, copies):
 def test_resuming_makes_again_what_is_no_hold_any_more(made, copies, tmp_path):
     keys = Path(shutil.copytree(copies, tmp_path / "keys"))
     out = made(keys, "s6", *VECTORS)
-    shots.blender4(keys / "shot.0004.exr", SMALL, 1.5)
+    _, planes = shots.read(keys / "shot.0004.exr")
+    darker = {k: v * np.float16(0.9) if "Combined" in k else v for k, v in planes.items()}
+    shots.write(keys / "shot.0004.exr", {"": darker})
     renewed = shots.changed_by(lambda: made(keys, "s6", *VECTORS, "--skip-existing"), out)
     assert shots.generated(3) <= renewed
     assert not renewed & shots.generated(1, 5, 6)
