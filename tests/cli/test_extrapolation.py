@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from exwarp_cli.io.channels import Role
-from exwarp_cli.pipeline import loading
+from exwarp_cli.pipeline import loading, motion_finding
 from tests.blender_layers import Planes, layer
 from tests.cli import shots
 from tests.cli.shots import FORWARD, KEYS, SMALL, VECTORS
@@ -280,18 +280,23 @@ class TestHistory:
 
     @pytest.mark.parametrize(("setting", "each"), [("key", 1), ("slot", 2)])
     def test_every_file_is_read_once(self, make, monkeypatch, setting, each):
-        seen: Counter[Path] = Counter()
+        """By the run; what vectors were measured by is handed on, or read for that alone."""
+        seen: dict[Any, Counter[Path]] = {loading: Counter(), motion_finding: Counter()}
         true = loading.read_raw
 
-        def read_raw(given: Any, number: int, *rest: Any, **more: Any) -> Any:
-            seen[given.sequence.files[number]] += 1
-            return true(given, number, *rest, **more)
+        def count(module: Any) -> Callable[..., Any]:
+            def read_raw(given: Any, number: int, *rest: Any, **more: Any) -> Any:
+                seen[module][given.sequence.files[number]] += 1
+                return true(given, number, *rest, **more)
 
-        monkeypatch.setattr(loading, "read_raw", read_raw)
+            return read_raw
+
+        for module in seen:
+            monkeypatch.setattr(module, "read_raw", count(module))
         make("out", "s3", setting=setting)
-        assert set(seen.values()) == {1}
+        assert set(seen[loading].values()) == {1}
         slots = 4 * KEYS - 3 if setting == "slot" else 0
-        assert len(seen) == KEYS + slots
+        assert len(set(seen[loading]) | set(seen[motion_finding])) == KEYS + slots
 
     def test_methods_that_do_not_extrapolate_read_what_they_always_did(
         self, upsample, monkeypatch, tmp_path
@@ -303,7 +308,8 @@ class TestHistory:
             asked.add(roles)
             return true(given, number, roles, **more)
 
-        monkeypatch.setattr(loading, "read_raw", read_raw)
+        for module in (loading, motion_finding):
+            monkeypatch.setattr(module, "read_raw", read_raw)
         keys = shots.sequence(tmp_path / "keys", shots.blender4, (1, 2), SMALL)
         upsample(keys, tmp_path / "out", "-m", "s6", *VECTORS)
         geometry = (Role.DEPTH, Role.POSITION, Role.STENCIL, Role.MOTION)
