@@ -48,9 +48,13 @@ class Painter:
 
 @functools.cache
 def key(index: int) -> KeyFrame:
+    """Return a key frame with dots: new frames stay between what lies around each place."""
     frame = town().view(float(index)).key(1001 + index)
     assert frame.gbuffer is not None
-    return replace(frame, gbuffer=settle_motion(frame.gbuffer))
+    pixels = frame.image.pixels.copy()
+    pixels[::2, ::2], pixels[1::2, 1::2] = 0, 20
+    image = replace(frame.image, pixels=pixels)
+    return replace(frame, image=image, gbuffer=settle_motion(frame.gbuffer))
 
 
 def interval(older: int = 2) -> Interval:
