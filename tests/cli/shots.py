@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import re
 import struct
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from fractions import Fraction
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 import OpenEXR
+import pytest
 
 from tests.blender_layers import (
     FLOAT,
@@ -193,6 +196,19 @@ def names(folder: Path) -> list[str]:
 def contents(folder: Path) -> dict[str, bytes]:
     """Bytes of every file of a folder, by name."""
     return {name: (folder / name).read_bytes() for name in names(folder)}
+
+
+def reads_of(monkeypatch: pytest.MonkeyPatch, module: ModuleType) -> Counter[Path]:
+    """Return how often a module reads each frame's file, counted from now on."""
+    reads: Counter[Path] = Counter()
+    true = module.read_raw
+
+    def read_raw(shot: Any, number: int, *rest: Any, **more: Any) -> Any:
+        reads[shot.sequence.files[number]] += 1
+        return true(shot, number, *rest, **more)
+
+    monkeypatch.setattr(module, "read_raw", read_raw)
+    return reads
 
 
 def passed_through(source: Path, rate: Fraction | int) -> bytes:

@@ -168,7 +168,7 @@ class TestSequences:
 
     def test_no_colour_at_all(self, exwarp, tmp_path):
         shots.sequence(tmp_path / "keys", shots.slot_gbuffer)
-        self.refused(exwarp, tmp_path, tmp_path / "keys", "colour", "inspect")
+        self.refused(exwarp, tmp_path, tmp_path / "keys", "no colour", "Vector.X", "channel map")
 
     def test_ground_truth_of_another_size(self, keys, exwarp, tmp_path):
         truth = shots.truth(tmp_path / "truth", street=TINY)

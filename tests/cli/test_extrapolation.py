@@ -9,7 +9,6 @@ import os
 import shutil
 import subprocess
 import sys
-from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -281,22 +280,13 @@ class TestHistory:
     @pytest.mark.parametrize(("setting", "each"), [("key", 1), ("slot", 2)])
     def test_every_file_is_read_once(self, make, monkeypatch, setting, each):
         """By the run; what vectors were measured by is handed on, or read for that alone."""
-        seen: dict[Any, Counter[Path]] = {loading: Counter(), motion_finding: Counter()}
-        true = loading.read_raw
-
-        def count(module: Any) -> Callable[..., Any]:
-            def read_raw(given: Any, number: int, *rest: Any, **more: Any) -> Any:
-                seen[module][given.sequence.files[number]] += 1
-                return true(given, number, *rest, **more)
-
-            return read_raw
-
-        for module in seen:
-            monkeypatch.setattr(module, "read_raw", count(module))
+        by_run, by_measuring = (
+            shots.reads_of(monkeypatch, module) for module in (loading, motion_finding)
+        )
         make("out", "s3", setting=setting)
-        assert set(seen[loading].values()) == {1}
+        assert set(by_run.values()) == {1}
         slots = 4 * KEYS - 3 if setting == "slot" else 0
-        assert len(set(seen[loading]) | set(seen[motion_finding])) == KEYS + slots
+        assert len({*by_run, *by_measuring}) == KEYS + slots
 
     def test_methods_that_do_not_extrapolate_read_what_they_always_did(
         self, upsample, monkeypatch, tmp_path

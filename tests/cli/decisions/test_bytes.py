@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from exwarp_cli.io.channels import Role
-from exwarp_cli.pipeline import late_frames, loading
+from exwarp_cli.pipeline import late_frames, loading, motion_finding
 from tests.cli import shots
 from tests.cli.decisions.conftest import KEYS, SETTINGS, STREET, Done, take, write_shots
 from tests.cli.decisions.windows import moving_shots, parted
-from tests.cli.shots import changed_by, generated, read
+from tests.cli.shots import changed_by, generated, read, reads_of
 from tests.reference.decisions import PATHS
 
 HEADS = (
@@ -109,16 +109,11 @@ class TestChunks:
 
     @pytest.mark.parametrize(("setting", "files"), [("key", KEYS), ("slot", 5 * KEYS - 3)])
     def test_every_file_is_read_once(self, make, monkeypatch, setting, files):
-        seen: list[Path] = []
-        true = loading.read_raw
-
-        def read_raw(given: Any, number: int, *rest: Any, **more: Any) -> Any:
-            seen.append(given.sequence.files[number])
-            return true(given, number, *rest, **more)
-
-        monkeypatch.setattr(loading, "read_raw", read_raw)
+        """By the run; what vectors were measured by is handed on, or read for that alone."""
+        by_run, by_measuring = reads_of(monkeypatch, loading), reads_of(monkeypatch, motion_finding)
         make("out", setting=setting)
-        assert len(seen) == len(set(seen)) == files
+        assert set(by_run.values()) == {1}
+        assert len({*by_run, *by_measuring}) == files
 
     @pytest.mark.parametrize("policy", ["warp", "S3", "watching"])
     def test_what_only_extrapolation_wants_is_read_where_it_is_made(
