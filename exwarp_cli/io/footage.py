@@ -17,6 +17,7 @@ from exwarp_cli.domain.curves import SRGB
 from exwarp_cli.domain.frame import Image, Window
 from exwarp_cli.errors import LayoutError
 from exwarp_cli.io.channels import ChannelRef, Layout, Role
+from exwarp_cli.io.chromaticities import primaries_of
 from exwarp_cli.io.clip import Clip, ClipReader, is_clip, open_clip
 from exwarp_cli.io.exr import ExrReader
 from exwarp_cli.io.frame_files import FrameTemplate, read_picture
@@ -27,8 +28,8 @@ from exwarp_cli.io.sequence import EXR, Sequence, find_sequence
 from exwarp_cli.io.shot import Shot
 from exwarp_cli.io.soundness import first_of
 from exwarp_cli.io.stills import STILLS, StillTemplate, read_still_template, still_size
-from exwarp_cli.io.template import PartTemplate, PlaneTemplate, Template
-from exwarp_cli.io.video import VideoLook
+from exwarp_cli.io.template import PartTemplate, PlaneTemplate, Template, read_headers
+from exwarp_cli.io.video import VideoLook, pixel_aspect
 
 CLIP_PADDING = 4
 """Digits of the numbers that a clip's frames get as files; they count from 1."""
@@ -259,21 +260,26 @@ def own_rate(sequence: Sequence) -> Fraction | None:
     return sequence.frames.clip.rate if isinstance(sequence, ClipSequence) else None
 
 
-def look_of(sequence: Sequence, begin: Fraction, end: Fraction | None, note: str) -> VideoLook:
+def look_of(shot: Shot, begin: Fraction, end: Fraction | None, note: str) -> VideoLook:
     """Return what a video made of a sequence is like.
 
     Parameters
     ----------
-    sequence
-        The input.
+    shot
+        The input. What an EXR header says of colour and pixels is read in its first frame.
     begin, end
         The part of its sound that goes along, in frames of the input from the first; to the end of
         all for None, and none where it is empty.
     note
         See `VideoLook`.
     """
-    if not isinstance(sequence, ClipSequence):
+    sequence = shot.sequence
+    if is_plain(sequence) and not isinstance(sequence, ClipSequence):
         return VideoLook(note=note)
+    if not isinstance(sequence, ClipSequence):
+        header = read_headers(sequence.files[shot.first])[0]
+        aspect = pixel_aspect(header.get("pixelAspectRatio"))
+        return VideoLook(pixel_aspect=aspect, note=note, primaries=primaries_of(header))
     clip = sequence.frames.clip
     sound = None if end is not None and end <= begin else clip.sound(begin, end)
     return replace(clip.look, sound=sound, note=note)

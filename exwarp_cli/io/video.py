@@ -17,6 +17,7 @@ from exwarp_cli.domain.curves import SRGB
 from exwarp_cli.domain.frame import Float32, UInt8
 from exwarp_cli.errors import OutputError, UsageError
 from exwarp_cli.io.atomic import atomic_path
+from exwarp_cli.io.chromaticities import Primaries
 from exwarp_cli.io.ffmpeg import EXACT, RAW_INPUT, Feed, FfmpegError, even, told
 
 UInt16 = npt.NDArray[np.uint16]
@@ -26,6 +27,9 @@ CONTAINERS = {".mp4": "mp4", ".mov": "mov"}
 
 QUALITY_CRF = 16
 """Constant rate factor of libx264, 0 to 51: 16 cannot be told from the frames by eye."""
+
+WIDEST = 255
+"""Largest width of a pixel by its height that a video is labelled with, and its inverse."""
 
 MATRICES = {
     "bt709": "bt709",
@@ -108,12 +112,27 @@ class VideoLook:
         None for a silent video.
     note
         What the video was made of, kept as its comment; see `video_note`.
+    primaries
+        Those of the frames that it shows; None for Rec. 709.
     """
 
     colour: VideoColour = VideoColour()
     pixel_aspect: Fraction = Fraction(1)
     sound: Soundtrack | None = None
     note: str = ""
+    primaries: Primaries | None = None
+
+    def display(self, pixels: Float32) -> Float32:
+        """Return scene-linear colour [H, W, 3 or more] with the primaries of a display."""
+        return pixels if self.primaries is None else self.primaries.converted(pixels)
+
+
+def pixel_aspect(ratio: object) -> Fraction:
+    """Read a header's width of a pixel by its height; 1 for what no pixel can have."""
+    if not isinstance(ratio, (int, float)) or not 1 / WIDEST <= ratio <= WIDEST:
+        return Fraction(1)
+    # A float32 of 16/15 is no exact fraction; videos hold one of small numbers.
+    return Fraction(ratio).limit_denominator(WIDEST)
 
 
 def to_display(pixels: Float32, exposure_stops: float = 0.0) -> UInt8:

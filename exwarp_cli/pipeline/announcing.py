@@ -24,6 +24,7 @@ from exwarp_cli.io.layouts import alpha_left_out
 from exwarp_cli.pipeline.contents import Content, files_apart
 from exwarp_cli.pipeline.finding import OtherRate
 from exwarp_cli.pipeline.opening import step_note
+from exwarp_cli.pipeline.without_vectors import video_look
 
 if TYPE_CHECKING:
     from exwarp_cli.io.interpolator import OnnxInterpolator
@@ -216,6 +217,15 @@ def announce_truth(progress: Progress, truth: Sequence, frame_of: FrameOf, sourc
         progress.message(
             f"--ground-truth has {len(truth.numbers)} frames, and the whole output {count}; scores "
             f"only hold if it is at {float(source.output_fps):g} fps, too"
+        )
+
+
+def announce_video(progress: Progress, source: Source, keys: tuple[int, ...]) -> None:
+    """Say that a video's colour is not the frames' own."""
+    primaries = video_look(source, keys).primaries
+    if primaries is not None:
+        progress.message(
+            f"the video is converted from {primaries.name}, as the header says, to Rec. 709"
         )
 
 

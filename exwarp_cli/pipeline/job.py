@@ -17,6 +17,7 @@ from exwarp_cli.pipeline.announcing import (
     announce_contents,
     announce_models,
     announce_truth,
+    announce_video,
     input_summary,
 )
 from exwarp_cli.pipeline.contents import Content, contents_of
@@ -155,6 +156,8 @@ class Job:
             progress.message(note)
         if self.truth is not None:
             announce_truth(progress, *self.truth, self.source)
+        if self.targets.video is not None:
+            announce_video(progress, self.source, self.keys)
         announce_contents(progress, self.contents)
         announce_models(progress, self.models, self.source)
 

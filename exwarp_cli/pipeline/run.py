@@ -331,8 +331,10 @@ class Run:
             truth = loaded.truth.get(record.slot)
             self.watcher.frame(
                 record.number,
-                image.on(self.source.keys.display).pixels,
-                None if truth is None else truth.on(truth.display_window).pixels,
+                self.sink.displayed(image.on(self.source.keys.display).pixels),
+                None
+                if truth is None
+                else self.sink.displayed(truth.on(truth.display_window).pixels),
                 made.mask,
                 is_key=is_key,
             )

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from exwarp_cli.domain import cores
-from exwarp_cli.domain.frame import Bool, Image, Window
+from exwarp_cli.domain.frame import Bool, Float32, Image, Window
 from exwarp_cli.domain.frame_rates import OutputRate
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.io.atomic import is_there
@@ -71,7 +71,7 @@ class Sink(Held):
         self._key_rate = None if settings.keep_bytes else rate.written
         self._view = view
         self._behind = behind
-        self._look = look
+        self._look = look or VideoLook()
         self._wants_sums = sums
         self._video: VideoWriter | None = None
         self._shown: np.ndarray | None = None  # last, by the video
@@ -205,10 +205,14 @@ class Sink(Held):
     def show(self, image: Image) -> None:
         """Append a frame to the video, if there is one."""
         if self._video is not None:
-            pixels = image.on(self._display).pixels
+            pixels = self.displayed(image.on(self._display).pixels)
             code = to_display(pixels, self._settings.exposure)
             self._video.write(code)
             self._shown = code if self._settings.source.keep_going else None
+
+    def displayed(self, pixels: Float32) -> Float32:
+        """Return scene-linear colour [H, W, 3 or more] with the primaries of a display."""
+        return self._look.display(pixels)
 
     def show_again(self) -> None:
         """Append the last frame to the video again, so that sound stays in step; else a black one.

@@ -104,7 +104,7 @@ def video_look(source: Source, keys: tuple[int, ...], note: str = "") -> VideoLo
         end = None
     if last - first + 1 != len(keys) or source.fps != own_rate(source.keys.sequence):
         end = begin
-    return look_of(source.keys.sequence, begin, end, note)
+    return look_of(source.keys, begin, end, note)
 
 
 def note_of(recipes: Recipes, settings: UpsampleSettings, keys: tuple[int, ...]) -> str:
@@ -128,6 +128,9 @@ def note_of(recipes: Recipes, settings: UpsampleSettings, keys: tuple[int, ...])
         "tail": settings.source.tail,
         "cuts": repr(source.cuts),
     }
+    look = video_look(source, keys)
+    if look.pixel_aspect != 1 or look.primaries is not None:
+        found["look"] = [str(look.pixel_aspect), repr(look.primaries)]
     digest = hashlib.sha256(json.dumps(found, sort_keys=True).encode()).hexdigest()
     return f"{BY_EXWARP} {digest}"
 

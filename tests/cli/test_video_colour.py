@@ -1,0 +1,123 @@
+"""A video of rendered frames shows the colours and the pixels that their headers describe."""
+
+import base64
+import io
+import re
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from exwarp_cli.io.clip import open_clip
+from tests.blender_layers import HALF, layer
+from tests.cli import shots
+from tests.unit.test_video import decode
+
+WIDTH, HEIGHT = 48, 32
+
+ACESCG = (0.713, 0.293, 0.165, 0.830, 0.128, 0.044, 0.32168, 0.33767)
+REC709_TO_ACESCG = [  # as OpenColorIO's built-in transforms have it
+    [0.61309740, 0.33952315, 0.04737945],
+    [0.07019372, 0.91635388, 0.01345240],
+    [0.02061559, 0.10956977, 0.86981463],
+]
+SHOWN = (0.6, 0.1, 0.05)
+"""Scene-linear, Rec. 709."""
+
+
+def code(linear: float) -> int:
+    """The sRGB code of a value above the curve's toe (IEC 61966-2-1)."""
+    return round(255 * (1.055 * linear ** (1 / 2.4) - 0.055))
+
+
+def flat(folder: Path, colour: Any, **attributes: Any) -> Path:
+    """Write three frames of one colour."""
+    image = np.broadcast_to(np.append(colour, 1.0), (HEIGHT, WIDTH, 4))
+    plain = {k: v for k, v in shots.HEADER.items() if k != "chromaticities"}
+    for number in (1, 2, 3):
+        path = folder / f"s.{number:04d}.exr"
+        shots.write(path, {"": layer("", "RGBA", image, HALF)}, plain | attributes)
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("colour", "attributes"),
+    [
+        (SHOWN, {}),
+        (SHOWN, {"chromaticities": shots.HEADER["chromaticities"]}),
+        (np.array(REC709_TO_ACESCG) @ SHOWN, {"chromaticities": ACESCG}),
+    ],
+    ids=["none", "rec709", "acescg"],
+)
+def test_primaries_of_the_header_are_converted(upsample, tmp_path, colour, attributes):
+    keys, video = flat(tmp_path / "keys", colour, **attributes), tmp_path / "a.mp4"
+    upsample(keys, tmp_path / "out", "-m", "hold", "--video", video)
+    expected = [code(value) for value in SHOWN]
+    assert np.abs(decode(video, WIDTH, HEIGHT) - np.array(expected, float)).max() <= 3
+
+
+def test_grey_stays_grey(upsample, tmp_path):
+    video = tmp_path / "a.mp4"
+    keys = flat(tmp_path / "keys", [0.2] * 3, chromaticities=ACESCG)
+    upsample(keys, tmp_path / "out", "-m", "hold", "--video", video)
+    assert np.abs(decode(video, WIDTH, HEIGHT) - float(code(0.2))).max() <= 1
+
+
+def test_an_adopted_neutral_becomes_grey(upsample, tmp_path):
+    """Light of that chromaticity, here the white of D50, is white on the display."""
+    x, y = 0.3457, 0.3585
+    to_xyz = np.array(  # of Rec. 709, as IEC 61966-2-1 prints it
+        [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
+    )
+    colour = 0.2 * np.linalg.inv(to_xyz) @ [x / y, 1.0, (1 - x - y) / y]
+    rec709 = shots.HEADER["chromaticities"]
+    keys = flat(tmp_path / "keys", colour, chromaticities=rec709, adoptedNeutral=(x, y))
+    upsample(keys, tmp_path / "out", "-m", "hold", "--video", tmp_path / "a.mp4")
+    assert np.abs(decode(tmp_path / "a.mp4", WIDTH, HEIGHT) - float(code(0.2))).max() <= 2
+
+
+def test_it_is_said_and_only_of_a_video(exwarp, tmp_path):
+    keys = flat(tmp_path / "keys", SHOWN, chromaticities=ACESCG)
+    options = ("--progress", "plain", "-m", "hold", "--threads", 1)
+    video = exwarp("upsample", keys, "-o", tmp_path / "a.mp4", *options)
+    frames = exwarp("upsample", keys, "-o", tmp_path / "out", *options)
+    assert video.code == frames.code == 0
+    assert "the video is converted from ACEScg, as the header says, to Rec. 709" in video.err
+    assert "converted" not in frames.err
+
+
+@pytest.mark.parametrize(
+    "chromaticities",
+    [(0.64, 0.0, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329), (0.3,) * 8, (float("nan"),) * 8],
+    ids=["y is 0", "one colour", "nan"],
+)
+def test_chromaticities_that_no_colours_have_do_not_matter(upsample, tmp_path, chromaticities):
+    keys = flat(tmp_path / "keys", SHOWN, chromaticities=chromaticities)
+    upsample(keys, tmp_path / "out", "-m", "hold", "--video", tmp_path / "a.mp4")
+    expected = [code(value) for value in SHOWN]
+    shown = decode(tmp_path / "a.mp4", WIDTH, HEIGHT)
+    assert np.abs(shown - np.array(expected, float)).max() <= 3
+
+
+@pytest.mark.parametrize(
+    ("ratio", "aspect"), [(2.0, 2), (16 / 15, Fraction(16, 15)), (1.0, 1)], ids=str
+)
+def test_the_shape_of_pixels_goes_along(upsample, tmp_path, ratio, aspect):
+    keys = flat(tmp_path / "keys", SHOWN, pixelAspectRatio=ratio)
+    upsample(keys, tmp_path / "out", "-m", "hold", "--video", tmp_path / "a.mov")
+    assert open_clip(tmp_path / "a.mov").look.pixel_aspect == aspect
+
+
+def test_pictures_of_the_report_are_converted_too(upsample, tmp_path):
+    keys = flat(tmp_path / "keys", np.array(REC709_TO_ACESCG) @ SHOWN, chromaticities=ACESCG)
+    upsample(keys, tmp_path / "out", "-m", "hold", "--report", tmp_path / "report")
+    page = (tmp_path / "report" / "report.html").read_text("utf-8")
+    pictures = re.findall(r"data:image/webp;base64,([A-Za-z0-9+/=]+)", page)
+    assert pictures
+    for text in pictures:
+        with Image.open(io.BytesIO(base64.b64decode(text))) as picture:
+            shown = np.asarray(picture.convert("RGB"), float)
+        assert np.abs(shown - [code(value) for value in SHOWN]).max() <= 4
