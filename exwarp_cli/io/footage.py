@@ -19,7 +19,7 @@ from exwarp_cli.errors import LayoutError
 from exwarp_cli.io.channels import ChannelRef, Layout, Role
 from exwarp_cli.io.chromaticities import primaries_of
 from exwarp_cli.io.clip import Clip, ClipReader, is_clip, open_clip
-from exwarp_cli.io.exr import ExrReader
+from exwarp_cli.io.exr import display_window
 from exwarp_cli.io.frame_files import FrameTemplate, read_picture
 from exwarp_cli.io.frame_names import file_type, split_names
 from exwarp_cli.io.nonfinite import count_broken
@@ -218,8 +218,7 @@ def picture_size(sequence: Sequence, number: int) -> Window:
     path = sequence.files[number]
     if is_plain(sequence):
         return Window(0, 0, *still_size(path))
-    with ExrReader(path) as file:
-        return file.parts[0].display_window
+    return display_window(path)
 
 
 def digest_of(sequence: Sequence, number: int) -> str:

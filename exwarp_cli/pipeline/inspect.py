@@ -22,6 +22,7 @@ from exwarp_cli.io.footage import facts_of
 from exwarp_cli.io.producers import UNKNOWN
 from exwarp_cli.io.shot import MAIN, Shot, spelled
 from exwarp_cli.pipeline.depth_kind import with_depth_ordered
+from exwarp_cli.pipeline.frame_sizes import require_one_size
 from exwarp_cli.pipeline.motion_finding import find_motion
 from exwarp_cli.pipeline.motion_option import motion_names
 from exwarp_cli.pipeline.object_ids import looked_into, read_ids
@@ -105,16 +106,18 @@ def inspect(settings: SourceSettings) -> Inspection:
     Raises
     ------
     InputError
-        When the sequence is not there, has gaps, or cannot be read.
+        When the sequence is not there, has gaps or frames of several sizes, or cannot be read.
     """
     plain = open_plain(settings)
     if plain is not None:
         Timeline.of(plain.sequence.numbers)
+        require_one_size(plain, plain.sequence.numbers)
         fps, fps_source = rate_of(plain, settings.fps)
         pictures = facts_of(plain.sequence)
         return Inspection(plain, (), None, None, fps, fps_source, pictures=pictures)
     shot, settings = open_keys(settings)
     Timeline.of(shot.sequence.numbers)
+    require_one_size(shot, shot.sequence.numbers)
     shot, _ = read_ids(settings.dynamic, shot, None)
     parts, types = _look(shot)
     finding, problem = None, None

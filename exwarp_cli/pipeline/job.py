@@ -32,6 +32,7 @@ from exwarp_cli.pipeline.finding import (
     require_factor,
     require_truth,
 )
+from exwarp_cli.pipeline.frame_sizes import require_one_size_of, require_truth_size
 from exwarp_cli.pipeline.ownership import require_own
 from exwarp_cli.pipeline.scoring import require_measurable
 from exwarp_cli.pipeline.targets import Targets
@@ -144,7 +145,16 @@ class Job:
         return replace(self, keys=keys)
 
     def refuse(self) -> None:
-        """Refuse to overwrite, and touch nothing; see `Targets.refuse` and `require_own`."""
+        """Refuse frames of several sizes, and to overwrite; touch nothing.
+
+        See `require_one_size`, `Targets.refuse` and `require_own`.
+        """
+        for source in self.sources:
+            require_one_size_of(source, self.keys, self.method.lookahead)
+        if self.truth is not None and (
+            self.method.needs_truth or not self.settings.source.keep_going
+        ):
+            require_truth_size(self.truth, self.source, self.keys)
         self.targets.refuse(self.settings, self.source.timeline, self.slots)
         if self.settings.skip_existing and not self.settings.replaces_foreign:
             require_own(self.targets, self.source, self.method, self.slots)

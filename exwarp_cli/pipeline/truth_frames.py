@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-from exwarp_cli.domain.frame import Image
+from exwarp_cli.domain.frame import Image, Window
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.errors import InputError, LayoutError
 from exwarp_cli.io.footage import picture
@@ -91,10 +91,7 @@ class TruthFrames:
         image, display = picture(sequence, number, self.source.keys.view), self.source.keys.display
         output = self.source.timeline.number(slot)
         if image.display_window.shape != display.shape:
-            raise LayoutError(
-                f"--ground-truth for frame {output} is {image.display_window} and the input is "
-                f"{display}; give a sequence of the same resolution"
-            )
+            raise truth_of_another_size(output, image.display_window, display)
         self.nonfinite.note(output, {CALLED: count_broken((image.pixels,))})
         return image
 
@@ -106,3 +103,11 @@ class TruthFrames:
         after = Slot(key, len(timeline.between(key)) + 1)
         last = key + 1 == len(timeline.numbers)
         return (Slot(key, 0),) if last else (Slot(key, 0), after)
+
+
+def truth_of_another_size(output: int, found: Window, display: Window) -> LayoutError:
+    """Build the error for the truth of an output frame that has another size than the input."""
+    return LayoutError(
+        f"--ground-truth for frame {output} is {found} and the input is {display}; give a sequence "
+        "of the same resolution"
+    )

@@ -121,7 +121,7 @@ class TestRefusals:
         write_still(folder / "pan.0003.png", frame(2)[:, :-2])
         quiet = ("--progress", "none")
         result = exwarp("upsample", folder, "-o", tmp_path / "out", *quiet)
-        result.refused(3, "pan.0003.png is 62x48 with 3 channels", "write all frames alike")
+        result.refused(3, "pan.0003.png is 62x48", "write all frames at one resolution")
         write_still(folder / "pan.0003.png", np.dstack([frame(2), frame(2)[..., :1]]))
         exwarp("upsample", folder, "-o", tmp_path / "out", "--overwrite", *quiet).refused(
             3, "with 4 channels"
