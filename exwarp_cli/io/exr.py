@@ -106,7 +106,7 @@ class ExrReader:
     DamagedFileError
         When it is not a readable OpenEXR file.
     LayoutError
-        When it is one of luminance and chroma, whose channels are of different sizes.
+        When it has subsampled channels, as files of luminance and chroma have.
     InputError
         When its name cannot be given to OpenImageIO, which takes UTF-8 alone.
     UnreadableError
@@ -333,10 +333,36 @@ def deep_only(path: Path) -> LayoutError:
 
 
 def _subsampled(path: Path) -> LayoutError:
+    """Build the error for a file with channels of fewer pixels, which OpenImageIO does not open."""
+    names = _fewer_pixels(path)
+    if {name.rpartition(".")[2] for name in names} == {"RY", "BY"}:
+        return LayoutError(
+            f"{path} holds luminance and chroma (Y, RY, BY) in channels of different sizes, which "
+            "is not read; write it as RGB"
+        )
+    listed = ", ".join(f"{name} (1 pixel in {x}x{y})" for name, (x, y) in names.items())
     return LayoutError(
-        f"{path} holds luminance and chroma (Y, RY, BY) in channels of different sizes, which is "
-        "not read; write it as RGB"
+        f"{path} is not read, as it has subsampled channels, stored at a lower resolution than the "
+        f"others{listed and ': '}{listed}; render them at full resolution, or leave them out"
     )
+
+
+def _fewer_pixels(path: Path) -> dict[str, tuple[int, int]]:
+    """Return the channels that lack pixels, with the steps across and down of those they have."""
+    found: dict[str, tuple[int, int]] = {}
+    with suppress(OSError, ValueError, struct.error):
+        data = path.read_bytes()
+        for one in attributes_in(data):
+            if one.kind != b"chlist":
+                continue
+            at = one.begin
+            while at < one.end - 1:
+                end = data.index(b"\0", at)
+                steps = struct.unpack_from("<2i", data, end + 9)
+                if steps != (1, 1):
+                    found[data[at:end].decode("utf-8", "replace")] = steps
+                at = end + 17
+    return found
 
 
 def damaged(path: Path, reason: str) -> DamagedFileError:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -83,13 +83,23 @@ def flat_part(planes: Planes, name: str, **attributes: Any) -> OpenEXR.Part:
     return OpenEXR.Part(header(**attributes), dict(planes), name)
 
 
-def write_luminance_chroma(path: Path, width: int = 8, height: int = 6) -> Path:
-    """Write Y at full and RY, BY at half size, which no binding writes: by hand, uncompressed."""
+LUMINANCE_CHROMA = (("BY", 2), ("RY", 2), ("Y", 1))
+
+
+def write_subsampled(
+    path: Path,
+    channels: Sequence[tuple[str, int]] = LUMINANCE_CHROMA,
+    width: int = 8,
+    height: int = 6,
+) -> Path:
+    """Write channels with their steps, by hand and uncompressed; Y at full, RY and BY at half size.
+
+    No binding writes luminance and chroma.
+    """
 
     def attribute(name: str, kind: str, value: bytes) -> bytes:
         return b"%s\0%s\0%s" % (name.encode(), kind.encode(), struct.pack("<i", len(value))) + value
 
-    channels = (("BY", 2), ("RY", 2), ("Y", 1))
     listed = b"".join(
         n.encode() + b"\0" + struct.pack("<iB3xii", 1, 0, step, step) for n, step in channels
     )

@@ -23,7 +23,7 @@ from tests.unit.exr_files import (
     deep_part,
     plane,
     rgba,
-    write_luminance_chroma,
+    write_subsampled,
     write_parts,
     write_single,
     write_tiled,
@@ -317,10 +317,18 @@ class TestBadFiles:
         assert one_sentence(caught.value, path)
 
     def test_channels_of_different_sizes(self, tmp_path):
-        path = write_luminance_chroma(tmp_path / "a.exr")
+        path = write_subsampled(tmp_path / "a.exr")
         with pytest.raises(LayoutError, match=r"luminance and chroma .* write it as RGB") as caught:
             ExrReader(path)
         assert one_sentence(caught.value, path)
+
+    def test_a_subsampled_channel_beside_colour_is_named(self, tmp_path):
+        channels = (("B", 1), ("G", 1), ("R", 1), ("ao.Y", 2))
+        path = write_subsampled(tmp_path / "a.exr", channels)
+        told = r"subsampled .* others: ao\.Y \(1 pixel in 2x2\); render .* full resolution"
+        with pytest.raises(LayoutError, match=told) as caught:
+            ExrReader(path)
+        assert one_sentence(caught.value, path) and "luminance" not in str(caught.value)
 
     def test_deep_pixels(self, tmp_path):
         path = tmp_path / "a.exr"

@@ -26,7 +26,7 @@ from tests.unit.exr_files import (
     flat_part,
     plane,
     rgba,
-    write_luminance_chroma,
+    write_subsampled,
     write_parts,
     write_single,
     write_tiled,
@@ -205,7 +205,7 @@ class TestWhatIsLeftToOpenImageIO:
 
     def test_tiles_subsampled_and_deep_pixels(self, tmp_path):
         assert left(write_tiled(tmp_path / "a.exr", rgba(37, 70)))
-        assert parts_of(write_luminance_chroma(tmp_path / "b.exr").read_bytes()) == [None]
+        assert parts_of(write_subsampled(tmp_path / "b.exr").read_bytes()) == [None]
         OpenEXR.File([deep_part(9, 9, "d"), flat_part(rgba(9, 9), "f")]).write(
             str(tmp_path / "c.exr")
         )
