@@ -57,6 +57,12 @@ class Window:
         """Whether every pixel of `other` lies in this window."""
         return self.union(other) == self
 
+    def meets(self, other: Window) -> bool:
+        """Whether the two have a pixel in common."""
+        ax, ay, bx, by = self.corners
+        cx, cy, dx, dy = other.corners
+        return max(ax, cx) <= min(bx, dx) and max(ay, cy) <= min(by, dy)
+
     def __str__(self) -> str:
         return f"{self.width}x{self.height}{self.x:+d}{self.y:+d}"
 

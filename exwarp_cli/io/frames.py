@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -20,7 +21,7 @@ from exwarp_cli.domain.frame import (
 )
 from exwarp_cli.domain.lent_memory import lent, rest
 from exwarp_cli.domain.motion import MotionConvention
-from exwarp_cli.errors import DamagedFileError, LayoutError
+from exwarp_cli.errors import DamagedFileError, InputError, LayoutError
 from exwarp_cli.io.channels import ChannelRef, Role, detect, require
 from exwarp_cli.io.cryptomatte import find_cryptomattes
 from exwarp_cli.io.exr import ExrReader
@@ -384,6 +385,36 @@ def colour_window(shot: Shot, number: int) -> Window:
         if channel is None:
             raise LayoutError(f"{path} has no channel {ref.name!r}; render it again")
         return file.parts[channel.part].data_window
+
+
+def is_seen(shot: Shot, number: int) -> bool:
+    """Whether a frame's colour has a pixel in the display window; also where no header tells."""
+    if Role.COLOUR not in shot.layout:
+        return True
+    with suppress(InputError):
+        return colour_window(shot, number).meets(shot.display)
+    return True
+
+
+def require_seen(shot: Shot) -> None:
+    """Refuse a shot of which no frame has a pixel in the display window.
+
+    A frame alone may have none: an object that enters later is rendered beyond the edge.
+
+    Raises
+    ------
+    LayoutError
+        When all frames lie apart from it.
+    """
+    numbers = shot.sequence.numbers
+    if is_seen(shot, shot.first) or any(is_seen(shot, number) for number in numbers):
+        return
+    window = colour_window(shot, shot.first)
+    raise LayoutError(
+        f"the data window {window} of {shot.sequence.files[shot.first]} lies apart from its display "
+        f"window {shot.display}, and so in every frame: nothing of the picture is seen; correct "
+        "the windows, or render again"
+    )
 
 
 def read_planes(

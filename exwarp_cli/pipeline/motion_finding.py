@@ -14,7 +14,7 @@ from exwarp_cli.domain.frame import Float32, place
 from exwarp_cli.domain.motion import AxisMap, MotionConvention, MotionFinding
 from exwarp_cli.errors import InputError, MotionError
 from exwarp_cli.io.channels import Role
-from exwarp_cli.io.frames import RawFrame, Shot, read_raw
+from exwarp_cli.io.frames import RawFrame, Shot, is_seen, read_raw
 from exwarp_cli.io.producers import PRESETS
 from exwarp_cli.pipeline.early_frames import EarlyFrames, serves
 from exwarp_cli.pipeline.motion_option import motion_names, parse_motion
@@ -202,15 +202,16 @@ class _Measuring:
         self, guess: MotionConvention | None, detect: bool, by_colour: bool
     ) -> MotionFinding:
         """Measure in pairs that cross no known cut, and where that fails, none that is seen."""
-        firsts = pairs_within(len(self._numbers), self._parted)
+        count = len(self._numbers)
+        firsts = pairs_within(count, self._unseen) or pairs_within(count, self._parted)
         try:
             return self._in_pairs(firsts, guess, by_colour)
         except MotionError:
             if not detect or Role.COLOUR not in self._shot.layout:
                 raise
             others = pairs_within(
-                len(self._numbers),
-                lambda i: self._parted(i) or _cut_by_colour(self._shot, self._numbers, i),
+                count,
+                lambda i: self._unseen(i) or _cut_by_colour(self._shot, self._numbers, i),
             )
             if others == firsts:
                 raise
@@ -280,6 +281,11 @@ class _Measuring:
         return self._shot.keep_going and not all(
             _is_sound(lambda n: self._frame(n, False), n) for n in numbers[index - 1 : index + 1]
         )
+
+    def _unseen(self, index: int) -> bool:
+        """Whether a frame and the one before it tell nothing, as one lies beyond the display."""
+        pair = self._numbers[index - 1 : index + 1]
+        return self._parted(index) or not all(is_seen(self._shot, number) for number in pair)
 
     def _intervals(self, count: int) -> list[Interval]:
         """Read so many intervals between key frames whose colours tell; [] without colours."""

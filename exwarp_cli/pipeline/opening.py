@@ -16,6 +16,7 @@ from exwarp_cli.io.channel_map import ChannelMap, read_channel_map
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.clip import is_clip
 from exwarp_cli.io.footage import find_plain, is_plain, own_rate, shot_of
+from exwarp_cli.io.frames import require_seen
 from exwarp_cli.io.output import frame_rate, read_headers
 from exwarp_cli.io.shot import Shot, open_shot, open_views
 from exwarp_cli.io.views import ALL
@@ -42,7 +43,9 @@ def open_keys(settings: SourceSettings) -> tuple[Shot, SourceSettings]:
     """
     allow(settings.max_pixels)
     said = (*_said(settings), settings.keep_going)
-    shot = _measured(open_shot(settings.sequence, settings.view, *said))
+    shot = open_shot(settings.sequence, settings.view, *said)
+    require_seen(shot)
+    shot = _measured(shot)
     told = shot.channel_map
     if told is None or told.motion is None or settings.motion or settings.gbuffers:
         return shot, settings
