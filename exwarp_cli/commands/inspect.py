@@ -86,8 +86,9 @@ def _print(found: Inspection) -> None:
             + (f", written by {data['producer']}" if data["pictures"] is None else "")
         )
     )
-    if data["fps"]["note"] is not None:
-        console.print(_text(data["fps"]["note"]))
+    for note in (data["naming_note"], data["fps"]["note"]):
+        if note is not None:
+            console.print(_text(note))
     for line in _structure(data):
         console.print(_text(line))
     if data["pictures"] is not None:

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 _TOKEN = re.compile(r"#+|@+|%[0-9]{0,2}d|\$F[0-9]{0,2}")
 _NUMBER = re.compile(r"-?[0-9]+")
-_VERSION = re.compile(r"(^|.*[._ -])[vV]", re.DOTALL)
+_VERSION = re.compile(r"(^|.*[^a-z])v(er(sion)?)?", re.DOTALL | re.IGNORECASE)
 _BETWEEN = re.compile(r"(?<![^._ -])-?[0-9]+(?=[._ -])")
 _TRAILING_NUMBER = re.compile(r"(?P<base>.*?)(?P<number>-?[0-9]+)", re.DOTALL)
 
@@ -56,6 +56,11 @@ class NamePattern:
 
     def __str__(self) -> str:
         return f"{self.base}{'#' * self.padding}{self.suffix}"
+
+    @property
+    def is_version(self) -> bool:
+        """True if the number is written as a version: ``v001``, ``ver2``, ``Version3``."""
+        return _VERSION.fullmatch(self.base) is not None
 
     def name(self, number: int) -> str:
         """Name of a frame; a minus sign counts as one of the digits, as in C's ``%04d``."""
@@ -103,7 +108,7 @@ def split_names(names: Iterable[str], suffixes: tuple[str, ...]) -> dict[str, Na
     inner = {
         name: _inner_patterns(name, suffixes)
         for name, end in ends.items()
-        if end is None or _VERSION.fullmatch(end.base)
+        if end is None or end.is_version
     }
     trailing = Counter((end.base, end.suffix) for end in ends.values() if end is not None)
     varying = Counter((p.base, p.suffix) for patterns in inner.values() for p in patterns)

@@ -411,9 +411,9 @@ def require_seen(shot: Shot) -> None:
         return
     window = colour_window(shot, shot.first)
     raise LayoutError(
-        f"the data window {window} of {shot.sequence.files[shot.first]} lies apart from its display "
-        f"window {shot.display}, and so in every frame: nothing of the picture is seen; correct "
-        "the windows, or render again"
+        f"the data window {window} of {shot.sequence.files[shot.first]} lies apart from its "
+        f"display window {shot.display}, and so in every frame: nothing of the picture is seen; "
+        "correct the windows, or render again"
     )
 
 

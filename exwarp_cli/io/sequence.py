@@ -92,6 +92,17 @@ class Sequence:
         """Frame numbers, ascending."""
         return list(self.files)
 
+    @property
+    def version_note(self) -> str | None:
+        """A sentence where the numbers may be versions of one picture; None elsewhere."""
+        pattern = NamePattern(self.base, self.padding, self.suffix)
+        if len(self.files) < 2 or not pattern.is_version:
+            return None
+        return (
+            f"the numbers of {pattern} look like versions and are taken for frames; if they are "
+            "versions of one picture, give the frames of one version instead"
+        )
+
     def over(self, numbers: Iterable[int]) -> Sequence:
         """Return the sequence with just these frames; one that it lacks has the path it would."""
         pattern = NamePattern(self.base, self.padding, self.suffix)

@@ -159,6 +159,7 @@ def announce(
         f"{float(source.fps):g} fps ({source.fps_source}), {_geometry(source)}"
     )
     for note in (
+        source.keys.sequence.version_note,
         step_note(source.timeline.numbers, source.fps, source.fps_source),
         _compatible_note(settings, source),
         unevenness_of(source.keys.sequence),

@@ -77,6 +77,7 @@ class Inspection:
             "pattern": sequence.pattern,
             "frames": ranges(sequence.numbers),
             "count": len(sequence.numbers),
+            "naming_note": sequence.version_note,
             "width": self.shot.display.width,
             "height": self.shot.display.height,
             "fps": {"base": float(self.fps), "source": self.fps_source, "note": self.fps_note},

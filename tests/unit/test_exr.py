@@ -23,9 +23,9 @@ from tests.unit.exr_files import (
     deep_part,
     plane,
     rgba,
-    write_subsampled,
     write_parts,
     write_single,
+    write_subsampled,
     write_tiled,
 )
 

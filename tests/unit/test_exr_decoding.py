@@ -26,9 +26,9 @@ from tests.unit.exr_files import (
     flat_part,
     plane,
     rgba,
-    write_subsampled,
     write_parts,
     write_single,
+    write_subsampled,
     write_tiled,
 )
 from tests.unit.exr_reading import (
