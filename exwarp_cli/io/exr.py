@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -32,6 +32,9 @@ from exwarp_cli.io.reading_retry import with_retries
 LINES, LINES_OF_DWAB = 32, 256
 """Scan lines in a chunk of the lossy compressions, the most that any but DWAB has."""
 
+
+CUBE_MAP = "CubeFace Environment"
+"""What OpenImageIO calls the six faces of a cube in one image."""
 
 HEADER_BYTES = 1 << 16
 """Bytes at the start of a file that hold most headers whole."""
@@ -173,6 +176,15 @@ class ExrReader:
         if not specs:
             raise damaged(self.path, "it holds no image")
         parts = [_part(i, spec, len(specs) > 1) for i, spec in enumerate(specs)]
+        if any(spec.getattribute("textureformat") == CUBE_MAP for spec in specs):
+            # OpenImageIO gives a cube map with smaller levels the window of a single face.
+            windows: dict[int, Window] = {}
+            with suppress(OSError, ValueError):
+                windows = dict(_display_windows(self.path.read_bytes()))
+            parts = [
+                replace(part, display_window=windows.get(part.index, part.display_window))
+                for part in parts
+            ]
         for part in parts:
             require_size(self.path, *part.data_window.shape)
             require_size(self.path, *part.display_window.shape)
@@ -310,14 +322,26 @@ def display_window(path: Path) -> Window:
     with suppress(OSError, ValueError):
         with path.open("rb") as file:
             head = file.read(HEADER_BYTES)
-        for one in attributes_in(head):
-            if (one.part, one.name, one.end - one.begin) == (0, b"displayWindow", 16):
-                left, top, right, bottom = struct.unpack("<4i", head[one.begin : one.end])
-                if left <= right and top <= bottom:
-                    return Window(left, top, right - left + 1, bottom - top + 1)
-                break
+        part, window = next(_display_windows(head), (None, None))
+        if part == 0 and window is not None:
+            return window
     with ExrReader(path) as reader:
         return reader.parts[0].display_window
+
+
+def _display_windows(data: bytes) -> Iterator[tuple[int, Window]]:
+    """Yield part and window of each display window in the beginning of a file.
+
+    Raises
+    ------
+    ValueError
+        When the headers are broken, or longer than that.
+    """
+    for one in attributes_in(data):
+        if one.name == b"displayWindow" and one.end - one.begin == 16:
+            left, top, right, bottom = struct.unpack("<4i", data[one.begin : one.end])
+            if left <= right and top <= bottom:
+                yield one.part, Window(left, top, right - left + 1, bottom - top + 1)
 
 
 def deep_only(path: Path) -> LayoutError:
