@@ -28,6 +28,7 @@ from exwarp_cli.farm.cluster_client import connected, require_cluster, threads_e
 from exwarp_cli.farm.shared_paths import absolute, inputs_of
 from exwarp_cli.io.atomic import marked, remove_leftovers
 from exwarp_cli.pipeline.dry_run import DryRun
+from exwarp_cli.pipeline.eta import kinds_of
 from exwarp_cli.pipeline.filming import Film
 from exwarp_cli.pipeline.job import Job
 from exwarp_cli.pipeline.leaving_out import tell_left_out
@@ -160,7 +161,7 @@ class _Coordinator:
             job.announce(self._progress)
             self._say_spread(workers)
             begin = time.perf_counter()
-            self._progress.start(len(job.slots))
+            self._progress.start(len(job.slots), kinds_of(job.slots), workers)
             stack.callback(self._progress.finish)
             if self._watcher is not None:
                 self._watcher.plan(job.groups)

@@ -21,6 +21,7 @@ from distributed import CancelledError, KilledWorker
 
 from exwarp_cli.errors import ClusterError
 from exwarp_cli.farm.cluster_work import Chunk, Done, Needs, unfit, work
+from exwarp_cli.pipeline.eta import ANY, kind_of
 
 POLL_S = 0.5
 """Seconds between two looks at who is there."""
@@ -65,7 +66,7 @@ class Dispatch:
     needs
         What a worker must have.
     on_frame
-        Called once for every frame, with its number and a word on it.
+        Called once for every frame, as `Progress.advance` is.
     on_chunk
         Called for every chunk when it is done, in the order in which they are.
     say
@@ -76,7 +77,7 @@ class Dispatch:
 
     client: Any
     needs: Needs
-    on_frame: Callable[[int, str | None], None]
+    on_frame: Callable[[int, str | None, str, bool], None]
     on_chunk: Callable[[Chunk, Done], None]
     say: Callable[[str], None]
     name_of: Callable[[Chunk], str]
@@ -255,7 +256,7 @@ class Dispatch:
     def _event(self, told: dict[str, Any]) -> None:
         """Take in what a worker tells: that it begins or ends a chunk, or has done a frame."""
         if "frame" in told:
-            self._count(told["frame"], told["note"])
+            self._count(told["frame"], told["note"], told["kind"], told["made"])
             return
         for task in self._tasks.values():
             if (task.chunk.index, task.chunk.attempt) != (told["chunk"], told["attempt"]):
@@ -264,10 +265,10 @@ class Dispatch:
                 self._lost(task, again=False)
             task.is_begun = "begin" in told
 
-    def _count(self, frame: int, note: str | None) -> None:
+    def _count(self, frame: int, note: str | None, kind: str, made: bool) -> None:
         if frame not in self._told:
             self._told.add(frame)
-            self.on_frame(frame, note)
+            self.on_frame(frame, note, kind, made)
 
     def _finished(self, worker: str, future: Any) -> None:
         """Take over what a chunk came to."""
@@ -284,9 +285,9 @@ class Dispatch:
         if isinstance(result, BaseException):
             raise result
         for record in result.outcome.frames:
-            self._count(record.number, record.method)
+            self._count(record.number, record.method, kind_of(record.slot), made=False)
         for number in (number for one in result.outcome.left_out for number in one.frames):
-            self._count(number, "left out")
+            self._count(number, "left out", ANY, made=False)
         self.on_chunk(task.chunk, result)
 
     def _lost(self, task: _Task, again: bool) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,6 +23,7 @@ from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.errors import OutputError
 from exwarp_cli.io.atomic import make_folder
 from exwarp_cli.io.awaited import LOOK_S, shows
+from exwarp_cli.pipeline.eta import ANY
 from exwarp_cli.pipeline.job import Job, open_job
 from exwarp_cli.pipeline.upsample import write_intervals
 from exwarp_cli.pipeline.watching import Watcher
@@ -138,12 +139,14 @@ class Telling:
         """Tell that nothing is written any more, whatever the chunk came to."""
         self._tell(end=True)
 
-    def start(self, total: int) -> None:
+    def start(self, total: int, kinds: Mapping[str, int] | None = None, at_once: int = 1) -> None:
         """Say nothing: the coordinator knows."""
 
-    def advance(self, frame: int, note: str | None = None) -> None:
+    def advance(
+        self, frame: int, note: str | None = None, kind: str = ANY, made: bool = True
+    ) -> None:
         """Tell of a frame."""
-        self._tell(frame=frame, note=note)
+        self._tell(frame=frame, note=note, kind=kind, made=made)
         self.require_wanted()
 
     def message(self, text: str) -> None:

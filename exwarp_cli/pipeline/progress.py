@@ -9,13 +9,13 @@ import json
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Protocol, TextIO
 
 from exwarp_cli.domain.line import one_line
 from exwarp_cli.errors import ExwarpError, IncompleteError, OutputError, UsageError, system_error
-from exwarp_cli.pipeline.eta import Clock, Estimate, PacedEstimate, named
+from exwarp_cli.pipeline.eta import ANY, Clock, Estimate, PacedEstimate, named
 
 if TYPE_CHECKING:
     from rich.progress import Progress as RichProgress
@@ -30,11 +30,16 @@ class Progress(Protocol):
     others. Texts may hold anything: a reporter sees to it that they stay on their line.
     """
 
-    def start(self, total: int) -> None:
-        """Begin work on `total` frames."""
+    def start(self, total: int, kinds: Mapping[str, int] | None = None, at_once: int = 1) -> None:
+        """Begin work on `total` frames; see `Estimate.start` for what the rest tells."""
 
-    def advance(self, frame: int, note: str | None = None) -> None:
-        """One more frame is done: its output number, and a word on it such as "skipped"."""
+    def advance(
+        self, frame: int, note: str | None = None, kind: str = ANY, made: bool = True
+    ) -> None:
+        """One more frame is done: its output number, and a word on it such as "skipped".
+
+        `kind` is one of those that `start` was told of; `made` is false where no work was done.
+        """
 
     def message(self, text: str) -> None:
         """Tell the user something, one line."""
@@ -52,10 +57,12 @@ class NoProgress:
     def __init__(self, stream: TextIO | None = None) -> None:
         self._stream = stream or sys.stderr
 
-    def start(self, total: int) -> None:
+    def start(self, total: int, kinds: Mapping[str, int] | None = None, at_once: int = 1) -> None:
         """Say nothing."""
 
-    def advance(self, frame: int, note: str | None = None) -> None:
+    def advance(
+        self, frame: int, note: str | None = None, kind: str = ANY, made: bool = True
+    ) -> None:
         """Say nothing."""
 
     def message(self, text: str) -> None:
@@ -76,15 +83,17 @@ class PlainProgress(NoProgress):
         super().__init__(stream)
         self._estimate = PacedEstimate(clock)
 
-    def start(self, total: int) -> None:
+    def start(self, total: int, kinds: Mapping[str, int] | None = None, at_once: int = 1) -> None:
         """Say how many frames there are to do."""
-        self._estimate.start(total)
+        self._estimate.start(total, kinds, at_once)
         self.message(self._estimate.to_do)
 
-    def advance(self, frame: int, note: str | None = None) -> None:
+    def advance(
+        self, frame: int, note: str | None = None, kind: str = ANY, made: bool = True
+    ) -> None:
         """Print a line for the first and the last frame, and now and then between."""
         estimate = self._estimate
-        estimate.advance()
+        estimate.advance(kind, made)
         if estimate.due():
             self.message(f"{estimate.percent:3d}% {estimate.state(frame, note)}")
 
@@ -104,15 +113,17 @@ class OpenJdProgress(NoProgress):
         super().__init__(stream or sys.stdout)
         self._estimate = PacedEstimate(clock)
 
-    def start(self, total: int) -> None:
+    def start(self, total: int, kinds: Mapping[str, int] | None = None, at_once: int = 1) -> None:
         """Tell how many frames there are to do."""
-        self._estimate.start(total)
+        self._estimate.start(total, kinds, at_once)
         self._tell(self._estimate.to_do)
 
-    def advance(self, frame: int, note: str | None = None) -> None:
+    def advance(
+        self, frame: int, note: str | None = None, kind: str = ANY, made: bool = True
+    ) -> None:
         """Tell of the first and the last frame, and now and then between."""
         estimate = self._estimate
-        estimate.advance()
+        estimate.advance(kind, made)
         if estimate.due():
             ended = estimate.done == estimate.total
             self._tell(f"{estimate.frames} done" if ended else estimate.state(frame, note))
@@ -134,22 +145,24 @@ class JsonProgress:
     """One JSON object a line, flushed, for machines.
 
     Keys: ``event`` ("start", "frame", "message", "finish" or "fail"), ``done``, ``total``; with
-    "frame" also ``frame``, ``note`` and ``eta_s``; with "message" and "fail" also ``text``; with
-    "fail" also ``exit_code``.
+    "frame" also ``frame``, ``note`` and ``eta_s``, null while it is unknown; with "message" and
+    "fail" also ``text``; with "fail" also ``exit_code``.
     """
 
     def __init__(self, stream: TextIO | None = None, clock: Clock = time.monotonic) -> None:
         self._stream = stream or sys.stderr
         self._estimate = Estimate(clock)
 
-    def start(self, total: int) -> None:
+    def start(self, total: int, kinds: Mapping[str, int] | None = None, at_once: int = 1) -> None:
         """Write the event "start"."""
-        self._estimate.start(total)
+        self._estimate.start(total, kinds, at_once)
         self._write("start")
 
-    def advance(self, frame: int, note: str | None = None) -> None:
+    def advance(
+        self, frame: int, note: str | None = None, kind: str = ANY, made: bool = True
+    ) -> None:
         """Write the event "frame"."""
-        self._estimate.advance()
+        self._estimate.advance(kind, made)
         eta = self._estimate.eta_s
         self._write("frame", frame=frame, note=note, eta_s=None if eta is None else round(eta, 3))
 
@@ -175,13 +188,15 @@ class JsonProgress:
 class BarProgress(NoProgress):
     """A bar with the time left, for a terminal."""
 
-    def __init__(self, stream: TextIO | None = None) -> None:
+    def __init__(self, stream: TextIO | None = None, clock: Clock = time.monotonic) -> None:
         super().__init__(stream)
+        self._estimate = Estimate(clock)
         self._bar: RichProgress | None = None
         self._task: TaskID | None = None
 
-    def start(self, total: int) -> None:
+    def start(self, total: int, kinds: Mapping[str, int] | None = None, at_once: int = 1) -> None:
         """Show the bar."""
+        self._estimate.start(total, kinds, at_once)
         # Imported here: it takes 60 ms, which runs without a terminal need not pay.
         from rich.console import Console
         from rich.progress import (
@@ -189,23 +204,30 @@ class BarProgress(NoProgress):
             MofNCompleteColumn,
             Progress,
             TextColumn,
-            TimeRemainingColumn,
         )
 
         self._bar = Progress(
             BarColumn(),
             MofNCompleteColumn(),
-            TimeRemainingColumn(),
+            TextColumn("{task.fields[left]}", markup=False),
             TextColumn("{task.description}", markup=False),
             console=Console(file=self._stream, emoji=False),
         )
-        self._task = self._bar.add_task("", total=total)
+        self._task = self._bar.add_task("", total=total, left=self._estimate.left)
         self._bar.start()
 
-    def advance(self, frame: int, note: str | None = None) -> None:
+    def advance(
+        self, frame: int, note: str | None = None, kind: str = ANY, made: bool = True
+    ) -> None:
         """Move the bar."""
+        self._estimate.advance(kind, made)
         if self._bar is not None and self._task is not None:
-            self._bar.update(self._task, advance=1, description=one_line(named(frame, note)))
+            self._bar.update(
+                self._task,
+                advance=1,
+                description=one_line(named(frame, note)),
+                left=self._estimate.left,
+            )
 
     def message(self, text: str) -> None:
         """Print a line above the bar."""

@@ -20,6 +20,7 @@ from exwarp_cli.io.decisions import parse_decision
 from exwarp_cli.io.footage import picture
 from exwarp_cli.io.output import PREFIX
 from exwarp_cli.pipeline.choosing import Chooser, Chosen
+from exwarp_cli.pipeline.eta import kind_of
 from exwarp_cli.pipeline.geometry import Staging
 from exwarp_cli.pipeline.layers import Beside
 from exwarp_cli.pipeline.leaving_out import left_out, tell_left_out, unscored
@@ -141,9 +142,10 @@ class Run:
         if left.frames:
             self.left_out.append(left)
             tell_left_out(self.progress, left)
-        for number in left.frames:
+        for slot in slots:
             self.sink.show_again()
-            self.progress.advance(number, "left out")
+            number = timeline.number(slot)
+            self.progress.advance(number, "left out", kind_of(slot.index), made=False)
         yield
 
     def _goes_at_once(self, loaded: Loaded, staged: Staged) -> bool:
@@ -256,7 +258,9 @@ class Run:
             record = self._scored(made, loaded)
             self.records.append(record)
             self._show(record, made, loaded)
-            self.progress.advance(record.number, record.method)
+            self.progress.advance(
+                record.number, record.method, kind_of(slot.index), made=not record.resumed
+            )
             if interval is not None:
                 # Of the paper's paths a slot may be made by way of the one before it.
                 interval.forget(slot.index - 1 if staged.extrapolates else slot.index)
@@ -287,7 +291,7 @@ class Run:
         record = replace(record, resumed=resumed, replaced=replaced and not resumed)
         self.records.append(replace(record, timing_ms=timing, render=render))
         self._show(self.records[-1], Made(record), loaded)
-        self.progress.advance(output, "key")
+        self.progress.advance(output, "key", kind_of(0), made=not resumed)
 
     def _write_key(self, output: int, loaded: Loaded) -> bool:
         """Write a key frame that is no file of the output's format; return whether it is there."""

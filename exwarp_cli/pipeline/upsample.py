@@ -15,6 +15,7 @@ from exwarp_cli.io import allocator
 from exwarp_cli.io.threads import use_threads
 from exwarp_cli.kernels import jit
 from exwarp_cli.pipeline.choosing import Chooser, always, by_policy, by_truth
+from exwarp_cli.pipeline.eta import kinds_of
 from exwarp_cli.pipeline.finding import is_usual
 from exwarp_cli.pipeline.geometry import Staging
 from exwarp_cli.pipeline.job import Job, open_job
@@ -71,7 +72,7 @@ def run_job(job: Job, progress: Progress, watcher: Watcher | None = None) -> Run
     job.targets.make_folders()
     job.announce(progress)
     begin = time.perf_counter()
-    progress.start(len(job.slots))
+    progress.start(len(job.slots), kinds_of(job.slots))
     try:
         if watcher is not None:
             watcher.plan(job.groups)

@@ -242,10 +242,12 @@ class Recorder:
     def __init__(self) -> None:
         self.told: list[object] = []
 
-    def start(self, total: int) -> None:
+    def start(self, total: int, kinds: object = None, at_once: int = 1) -> None:
         self.told.append(("start", total))
 
-    def advance(self, frame: int, note: str | None = None) -> None:
+    def advance(
+        self, frame: int, note: str | None = None, kind: str = "", made: bool = True
+    ) -> None:
         self.told.append(frame)
 
     def message(self, text: str) -> None:

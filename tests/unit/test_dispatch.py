@@ -103,7 +103,7 @@ def dispatch(cluster: Cluster) -> tuple[Dispatch, Told]:
     made = Dispatch(
         cluster,
         Needs("1", ()),
-        lambda frame, _: told.frames.append(frame),
+        lambda frame, *_: told.frames.append(frame),
         lambda chunk, _: told.done.append(chunk.index),
         told.said.append,
         lambda chunk: f"of chunk {chunk.index}",
@@ -154,7 +154,8 @@ class TestWork:
     def test_frames_count_once(self):
         def does(worker: str, chunk: Chunk) -> Any:
             for frame in (1, 2, 1):
-                cluster.handler((0.0, {"chunk": 0, "attempt": 0, "frame": frame, "note": None}))
+                told = {"frame": frame, "note": None, "kind": "key", "made": True}
+                cluster.handler((0.0, {"chunk": 0, "attempt": 0} | told))
             return DONE
 
         cluster = Cluster(["a"], does)

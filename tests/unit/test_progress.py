@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import io
 import json
+from typing import ClassVar
 
 import pytest
 
+from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.errors import MissingFrameError, UsageError
-from exwarp_cli.pipeline.eta import INTERVAL_S, Estimate
+from exwarp_cli.pipeline.eta import INTERVAL_S, Estimate, kinds_of
 from exwarp_cli.pipeline.progress import (
     KINDS,
     REPORTERS,
@@ -67,6 +69,98 @@ class TestEstimate:
         estimate = Estimate(FakeClock())
         estimate.start(0)
         assert (estimate.percent, estimate.tenths) == (100, 100)
+
+
+class TestKindsOfWork:
+    """Of `exwarp`: a key frame takes 0.1 s, a warp 1 s, an extrapolated frame 10 s."""
+
+    SECONDS: ClassVar = {"key": 0.1, "slot 1": 1, "slot 2": 10, "slot 3": 10}
+    INTERVAL = sum(SECONDS.values())
+
+    @staticmethod
+    def estimate(clock: FakeClock, intervals: int, at_once: int = 1) -> Estimate:
+        slots = [Slot(key, index) for key in range(intervals) for index in range(4)]
+        estimate = Estimate(clock)
+        estimate.start(len(slots), kinds_of(slots), at_once)
+        return estimate
+
+    def test_time_left_is_unknown_until_each_kind_that_is_left_was_seen(self):
+        clock = FakeClock()
+        estimate = self.estimate(clock, 9)
+        left = []
+        for kind, seconds in self.SECONDS.items():
+            clock.now += seconds
+            estimate.advance(kind)
+            left.append(estimate.left)
+        assert left == ["time left unknown"] * 3 + ["2:49 left"]
+        assert estimate.eta_s == pytest.approx(8 * self.INTERVAL)
+
+    def test_cheap_frames_that_were_done_last_do_not_shorten_the_rest(self):
+        clock = FakeClock()
+        estimate = self.estimate(clock, 5)
+        for _ in range(3):
+            for kind, seconds in self.SECONDS.items():
+                clock.now += seconds
+                estimate.advance(kind)
+        clock.now += 0.1
+        estimate.advance("key")
+        assert estimate.eta_s == pytest.approx(2 * self.INTERVAL - 0.1)
+
+    def test_the_first_of_each_kind_pays_for_compiling(self):
+        clock = FakeClock()
+        estimate = self.estimate(clock, 3)
+        for compiling in (20, 0):
+            for kind, seconds in self.SECONDS.items():
+                clock.now += seconds + compiling
+                estimate.advance(kind)
+        assert estimate.eta_s == pytest.approx(self.INTERVAL)
+
+    def test_frames_of_an_earlier_run_say_nothing_of_those_that_are_missing(self):
+        clock = FakeClock()
+        estimate = self.estimate(clock, 4)
+        for _ in range(2):
+            for kind in self.SECONDS:
+                clock.now += 0.001
+                estimate.advance(kind, made=False)
+        assert estimate.eta_s is None
+        for kind, seconds in self.SECONDS.items():
+            clock.now += seconds
+            estimate.advance(kind)
+        assert estimate.eta_s == pytest.approx(self.INTERVAL)
+
+    def test_several_at_once_begin_together(self):
+        clock = FakeClock()
+        estimate = Estimate(clock)
+        estimate.start(8, None, at_once=2)
+        clock.now += 60  # both compile, and end at nearly the same time
+        estimate.advance()
+        assert estimate.eta_s == 7 * 60 / 2
+        clock.now += 1
+        estimate.advance()
+        assert estimate.eta_s == 6 * 61 / 2
+        for seconds in (9, 1):
+            clock.now += seconds
+            estimate.advance()
+        assert estimate.eta_s == 4 * 5
+
+    def test_a_log_a_farm_and_a_terminal_say_that_it_is_unknown(self):
+        for kind in (PlainProgress, OpenJdProgress, BarProgress):
+            stream, clock = io.StringIO(), FakeClock()
+            progress = kind(stream, clock)
+            progress.start(8, {"key": 2, "slot 1": 2, "slot 2": 2, "slot 3": 2})
+            clock.now += 1
+            progress.advance(1, "key", "key")
+            progress.finish()
+            assert "time left unknown" in stream.getvalue(), kind
+
+    def test_a_program_gets_null(self):
+        stream = io.StringIO()
+        progress = JsonProgress(stream, FakeClock())
+        progress.start(2, {"key": 1, "slot 1": 1})
+        progress.advance(1, "key", "key")
+        progress.advance(2, "s6", "slot 1")
+        lines = [json.loads(line) for line in stream.getvalue().splitlines()]
+        assert [line.get("eta_s") for line in lines] == [None, None, 0]
 
 
 class TestPlain:

@@ -13,7 +13,7 @@ import pytest
 
 from exwarp_cli.errors import ExwarpError, UsageError
 from exwarp_cli.pipeline.bench import side_by_side as side_by_side_module
-from exwarp_cli.pipeline.bench.side_by_side import follow_parent, side_by_side
+from exwarp_cli.pipeline.bench.side_by_side import follow_parent, side_by_side, tell
 
 
 def test_every_task_comes_with_its_result():
@@ -66,6 +66,24 @@ def test_interruptions_wait_while_processes_begin():
         assert heard == ["terminated"]
     finally:
         signal.signal(signal.SIGTERM, before)
+
+
+def test_what_a_process_tells_is_heard_while_it_works(tmp_path):
+    """Its work ends only when it was heard."""
+    path = tmp_path / "heard"
+    found = side_by_side(
+        tell_and_wait, [(path,)], 1, follow_parent, lambda what: path.write_text(what)
+    )
+    assert [result for _, result in found] == ["first of two"]
+
+
+def tell_and_wait(path: Path) -> str | None:
+    tell("first of two")
+    for _ in range(1000):
+        if path.exists() and (text := path.read_text()):
+            return text
+        time.sleep(0.01)
+    return None
 
 
 def touch_later(path: Path, seconds: float) -> None:

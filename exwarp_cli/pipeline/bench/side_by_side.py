@@ -6,7 +6,7 @@ import os
 import signal
 import threading
 from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing import active_children, get_context, parent_process
@@ -17,6 +17,12 @@ from exwarp_cli.errors import ExwarpError
 Task = TypeVar("Task", bound=tuple[Any, ...])
 Result = TypeVar("Result")
 
+LOOK_S = 0.2
+"""Seconds between two looks at what processes tell."""
+
+_news: Any = None
+"""Where this process tells what it has done; None in one that is no worker."""
+
 PUT_OFF = (signal.SIGINT, signal.SIGTERM)
 
 
@@ -25,6 +31,7 @@ def side_by_side(
     tasks: Sequence[Task],
     jobs: int,
     begin: Callable[[], None],
+    hear: Callable[[Any], None] = lambda _: None,
 ) -> Generator[tuple[Task, Result], None, None]:
     """Yield every task with its result, as they come; close the iterator to end the work.
 
@@ -39,6 +46,8 @@ def side_by_side(
         Processes.
     begin
         Called once in each process; a function of a module that calls `follow_parent`.
+    hear
+        Called here with what processes `tell`, in between.
 
     Raises
     ------
@@ -46,12 +55,19 @@ def side_by_side(
         When a process was ended from outside.
     """
     before = set(active_children())
-    pool = ProcessPoolExecutor(jobs, get_context("spawn"), begin)
+    context = get_context("spawn")
+    news = context.SimpleQueue()
+    pool = ProcessPoolExecutor(jobs, context, _begin, (begin, news))
     try:
         with _undisturbed():
             waiting = {pool.submit(work, *task): task for task in tasks}
-        for future in as_completed(waiting):
-            yield waiting[future], future.result()
+        pending: set[Future[Result]] = set(waiting)
+        while pending:
+            done, pending = wait(pending, LOOK_S, FIRST_COMPLETED)
+            while not news.empty():
+                hear(news.get())
+            for future in done:
+                yield waiting[future], future.result()
     except BrokenProcessPool as error:
         raise ExwarpError(
             "a process of this command was ended from outside, most likely as the memory did not "
@@ -64,6 +80,19 @@ def side_by_side(
         raise
     finally:
         pool.shutdown(cancel_futures=True)
+
+
+def tell(what: object) -> None:
+    """Tell the process that gave the work; what is told can be pickled."""
+    if _news is not None:
+        _news.put(what)
+
+
+def _begin(begin: Callable[[], None], news: Any) -> None:
+    """Prepare a process."""
+    global _news
+    _news = news
+    begin()
 
 
 @contextmanager

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Generator, Iterable, Sequence
+from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from functools import lru_cache
@@ -21,7 +21,7 @@ from exwarp_cli.pipeline.bench.about import about_subject
 from exwarp_cli.pipeline.bench.measure import identity, measure
 from exwarp_cli.pipeline.bench.opened import Networks, Opened, load_networks
 from exwarp_cli.pipeline.bench.plan import Subject, subjects_of
-from exwarp_cli.pipeline.bench.side_by_side import follow_parent, side_by_side
+from exwarp_cli.pipeline.bench.side_by_side import follow_parent, side_by_side, tell
 from exwarp_cli.pipeline.bench.timing import time_subject
 from exwarp_cli.pipeline.progress import NoProgress, Progress
 
@@ -103,7 +103,8 @@ def run_benchmark(settings: BenchSettings, progress: Progress | None = None) -> 
     keys = {subject: one.keys for subject, one in opened.items()}
     about = {subject: about_subject(one) for subject, one in opened.items()}
     del opened
-    told.start(sum(map(len, keys.values())))
+    counts = {_kind(subject): len(chosen) for subject, chosen in keys.items()}
+    told.start(sum(counts.values()), counts, _jobs(settings))
     try:
         with closing(_parts(settings, keys, told)) as found:
             parts = dict(found)
@@ -189,11 +190,38 @@ Part = tuple[tuple[Subject, int], dict[str, Any]]
 Run = tuple[Subject, list[tuple[int, dict[str, Any]]]]
 
 
+@dataclass(frozen=True)
+class Step:
+    """A key interval that is done; `made` is false for one that was on disk."""
+
+    subject: Subject
+    number: int
+    made: bool
+
+
+Hear = Callable[[Step], None]
+
+
+def _kind(subject: Subject) -> str:
+    """Name the kind of a subject's intervals: they take about as long."""
+    return f"{subject.source.sequence}, {subject.setting}"
+
+
+def _jobs(settings: BenchSettings) -> int:
+    """Return how many key intervals are measured side by side."""
+    return settings.jobs or processors().usable
+
+
 def _parts(
     settings: BenchSettings, keys: dict[Subject, tuple[int, ...]], progress: Progress
 ) -> Generator[Part, None, None]:
     """Yield what is measured of every key interval, from disk or anew."""
-    jobs = settings.jobs or processors().usable
+
+    def hear(step: Step) -> None:
+        note = f"{step.subject.name}, {step.subject.setting}"
+        progress.advance(step.number, note, _kind(step.subject), step.made)
+
+    jobs = _jobs(settings)
     # Short sequences are dealt out as well.
     run = min(RUN, -(-sum(map(len, keys.values())) // jobs))
     tasks: list[Task] = [
@@ -201,20 +229,19 @@ def _parts(
         for subject, chosen in keys.items()
         for i in range(0, len(chosen), run)
     ]
-    with closing(_done(tasks, min(jobs, len(tasks)))) as runs:
+    with closing(_done(tasks, min(jobs, len(tasks)), hear)) as runs:
         for subject, found in runs:
             for key, part in found:
-                progress.advance(part["key"], f"{subject.name}, {subject.setting}")
                 yield (subject, key), part
 
 
-def _done(tasks: Sequence[Task], jobs: int) -> Generator[Run, None, None]:
+def _done(tasks: Sequence[Task], jobs: int, hear: Hear) -> Generator[Run, None, None]:
     """Yield the parts of each run of key intervals, as they come."""
     if jobs == 1:
         for settings, subject, keys, _ in tasks:
-            yield subject, work(settings, subject, keys, None)
+            yield subject, work(settings, subject, keys, None, hear)
         return
-    with closing(side_by_side(work, tasks, jobs, _alone)) as found:
+    with closing(side_by_side(work, tasks, jobs, _alone, hear)) as found:
         for (_, subject, _, _), parts in found:
             yield subject, parts
 
@@ -226,15 +253,25 @@ def _alone() -> None:
 
 
 def work(
-    settings: BenchSettings, subject: Subject, keys: Sequence[int], threads: int | None
+    settings: BenchSettings,
+    subject: Subject,
+    keys: Sequence[int],
+    threads: int | None,
+    hear: Hear = tell,
 ) -> list[tuple[int, dict[str, Any]]]:
     """Measure some key intervals of a subject; what is on disk and still right is taken."""
     opened = _opened(settings, subject, threads)
     opened.restart()
-    return [(key, _part(opened, key)) for key in keys]
+    found = []
+    for key in keys:
+        part, made = _part(opened, key)
+        found.append((key, part))
+        hear(Step(subject, part["key"], made))
+    return found
 
 
-def _part(opened: Opened, key: int) -> dict[str, Any]:
+def _part(opened: Opened, key: int) -> tuple[dict[str, Any], bool]:
+    """Return what is measured of a key interval, and whether it was not on disk."""
     path = folder_of(opened) / f"{opened.number(key)}.json"
     known: dict[str, Any] | None = None
     token = ""
@@ -246,10 +283,11 @@ def _part(opened: Opened, key: int) -> dict[str, Any]:
         return known is None
 
     loaded = opened.load(key, needed)
-    if known is None:
-        known = measure(opened, loaded) | {"identity": token}
-        atomic_write_text(path, json.dumps(known) + "\n")
-    return known
+    if known is not None:
+        return known, False
+    measured = measure(opened, loaded) | {"identity": token}
+    atomic_write_text(path, json.dumps(measured) + "\n")
+    return measured, True
 
 
 @lru_cache(1)

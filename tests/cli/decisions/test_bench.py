@@ -166,6 +166,27 @@ def test_its_document_is_that_of_the_file(exwarp, uneven, truth, tmp_path, kind)
     assert ("openjd_status: 1 frame done" in result.err.splitlines()) == (kind == "openjd")
 
 
+def test_each_key_interval_moves_the_bar(exwarp, uneven, truth, tmp_path, monkeypatch):
+    """At the start of each interval those before are told, with the time that the rest takes."""
+
+    def measure(*given: Any) -> dict[str, Any]:
+        sys.stderr.write(json.dumps({"event": "measuring"}) + "\n")
+        return measured(*given)
+
+    measured = work.measure
+    monkeypatch.setattr(work, "measure", measure)
+    how = ("--jobs", 1, "--metrics", "psnr", "--systems", "hold", "--progress", "json")
+    line = ("bench", *uneven["key"], "--ground-truth", truth, "-o", tmp_path / "bench", *how)
+    events = [json.loads(text) for text in exwarp(*line, "--frames", "1-3").err.splitlines()]
+    told = [one for one in events if one["event"] in ("measuring", "frame")]
+    assert [one["event"] for one in told] == ["measuring", "frame"] * 3
+    assert [(one["done"], one["total"]) for one in told[1::2]] == [(1, 3), (2, 3), (3, 3)]
+    assert told[1]["eta_s"] > 0 and told[-1]["eta_s"] == 0
+    events = [json.loads(text) for text in exwarp(*line, "--frames", "1-4").err.splitlines()]
+    kept = [one["eta_s"] for one in events if one["event"] == "frame"]
+    assert kept == [None, None, None, 0]
+
+
 def test_chunks_and_workers_find_what_one_process_finds(bench, monkeypatch):
     alone, _ = bench(*FEW, name="alone")
     bench("--jobs", 2, *FEW[2:], "--frames", "1-3", name="chunks")
