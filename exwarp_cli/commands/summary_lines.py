@@ -44,7 +44,7 @@ def summary_lines(
             f"paths of the key intervals: {listed}; {share:.0%} of the decisions are warps"
         )
     if document["holes"]["mean_fraction"] is not None:
-        lines.append(f"holes {document['holes']['mean_fraction']:.1%} of the pixels on average")
+        lines.append(_holes(document["holes"], frames["generated"] + frames["dropped"]))
     compared = bool(quality["frames"]) if scored is None else scored
     if compared and frames["written"] > frames["key"]:
         lines.append(f"against ground truth{_scores(quality)}")
@@ -92,3 +92,10 @@ def _saved(found: dict[str, Any]) -> str:
         f"frame took {time_text(found['key_frame_s'])} to render, a new one takes "
         f"{time_text(found['generated_frame_s'])}"
     )
+
+
+def _holes(holes: dict[str, Any], between: int) -> str:
+    """Say how large holes are; and of which frames, where not all between key frames warp."""
+    count = sum(holes["histogram"]["counts"])
+    some = "" if count == between else f", of {counted(count, 'warped frame')}"
+    return f"holes {holes['mean_fraction']:.1%} of the pixels on average{some}"

@@ -8,7 +8,9 @@ from fractions import Fraction
 
 from exwarp_cli import __version__
 from exwarp_cli.domain.cuts import Cut
-from exwarp_cli.domain.decision import HELD, Decision
+from exwarp_cli.domain.decision import HELD, HOLD, Decision
+from exwarp_cli.domain.interpolator import INTERPOLATE
+from exwarp_cli.domain.maker import BLEND
 from exwarp_cli.domain.metric import METRICS
 from exwarp_cli.domain.timeline import FACTOR
 
@@ -101,8 +103,8 @@ class FrameRecord:
     timing_ms
         Milliseconds by step of the work.
     made_by
-        What made the frame: "warp", "extrapolate", "interpolate" (a network) or "hold"; None for a
-        rendered one.
+        What made the frame: "warp", "extrapolate", "softsplat", "blend", "interpolate" (a network)
+        or "hold"; None for a rendered one.
     path
         Decision path of its key interval, S1 to S6; None outside the paper's paths.
     decision
@@ -130,6 +132,16 @@ class FrameRecord:
     decision: Decision | None = None
     render: tuple[float, str] | None = None
     replaced: bool = False
+
+    @property
+    def has_holes(self) -> bool:
+        """True if the frame comes by a warp, so that `hole_fraction` tells of its own holes.
+
+        Others have the fraction too: all methods are scored on the same holes.
+        """
+        if self.hole_fraction is None:
+            return False
+        return self.path is not None or self.made_by not in (BLEND, INTERPOLATE, HOLD)
 
 
 @dataclass(frozen=True)
@@ -310,12 +322,18 @@ class PolicySummary:
         "motion" where there are none.
     missing
         Features that are 0 throughout, as the AOVs they come from are missing.
+    trained_for
+        SHA-256 of the extrapolation networks that it was trained for; () where it does not say.
+    note
+        Says that another network extrapolates; None where it is one of those.
     """
 
     file: str
     sha256: str
     objects_from: str | None
     missing: tuple[str, ...]
+    trained_for: tuple[str, ...] = ()
+    note: str | None = None
 
 
 @dataclass(frozen=True)

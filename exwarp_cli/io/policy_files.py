@@ -73,6 +73,13 @@ class PolicyFile:
     metadata: dict[str, Any]
     floats: Floats
 
+    @property
+    def trained_for(self) -> tuple[str, ...]:
+        """SHA-256 of the networks whose frames it learned to judge; () where it does not say."""
+        stated = self.metadata.get("extrapolator")
+        stated = [stated] if isinstance(stated, str) else stated
+        return tuple(map(str, stated)) if isinstance(stated, list) else ()
+
 
 def save_network(
     path: Path,

@@ -60,7 +60,7 @@ class Models:
         return cls(
             None if network is None else _network_summary(network, source),
             None if interpolator is None else _interpolator_summary(interpolator),
-            None if policy is None else _policy_summary(policy, source),
+            None if policy is None else _policy_summary(policy, source, network),
         )
 
 
@@ -74,7 +74,37 @@ def announce_models(progress: Progress, models: Models, source: Source) -> None:
         _announce_policy(progress, models.policy, _dynamic(source))
 
 
-def _policy_summary(policy: PolicyFile, source: Source) -> PolicySummary:
+def other_extrapolator(policy: PolicyFile, network: OnnxExtrapolator | LateNetwork) -> str | None:
+    """Say that a policy was trained for another network than the one that extrapolates.
+
+    It learned by how much that network's frames are better than warps, so its choices may be wrong.
+
+    Parameters
+    ----------
+    policy
+        That decides.
+    network
+        That extrapolates.
+
+    Returns
+    -------
+    str or None
+        A sentence; None where it is the one, or where the policy does not say.
+    """
+    if not policy.trained_for or network.checksum in policy.trained_for:
+        return None
+    known = " or ".join(digest[:8] for digest in policy.trained_for)
+    used = f"{network.path.name} has {network.checksum[:8]}"
+    return (
+        f"{policy.path.name} was trained for the extrapolator with sha256 {known}, and {used}: its "
+        "decisions may be wrong; train a policy for this one with 'exwarp train policy', and name "
+        "it with --policy"
+    )
+
+
+def _policy_summary(
+    policy: PolicyFile, source: Source, network: OnnxExtrapolator | LateNetwork | None
+) -> PolicySummary:
     """Say what the policy sees of the input."""
     shot = source.slots or source.keys
     layout = shot.layout
@@ -90,7 +120,14 @@ def _policy_summary(policy: PolicyFile, source: Source) -> PolicySummary:
     missing = [name for name, role in needed.items() if role not in layout]
     if objects_from is None:
         missing.insert(0, "N_d")
-    return PolicySummary(str(policy.path), policy.checksum, objects_from, tuple(missing))
+    return PolicySummary(
+        str(policy.path),
+        policy.checksum,
+        objects_from,
+        tuple(missing),
+        policy.trained_for,
+        None if network is None else other_extrapolator(policy, network),
+    )
 
 
 def _announce_policy(
@@ -99,6 +136,8 @@ def _announce_policy(
     progress.message(
         f"decisions by {Path(decided.file).name} (sha256 {decided.sha256[:8]}), 8-bit integers"
     )
+    if decided.note is not None:
+        progress.message(decided.note)
     if decided.objects_from == "motion":
         progress.message("no object ids: what moves otherwise than the camera counts as an object")
     if decided.objects_from == "cryptomatte" and told is None:

@@ -10,6 +10,7 @@ from typing import Any
 from exwarp_cli import __version__
 from exwarp_cli.domain.decision import Plan
 from exwarp_cli.domain.frame import Bool, Image, Window, place
+from exwarp_cli.domain.maker import step_of
 from exwarp_cli.domain.results import FrameKind, FrameRecord
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import Slot
@@ -109,7 +110,7 @@ class SlotMaker:
             hole_fraction=hole_fraction(mask),
             nonfinite_pixels=sum(staged.broken.get(number, 0) for number in predicted.sources),
             timing_ms=staged.shares
-            | {predicted.made_by: elapsed}
+            | {step_of(predicted.made_by): elapsed}
             | ({"layers": layers_ms} if beside else {}),
             made_by=predicted.made_by,
             path=None if plan is None else plan.path,

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from exwarp_cli.domain.maker import maker_of
 from exwarp_cli.domain.metric import METRICS
 from exwarp_cli.domain.results import FrameKind
 from exwarp_cli.domain.settings import PRESETS, MeasureSettings
@@ -28,7 +29,7 @@ class Origin:
     kind
         A value of `FrameKind`: "generated" or "dropped".
     made_by
-        "warp", "extrapolate", "interpolate" or "hold".
+        "warp", "extrapolate", "softsplat", "blend", "interpolate" or "hold".
     path
         Decision path of its key interval, S1 to S6; None outside the paper's paths.
     """
@@ -49,10 +50,7 @@ class Origin:
 
     @property
     def choice(self) -> str | None:
-        """What was decided for a generated frame; None outside the decision tree.
-
-        A blend of two key frames is booked as a warp too, but nothing decided for it.
-        """
+        """What was decided for a generated frame; None outside the decision tree."""
         return self.made_by if self.generated and self.path is not None else None
 
 
@@ -68,8 +66,9 @@ def origins_of(files: Listed[Path]) -> list[Origin]:
 
 
 def _origin(known: dict[str, Any]) -> Origin:
-    told = (known.get(name) for name in ("kind", "madeBy", "path"))
-    return Origin(*(value if isinstance(value, str) else None for value in told))
+    told = (known.get(name) for name in ("kind", "madeBy", "path", "method"))
+    kind, made_by, path, method = (value if isinstance(value, str) else None for value in told)
+    return Origin(kind, maker_of(made_by, method), path)
 
 
 def require_consistent(measuring: MeasureSettings, holes: str | None) -> None:

@@ -12,6 +12,7 @@ from exwarp_cli import __version__
 from exwarp_cli.compiled.resident import let_compiler_go
 from exwarp_cli.domain import lent_memory
 from exwarp_cli.domain.frame import Image
+from exwarp_cli.domain.maker import maker_of
 from exwarp_cli.domain.results import FrameKind, FrameRecord, LeftOut
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import Slot
@@ -373,7 +374,7 @@ class Run:
             sources=tuple(int(n) for n in str(known["sources"]).split(",")),
             hole_fraction=None if holes is None else float(holes),
             resumed=True,
-            made_by=known.get("madeBy"),
+            made_by=maker_of(known.get("madeBy"), str(known["method"])),
             path=known.get("path"),
             decision=parse_decision(known.get("decision")),
         )

@@ -27,7 +27,15 @@ Values = Sequence[float | None]
 POINTS = 2000
 """Points of a line at most."""
 
-KINDS = {"warp": "o", "extrapolate": "^", "hold": "x", "blend": "s", "interpolate": "v", "key": "D"}
+KINDS = {
+    "warp": "o",
+    "extrapolate": "^",
+    "hold": "x",
+    "softsplat": "s",
+    "blend": "P",
+    "interpolate": "v",
+    "key": "D",
+}
 """What makes a frame, and the marker of its points."""
 
 

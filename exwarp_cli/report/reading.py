@@ -17,6 +17,7 @@ from exwarp_cli import __version__
 from exwarp_cli.domain.cuts import Cut
 from exwarp_cli.domain.decision import Decision
 from exwarp_cli.domain.features import Features
+from exwarp_cli.domain.maker import maker_of
 from exwarp_cli.domain.results import (
     BrokenPixels,
     FrameKind,
@@ -275,7 +276,10 @@ def _model(kind: Callable[..., Model], told: Mapping[str, Any] | None) -> Model 
 
 
 def _policy(told: Mapping[str, Any] | None) -> PolicySummary | None:
-    return None if told is None else PolicySummary(**{**told, "missing": tuple(told["missing"])})
+    if told is None:
+        return None
+    lists = {"missing": told["missing"], "trained_for": told.get("trained_for", ())}
+    return PolicySummary(**{**told, **{name: tuple(values) for name, values in lists.items()}})
 
 
 def _frame(row: Mapping[str, str]) -> FrameRecord:
@@ -295,7 +299,7 @@ def _frame(row: Mapping[str, str]) -> FrameRecord:
         hole_score=_score(row, f"scored{HOLES}", _HOLE_SCORES, HOLES),
         resumed=_truth(row["resumed"]),
         timing_ms=_timing(row),
-        made_by=row["made_by"] or None,
+        made_by=maker_of(row["made_by"] or None, row["method"]),
         path=row["path"] or None,
         decision=_decision(row),
         render=_render(row),

@@ -161,8 +161,8 @@ def _fps(run: RunSummary) -> dict[str, Any]:
 
 
 def _holes(shown: tuple[FrameRecord, ...]) -> dict[str, Any]:
-    """Distribution of the hole fraction over the slots after key frames, where it is known."""
-    known = [f.hole_fraction for f in shown if f.hole_fraction is not None]
+    """Distribution of the hole fraction over the frames that have holes."""
+    known = [f.hole_fraction for f in shown if f.has_holes and f.hole_fraction is not None]
     known = [fraction for fraction in known if math.isfinite(fraction)]
     if not known:
         return {"mean_fraction": None, "p95_fraction": None, "histogram": None}

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from exwarp_cli.domain.decision import HOLD, NODES, WARP
+from exwarp_cli.domain.decision import HOLD, NODES
 from exwarp_cli.domain.features import FEATURES
+from exwarp_cli.domain.maker import KEY
 from exwarp_cli.domain.results import FrameKind, FrameRecord, RunSummary
 from exwarp_cli.domain.timeline import ranges
+from exwarp_cli.domain.wording import counted
 from exwarp_cli.report.gallery import Album, worst_of
 from exwarp_cli.report.page import Block, Cell, Number, Page, Section, Table, Viewer
 from exwarp_cli.report.page_parts import (
@@ -29,10 +31,6 @@ from exwarp_cli.report.plots import histogram, lines, points, series_panels, sta
 from exwarp_cli.report.quality import mean
 from exwarp_cli.report.strip import Cell as StripCell
 from exwarp_cli.report.strip import strip
-from exwarp_cli.synthesis.methods import METHODS
-
-BLEND = "blend"
-"""What makes a frame of two key frames without a network, as `plots.KINDS` names it."""
 
 MOST_ROWS = 200
 """Of a table on the page; report.json has them all."""
@@ -86,13 +84,9 @@ def _start_at_worst(album: Album, frames: tuple[FrameRecord, ...]) -> None:
 def made_by(frame: FrameRecord) -> str:
     """Say what made a frame, as `plots.KINDS` names it."""
     if frame.kind is FrameKind.KEY:
-        return "key"
+        return KEY
     if frame.kind is FrameKind.DROPPED:
         return HOLD
-    # What blends two key frames is booked as a warp, as its time is spent on warping.
-    method = METHODS.get(frame.method)
-    if frame.made_by == WARP and method is not None and method.lookahead:
-        return BLEND
     return frame.made_by or frame.method
 
 
@@ -120,9 +114,8 @@ def headline(document: dict[str, Any]) -> list[Number]:
         told = "from colour by optical flow, far less exact than a renderer's vectors"
         found.append(Number("Motion", "estimated", told))
     if holes["mean_fraction"] is not None:
-        found.append(
-            Number("Holes", str(percent(holes["mean_fraction"])), "of the pixels, on average")
-        )
+        note = f"of the pixels of {counted(sum(holes['histogram']['counts']), 'frame')}, on average"
+        found.append(Number("Holes", str(percent(holes["mean_fraction"])), note))
     if document["decisions"]["warp_share"] is not None:
         found.append(
             Number("Warps", str(percent(document["decisions"]["warp_share"], 0)), "of decisions")
@@ -159,7 +152,7 @@ def _facts(frame: FrameRecord) -> dict[str, str]:
     if frame.decision is not None:
         facts["decision"] = f"{frame.decision.node} = {frame.decision.choice}"
     facts |= facts_of(frame.score, frame.hole_score)
-    if frame.hole_fraction is not None:
+    if frame.has_holes:
         facts["holes"] = str(percent(frame.hole_fraction))
     return facts
 
@@ -248,7 +241,7 @@ def _evidence(run: RunSummary, document: dict[str, Any]) -> list[Block]:
     """Draw the hole share, and the features that decisions were taken by."""
     found: list[Block] = []
     frames = run.frames
-    holes = [frame for frame in frames if frame.hole_fraction is not None]
+    holes = [frame for frame in frames if frame.has_holes]
     if len(holes) > 1:
         labels = Labels(
             "Hole share per frame", "frame", "holes, % of pixels",
@@ -363,7 +356,9 @@ def _settings(document: dict[str, Any]) -> list[Block]:
     ]
     for name in ("extrapolator", "interpolator", "policy"):
         told = document.get(name) or {}
-        rows += [[f"{name} {key}", _plain(value)] for key, value in told.items()]
+        rows += [
+            [f"{name} {key}", _plain(value)] for key, value in told.items() if value is not None
+        ]
     if document["verified"] is not None:
         rows.append(["files read back, all as written", str(document["verified"])])
     rows.append(["ExWarp", document["version"]])

@@ -10,6 +10,7 @@ from functools import partial
 from exwarp_cli.domain.decision import EXTRAPOLATE, HELD, HOLD, PATHS, WARP
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.domain.interpolator import INTERPOLATE
+from exwarp_cli.domain.maker import BLEND, SOFTSPLAT
 from exwarp_cli.domain.results import FrameKind
 from exwarp_cli.synthesis.interpolate import (
     as_light,
@@ -39,8 +40,7 @@ class Predicted:
     sources
         Numbers of the key frames that colour came from, ascending.
     made_by
-        WARP (blends count as it), EXTRAPOLATE, INTERPOLATE or HOLD: the step that its time is
-        booked on.
+        WARP, EXTRAPOLATE, SOFTSPLAT, BLEND, INTERPOLATE or HOLD.
     """
 
     pixels: Float32
@@ -174,7 +174,7 @@ def _blend(interval: Interval, slot: int) -> Predicted:
     frames = (interval.key.image.pixels, interval.following.image.pixels)
     pixels = cross_fade(*frames, interval.time(slot))
     sources = (interval.key.number, interval.following.number)
-    return Predicted(pixels, FrameKind.GENERATED, "blend", sources, WARP)
+    return Predicted(pixels, FrameKind.GENERATED, BLEND, sources, BLEND)
 
 
 def _softsplat(interval: Interval, slot: int) -> Predicted:
@@ -192,7 +192,7 @@ def _softsplat(interval: Interval, slot: int) -> Predicted:
     if interval.estimated:
         pixels = as_light(pixels)
     sources = (interval.key.number, interval.following.number)
-    return Predicted(pixels, FrameKind.GENERATED, "softsplat", sources, WARP)
+    return Predicted(pixels, FrameKind.GENERATED, SOFTSPLAT, sources, SOFTSPLAT)
 
 
 def _onnx(interval: Interval, slot: int) -> Predicted:
@@ -229,9 +229,9 @@ METHODS: Mapping[str, Method] = {
         *map(_fixed, PATHS),
         _judged("oracle", Judge.PSNR),
         _judged("oracle-return", Judge.RETURN),
-        Method("softsplat", _softsplat, lookahead=True, needs_motion=True),
+        Method(SOFTSPLAT, _softsplat, lookahead=True, needs_motion=True),
         Method("onnx", _onnx, lookahead=True, needs_motion=False, interpolates=True),
-        Method("blend", _blend, lookahead=True, needs_motion=False),
+        Method(BLEND, _blend, lookahead=True, needs_motion=False),
         Method("hold", _hold, lookahead=False, needs_motion=False),
     )
 }

@@ -106,6 +106,8 @@ def test_the_policy_is_told_with_what_it_lacked() -> None:
         "sha256": "1" * 64,
         "objects_from": "motion",
         "missing": ["EMD_Wn", "EMD_Wp"],
+        "trained_for": [],
+        "note": None,
     }
 
 

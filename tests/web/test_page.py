@@ -279,8 +279,8 @@ def test_a_gallery_without_psnr_keeps_the_worst_by_what_there_is() -> None:
 @pytest.mark.parametrize(
     ("method", "maker", "kind"),
     [
-        ("blend", "warp", "blend"),
-        ("softsplat", "warp", "blend"),
+        ("blend", "blend", "blend"),
+        ("softsplat", "softsplat", "softsplat"),
         ("onnx", "interpolate", "interpolate"),
         ("s6", "warp", "warp"),
         ("exwarp", "extrapolate", "extrapolate"),

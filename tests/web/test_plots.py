@@ -92,8 +92,9 @@ def test_long_series_keep_their_worst_and_best() -> None:
 
 
 def test_kinds_are_told_apart_by_colour_and_marker() -> None:
-    svg = plots.points(LABELS, list(range(6)), [1.0] * 6, list(plots.KINDS)).svg
-    assert {"warp", "extrapolate", "hold", "blend", "interpolate", "key"} == set(plots.KINDS)
+    svg = plots.points(LABELS, list(range(7)), [1.0] * 7, list(plots.KINDS)).svg
+    makers = {"warp", "extrapolate", "hold", "softsplat", "blend", "interpolate", "key"}
+    assert makers == set(plots.KINDS)
     assert len(set(plots.KINDS.values())) == len(plots.KINDS)
     for kind in plots.KINDS:
         assert f"var(--{kind})" in svg, kind

@@ -10,6 +10,7 @@ from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.output import read_headers
 from exwarp_cli.io.render_time import render_seconds
+from exwarp_cli.pipeline.announcing import other_extrapolator
 from exwarp_cli.pipeline.bench.opened import Opened
 from exwarp_cli.pipeline.scoring import SLOTS
 
@@ -27,9 +28,16 @@ def about_subject(opened: Opened) -> dict[str, Any]:
             "file": opened.policy.path.name,
             "sha256": opened.policy.checksum,
             "trained_without_it": opened.subject.unseen,
+            "note": _policy_note(opened),
         },
         "render_s": _render_times(opened),
     }
+
+
+def _policy_note(opened: Opened) -> str | None:
+    """Say that the policy was trained for another network than the one that extrapolates."""
+    network = opened.networks.own
+    return None if network is None else other_extrapolator(opened.policy, network)
 
 
 def _render_times(opened: Opened) -> dict[str, float | None]:

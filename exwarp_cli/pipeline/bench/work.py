@@ -103,6 +103,9 @@ def run_benchmark(settings: BenchSettings, progress: Progress | None = None) -> 
     keys = {subject: one.keys for subject, one in opened.items()}
     about = {subject: about_subject(one) for subject, one in opened.items()}
     del opened
+    notes = [one["policy"]["note"] for one in about.values()]
+    for note in dict.fromkeys(note for note in notes if note is not None):
+        told.message(note)
     counts = {_kind(subject): len(chosen) for subject, chosen in keys.items()}
     told.start(sum(counts.values()), counts, _jobs(settings))
     try:

@@ -114,6 +114,8 @@ def test_who_decided(done, policies):
         "sha256": hashlib.sha256(file.read_bytes()).hexdigest(),
         "objects_from": "ids",
         "missing": [],
+        "trained_for": [],
+        "note": None,
     }
     assert done.report["extrapolator"]["file"].endswith("tiny.onnx")
 

@@ -1,0 +1,86 @@
+"""A policy was trained for one network: that another extrapolates is said."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import pytest
+
+from exwarp_cli.io.policy_files import save_network
+from exwarp_cli.policy.state import STATE_VERSION
+from tests.cli.decisions.conftest import take
+from tests.unit import tiny_policies
+
+TOLD = "was trained for the extrapolator with sha256"
+SHIPPED = Path(__file__).parents[3] / "models" / "extrapolator.onnx"
+
+
+def digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+@pytest.fixture
+def trained_for(tmp_path):
+    """Make a policy that states networks as its metadata."""
+
+    def make(stated: object) -> Path:
+        path = tmp_path / "mine.npz"
+        metadata = {"state": STATE_VERSION, "extrapolator": stated}
+        save_network(path, tiny_policies.taking("S3"), metadata)
+        return path
+
+    return make
+
+
+@pytest.fixture
+def start(exwarp, uneven, tmp_path):
+    """Return what a run says at its start."""
+
+    def say(*options: object) -> str:
+        keys, *rest = uneven["key"]
+        line = ("upsample", keys, "-o", tmp_path / "out", *rest, "--dry-run", *options)
+        result = exwarp(*line)
+        assert result.code == 0, result.err
+        return result.err
+
+    return say
+
+
+def test_another_network_under_the_shipped_policy(start, network):
+    said = start("--extrapolator", network)
+    (line,) = (line for line in said.splitlines() if TOLD in line)
+    assert f"policy.npz {TOLD} {digest(SHIPPED)[:8]}" in line
+    assert f"{network.name} has {digest(network)[:8]}" in line
+    assert "exwarp train policy" in line
+
+
+def test_a_policy_for_another_network(start, trained_for):
+    said = start("--policy", trained_for(["0123456789abcdef" * 4]))
+    assert f"mine.npz {TOLD} 01234567, and extrapolator.onnx has {digest(SHIPPED)[:8]}" in said
+
+
+def test_where_both_fit_nothing_is_said(start, network, trained_for):
+    assert TOLD not in start()
+    both = ["0" * 64, digest(network)]
+    assert TOLD not in start("--extrapolator", network, "--policy", trained_for(both))
+
+
+@pytest.mark.parametrize("stated", [None, 7, {}])
+def test_a_policy_that_does_not_say(start, network, trained_for, stated):
+    assert TOLD not in start("--extrapolator", network, "--policy", trained_for(stated))
+
+
+def test_the_report_says_it_too(uneven, network, trained_for, tmp_path):
+    given = ("--extrapolator", network, "--policy", trained_for(["ab" * 32]))
+    policy = take(uneven["key"], tmp_path / "out", *given).report["policy"]
+    assert policy["trained_for"] == ["ab" * 32] and f"{TOLD} abababab" in policy["note"]
+    assert TOLD in (tmp_path / "out-report" / "report.html").read_text()
+
+
+def test_a_benchmark_says_it_too(exwarp, uneven, truth, network, tmp_path):
+    line = ("bench", *uneven["key"], "--ground-truth", truth, "-o", tmp_path / "bench")
+    how = ("--systems", "exwarp", "--metrics", "psnr", "--frames", 1, "--jobs", 1)
+    result = exwarp(*line, *how, "--extrapolator", network)
+    assert result.code == 0 and result.err.count(TOLD) == 1
+    assert TOLD in (tmp_path / "bench" / "bench.json").read_text()
