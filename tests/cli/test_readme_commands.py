@@ -96,3 +96,15 @@ class TestFarm:
         assert {path.name for path in (tmp_path / "job").iterdir()} == {
             "template.yaml", "parameter_values.yaml",
         }  # fmt: skip
+
+    @pytest.mark.parametrize(
+        "block",
+        [b for b in blocks(README.read_text(encoding="utf-8")) if "exwarp farm" in "".join(b)],
+        ids=lambda block: " ".join(block[0].split()[:3]),
+    )
+    def test_the_lines_of_a_block_work_one_after_the_other(self, call, block):
+        for line in block:
+            if line.startswith("exwarp farm"):
+                assert call(line).code == 0
+            if "openjd run" in line:
+                assert call("exwarp upsample shot/ -o out/ --threads 1").code == 0
