@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from exwarp_cli.commands.json_option import json_option, print_json
-from exwarp_cli.commands.printing import show
+from exwarp_cli.commands.printing import show, summary_of_files
 from exwarp_cli.commands.progress_option import progress_option
 from exwarp_cli.commands.upsample import FrameRate
 from exwarp_cli.domain.bench import SETTINGS, SYSTEMS, BenchSettings
@@ -96,5 +96,6 @@ def command(
     if as_json:
         print_json(written)
         return
-    for line in what_is_where(settings.output):
-        show(line)
+    with summary_of_files():
+        for line in what_is_where(settings.output):
+            show(line)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from exwarp_cli.commands.json_option import json_option, print_json
-from exwarp_cli.commands.printing import show
+from exwarp_cli.commands.printing import show, summary_of_files
 from exwarp_cli.commands.progress_option import progress_option
 from exwarp_cli.commands.summary_lines import summary_lines
 from exwarp_cli.domain.wording import counted
@@ -56,7 +56,8 @@ def command(
     if as_json:
         print_json(merged.document)
     else:
-        _print(merged, output or folders[0])
+        with summary_of_files():
+            _print(merged, output or folders[0])
 
 
 def _print(merged: Merged, output: Path) -> None:

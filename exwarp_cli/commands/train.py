@@ -9,7 +9,7 @@ import click
 
 from exwarp_cli.commands.group import HelpfulGroup
 from exwarp_cli.commands.json_option import json_option, print_json
-from exwarp_cli.commands.printing import show
+from exwarp_cli.commands.printing import show, summary_of_files
 from exwarp_cli.commands.threads_option import threads_option
 from exwarp_cli.domain.line import one_line
 from exwarp_cli.training.settings import PolicySettings, TrainingSettings, require_sane_policy
@@ -132,8 +132,9 @@ def policy(
     if as_json:
         print_json(_result("policy", output, output / SHIPPED_POLICY, scores))
     else:
-        for line in card(scores).split("\n"):
-            show(line)
+        with summary_of_files():
+            for line in card(scores).split("\n"):
+                show(line)
 
 
 def _result(kind: str, folder: Path, model: Path, scores: dict[str, Any]) -> dict[str, Any]:

@@ -15,7 +15,7 @@ import click
 
 from exwarp_cli.commands.json_option import json_option, print_json
 from exwarp_cli.commands.metrics_option import metrics_option
-from exwarp_cli.commands.printing import show
+from exwarp_cli.commands.printing import show, summary_of_files
 from exwarp_cli.commands.progress_option import progress_option
 from exwarp_cli.commands.source_options import source_options
 from exwarp_cli.commands.spread_options import spread_options
@@ -347,14 +347,22 @@ def _print(
     summary: RunSummary, settings: UpsampleSettings, place: Path | None, as_json: bool
 ) -> None:
     """Say in a few lines what was done, or give the report's document."""
-    from exwarp_cli.commands.summary_lines import summary_lines
-    from exwarp_cli.io.clip import is_clip
     from exwarp_cli.report.summary import report
 
     document = report(summary)
     if as_json:
         print_json(document)
         return
+    with summary_of_files():
+        _print_summary(document, summary, settings, place)
+
+
+def _print_summary(
+    document: dict[str, Any], summary: RunSummary, settings: UpsampleSettings, place: Path | None
+) -> None:
+    from exwarp_cli.commands.summary_lines import summary_lines
+    from exwarp_cli.io.clip import is_clip
+
     if not document["frames"]["written"]:
         if summary.left_out:
             return

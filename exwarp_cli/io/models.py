@@ -31,6 +31,7 @@ from exwarp_cli.io.model_files import read_model as read_model
 from exwarp_cli.io.model_files import shipped_folder as shipped_folder
 from exwarp_cli.io.model_weights import with_weights
 from exwarp_cli.io.reach import reach_of
+from exwarp_cli.io.standard_streams import quiet_libraries
 
 SHIPPED = "extrapolator.onnx"
 """Name of the network that comes with ExWarp."""
@@ -298,7 +299,7 @@ def open_session(path: Path, data: bytes, threads: int, device: str) -> Any:
     cuda = (CUDA, {"cudnn_conv_algo_search": "HEURISTIC", "use_tf32": "0"})
     providers = [cuda] if device == "cuda" else []
     try:
-        with being_read(path):
+        with being_read(path), quiet_libraries():
             session = runtime.InferenceSession(
                 data, options, providers=[*providers, "CPUExecutionProvider"], enable_fallback=False
             )
@@ -331,7 +332,9 @@ def providers() -> tuple[str, ...]:
 def _runtime() -> Any:
     """Import onnxruntime, which takes 0.3 s, and keep it from writing to stderr."""
     try:
-        import onnxruntime
+        # As it is imported it looks for devices, and writes to the terminal what it misses.
+        with quiet_libraries():
+            import onnxruntime
     except ImportError as error:
         raise MissingExtraError(
             f"onnxruntime cannot be loaded ({error}); run 'pip install onnxruntime'"

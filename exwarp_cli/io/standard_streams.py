@@ -9,11 +9,20 @@ from __future__ import annotations
 import io
 import os
 import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from typing import Any
 
 from exwarp_cli.errors import OutputError
 
 STDOUT, STDERR = 1, 2
+
+_quiet = threading.RLock()
+
+
+class ReaderGoneError(OutputError):
+    """The program that reads standard output has ended, as ``| head`` does; it has no message."""
 
 
 class StandardOutput(io.FileIO):
@@ -31,9 +40,10 @@ class StandardOutput(io.FileIO):
 
         Raises
         ------
+        ReaderGoneError
+            When the reader has ended: the user knows it.
         OutputError
-            When they cannot be written; it says nothing where nobody reads them any more, as behind
-            ``| head``: who broke off knows it.
+            When they cannot be written for another reason.
         """
         if self._lost:
             return memoryview(data).nbytes
@@ -41,7 +51,7 @@ class StandardOutput(io.FileIO):
             return super().write(data)
         except BrokenPipeError as error:
             self._lost = True
-            raise OutputError from error
+            raise ReaderGoneError from error
         except OSError as error:
             self._lost = True
             raise OutputError(
@@ -49,21 +59,72 @@ class StandardOutput(io.FileIO):
             ) from error
 
 
+class StandardError(io.FileIO):
+    """Standard error that loses what it cannot write.
+
+    Messages and progress go there. A full disk or a reader that has ended must not stop the work.
+    """
+
+    def __init__(self) -> None:
+        # Its own descriptor, so that `quiet_libraries` does not silence ExWarp itself.
+        super().__init__(os.dup(STDERR), "w")
+
+    def write(self, data: Any, /) -> Any:
+        """Write bytes, or drop them where that fails."""
+        try:
+            return super().write(data)
+        except OSError:
+            return memoryview(data).nbytes
+
+
 def prepare_streams() -> None:
-    """Open what is closed, and take over standard output."""
+    """Open what is closed, and take over standard output and standard error."""
     _open_closed()
-    if not isinstance(sys.stdout, io.TextIOWrapper) or os.name == "nt":
+    if os.name == "nt":
         return  # a console of Windows is no file
-    encoding, errors = sys.stdout.encoding, sys.stdout.errors
+    sys.stdout = _taken_over(sys.stdout, StandardOutput)
+    sys.stderr = _taken_over(sys.stderr, StandardError)
+
+
+@contextmanager
+def quiet_libraries() -> Iterator[None]:
+    """Drop what libraries in C write to standard error within a block.
+
+    Lines that Python prints there are kept, if `prepare_streams` has taken over the stream.
+    With EXWARP_DEBUG=1 nothing is dropped.
+    """
+    if os.environ.get("EXWARP_DEBUG", "0") not in ("", "0"):
+        yield
+        return
+    with _quiet:  # the descriptor belongs to all threads
+        try:
+            kept = os.dup(STDERR)
+        except OSError:  # closed, or no descriptor is left
+            yield
+            return
+        try:
+            with suppress(OSError):
+                nowhere = os.open(os.devnull, os.O_WRONLY)
+                os.dup2(nowhere, STDERR)
+                os.close(nowhere)
+            yield
+        finally:
+            os.dup2(kept, STDERR)
+            os.close(kept)
+
+
+def _taken_over(stream: Any, kind: type[StandardOutput | StandardError]) -> Any:
+    """Return a text stream over a file of ours, with the encoding of the usual one."""
+    if not isinstance(stream, io.TextIOWrapper):
+        return stream
+    encoding, errors = stream.encoding, stream.errors
     if errors == "strict":
         # Bytes of file names that are no Unicode are printed as they are; characters that a
         # terminal of another encoding lacks are spelled out.
         is_utf8 = encoding.lower().replace("-", "") == "utf8"
         errors = "surrogateescape" if is_utf8 else "backslashreplace"
-    sys.stdout = io.TextIOWrapper(
-        io.BufferedWriter(StandardOutput()), encoding, errors,
-        line_buffering=sys.stdout.line_buffering,
-    )  # fmt: skip
+    file = io.BufferedWriter(kind())
+    return io.TextIOWrapper(file, encoding, errors, line_buffering=stream.line_buffering)
 
 
 def _open_closed() -> None:

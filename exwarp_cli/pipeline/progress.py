@@ -181,8 +181,7 @@ class JsonProgress:
     def _write(self, event: str, **rest: object) -> None:
         record = {"event": event, "done": self._estimate.done, "total": self._estimate.total}
         # JSON spells out line ends itself, and a line that is cut would be no JSON.
-        self._stream.write(json.dumps(record | rest) + "\n")
-        self._stream.flush()
+        _write_line(self._stream, json.dumps(record | rest))
 
 
 class BarProgress(NoProgress):
@@ -293,9 +292,7 @@ def reporting(kind: str = "auto", *, results_on_stdout: bool = False) -> Iterato
     try:
         yield progress
     except Exception as error:
-        # Whoever does not listen any more must not hide what went wrong.
-        with suppress(OSError, OutputError):
-            progress.fail(*_reason(error))
+        progress.fail(*_reason(error))
         raise
 
 
@@ -312,6 +309,11 @@ def _reason(error: Exception) -> tuple[str, int]:
 def _print_line(stream: TextIO, text: str) -> None:
     """Write one line that the stream can encode, and flush it: who reads it reads it now."""
     encoding = getattr(stream, "encoding", None) or "utf-8"
-    line = one_line(text).encode(encoding, "backslashreplace").decode(encoding)
-    stream.write(line + "\n")
-    stream.flush()
+    _write_line(stream, one_line(text).encode(encoding, "backslashreplace").decode(encoding))
+
+
+def _write_line(stream: TextIO, line: str) -> None:
+    """Write one line and flush it; a stream that fails must not end the work."""
+    with suppress(OSError, OutputError):
+        stream.write(line + "\n")
+        stream.flush()

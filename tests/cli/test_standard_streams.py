@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 
 from exwarp_cli.errors import OutputError
+from exwarp_cli.io import models
+from tests.cli import shots
 
 COMMAND = [sys.executable, "-m", "exwarp_cli"]
 FULL = Path("/dev/full")
@@ -90,3 +92,72 @@ def test_a_farm_s_lines_that_nobody_reads_hide_no_failure(exwarp, monkeypatch):
     assert result.code == 3
     result = exwarp("upsample", "nothing-of-that-name", "-o", "out", "--progress", "openjd")
     assert result.code == 3 and "nothing-of-that-name" in result.err
+
+
+RUN = ("-m", "s6", "--motion", "forward")
+
+
+@pytest.mark.skipif(not FULL.exists(), reason="the system has no full device")
+@pytest.mark.parametrize("progress", ["json", "bar"])
+def test_messages_that_a_full_disk_loses_do_not_end_the_work(plain_shot, tmp_path, progress):
+    run = ("upsample", str(plain_shot), "-o", str(tmp_path / "out"), *RUN, "--progress", progress)
+    found = shell(f'"$@" 2>{FULL}', *run)
+    assert found.returncode == 0
+    assert found.stdout.startswith("12 frames in ")
+    assert len(shots.names(tmp_path / "out")) == 12
+
+
+@pytest.mark.skipif(not FULL.exists(), reason="the system has no full device")
+def test_an_exit_code_outlives_its_message():
+    found = shell(f'"$@" 2>{FULL}', "inspect", "nothing-of-that-name")
+    assert (found.returncode, found.stdout, found.stderr) == (3, "", "")
+
+
+@pytest.mark.parametrize("progress", ["plain", "openjd"])
+def test_a_reader_that_ends_early_does_not_end_the_work(plain_shot, tmp_path, progress):
+    """As behind ``2>&1 | head -1``."""
+    run = ("upsample", str(plain_shot), "-o", str(tmp_path / "out"), *RUN, "--progress", progress)
+    line = f'( "$@" 2>&1; echo $? >{tmp_path / "code"} ) | head -1'
+    found = shell(line, *run)
+    assert found.stdout.count("\n") == 1
+    assert (tmp_path / "code").read_text() == "0\n"
+    assert len(shots.names(tmp_path / "out")) == 12
+
+
+def test_libraries_are_quiet_and_messages_are_kept():
+    """Inside the block only what Python prints arrives, after it everything does."""
+    script = (
+        "import os, sys\n"
+        "from exwarp_cli.io import standard_streams\n"
+        "standard_streams.prepare_streams()\n"
+        "with standard_streams.quiet_libraries():\n"
+        "    os.write(2, b'[W:onnxruntime] no device\\n')\n"
+        "    print('message', file=sys.stderr, flush=True)\n"
+        "os.write(2, b'later\\n')\n"
+    )
+    found = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=True
+    )
+    assert found.stderr == "message\nlater\n"
+
+
+def test_warnings_of_the_network_runtime_stay_off_the_terminal(monkeypatch, tmp_path, capfd):
+    """The runtime writes to the descriptor itself: as it is imported, and as it opens a network."""
+    (tmp_path / "onnxruntime.py").write_text(
+        "import os\n"
+        "os.write(2, b'[W:onnxruntime] GPU device discovery failed\\n')\n"
+        "__version__ = '1.2.3'\n"
+        "set_default_logger_severity = lambda level: None\n"
+        "disable_telemetry_events = lambda: None\n"
+        "class ExecutionMode: ORT_SEQUENTIAL = 0\n"
+        "class SessionOptions:\n"
+        "    def add_session_config_entry(self, key, value): pass\n"
+        "def InferenceSession(*args, **named):\n"
+        "    os.write(2, b'Error in cpuinfo\\n')\n"
+        "    return 'session'\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "onnxruntime", raising=False)
+    assert models.runtime_version() == "1.2.3"
+    assert models.open_session(tmp_path / "network.onnx", b"", 1, "cpu") == "session"
+    assert capfd.readouterr().err == ""
