@@ -14,6 +14,7 @@ import hashlib
 import os
 import pickle
 import re
+import stat
 import sys
 import tempfile
 import time
@@ -150,12 +151,41 @@ def writable_folder() -> Path | None:
 
 
 def places_in_turn() -> Iterator[Path]:
-    """Yield where builds may be: in NUMBA_CACHE_DIR, beside the source, in the user's cache."""
+    """Yield where builds may be: in NUMBA_CACHE_DIR, beside the source, in the user's cache.
+
+    The last place is a temporary folder, for users without a home folder.
+    """
     named: str = numba.config.CACHE_DIR  # type: ignore[attr-defined]
     if named:
         yield Path(named, "exwarp")
     yield Path(__file__).parent / "__pycache__"
-    yield Path(_Places(appname="numba", appauthor=False).user_cache_dir, "exwarp")
+    for folder in (_user_folder(), _temporary_folder()):
+        if folder is not None:
+            yield folder
+
+
+def _user_folder() -> Path | None:
+    home = Path(os.path.expanduser("~"))  # noqa: PTH111  # which raises without a home folder
+    cache = Path(_Places(appname="numba", appauthor=False).user_cache_dir)
+    if not cache.is_absolute():  # a relative or empty XDG_CACHE_HOME does not count
+        cache = home / ".cache" / "numba"
+    # A missing home folder is not made, and without one "~" would be made in the current folder.
+    has_place = cache.is_absolute() and (home.is_dir() or not cache.is_relative_to(home))
+    return cache / "exwarp" if has_place else None
+
+
+def _temporary_folder() -> Path | None:
+    """Return a temporary folder that no other user can write, as builds in it are run."""
+    if not hasattr(os, "getuid"):
+        return None
+    with contextlib.suppress(OSError):
+        folder = Path(tempfile.gettempdir(), f"exwarp-{os.getuid()}")
+        folder.mkdir(mode=0o700, exist_ok=True)
+        status = folder.lstat()
+        is_own = stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid()
+        if is_own and not status.st_mode & 0o022:
+            return folder
+    return None
 
 
 def _is_writable(folder: Path) -> bool:

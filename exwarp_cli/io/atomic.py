@@ -45,6 +45,7 @@ _REMEDIES = {
     errno.ENOTDIR: ("a part of the path is a file, not a folder", "check the path"),
     errno.EEXIST: ("a file of that name is in the way", "remove it or choose another path"),
     errno.EISDIR: ("a folder of that name is in the way", "remove it or choose another path"),
+    errno.ELOOP: ("a part of the path is a loop of links", "remove that link, or write elsewhere"),
     errno.ENAMETOOLONG: ("the name is too long", "choose a shorter one"),
     errno.EFBIG: ("the file system allows no file that large", "write elsewhere"),
     errno.EIO: ("the device reports an input/output error", "check the disk or the network share"),

@@ -68,7 +68,7 @@ class ConfigFile:
         return self.path.parent
 
 
-def found_files(named: str | None, how: str, user_folder: Path) -> tuple[FoundFile, ...]:
+def found_files(named: str | None, how: str, user_folder: Path | None) -> tuple[FoundFile, ...]:
     """Find the config files that hold, the strongest first.
 
     Parameters
@@ -79,7 +79,7 @@ def found_files(named: str | None, how: str, user_folder: Path) -> tuple[FoundFi
     how
         Where it is named.
     user_folder
-        Where the user's own file lies, which is weaker than any other.
+        Where the user's own file lies, which is weaker than any other; None without a home folder.
 
     Raises
     ------
@@ -89,8 +89,10 @@ def found_files(named: str | None, how: str, user_folder: Path) -> tuple[FoundFi
     if named is not None and named.strip().lower() in NONE:
         return ()
     nearest = _nearest() if named is None else FoundFile(_named(named, how), how)
-    own = FoundFile(user_folder.absolute() / NAME, "user's own")
     found = [] if nearest is None else [nearest]
+    if user_folder is None:
+        return tuple(found)
+    own = FoundFile(user_folder.absolute() / NAME, "user's own")
     if _is_file(own.path) and not (nearest and nearest.path.resolve() == own.path.resolve()):
         found.append(own)
     return tuple(found)

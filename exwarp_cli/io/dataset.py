@@ -10,6 +10,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -148,7 +149,7 @@ def find_scenes(
     InputError
         When there is none, or one that is named is not there.
     """
-    root = Path(data).expanduser()
+    root = Path(os.path.expanduser(data))  # noqa: PTH111  # which raises without a home folder
     if not root.is_dir():
         raise InputError(f"the data set {root} is no folder; render scenes first or mend the path")
     folders = [root] if (root / MANIFEST).is_file() else sorted(root.iterdir())

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import pwd
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 from typing import Any
@@ -259,3 +261,51 @@ def test_the_accelerator_has_its_builds_there_too(folder):
     assert use() == (0, 1)
     assert [path.name[:19] for path in folder.iterdir()] == ["kernel.decide_text-"]
     assert use() == (1, 0)
+
+
+@pytest.fixture
+def homeless(monkeypatch, tmp_path) -> Path:
+    """Neither HOME nor an entry of the user; return the current folder."""
+    here = tmp_path / "here"
+    here.mkdir()
+    monkeypatch.chdir(here)
+    for name in ("HOME", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+
+    def unknown(number: int) -> None:
+        raise KeyError(number)
+
+    monkeypatch.setattr(pwd, "getpwuid", unknown)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    return here
+
+
+@pytest.mark.parametrize("cache_home", [None, "", "~/.cache"])
+@pytest.mark.parametrize("home", [None, "nonexistent"])
+def test_without_home_builds_go_to_a_temporary_folder(homeless, monkeypatch, home, cache_home):
+    missing = homeless.parent / "nonexistent"
+    if home is not None:
+        monkeypatch.setenv("HOME", str(missing))
+    if cache_home is not None:
+        monkeypatch.setenv("XDG_CACHE_HOME", cache_home)
+    places = [place for place in cache.places_in_turn() if ROOT not in place.parents]
+    assert places == [homeless.parent / f"exwarp-{os.getuid()}"]
+    assert places[0].stat().st_mode & 0o777 == 0o700
+    assert list(homeless.iterdir()) == [] and not missing.exists()
+
+
+def test_a_cache_folder_that_is_set_needs_no_home(homeless, monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    assert tmp_path / "cache" / "numba" / "exwarp" in cache.places_in_turn()
+
+
+@pytest.mark.parametrize("damage", ["writable for others", "a link"])
+def test_a_temporary_folder_of_others_is_not_trusted(homeless, tmp_path, damage):
+    """Builds are run, and anybody can make a folder of that name."""
+    folder = tmp_path / f"exwarp-{os.getuid()}"
+    if damage == "a link":
+        folder.symlink_to(homeless)
+    else:
+        folder.mkdir()
+        folder.chmod(0o777)
+    assert folder not in list(cache.places_in_turn())

@@ -53,7 +53,9 @@ def config_files(
         return ()
     if named is None and (variable := os.environ.get("EXWARP_CONFIG")):
         named, how = variable, "EXWARP_CONFIG"
-    return found_files(named, how, Path(click.get_app_dir("exwarp")))
+    own = Path(click.get_app_dir("exwarp"))
+    # Without a home folder it begins with "~", which would be a folder in the current one.
+    return found_files(named, how, own if own.is_absolute() else None)
 
 
 def readers(

@@ -13,7 +13,7 @@ from typing import Any
 
 import click
 
-from exwarp_cli.commands.option_names import names_paths, takes_list
+from exwarp_cli.commands.option_names import long_name, names_paths, takes_list
 from exwarp_cli.errors import UsageError
 
 Value = bool | str | tuple[str, ...]
@@ -138,6 +138,11 @@ def _placed(option: click.Option, text: str, folder: Path) -> str:
     role, equals, path = text.partition("=") if "=" in (option.metavar or "") else ("", "", text)
     if path.startswith("~"):
         path = os.path.expanduser(path)  # noqa: PTH111
+        if path == "~" or path.startswith("~/"):
+            raise UsageError(
+                f"--{long_name(option)} names {path}, and there is no home folder; set HOME, or "
+                "write the full path"
+            )
     if path in ("", "-") or Path(path).is_absolute() or _is_here(folder):
         return f"{role}{equals}{path}"
     return f"{role}{equals}{folder}{os.sep}{path}"  # no Path: a last slash says that it is a folder

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import tempfile
 from collections.abc import Callable, Iterator
 from importlib import metadata
 from pathlib import Path
@@ -129,7 +130,10 @@ def place_of(folder: Path) -> str:
     if named and Path(named).resolve() in folder.resolve().parents:
         return f"in {FOLDER_VARIABLE}"
     beside = Path(jit.__file__).resolve().parents[1] in folder.resolve().parents
-    return "beside the source" if beside else "in the user's cache"
+    if beside:
+        return "beside the source"
+    is_temporary = Path(tempfile.gettempdir()) == folder.parent
+    return "in the temporary folder" if is_temporary else "in the user's cache"
 
 
 def _cache_remarks(folders: list[Folder], lacking: bool) -> Iterator[Remark]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pwd
+
 import pytest
 
 from tests.cli.config.commands import BEGIN
@@ -67,3 +69,18 @@ class TestValues:
     def test_a_required_option_may_come_from_a_file(self, parse, project):
         write(project, '[upsample]\noutput = "frames"')
         assert parse("upsample", "shot")["output"] == "frames"
+
+
+def test_a_path_below_home_needs_a_home_folder(exwarp, monkeypatch, tmp_path):
+    """Else a folder named ~ would be made beside the file."""
+    (tmp_path / "exwarp.toml").write_text('[upsample]\nvideo = "~/a.mp4"\n')
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("HOME", raising=False)
+
+    def unknown(number: int) -> None:
+        raise KeyError(number)
+
+    monkeypatch.setattr(pwd, "getpwuid", unknown)
+    result = exwarp("upsample", "keys", "-o", "out")
+    assert result.code == 2
+    assert "--video names ~/a.mp4, and there is no home folder; set HOME, or write" in result.err
