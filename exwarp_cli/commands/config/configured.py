@@ -26,6 +26,7 @@ from exwarp_cli.commands.config.layers import (
     variable_name,
 )
 from exwarp_cli.commands.config.sources import config_files, environment_of, readers
+from exwarp_cli.commands.misread_paths import refuse_expanded, require_usable_paths
 from exwarp_cli.commands.option_names import long_name
 from exwarp_cli.errors import UsageError
 from exwarp_cli.io.config_file import FoundFile
@@ -94,7 +95,7 @@ def configured(
         made.params += [_isolated(), ConfigOption(command, path)]
         made.epilog = _epilog(command, options, path)
     if made.callback is not None:
-        made.callback = _announcing(made.callback)
+        made.callback = _announcing(_requiring_paths(command.params, made.callback))
     return made
 
 
@@ -128,11 +129,13 @@ class ConfigOption(click.Option):
         Raises
         ------
         UsageError
-            For mistakes in the files and the environment.
+            For mistakes in the files and the environment, and for names that a shell put in the
+            place of an unquoted ``*``.
         """
         result = super().handle_parse_result(ctx, opts, args)
         if ctx.resilient_parsing:  # a shell asks for completions
             return result
+        refuse_expanded(args)
         given = _given(ctx, self._command, opts)
         isolated = bool(opts.get(ISOLATED))
         environment = environment_of(self._path, isolated)
@@ -275,6 +278,18 @@ def _every_command(
             yield from _every_command(below, (*path, name))
         else:
             yield below, command, (*path, name)
+
+
+def _requiring_paths(
+    parameters: list[click.Parameter], callback: Callable[..., Any]
+) -> Callable[..., Any]:
+    """Let a command refuse paths that do not mean what the user does."""
+
+    def run(**values: Any) -> Any:
+        require_usable_paths(parameters, values)
+        return callback(**values)
+
+    return run
 
 
 def _announcing(callback: Callable[..., Any]) -> Callable[..., Any]:

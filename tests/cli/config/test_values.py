@@ -71,10 +71,9 @@ class TestValues:
         assert parse("upsample", "shot")["output"] == "frames"
 
 
-def test_a_path_below_home_needs_a_home_folder(exwarp, monkeypatch, tmp_path):
+def test_a_path_below_home_needs_a_home_folder(exwarp, project, monkeypatch):
     """Else a folder named ~ would be made beside the file."""
-    (tmp_path / "exwarp.toml").write_text('[upsample]\nvideo = "~/a.mp4"\n')
-    monkeypatch.chdir(tmp_path)
+    write(project, '[upsample]\nvideo = "~/a.mp4"\n')
     monkeypatch.delenv("HOME", raising=False)
 
     def unknown(number: int) -> None:
