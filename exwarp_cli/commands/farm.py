@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -160,7 +161,7 @@ def commands(chunk_size: int, program: str, as_json: bool, **options: Any) -> No
     chunks = [shell_line(words) for _, words in lines.chunks]
     afterwards = [shell_line(words) for words in lines.afterwards]
     for line in chunks:
-        click.echo(line)
+        click.echo(os.fsencode(line))  # names as the disk has them, for any terminal
     for line in afterwards:
         _say(f"when all are done: {line}")
 

@@ -137,11 +137,19 @@ def locate(parameter: str, text: str) -> Place:
     InputError
         When the path is no text that a job can hold.
     """
+    place = _located(parameter, text)
+    # Whole paths, as the current folder becomes a part of them.
+    for path in (place.text, *map(str, place.beside.values())):
+        if not _is_text(path):
+            raise InputError(
+                f"the path {path!r} holds bytes that are no UTF-8, which no job can carry; "
+                "rename it"
+            )
+    return place
+
+
+def _located(parameter: str, text: str) -> Place:
     purpose = PURPOSES[parameter]
-    if not _is_text(text):
-        raise InputError(
-            f"the path {text!r} holds bytes that are no UTF-8, which no job can carry; rename it"
-        )
     if purpose.form is Form.AOV:
         return _aov(purpose, text)
     place = Place(purpose, purpose.name, purpose.label, Path(text).absolute())
