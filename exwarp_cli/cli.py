@@ -25,10 +25,9 @@ from exwarp_cli.domain.line import one_line
 from exwarp_cli.errors import (
     INTERRUPTED,
     DamagedFileError,
-    ExwarpError,
     OutOfMemoryError,
     OutputError,
-    system_error,
+    known_error,
 )
 from exwarp_cli.io.standard_streams import prepare_streams
 from exwarp_cli.io.stops import Stoppable, Terminated
@@ -62,8 +61,8 @@ The command line wins over the environment, that over the file of this folder or
 that over USERS_FILE. --no-NAME takes back what these say of --NAME, and 'exwarp doctor' shows it.
 
 Exit codes: 0 done, 2 options, 3 input, 4 motion convention unknown, 5 output, 6 frames in the way,
-7 missing extra, 8 quality below a limit, 9 cluster, 10 installation, 11 out of memory, 12 intervals
-left out, 130 interrupted, 143 terminated, 1 a defect of ExWarp.
+7 missing extra, 8 quality below a limit, 9 cluster, 10 installation, 11 out of memory or threads,
+12 intervals left out, 130 interrupted, 143 terminated, 1 a defect of ExWarp.
 """.replace("USERS_FILE", f"{click.get_app_dir('exwarp')}/exwarp.toml")
 
 DEFECT = 1
@@ -152,14 +151,22 @@ def main() -> NoReturn:
         warnings.simplefilter("ignore")
     args = sys.argv[1:]
     # What prints help and completions reads no files.
-    end = part(_say) if _command_in(args) and not {"-h", "--help"} & set(args) else None
-    code = run(args) if end is None else _told(end, args)
+    code = _parted(args) if _command_in(args) and not {"-h", "--help"} & set(args) else run(args)
     try:
         sys.stdout.flush()
     except OutputError as error:
         code = code or _fail(str(error), error.exit_code)
     codes.append(code)
     sys.exit(code)
+
+
+def _parted(args: list[str]) -> int:
+    """Run a command line in a process of its own; return the exit code."""
+    try:
+        end = part(_say)
+    except OSError as error:
+        return _failed(error, args, {})
+    return run(args) if end is None else _told(end, args)
 
 
 def _use_utf8() -> None:
@@ -242,8 +249,8 @@ def _failed(error: BaseException, args: list[str], origins: Mapping[str, str]) -
             "the memory does not suffice; close other programs, or use fewer threads",
             OutOfMemoryError.exit_code,
         )
-    known = system_error(error) if isinstance(error, OSError) else error
-    if isinstance(known, ExwarpError):
+    known = known_error(error)
+    if known is not None:
         return _fail(_traced(str(known), origins), known.exit_code)
     return _defect(error)
 

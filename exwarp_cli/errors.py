@@ -12,11 +12,12 @@
       MotionError               4   the convention of the motion vectors cannot be settled
       OutputError               5   a file that cannot be written (rights, space, folder)
         OutputExistsError       6   frames in the way, without --overwrite or --skip-existing
+        ReaderGoneError         5   the program that reads standard output has ended
       MissingExtraError         7   an optional dependency that is not installed
       QualityError              8   a quality worse than a limit that the user set
       ClusterError              9   a cluster that cannot be reached, or that loses its workers
       InstallationError        10   an installation in which something does not work
-      OutOfMemoryError         11   more memory is needed than there is
+      OutOfMemoryError         11   more memory, threads or processes are needed than there are
       IncompleteError          12   something was left out, as --keep-going has it
 
 A message says what is wrong, where (the file, frame or option), and what to do about it, in one
@@ -27,6 +28,7 @@ interrupted by the user, 143 terminated, as in shells.
 from __future__ import annotations
 
 import errno
+import os
 
 INTERRUPTED = 130
 
@@ -88,6 +90,10 @@ class OutputExistsError(OutputError):
     exit_code = 6
 
 
+class ReaderGoneError(OutputError):
+    """The program that reads standard output has ended, as ``| head`` does; it has no message."""
+
+
 class MissingExtraError(ExwarpError):
     """An optional dependency that is not installed."""
 
@@ -113,7 +119,7 @@ class InstallationError(ExwarpError):
 
 
 class OutOfMemoryError(ExwarpError):
-    """More memory is needed than there is."""
+    """More memory, threads or processes are needed than there are."""
 
     exit_code = 11
 
@@ -143,3 +149,33 @@ def system_error(error: OSError) -> ExwarpError | None:
         return None
     kind = OutputError if error.errno in _NO_ROOM else InputError
     return kind(f"cannot use {error.filename}: {error.strerror}; check the path and its rights")
+
+
+def is_lack_of_threads(error: BaseException) -> bool:
+    """True if an error says that the system starts no more threads or processes.
+
+    Python raises RuntimeError for threads and BlockingIOError for processes. Libraries in C++ raise
+    RuntimeError with the words of the system.
+    """
+    if isinstance(error, OSError):
+        return error.errno == errno.EAGAIN and error.filename is None
+    text = str(error)
+    no_more = ("can't start new thread", os.strerror(errno.EAGAIN))
+    return isinstance(error, RuntimeError) and any(words in text for words in no_more)
+
+
+def lack_of_threads() -> OutOfMemoryError:
+    """Return the error that tells of a limit on threads and processes."""
+    return OutOfMemoryError(
+        "the system lets this user start no more threads or processes; raise the limit (ulimit -u, "
+        "or that of the container or batch job), or end other programs"
+    )
+
+
+def known_error(error: BaseException) -> ExwarpError | None:
+    """Return the error of this tree for any error; None for a defect of ExWarp."""
+    if isinstance(error, ExwarpError):
+        return error
+    if is_lack_of_threads(error):
+        return lack_of_threads()
+    return system_error(error) if isinstance(error, OSError) else None

@@ -114,17 +114,17 @@ def _refuse_misread(parameter: click.Parameter, text: str) -> None:
     if text == "-":
         raise UsageError(
             f"{named}, and frames do not go through standard input or output; name a folder, "
-            "or ./- for one of that name"
+            "or the full path of one of that name"
         )
     if os.name != "nt" and _DRIVE.match(text):
         raise UsageError(
             f"{named}, which is a path of Windows, and this system has no drives; write the path "
-            f"as it is here, or ./{text} for a name with a backslash"
+            "as it is here, or the full path of a file of that name"
         )
     if text.split("/")[0] == "~" and parameter.name not in EXPANDED:
         raise UsageError(
             f"{named}, and the shell did not replace ~ by the home folder; write $HOME"
-            f"{text[1:]} without quotes, or ./{text} for a folder of that name"
+            f"{text[1:]} without quotes, or the full path of a folder of that name"
         )
 
 

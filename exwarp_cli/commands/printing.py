@@ -9,7 +9,7 @@ from contextlib import contextmanager, suppress
 import click
 
 from exwarp_cli.domain.line import printable
-from exwarp_cli.io.standard_streams import ReaderGoneError
+from exwarp_cli.errors import ReaderGoneError
 
 
 def show(line: str, *, err: bool = False) -> None:

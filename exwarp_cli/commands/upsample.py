@@ -223,7 +223,8 @@ def command(
     where = ClusterSettings(workers, cluster, chunk_size)
     runs = not (dry_run or where.spread)
     if runs and settings.threads != 1:
-        Thread(target=_import_run, name="exwarp-import").start()
+        with suppress(RuntimeError):  # no more threads: what needs one says so
+            Thread(target=_import_run, name="exwarp-import").start()
     with _going_on(progress), reporting(progress, results_on_stdout=as_json) as told:
         job = replace(open_job(settings, runs), reported=as_json or report_folder is not None)
         place = _report_place(report_folder, as_chunk, job)

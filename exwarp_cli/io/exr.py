@@ -23,7 +23,14 @@ from exwarp_cli.domain.being_read import being_read
 from exwarp_cli.domain.bounds import require_canvas, require_size
 from exwarp_cli.domain.frame import Window
 from exwarp_cli.domain.lent_memory import lent
-from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, MissingFrameError
+from exwarp_cli.errors import (
+    DamagedFileError,
+    InputError,
+    LayoutError,
+    MissingFrameError,
+    is_lack_of_threads,
+    lack_of_threads,
+)
 from exwarp_cli.io.exr_decoding import ScanLines, Wanted
 from exwarp_cli.io.header_text import attributes_in
 from exwarp_cli.io.magic import EXR, head_of, kind_of
@@ -138,7 +145,9 @@ class ExrReader:
             raise InputError(
                 f"cannot read {path}: its name or a folder's is not valid UTF-8; rename that"
             ) from error
-        except (RuntimeError, ValueError, UnicodeError):
+        except (RuntimeError, ValueError, UnicodeError) as error:
+            if is_lack_of_threads(error):  # that is no damage of the file
+                raise lack_of_threads() from error
             file = None
         if file is None:
             said = _said(oiio.geterror)

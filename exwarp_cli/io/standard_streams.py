@@ -14,15 +14,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
 
-from exwarp_cli.errors import OutputError
+from exwarp_cli.errors import OutputError, ReaderGoneError
 
 STDOUT, STDERR = 1, 2
 
 _quiet = threading.RLock()
-
-
-class ReaderGoneError(OutputError):
-    """The program that reads standard output has ended, as ``| head`` does; it has no message."""
 
 
 class StandardOutput(io.FileIO):

@@ -14,7 +14,14 @@ from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Protocol, TextIO
 
 from exwarp_cli.domain.line import one_line
-from exwarp_cli.errors import ExwarpError, IncompleteError, OutputError, UsageError, system_error
+from exwarp_cli.errors import (
+    ExwarpError,
+    IncompleteError,
+    OutOfMemoryError,
+    OutputError,
+    UsageError,
+    known_error,
+)
 from exwarp_cli.pipeline.eta import ANY, Clock, Estimate, PacedEstimate, named
 
 if TYPE_CHECKING:
@@ -298,11 +305,11 @@ def reporting(kind: str = "auto", *, results_on_stdout: bool = False) -> Iterato
 
 def _reason(error: Exception) -> tuple[str, int]:
     """Return a sentence and the exit code; those of defects are told in full on stderr."""
-    known = system_error(error) if isinstance(error, OSError) else error
-    if isinstance(known, ExwarpError):
+    known = known_error(error)
+    if known is not None:
         return str(known), known.exit_code
     if isinstance(error, MemoryError):
-        return "the memory does not suffice", ExwarpError.exit_code
+        return "the memory does not suffice", OutOfMemoryError.exit_code
     return f"unexpected {type(error).__name__}: {error}", ExwarpError.exit_code
 
 

@@ -127,7 +127,7 @@ class TestErrors:
             "OutputError": 5,
             "OutputExistsError": 6, "MissingExtraError": 7, "QualityError": 8,
             "ClusterError": 9, "InstallationError": 10, "OutOfMemoryError": 11,
-            "IncompleteError": 12,
+            "IncompleteError": 12, "ReaderGoneError": 5,
         }  # fmt: skip
 
     @pytest.mark.parametrize("kind", every_error())

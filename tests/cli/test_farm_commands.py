@@ -71,7 +71,7 @@ class TestLines:
         assert any(name in word for word in found["chunks"][0]["command"])
 
     @pytest.mark.parametrize(
-        "name", [HOSTILE, "./~", "-a", "a\xa0b", "a\u200db", "a;b&c|d>e", "%!\\"]
+        "name", [HOSTILE, "~a", "-a", "a\xa0b", "a\u200db", "a;b&c|d>e", "%!\\"]
     )
     def test_a_shell_reads_the_words_that_were_meant(self, shot, exwarp, tmp_path, name):
         result = exwarp("farm", "commands", NAME, "-o", f"{name}/", "--report", name, *FORWARD)

@@ -43,7 +43,7 @@ def test_a_path_of_windows_is_known_as_input(exwarp, here, path):
 
 
 def test_such_names_can_be_meant(upsample, plain_shot, here):
-    upsample(plain_shot, "./-", "-m", "s6", "--motion", "forward")
+    upsample(plain_shot, here / "-", "-m", "s6", "--motion", "forward")
     assert len(shots.names(here / "-")) == 12
 
 

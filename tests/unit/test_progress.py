@@ -391,7 +391,7 @@ class TestReporting:
                 3,
             ),
             (ZeroDivisionError("oops"), "unexpected ZeroDivisionError: oops", 1),
-            (MemoryError(), "the memory does not suffice", 1),
+            (MemoryError(), "the memory does not suffice", 11),
         ],
     )
     def test_what_goes_wrong_is_told_last_and_goes_on(self, capsys, error, text, code):
