@@ -10,8 +10,8 @@ from __future__ import annotations
 import re
 from bisect import bisect_right
 from collections.abc import Iterator
-from contextlib import ExitStack
-from dataclasses import dataclass
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
@@ -20,11 +20,13 @@ import numpy as np
 
 from exwarp_cli.domain.bounds import require_size
 from exwarp_cli.domain.frame import Float32
+from exwarp_cli.domain.settings import SourceSettings
 from exwarp_cli.errors import DamagedFileError, InputError
 from exwarp_cli.io.clip_timing import Pacing, Packets, pace, read_packets
 from exwarp_cli.io.ffmpeg import EXACT, Drain, FfmpegError, told
 from exwarp_cli.io.held import Held
 from exwarp_cli.io.reading_retry import with_retries
+from exwarp_cli.io.timecode import Timecode
 from exwarp_cli.io.video import (
     MATRICES,
     Soundtrack,
@@ -33,12 +35,25 @@ from exwarp_cli.io.video import (
     from_display,
 )
 
-CLIPS = (".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".mxf", ".mpg", ".mpeg", ".ts", ".mts")
+CLIPS = (
+    *(".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".mxf", ".mpg", ".mpeg", ".ts", ".mts"),
+    *(".m2ts", ".flv", ".wmv", ".gif", ".apng", ".y4m"),
+)
 """Suffixes of the videos that are read, in lower case."""
+
+_PICTURES = (".gif", ".apng")  # of videos that may be single pictures, too
 
 HD_ROWS = 720
 """From as many rows on, a video that does not say its matrix has that of BT.709, else BT.601."""
 
+DEINTERLACE = "bwdif=mode=send_frame:deint=interlaced"
+"""Filter that makes one frame of two fields, and leaves frames alone that are progressive."""
+
+EVERY_FRAME = 300
+"""Up to as many frames are all looked at for fields; of longer videos the key frames are."""
+
+_ALPHA_DECODERS = {"vp8": "libvpx", "vp9": "libvpx-vp9"}
+# The usual decoders of the two leave alpha out without a word.
 _HDR = {"smpte2084": "PQ", "arib-std-b67": "HLG"}
 _INDEXED = ("mov,mp4", "matroska")  # containers whose table of frames seeking can rely on
 _ALPHA = re.compile(r"(yuva|gbra|rgba|bgra|argb|abgr|ya)[0-9a-z]*")
@@ -61,7 +76,7 @@ class Clip:
     look
         Its colour, pixel aspect and sound, for a video made of it.
     has_alpha
-        Whether it has an alpha channel, which is left out.
+        Whether it has an alpha channel.
     deep
         Whether it has more than 8 bits a channel; then 16 are decoded.
     """
@@ -75,6 +90,8 @@ class Clip:
     deep: bool
     _packets: Packets
     _indexed: bool
+    _decoder: tuple[str, ...] = ()
+    _deinterlaced: bool = False
 
     @property
     def rate(self) -> Fraction:
@@ -86,6 +103,12 @@ class Clip:
         """Number of frames at this rate."""
         return len(self.pacing.shown)
 
+    @property
+    def reading(self) -> tuple[str, ...]:
+        """Names of what its frames depend on beside the file."""
+        names = {"alpha": self.has_alpha, "deinterlaced": self._deinterlaced}
+        return tuple(name for name, wanted in names.items() if wanted)
+
     def sound(
         self, start: Fraction | int = 0, stop: Fraction | int | None = None
     ) -> Soundtrack | None:
@@ -94,16 +117,16 @@ class Clip:
         if whole is None:
             return None
         length = None if stop is None else (stop - start) / self.rate
-        return Soundtrack(whole.path, whole.codecs, whole.start + start / self.rate, length)
+        return replace(whole, start=whole.start + start / self.rate, length=length)
 
     def frames(self, start: int = 0, stop: int | None = None) -> Iterator[Float32]:
         """Decode the frames [start, stop), one at a time.
 
         Yields
         ------
-        float32 [H, W, 3]
-            Scene-linear, 0 to 1, by the sRGB curve: what `to_display` undoes. The same pixels
-            wherever decoding starts.
+        float32 [H, W, 3 or 4]
+            Scene-linear, 0 to 1, by the sRGB curve: what `to_display` undoes. With alpha, it is
+            premultiplied. The same pixels wherever decoding starts.
 
         Raises
         ------
@@ -111,15 +134,19 @@ class Clip:
             When the video cannot be decoded, or ends early.
         """
         for code in self._codes(start, self.count if stop is None else stop):
-            yield from_display(code)
+            light = from_display(code[..., :3])
+            if self.has_alpha:
+                alpha = code[..., 3:] / np.float32(np.iinfo(code.dtype).max)
+                light = np.concatenate([light * alpha, alpha], axis=-1)
+            yield light
 
     def _codes(self, start: int, stop: int) -> Iterator[np.ndarray]:
-        """Decode frames as uint8 or uint16 [H, W, 3]."""
+        """Decode frames as uint8 or uint16 [H, W, 3], with alpha [H, W, 4]."""
         shown = self.pacing.shown[start:stop]
         if not shown:
             return
-        dtype, name = (np.dtype("<u2"), "rgb48le") if self.deep else (np.dtype("u1"), "rgb24")
-        size = self.width * self.height * 3 * dtype.itemsize
+        dtype, name, channels = np.dtype("<u2" if self.deep else "u1"), *self._pixels
+        size = self.width * self.height * channels * dtype.itemsize
         at, data = shown[0] - 1, b""
         try:
             with Drain(self._options(shown[0], name)) as ffmpeg:
@@ -129,21 +156,30 @@ class Clip:
                         if found is None:
                             raise self._ends(index)
                         at, data = at + 1, found
-                    yield np.frombuffer(data, dtype).reshape(self.height, self.width, 3)
+                    yield np.frombuffer(data, dtype).reshape(self.height, self.width, channels)
         except FfmpegError as error:
             raise damaged_clip(self.path, str(error)) from error
+
+    @property
+    def _pixels(self) -> tuple[str, int]:
+        """ffmpeg's name of the pixels that are decoded, and the number of their channels."""
+        if self.has_alpha:
+            return "rgba64le" if self.deep else "rgba", 4
+        return "rgb48le" if self.deep else "rgb24", 3
 
     def _ends(self, index: int) -> DamagedFileError:
         return damaged_clip(self.path, f"it ends after {index} of {self.count} frames")
 
     def _options(self, first: int, pixels: str) -> list[str]:
         """Return what makes ffmpeg write the file's frames from one on."""
+        fields = f"{DEINTERLACE}," if self._deinterlaced else ""
         matrix = MATRICES[self.look.colour.matrix]
         convert = (
             f"scale={self.width}:{self.height}:in_color_matrix={matrix}:"
             f"out_range=pc:{EXACT},format={pixels}"
         )
-        seek = self._seek(first)
+        # A field is judged by the frame before, too.
+        seek = self._seek(first - self._deinterlaced)
         begin = [] if seek is None else ["-ss", f"{float(seek):.6f}"]
         if self._packets.times:
             # Half a frame before its time, as both are rounded.
@@ -152,8 +188,8 @@ class Clip:
         else:
             cut = f"trim=start_frame={first}"
         return [
-            *("-xerror", *begin, "-i", f"file:{self.path}", "-map", "0:V:0"),
-            *("-vf", f"{cut},{convert}", "-fps_mode", "passthrough"),
+            *("-xerror", *begin, *self._decoder, "-i", f"file:{self.path}", "-map", "0:V:0"),
+            *("-vf", f"{fields}{cut},{convert}", "-fps_mode", "passthrough"),
             *("-f", "rawvideo", "-pix_fmt", pixels, "-"),
         ]
 
@@ -189,7 +225,7 @@ class ClipReader(Held):
         stack.callback(self._rest)
 
     def read(self, index: int) -> Float32:
-        """Return a frame, float32 [H, W, 3], scene-linear.
+        """Return a frame as `Clip.frames` yields it.
 
         Raises
         ------
@@ -228,48 +264,66 @@ class ClipReader(Held):
 def is_clip(spec: str) -> bool:
     """Whether what a user names is a video rather than a sequence of images."""
     path = Path(spec)
-    return path.suffix.lower() in CLIPS and not path.is_dir()
+    suffix = path.suffix.lower()
+    if suffix in _PICTURES and set("#%") & set(path.name):
+        return False  # a pattern of single pictures
+    return suffix in CLIPS and not path.is_dir()
 
 
-def open_clip(path: Path) -> Clip:
+def open_clip(path: Path, scan: str = SourceSettings.scan) -> Clip:
     """Look into a video.
+
+    Parameters
+    ----------
+    path
+        The file.
+    scan
+        Out of `SCANS`: how it is read if it is interlaced, at its first frame or later.
 
     Raises
     ------
     InputError
-        When there is no such file, or it is HDR or interlaced.
+        When there is no such file, or it is HDR, sound alone, or interlaced with `scan` "auto".
     DamagedFileError
         When it cannot be read as video.
     UnreadableError
         When the system does not let it through.
     """
-    return with_retries(path, partial(_open_clip, path))
+    return with_retries(path, partial(_open_clip, path, scan))
 
 
-def _open_clip(path: Path) -> Clip:
+def _open_clip(path: Path, scan: str) -> Clip:
     """Look into a video, once."""
     if not path.is_file():
         raise InputError(f"there is no video {path}; check the path")
     try:
         packets = read_packets(path)
-        said = _first_frame(path)
+        decoder, said = _first_frame(path)
     except FfmpegError as error:
+        _require_picture(path)
         raise damaged_clip(path, str(error)) from error
     seen = _Seen.parse(path, said)
+    if scan == "auto":
+        _require_progressive(path, packets, seen)
     width, height = seen.size
     require_size(path, height, width)
     sound = None
-    if seen.codecs:
-        sound = Soundtrack(path, seen.codecs, max(packets.time(0), Fraction(0)))
+    if seen.codecs or seen.subtitles:
+        start = max(packets.time(0), Fraction(0))
+        sound = Soundtrack(path, seen.codecs, start, subtitles=seen.subtitles)
+    pacing = pace(packets, seen.rate)
+    code = None if seen.timecode is None else Timecode(seen.timecode, pacing.rate)
     return Clip(
         path,
         *seen.size,
-        pace(packets, seen.rate),
-        VideoLook(seen.colour, seen.aspect, sound),
+        pacing,
+        VideoLook(seen.colour, seen.aspect, sound, timecode=code),
         _ALPHA.fullmatch(seen.pixels) is not None,
         _DEEP.search(seen.pixels) is not None,
         packets,
         seen.container.startswith(_INDEXED),
+        decoder,
+        scan == "deinterlace",
     )
 
 
@@ -278,11 +332,63 @@ def damaged_clip(path: Path, why: str) -> DamagedFileError:
     return DamagedFileError(f"cannot read the video {path}: {why}; export it again")
 
 
-def _first_frame(path: Path) -> str:
-    """Return what ffmpeg says of a file and of its first frame."""
-    look = ["-frames:v", "1", "-vf", "showinfo=checksum=0", "-f", "null", "-"]
-    _, said = told(["-v", "info", "-hide_banner", "-i", f"file:{path}", "-map", "0:V:0", *look])
+def _require_picture(path: Path) -> None:
+    """Refuse a file of sound alone; raises InputError."""
+    with suppress(FfmpegError):
+        _, said = told(["-v", "info", "-i", f"file:{path}", "-f", "ffmetadata", "-"])
+        streams = re.findall(r"^\s*Stream #0:.*", _input_part(said), re.MULTILINE)
+        # A cover is no video.
+        seen = any(": Video: " in line and "(attached pic)" not in line for line in streams)
+        if streams and not seen:
+            raise InputError(f"{path} holds no picture, only sound; name a video or frames")
+
+
+def _first_frame(path: Path) -> tuple[tuple[str, ...], str]:
+    """Return the options that choose a decoder, and what ffmpeg says of a file's first frame."""
+    said = _shown_info(path, "-frames:v", "1")
+    video = re.search(r"Stream #0:.*?: Video: (\w+)", said)
+    name = _ALPHA_DECODERS.get(video[1]) if video else None
+    if name is None or not re.search(r"^\s*alpha_mode\s*: 1", _input_part(said), re.MULTILINE):
+        return (), said
+    decoder = ("-c:v", name)
+    try:
+        return decoder, _shown_info(path, "-frames:v", "1", decoder=decoder)
+    except FfmpegError as error:
+        raise FfmpegError(f"its alpha needs ffmpeg with the decoder {name}") from error
+
+
+def _shown_info(path: Path, *options: str, decoder: tuple[str, ...] = ()) -> str:
+    """Return what ffmpeg says of a file and of frames."""
+    source = ["-v", "info", "-hide_banner", *decoder, "-i", f"file:{path}", "-map", "0:V:0"]
+    _, said = told([*source, *options, "-vf", "showinfo=checksum=0", "-f", "null", "-"])
     return said
+
+
+def _require_progressive(path: Path, packets: Packets, seen: _Seen) -> None:
+    """Refuse a video with interlaced frames; raises InputError.
+
+    Of a long one only key frames are decoded: what has other fields begins with one.
+    """
+    when = Fraction(0)
+    if not seen.interlaced:
+        few = packets.count <= EVERY_FRAME
+        sparse = 2 * len(packets.keys) <= packets.count
+        choice = ("-skip_frame", "nokey") if sparse and not few else ()
+        most = ("-frames:v", str(EVERY_FRAME)) if not (sparse or few) else ()
+        try:
+            said = _shown_info(path, *most, decoder=choice)
+        except FfmpegError:
+            return  # what is damaged is named when it is read
+        fields = re.search(r"showinfo.* pts_time:(\S+) .* i:[TB] ", said)
+        if fields is None:
+            return
+        with suppress(ValueError):
+            when = max(Fraction(fields[1]) - packets.time(0), when)
+    begin = f" from {float(when):.2f} s on" if when else ""
+    raise InputError(
+        f"the video {path} is interlaced{begin}, and frames are upsampled here, not fields; give "
+        "--scan deinterlace, or --scan progressive if both fields show one instant (PsF)"
+    )
 
 
 @dataclass(frozen=True)
@@ -295,7 +401,10 @@ class _Seen:
     pixels: str
     rate: Fraction | None
     colour: VideoColour
+    interlaced: bool
     codecs: tuple[str, ...]
+    subtitles: tuple[str, ...]
+    timecode: str | None
 
     @classmethod
     def parse(cls, path: Path, said: str) -> _Seen:
@@ -308,11 +417,6 @@ class _Seen:
         )
         if container is None or frame is None:
             raise damaged_clip(path, "no frame can be decoded")
-        if frame["scan"] in "TB":
-            raise InputError(
-                f"the video {path} is interlaced, and frames are upsampled here, not fields; "
-                "deinterlace it first, for example by ffmpeg's filter bwdif"
-            )
         tags = dict(re.findall(r"\b(color_\w+):(\S+)", said.replace(":reserved", ":unknown")))
         transfer = tags.get("color_trc", "unknown")
         if transfer in _HDR:
@@ -322,6 +426,7 @@ class _Seen:
             )
         size = int(frame["w"]), int(frame["h"])
         num, den = map(int, frame["sar"].split("/"))
+        code = re.search(r"^\s*timecode\s*: (\S+)", _input_part(said), re.MULTILINE | re.IGNORECASE)
         rate = re.search(r"showinfo.*frame_rate: (\d+)/([1-9]\d*)", said)
         return cls(
             container[1],
@@ -330,8 +435,20 @@ class _Seen:
             frame["fmt"],
             Fraction(int(rate[1]), int(rate[2])) if rate else None,
             _colour(path, tags, size[1], frame["fmt"]),
-            tuple(re.findall(r"^\s*Stream #0:.*: Audio: (\w+)", _input_part(said), re.MULTILINE)),
+            frame["scan"] in "TB",
+            _codecs(said, "Audio"),
+            _codecs(said, "Subtitle"),
+            None if code is None else code[1],
         )
+
+
+def _codecs(said: str, kind: str) -> tuple[str, ...]:
+    """Return the codecs of a kind of tracks, in the order of the file."""
+    line = rf"^\s*Stream #0:(\d+).*?: {kind}: (\w+)"
+    streams = re.findall(line, _input_part(said), re.MULTILINE)
+    # A transport stream lists a track once for each program that has it.
+    by_index = {int(index): codec for index, codec in streams}
+    return tuple(by_index[index] for index in sorted(by_index))
 
 
 def _input_part(said: str) -> str:

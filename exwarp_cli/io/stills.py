@@ -160,6 +160,12 @@ def require_writer(path: Path) -> Any:
     return writer
 
 
+def has_room_for_alpha(suffix: str) -> bool:
+    """Whether a format that is written keeps alpha."""
+    writer = oiio.ImageOutput.create(suffix.lstrip("."))
+    return writer is not None and bool(writer.supports("alpha"))
+
+
 def quantise_still(pixels: Float32, template: StillTemplate) -> Float32:
     """Round pixels to the codes that the file will have, so that what is scored is what is kept."""
     template = _wide_enough(pixels, template)

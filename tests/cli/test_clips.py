@@ -91,9 +91,23 @@ class TestVideo:
         assert open_clip(tmp_path / "gaps.mp4").look.sound is None
 
     def test_sound_is_left_out_where_the_rate_is_not_its_own(self, upsample, keys, tmp_path):
-        upsample(keys, tmp_path / "slow.mp4", "--fps", 12)
+        said = upsample(keys, tmp_path / "slow.mp4", "--fps", 12, "--progress", "plain").err
         made = open_clip(tmp_path / "slow.mp4")
         assert made.rate == 48 and made.look.sound is None
+        assert f"the sound of {keys}, as --fps 12 is not its own rate of 24" in said
+
+    def test_sound_of_another_codec_is_encoded_again_and_said(self, upsample, keys, tmp_path):
+        source = tmp_path / "pcm.mov"
+        pictures.ffmpeg("-i", keys, "-c:v", "copy", "-c:a", "pcm_s16le", source)
+        said = upsample(source, tmp_path / "out.mp4", "-m", "hold", "--progress", "plain").err
+        assert f"sound track 1 (pcm_s16le) of {source} is encoded again as aac" in said
+
+    def test_timecode_of_a_part_begins_with_it(self, upsample, keys, tmp_path):
+        source = tmp_path / "tc.mov"
+        pictures.ffmpeg("-i", keys, "-c", "copy", "-timecode", "01:00:00:22", source)
+        upsample(source, tmp_path / "out.mov", "-m", "hold", "--frames", "2-4")
+        code = open_clip(tmp_path / "out.mov").look.timecode
+        assert code is not None and code.text == "01:00:00:92"  # frame 23 of 24, at 96
 
     def test_beside_frames(self, upsample, keys, tmp_path):
         upsample(keys, tmp_path / "out", "--video", tmp_path / "out.mov", "--no-tail")
@@ -169,6 +183,68 @@ class TestFrames:
         assert told["frames"]["dropped"] == 3 and told["decisions"]["warp_share"] is None
         moved = pictures.codes_of(tmp_path / "out" / "pan.0007.png")
         assert psnr(frame(1.5), moved) > 30
+
+
+class TestAlpha:
+    @pytest.fixture
+    def clear(self, tmp_path) -> Path:
+        """Two frames of one colour in ProRes 4444: the left half opaque, the right one half so."""
+        path = tmp_path / "keys" / "clear.mov"
+        path.parent.mkdir()
+        grey = "color=white:s=64x48:r=24,format=rgba,geq=r=188:g=188:b=188:a='if(lt(X,32),255,128)'"
+        coded = ("-c:v", "prores_ks", "-profile:v", "4444", "-pix_fmt", "yuva444p10le")
+        pictures.ffmpeg("-f", "lavfi", "-i", grey, "-frames:v", 2, *coded, path)
+        return path
+
+    def test_is_kept_in_frames(self, upsample, clear, tmp_path):
+        upsample(clear, tmp_path / "out")
+        upsample(clear, tmp_path / "exr" / "a.####.exr", "-m", "blend")
+        for number in range(1, 9):
+            codes = pictures.codes_of(tmp_path / "out" / f"clear.{number:04d}.png")
+            assert codes.dtype == np.uint16 and codes.shape[-1] == 4
+            for column, alpha in ((8, 1.0), (56, 128 / 255)):
+                assert np.allclose(
+                    codes[8:40, column] / 65535, (188 / 255,) * 3 + (alpha,), atol=0.02
+                )
+        light = colour_of(tmp_path / "exr" / "a.0002.exr")
+        assert np.allclose(light[8:40, 56], (0.25, 0.25, 0.25, 0.5), atol=0.02)
+
+    def test_is_said_to_be_lost_where_the_target_has_none(self, upsample, clear, tmp_path):
+        plain = ("-m", "hold", "--progress", "plain")
+        said = upsample(clear, tmp_path / "out.mp4", *plain).err
+        assert f"the alpha of {clear} is left out of the video, as H.264 has none" in said
+        said = upsample(clear, tmp_path / "a.####.jpg", *plain).err
+        assert f"the alpha of {clear} is left out, as .jpg files have none" in said
+        assert "alpha" not in upsample(clear, tmp_path / "a.####.png", *plain).err
+
+
+class TestFields:
+    def test_an_option_says_how_they_are_read(self, exwarp, upsample, tmp_path):
+        source = tmp_path / "fields.mov"
+        fields = ("-vf", "tinterlace=interleave_top", "-c:v", "mpeg2video", "-flags", "+ildct+ilme")
+        pictures.ffmpeg("-f", "lavfi", "-i", "testsrc2=s=64x48:r=50:d=0.2", *fields, source)
+        result = exwarp("upsample", source, "-o", tmp_path / "out.mp4")
+        result.refused(3, "is interlaced", "--scan deinterlace, or --scan progressive")
+        exwarp("inspect", source).refused(3, "--scan deinterlace")
+        exwarp("compare", source, source).refused(3, "--scan deinterlace")
+        for scan in ("progressive", "deinterlace"):
+            upsample(source, tmp_path / scan, "--scan", scan, "-m", "hold")
+            assert exwarp("inspect", source, "--scan", scan).code == 0
+            assert exwarp("compare", source, source, "--scan", scan).code == 0
+        woven, single = (
+            pictures.codes_of(tmp_path / scan / "fields.0005.png")
+            for scan in ("progressive", "deinterlace")
+        )
+        assert not np.array_equal(woven, single)
+
+    def test_frames_read_in_another_way_are_not_kept(self, upsample, tmp_path):
+        source = tmp_path / "fields.mov"
+        fields = ("-vf", "tinterlace=interleave_top", "-c:v", "mpeg2video", "-flags", "+ildct+ilme")
+        pictures.ffmpeg("-f", "lavfi", "-i", "testsrc2=s=64x48:r=50:d=0.1", *fields, source)
+        out = tmp_path / "out"
+        upsample(source, out, "--scan", "progressive", "-m", "blend")
+        again = ("--scan", "deinterlace", "-m", "blend", "--skip-existing")
+        assert changed_by(lambda: upsample(source, out, *again), out) == set(range(1, 9))
 
 
 class TestCuts:

@@ -20,6 +20,8 @@ from exwarp_cli.io.video import MATRICES, VideoWriter, to_display
 SIZE = (48, 32)
 H264 = ("-c:v", "libx264", "-pix_fmt", "yuv420p", "-g", "8", "-bf", "2")
 NTSC = "24000/1001"
+PALETTE = ",split[a][b];[a]palettegen=stats_mode=single[p];[b][p]paletteuse=new=1"
+"""Filters for GIF: its usual palette has 256 colours, none of them the wanted one."""
 
 
 def ffmpeg(*arguments: object) -> subprocess.CompletedProcess[bytes]:
@@ -216,11 +218,34 @@ class TestOpenClip:
         coded = ("-c:v", "prores_ks", "-profile:v", "4444", "-pix_fmt", "yuva444p10le")
         clip = open_clip(make(tmp_path / "a.mov", *coded, frames=2))
         assert clip.has_alpha and clip.deep
-        assert next(clip.frames()).shape == (32, 48, 3)
+        assert next(clip.frames()).shape == (32, 48, 4)
+
+    @pytest.mark.parametrize(
+        ("name", "coded"),
+        [
+            ("a.mov", ("prores_ks", "-profile:v", "4444", "-pix_fmt", "yuva444p10le")),
+            ("a.webm", ("libvpx-vp9", "-lossless", "1", "-pix_fmt", "yuva420p")),
+            ("a.gif", ("gif", "-pix_fmt", "bgr8")),
+        ],
+    )
+    def test_light_is_multiplied_by_alpha(self, tmp_path, name, coded):
+        """Left half opaque, right half clear; of a half-transparent one, the light is halved."""
+        clear = "0" if name.endswith("gif") else "128"
+        grey = f"format=rgba,geq=r=188:g=188:b=188:a='if(lt(X,24),255,{clear})'"
+        grey += PALETTE if clear == "0" else ""
+        picture = ("-f", "lavfi", "-i", f"color=white:s=48x32:r=25,{grey}", "-frames:v", "2")
+        coded = ("-c:v", *coded) if clear == "128" else ()
+        ffmpeg(*picture, *coded, tmp_path / name)
+        frame = next(open_clip(tmp_path / name).frames())
+        share = int(clear) / 255
+        for column, alpha in ((4, 1.0), (44, share)):
+            light = 0.5 * alpha
+            assert np.allclose(frame[4:28, column], (light, light, light, alpha), atol=0.02)
 
     def test_suffixes(self, tmp_path):
         assert is_clip("a.MP4") and is_clip("b/c.webm")
         assert not is_clip("a.0001.exr") and not is_clip("shot")
+        assert is_clip("a.gif") and not is_clip("a.####.gif")
         (tmp_path / "frames.mp4").mkdir()
         assert not is_clip(str(tmp_path / "frames.mp4"))
 
@@ -322,8 +347,19 @@ class TestBadFiles:
     def test_sound_alone(self, tmp_path):
         path = tmp_path / "a.m4v"
         ffmpeg("-f", "lavfi", "-i", "sine=d=0.1", "-f", "mp4", path)
-        with pytest.raises(DamagedFileError):
+        with pytest.raises(InputError, match="holds no picture, only sound; name a video"):
             open_clip(path)
+
+    @pytest.mark.parametrize("suffix", ["gif", "apng", "y4m", "flv", "wmv", "m2ts"])
+    def test_other_kinds_of_video_are_read(self, tmp_path, suffix):
+        path = tmp_path / f"a.{suffix}"
+        colour = "color=0x2060C0:s=48x32:r=25" + (PALETTE if suffix == "gif" else "")
+        ffmpeg("-f", "lavfi", "-i", colour, "-frames:v", 5, path)
+        clip = open_clip(path)
+        assert is_clip(str(path)) and (clip.count, clip.rate) == (5, 25)
+        for frame in clip.frames():
+            away = to_display(frame).astype(int) - (0x20, 0x60, 0xC0)
+            assert np.abs(away).max() <= 8  # a palette, or coarse 4:2:0
 
     def test_a_truncated_file_is_told_where_it_ends(self, tmp_path):
         path = make(tmp_path / "a.mp4", *H264, "-movflags", "+faststart")
@@ -346,5 +382,57 @@ class TestBadFiles:
 
     def test_fields(self, tmp_path):
         path = make(tmp_path / "a.mp4", "-vf", "interlace", *H264, "-flags", "+ildct", frames=4)
-        with pytest.raises(InputError, match="interlaced"):
+        wanted = r"is interlaced, .*--scan deinterlace, or --scan progressive"
+        with pytest.raises(InputError, match=wanted):
             open_clip(path)
+
+
+class TestFields:
+    """Bars that move 6 pixels a field: two instants in a frame look like a comb."""
+
+    BARS = "color=black:s=48x32:r=50,geq=lum='if(lt(mod(X+6*N,24),12),40,220)':cb=128:cr=128"
+
+    def interlaced(self, path: Path, frames: int) -> Path:
+        fields = ("-vf", "tinterlace=mode=interleave_top", "-flags", "+ildct+ilme", "-g", 4)
+        coded = ("-c:v", "mpeg2video", "-q:v", 2)
+        ffmpeg("-f", "lavfi", "-i", self.BARS, *fields, "-frames:v", frames, *coded, path)
+        return path
+
+    def mixed(self, folder: Path) -> Path:
+        """Twelve progressive frames, and twelve interlaced ones after them."""
+        coded = ("-c:v", "mpeg2video", "-q:v", 2, "-frames:v", 12)
+        still = self.BARS.replace("r=50", "r=25")
+        ffmpeg("-f", "lavfi", "-i", still, *coded, folder / "p.ts")
+        self.interlaced(folder / "i.ts", 12)
+        both, path = folder / "both.txt", folder / "mixed.ts"
+        both.write_text("file p.ts\nfile i.ts\n")
+        ffmpeg("-f", "concat", "-i", both, "-c", "copy", path)
+        return path
+
+    def combed(self, frame: np.ndarray) -> float:
+        """Difference of neighbouring rows, of 255."""
+        return float(np.abs(np.diff(to_display(frame).astype(int), axis=0)).mean())
+
+    def test_after_progressive_frames_are_refused(self, tmp_path):
+        wanted = r"is interlaced from 0\.48 s on, .*--scan deinterlace"
+        with pytest.raises(InputError, match=wanted):
+            open_clip(self.mixed(tmp_path))
+
+    def test_are_taken_as_they_are_where_the_user_says_progressive(self, tmp_path):
+        frames = list(open_clip(self.mixed(tmp_path), "progressive").frames())
+        assert len(frames) == 24
+        assert self.combed(frames[5]) < 2 and self.combed(frames[18]) > 40
+
+    def test_become_frames_where_the_user_asks_for_it(self, tmp_path):
+        path = self.mixed(tmp_path)
+        frames = list(open_clip(path, "deinterlace").frames())
+        assert len(frames) == 24
+        assert max(map(self.combed, frames)) < 12
+        kept = list(open_clip(path, "progressive").frames())
+        assert all(np.array_equal(*pair) for pair in zip(frames[:11], kept[:11], strict=True))
+
+    def test_are_the_same_from_any_start(self, tmp_path):
+        clip = open_clip(self.interlaced(tmp_path / "a.mov", 14), "deinterlace")
+        frames = list(clip.frames())
+        for start in (1, 4, 7, 8, 13):
+            assert np.array_equal(next(clip.frames(start)), frames[start]), start
