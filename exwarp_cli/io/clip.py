@@ -52,6 +52,9 @@ DEINTERLACE = "bwdif=mode=send_frame:deint=interlaced"
 EVERY_FRAME = 300
 """Up to as many frames are all looked at for fields; of longer videos the key frames are."""
 
+LATER_LOOKS = 8
+"""Instants of a long video without other frames than key frames that are looked at, too."""
+
 _ALPHA_DECODERS = {"vp8": "libvpx", "vp9": "libvpx-vp9"}
 # The usual decoders of the two leave alpha out without a word.
 _HDR = {"smpte2084": "PQ", "arib-std-b67": "HLG"}
@@ -365,30 +368,44 @@ def _shown_info(path: Path, *options: str, decoder: tuple[str, ...] = ()) -> str
 
 
 def _require_progressive(path: Path, packets: Packets, seen: _Seen) -> None:
-    """Refuse a video with interlaced frames; raises InputError.
-
-    Of a long one only key frames are decoded: what has other fields begins with one.
-    """
-    when = Fraction(0)
-    if not seen.interlaced:
-        few = packets.count <= EVERY_FRAME
-        sparse = 2 * len(packets.keys) <= packets.count
-        choice = ("-skip_frame", "nokey") if sparse and not few else ()
-        most = ("-frames:v", str(EVERY_FRAME)) if not (sparse or few) else ()
-        try:
-            said = _shown_info(path, *most, decoder=choice)
-        except FfmpegError:
-            return  # what is damaged is named when it is read
-        fields = re.search(r"showinfo.* pts_time:(\S+) .* i:[TB] ", said)
-        if fields is None:
-            return
-        with suppress(ValueError):
-            when = max(Fraction(fields[1]) - packets.time(0), when)
+    """Refuse a video with interlaced frames; raises InputError."""
+    when = Fraction(0) if seen.interlaced else _first_interlaced(path, packets, seen)
+    if when is None:
+        return
     begin = f" from {float(when):.2f} s on" if when else ""
     raise InputError(
         f"the video {path} is interlaced{begin}, and frames are upsampled here, not fields; give "
         "--scan deinterlace, or --scan progressive if both fields show one instant (PsF)"
     )
+
+
+def _first_interlaced(path: Path, packets: Packets, seen: _Seen) -> Fraction | None:
+    """Return when an interlaced frame is shown, in seconds; None if none is seen.
+
+    All frames of a short video are looked at. Of a long one the key frames are, as what has other
+    fields begins with one; where all are key frames, the first ones and some later ones.
+    """
+    since = Fraction(0)
+    looks: list[tuple[Fraction, tuple[str, ...], tuple[str, ...]]]
+    if packets.count <= EVERY_FRAME:
+        looks = [(since, (), ())]
+    elif 2 * len(packets.keys) <= packets.count:
+        looks = [(since, ("-skip_frame", "nokey"), ())]
+    else:
+        looks = [(since, (), ("-frames:v", str(EVERY_FRAME)))]
+        if seen.container.startswith(_INDEXED) and packets.times:
+            step = packets.count // LATER_LOOKS
+            instants = [packets.time(step * (look + 1) - 1) for look in range(LATER_LOOKS)]
+            looks += [(t, ("-ss", f"{float(t):.6f}"), ("-frames:v", "1")) for t in instants]
+    for since, reading, writing in looks:
+        try:
+            said = _shown_info(path, *writing, decoder=reading)
+        except FfmpegError:
+            continue  # what is damaged is named when it is read
+        fields = re.search(r"showinfo.* pts_time:(-?[\d.]+) .* i:[TB] ", said)
+        if fields is not None:
+            return max(since or Fraction(fields[1]) - packets.time(0), Fraction(0))
+    return None
 
 
 @dataclass(frozen=True)

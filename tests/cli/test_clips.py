@@ -312,6 +312,24 @@ class TestRefusals:
         exwarp("upsample", keys, "-o", "out", *quiet, *options).refused(code, words)
         assert names(tmp_path) == []
 
+    @pytest.mark.parametrize(
+        ("name", "words"),
+        [
+            ("voice.wav", "voice.wav is sound, which has no frames; name a video or frames"),
+            ("voice.mp4", "voice.mp4 holds no picture, only sound; name a video or frames"),
+            ("scene.blend", "scene.blend is of a kind that is not read; convert it to one of"),
+        ],
+    )
+    def test_files_without_a_picture_are_named_as_what_they_are(
+        self, exwarp, tmp_path, name, words
+    ):
+        if name.startswith("voice"):
+            pictures.ffmpeg("-f", "lavfi", "-i", "sine=d=0.1", tmp_path / name)
+        else:
+            (tmp_path / name).write_bytes(b"BLENDER")
+        exwarp("upsample", tmp_path / name, "-o", tmp_path / "out").refused(3, words)
+        exwarp("inspect", tmp_path / name).refused(3, words)
+
     def test_the_input_itself_is_not_overwritten(self, exwarp, tmp_path):
         source = clip(tmp_path / "pan.mp4", panned(2), sound=False)
         was = source.read_bytes()

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from exwarp_cli.errors import DamagedFileError, InputError
+from exwarp_cli.io import clip as clip_module
 from exwarp_cli.io.clip import ClipReader, is_clip, open_clip
 from exwarp_cli.io.clip_timing import Pacing, Packets, meant, pace, parse_packets
 from exwarp_cli.io.ffmpeg import EXACT, FfmpegError
@@ -20,6 +21,9 @@ from exwarp_cli.io.video import MATRICES, VideoWriter, to_display
 SIZE = (48, 32)
 H264 = ("-c:v", "libx264", "-pix_fmt", "yuv420p", "-g", "8", "-bf", "2")
 NTSC = "24000/1001"
+STEADY = ("-sc_threshold", 10**9)
+"""No key frames but where a group begins."""
+
 PALETTE = ",split[a][b];[a]palettegen=stats_mode=single[p];[b][p]paletteuse=new=1"
 """Filters for GIF: its usual palette has 256 colours, none of them the wanted one."""
 
@@ -392,8 +396,16 @@ class TestFields:
 
     BARS = "color=black:s=48x32:r=50,geq=lum='if(lt(mod(X+6*N,24),12),40,220)':cb=128:cr=128"
 
-    def interlaced(self, path: Path, frames: int) -> Path:
-        fields = ("-vf", "tinterlace=mode=interleave_top", "-flags", "+ildct+ilme", "-g", 4)
+    def interlaced(self, path: Path, frames: int, group: int = 4) -> Path:
+        fields = (
+            "-vf",
+            "tinterlace=mode=interleave_top",
+            "-flags",
+            "+ildct+ilme",
+            "-g",
+            group,
+            *STEADY,
+        )
         coded = ("-c:v", "mpeg2video", "-q:v", 2)
         ffmpeg("-f", "lavfi", "-i", self.BARS, *fields, "-frames:v", frames, *coded, path)
         return path
@@ -417,6 +429,19 @@ class TestFields:
         wanted = r"is interlaced from 0\.48 s on, .*--scan deinterlace"
         with pytest.raises(InputError, match=wanted):
             open_clip(self.mixed(tmp_path))
+
+    @pytest.mark.parametrize(("name", "group"), [("long.ts", 6), ("long.mov", 1)])
+    def test_late_in_a_long_video_are_refused(self, tmp_path, monkeypatch, name, group):
+        """Only key frames are looked at; where all are, the first ones and some later ones."""
+        monkeypatch.setattr(clip_module, "EVERY_FRAME", 5)
+        still = ("-f", "lavfi", "-i", self.BARS.replace("r=50", "r=25"), "-frames:v", 12)
+        ffmpeg(*still, "-c:v", "mpeg2video", "-g", group, tmp_path / "p.mov")
+        path = tmp_path / name
+        self.interlaced(tmp_path / "i.mov", 12, group)
+        (tmp_path / "both.txt").write_text("file p.mov\nfile i.mov\n")
+        ffmpeg("-f", "concat", "-i", tmp_path / "both.txt", "-c", "copy", path)
+        with pytest.raises(InputError, match=r"is interlaced from 0\.[4-9]\d s on"):
+            open_clip(path)
 
     def test_are_taken_as_they_are_where_the_user_says_progressive(self, tmp_path):
         frames = list(open_clip(self.mixed(tmp_path), "progressive").frames())
