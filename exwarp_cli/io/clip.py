@@ -11,7 +11,7 @@ import re
 from bisect import bisect_right
 from collections.abc import Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
@@ -41,6 +41,7 @@ HD_ROWS = 720
 
 _HDR = {"smpte2084": "PQ", "arib-std-b67": "HLG"}
 _INDEXED = ("mov,mp4", "matroska")  # containers whose table of frames seeking can rely on
+_REBASED = "mpeg"  # program and transport streams: ffmpeg starts what it reads of them at 0
 _ALPHA = re.compile(r"(yuva|gbra|rgba|bgra|argb|abgr|ya)[0-9a-z]*")
 _RGB = re.compile(r"gbr|rgb|bgr|argb|abgr|0rgb|0bgr|pal8|x2rgb|x2bgr")
 _DEEP = re.compile(r"(9|10|12|14|16|32|48|64)(le|be)")
@@ -94,7 +95,8 @@ class Clip:
         if whole is None:
             return None
         length = None if stop is None else (stop - start) / self.rate
-        return Soundtrack(whole.path, whole.codecs, whole.start + start / self.rate, length)
+        first = whole.start + start / self.rate
+        return replace(whole, start=first, length=length)
 
     def frames(self, start: int = 0, stop: int | None = None) -> Iterator[Float32]:
         """Decode the frames [start, stop), one at a time.
@@ -120,9 +122,10 @@ class Clip:
             return
         dtype, name = (np.dtype("<u2"), "rgb48le") if self.deep else (np.dtype("u1"), "rgb24")
         size = self.width * self.height * 3 * dtype.itemsize
-        at, data = shown[0] - 1, b""
+        cut = self._packets.cut(shown[0]) if self._packets.times else shown[0]
+        at, data = (cut or 0) - 1, b""
         try:
-            with Drain(self._options(shown[0], name)) as ffmpeg:
+            with Drain(self._options(cut, name)) as ffmpeg:
                 for index, source in enumerate(shown, start=start):
                     while at < source:
                         found = ffmpeg.read(size)
@@ -136,26 +139,32 @@ class Clip:
     def _ends(self, index: int) -> DamagedFileError:
         return damaged_clip(self.path, f"it ends after {index} of {self.count} frames")
 
-    def _options(self, first: int, pixels: str) -> list[str]:
-        """Return what makes ffmpeg write the file's frames from one on."""
-        matrix = MATRICES[self.look.colour.matrix]
-        convert = (
-            f"scale={self.width}:{self.height}:in_color_matrix={matrix}:"
-            f"out_range=pc:{EXACT},format={pixels}"
-        )
-        seek = self._seek(first)
+    def _options(self, first: int | None, pixels: str) -> list[str]:
+        """Return what makes ffmpeg write the file's frames from one on; None for the first."""
+        seek = None if first is None else self._seek(first)
         begin = [] if seek is None else ["-ss", f"{float(seek):.6f}"]
-        if self._packets.times:
+        if first is None:
+            cut = "null"
+        elif self._packets.times:
             # Half a frame before its time, as both are rounded.
-            since = self._packets.time(first) - (seek or 0) - self._packets.least_step / 2
+            half = max(self._packets.least_step, self._packets.tick) / 2
+            since = self._packets.time(first) - (seek or 0) - half
             cut = f"trim=start={max(float(since), 0):.6f}"
         else:
             cut = f"trim=start_frame={first}"
         return [
             *("-xerror", *begin, "-i", f"file:{self.path}", "-map", "0:V:0"),
-            *("-vf", f"{cut},{convert}", "-fps_mode", "passthrough"),
+            *("-vf", f"{cut},{self._conversion(pixels)}", "-fps_mode", "passthrough"),
             *("-f", "rawvideo", "-pix_fmt", pixels, "-"),
         ]
+
+    def _conversion(self, pixels: str) -> str:
+        """Return the filters that turn what is decoded into full-range RGB."""
+        matrix = MATRICES[self.look.colour.matrix]
+        return (
+            f"scale={self.width}:{self.height}:in_color_matrix={matrix}:"
+            f"out_range=pc:{EXACT},format={pixels}"
+        )
 
     def _seek(self, first: int) -> Fraction | None:
         """Return the time in seconds to seek to before a frame; None to decode from the start.
@@ -260,7 +269,8 @@ def _open_clip(path: Path) -> Clip:
     require_size(path, height, width)
     sound = None
     if seen.codecs:
-        sound = Soundtrack(path, seen.codecs, max(packets.time(0), Fraction(0)))
+        picture = seen.starts.picture + packets.time(0)
+        sound = Soundtrack(path, seen.codecs, max(picture, Fraction(0)), begins=seen.starts.sound)
     return Clip(
         path,
         *seen.size,
@@ -296,6 +306,7 @@ class _Seen:
     rate: Fraction | None
     colour: VideoColour
     codecs: tuple[str, ...]
+    starts: _Starts
 
     @classmethod
     def parse(cls, path: Path, said: str) -> _Seen:
@@ -331,7 +342,31 @@ class _Seen:
             Fraction(int(rate[1]), int(rate[2])) if rate else None,
             _colour(path, tags, size[1], frame["fmt"]),
             tuple(re.findall(r"^\s*Stream #0:.*: Audio: (\w+)", _input_part(said), re.MULTILINE)),
+            _Starts.parse(container[1], _input_part(said)),
         )
+
+
+@dataclass(frozen=True)
+class _Starts:
+    """Seconds from a file's first time to those that ffmpeg turns into 0; 0 where it keeps them."""
+
+    picture: Fraction = Fraction(0)
+    sound: Fraction = Fraction(0)
+
+    @classmethod
+    def parse(cls, container: str, said: str) -> _Starts:
+        """Read the start of the file and of its streams."""
+        whole = re.search(r"^  Duration: .*\bstart: (-?[\d.]+)", said, re.MULTILINE)
+        if not container.startswith(_REBASED) or whole is None:
+            return cls()
+        starts: dict[str, list[Fraction]] = {"Video": [], "Audio": []}
+        streams = re.findall(r"^\s*Stream #0:.*?: (Video|Audio): (.*)$", said, re.MULTILINE)
+        for kind, line in streams:
+            start = re.search(r", start (-?[\d.]+)", line)
+            starts[kind].append(Fraction(start[1] if start else 0) - Fraction(whole[1]))
+        zero = Fraction(0)
+        # One picture is read alone, all sounds together.
+        return cls(next(iter(starts["Video"]), zero), min(starts["Audio"], default=zero))
 
 
 def _input_part(said: str) -> str:

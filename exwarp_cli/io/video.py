@@ -86,12 +86,20 @@ class Soundtrack:
         Seconds from its beginning to the first frame that is written.
     length
         Seconds to take; None for all.
+    begins
+        Seconds from its beginning to its sound, where ffmpeg drops that time; else 0.
     """
 
     path: Path
     codecs: tuple[str, ...]
     start: Fraction = Fraction(0)
     length: Fraction | None = None
+    begins: Fraction = Fraction(0)
+
+    @property
+    def delay(self) -> Fraction:
+        """Seconds of silence to put before it."""
+        return max(self.begins - self.start, Fraction(0))
 
 
 @dataclass(frozen=True)
@@ -307,6 +315,8 @@ class VideoWriter:
         part = ["-ss", f"{float(sound.start):.6f}"] if sound.start > 0 else []
         if sound.length is not None:
             part += ["-t", f"{float(sound.length):.6f}"]
+        if sound.delay:
+            part += ["-itsoffset", f"{float(sound.delay):.6f}"]
         return [*part, "-i", f"file:{sound.path}"]
 
     def _sound_out(self, container: str) -> list[str]:
