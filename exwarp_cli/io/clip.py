@@ -9,22 +9,25 @@ from __future__ import annotations
 
 import re
 from bisect import bisect_right
+from collections import deque
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from exwarp_cli.domain.bounds import require_size
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.errors import DamagedFileError, InputError
+from exwarp_cli.io.clip_damage import ON_DAMAGE, intact_frames
 from exwarp_cli.io.clip_timing import Pacing, Packets, pace, read_packets
 from exwarp_cli.io.ffmpeg import EXACT, Drain, FfmpegError, told
 from exwarp_cli.io.held import Held
-from exwarp_cli.io.reading_retry import with_retries
+from exwarp_cli.io.reading_retry import system_failure, with_retries
 from exwarp_cli.io.video import (
     MATRICES,
     Soundtrack,
@@ -120,28 +123,71 @@ class Clip:
         shown = self.pacing.shown[start:stop]
         if not shown:
             return
-        dtype, name = (np.dtype("<u2"), "rgb48le") if self.deep else (np.dtype("u1"), "rgb24")
-        size = self.width * self.height * 3 * dtype.itemsize
+        dtype, name, size = self._layout
         cut = self._packets.cut(shown[0]) if self._packets.times else shown[0]
-        at, data = (cut or 0) - 1, b""
+        at = (cut or 0) - 1
+        ahead: deque[tuple[int, bytes]] = deque()
         try:
             with Drain(self._options(cut, name)) as ffmpeg:
                 for index, source in enumerate(shown, start=start):
-                    while at < source:
-                        found = ffmpeg.read(size)
-                        if found is None:
+                    # A B-frame is not known to be sound before the frame after it is.
+                    needed = self._packets.last_needed(source)
+                    while at < needed:
+                        data = ffmpeg.read(size)
+                        if data is None:
                             raise self._ends(index)
-                        at, data = at + 1, found
-                    yield np.frombuffer(data, dtype).reshape(self.height, self.width, 3)
+                        at += 1
+                        ahead.append((at, data))
+                    while ahead[0][0] < source:
+                        ahead.popleft()
+                    codes = np.frombuffer(ahead[0][1], dtype)
+                    yield codes.reshape(self.height, self.width, 3)
         except FfmpegError as error:
             raise damaged_clip(self.path, str(error)) from error
+
+    def intact_frames(self, start: int = 0) -> Iterator[Float32 | None]:
+        """Decode the frames from one on, over damage.
+
+        Yields
+        ------
+        float32 [H, W, 3] or None
+            As `frames` does; None for a frame that damage affects: for one that cannot be decoded,
+            and for those after it up to the next key frame.
+        """
+        shown = self.pacing.shown[start:]
+        dtype, name, size = self._layout
+        begin = self._key_before(self._packets.cut(shown[0]) or 0) or 0
+        seek = ["-ss", f"{float(self._packets.time(begin)):.6f}"] if begin else []
+        options = [
+            *(*ON_DAMAGE, *seek, "-i", f"file:{self.path}", "-map", "0:V:0"),
+            *("-vf", self._conversion(name), "-fps_mode", "passthrough"),
+            *("-f", "rawvideo", "-pix_fmt", name, "-"),
+        ]
+        with Drain(options) as ffmpeg:
+            intact = intact_frames(ffmpeg, size, self._packets, begin, self.rate)
+            at, data = -1, b""
+            for source in shown:
+                while at < source:
+                    at, data = next(intact, (self._packets.count, b""))
+                if at > source:
+                    yield None
+                else:
+                    codes = np.frombuffer(data, dtype)
+                    yield from_display(codes.reshape(self.height, self.width, 3))
+
+    @property
+    def _layout(self) -> tuple[np.dtype[Any], str, int]:
+        """Type of a decoded channel, ffmpeg's name of such pixels, and bytes of a frame."""
+        dtype, name = (np.dtype("<u2"), "rgb48le") if self.deep else (np.dtype("u1"), "rgb24")
+        return dtype, name, self.width * self.height * 3 * dtype.itemsize
 
     def _ends(self, index: int) -> DamagedFileError:
         return damaged_clip(self.path, f"it ends after {index} of {self.count} frames")
 
     def _options(self, first: int | None, pixels: str) -> list[str]:
         """Return what makes ffmpeg write the file's frames from one on; None for the first."""
-        seek = None if first is None else self._seek(first)
+        key = None if first is None else self._key_before(first)
+        seek = None if key is None else self._packets.time(key)
         begin = [] if seek is None else ["-ss", f"{float(seek):.6f}"]
         if first is None:
             cut = "null"
@@ -166,8 +212,8 @@ class Clip:
             f"out_range=pc:{EXACT},format={pixels}"
         )
 
-    def _seek(self, first: int) -> Fraction | None:
-        """Return the time in seconds to seek to before a frame; None to decode from the start.
+    def _key_before(self, first: int) -> int | None:
+        """Return the key frame to seek to before a frame; None to decode from the start.
 
         What is shown before a key frame but comes after it in the file, an open group of pictures,
         needs the key frame before; by the order of showing it is behind that one.
@@ -176,7 +222,7 @@ class Clip:
         before = bisect_right(keys, first) - 1
         if not self._indexed or before < 1 or self._packets.least_step <= 0:
             return None
-        return self._packets.time(keys[before])
+        return keys[before]
 
 
 class ClipReader(Held):
@@ -191,8 +237,10 @@ class ClipReader(Held):
     def __init__(self, clip: Clip) -> None:
         self._clip = clip
         self._next = 0
-        self._frames: Iterator[Float32] | None = None
+        self._frames: Iterator[Float32 | None] | None = None
         self._last: tuple[int, Float32] | None = None
+        self._damaged: set[int] = set()
+        self._is_damaged = False
 
     def _open(self, stack: ExitStack) -> None:
         stack.callback(self._rest)
@@ -213,19 +261,45 @@ class ClipReader(Held):
         """Return a frame, decoded on from the last one or from the key frame before."""
         if self._last is not None and self._last[0] == index:
             return self._last[1]
+        if index in self._damaged:
+            raise self._damage(index)
+        try:
+            frame = self._decode(index)
+        except DamagedFileError as error:
+            self._rest()
+            if self._is_damaged or system_failure(self._clip.path, error) is not None:
+                raise
+            # Once there is damage, ffmpeg decodes on over it, and does not begin at each frame.
+            self._is_damaged = True
+            frame = self._decode(index)
+        if frame is None:
+            damage = self._damage(index)
+            if system_failure(self._clip.path, damage) is None:
+                self._damaged.add(index)
+            else:
+                self._rest()  # the end of what was read is not the end of the file
+            raise damage
+        self._last = index, frame
+        return frame
+
+    def _decode(self, index: int) -> Float32 | None:
+        """Return a frame, or None if damage affects it; raises DamagedFileError at first damage."""
         if self._frames is None or index < self._next:
             self._rest()
-            self._frames, self._next = self._clip.frames(index), index
-        try:
-            for frame in self._frames:
-                self._next += 1
-                if self._next > index:
-                    self._last = index, frame
-                    return frame
-        except DamagedFileError:
-            self._rest()  # a later frame may be sound
-            raise
+            clip = self._clip
+            frames = clip.intact_frames(index) if self._is_damaged else clip.frames(index)
+            self._frames, self._next = frames, index
+        for frame in self._frames:
+            self._next += 1
+            if self._next > index:
+                return frame
         raise IndexError(f"{self._clip.path} has no frame {index}")
+
+    def _damage(self, index: int) -> DamagedFileError:
+        return damaged_clip(
+            self._clip.path,
+            f"frame {index + 1} of {self._clip.count} is damaged, or builds on a damaged one",
+        )
 
     def _rest(self) -> None:
         """Stop decoding."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bisect import bisect_right, insort
+from bisect import bisect_left, bisect_right, insort
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -37,6 +37,9 @@ MOST_MISSING = 0.1
 MOST_REORDERED = 16
 """Frames that may be shown between a frame's decoding and its showing; H.264 buffers 16."""
 
+UNORDERED_AHEAD = 4
+"""Frames after one that it may build on, where the order of decoding is unknown, as in AVI."""
+
 MOST_REPEATED = 0.5
 """Share of the packets whose repeated times are mended."""
 
@@ -58,6 +61,9 @@ class Packets:
         Number of frames.
     stamps
         The times as ffmpeg sees them, not mended; a missing one is as in `times`.
+    positions
+        Places in the file, which is the order of decoding; () where it is that of showing, or
+        unknown.
     mended
         Index of the first frame whose time is mended or ambiguous; None if there is none.
     """
@@ -68,6 +74,7 @@ class Packets:
     count: int
     stamps: tuple[int, ...] = ()
     mended: int | None = None
+    positions: tuple[int, ...] = ()
 
     def time(self, index: int) -> Fraction:
         """Return when a frame is shown, in seconds; 0 where no times are told."""
@@ -77,6 +84,25 @@ class Packets:
     def least_step(self) -> Fraction:
         """Smallest time between two frames, in seconds; 0 where that is not known."""
         return min((b - a for a, b in pairwise(self.times)), default=0) * self.tick
+
+    def index(self, time: Fraction, first: int = 0) -> int | None:
+        """Return the first frame, from one on, that ffmpeg shows at a time; None without one."""
+        half = max(self.least_step, self.tick) / 2
+        index = bisect_left(self.stamps, (time - half) / self.tick, lo=first)
+        if index == self.count or self.stamps[index] * self.tick > time + half:
+            return None
+        return index
+
+    def is_decoded_before(self, index: int, later: int) -> bool:
+        """Return whether a frame is decoded before one that is shown earlier."""
+        return bool(self.positions) and self.positions[index] < self.positions[later]
+
+    def last_needed(self, index: int) -> int:
+        """Return the last frame in the order of showing that one may build on, or itself."""
+        if not self.positions:
+            return min(index + UNORDERED_AHEAD, self.count - 1)
+        ahead = range(min(index + MOST_REORDERED, self.count - 1), index, -1)
+        return next((i for i in ahead if self.is_decoded_before(i, index)), index)
 
     def cut(self, index: int) -> int | None:
         """Return the last frame, up to one, that its time identifies; None if none does.
@@ -170,17 +196,18 @@ def _in_order(packets: list[_Packet], tick: Fraction) -> Packets:
     # itself be hidden: a clip trimmed without re-encoding starts inside a group of pictures.
     start = next((p.time for p in packets if p.key and p.time is not None), min(times))
     order = sorted(
-        ((p.time, p) for p in shown if p.time is not None and p.time >= start), key=lambda it: it[0]
+        (p.time, place) for place, p in enumerate(shown) if p.time is not None and p.time >= start
     )
-    keys = tuple(index for index, (_, packet) in enumerate(order) if packet.key)
+    keys = tuple(index for index, (_, place) in enumerate(order) if shown[place].key)
     stamps = tuple(time for time, _ in order)
     apart = tuple(_apart(stamps))
     unsure = (
         index
-        for index, (_, packet) in enumerate(order)
-        if not packet.sure or stamps[index] in stamps[index + 1 : index + 2]
+        for index, (_, place) in enumerate(order)
+        if not shown[place].sure or stamps[index] in stamps[index + 1 : index + 2]
     )
-    return Packets(apart, tick, keys, len(order), stamps, next(unsure, None))
+    positions = tuple(place for _, place in order)
+    return Packets(apart, tick, keys, len(order), stamps, next(unsure, None), positions)
 
 
 def _filled(packets: list[_Packet]) -> list[_Packet]:
