@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import re
 from bisect import bisect_right
+from collections import deque
 from collections.abc import Iterator
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -22,10 +24,11 @@ from exwarp_cli.domain.bounds import require_size
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.domain.settings import SourceSettings
 from exwarp_cli.errors import DamagedFileError, InputError
+from exwarp_cli.io.clip_damage import ON_DAMAGE, intact_frames
 from exwarp_cli.io.clip_timing import Pacing, Packets, pace, read_packets
 from exwarp_cli.io.ffmpeg import EXACT, Drain, FfmpegError, told
 from exwarp_cli.io.held import Held
-from exwarp_cli.io.reading_retry import with_retries
+from exwarp_cli.io.reading_retry import system_failure, with_retries
 from exwarp_cli.io.timecode import Timecode
 from exwarp_cli.io.video import (
     MATRICES,
@@ -59,6 +62,7 @@ _ALPHA_DECODERS = {"vp8": "libvpx", "vp9": "libvpx-vp9"}
 # The usual decoders of the two leave alpha out without a word.
 _HDR = {"smpte2084": "PQ", "arib-std-b67": "HLG"}
 _INDEXED = ("mov,mp4", "matroska")  # containers whose table of frames seeking can rely on
+_REBASED = "mpeg"  # program and transport streams: ffmpeg starts what it reads of them at 0
 _ALPHA = re.compile(r"(yuva|gbra|rgba|bgra|argb|abgr|ya)[0-9a-z]*")
 _RGB = re.compile(r"gbr|rgb|bgr|argb|abgr|0rgb|0bgr|pal8|x2rgb|x2bgr")
 _DEEP = re.compile(r"(9|10|12|14|16|32|48|64)(le|be)")
@@ -120,7 +124,8 @@ class Clip:
         if whole is None:
             return None
         length = None if stop is None else (stop - start) / self.rate
-        return replace(whole, start=whole.start + start / self.rate, length=length)
+        first = whole.start + start / self.rate
+        return replace(whole, start=first, length=length)
 
     def frames(self, start: int = 0, stop: int | None = None) -> Iterator[Float32]:
         """Decode the frames [start, stop), one at a time.
@@ -137,67 +142,122 @@ class Clip:
             When the video cannot be decoded, or ends early.
         """
         for code in self._codes(start, self.count if stop is None else stop):
-            light = from_display(code[..., :3])
-            if self.has_alpha:
-                alpha = code[..., 3:] / np.float32(np.iinfo(code.dtype).max)
-                light = np.concatenate([light * alpha, alpha], axis=-1)
-            yield light
+            yield self._light_of(code)
 
     def _codes(self, start: int, stop: int) -> Iterator[np.ndarray]:
         """Decode frames as uint8 or uint16 [H, W, 3], with alpha [H, W, 4]."""
         shown = self.pacing.shown[start:stop]
         if not shown:
             return
-        dtype, name, channels = np.dtype("<u2" if self.deep else "u1"), *self._pixels
-        size = self.width * self.height * channels * dtype.itemsize
-        at, data = shown[0] - 1, b""
+        dtype, name, size = self._layout
+        cut = self._packets.cut(shown[0]) if self._packets.times else shown[0]
+        at = (cut or 0) - 1
+        ahead: deque[tuple[int, bytes]] = deque()
         try:
-            with Drain(self._options(shown[0], name)) as ffmpeg:
+            with Drain(self._options(cut, name)) as ffmpeg:
                 for index, source in enumerate(shown, start=start):
-                    while at < source:
-                        found = ffmpeg.read(size)
-                        if found is None:
+                    # A B-frame is not known to be sound before the frame after it is.
+                    needed = self._packets.last_needed(source)
+                    while at < needed:
+                        data = ffmpeg.read(size)
+                        if data is None:
                             raise self._ends(index)
-                        at, data = at + 1, found
-                    yield np.frombuffer(data, dtype).reshape(self.height, self.width, channels)
+                        at += 1
+                        ahead.append((at, data))
+                    while ahead[0][0] < source:
+                        ahead.popleft()
+                    yield self._codes_of(ahead[0][1], dtype)
         except FfmpegError as error:
             raise damaged_clip(self.path, str(error)) from error
 
+    def intact_frames(self, start: int = 0) -> Iterator[Float32 | None]:
+        """Decode the frames from one on, over damage.
+
+        Yields
+        ------
+        float32 [H, W, 3 or 4] or None
+            As `frames` does; None for a frame that damage affects: for one that cannot be decoded,
+            and for those after it up to the next key frame.
+        """
+        shown = self.pacing.shown[start:]
+        dtype, name, size = self._layout
+        begin = self._key_before((self._packets.cut(shown[0]) or 0) - self._deinterlaced) or 0
+        seek = ["-ss", f"{float(self._packets.time(begin)):.6f}"] if begin else []
+        options = [
+            *(*ON_DAMAGE, *seek, *self._decoder, "-i", f"file:{self.path}", "-map", "0:V:0"),
+            *("-vf", f"{self._fields}{self._conversion(name)}", "-fps_mode", "passthrough"),
+            *("-f", "rawvideo", "-pix_fmt", name, "-"),
+        ]
+        with Drain(options) as ffmpeg:
+            intact = intact_frames(ffmpeg, size, self._packets, begin, self.rate)
+            at, data = -1, b""
+            for source in shown:
+                while at < source:
+                    at, data = next(intact, (self._packets.count, b""))
+                if at > source:
+                    yield None
+                else:
+                    yield self._light_of(self._codes_of(data, dtype))
+
     @property
-    def _pixels(self) -> tuple[str, int]:
-        """ffmpeg's name of the pixels that are decoded, and the number of their channels."""
-        if self.has_alpha:
-            return "rgba64le" if self.deep else "rgba", 4
-        return "rgb48le" if self.deep else "rgb24", 3
+    def _layout(self) -> tuple[np.dtype[Any], str, int]:
+        """Type of a decoded channel, ffmpeg's name of such pixels, and bytes of a frame."""
+        dtype, names = np.dtype("u1"), ("rgb24", "rgba")
+        if self.deep:
+            dtype, names = np.dtype("<u2"), ("rgb48le", "rgba64le")
+        size = self.width * self.height * (3 + self.has_alpha) * dtype.itemsize
+        return dtype, names[self.has_alpha], size
+
+    @property
+    def _fields(self) -> str:
+        """What goes before other filters, to make frames of fields."""
+        return f"{DEINTERLACE}," if self._deinterlaced else ""
+
+    def _codes_of(self, data: bytes, dtype: np.dtype[Any]) -> np.ndarray:
+        return np.frombuffer(data, dtype).reshape(self.height, self.width, 3 + self.has_alpha)
+
+    def _light_of(self, codes: np.ndarray) -> Float32:
+        """Turn sRGB codes into scene-linear light, premultiplied if there is alpha."""
+        light = from_display(codes[..., :3])
+        if not self.has_alpha:
+            return light
+        alpha = codes[..., 3:] / np.float32(np.iinfo(codes.dtype).max)
+        return np.concatenate([light * alpha, alpha], axis=-1)
 
     def _ends(self, index: int) -> DamagedFileError:
         return damaged_clip(self.path, f"it ends after {index} of {self.count} frames")
 
-    def _options(self, first: int, pixels: str) -> list[str]:
-        """Return what makes ffmpeg write the file's frames from one on."""
-        fields = f"{DEINTERLACE}," if self._deinterlaced else ""
-        matrix = MATRICES[self.look.colour.matrix]
-        convert = (
-            f"scale={self.width}:{self.height}:in_color_matrix={matrix}:"
-            f"out_range=pc:{EXACT},format={pixels}"
-        )
+    def _options(self, first: int | None, pixels: str) -> list[str]:
+        """Return what makes ffmpeg write the file's frames from one on; None for the first."""
         # A field is judged by the frame before, too.
-        seek = self._seek(first - self._deinterlaced)
+        key = None if first is None else self._key_before(first - self._deinterlaced)
+        seek = None if key is None else self._packets.time(key)
         begin = [] if seek is None else ["-ss", f"{float(seek):.6f}"]
-        if self._packets.times:
+        if first is None:
+            cut = "null"
+        elif self._packets.times:
             # Half a frame before its time, as both are rounded.
-            since = self._packets.time(first) - (seek or 0) - self._packets.least_step / 2
+            half = max(self._packets.least_step, self._packets.tick) / 2
+            since = self._packets.time(first) - (seek or 0) - half
             cut = f"trim=start={max(float(since), 0):.6f}"
         else:
             cut = f"trim=start_frame={first}"
         return [
             *("-xerror", *begin, *self._decoder, "-i", f"file:{self.path}", "-map", "0:V:0"),
-            *("-vf", f"{fields}{cut},{convert}", "-fps_mode", "passthrough"),
+            *("-vf", f"{self._fields}{cut},{self._conversion(pixels)}", "-fps_mode", "passthrough"),
             *("-f", "rawvideo", "-pix_fmt", pixels, "-"),
         ]
 
-    def _seek(self, first: int) -> Fraction | None:
-        """Return the time in seconds to seek to before a frame; None to decode from the start.
+    def _conversion(self, pixels: str) -> str:
+        """Return the filters that turn what is decoded into full-range RGB."""
+        matrix = MATRICES[self.look.colour.matrix]
+        return (
+            f"scale={self.width}:{self.height}:in_color_matrix={matrix}:"
+            f"out_range=pc:{EXACT},format={pixels}"
+        )
+
+    def _key_before(self, first: int) -> int | None:
+        """Return the key frame to seek to before a frame; None to decode from the start.
 
         What is shown before a key frame but comes after it in the file, an open group of pictures,
         needs the key frame before; by the order of showing it is behind that one.
@@ -206,7 +266,7 @@ class Clip:
         before = bisect_right(keys, first) - 1
         if not self._indexed or before < 1 or self._packets.least_step <= 0:
             return None
-        return self._packets.time(keys[before])
+        return keys[before]
 
 
 class ClipReader(Held):
@@ -221,8 +281,10 @@ class ClipReader(Held):
     def __init__(self, clip: Clip) -> None:
         self._clip = clip
         self._next = 0
-        self._frames: Iterator[Float32] | None = None
+        self._frames: Iterator[Float32 | None] | None = None
         self._last: tuple[int, Float32] | None = None
+        self._damaged: set[int] = set()
+        self._is_damaged = False
 
     def _open(self, stack: ExitStack) -> None:
         stack.callback(self._rest)
@@ -243,19 +305,45 @@ class ClipReader(Held):
         """Return a frame, decoded on from the last one or from the key frame before."""
         if self._last is not None and self._last[0] == index:
             return self._last[1]
+        if index in self._damaged:
+            raise self._damage(index)
+        try:
+            frame = self._decode(index)
+        except DamagedFileError as error:
+            self._rest()
+            if self._is_damaged or system_failure(self._clip.path, error) is not None:
+                raise
+            # Once there is damage, ffmpeg decodes on over it, and does not begin at each frame.
+            self._is_damaged = True
+            frame = self._decode(index)
+        if frame is None:
+            damage = self._damage(index)
+            if system_failure(self._clip.path, damage) is None:
+                self._damaged.add(index)
+            else:
+                self._rest()  # the end of what was read is not the end of the file
+            raise damage
+        self._last = index, frame
+        return frame
+
+    def _decode(self, index: int) -> Float32 | None:
+        """Return a frame, or None if damage affects it; raises DamagedFileError at first damage."""
         if self._frames is None or index < self._next:
             self._rest()
-            self._frames, self._next = self._clip.frames(index), index
-        try:
-            for frame in self._frames:
-                self._next += 1
-                if self._next > index:
-                    self._last = index, frame
-                    return frame
-        except DamagedFileError:
-            self._rest()  # a later frame may be sound
-            raise
+            clip = self._clip
+            frames = clip.intact_frames(index) if self._is_damaged else clip.frames(index)
+            self._frames, self._next = frames, index
+        for frame in self._frames:
+            self._next += 1
+            if self._next > index:
+                return frame
         raise IndexError(f"{self._clip.path} has no frame {index}")
+
+    def _damage(self, index: int) -> DamagedFileError:
+        return damaged_clip(
+            self._clip.path,
+            f"frame {index + 1} of {self._clip.count} is damaged, or builds on a damaged one",
+        )
 
     def _rest(self) -> None:
         """Stop decoding."""
@@ -312,8 +400,8 @@ def _open_clip(path: Path, scan: str) -> Clip:
     require_size(path, height, width)
     sound = None
     if seen.codecs or seen.subtitles:
-        start = max(packets.time(0), Fraction(0))
-        sound = Soundtrack(path, seen.codecs, start, subtitles=seen.subtitles)
+        start = max(seen.starts.picture + packets.time(0), Fraction(0))
+        sound = Soundtrack(path, seen.codecs, start, None, seen.starts.sound, seen.subtitles)
     pacing = pace(packets, seen.rate)
     code = None if seen.timecode is None else Timecode(seen.timecode, pacing.rate)
     return Clip(
@@ -422,6 +510,7 @@ class _Seen:
     codecs: tuple[str, ...]
     subtitles: tuple[str, ...]
     timecode: str | None
+    starts: _Starts
 
     @classmethod
     def parse(cls, path: Path, said: str) -> _Seen:
@@ -456,6 +545,7 @@ class _Seen:
             _codecs(said, "Audio"),
             _codecs(said, "Subtitle"),
             None if code is None else code[1],
+            _Starts.parse(container[1], _input_part(said)),
         )
 
 
@@ -466,6 +556,29 @@ def _codecs(said: str, kind: str) -> tuple[str, ...]:
     # A transport stream lists a track once for each program that has it.
     by_index = {int(index): codec for index, codec in streams}
     return tuple(by_index[index] for index in sorted(by_index))
+
+
+@dataclass(frozen=True)
+class _Starts:
+    """Seconds from a file's first time to those that ffmpeg turns into 0; 0 where it keeps them."""
+
+    picture: Fraction = Fraction(0)
+    sound: Fraction = Fraction(0)
+
+    @classmethod
+    def parse(cls, container: str, said: str) -> _Starts:
+        """Read the start of the file and of its streams."""
+        whole = re.search(r"^  Duration: .*\bstart: (-?[\d.]+)", said, re.MULTILINE)
+        if not container.startswith(_REBASED) or whole is None:
+            return cls()
+        starts: dict[str, list[Fraction]] = {"Video": [], "Audio": []}
+        streams = re.findall(r"^\s*Stream #0:.*?: (Video|Audio): (.*)$", said, re.MULTILINE)
+        for kind, line in streams:
+            start = re.search(r", start (-?[\d.]+)", line)
+            starts[kind].append(Fraction(start[1] if start else 0) - Fraction(whole[1]))
+        zero = Fraction(0)
+        # One picture is read alone, all sounds together.
+        return cls(next(iter(starts["Video"]), zero), min(starts["Audio"], default=zero))
 
 
 def _input_part(said: str) -> str:

@@ -79,6 +79,8 @@ class Soundtrack:
         Seconds from its beginning to the first frame that is written.
     length
         Seconds to take; None for all.
+    begins
+        Seconds from its beginning to its sound, where ffmpeg drops that time; else 0.
     subtitles
         Codecs of its subtitles, by ffmpeg's names.
     """
@@ -87,7 +89,13 @@ class Soundtrack:
     codecs: tuple[str, ...]
     start: Fraction = Fraction(0)
     length: Fraction | None = None
+    begins: Fraction = Fraction(0)
     subtitles: tuple[str, ...] = ()
+
+    @property
+    def delay(self) -> Fraction:
+        """Seconds of silence to put before it."""
+        return max(self.begins - self.start, Fraction(0))
 
     @property
     def tracks(self) -> tuple[Track, ...]:
@@ -345,6 +353,8 @@ class VideoWriter:
         part = ["-ss", f"{float(sound.start):.6f}"] if sound.start > 0 else []
         if sound.length is not None:
             part += ["-t", f"{float(sound.length):.6f}"]
+        if sound.delay:
+            part += ["-itsoffset", f"{float(sound.delay):.6f}"]
         return [*part, "-i", f"file:{sound.path}"]
 
     def _sound_out(self) -> list[str]:

@@ -14,7 +14,15 @@ import pytest
 from exwarp_cli.errors import DamagedFileError, InputError
 from exwarp_cli.io import clip as clip_module
 from exwarp_cli.io.clip import ClipReader, is_clip, open_clip
-from exwarp_cli.io.clip_timing import Pacing, Packets, meant, pace, parse_packets
+from exwarp_cli.io.clip_timing import (
+    UNKNOWN_TIMES,
+    Pacing,
+    Packets,
+    meant,
+    pace,
+    parse_packets,
+    read_packets,
+)
 from exwarp_cli.io.ffmpeg import EXACT, FfmpegError
 from exwarp_cli.io.video import MATRICES, VideoWriter, to_display
 
@@ -81,10 +89,46 @@ class TestPackets:
         packets = parse_packets(cut)
         assert packets.times == (1500, 2002, 3003) and packets.keys == (0,)
 
-    @pytest.mark.parametrize("time", ["NOPTS", "0"])  # untold, told twice
-    def test_times_that_tell_nothing_are_dropped(self, time):
-        packets = parse_packets(self.LISTED.replace("0,  1001, 2002,", f"0,  1001, {time},"))
+    @pytest.mark.parametrize("unknown", UNKNOWN_TIMES)
+    def test_without_many_times_all_are_dropped(self, unknown):
+        packets = parse_packets(self.LISTED.replace("0,  1001, 2002,", f"0,  1001, {unknown},"))
         assert packets.times == () and packets.keys == () and packets.count == 4
+
+    @staticmethod
+    def even(*bad: tuple[int, object], count: int = 30, ahead: int = 0) -> Packets:
+        """Packets at 0, 40, 80 ... ms, some with another time."""
+        times = {k: 40 * k for k in range(count)} | dict(bad)
+        lines = [
+            f"0, {40 * (k - ahead)}, {times[k]}, 40, 9, 0x0, F=0x{int(k == 0)}"
+            for k in range(count)
+        ]
+        return parse_packets("\n".join(["#tb 0: 1/1000", *lines]))
+
+    @pytest.mark.parametrize("bad", [(7, 240), (7, 320), (29, 1120), (1, 0), (7, "NOPTS")])
+    def test_only_a_bad_time_is_mended(self, bad):
+        packets = self.even(bad)
+        assert packets.times == tuple(range(0, 1200, 40))
+        assert pace(packets, Fraction(1000, 41)) == Pacing(Fraction(25), tuple(range(30)))
+
+    def test_a_missing_time_of_reordered_frames_is_the_one_left_free(self):
+        listed = self.even(count=30, ahead=2)
+        swapped = {4: 240, 5: 160, 6: 200}  # a P-frame, then the two shown before it
+        for unknown in swapped:
+            packets = self.even(*(swapped | {unknown: "NOPTS"}).items(), ahead=2)
+            assert packets.times == listed.times
+
+    def test_frames_before_a_bad_time_are_identified_by_theirs(self):
+        packets = self.even((7, 240))
+        assert packets.mended == 6 and packets.stamps[6:8] == (240, 240)
+        assert packets.cut(3) == 3 and packets.cut(20) == 5
+        assert self.even().cut(20) == 20 and self.even((1, 0)).cut(20) is None
+
+    def test_a_hidden_key_frame_makes_what_follows_decodable(self):
+        hidden = ["0, -80, -80, 40, 9, 0x0, F=0x5", "0, -40, -40, 40, 9, 0x0, F=0x4"]
+        shown = [f"0, {k}, {k}, 40, 9, 0x0, F=0x0" for k in (0, 40, 80)]
+        later = ["0, 120, 120, 40, 9, 0x0, F=0x1"]
+        packets = parse_packets("\n".join(["#tb 0: 1/1000", *hidden, *shown, *later]))
+        assert packets.times == (0, 40, 80, 120) and packets.keys == (3,)
 
     def test_no_packets_are_an_error(self):
         with pytest.raises(FfmpegError, match="no frames"):
@@ -295,6 +339,47 @@ class TestFrames:
         assert all(map(np.array_equal, found, whole[-len(found) :]))
         assert np.array_equal(next(clip.frames(10)), found[10])
 
+    @pytest.mark.parametrize("codec", ["libx264", "libx265"])
+    def test_a_clip_trimmed_inside_a_group_of_pictures_is_whole(self, tmp_path, codec):
+        calm = ("-x265-params", "pools=none:frame-threads=1:log-level=none", "-vf", "scale=64:64")
+        coded = ("-c:v", codec, "-pix_fmt", "yuv420p", "-g", "20", "-bf", "2")
+        coded += calm if codec == "libx265" else ()
+        source, cut = make(tmp_path / "a.mp4", *coded, rate="25", frames=50), tmp_path / "b.mp4"
+        ffmpeg("-ss", "0.6", "-i", source, "-c", "copy", cut)
+        clip, whole = open_clip(cut), list(open_clip(source).frames())
+        found = list(clip.frames())
+        assert len(found) == clip.count == 35
+        assert all(map(np.array_equal, found, whole[15:]))
+        for start in (1, 4, 5, 6, 24, 25, 34):
+            assert np.array_equal(next(clip.frames(start)), found[start]), start
+
+    def test_a_time_that_is_there_twice_moves_nothing(self, tmp_path):
+        """Of a screen recording that pauses for 10 frames and starts 0.4 s after its sound."""
+        source, path = tmp_path / "a.mkv", tmp_path / "b.mkv"
+        pausing = ("-vf", "select='not(between(n,15,24))',setpts=PTS+0.4/TB")
+        coded = ("-c:a", "pcm_s16le", "-fps_mode", "passthrough", "-c:v", "ffv1")
+        make(source, *pausing, *coded, rate="25", frames=30, audio="yes")
+        again = "setts=pts='if(eq(N,12),PREV_OUTPTS,PTS)':dts='if(eq(N,12),PREV_OUTDTS,DTS)'"
+        ffmpeg("-i", source, "-c", "copy", "-bsf:v", again, path)
+        right, clip = open_clip(source), open_clip(path)
+        assert read_packets(path).mended == 11  # the situation is there
+        assert clip.pacing == right.pacing and clip.rate == 25
+        assert clip.look.sound is not None and clip.look.sound.start == Fraction("0.4")
+        whole = list(right.frames())
+        for start in (0, 10, 11, 12, 13, 30):
+            assert np.array_equal(next(clip.frames(start)), whole[start]), start
+
+    def test_a_missing_time_before_the_first_key_frame(self, tmp_path):
+        """Matroska cannot say that frames of an open group of pictures come before 0."""
+        opened = (*H264, "-x264-params", "open-gop=1:scenecut=0")
+        source, cut = make(tmp_path / "a.mp4", *opened, rate="25", frames=43), tmp_path / "b.mkv"
+        ffmpeg("-ss", "0.5", "-i", source, "-c", "copy", cut)
+        clip, whole = open_clip(cut), list(open_clip(source).frames())
+        found = list(clip.frames())
+        assert clip.rate == 25 and not clip.pacing.varies
+        assert len(found) == clip.count == 35
+        assert all(map(np.array_equal, found, whole[8:]))
+
     def test_dropped_frames_are_shown_again(self, tmp_path):
         path = tmp_path / "a.mkv"
         dropping = ("-vf", "select='not(between(n,10,11))'", "-fps_mode", "passthrough")
@@ -335,6 +420,63 @@ class TestFrames:
         assert np.abs(planes[0] - planes[1]).max() <= (span == "pc")  # steps of Y'CbCr
         away = to_display(next(again.frames())).astype(int) - (0x30, 0xA0, 0xD0)
         assert np.abs(away).max() <= 6  # another matrix: 13 and more
+
+
+def onset(path: Path) -> float:
+    """Seconds from the first picture to the first loud sample, as players show it."""
+    silence = ("-af", "aresample=async=1:first_pts=0", "-ar", "48000", "-ac", "1", "-f", "f32le")
+    samples = np.frombuffer(ffmpeg("-i", path, "-map", "0:a", *silence, "-").stdout, "<f4")
+    return float(np.argmax(np.abs(samples) > 0.02)) / 48000
+
+
+class TestSound:
+    """A tone begins 0.5 s after the beginning of the sound track."""
+
+    BEEP = "sine=f=440:r=48000:d=1.5,adelay=500"
+
+    def source(self, path: Path, picture_late: str = "0", sound_late: str = "0") -> Path:
+        """2 s with the streams offset against each other."""
+        picture = f"testsrc2=s={SIZE[0]}x{SIZE[1]}:r=25:d=2"
+        coded = (
+            "-c:v",
+            "mpeg2video",
+            "-q:v",
+            "2",
+            "-g",
+            "8",
+            "-fps_mode",
+            "passthrough",
+            "-c:a",
+            "mp2",
+        )
+        ffmpeg("-itsoffset", picture_late, "-f", "lavfi", "-i", picture,
+               "-itsoffset", sound_late, "-f", "lavfi", "-i", self.BEEP, *coded, path)  # fmt: skip
+        return path
+
+    @staticmethod
+    def copied(path: Path, start: int = 0) -> Path:
+        """The clip from a frame on, written as a video."""
+        clip, copy = open_clip(path), path.with_name("copy.mp4")
+        look = replace(clip.look, sound=clip.sound(start, clip.count))
+        with VideoWriter(copy, clip.width, clip.height, clip.rate, look) as video:
+            for frame in clip.frames(start):
+                video.write(to_display(frame))
+        return copy
+
+    @pytest.mark.parametrize("suffix", [".ts", ".mts", ".mpg", ".mp4", ".mkv"])
+    @pytest.mark.parametrize(
+        ("late", "start", "expected"),
+        [
+            ({}, 0, 0.5),
+            ({"sound_late": "0.3"}, 0, 0.8),
+            ({"picture_late": "0.3"}, 0, 0.2),
+            ({"sound_late": "0.3"}, 5, 0.6),
+            ({"picture_late": "0.13"}, 5, 0.17),
+        ],
+    )
+    def test_it_keeps_its_offset_to_the_picture(self, tmp_path, suffix, late, start, expected):
+        path = self.source(tmp_path / f"a{suffix}", **late)
+        assert abs(onset(self.copied(path, start)) - expected) < 0.03
 
 
 class TestBadFiles:
