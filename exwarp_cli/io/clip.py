@@ -25,6 +25,7 @@ from exwarp_cli.domain.frame import Float32
 from exwarp_cli.domain.settings import SourceSettings
 from exwarp_cli.errors import DamagedFileError, InputError
 from exwarp_cli.io.clip_damage import ON_DAMAGE, intact_frames
+from exwarp_cli.io.clip_fields import first_interlaced, frame_info
 from exwarp_cli.io.clip_timing import Pacing, Packets, pace, read_packets
 from exwarp_cli.io.ffmpeg import EXACT, Drain, FfmpegError, told
 from exwarp_cli.io.held import Held
@@ -51,12 +52,6 @@ HD_ROWS = 720
 
 DEINTERLACE = "bwdif=mode=send_frame:deint=interlaced"
 """Filter that makes one frame of two fields, and leaves frames alone that are progressive."""
-
-EVERY_FRAME = 300
-"""Up to as many frames are all looked at for fields; of longer videos the key frames are."""
-
-LATER_LOOKS = 8
-"""Instants of a long video without other frames than key frames that are looked at, too."""
 
 _ALPHA_DECODERS = {"vp8": "libvpx", "vp9": "libvpx-vp9"}
 # The usual decoders of the two leave alpha out without a word.
@@ -202,9 +197,8 @@ class Clip:
     @property
     def _layout(self) -> tuple[np.dtype[Any], str, int]:
         """Type of a decoded channel, ffmpeg's name of such pixels, and bytes of a frame."""
-        dtype, names = np.dtype("u1"), ("rgb24", "rgba")
-        if self.deep:
-            dtype, names = np.dtype("<u2"), ("rgb48le", "rgba64le")
+        dtype: np.dtype[Any] = np.dtype("<u2" if self.deep else "u1")
+        names = ("rgb48le", "rgba64le") if self.deep else ("rgb24", "rgba")
         size = self.width * self.height * (3 + self.has_alpha) * dtype.itemsize
         return dtype, names[self.has_alpha], size
 
@@ -436,28 +430,22 @@ def _require_picture(path: Path) -> None:
 
 def _first_frame(path: Path) -> tuple[tuple[str, ...], str]:
     """Return the options that choose a decoder, and what ffmpeg says of a file's first frame."""
-    said = _shown_info(path, "-frames:v", "1")
+    said = frame_info(path, "-frames:v", "1")
     video = re.search(r"Stream #0:.*?: Video: (\w+)", said)
     name = _ALPHA_DECODERS.get(video[1]) if video else None
     if name is None or not re.search(r"^\s*alpha_mode\s*: 1", _input_part(said), re.MULTILINE):
         return (), said
     decoder = ("-c:v", name)
     try:
-        return decoder, _shown_info(path, "-frames:v", "1", decoder=decoder)
+        return decoder, frame_info(path, "-frames:v", "1", decoder=decoder)
     except FfmpegError as error:
         raise FfmpegError(f"its alpha needs ffmpeg with the decoder {name}") from error
 
 
-def _shown_info(path: Path, *options: str, decoder: tuple[str, ...] = ()) -> str:
-    """Return what ffmpeg says of a file and of frames."""
-    source = ["-v", "info", "-hide_banner", *decoder, "-i", f"file:{path}", "-map", "0:V:0"]
-    _, said = told([*source, *options, "-vf", "showinfo=checksum=0", "-f", "null", "-"])
-    return said
-
-
 def _require_progressive(path: Path, packets: Packets, seen: _Seen) -> None:
     """Refuse a video with interlaced frames; raises InputError."""
-    when = Fraction(0) if seen.interlaced else _first_interlaced(path, packets, seen)
+    indexed = seen.container.startswith(_INDEXED)
+    when = Fraction(0) if seen.interlaced else first_interlaced(path, packets, indexed)
     if when is None:
         return
     begin = f" from {float(when):.2f} s on" if when else ""
@@ -465,35 +453,6 @@ def _require_progressive(path: Path, packets: Packets, seen: _Seen) -> None:
         f"the video {path} is interlaced{begin}, and frames are upsampled here, not fields; give "
         "--scan deinterlace, or --scan progressive if both fields show one instant (PsF)"
     )
-
-
-def _first_interlaced(path: Path, packets: Packets, seen: _Seen) -> Fraction | None:
-    """Return when an interlaced frame is shown, in seconds; None if none is seen.
-
-    All frames of a short video are looked at. Of a long one the key frames are, as what has other
-    fields begins with one; where all are key frames, the first ones and some later ones.
-    """
-    since = Fraction(0)
-    looks: list[tuple[Fraction, tuple[str, ...], tuple[str, ...]]]
-    if packets.count <= EVERY_FRAME:
-        looks = [(since, (), ())]
-    elif 2 * len(packets.keys) <= packets.count:
-        looks = [(since, ("-skip_frame", "nokey"), ())]
-    else:
-        looks = [(since, (), ("-frames:v", str(EVERY_FRAME)))]
-        if seen.container.startswith(_INDEXED) and packets.times:
-            step = packets.count // LATER_LOOKS
-            instants = [packets.time(step * (look + 1) - 1) for look in range(LATER_LOOKS)]
-            looks += [(t, ("-ss", f"{float(t):.6f}"), ("-frames:v", "1")) for t in instants]
-    for since, reading, writing in looks:
-        try:
-            said = _shown_info(path, *writing, decoder=reading)
-        except FfmpegError:
-            continue  # what is damaged is named when it is read
-        fields = re.search(r"showinfo.* pts_time:(-?[\d.]+) .* i:[TB] ", said)
-        if fields is not None:
-            return max(since or Fraction(fields[1]) - packets.time(0), Fraction(0))
-    return None
 
 
 @dataclass(frozen=True)
