@@ -53,8 +53,8 @@ HD_ROWS = 720
 DEINTERLACE = "bwdif=mode=send_frame:deint=interlaced"
 """Filter that makes one frame of two fields, and leaves frames alone that are progressive."""
 
-_ALPHA_DECODERS = {"vp8": "libvpx", "vp9": "libvpx-vp9"}
 # The usual decoders of the two leave alpha out without a word.
+_ALPHA_DECODERS = {"vp8": "libvpx", "vp9": "libvpx-vp9"}
 _HDR = {"smpte2084": "PQ", "arib-std-b67": "HLG"}
 _INDEXED = ("mov,mp4", "matroska")  # containers whose table of frames seeking can rely on
 _REBASED = "mpeg"  # program and transport streams: ffmpeg starts what it reads of them at 0

@@ -151,5 +151,6 @@ def _remark(
         return f"{name} keeps its text alone" if track.codec in STYLED_SUBTITLES else None
     if coding == (_COPY,):
         return None
-    why = "it is damaged" if track.codec in COPIED_AUDIO[container] else f".{container} lacks it"
+    known = track.codec in COPIED_AUDIO[container]
+    why = "it is damaged" if known else f"players of .{container} do not know it"
     return f"{name} is encoded again as {coding[0]}, since {why}"
