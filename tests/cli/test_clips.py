@@ -171,6 +171,28 @@ class TestFrames:
         assert psnr(frame(1.5), moved) > 30
 
 
+class TestDamage:
+    def test_a_glitch_loses_its_group_of_pictures_alone(self, exwarp, tmp_path):
+        good = clip(tmp_path / "pan.ts", [frame(i / 4, seed=i) for i in range(24)], sound=False)
+        whole, data = shown(good), bytearray(good.read_bytes())
+        noise = np.random.default_rng(1).integers(0, 256, 200, np.uint8).tobytes()
+        data[len(data) // 2 : len(data) // 2 + 200] = noise
+        good.write_bytes(data)
+        quiet = ("-m", "blend", "--factor", 2, "--progress", "none")
+        result = exwarp("upsample", good, "-o", tmp_path / "out", *quiet, "--keep-going")
+        kept = {int(name[4:8]) for name in names(tmp_path / "out")}
+        keys = {(number + 1) // 2 for number in kept if number % 2}
+        lost = set(range(1, 25)) - keys
+        first = min(lost)
+        assert first > 1 and len(lost) <= 5  # groups have 4 frames
+        assert f"frame {first} of 24 is damaged" in result.err
+        for number in keys:
+            codes = pictures.codes_of(tmp_path / "out" / f"pan.{2 * number - 1:04d}.png")
+            assert np.array_equal(codes, whole[number - 1]), number
+        stopped = exwarp("upsample", good, "-o", tmp_path / "stopped", *quiet)
+        stopped.refused(3, f"frame {first} of 24 is damaged")
+
+
 class TestCuts:
     def test_nothing_is_taken_across(self, upsample, tmp_path):
         source = clip(tmp_path / "two.mp4", [*panned(4), *panned(4, seed=7)], sound=False)
