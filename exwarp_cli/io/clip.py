@@ -94,6 +94,7 @@ class Clip:
     _indexed: bool
     _decoder: tuple[str, ...] = ()
     _deinterlaced: bool = False
+    _opaque: int = 255
 
     @property
     def rate(self) -> Fraction:
@@ -215,7 +216,7 @@ class Clip:
         light = from_display(codes[..., :3])
         if not self.has_alpha:
             return light
-        alpha = codes[..., 3:] / np.float32(np.iinfo(codes.dtype).max)
+        alpha = np.minimum(codes[..., 3:] / np.float32(self._opaque), 1)
         return np.concatenate([light * alpha, alpha], axis=-1)
 
     def _ends(self, index: int) -> DamagedFileError:
@@ -409,12 +410,22 @@ def _open_clip(path: Path, scan: str) -> Clip:
         seen.container.startswith(_INDEXED),
         decoder,
         scan == "deinterlace",
+        _opaque(seen.pixels),
     )
 
 
 def damaged_clip(path: Path, why: str) -> DamagedFileError:
     """Return the error for a video that cannot be decoded."""
     return DamagedFileError(f"cannot read the video {path}: {why}; export it again")
+
+
+def _opaque(pixels: str) -> int:
+    """Return what full alpha is decoded to: the filter ``scale`` shifts 10 or 12 bits up to 16."""
+    deep = _DEEP.search(pixels)
+    if deep is None:
+        return 255
+    bits = min(int(deep[1]), 16)
+    return ((1 << bits) - 1) << (16 - bits)
 
 
 def _require_picture(path: Path) -> None:

@@ -191,7 +191,8 @@ class TestAlpha:
         """Two frames of one colour in ProRes 4444: the left half opaque, the right one half so."""
         path = tmp_path / "keys" / "clear.mov"
         path.parent.mkdir()
-        grey = "color=white:s=64x48:r=24,format=rgba,geq=r=188:g=188:b=188:a='if(lt(X,32),255,128)'"
+        codes = "r=48316:g=48316:b=48316:a='if(lt(X,32),65535,32896)'"
+        grey = f"color=white:s=64x48:r=24,format=rgba64le,geq={codes}"
         coded = ("-c:v", "prores_ks", "-profile:v", "4444", "-pix_fmt", "yuva444p10le")
         pictures.ffmpeg("-f", "lavfi", "-i", grey, "-frames:v", 2, *coded, path)
         return path
@@ -202,6 +203,7 @@ class TestAlpha:
         for number in range(1, 9):
             codes = pictures.codes_of(tmp_path / "out" / f"clear.{number:04d}.png")
             assert codes.dtype == np.uint16 and codes.shape[-1] == 4
+            assert (codes[8:40, 8, 3] == 65535).all()  # 1023 of 10 bits is opaque
             for column, alpha in ((8, 1.0), (56, 128 / 255)):
                 assert np.allclose(
                     codes[8:40, column] / 65535, (188 / 255,) * 3 + (alpha,), atol=0.02
@@ -245,6 +247,28 @@ class TestFields:
         upsample(source, out, "--scan", "progressive", "-m", "blend")
         again = ("--scan", "deinterlace", "-m", "blend", "--skip-existing")
         assert changed_by(lambda: upsample(source, out, *again), out) == set(range(1, 9))
+
+
+class TestDamage:
+    def test_a_glitch_loses_its_group_of_pictures_alone(self, exwarp, tmp_path):
+        good = clip(tmp_path / "pan.ts", [frame(i / 4, seed=i) for i in range(24)], sound=False)
+        whole, data = shown(good), bytearray(good.read_bytes())
+        noise = np.random.default_rng(1).integers(0, 256, 200, np.uint8).tobytes()
+        data[len(data) // 2 : len(data) // 2 + 200] = noise
+        good.write_bytes(data)
+        quiet = ("-m", "blend", "--factor", 2, "--progress", "none")
+        result = exwarp("upsample", good, "-o", tmp_path / "out", *quiet, "--keep-going")
+        kept = {int(name[4:8]) for name in names(tmp_path / "out")}
+        keys = {(number + 1) // 2 for number in kept if number % 2}
+        lost = set(range(1, 25)) - keys
+        first = min(lost)
+        assert first > 1 and len(lost) <= 5  # groups have 4 frames
+        assert f"frame {first} of 24 is damaged" in result.err
+        for number in keys:
+            codes = pictures.codes_of(tmp_path / "out" / f"pan.{2 * number - 1:04d}.png")
+            assert np.array_equal(codes, whole[number - 1]), number
+        stopped = exwarp("upsample", good, "-o", tmp_path / "stopped", *quiet)
+        stopped.refused(3, f"frame {first} of 24 is damaged")
 
 
 class TestCuts:

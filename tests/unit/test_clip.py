@@ -23,7 +23,7 @@ from exwarp_cli.io.clip_timing import (
     parse_packets,
     read_packets,
 )
-from exwarp_cli.io.ffmpeg import EXACT, FfmpegError
+from exwarp_cli.io.ffmpeg import EXACT, Drain, FfmpegError
 from exwarp_cli.io.video import MATRICES, VideoWriter, to_display
 
 SIZE = (48, 32)
@@ -477,6 +477,62 @@ class TestSound:
     def test_it_keeps_its_offset_to_the_picture(self, tmp_path, suffix, late, start, expected):
         path = self.source(tmp_path / f"a{suffix}", **late)
         assert abs(onset(self.copied(path, start)) - expected) < 0.03
+
+
+class TestDamage:
+    """Some bytes in the middle of the file are wrong."""
+
+    NOISY = ("-vf", "scale=160:96,noise=alls=20:allf=t")
+    MPEG2 = ("-c:v", "mpeg2video", "-bf", "2", "-g", "10")
+    AVC = (*H264[:4], "-g", "10", "-bf", "2")
+    CASES = (
+        ("a.ts", MPEG2, 200),
+        ("a.mpg", MPEG2, 200),
+        ("b.ts", AVC, 2000),
+        ("a.avi", ("-c:v", "mpeg4", "-bf", "2", "-g", "10", "-q:v", "4"), 200),
+        ("a.mkv", AVC, 3000),  # a damaged B-frame of H.264 alone may decode without an error
+        ("a.mp4", AVC, 3000),
+    )
+
+    @pytest.fixture(params=CASES, ids=lambda case: case[0])
+    def videos(self, request, tmp_path) -> tuple[Path, Path]:
+        """A video of 60 frames, with groups of 10 to 12 pictures, and a damaged copy."""
+        name, coded, size = request.param
+        good = make(tmp_path / name, *self.NOISY, *coded, rate="25", frames=60)
+        data = bytearray(good.read_bytes())
+        noise = np.random.default_rng(1).integers(0, 256, size, np.uint8).tobytes()
+        data[len(data) // 2 : len(data) // 2 + size] = noise
+        bad = tmp_path / f"bad{good.suffix}"
+        bad.write_bytes(data)
+        return good, bad
+
+    def test_loses_its_group_of_pictures_alone(self, videos, monkeypatch):
+        good, bad = videos
+        whole, clip, runs = list(open_clip(good).frames()), open_clip(bad), []
+        lost = []
+
+        class Counted(Drain):
+            def __init__(self, options) -> None:
+                runs.append(options)
+                super().__init__(options)
+
+        monkeypatch.setattr("exwarp_cli.io.clip.Drain", Counted)
+        assert clip.count == 60
+        with ClipReader(clip) as reader:
+            for index in range(clip.count):
+                try:
+                    assert np.array_equal(reader.read(index), whole[index]), index
+                except DamagedFileError as error:
+                    assert f"frame {index + 1} of 60 is damaged" in str(error)
+                    assert "0x" not in str(error)
+                    lost.append(index)
+        assert 0 < len(lost) <= 14 and lost == list(range(lost[0], lost[-1] + 1))
+        assert len(runs) == 2  # up to the damage, and over it
+        with ClipReader(clip) as reader:
+            after = lost[-1] + 1
+            assert np.array_equal(reader.read(after), whole[after])
+            with pytest.raises(DamagedFileError, match=f"frame {lost[0] + 1} of 60"):
+                reader.read(lost[0])
 
 
 class TestBadFiles:
