@@ -12,7 +12,7 @@ from exwarp_cli.commands.json_option import json_option, print_json
 from exwarp_cli.commands.metrics_option import metrics_option
 from exwarp_cli.commands.printing import show
 from exwarp_cli.commands.progress_option import HELP, progress_option
-from exwarp_cli.commands.source_options import max_pixels_option
+from exwarp_cli.commands.source_options import max_pixels_option, scan_option
 from exwarp_cli.domain.bounds import allow
 from exwarp_cli.domain.metric import METRICS
 from exwarp_cli.domain.settings import PRESETS, MeasureSettings
@@ -35,6 +35,7 @@ def _limits(
 @click.option("--view", default="", metavar="NAME", help="Compare this view of stereo frames.")
 @click.option("--frames", metavar="RANGE", help="Compare these frames only, by A's numbers.")
 @max_pixels_option
+@scan_option
 @click.option(
     "--holes",
     metavar="SEQ",
@@ -76,6 +77,7 @@ def command(
     view: str,
     frames: str | None,
     max_pixels: int,
+    scan: str,
     holes: str | None,
     folder: Path | None,
     metrics: tuple[str, ...] | None,
@@ -106,7 +108,7 @@ def command(
     with reporting(kind, results_on_stdout=as_json) as told:
         if folder is not None:
             prepare_comparison(folder)
-        measuring = MeasureSettings(metrics, preset, (*fail_below, *fail_above), view)
+        measuring = MeasureSettings(metrics, preset, (*fail_below, *fail_above), view, scan)
         gallery = None if folder is None else Gallery(True, TEST, REFERENCE)
         result = evaluate(reference, test, frames, holes, told, measuring, gallery)
         if folder is not None and gallery is not None:

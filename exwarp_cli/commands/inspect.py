@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from exwarp_cli.commands.json_option import json_option, print_json
-from exwarp_cli.commands.source_options import source_options
+from exwarp_cli.commands.source_options import scan_option, source_options
 from exwarp_cli.domain.line import printable
 from exwarp_cli.domain.wording import counted
 
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 @click.argument("sequence")
 @click.option("--motion", metavar="CONVENTION", help="Read vectors so, whatever is measured.")
 @source_options
+@scan_option
 @click.option(
     "--write-channel-map",
     "write_map",
@@ -40,6 +41,7 @@ def command(
     channel_map: str | None,
     dynamic: str | None,
     max_pixels: int,
+    scan: str,
     write_map: Path | None,
     overwrite: bool,
     as_json: bool,
@@ -61,6 +63,7 @@ def command(
             channel_map=channel_map,
             dynamic=dynamic,
             max_pixels=max_pixels,
+            scan=scan,
         )
     )
     if write_map is not None:

@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 import click
 
 from exwarp_cli.domain.bounds import MOST_PIXELS
+from exwarp_cli.domain.settings import SCANS, SourceSettings
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -18,6 +19,15 @@ max_pixels_option = click.option(
     show_default="2^28",
     metavar="N",
     help="Refuse frames that say they have more pixels.",
+)
+
+scan_option = click.option(
+    "--scan",
+    type=click.Choice(SCANS),
+    default=SourceSettings.scan,
+    show_default=True,
+    help="How video is read that says it is interlaced: auto refuses it, progressive takes its "
+    "frames as they are (PsF), deinterlace makes a frame of each two fields.",
 )
 
 

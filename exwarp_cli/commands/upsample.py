@@ -17,7 +17,7 @@ from exwarp_cli.commands.json_option import json_option, print_json
 from exwarp_cli.commands.metrics_option import metrics_option
 from exwarp_cli.commands.printing import show, summary_of_files
 from exwarp_cli.commands.progress_option import progress_option
-from exwarp_cli.commands.source_options import source_options
+from exwarp_cli.commands.source_options import scan_option, source_options
 from exwarp_cli.commands.spread_options import spread_options
 from exwarp_cli.commands.threads_option import threads_option
 from exwarp_cli.domain.being_read import begun_again, go_on_without
@@ -87,6 +87,7 @@ class FrameRate(click.ParamType[Fraction]):
     "moves as the beauty does; ids, depth, normals and the like come from the nearest source.",
 )
 @source_options
+@scan_option
 @click.option("--frames", metavar="RANGE", help="Key frames to do, by number: 1001-1100x2, 1-10:2.")
 @click.option("--gbuffers", metavar="SEQ", help="G-buffers rendered at the output rate.")
 @click.option(

@@ -54,6 +54,8 @@ class SourceSettings:
     estimate_motion
         Whether motion may be estimated from colour for a render with passes but without usable
         vectors. Plain footage needs no leave.
+    scan
+        Out of `SCANS`: how a video is read whose frames say that they are interlaced.
     """
 
     sequence: str
@@ -72,6 +74,7 @@ class SourceSettings:
     max_pixels: int = MOST_PIXELS
     keep_going: bool = False
     estimate_motion: bool = False
+    scan: str = "auto"
 
 
 @dataclass(frozen=True)
@@ -209,12 +212,15 @@ class MeasureSettings:
         Limits; what they are on is measured too.
     view
         Name of the stereo view that is compared; "" for the hero of each frame.
+    scan
+        As in `SourceSettings`.
     """
 
     metrics: tuple[str, ...] | None = None
     preset: str | None = None
     thresholds: tuple[Threshold, ...] = ()
     view: str = ""
+    scan: str = SourceSettings.scan
 
     @property
     def measured(self) -> tuple[str, ...]:
@@ -224,6 +230,9 @@ class MeasureSettings:
         limited = {threshold.metric.field for threshold in self.thresholds}
         return tuple(m.field for m in METRICS if m.field in chosen or m.field in limited)
 
+
+SCANS = ("auto", "progressive", "deinterlace")
+"""How interlaced video is read: refused, as if it were progressive, or deinterlaced."""
 
 DEVICES = ("cpu", "cuda")
 """What networks run on."""

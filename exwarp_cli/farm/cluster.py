@@ -167,6 +167,8 @@ class _Coordinator:
                 self._watcher.plan(job.groups)
             if job.targets.video is not None:
                 self._film = stack.enter_context(Film(job))
+                for text in self._film.remarks:
+                    self._progress.message(text)
             dispatch.run(self._with_watchers())
         return self._summary(time.perf_counter() - begin)
 

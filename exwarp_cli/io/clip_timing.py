@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right, insort
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
@@ -28,6 +28,22 @@ MOST_FRAMES = 0.9
 """Share of the frames that lie at a rate's instants where some are missing and it is meant."""
 
 
+UNKNOWN_TIMES = ("NOPTS", "-9223372036854775808")
+"""How ``framecrc`` writes that a packet has no time, by the version of ffmpeg."""
+
+MOST_MISSING = 0.1
+"""Share of the packets whose missing times are mended. AVI with B-frames lacks a third of them."""
+
+MOST_REORDERED = 16
+"""Frames that may be shown between a frame's decoding and its showing; H.264 buffers 16."""
+
+UNORDERED_AHEAD = 4
+"""Frames after one that it may build on, where the order of decoding is unknown, as in AVI."""
+
+MOST_REPEATED = 0.5
+"""Share of the packets whose repeated times are mended."""
+
+
 @dataclass(frozen=True)
 class Packets:
     """The packets of a video stream, one a frame, in the order in which they are shown.
@@ -35,19 +51,30 @@ class Packets:
     Attributes
     ----------
     times
-        Of each, in ticks; empty where the file tells none, as a raw stream does.
+        Of each, in ticks; empty where the file tells none, as a raw stream does. A time that is
+        missing or there twice is mended by its neighbours.
     tick
         Seconds.
     keys
         Indices of those that decoding can start at, ascending.
     count
         Number of frames.
+    stamps
+        The times as ffmpeg sees them, not mended; a missing one is as in `times`.
+    positions
+        Places in the file, which is the order of decoding; () where it is that of showing, or
+        unknown.
+    mended
+        Index of the first frame whose time is mended or ambiguous; None if there is none.
     """
 
     times: tuple[int, ...]
     tick: Fraction
     keys: tuple[int, ...]
     count: int
+    stamps: tuple[int, ...] = ()
+    mended: int | None = None
+    positions: tuple[int, ...] = ()
 
     def time(self, index: int) -> Fraction:
         """Return when a frame is shown, in seconds; 0 where no times are told."""
@@ -57,6 +84,33 @@ class Packets:
     def least_step(self) -> Fraction:
         """Smallest time between two frames, in seconds; 0 where that is not known."""
         return min((b - a for a, b in pairwise(self.times)), default=0) * self.tick
+
+    def index(self, time: Fraction, first: int = 0) -> int | None:
+        """Return the first frame, from one on, that ffmpeg shows at a time; None without one."""
+        half = max(self.least_step, self.tick) / 2
+        index = bisect_left(self.stamps, (time - half) / self.tick, lo=first)
+        if index == self.count or self.stamps[index] * self.tick > time + half:
+            return None
+        return index
+
+    def is_decoded_before(self, index: int, later: int) -> bool:
+        """Return whether a frame is decoded before one that is shown earlier."""
+        return bool(self.positions) and self.positions[index] < self.positions[later]
+
+    def last_needed(self, index: int) -> int:
+        """Return the last frame in the order of showing that one may build on, or itself."""
+        if not self.positions:
+            return min(index + UNORDERED_AHEAD, self.count - 1)
+        ahead = range(min(index + MOST_REORDERED, self.count - 1), index, -1)
+        return next((i for i in ahead if self.is_decoded_before(i, index)), index)
+
+    def cut(self, index: int) -> int | None:
+        """Return the last frame, up to one, that its time identifies; None if none does.
+
+        Past a mended time, ffmpeg may derive others than those of the file.
+        """
+        last = index if self.mended is None else min(index, self.mended - 1)
+        return last if self.times and last >= 0 else None
 
 
 @dataclass(frozen=True)
@@ -103,27 +157,111 @@ def read_packets(path: Path) -> Packets:
 def parse_packets(listed: str) -> Packets:
     """Read the lines of ffmpeg's format ``framecrc``; raises FfmpegError without any packet."""
     tick = Fraction(1)
-    found: list[tuple[int | None, bool]] = []
+    packets: list[_Packet] = []
     for line in listed.splitlines():
         if line.startswith("#tb 0:"):
             tick = Fraction(line.partition(":")[2].strip())
         elif line and not line.startswith("#"):
-            fields = [field.strip() for field in line.split(",")]
-            flags = next((int(f[2:], 16) for f in fields[6:] if f.startswith("F=")), KEY)
-            if not flags & DISCARD:
-                told_time = None if fields[2] == "NOPTS" else int(fields[2])
-                found.append((told_time, bool(flags & KEY)))
-    if not found:
+            packets.append(_Packet.parse(line))
+    if all(packet.hidden for packet in packets):
         raise FfmpegError("it has no frames")
-    times = [time for time, _ in found if time is not None]
-    if len(times) < len(found) or len(set(times)) < len(times):
-        return Packets((), tick, (), len(found))
-    order = sorted(range(len(found)), key=times.__getitem__)
-    # What is shown before the first key frame needs frames that were cut away.
-    first = next((index for index, place in enumerate(order) if found[place][1]), 0)
-    order = order[first:]
-    keys = tuple(index for index, place in enumerate(order) if found[place][1])
-    return Packets(tuple(times[place] for place in order), tick, keys, len(order))
+    return _in_order(_filled(packets), tick)
+
+
+@dataclass(frozen=True)
+class _Packet:
+    """A line of ``framecrc``: times in ticks, None where they are missing."""
+
+    time: int | None
+    decoding: int | None
+    key: bool
+    hidden: bool
+    sure: bool = True
+
+    @classmethod
+    def parse(cls, line: str) -> _Packet:
+        fields = [field.strip() for field in line.split(",")]
+        flags = next((int(f[2:], 16) for f in fields[6:] if f.startswith("F=")), KEY)
+        decoding, time = (None if f in UNKNOWN_TIMES else int(f) for f in fields[1:3])
+        return cls(time, decoding, bool(flags & KEY), bool(flags & DISCARD))
+
+
+def _in_order(packets: list[_Packet], tick: Fraction) -> Packets:
+    """Sort packets by the time of showing, without those that are not shown or not decodable."""
+    shown = [packet for packet in packets if not packet.hidden]
+    times = [packet.time for packet in shown if packet.time is not None]
+    if len(times) < len(shown) or 1 - len(set(times)) / len(times) > MOST_REPEATED:
+        return Packets((), tick, (), len(shown))
+    # What is shown before the first key frame needs frames that were cut away. That key frame may
+    # itself be hidden: a clip trimmed without re-encoding starts inside a group of pictures.
+    start = next((p.time for p in packets if p.key and p.time is not None), min(times))
+    order = sorted(
+        (p.time, place) for place, p in enumerate(shown) if p.time is not None and p.time >= start
+    )
+    keys = tuple(index for index, (_, place) in enumerate(order) if shown[place].key)
+    stamps = tuple(time for time, _ in order)
+    apart = tuple(_apart(stamps))
+    unsure = (
+        index
+        for index, (_, place) in enumerate(order)
+        if not shown[place].sure or stamps[index] in stamps[index + 1 : index + 2]
+    )
+    positions = tuple(place for _, place in order)
+    return Packets(apart, tick, keys, len(order), stamps, next(unsure, None), positions)
+
+
+def _filled(packets: list[_Packet]) -> list[_Packet]:
+    """Put the few packets that lack a time into the gaps that they left."""
+    known = sorted(p.time for p in packets if p.time is not None and not p.hidden)
+    missing = sum(p.time is None for p in packets)
+    if not missing or len(known) < 2 or missing > MOST_MISSING * len(packets):
+        return packets
+    step = _usual_step(known)
+    filled: list[_Packet] = []
+    for packet in packets:
+        if packet.time is None:
+            time = _gap(known, step, packet.decoding) if filled else known[0] - step
+            insort(known, time)
+            packet = replace(packet, time=time, sure=False)
+        filled.append(packet)
+    return filled
+
+
+def _gap(known: Sequence[int], step: int, decoding: int | None) -> int:
+    """Return the first free time that is not before the time of decoding."""
+    earliest = known[0] if decoding is None else decoding - step // 2
+    latest = earliest + MOST_REORDERED * step
+    free = (a + step for a, b in pairwise(known) if 2 * (b - a) >= 3 * step)
+    ends = (known[0] - step, known[-1] + step)
+    between = (time for time in free if earliest <= time <= latest)
+    return next(between, ends[0] if ends[0] >= earliest else ends[1])
+
+
+def _apart(times: Sequence[int]) -> list[int]:
+    """Spread equal times over the larger gap beside them; times ascend."""
+    spread = list(times)
+    first = 0
+    while first < len(times):
+        stop = bisect_right(times, times[first])
+        count = stop - first
+        if count > 1:
+            time, step = times[first], _usual_step(times)
+            before = time - times[first - 1] if first else 0
+            after = times[stop] - time if stop < len(times) else step * count
+            if stop == len(times) and 2 * before >= 3 * step:
+                after = 0  # the gap before the last ones shows where one belongs
+            for place in range(1, count):
+                if after >= before:
+                    spread[first + place] = time + after * place // count
+                else:
+                    spread[stop - 1 - place] = time - before * place // count
+        first = stop
+    return spread
+
+
+def _usual_step(times: Sequence[int]) -> int:
+    """Return the median time between two frames, in ticks."""
+    return round(median([b - a for a, b in pairwise(times) if b > a] or [1]))
 
 
 def pace(packets: Packets, said: Fraction | None) -> Pacing:

@@ -6,6 +6,7 @@ so takes a full disk for success.
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 import tempfile
@@ -115,6 +116,7 @@ class Drain(Held):
     def _open(self, stack: ExitStack) -> None:
         log: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 - the stack closes it
         self._log = stack.enter_context(log)
+        self._listened, self._unfinished = 0, b""
         try:
             self._ffmpeg = subprocess.Popen(
                 _command(("-nostdin", *self._options)),
@@ -143,6 +145,16 @@ class Drain(Held):
             self._log.seek(0)
             raise _ended(self._log.read(), self._ffmpeg.returncode)
         return None
+
+    def messages(self) -> list[str]:
+        """Return the complete lines that ffmpeg printed since the last call."""
+        # ffmpeg shares the file's position, so it is not moved here.
+        log, text = self._log.fileno(), self._unfinished
+        while more := os.pread(log, 1 << 16, self._listened):
+            self._listened += len(more)
+            text += more
+        *lines, self._unfinished = text.split(b"\n")
+        return [line.decode("utf-8", "replace") for line in lines]
 
     def _kill(self) -> None:
         if self._ffmpeg.poll() is None:
@@ -252,5 +264,5 @@ def _ended(log: bytes, status: int) -> FfmpegError:
     lines = log.decode("utf-8", "replace").strip().splitlines()
     if not lines:
         return FfmpegError(f"ffmpeg ends with status {status}")
-    said = re.sub(r"^\[.*?\] ", "", lines[-1].strip())
+    said = re.sub(r"^(\[[^\]]*\] )+", "", lines[-1].strip())  # [vist#0:0/h264 @ 0x55…] [dec:h264 …]
     return FfmpegError(f"ffmpeg says {said!r}")

@@ -15,10 +15,11 @@ import OpenEXR
 
 from exwarp_cli.domain.curves import SRGB
 from exwarp_cli.domain.frame import Image, Window
-from exwarp_cli.errors import LayoutError
+from exwarp_cli.domain.settings import SourceSettings
+from exwarp_cli.errors import InputError, LayoutError
 from exwarp_cli.io.channels import ChannelRef, Layout, Role
 from exwarp_cli.io.chromaticities import primaries_of
-from exwarp_cli.io.clip import Clip, ClipReader, is_clip, open_clip
+from exwarp_cli.io.clip import CLIPS, Clip, ClipReader, is_clip, open_clip
 from exwarp_cli.io.exr import display_window
 from exwarp_cli.io.frame_files import FrameTemplate, read_picture
 from exwarp_cli.io.frame_names import file_type, split_names
@@ -27,12 +28,21 @@ from exwarp_cli.io.output import file_digest
 from exwarp_cli.io.sequence import EXR, Sequence, find_sequence
 from exwarp_cli.io.shot import Shot
 from exwarp_cli.io.soundness import first_of
-from exwarp_cli.io.stills import STILLS, StillTemplate, read_still_template, still_size
+from exwarp_cli.io.stills import (
+    STILLS,
+    StillTemplate,
+    has_room_for_alpha,
+    read_still_template,
+    still_size,
+)
 from exwarp_cli.io.template import PartTemplate, PlaneTemplate, Template, read_headers
 from exwarp_cli.io.video import VideoLook, pixel_aspect
 
 CLIP_PADDING = 4
 """Digits of the numbers that a clip's frames get as files; they count from 1."""
+
+SOUNDS = (".wav", ".mp3", ".m4a", ".aac", ".flac", ".ogg", ".opus", ".wma", ".aif", ".aiff", ".ac3")
+"""Suffixes of files of sound, in lower case."""
 
 
 class ClipFrames:
@@ -97,7 +107,7 @@ class ClipSequence(Sequence):
         return str(self.directory)
 
 
-def find_frames(spec: str, gaps: bool = False) -> Sequence:
+def find_frames(spec: str, gaps: bool = False, scan: str = SourceSettings.scan) -> Sequence:
     """Find a video, a sequence of stills, or one of EXR; in a folder that holds both, the EXR.
 
     With `gaps` frames that are missing in between are listed, too.
@@ -107,13 +117,13 @@ def find_frames(spec: str, gaps: bool = False) -> Sequence:
     InputError
         When there is none, or several.
     """
-    return find_plain(spec, gaps) or find_sequence(spec, gaps=gaps)
+    return find_plain(spec, gaps, scan) or find_sequence(spec, gaps=gaps)
 
 
-def find_plain(spec: str, gaps: bool = False) -> Sequence | None:
+def find_plain(spec: str, gaps: bool = False, scan: str = SourceSettings.scan) -> Sequence | None:
     """Find a video or a sequence of stills; None where EXR is meant.
 
-    With `gaps` frames that are missing in between are listed, too.
+    With `gaps` frames that are missing in between are listed, too. `scan` is as in `open_clip`.
 
     Raises
     ------
@@ -121,13 +131,26 @@ def find_plain(spec: str, gaps: bool = False) -> Sequence | None:
         When there are several, or a video cannot be read.
     """
     if is_clip(spec):
-        return ClipSequence.of(open_clip(Path(spec)))
+        return ClipSequence.of(open_clip(Path(spec), scan))
     path = Path(spec)
+    _require_picture(path)
     if spec and path.is_dir():
         plain = not _holds(path, EXR) and _holds(path, STILLS)
     else:
         plain = path.suffix.lower() in STILLS
     return find_sequence(spec, STILLS, gaps) if plain else None
+
+
+def _require_picture(path: Path) -> None:
+    """Refuse a file that is neither EXR, a still nor a video, by its suffix."""
+    suffix = path.suffix.lower()
+    # A number behind the last point is a frame's, which has messages of its own.
+    if suffix in (*EXR, *STILLS) or suffix[1:].isdigit() or not path.is_file():
+        return
+    if suffix in SOUNDS:
+        raise InputError(f"{path} is sound, which has no frames; name a video or frames")
+    known = ", ".join((*EXR, *STILLS, *CLIPS))
+    raise InputError(f"{path} is of a kind that is not read; convert it to one of these: {known}")
 
 
 def is_plain(sequence: Sequence) -> bool:
@@ -153,7 +176,8 @@ def shot_of(sequence: Sequence, keep_going: bool = False) -> Shot:
 
     def by(number: int) -> Shot:
         if isinstance(sequence, ClipSequence):
-            display, alpha, producer = sequence.frames.display, False, "video"
+            clip = sequence.frames.clip
+            display, alpha, producer = sequence.frames.display, clip.has_alpha, "video"
         else:
             path = sequence.files[number]
             if keep_going:
@@ -224,7 +248,8 @@ def picture_size(sequence: Sequence, number: int) -> Window:
 def digest_of(sequence: Sequence, number: int) -> str:
     """Digest what a frame of a video or of stills depends on."""
     if isinstance(sequence, ClipSequence):
-        return f"{sequence.frames.digest} {number}"
+        read = sequence.frames.clip.reading
+        return " ".join((sequence.frames.digest, str(number), *read))
     return file_digest(sequence.files[number])
 
 
@@ -249,8 +274,9 @@ def plain_template(shot: Shot, number: int, suffix: str) -> FrameTemplate:
         header = {"compression": OpenEXR.ZIP_COMPRESSION}
         return Template((PartTemplate(header, planes, shot.display),), planes)
     if isinstance(shot.sequence, ClipSequence):
-        dtype = np.dtype(np.uint16 if shot.sequence.frames.clip.deep else np.uint8)
-        return StillTemplate((), dtype, 8 * dtype.itemsize, 3, SRGB, premultiplied=False)
+        clip = shot.sequence.frames.clip
+        dtype, channels = np.dtype(np.uint16 if clip.deep else np.uint8), 3 + clip.has_alpha
+        return StillTemplate((), dtype, 8 * dtype.itemsize, channels, SRGB, premultiplied=False)
     return read_still_template(shot.sequence.files[number])
 
 
@@ -259,7 +285,9 @@ def own_rate(sequence: Sequence) -> Fraction | None:
     return sequence.frames.clip.rate if isinstance(sequence, ClipSequence) else None
 
 
-def look_of(shot: Shot, begin: Fraction, end: Fraction | None, note: str) -> VideoLook:
+def look_of(
+    shot: Shot, begin: Fraction, end: Fraction | None, note: str, apart: str | None = None
+) -> VideoLook:
     """Return what a video made of a sequence is like.
 
     Parameters
@@ -268,9 +296,11 @@ def look_of(shot: Shot, begin: Fraction, end: Fraction | None, note: str) -> Vid
         The input. What an EXR header says of colour and pixels is read in its first frame.
     begin, end
         The part of its sound that goes along, in frames of the input from the first; to the end of
-        all for None, and none where it is empty.
+        all for None.
     note
         See `VideoLook`.
+    apart
+        Why neither sound, subtitles nor timecode go along; None if they do.
     """
     sequence = shot.sequence
     if is_plain(sequence) and not isinstance(sequence, ClipSequence):
@@ -280,8 +310,31 @@ def look_of(shot: Shot, begin: Fraction, end: Fraction | None, note: str) -> Vid
         aspect = pixel_aspect(header.get("pixelAspectRatio"))
         return VideoLook(pixel_aspect=aspect, note=note, primaries=primaries_of(header))
     clip = sequence.frames.clip
-    sound = None if end is not None and end <= begin else clip.sound(begin, end)
-    return replace(clip.look, sound=sound, note=note)
+    remarks = []
+    if clip.has_alpha:
+        remarks.append(
+            f"the alpha of {clip.path} is left out of the video, as H.264 has none: it is shown "
+            "over black; frames as PNG or EXR keep it"
+        )
+    if apart is None:
+        code = clip.look.timecode
+        code = None if code is None else replace(code, later=begin)
+        sound = clip.sound(begin, end)
+        return replace(clip.look, sound=sound, note=note, timecode=code, remarks=tuple(remarks))
+    if lost := _beside_the_picture(clip):
+        remarks.append(f"the video goes without {lost} of {clip.path}, as {apart}")
+    return replace(clip.look, sound=None, note=note, timecode=None, remarks=tuple(remarks))
+
+
+def _beside_the_picture(clip: Clip) -> str:
+    """Name what a video has beside its picture; "" for nothing."""
+    sound = clip.look.sound
+    there = {
+        "the sound": sound is not None and sound.codecs,
+        "the text of subtitles": sound is not None and sound.subtitles,
+        "the timecode": clip.look.timecode,
+    }
+    return " and ".join(name for name, has in there.items() if has)
 
 
 def facts_of(sequence: Sequence) -> dict[str, Any]:
@@ -294,7 +347,7 @@ def facts_of(sequence: Sequence) -> dict[str, Any]:
             "kind": "video",
             "bits": 16 if clip.deep else 8,
             "colour": f"{colour.matrix}, {'full' if colour.full_range else 'limited'} range",
-            "alpha": "left out" if clip.has_alpha else None,
+            "alpha": "kept" if clip.has_alpha else None,
             "pixel_aspect": float(clip.look.pixel_aspect),
             "sound": list(sound),
         }
@@ -307,6 +360,25 @@ def facts_of(sequence: Sequence) -> dict[str, Any]:
         "pixel_aspect": 1.0,
         "sound": [],
     }
+
+
+def lost_alpha(shot: Shot, suffix: str) -> str | None:
+    """Say that frames are written without the alpha of a video or of stills; None if they are not.
+
+    Parameters
+    ----------
+    shot
+        The input.
+    suffix
+        Of the frames that are written.
+    """
+    has_alpha = is_plain(shot.sequence) and len(shot.layout.roles[Role.COLOUR]) > 3
+    if not has_alpha or file_type(suffix) in EXR or has_room_for_alpha(file_type(suffix)):
+        return None
+    return (
+        f"the alpha of {shot.sequence.pattern} is left out, as {file_type(suffix)} files have "
+        "none; name frames as .png or .exr to keep it"
+    )
 
 
 def unevenness_of(sequence: Sequence) -> str | None:

@@ -463,7 +463,7 @@ def _only(folder: Path, found: list[Sequence], suffixes: tuple[str, ...]) -> Seq
 def _require_suffix(path: Path, suffixes: tuple[str, ...]) -> None:
     if not path.name.lower().endswith(suffixes):
         raise InputError(
-            f"{path} is not an {' or '.join(suffixes)} file, and nothing else is read here; "
+            f"{path} is not an {' or '.join(suffixes)} file, which is needed here; "
             "convert the frames, or check the path"
         )
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -29,6 +29,7 @@ from exwarp_cli.io.exr_encoding import Buffer
 from exwarp_cli.io.magic import EXR, PNG, head_of
 from exwarp_cli.io.reading_retry import with_retries
 from exwarp_cli.io.still_seal import seal_still, software
+from exwarp_cli.io.webp_exif import with_orientation
 
 STILLS = (
     *(".png", ".jpg", ".jpeg", ".tif", ".tiff", ".dpx", ".cin", ".tga", ".bmp", ".webp"),
@@ -159,8 +160,15 @@ def require_writer(path: Path) -> Any:
     return writer
 
 
+def has_room_for_alpha(suffix: str) -> bool:
+    """Whether a format that is written keeps alpha."""
+    writer = oiio.ImageOutput.create(suffix.lstrip("."))
+    return writer is not None and bool(writer.supports("alpha"))
+
+
 def quantise_still(pixels: Float32, template: StillTemplate) -> Float32:
     """Round pixels to the codes that the file will have, so that what is scored is what is kept."""
+    template = _wide_enough(pixels, template)
     return _to_light(_to_codes(pixels, template), template)
 
 
@@ -188,6 +196,7 @@ def write_still(
         When OpenImageIO cannot write the format.
     """
     file = require_writer(path)
+    template = _wide_enough(image.pixels, template)
     codes = _to_codes(image.pixels, template)
     spec = _spec(codes, template, path.suffix.lower())
     keeps = path.suffix.lower() in SEALED
@@ -198,6 +207,8 @@ def write_still(
         if not (written and file.close()):
             raise output_error(path, OSError(file.geterror().strip() or "the format refuses it"))
         data = _settled_header(temporary.read_bytes(), path.name)
+        if path.suffix.lower() == ".webp":  # OpenImageIO reads its EXIF, but writes none
+            data = with_orientation(data, spec.get_int_attribute("Orientation", 1))
         sealed = seal_still(data)
         temporary.write_bytes(sealed)
     return [sealed]
@@ -301,6 +312,23 @@ def _to_light(codes: np.ndarray, template: StillTemplate) -> Float32:
     return np.concatenate([light, alpha], axis=-1)
 
 
+def _wide_enough(pixels: Float32, template: StillTemplate) -> StillTemplate:
+    """Return a template that holds the colour of a frame, whose key frame may be a grey file.
+
+    Many programs write a frame without colour as a grey file, for example the start of a fade.
+    """
+    colour = pixels[..., :3]
+    # The channels of a grey frame differ by rounding alone, if at all.
+    grey = template.channels < 3 and np.allclose(
+        colour, colour[..., :1], rtol=1e-5, atol=1e-6, equal_nan=True
+    )
+    if template.channels > 2 or grey:
+        return template
+    # A profile of a grey file is not valid for RGB.
+    kept = tuple(item for item in template.metadata if not item[0].startswith("ICCProfile"))
+    return replace(template, channels=template.channels + 2, metadata=kept)
+
+
 def _to_codes(pixels: Float32, template: StillTemplate) -> np.ndarray:
     """Invert `_to_light`, rounding half up."""
     finite = np.nan_to_num(pixels, nan=0.0, posinf=65504.0, neginf=0.0)
@@ -341,6 +369,9 @@ def _spec(codes: np.ndarray, template: StillTemplate, suffix: str) -> Any:
     spec = oiio.ImageSpec(width, height, channels, _type_of(template.dtype))
     for name, kind, value in template.metadata:
         spec.attribute(name, kind, value)
+        # OpenImageIO's Python drops other integers than those of 32 bits, EXIF's orientation too.
+        if spec.getattribute(name) is None and isinstance(value, int) and abs(value) < 1 << 31:
+            spec.attribute(name, value)
     if template.has_alpha:
         spec.alpha_channel = channels - 1
         spec.attribute("oiio:UnassociatedAlpha", int(not template.premultiplied))

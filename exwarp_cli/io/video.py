@@ -19,6 +19,8 @@ from exwarp_cli.errors import OutputError, UsageError
 from exwarp_cli.io.atomic import atomic_path
 from exwarp_cli.io.chromaticities import Primaries
 from exwarp_cli.io.ffmpeg import EXACT, RAW_INPUT, Feed, FfmpegError, even, told
+from exwarp_cli.io.timecode import Timecode
+from exwarp_cli.io.track_coding import SOUND, SUBTITLES, Track, TrackPlan, plan_tracks
 
 UInt16 = npt.NDArray[np.uint16]
 
@@ -40,15 +42,6 @@ MATRICES = {
     "bt2020nc": "bt2020",
 }
 """Matrices of Y'CbCr as files are labelled, with the names that the filter ``scale`` has."""
-
-COPIED_AUDIO = {
-    "mp4": frozenset({"aac", "ac3", "alac", "eac3", "flac", "mp3", "opus"}),
-    "mov": frozenset({"aac", "ac3", "alac", "eac3", "mp3", "pcm_s16le", "pcm_s24le", "pcm_s16be"}),
-}
-"""Codecs that are copied into each container as they are, since players of it know them."""
-
-AUDIO = "-c:a aac -b:a 256k"
-"""What other sound becomes."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +71,7 @@ class VideoColour:
 
 @dataclass(frozen=True)
 class Soundtrack:
-    """The sound that a video takes over from another.
+    """The sound and the subtitles that a video takes over from another.
 
     Attributes
     ----------
@@ -90,12 +83,33 @@ class Soundtrack:
         Seconds from its beginning to the first frame that is written.
     length
         Seconds to take; None for all.
+    begins
+        Seconds from its beginning to its sound, where ffmpeg drops that time; else 0.
+    subtitles
+        Codecs of its subtitles, by ffmpeg's names.
     """
 
     path: Path
     codecs: tuple[str, ...]
     start: Fraction = Fraction(0)
     length: Fraction | None = None
+    begins: Fraction = Fraction(0)
+    subtitles: tuple[str, ...] = ()
+
+    @property
+    def delay(self) -> Fraction:
+        """Seconds of silence to put before it."""
+        return max(self.begins - self.start, Fraction(0))
+
+    @property
+    def tracks(self) -> tuple[Track, ...]:
+        """Its tracks, sound first."""
+        kinds = ((SOUND, self.codecs), (SUBTITLES, self.subtitles))
+        return tuple(
+            Track(kind, index, codec)
+            for kind, codecs in kinds
+            for index, codec in enumerate(codecs)
+        )
 
 
 @dataclass(frozen=True)
@@ -114,6 +128,10 @@ class VideoLook:
         What the video was made of, kept as its comment; see `video_note`.
     primaries
         Those of the frames that it shows; None for Rec. 709.
+    timecode
+        Of the first frame; None without.
+    remarks
+        What a user has to know of what the video lacks.
     """
 
     colour: VideoColour = VideoColour()
@@ -121,6 +139,8 @@ class VideoLook:
     sound: Soundtrack | None = None
     note: str = ""
     primaries: Primaries | None = None
+    timecode: Timecode | None = None
+    remarks: tuple[str, ...] = ()
 
     def display(self, pixels: Float32) -> Float32:
         """Return scene-linear colour [H, W, 3 or more] with the primaries of a display."""
@@ -252,11 +272,17 @@ class VideoWriter:
         self._look = look or VideoLook()
         self._stack = ExitStack()
         self._count = 0
+        self._plan = TrackPlan()
 
     def __enter__(self) -> VideoWriter:
         with ExitStack() as stack:
             temporary = stack.enter_context(atomic_path(self._path))
             temporary.touch()  # a bad folder shows here, with its reason
+            sound = self._look.sound
+            if sound is not None:
+                self._plan = plan_tracks(
+                    sound.path, self._part_of(sound), sound.tracks, self._container
+                )
             try:
                 self._feed = stack.enter_context(Feed(self._options(temporary)))
             except FfmpegError as error:
@@ -279,6 +305,14 @@ class VideoWriter:
         else:
             self._stack.__exit__(kind, error, trace)
 
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What the video lacks, or has in another form than the input; complete once entered."""
+        lost = self._look.timecode is not None and self._timecode is None
+        rate = f"{float(self._rate):g}"
+        why = f"the timecode is left out of the video, as it cannot count {rate} frames a second"
+        return (*self._look.remarks, *self._plan.remarks, *((why,) if lost else ()))
+
     def write(self, frame: UInt8) -> None:
         """Append a frame, uint8 [H, W, 3] in display encoding; raises OutputError."""
         if frame.shape != self._shape or frame.dtype != np.uint8:
@@ -291,7 +325,6 @@ class VideoWriter:
 
     def _options(self, target: Path) -> list[str]:
         height, width, _ = self._shape
-        container = CONTAINERS[self._path.suffix.lower()]
         source = RAW_INPUT.format(
             width=width + width % 2, height=height + height % 2, rate=self._rate
         )
@@ -300,9 +333,9 @@ class VideoWriter:
             *self._sound_in(),
             *("-vf", self._filters(), "-c:v", "libx264", "-crf", str(QUALITY_CRF)),
             *("-pix_fmt", "yuv420p"),
-            *self._sound_out(container),
+            *self._sound_out(),
             *(("-metadata", f"comment={self._look.note}") if self._look.note else ()),
-            *("-movflags", "+faststart", "-f", container),
+            *("-movflags", "+faststart", "-f", self._container),
         ]
         return [*options, f"file:{target}"]
 
@@ -319,22 +352,36 @@ class VideoWriter:
             f"setparams={labels},setsar={aspect}"
         )
 
+    @property
+    def _container(self) -> str:
+        return CONTAINERS[self._path.suffix.lower()]
+
+    @property
+    def _timecode(self) -> str | None:
+        """The timecode at the video's rate; None without, and if it cannot count that rate."""
+        code = self._look.timecode
+        return None if code is None else code.at(self._rate)
+
     def _sound_in(self) -> list[str]:
         sound = self._look.sound
-        if sound is None or not sound.codecs:
-            return []
+        return [] if sound is None or not self._plan.kept else self._part_of(sound)
+
+    @staticmethod
+    def _part_of(sound: Soundtrack) -> list[str]:
+        """Return what makes ffmpeg read the part of the other video that goes along."""
         part = ["-ss", f"{float(sound.start):.6f}"] if sound.start > 0 else []
         if sound.length is not None:
             part += ["-t", f"{float(sound.length):.6f}"]
+        if sound.delay:
+            part += ["-itsoffset", f"{float(sound.delay):.6f}"]
         return [*part, "-i", f"file:{sound.path}"]
 
-    def _sound_out(self, container: str) -> list[str]:
-        sound = self._look.sound
-        if sound is None or not sound.codecs:
-            return []
-        known = COPIED_AUDIO[container].issuperset(sound.codecs)
-        coded = ["-c:a", "copy"] if known else AUDIO.split()
-        return ["-map", "0:v", "-map", "1:a", *coded, "-map_metadata", "1"]
+    def _sound_out(self) -> list[str]:
+        # The other video's own timecode counts its own rate.
+        code = ["-metadata", f"timecode={self._timecode or ''}"]
+        if not self._plan.kept:
+            return code if self._timecode else []
+        return ["-map", "0:v", *self._plan.options(1), "-map_metadata", "1", *code]
 
     def _finish(self) -> None:
         try:

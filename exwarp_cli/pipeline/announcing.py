@@ -18,12 +18,14 @@ from exwarp_cli.domain.results import (
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.wording import counted
 from exwarp_cli.io.channels import Role
+from exwarp_cli.io.clip import is_clip
 from exwarp_cli.io.cryptomatte_manifest import SHOWN, shown
-from exwarp_cli.io.footage import is_plain, unevenness_of
+from exwarp_cli.io.footage import is_plain, lost_alpha, unevenness_of
 from exwarp_cli.io.layouts import alpha_left_out
 from exwarp_cli.pipeline.contents import Content, files_apart
 from exwarp_cli.pipeline.finding import OtherRate
 from exwarp_cli.pipeline.opening import step_note
+from exwarp_cli.pipeline.targets import frame_suffix
 from exwarp_cli.pipeline.without_vectors import video_look
 
 if TYPE_CHECKING:
@@ -202,6 +204,7 @@ def announce(
         step_note(source.timeline.numbers, source.fps, source.fps_source),
         _compatible_note(settings, source),
         unevenness_of(source.keys.sequence),
+        _lost_alpha(settings, source),
         alpha_left_out(source.keys.layout),
     ):
         if note is not None:
@@ -267,6 +270,13 @@ def announce_video(progress: Progress, source: Source, keys: tuple[int, ...]) ->
         progress.message(
             f"the video is converted from {primaries.name}, as the header says, to Rec. 709"
         )
+
+
+def _lost_alpha(settings: UpsampleSettings, source: Source) -> str | None:
+    """Say that frames lose alpha; a video says so itself."""
+    if is_clip(settings.output):
+        return None
+    return lost_alpha(source.keys, frame_suffix(settings.output, source.keys.sequence))
 
 
 def _geometry(source: Source) -> str:

@@ -34,6 +34,11 @@ class Film(Held):
         self._sink = stack.enter_context(make_sink(self._job))
         self._writer = stack.enter_context(WriteBehind(1, len(self._job.slots)))
 
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What a user has to know of the video; see `VideoWriter.remarks`."""
+        return self._sink.remarks
+
     def append(self, keys: tuple[int, ...], missing: frozenset[int] = frozenset()) -> None:
         """Append the frames of some key intervals (indices).
 

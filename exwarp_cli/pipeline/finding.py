@@ -8,7 +8,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from exwarp_cli.domain.settings import UpsampleSettings
+from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR, Slot, Timeline
 from exwarp_cli.errors import InputError, LayoutError, UsageError
 from exwarp_cli.io.footage import find_frames, picture, picture_size
@@ -176,7 +176,9 @@ def require_factor(
         )
 
 
-def find_truth(spec: str, source: Source, bearable: bool = False) -> tuple[Sequence, FrameOf]:
+def find_truth(
+    spec: str, source: Source, bearable: bool = False, scan: str = SourceSettings.scan
+) -> tuple[Sequence, FrameOf]:
     """Find ground truth of any kind, and refuse one of another size before any work.
 
     Its first frame tells, or where some may be of no use (`bearable`) the first that is of any.
@@ -188,7 +190,7 @@ def find_truth(spec: str, source: Source, bearable: bool = False) -> tuple[Seque
     InputError
         When it is not found, has gaps, is of another size, or has no frame at any slot's instant.
     """
-    sequence = find_frames(expand(spec, source.keys.view or None)[0], bearable)
+    sequence = find_frames(expand(spec, source.keys.view or None)[0], bearable, scan)
     frame_of = align(source.timeline, sequence, "--ground-truth")
     display = source.keys.display
 

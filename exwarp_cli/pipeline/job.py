@@ -244,7 +244,7 @@ def open_job(settings: UpsampleSettings, runs: bool = True) -> Job:
     truth = None
     if settings.ground_truth is not None:
         bearable = settings.source.keep_going and not method.needs_truth
-        truth = find_truth(settings.ground_truth, source, bearable)
+        truth = find_truth(settings.ground_truth, source, bearable, settings.source.scan)
     require_measurable(settings, source.keys.display, source.timeline.steps is not None)
     return Job(
         settings, method, sources, network, interpolator, policy, models, contents, keys, targets,

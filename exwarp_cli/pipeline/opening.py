@@ -73,7 +73,7 @@ def open_plain(settings: SourceSettings) -> Shot | None:
         When options are given that say how EXR is read.
     """
     allow(settings.max_pixels)
-    sequence = find_plain(settings.sequence, settings.keep_going)
+    sequence = find_plain(settings.sequence, settings.keep_going, settings.scan)
     if sequence is None:
         return None
     told = {

@@ -84,6 +84,8 @@ class Run:
         tasks = (partial(loader.load, key, self._needed) for key in keys)
         under_way: Iterator[None] = iter(())
         with self.sink, self.at_once:
+            for text in self.sink.remarks:
+                self.progress.message(text)
             try:
                 for loaded in read_ahead(tasks, self._ahead):
                     work = self._work(loaded)

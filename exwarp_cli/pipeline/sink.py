@@ -90,6 +90,11 @@ class Sink(Held):
             self._video = stack.enter_context(video)
 
     @property
+    def remarks(self) -> tuple[str, ...]:
+        """What a user has to know of the video; see `VideoWriter.remarks`."""
+        return () if self._video is None else self._video.remarks
+
+    @property
     def shows(self) -> bool:
         """Whether every frame has to be shown, for a video."""
         return self._video is not None

@@ -102,9 +102,12 @@ def video_look(source: Source, keys: tuple[int, ...], note: str = "") -> VideoLo
     end: Fraction | None = Fraction(last + 1)
     if last == len(timeline.numbers) - 1:
         end = None
-    if last - first + 1 != len(keys) or source.fps != own_rate(source.keys.sequence):
-        end = begin
-    return look_of(source.keys, begin, end, note)
+    own, apart = own_rate(source.keys.sequence), None
+    if last - first + 1 != len(keys):
+        apart = "the key frames that are written do not follow each other"
+    elif own is not None and source.fps != own:
+        apart = f"--fps {float(source.fps):g} is not its own rate of {float(own):g}"
+    return look_of(source.keys, begin, end, note, apart)
 
 
 def note_of(recipes: Recipes, settings: UpsampleSettings, keys: tuple[int, ...]) -> str:

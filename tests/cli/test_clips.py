@@ -91,9 +91,23 @@ class TestVideo:
         assert open_clip(tmp_path / "gaps.mp4").look.sound is None
 
     def test_sound_is_left_out_where_the_rate_is_not_its_own(self, upsample, keys, tmp_path):
-        upsample(keys, tmp_path / "slow.mp4", "--fps", 12)
+        said = upsample(keys, tmp_path / "slow.mp4", "--fps", 12, "--progress", "plain").err
         made = open_clip(tmp_path / "slow.mp4")
         assert made.rate == 48 and made.look.sound is None
+        assert f"the sound of {keys}, as --fps 12 is not its own rate of 24" in said
+
+    def test_sound_of_another_codec_is_encoded_again_and_said(self, upsample, keys, tmp_path):
+        source = tmp_path / "pcm.mov"
+        pictures.ffmpeg("-i", keys, "-c:v", "copy", "-c:a", "pcm_s16le", source)
+        said = upsample(source, tmp_path / "out.mp4", "-m", "hold", "--progress", "plain").err
+        assert f"sound track 1 (pcm_s16le) of {source} is encoded again as aac" in said
+
+    def test_timecode_of_a_part_begins_with_it(self, upsample, keys, tmp_path):
+        source = tmp_path / "tc.mov"
+        pictures.ffmpeg("-i", keys, "-c", "copy", "-timecode", "01:00:00:22", source)
+        upsample(source, tmp_path / "out.mov", "-m", "hold", "--frames", "2-4")
+        code = open_clip(tmp_path / "out.mov").look.timecode
+        assert code is not None and code.text == "01:00:00:92"  # frame 23 of 24, at 96
 
     def test_beside_frames(self, upsample, keys, tmp_path):
         upsample(keys, tmp_path / "out", "--video", tmp_path / "out.mov", "--no-tail")
@@ -171,6 +185,92 @@ class TestFrames:
         assert psnr(frame(1.5), moved) > 30
 
 
+class TestAlpha:
+    @pytest.fixture
+    def clear(self, tmp_path) -> Path:
+        """Two frames of one colour in ProRes 4444: the left half opaque, the right one half so."""
+        path = tmp_path / "keys" / "clear.mov"
+        path.parent.mkdir()
+        codes = "r=48316:g=48316:b=48316:a='if(lt(X,32),65535,32896)'"
+        grey = f"color=white:s=64x48:r=24,format=rgba64le,geq={codes}"
+        coded = ("-c:v", "prores_ks", "-profile:v", "4444", "-pix_fmt", "yuva444p10le")
+        pictures.ffmpeg("-f", "lavfi", "-i", grey, "-frames:v", 2, *coded, path)
+        return path
+
+    def test_is_kept_in_frames(self, upsample, clear, tmp_path):
+        upsample(clear, tmp_path / "out")
+        upsample(clear, tmp_path / "exr" / "a.####.exr", "-m", "blend")
+        for number in range(1, 9):
+            codes = pictures.codes_of(tmp_path / "out" / f"clear.{number:04d}.png")
+            assert codes.dtype == np.uint16 and codes.shape[-1] == 4
+            assert (codes[8:40, 8, 3] == 65535).all()  # 1023 of 10 bits is opaque
+            for column, alpha in ((8, 1.0), (56, 128 / 255)):
+                assert np.allclose(
+                    codes[8:40, column] / 65535, (188 / 255,) * 3 + (alpha,), atol=0.02
+                )
+        light = colour_of(tmp_path / "exr" / "a.0002.exr")
+        assert np.allclose(light[8:40, 56], (0.25, 0.25, 0.25, 0.5), atol=0.02)
+
+    def test_is_said_to_be_lost_where_the_target_has_none(self, upsample, clear, tmp_path):
+        plain = ("-m", "hold", "--progress", "plain")
+        said = upsample(clear, tmp_path / "out.mp4", *plain).err
+        assert f"the alpha of {clear} is left out of the video, as H.264 has none" in said
+        said = upsample(clear, tmp_path / "a.####.jpg", *plain).err
+        assert f"the alpha of {clear} is left out, as .jpg files have none" in said
+        assert "alpha" not in upsample(clear, tmp_path / "a.####.png", *plain).err
+
+
+class TestFields:
+    def test_an_option_says_how_they_are_read(self, exwarp, upsample, tmp_path):
+        source = tmp_path / "fields.mov"
+        fields = ("-vf", "tinterlace=interleave_top", "-c:v", "mpeg2video", "-flags", "+ildct+ilme")
+        pictures.ffmpeg("-f", "lavfi", "-i", "testsrc2=s=64x48:r=50:d=0.2", *fields, source)
+        result = exwarp("upsample", source, "-o", tmp_path / "out.mp4")
+        result.refused(3, "is interlaced", "--scan deinterlace, or --scan progressive")
+        exwarp("inspect", source).refused(3, "--scan deinterlace")
+        exwarp("compare", source, source).refused(3, "--scan deinterlace")
+        for scan in ("progressive", "deinterlace"):
+            upsample(source, tmp_path / scan, "--scan", scan, "-m", "hold")
+            assert exwarp("inspect", source, "--scan", scan).code == 0
+            assert exwarp("compare", source, source, "--scan", scan).code == 0
+        woven, single = (
+            pictures.codes_of(tmp_path / scan / "fields.0005.png")
+            for scan in ("progressive", "deinterlace")
+        )
+        assert not np.array_equal(woven, single)
+
+    def test_frames_read_in_another_way_are_not_kept(self, upsample, tmp_path):
+        source = tmp_path / "fields.mov"
+        fields = ("-vf", "tinterlace=interleave_top", "-c:v", "mpeg2video", "-flags", "+ildct+ilme")
+        pictures.ffmpeg("-f", "lavfi", "-i", "testsrc2=s=64x48:r=50:d=0.1", *fields, source)
+        out = tmp_path / "out"
+        upsample(source, out, "--scan", "progressive", "-m", "blend")
+        again = ("--scan", "deinterlace", "-m", "blend", "--skip-existing")
+        assert changed_by(lambda: upsample(source, out, *again), out) == set(range(1, 9))
+
+
+class TestDamage:
+    def test_a_glitch_loses_its_group_of_pictures_alone(self, exwarp, tmp_path):
+        good = clip(tmp_path / "pan.ts", [frame(i / 4, seed=i) for i in range(24)], sound=False)
+        whole, data = shown(good), bytearray(good.read_bytes())
+        noise = np.random.default_rng(1).integers(0, 256, 200, np.uint8).tobytes()
+        data[len(data) // 2 : len(data) // 2 + 200] = noise
+        good.write_bytes(data)
+        quiet = ("-m", "blend", "--factor", 2, "--progress", "none")
+        result = exwarp("upsample", good, "-o", tmp_path / "out", *quiet, "--keep-going")
+        kept = {int(name[4:8]) for name in names(tmp_path / "out")}
+        keys = {(number + 1) // 2 for number in kept if number % 2}
+        lost = set(range(1, 25)) - keys
+        first = min(lost)
+        assert first > 1 and len(lost) <= 5  # groups have 4 frames
+        assert f"frame {first} of 24 is damaged" in result.err
+        for number in keys:
+            codes = pictures.codes_of(tmp_path / "out" / f"pan.{2 * number - 1:04d}.png")
+            assert np.array_equal(codes, whole[number - 1]), number
+        stopped = exwarp("upsample", good, "-o", tmp_path / "stopped", *quiet)
+        stopped.refused(3, f"frame {first} of 24 is damaged")
+
+
 class TestCuts:
     def test_nothing_is_taken_across(self, upsample, tmp_path):
         source = clip(tmp_path / "two.mp4", [*panned(4), *panned(4, seed=7)], sound=False)
@@ -235,6 +335,24 @@ class TestRefusals:
         quiet = ("--progress", "none")
         exwarp("upsample", keys, "-o", "out", *quiet, *options).refused(code, words)
         assert names(tmp_path) == []
+
+    @pytest.mark.parametrize(
+        ("name", "words"),
+        [
+            ("voice.wav", "voice.wav is sound, which has no frames; name a video or frames"),
+            ("voice.mp4", "voice.mp4 holds no picture, only sound; name a video or frames"),
+            ("scene.blend", "scene.blend is of a kind that is not read; convert it to one of"),
+        ],
+    )
+    def test_files_without_a_picture_are_named_as_what_they_are(
+        self, exwarp, tmp_path, name, words
+    ):
+        if name.startswith("voice"):
+            pictures.ffmpeg("-f", "lavfi", "-i", "sine=d=0.1", tmp_path / name)
+        else:
+            (tmp_path / name).write_bytes(b"BLENDER")
+        exwarp("upsample", tmp_path / name, "-o", tmp_path / "out").refused(3, words)
+        exwarp("inspect", tmp_path / name).refused(3, words)
 
     def test_the_input_itself_is_not_overwritten(self, exwarp, tmp_path):
         source = clip(tmp_path / "pan.mp4", panned(2), sound=False)

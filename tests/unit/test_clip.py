@@ -12,14 +12,28 @@ import numpy as np
 import pytest
 
 from exwarp_cli.errors import DamagedFileError, InputError
+from exwarp_cli.io import clip_fields
 from exwarp_cli.io.clip import ClipReader, is_clip, open_clip
-from exwarp_cli.io.clip_timing import Pacing, Packets, meant, pace, parse_packets
-from exwarp_cli.io.ffmpeg import EXACT, FfmpegError
+from exwarp_cli.io.clip_timing import (
+    UNKNOWN_TIMES,
+    Pacing,
+    Packets,
+    meant,
+    pace,
+    parse_packets,
+    read_packets,
+)
+from exwarp_cli.io.ffmpeg import EXACT, Drain, FfmpegError
 from exwarp_cli.io.video import MATRICES, VideoWriter, to_display
 
 SIZE = (48, 32)
 H264 = ("-c:v", "libx264", "-pix_fmt", "yuv420p", "-g", "8", "-bf", "2")
 NTSC = "24000/1001"
+STEADY = ("-sc_threshold", 10**9)
+"""No key frames but where a group begins."""
+
+PALETTE = ",split[a][b];[a]palettegen=stats_mode=single[p];[b][p]paletteuse=new=1"
+"""Filters for GIF: its usual palette has 256 colours, none of them the wanted one."""
 
 
 def ffmpeg(*arguments: object) -> subprocess.CompletedProcess[bytes]:
@@ -75,10 +89,46 @@ class TestPackets:
         packets = parse_packets(cut)
         assert packets.times == (1500, 2002, 3003) and packets.keys == (0,)
 
-    @pytest.mark.parametrize("time", ["NOPTS", "0"])  # untold, told twice
-    def test_times_that_tell_nothing_are_dropped(self, time):
-        packets = parse_packets(self.LISTED.replace("0,  1001, 2002,", f"0,  1001, {time},"))
+    @pytest.mark.parametrize("unknown", UNKNOWN_TIMES)
+    def test_without_many_times_all_are_dropped(self, unknown):
+        packets = parse_packets(self.LISTED.replace("0,  1001, 2002,", f"0,  1001, {unknown},"))
         assert packets.times == () and packets.keys == () and packets.count == 4
+
+    @staticmethod
+    def even(*bad: tuple[int, object], count: int = 30, ahead: int = 0) -> Packets:
+        """Packets at 0, 40, 80 ... ms, some with another time."""
+        times = {k: 40 * k for k in range(count)} | dict(bad)
+        lines = [
+            f"0, {40 * (k - ahead)}, {times[k]}, 40, 9, 0x0, F=0x{int(k == 0)}"
+            for k in range(count)
+        ]
+        return parse_packets("\n".join(["#tb 0: 1/1000", *lines]))
+
+    @pytest.mark.parametrize("bad", [(7, 240), (7, 320), (29, 1120), (1, 0), (7, "NOPTS")])
+    def test_only_a_bad_time_is_mended(self, bad):
+        packets = self.even(bad)
+        assert packets.times == tuple(range(0, 1200, 40))
+        assert pace(packets, Fraction(1000, 41)) == Pacing(Fraction(25), tuple(range(30)))
+
+    def test_a_missing_time_of_reordered_frames_is_the_one_left_free(self):
+        listed = self.even(count=30, ahead=2)
+        swapped = {4: 240, 5: 160, 6: 200}  # a P-frame, then the two shown before it
+        for unknown in swapped:
+            packets = self.even(*(swapped | {unknown: "NOPTS"}).items(), ahead=2)
+            assert packets.times == listed.times
+
+    def test_frames_before_a_bad_time_are_identified_by_theirs(self):
+        packets = self.even((7, 240))
+        assert packets.mended == 6 and packets.stamps[6:8] == (240, 240)
+        assert packets.cut(3) == 3 and packets.cut(20) == 5
+        assert self.even().cut(20) == 20 and self.even((1, 0)).cut(20) is None
+
+    def test_a_hidden_key_frame_makes_what_follows_decodable(self):
+        hidden = ["0, -80, -80, 40, 9, 0x0, F=0x5", "0, -40, -40, 40, 9, 0x0, F=0x4"]
+        shown = [f"0, {k}, {k}, 40, 9, 0x0, F=0x0" for k in (0, 40, 80)]
+        later = ["0, 120, 120, 40, 9, 0x0, F=0x1"]
+        packets = parse_packets("\n".join(["#tb 0: 1/1000", *hidden, *shown, *later]))
+        assert packets.times == (0, 40, 80, 120) and packets.keys == (3,)
 
     def test_no_packets_are_an_error(self):
         with pytest.raises(FfmpegError, match="no frames"):
@@ -216,11 +266,34 @@ class TestOpenClip:
         coded = ("-c:v", "prores_ks", "-profile:v", "4444", "-pix_fmt", "yuva444p10le")
         clip = open_clip(make(tmp_path / "a.mov", *coded, frames=2))
         assert clip.has_alpha and clip.deep
-        assert next(clip.frames()).shape == (32, 48, 3)
+        assert next(clip.frames()).shape == (32, 48, 4)
+
+    @pytest.mark.parametrize(
+        ("name", "coded"),
+        [
+            ("a.mov", ("prores_ks", "-profile:v", "4444", "-pix_fmt", "yuva444p10le")),
+            ("a.webm", ("libvpx-vp9", "-lossless", "1", "-pix_fmt", "yuva420p")),
+            ("a.gif", ("gif", "-pix_fmt", "bgr8")),
+        ],
+    )
+    def test_light_is_multiplied_by_alpha(self, tmp_path, name, coded):
+        """Left half opaque, right half clear; of a half-transparent one, the light is halved."""
+        clear = "0" if name.endswith("gif") else "128"
+        grey = f"format=rgba,geq=r=188:g=188:b=188:a='if(lt(X,24),255,{clear})'"
+        grey += PALETTE if clear == "0" else ""
+        picture = ("-f", "lavfi", "-i", f"color=white:s=48x32:r=25,{grey}", "-frames:v", "2")
+        coded = ("-c:v", *coded) if clear == "128" else ()
+        ffmpeg(*picture, *coded, tmp_path / name)
+        frame = next(open_clip(tmp_path / name).frames())
+        share = int(clear) / 255
+        for column, alpha in ((4, 1.0), (44, share)):
+            light = 0.5 * alpha
+            assert np.allclose(frame[4:28, column], (light, light, light, alpha), atol=0.02)
 
     def test_suffixes(self, tmp_path):
         assert is_clip("a.MP4") and is_clip("b/c.webm")
         assert not is_clip("a.0001.exr") and not is_clip("shot")
+        assert is_clip("a.gif") and not is_clip("a.####.gif")
         (tmp_path / "frames.mp4").mkdir()
         assert not is_clip(str(tmp_path / "frames.mp4"))
 
@@ -266,6 +339,47 @@ class TestFrames:
         assert all(map(np.array_equal, found, whole[-len(found) :]))
         assert np.array_equal(next(clip.frames(10)), found[10])
 
+    @pytest.mark.parametrize("codec", ["libx264", "libx265"])
+    def test_a_clip_trimmed_inside_a_group_of_pictures_is_whole(self, tmp_path, codec):
+        calm = ("-x265-params", "pools=none:frame-threads=1:log-level=none", "-vf", "scale=64:64")
+        coded = ("-c:v", codec, "-pix_fmt", "yuv420p", "-g", "20", "-bf", "2")
+        coded += calm if codec == "libx265" else ()
+        source, cut = make(tmp_path / "a.mp4", *coded, rate="25", frames=50), tmp_path / "b.mp4"
+        ffmpeg("-ss", "0.6", "-i", source, "-c", "copy", cut)
+        clip, whole = open_clip(cut), list(open_clip(source).frames())
+        found = list(clip.frames())
+        assert len(found) == clip.count == 35
+        assert all(map(np.array_equal, found, whole[15:]))
+        for start in (1, 4, 5, 6, 24, 25, 34):
+            assert np.array_equal(next(clip.frames(start)), found[start]), start
+
+    def test_a_time_that_is_there_twice_moves_nothing(self, tmp_path):
+        """Of a screen recording that pauses for 10 frames and starts 0.4 s after its sound."""
+        source, path = tmp_path / "a.mkv", tmp_path / "b.mkv"
+        pausing = ("-vf", "select='not(between(n,15,24))',setpts=PTS+0.4/TB")
+        coded = ("-c:a", "pcm_s16le", "-fps_mode", "passthrough", "-c:v", "ffv1")
+        make(source, *pausing, *coded, rate="25", frames=30, audio="yes")
+        again = "setts=pts='if(eq(N,12),PREV_OUTPTS,PTS)':dts='if(eq(N,12),PREV_OUTDTS,DTS)'"
+        ffmpeg("-i", source, "-c", "copy", "-bsf:v", again, path)
+        right, clip = open_clip(source), open_clip(path)
+        assert read_packets(path).mended == 11  # the situation is there
+        assert clip.pacing == right.pacing and clip.rate == 25
+        assert clip.look.sound is not None and clip.look.sound.start == Fraction("0.4")
+        whole = list(right.frames())
+        for start in (0, 10, 11, 12, 13, 30):
+            assert np.array_equal(next(clip.frames(start)), whole[start]), start
+
+    def test_a_missing_time_before_the_first_key_frame(self, tmp_path):
+        """Matroska cannot say that frames of an open group of pictures come before 0."""
+        opened = (*H264, "-x264-params", "open-gop=1:scenecut=0")
+        source, cut = make(tmp_path / "a.mp4", *opened, rate="25", frames=43), tmp_path / "b.mkv"
+        ffmpeg("-ss", "0.5", "-i", source, "-c", "copy", cut)
+        clip, whole = open_clip(cut), list(open_clip(source).frames())
+        found = list(clip.frames())
+        assert clip.rate == 25 and not clip.pacing.varies
+        assert len(found) == clip.count == 35
+        assert all(map(np.array_equal, found, whole[8:]))
+
     def test_dropped_frames_are_shown_again(self, tmp_path):
         path = tmp_path / "a.mkv"
         dropping = ("-vf", "select='not(between(n,10,11))'", "-fps_mode", "passthrough")
@@ -308,6 +422,119 @@ class TestFrames:
         assert np.abs(away).max() <= 6  # another matrix: 13 and more
 
 
+def onset(path: Path) -> float:
+    """Seconds from the first picture to the first loud sample, as players show it."""
+    silence = ("-af", "aresample=async=1:first_pts=0", "-ar", "48000", "-ac", "1", "-f", "f32le")
+    samples = np.frombuffer(ffmpeg("-i", path, "-map", "0:a", *silence, "-").stdout, "<f4")
+    return float(np.argmax(np.abs(samples) > 0.02)) / 48000
+
+
+class TestSound:
+    """A tone begins 0.5 s after the beginning of the sound track."""
+
+    BEEP = "sine=f=440:r=48000:d=1.5,adelay=500"
+
+    def source(self, path: Path, picture_late: str = "0", sound_late: str = "0") -> Path:
+        """2 s with the streams offset against each other."""
+        picture = f"testsrc2=s={SIZE[0]}x{SIZE[1]}:r=25:d=2"
+        coded = (
+            "-c:v",
+            "mpeg2video",
+            "-q:v",
+            "2",
+            "-g",
+            "8",
+            "-fps_mode",
+            "passthrough",
+            "-c:a",
+            "mp2",
+        )
+        ffmpeg("-itsoffset", picture_late, "-f", "lavfi", "-i", picture,
+               "-itsoffset", sound_late, "-f", "lavfi", "-i", self.BEEP, *coded, path)  # fmt: skip
+        return path
+
+    @staticmethod
+    def copied(path: Path, start: int = 0) -> Path:
+        """The clip from a frame on, written as a video."""
+        clip, copy = open_clip(path), path.with_name("copy.mp4")
+        look = replace(clip.look, sound=clip.sound(start, clip.count))
+        with VideoWriter(copy, clip.width, clip.height, clip.rate, look) as video:
+            for frame in clip.frames(start):
+                video.write(to_display(frame))
+        return copy
+
+    @pytest.mark.parametrize("suffix", [".ts", ".mts", ".mpg", ".mp4", ".mkv"])
+    @pytest.mark.parametrize(
+        ("late", "start", "expected"),
+        [
+            ({}, 0, 0.5),
+            ({"sound_late": "0.3"}, 0, 0.8),
+            ({"picture_late": "0.3"}, 0, 0.2),
+            ({"sound_late": "0.3"}, 5, 0.6),
+            ({"picture_late": "0.13"}, 5, 0.17),
+        ],
+    )
+    def test_it_keeps_its_offset_to_the_picture(self, tmp_path, suffix, late, start, expected):
+        path = self.source(tmp_path / f"a{suffix}", **late)
+        assert abs(onset(self.copied(path, start)) - expected) < 0.03
+
+
+class TestDamage:
+    """Some bytes in the middle of the file are wrong."""
+
+    NOISY = ("-vf", "scale=160:96,noise=alls=20:allf=t")
+    MPEG2 = ("-c:v", "mpeg2video", "-bf", "2", "-g", "10")
+    AVC = (*H264[:4], "-g", "10", "-bf", "2")
+    CASES = (
+        ("a.ts", MPEG2, 200),
+        ("a.mpg", MPEG2, 200),
+        ("b.ts", AVC, 2000),
+        ("a.avi", ("-c:v", "mpeg4", "-bf", "2", "-g", "10", "-q:v", "4"), 200),
+        ("a.mkv", AVC, 3000),  # a damaged B-frame of H.264 alone may decode without an error
+        ("a.mp4", AVC, 3000),
+    )
+
+    @pytest.fixture(params=CASES, ids=lambda case: case[0])
+    def videos(self, request, tmp_path) -> tuple[Path, Path]:
+        """A video of 60 frames, with groups of 10 to 12 pictures, and a damaged copy."""
+        name, coded, size = request.param
+        good = make(tmp_path / name, *self.NOISY, *coded, rate="25", frames=60)
+        data = bytearray(good.read_bytes())
+        noise = np.random.default_rng(1).integers(0, 256, size, np.uint8).tobytes()
+        data[len(data) // 2 : len(data) // 2 + size] = noise
+        bad = tmp_path / f"bad{good.suffix}"
+        bad.write_bytes(data)
+        return good, bad
+
+    def test_loses_its_group_of_pictures_alone(self, videos, monkeypatch):
+        good, bad = videos
+        whole, clip, runs = list(open_clip(good).frames()), open_clip(bad), []
+        lost = []
+
+        class Counted(Drain):
+            def __init__(self, options) -> None:
+                runs.append(options)
+                super().__init__(options)
+
+        monkeypatch.setattr("exwarp_cli.io.clip.Drain", Counted)
+        assert clip.count == 60
+        with ClipReader(clip) as reader:
+            for index in range(clip.count):
+                try:
+                    assert np.array_equal(reader.read(index), whole[index]), index
+                except DamagedFileError as error:
+                    assert f"frame {index + 1} of 60 is damaged" in str(error)
+                    assert "0x" not in str(error)
+                    lost.append(index)
+        assert 0 < len(lost) <= 14 and lost == list(range(lost[0], lost[-1] + 1))
+        assert len(runs) == 2  # up to the damage, and over it
+        with ClipReader(clip) as reader:
+            after = lost[-1] + 1
+            assert np.array_equal(reader.read(after), whole[after])
+            with pytest.raises(DamagedFileError, match=f"frame {lost[0] + 1} of 60"):
+                reader.read(lost[0])
+
+
 class TestBadFiles:
     def test_no_file(self, tmp_path):
         with pytest.raises(InputError, match="there is no video"):
@@ -322,8 +549,19 @@ class TestBadFiles:
     def test_sound_alone(self, tmp_path):
         path = tmp_path / "a.m4v"
         ffmpeg("-f", "lavfi", "-i", "sine=d=0.1", "-f", "mp4", path)
-        with pytest.raises(DamagedFileError):
+        with pytest.raises(InputError, match="holds no picture, only sound; name a video"):
             open_clip(path)
+
+    @pytest.mark.parametrize("suffix", ["gif", "apng", "y4m", "flv", "wmv", "m2ts"])
+    def test_other_kinds_of_video_are_read(self, tmp_path, suffix):
+        path = tmp_path / f"a.{suffix}"
+        colour = "color=0x2060C0:s=48x32:r=25" + (PALETTE if suffix == "gif" else "")
+        ffmpeg("-f", "lavfi", "-i", colour, "-frames:v", 5, path)
+        clip = open_clip(path)
+        assert is_clip(str(path)) and (clip.count, clip.rate) == (5, 25)
+        for frame in clip.frames():
+            away = to_display(frame).astype(int) - (0x20, 0x60, 0xC0)
+            assert np.abs(away).max() <= 8  # a palette, or coarse 4:2:0
 
     def test_a_truncated_file_is_told_where_it_ends(self, tmp_path):
         path = make(tmp_path / "a.mp4", *H264, "-movflags", "+faststart")
@@ -346,5 +584,78 @@ class TestBadFiles:
 
     def test_fields(self, tmp_path):
         path = make(tmp_path / "a.mp4", "-vf", "interlace", *H264, "-flags", "+ildct", frames=4)
-        with pytest.raises(InputError, match="interlaced"):
+        wanted = r"is interlaced, .*--scan deinterlace, or --scan progressive"
+        with pytest.raises(InputError, match=wanted):
             open_clip(path)
+
+
+class TestFields:
+    """Bars that move 6 pixels a field: two instants in a frame look like a comb."""
+
+    BARS = "color=black:s=48x32:r=50,geq=lum='if(lt(mod(X+6*N,24),12),40,220)':cb=128:cr=128"
+
+    def interlaced(self, path: Path, frames: int, group: int = 4) -> Path:
+        fields = (
+            "-vf",
+            "tinterlace=mode=interleave_top",
+            "-flags",
+            "+ildct+ilme",
+            "-g",
+            group,
+            *STEADY,
+        )
+        coded = ("-c:v", "mpeg2video", "-q:v", 2)
+        ffmpeg("-f", "lavfi", "-i", self.BARS, *fields, "-frames:v", frames, *coded, path)
+        return path
+
+    def mixed(self, folder: Path) -> Path:
+        """Twelve progressive frames, and twelve interlaced ones after them."""
+        coded = ("-c:v", "mpeg2video", "-q:v", 2, "-frames:v", 12)
+        still = self.BARS.replace("r=50", "r=25")
+        ffmpeg("-f", "lavfi", "-i", still, *coded, folder / "p.ts")
+        self.interlaced(folder / "i.ts", 12)
+        both, path = folder / "both.txt", folder / "mixed.ts"
+        both.write_text("file p.ts\nfile i.ts\n")
+        ffmpeg("-f", "concat", "-i", both, "-c", "copy", path)
+        return path
+
+    def combed(self, frame: np.ndarray) -> float:
+        """Difference of neighbouring rows, of 255."""
+        return float(np.abs(np.diff(to_display(frame).astype(int), axis=0)).mean())
+
+    def test_after_progressive_frames_are_refused(self, tmp_path):
+        wanted = r"is interlaced from 0\.48 s on, .*--scan deinterlace"
+        with pytest.raises(InputError, match=wanted):
+            open_clip(self.mixed(tmp_path))
+
+    @pytest.mark.parametrize(("name", "group"), [("long.ts", 6), ("long.mov", 1)])
+    def test_late_in_a_long_video_are_refused(self, tmp_path, monkeypatch, name, group):
+        """Only key frames are looked at; where all are, the first ones and some later ones."""
+        monkeypatch.setattr(clip_fields, "EVERY_FRAME", 5)
+        still = ("-f", "lavfi", "-i", self.BARS.replace("r=50", "r=25"), "-frames:v", 12)
+        ffmpeg(*still, "-c:v", "mpeg2video", "-g", group, tmp_path / "p.mov")
+        path = tmp_path / name
+        self.interlaced(tmp_path / "i.mov", 12, group)
+        (tmp_path / "both.txt").write_text("file p.mov\nfile i.mov\n")
+        ffmpeg("-f", "concat", "-i", tmp_path / "both.txt", "-c", "copy", path)
+        with pytest.raises(InputError, match=r"is interlaced from 0\.[4-9]\d s on"):
+            open_clip(path)
+
+    def test_are_taken_as_they_are_where_the_user_says_progressive(self, tmp_path):
+        frames = list(open_clip(self.mixed(tmp_path), "progressive").frames())
+        assert len(frames) == 24
+        assert self.combed(frames[5]) < 2 and self.combed(frames[18]) > 40
+
+    def test_become_frames_where_the_user_asks_for_it(self, tmp_path):
+        path = self.mixed(tmp_path)
+        frames = list(open_clip(path, "deinterlace").frames())
+        assert len(frames) == 24
+        assert max(map(self.combed, frames)) < 12
+        kept = list(open_clip(path, "progressive").frames())
+        assert all(np.array_equal(*pair) for pair in zip(frames[:11], kept[:11], strict=True))
+
+    def test_are_the_same_from_any_start(self, tmp_path):
+        clip = open_clip(self.interlaced(tmp_path / "a.mov", 14), "deinterlace")
+        frames = list(clip.frames())
+        for start in (1, 4, 7, 8, 13):
+            assert np.array_equal(next(clip.frames(start)), frames[start]), start

@@ -29,6 +29,9 @@ from exwarp_cli.io.stills import (
 )
 from tests.unit.exr_files import rgba, write_single
 
+ORIENTATION = 0x0112
+"""Tag of EXIF."""
+
 DATE = "2024:05:06 07:08:09"
 FACTS = {"recipe": "ab" * 32, "kind": "generated", "sources": "1,2", "holeFraction": 0.25}
 
@@ -53,6 +56,13 @@ def codes_of(path: Path) -> np.ndarray:
     hint.attribute("oiio:UnassociatedAlpha", 1)
     file = oiio.ImageInput.open(str(path), hint)
     return np.asarray(file.read_image(0, 0, 0, file.spec().nchannels, file.spec().format))
+
+
+def smooth_colour() -> np.ndarray:
+    """uint8 [16, 16, 3] without fine detail, which JPEG would change."""
+    ramp = np.linspace(100, 130, 16)
+    red, green = np.meshgrid(ramp, ramp)
+    return np.dstack([red, green, 255 - red]).astype(np.uint8)
 
 
 def noise(channels: int, dtype: str, seed: int = 0) -> np.ndarray:
@@ -207,6 +217,42 @@ class TestMeaning:
         write_still(out, image, template, FACTS)
         with Pillow.open(out) as picture:
             assert picture.info["icc_profile"] == profile
+
+    @pytest.mark.parametrize("suffix", ["png", "tif", "jpg", "webp"])
+    def test_the_orientation_goes_along(self, tmp_path, suffix):
+        exif = Pillow.Exif()
+        exif[ORIENTATION] = 6
+        key, out = tmp_path / f"a.{suffix}", tmp_path / f"b.{suffix}"
+        Pillow.fromarray(noise(4 if suffix == "webp" else 3, "uint8")).save(key, exif=exif)
+        image, template = read_still(key)
+        write_still(out, image, template, FACTS)
+        with Pillow.open(out) as picture, Pillow.open(key) as given:
+            assert picture.getexif()[ORIENTATION] == 6
+            picture.load()
+            assert picture.size == given.size and picture.mode == given.mode
+        assert read_still_template(out).has_alpha == (suffix == "webp")
+
+    @pytest.mark.parametrize("suffix", ["png", "tif", "jpg"])
+    def test_colour_after_a_grey_frame_is_colour(self, tmp_path, suffix):
+        key, out = tmp_path / f"a.{suffix}", tmp_path / f"b.{suffix}"
+        _, grey = read_still(write(key, noise(1, "uint8")))
+        colour, _ = read_still(write(tmp_path / "c.png", smooth_colour()))
+        write_still(out, colour, grey, FACTS)
+        assert codes_of(out).shape[-1] == 3
+        assert np.abs(codes_of(out).astype(int) - smooth_colour()).max() <= 3
+        assert np.array_equal(quantise_still(colour.pixels, grey), colour.pixels)
+
+    def test_a_grey_frame_with_alpha_gets_colour_too(self, tmp_path):
+        _, grey = read_still(write(tmp_path / "a.png", noise(2, "uint8")))
+        key = write(tmp_path / "c.png", np.dstack([smooth_colour(), smooth_colour()[..., :1]]))
+        colour, _ = read_still(key)
+        write_still(tmp_path / "b.png", colour, grey, FACTS)
+        assert np.array_equal(codes_of(tmp_path / "b.png"), codes_of(key))
+
+    def test_what_stays_grey_is_a_grey_file(self, tmp_path):
+        image, template = read_still(write(tmp_path / "a.png", noise(1, "uint8")))
+        write_still(tmp_path / "b.png", image, template, FACTS)
+        assert codes_of(tmp_path / "b.png").shape[-1] == 1
 
     @given(st.floats(-2, 50, width=32))
     def test_curves_are_undone(self, light):

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from exwarp_cli.errors import OutputError, UsageError
+from exwarp_cli.io.timecode import Timecode
 from exwarp_cli.io.video import (
     Soundtrack,
     VideoColour,
@@ -131,6 +132,100 @@ class TestLook:
         for sound, seconds in cases:
             told = self.written(tmp_path / "a.mov", VideoLook(sound=sound), frames=3)
             assert f"Duration: 00:00:{seconds}" in told
+
+    def test_a_track_that_no_player_knows_is_left_out_alone(self, tmp_path):
+        """As phones write it: ffmpeg cannot decode the second track."""
+        tones = [
+            part for pitch in (300, 500) for part in ("-f", "lavfi", "-i", f"sine={pitch}:d=1")
+        ]
+        source = tmp_path / "s.mov"
+        maps = ("-map", "0", "-map", "1", "-c:a", "aac")
+        assert ffmpeg("-y", *tones, *maps, str(source)).returncode == 0
+        data = source.read_bytes()
+        first, second = data[: data.rindex(b"stsd")], data[data.rindex(b"stsd") :]
+        second = second.replace(b"mp4a", b"apac", 1).replace(b"esds", b"free", 1)
+        source.write_bytes(first + second)
+        sound = Soundtrack(source, ("aac", "apple_apac"))
+        with VideoWriter(tmp_path / "a.mp4", 32, 32, 10, VideoLook(sound=sound)) as video:
+            video.write(flat(32, 32, 90, 20, 60))
+        (said,) = video.remarks
+        assert said.startswith(f"sound track 2 (apple_apac) of {source} is left out")
+        assert re.findall(
+            r"Audio: (\w+)", ffmpeg("-i", str(tmp_path / "a.mp4")).stderr.decode()
+        ) == ["aac"]
+
+    def test_more_channels_than_mp4_has_go_into_mov(self, tmp_path):
+        source = tmp_path / "s.mov"
+        many = ("-f", "lavfi", "-i", "sine=d=1", "-af", "pan=10c|c0=c0|c9=c0", "-c:a", "pcm_s16le")
+        assert ffmpeg("-y", *many, str(source)).returncode == 0
+        look = VideoLook(sound=Soundtrack(source, ("pcm_s16le",)))
+        (said,) = self.remarks(tmp_path / "a.mp4", look)
+        assert "is left out of the video" in said and "a video named .mov can hold it" in said
+        assert self.remarks(tmp_path / "a.mov", look) == ()
+        made = ffmpeg("-i", str(tmp_path / "a.mov")).stderr.decode()
+        assert "pcm_s16le" in made and ("5.1.4" in made or "10 channels" in made)
+
+    def test_damaged_sound_is_encoded_again(self, tmp_path):
+        source = tmp_path / "s.ts"
+        tone = ("-f", "lavfi", "-i", "anoisesrc=d=4:seed=1", "-c:a", "aac")
+        assert ffmpeg("-y", *tone, str(source)).returncode == 0
+        look = VideoLook(sound=Soundtrack(source, ("aac",)))
+        assert self.remarks(tmp_path / "sound.mp4", look) == ()
+        data = bytearray(source.read_bytes())
+        noise = np.random.default_rng(0)
+        for packet in range(len(data) // 3 // 188 * 188, len(data) // 2, 188):
+            data[packet + 30 : packet + 188] = noise.bytes(158)
+        source.write_bytes(data)
+        (said,) = self.remarks(tmp_path / "hurt.mp4", look)
+        assert "sound track 1 (aac)" in said and "encoded again as aac, since it is damaged" in said
+        made = ffmpeg("-i", str(tmp_path / "hurt.mp4")).stderr.decode()
+        assert "Audio: aac" in made and "Duration: 00:00:0" in made
+
+    def remarks(self, path: Path, look: VideoLook) -> tuple[str, ...]:
+        with VideoWriter(path, 32, 32, 10, look) as video:
+            video.write(flat(32, 32, 90, 20, 60))
+        return video.remarks
+
+    def test_text_of_subtitles_goes_along(self, tmp_path):
+        text = tmp_path / "s.srt"
+        text.write_text("1\n00:00:00,100 --> 00:00:00,800\nGood night\n")
+        look = VideoLook(sound=Soundtrack(text, (), subtitles=("subrip",)))
+        for suffix in ("mp4", "mov"):
+            assert self.remarks(tmp_path / f"a.{suffix}", look) == ()
+            back = ffmpeg("-i", str(tmp_path / f"a.{suffix}"), "-f", "srt", "-").stdout.decode()
+            assert "Good night" in back
+
+    @pytest.mark.parametrize(
+        ("rate", "code", "later", "target", "becomes"),
+        [
+            (24, "01:00:00:07", 0, 96, "01:00:00:28"),
+            (24, "01:00:59:23", 2, 96, "01:01:00:04"),
+            (Fraction(30000, 1001), "00:01:00;02", 0, Fraction(120000, 1001), "00:01:00;008"),
+            (Fraction(30000, 1001), "00:09:59;29", 1, Fraction(120000, 1001), "00:10:00;000"),
+            (25, "23:59:59:24", 1, 50, "00:00:00:00"),
+            (24, "10:00:00:05", 0, 60, "10:00:00:12"),
+        ],
+    )
+    def test_the_frames_of_a_timecode_go_with_the_rate(
+        self, tmp_path, rate, code, later, target, becomes
+    ):
+        look = VideoLook(timecode=Timecode(code, Fraction(rate), Fraction(later)))
+        with VideoWriter(tmp_path / "a.mov", 32, 32, target, look) as video:
+            for _ in range(4):
+                video.write(flat(32, 32, 90, 20, 60))
+        assert video.remarks == ()
+        made = ffmpeg("-i", str(tmp_path / "a.mov")).stderr.decode()
+        found = re.search(r"timecode\s*: (\S+)", made)
+        assert found is not None
+        assert re.sub(r"\D0*(?=\d)", ":", found[1]) == re.sub(r"\D0*(?=\d)", ":", becomes)
+
+    def test_a_timecode_that_cannot_count_the_rate_is_left_out(self, tmp_path):
+        look = VideoLook(timecode=Timecode("01:00:00:00", Fraction(60)))
+        with VideoWriter(tmp_path / "a.mov", 32, 32, 480, look) as video:
+            video.write(flat(32, 32, 90, 20, 60))
+        assert video.remarks == (
+            "the timecode is left out of the video, as it cannot count 480 frames a second",
+        )
 
     @pytest.mark.parametrize("suffix", ["mp4", "mov"])
     def test_a_note_is_kept(self, tmp_path, suffix):
