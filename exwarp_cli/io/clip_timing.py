@@ -286,14 +286,15 @@ def pace(packets: Packets, said: Fraction | None) -> Pacing:
         return Pacing(usual, tuple(range(packets.count)))
     seconds = [(time - packets.times[0]) * packets.tick for time in packets.times]
     mean = (len(seconds) - 1) / seconds[-1]
-    most = 1 / median(b - a for a, b in pairwise(seconds))
+    steps = sorted(b - a for a, b in pairwise(seconds) if b > a)
+    most = 1 / median(steps)
     every = tuple(range(packets.count))
-    for rate in (usual, meant(mean), meant(most), mean):
+    standard = (usual,) if usual in _STANDARD else ()
+    for rate in (*standard, meant(mean), usual, meant(most), mean):
         away = max(abs(time * rate - place) for place, time in enumerate(seconds))
         if away <= packets.tick * rate:
             return Pacing(rate, every)
     # Where the rate varies, a header has a mean that stands for nothing: 29.83 of a phone's 30.
-    standard = (usual,) if usual in _STANDARD else ()
     likely = _standard_near(most, packets.tick)
     # A mean far off that of most frames tells of frames that are missing, or too many.
     drifting = (meant(mean), mean.limit_denominator(1001)) if _near(mean, most) else ()
@@ -301,7 +302,13 @@ def pace(packets: Packets, said: Fraction | None) -> Pacing:
     for rate in (*standard, *nearest, meant(most), *drifting):
         if all(abs(time * rate - place) < Fraction(1, 2) for place, time in enumerate(seconds)):
             return Pacing(rate, every, varies=True)
-    rate = _rate_of_most(seconds, packets.tick, likely) or meant(most)
+    # With half of the frames missing, only the shorter steps are those of the rate.
+    short = 1 / steps[len(steps) // 10]
+    rate = (
+        _rate_of_most(seconds, packets.tick, likely)
+        or _rate_of_most(seconds, packets.tick, _standard_near(short, packets.tick))
+        or meant(most)
+    )
     instants = range(round(seconds[-1] * rate) + 1)
     half = 1 / (2 * rate)
     shown = tuple(bisect_right(seconds, place / rate + half) - 1 for place in instants)

@@ -183,6 +183,29 @@ class TestPace:
         found = pace(ticks(*exact), Fraction(143, 6))
         assert found.rate == rate and found.repeated == 2 and found.skipped == 0
 
+    @pytest.mark.parametrize("rate", [24, 30, 60, 120])
+    @pytest.mark.parametrize("missing", [0.01, 0.1, 0.6])
+    @pytest.mark.parametrize("said", ["mean", "rate", "none"])
+    def test_no_frame_is_left_out_where_others_are_missing(self, rate, missing, said):
+        """Of times in milliseconds, as Matroska and WebM have them."""
+        gone = set(np.random.default_rng(6).choice(np.arange(1, 299), int(300 * missing), False))
+        kept = [i for i in range(300) if i not in gone]
+        times = [round(1000 * i / rate) for i in kept]
+        mean = Fraction(1000 * (len(times) - 1), times[-1])
+        found = pace(ticks(*times), {"mean": mean, "rate": Fraction(rate), "none": None}[said])
+        assert found.rate == rate and found.skipped == 0
+        assert [found.shown[i] for i in kept] == list(range(len(kept)))
+
+    def test_a_header_s_mean_is_the_standard_rate_it_is_near_to(self):
+        times = [round(1000 * i / 24) for i in range(300)]
+        assert pace(ticks(*times), Fraction(299_000, times[-1])).rate == 24
+
+    def test_equal_times_without_room_between_lose_no_frame(self):
+        packets = parse_packets(
+            "\n".join(["#tb 0: 1/25", *(f"0, {k}, {k // 2}, 1, 9, 0x0" for k in range(12))])
+        )
+        assert packets.count == 12 and pace(packets, None).shown == tuple(range(12))
+
     def test_a_header_s_mean_is_no_rate_where_frames_vary(self):
         rng = np.random.default_rng(5)
         times = [round(100 / 3 * i) + int(rng.integers(-4, 5)) for i in range(60)]
@@ -388,6 +411,14 @@ class TestFrames:
         assert clip.rate == 25 and clip.count == 30 and clip.pacing.repeated == 2
         assert np.array_equal(frames[9], frames[11]) and not np.array_equal(frames[11], frames[12])
         assert np.array_equal(next(clip.frames(12)), frames[12])
+
+    @pytest.mark.parametrize("rate", [24, 30, 60, 120])
+    def test_missing_frames_of_matroska_leave_its_rate(self, tmp_path, rate):
+        dropping = ("-vf", "select='not(eq(n,20)+eq(n,41))'", "-fps_mode", "passthrough")
+        path = tmp_path / "a.mkv"
+        clip = open_clip(make(path, *dropping, "-c:v", "ffv1", rate=str(rate), frames=58))
+        assert clip.rate == rate and clip.count == 60
+        assert clip.pacing.repeated == 2 and clip.pacing.skipped == 0
 
     def test_a_reader_goes_forward_and_back(self, tmp_path):
         clip = open_clip(make(tmp_path / "a.mp4"))
