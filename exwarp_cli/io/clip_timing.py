@@ -44,6 +44,10 @@ MOST_REPEATED = 0.5
 """Share of the packets whose repeated times are mended."""
 
 
+FINE_TICK = 0.125
+"""Frames at a rate that a tick may last so that times tell whether frames lie at its instants."""
+
+
 @dataclass(frozen=True)
 class Packets:
     """The packets of a video stream, one a frame, in the order in which they are shown.
@@ -303,10 +307,11 @@ def pace(packets: Packets, said: Fraction | None) -> Pacing:
         if all(abs(time * rate - place) < Fraction(1, 2) for place, time in enumerate(seconds)):
             return Pacing(rate, every, varies=True)
     # With half of the frames missing, only the shorter steps are those of the rate.
-    short = 1 / steps[len(steps) // 10]
+    short = _standard_near(1 / steps[len(steps) // 10], packets.tick)
+    fine = [rate for rate in short if packets.tick * rate <= FINE_TICK]
     rate = (
         _rate_of_most(seconds, packets.tick, likely)
-        or _rate_of_most(seconds, packets.tick, _standard_near(short, packets.tick))
+        or _rate_of_most(seconds, packets.tick, fine)
         or meant(most)
     )
     instants = range(round(seconds[-1] * rate) + 1)

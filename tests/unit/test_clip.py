@@ -196,6 +196,13 @@ class TestPace:
         assert found.rate == rate and found.skipped == 0
         assert [found.shown[i] for i in kept] == list(range(len(kept)))
 
+    def test_coarse_ticks_with_jitter_are_no_high_rate(self):
+        """At 240 fps, every time in ticks of 1/600 s lies near an instant."""
+        rng = np.random.default_rng(3)
+        times = {round(600 * (i / 60 + rng.uniform(-0.03, 0.03))) for i in range(200)}
+        found = pace(ticks(*sorted(times), tick=Fraction(1, 600)), None)
+        assert found.rate <= 80
+
     def test_a_header_s_mean_is_the_standard_rate_it_is_near_to(self):
         times = [round(1000 * i / 24) for i in range(300)]
         assert pace(ticks(*times), Fraction(299_000, times[-1])).rate == 24
