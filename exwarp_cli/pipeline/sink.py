@@ -136,8 +136,15 @@ class Sink(Held):
         return key_is_there(self._frame_path(number), key_file(source, self._key_rate))
 
     def is_in_the_way(self, number: int) -> bool:
-        """Whether a frame's file is there, which writing would replace."""
-        return self._targets.frames is not None and is_there(self._frame_path(number))
+        """Whether a frame's file from before the run is there, which writing would replace.
+
+        A run that may replace none began without any: what is there now is its own, as after the
+        loss of a worker.
+        """
+        may_replace = self._settings.overwrite or self._settings.skip_existing
+        return (
+            may_replace and self._targets.frames is not None and is_there(self._frame_path(number))
+        )
 
     def replace_key(self, number: int, source: Path) -> None:
         """Replace an earlier copy of a key frame at once, if it is another than the source.
