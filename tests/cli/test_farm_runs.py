@@ -130,8 +130,9 @@ class TestTrouble:
         assert engine.returncode != 0
         before = shots.contents(tmp_path / "out")
         assert len(before) < 48
+        rendered = {shots.passed_through(path, 120) for path in keys.iterdir()}
         for name, data in before.items():
-            frame = data in shots.contents(keys).values() or is_intact(data)
+            frame = data in rendered or is_intact(data)
             assert frame or (MARK in name and number == signal.SIGKILL)
         ended = openjd("run", template, cwd=tmp_path)
         assert ended.code == 0, ended.log

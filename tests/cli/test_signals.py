@@ -54,7 +54,7 @@ def kill_and_go_on(keys: Path, root: Path, kills: int, seed: int, exwarp) -> Non
             time.sleep(chance.uniform(0, 0.03))
             process.kill()
         struck += process.returncode == -signal.SIGKILL
-        rendered = set(shots.contents(keys).values())
+        rendered = {shots.passed_through(path, 120) for path in keys.iterdir()}
         for folder in (root / "out", root / "holes"):
             for name, data in shots.contents(folder).items():
                 assert MARK in name or data in rendered or is_intact(data)
@@ -99,7 +99,7 @@ class TestTermination:
         assert told == [] and "Traceback" not in err
         errors = [line for line in err.splitlines() if line.startswith("exwarp: error: ")]
         assert len(errors) == 1 and word in errors[0] and "--skip-existing" in errors[0]
-        rendered = set(shots.contents(keys).values())
+        rendered = {shots.passed_through(path, 120) for path in keys.iterdir()}
         for name, data in shots.contents(tmp_path / "out").items():
             assert MARK not in name and (data in rendered or is_intact(data))
         assert set(shots.names(tmp_path)) == {"out", "holes"}
