@@ -27,6 +27,10 @@ is a distance, and the share of them that has to agree. Of the example's shots 8
 LEAST_VOTES, AGAINST = 60, 0.4
 """Fewer places say nothing; up to this share of agreeing ones speaks against a distance."""
 
+LEAST_OF_PAIR = 10
+"""Places from which a pair of frames, one way, has to agree with the others. Vectors that miss the
+neighbour frame speak against a distance in one pair and for it in the next."""
+
 KNOWN = ("Blender", "Unreal (one file per AOV)")
 """Producers whose depth is a distance and whose positions are in world space: nothing is read."""
 
@@ -121,14 +125,17 @@ def with_depth_ordered(
             for here, there, motion in ways(first)
         )
 
-    votes, ends = OrderVotes(), []
+    votes, each, ends = OrderVotes(), [], []
     for first in pairs_within(len(numbers), parted):
         for here, there, motion in ways(pair_beside_hold(first, len(numbers), parted, is_hold)):
-            votes += occlusion_votes(here, there, motion)
+            each.append(occlusion_votes(here, there, motion))
+            votes += each[-1]
             ends.append((here, motion))
         if votes.count >= ENOUGH and votes.small_share >= AGREE:
             return shot
-    if votes.count < LEAST_VOTES or votes.small_share > AGAINST:
+    if votes.count < LEAST_VOTES or not all(
+        one.small_share <= AGAINST for one in (votes, *each) if one.count >= LEAST_OF_PAIR
+    ):
         return shot
     return _turned(shot, votes, ends)
 

@@ -282,7 +282,8 @@ def _changes(here: Sampled, there: Sampled) -> F64:
     """Return how far pixels of the grid change at their place, 0 to 1: by colour, else by depth."""
     y, x = here.y, here.x
     if here.perceived is not None and there.perceived is not None:
-        gap = np.linalg.norm(here.perceived[y, x] - there.perceived[y, x], axis=1)
+        apart = here.perceived[y, x].astype(np.float64) - there.perceived[y, x]
+        gap = np.linalg.norm(apart, axis=1)
         return np.asarray(np.minimum(gap / COLOUR_TOLERANCE, 1), np.float64)
     if here.depth is None or there.depth is None:
         return np.zeros(len(y))
