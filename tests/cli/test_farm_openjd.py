@@ -374,7 +374,10 @@ def sample(option: click.Option) -> list[str]:
         return [(option.secondary_opts or option.opts)[-1]]
     if option.name == "metrics":
         return [option.opts[-1], "flicker,psnr"]
-    values = {"fps": "23.976", "choice": "cuda", "float": "-1.5", "path": "a b"}
+    if isinstance(option.type, click.Choice):
+        other = next(choice for choice in option.type.choices if choice != option.default)
+        return [option.opts[-1], other]
+    values = {"fps": "23.976", "float": "-1.5", "path": "a b"}
     value = values.get(option.type.name, "3" if "integer" in option.type.name else "x {{y}}")
     many = ["--aov", "depth=b"] if option.multiple else []
     return [option.opts[-1], value, *many]
