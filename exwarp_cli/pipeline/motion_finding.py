@@ -6,11 +6,11 @@ from collections.abc import Callable, Collection
 from collections.abc import Sequence as Listed
 from contextlib import suppress
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
 from exwarp_cli.domain.frame import Float32, place
+from exwarp_cli.domain.frame_rates import number_step
 from exwarp_cli.domain.motion import AxisMap, MotionConvention, MotionFinding
 from exwarp_cli.errors import InputError, MotionError
 from exwarp_cli.io.channels import Role
@@ -248,7 +248,7 @@ class _Measuring:
             self._names,
             self._intervals(len(firsts)),
             {name: preset.sized(width, height) for name, preset in PRESETS.items()},
-            min((b - a for a, b in pairwise(numbers)), default=1),
+            number_step(numbers),
         )
 
     def _moving_pairs(self, firsts: list[int], by_colour: bool) -> list[int]:

@@ -54,12 +54,6 @@ TELLING = 0.25
 SPAN_FLOOR = 0.01
 """An error of short vectors must be below that of full ones by this to be read so."""
 
-TELLING = 0.25
-"""Error without motion below which what was measured is too weak to refuse a known name."""
-
-SPAN_FLOOR = 0.01
-"""By how much the error of short vectors must be the smaller one for them to be read so."""
-
 HARDLY_BEATS = 0.9
 """Up to this share, and no other reading better, a convention known by name stands untested: pixels
 at silhouettes miss whatever the vectors, and in a slow shot they are most of the error."""
