@@ -151,7 +151,8 @@ def main() -> NoReturn:
         warnings.simplefilter("ignore")
     args = sys.argv[1:]
     # What prints help and completions reads no files.
-    code = _parted(args) if _command_in(args) and not {"-h", "--help"} & set(args) else run(args)
+    works = _command_in(args) and not {"-h", "--help"} & set(args)
+    code = _parted(args) if works else run(args, is_last=True)
     try:
         sys.stdout.flush()
     except OutputError as error:
@@ -166,7 +167,7 @@ def _parted(args: list[str]) -> int:
         end = part(_say)
     except OSError as error:
         return _failed(error, args, {})
-    return run(args) if end is None else _told(end, args)
+    return run(args, is_last=True) if end is None else _told(end, args)
 
 
 def _use_utf8() -> None:
@@ -226,11 +227,14 @@ def _told(end: End, args: list[str]) -> int:
     )
 
 
-def run(args: list[str]) -> int:
-    """Run a command line and return the exit code; errors are printed to stderr."""
+def run(args: list[str], is_last: bool = False) -> int:
+    """Run a command line and return the exit code; errors are printed to stderr.
+
+    With `is_last` the process ends afterwards, and signals are ignored from there on.
+    """
     origins: dict[str, str] = {}  # of options that files and the environment set, by name
     try:
-        with Stoppable():
+        with Stoppable(is_last):
             result = exwarp.main(args, prog_name="exwarp", standalone_mode=False, obj=origins)
         return result if isinstance(result, int) else 0
     except (Exception, KeyboardInterrupt, Terminated) as error:

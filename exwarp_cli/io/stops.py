@@ -65,9 +65,16 @@ class Stoppable:
     Temporary files are removed on the way out then. After the first SIGTERM others are ignored, as
     they must not break off the cleaning up; so are interruptions at once. Outside the main thread
     signals are the embedding program's business, and the block does nothing.
+
+    Parameters
+    ----------
+    is_last
+        Whether the process ends after the block. Signals are ignored from there on: one that came
+        late would strike in what Python does as it ends, which prints a traceback.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, is_last: bool = False) -> None:
+        self._is_last = is_last
         self._usual: dict[int, Any] = {}
         self._usual_hook = sys.unraisablehook
         self._outermost: FrameType | None = None
@@ -91,7 +98,8 @@ class Stoppable:
             return
         for number in (signal.SIGINT, signal.SIGTERM):
             if number in self._usual:
-                signal.signal(number, self._usual.pop(number))
+                usual = self._usual.pop(number)
+                signal.signal(number, signal.SIG_IGN if self._is_last else usual)
         self._due = 0  # there is nothing left to stop
         if TIMED:
             signal.setitimer(signal.ITIMER_REAL, 0)

@@ -69,6 +69,19 @@ class TestStoppable:
                 cleaned = True
         assert cleaned
 
+    @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+    def test_nothing_strikes_behind_the_last_one(self, number):
+        before = {each: signal.getsignal(each) for each in (signal.SIGTERM, signal.SIGINT)}
+        try:
+            with pytest.raises((Terminated, KeyboardInterrupt)), Stoppable(is_last=True):
+                stop(number)
+                later()
+            stop(signal.SIGINT)
+            stop(signal.SIGTERM)
+        finally:
+            for each, handler in before.items():
+                signal.signal(each, handler)
+
     def test_interruptions_at_once_are_one(self):
         cleaned = False
         with pytest.raises(KeyboardInterrupt), Stoppable():
