@@ -1,0 +1,1 @@
+"""The process: its memory, its stops, and what it reads."""
