@@ -17,6 +17,7 @@ from pathlib import Path
 from exwarp_cli.domain.cores import waiting
 from exwarp_cli.errors import InputError, OutputError
 from exwarp_cli.io.reading_retry import probe, with_retries
+from exwarp_cli.runtime.stop import removed_at_end
 
 MARK = ".exwarp-tmp"
 """Ending of every temporary name; no image or video reader takes it for one of its own."""
@@ -95,16 +96,13 @@ def atomic_path(path: Path) -> Iterator[Path]:
     OutputError
         When writing, or the rename, fails with an OSError.
     """
-    temporary = path.with_name(_temporary_name(path.name))
-    try:
-        yield temporary
-        _flush(temporary)
-        temporary.replace(path)
-    except OSError as error:
-        raise output_error(path, error) from error
-    finally:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
+    with removed_at_end(path.with_name(_temporary_name(path.name))) as temporary:
+        try:
+            yield temporary
+            _flush(temporary)
+            temporary.replace(path)
+        except OSError as error:
+            raise output_error(path, error) from error
 
 
 def atomic_write_bytes(path: Path, *pieces: bytes | bytearray | memoryview) -> None:
@@ -200,16 +198,12 @@ def marked(folder: Path) -> Iterator[Path]:
     OutputError
         When it cannot be written.
     """
-    mark = folder / _temporary_name("mark")
-    try:
-        mark.touch()
-    except OSError as error:
-        raise output_error(mark, error) from error
-    try:
+    with removed_at_end(folder / _temporary_name("mark")) as mark:
+        try:
+            mark.touch()
+        except OSError as error:
+            raise output_error(mark, error) from error
         yield mark
-    finally:
-        with suppress(OSError):
-            mark.unlink(missing_ok=True)
 
 
 def remove_leftovers(folder: Path) -> int:

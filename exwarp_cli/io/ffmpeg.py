@@ -21,6 +21,7 @@ import numpy as np
 from exwarp_cli.domain import cores
 from exwarp_cli.domain.frame import UInt8
 from exwarp_cli.io.held import Held
+from exwarp_cli.runtime.stop import check_stop
 
 RAW = "-f rawvideo -pix_fmt rgb24"
 """What names frames as bytes: uint8 [H, W, 3], one after the other."""
@@ -136,7 +137,10 @@ class Drain(Held):
         ------
         FfmpegError
             When ffmpeg failed.
+        StopRequested
+            When this process was asked to stop.
         """
+        check_stop()
         assert self._ffmpeg.stdout is not None
         data = self._ffmpeg.stdout.read(size)
         if len(data) == size:

@@ -38,6 +38,7 @@ from exwarp_cli.pipeline.source import Source
 from exwarp_cli.pipeline.staged import Staged, broken_in, with_write_times
 from exwarp_cli.pipeline.views import JointLoader
 from exwarp_cli.pipeline.watching import Watcher
+from exwarp_cli.runtime.stop import check_stop
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import Judge, Method
 
@@ -268,6 +269,7 @@ class Run:
                 # Of the paper's paths a slot may be made by way of the one before it.
                 interval.forget(slot.index - 1 if staged.extrapolates else slot.index)
             del made
+            check_stop()
         self._complete(loaded)
         self._scoring = None
         self.beside.begin(loaded, None)  # neither holds the interval on

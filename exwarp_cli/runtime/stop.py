@@ -73,6 +73,19 @@ def removed_at_end(path: Path) -> Iterator[Path]:
 
 
 @contextmanager
+def temporary_folder() -> Iterator[Path]:
+    """Yield an empty folder that is removed, with its files, as `removed_at_end` removes a file."""
+    import tempfile  # not needed by most commands
+
+    with tempfile.TemporaryDirectory("-exwarp", ignore_cleanup_errors=True) as name:
+        _temporaries.add(Path(name))
+        try:
+            yield Path(name)
+        finally:
+            _temporaries.discard(Path(name))
+
+
+@contextmanager
 def graceful_stop(last_words: Callable[[int], str], is_last: bool = False) -> Iterator[None]:
     """Have SIGINT and SIGTERM set the flag within the block.
 
@@ -118,6 +131,23 @@ def graceful_stop(last_words: Callable[[int], str], is_last: bool = False) -> It
         sender.close()  # ends the thread
         watcher.join()
         _number = 0
+
+
+@contextmanager
+def blocked(*numbers: int) -> Iterator[None]:
+    """Keep signals from this thread in the block, and from what starts in it for good.
+
+    A terminal sends SIGINT to all processes of a command, and one that is importing would print a
+    traceback. Another thread takes the signal for this process meanwhile.
+    """
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, numbers)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
 
 def _ask(number: int, _frame: FrameType | None = None) -> None:
@@ -169,7 +199,12 @@ def _end(last_words: Callable[[int], str]) -> NoReturn:
     _write(last_words(_number))
     for path in list(_temporaries):
         with suppress(OSError):
-            path.unlink(missing_ok=True)
+            if path.is_dir():
+                import shutil  # it is there, as `tempfile` needs it
+
+                shutil.rmtree(path, ignore_errors=True)
+            else:
+                path.unlink(missing_ok=True)
     os._exit(128 + _number)
 
 
