@@ -16,7 +16,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
+
+if TYPE_CHECKING:
+    from subprocess import Popen
 
 AT_ONCE_S = 1.0
 """Seconds in which signals count as one. A terminal sends SIGINT to both processes of a command,
@@ -36,6 +39,7 @@ _TICK_S = 0.25
 _number = 0
 _progress = 0.0  # when a frame was last written, or a loop began to stop
 _temporaries: set[Path] = set()
+_programs: set[Popen[bytes]] = set()
 
 
 class StopRequested(BaseException):
@@ -70,6 +74,16 @@ def removed_at_end(path: Path) -> Iterator[Path]:
             path.unlink(missing_ok=True)
         _temporaries.discard(path)
         _note_progress()
+
+
+@contextmanager
+def killed_at_end(program: Popen[bytes]) -> Iterator[None]:
+    """Kill a program with this process in the block, as it may write a temporary file anew."""
+    _programs.add(program)
+    try:
+        yield
+    finally:
+        _programs.discard(program)
 
 
 @contextmanager
@@ -197,6 +211,10 @@ def _announce() -> None:
 def _end(last_words: Callable[[int], str]) -> NoReturn:
     """End this process from another thread: the main one may be in a library."""
     _write(last_words(_number))
+    for program in list(_programs):
+        program.kill()
+        with suppress(Exception):  # also when the main thread waits for it
+            program.wait(1)
     for path in list(_temporaries):
         with suppress(OSError):
             if path.is_dir():

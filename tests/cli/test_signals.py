@@ -12,11 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from exwarp_cli.cli import Terminated
-from exwarp_cli.errors import MissingExtraError
 from exwarp_cli.io.atomic import MARK
 from exwarp_cli.io.output import is_intact
-from exwarp_cli.pipeline import job
 from tests.cli import shots
 from tests.cli.processes import await_files
 from tests.cli.street import Street
@@ -103,24 +100,3 @@ class TestTermination:
         for name, data in shots.contents(tmp_path / "out").items():
             assert MARK not in name and (data in rendered or is_intact(data))
         assert set(shots.names(tmp_path)) == {"out", "holes"}
-
-
-@pytest.mark.parametrize(
-    ("stopped", "code", "word"),
-    [(KeyboardInterrupt, 130, "interrupted"), (Terminated, 143, "terminated")],
-)
-def test_an_interruption_that_a_library_renames(exwarp, keys, monkeypatch, stopped, code, word):
-    """As onnxruntime does while it is imported."""
-
-    def start(*_: object) -> None:
-        try:
-            try:
-                raise stopped
-            except stopped as stop:
-                raise ImportError("initialization failed") from stop
-        except ImportError as error:
-            raise MissingExtraError("onnxruntime cannot be loaded") from error
-
-    monkeypatch.setattr(job, "open_job", start)
-    refused = exwarp(*arguments(keys, keys.parent / "interrupted"))
-    refused.refused(code, word)

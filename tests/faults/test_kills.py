@@ -13,7 +13,6 @@ from tests.cli import shots
 from tests.faults.running import (
     FULL,
     PLAIN,
-    STOPPED,
     ended,
     require_no_leftovers,
     require_whole,
@@ -25,8 +24,8 @@ pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
 METHODS = ("softsplat", "s6", "exwarp")
-TIMES = 72 if FULL else 3
-"""Kills of each signal; in full 216 of all three."""
+TIMES = 72 if FULL else 2
+"""Runs that are killed by each signal: 6 in all, in full 216."""
 
 
 @pytest.fixture(scope="module")
@@ -58,8 +57,10 @@ def test_going_on_gives_the_same_bytes(keys, rendered, whole, tmp_path, number, 
         else:
             os.killpg(process.pid, number)
         outcome = ended(process)
-        if number is not signal.SIGKILL and outcome.code not in (-number, 0):
-            assert outcome.code in STOPPED
+        if number is not signal.SIGKILL:
+            # Before Python has begun, the system ends it, which a shell takes for the same code.
+            assert outcome.code in (128 + number, -number, 0)
+        if outcome.code > 0:
             outcome.judge(outcome.code)
         if out.exists():
             require_whole(out, rendered)
