@@ -13,7 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-from exwarp_cli import cli, errors
+from exwarp_cli import errors
 from exwarp_cli.io.atomic import MARK
 from exwarp_cli.io.output import is_intact
 from tests.cli import shots
@@ -26,8 +26,6 @@ BOUND_S = 120
 
 CODES = {0, *(kind.exit_code for kind in vars(errors).values() if isinstance(kind, type))} - {1}
 """What a command may exit with, defects apart."""
-
-STOPPED = {errors.INTERRUPTED, cli.TERMINATED}
 
 CRASHING = "tests.faults.crashing"
 """The command with a decoder that fails; see there for the words before its arguments."""
