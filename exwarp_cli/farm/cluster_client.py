@@ -8,8 +8,9 @@ import os
 import signal
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
 from multiprocessing import resource_tracker
 from typing import Any
 
@@ -17,14 +18,14 @@ from exwarp_cli.domain.settings import ClusterSettings
 from exwarp_cli.domain.wording import first_line
 from exwarp_cli.errors import ClusterError, MissingExtraError
 from exwarp_cli.io.machine import processors
-from exwarp_cli.runtime.stop import blocked, temporary_folder
+from exwarp_cli.runtime.stop import blocked, cleaned_up, note_progress, temporary_folder
 
 CONNECT_S = 10.0
 """Seconds that a scheduler has to answer."""
 
 LOOPBACK = "127.0.0.1"
 
-STOP_S = 10.0
+STOP_S = 6.0
 """Seconds that they have to end before they are killed."""
 
 _LATE = (OSError, TimeoutError, RuntimeError)
@@ -144,14 +145,16 @@ def _local(distributed: Any, workers: int, threads: int | None) -> Iterator[Any]
                     memory_limit=None,
                     silence_logs=logging.CRITICAL,
                     local_directory=folder,
-                    preload=["exwarp_cli.farm.cluster_preload"],
+                    preload=["exwarp_cli.farm.cluster_work"],
                 )
         except (OSError, RuntimeError) as error:
             raise ClusterError(
                 f"cannot start {workers} worker processes on this machine ({first_line(error)}); "
                 "use fewer --workers, or none"
             ) from error
-        stack.callback(_end, cluster)
+        # Taken now, as one that is being closed lists them no more.
+        stack.enter_context(cleaned_up(partial(_kill, tuple(cluster.workers.values()))))
+        stack.callback(_close, cluster)
         yield cluster
 
 
@@ -161,15 +164,19 @@ def _leave(client: Any) -> None:
         client.close(timeout=STOP_S)
 
 
-def _end(cluster: Any) -> None:
-    """End a local cluster's processes: nothing is lost by it, as what they wrote is whole."""
-    processes = [nanny.pid for nanny in cluster.workers.values() if nanny.pid]
-    try:
+def _close(cluster: Any) -> None:
+    """Close a local cluster; those of its processes that do not end are killed afterwards."""
+    note_progress()
+    with suppress(*_LATE):
         cluster.close(timeout=STOP_S)
-    except _LATE:
-        for process in processes:
+
+
+def _kill(nannies: Iterable[Any]) -> None:
+    """End a local cluster's processes: nothing is lost by it, as what they wrote is whole."""
+    for nanny in nannies:
+        if nanny.pid:
             with suppress(OSError):  # ended meanwhile
-                os.kill(process, signal.SIGTERM if os.name == "nt" else signal.SIGKILL)
+                os.kill(nanny.pid, signal.SIGTERM if os.name == "nt" else signal.SIGKILL)
 
 
 @contextmanager

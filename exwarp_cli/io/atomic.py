@@ -12,12 +12,13 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 
 from exwarp_cli.domain.cores import waiting
 from exwarp_cli.errors import InputError, OutputError
 from exwarp_cli.io.reading_retry import probe, with_retries
-from exwarp_cli.runtime.stop import removed_at_end
+from exwarp_cli.runtime.stop import cleaned_up
 
 MARK = ".exwarp-tmp"
 """Ending of every temporary name; no image or video reader takes it for one of its own."""
@@ -96,7 +97,8 @@ def atomic_path(path: Path) -> Iterator[Path]:
     OutputError
         When writing, or the rename, fails with an OSError.
     """
-    with removed_at_end(path.with_name(_temporary_name(path.name))) as temporary:
+    temporary = path.with_name(_temporary_name(path.name))
+    with cleaned_up(partial(_remove, temporary)):
         try:
             yield temporary
             _flush(temporary)
@@ -198,7 +200,8 @@ def marked(folder: Path) -> Iterator[Path]:
     OutputError
         When it cannot be written.
     """
-    with removed_at_end(folder / _temporary_name("mark")) as mark:
+    mark = folder / _temporary_name("mark")
+    with cleaned_up(partial(_remove, mark)):
         try:
             mark.touch()
         except OSError as error:
@@ -228,6 +231,11 @@ def remove_leftovers(folder: Path) -> int:
                 entry.unlink()
                 removed += 1
     return removed
+
+
+def _remove(temporary: Path) -> None:
+    with suppress(OSError):
+        temporary.unlink(missing_ok=True)
 
 
 def _temporary_name(name: str) -> str:

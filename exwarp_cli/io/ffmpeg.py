@@ -21,7 +21,7 @@ import numpy as np
 from exwarp_cli.domain import cores
 from exwarp_cli.domain.frame import UInt8
 from exwarp_cli.io.held import Held
-from exwarp_cli.runtime.stop import check_stop, killed_at_end
+from exwarp_cli.runtime.stop import check_stop, cleaned_up
 
 RAW = "-f rawvideo -pix_fmt rgb24"
 """What names frames as bytes: uint8 [H, W, 3], one after the other."""
@@ -204,8 +204,7 @@ class Feed(Held):
             )
         except (OSError, RuntimeError) as error:
             raise _no_start(error) from error
-        stack.enter_context(killed_at_end(self._ffmpeg))
-        stack.callback(self._kill)
+        stack.enter_context(cleaned_up(self._kill))
 
     def write(self, frame: UInt8) -> None:
         """Send a frame, uint8 [H, W, 3]; raises FfmpegError."""

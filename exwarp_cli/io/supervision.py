@@ -179,9 +179,15 @@ def _await(child: int, notes: int, handed_on: list[tuple[int, float]]) -> End:
         if not data:  # the pipe closes with the child
             done, status = os.waitpid(child, 0 if ready else os.WNOHANG)
             if done:
-                code = os.waitstatus_to_exitcode(status)
-                stopped = handed_on[0][0] if handed_on else 0
-                return _end(code, registry, overdue, stopped)
+                numbers = overdue or list(registry.files)
+                skippable = set(numbers) - registry.required if registry.restarts else ()
+                return End(
+                    os.waitstatus_to_exitcode(status),
+                    tuple(dict.fromkeys(registry.files[number] for number in numbers)),
+                    bool(overdue),
+                    handed_on[0][0] if handed_on else 0,
+                    tuple({registry.files[number] for number in skippable}),
+                )
         # Whoever stops both processes for an hour does not want them ended afterwards.
         passed = min(time.monotonic() - begin, 2 * tick)
         seconds = {number: seconds.get(number, 0.0) + passed for number in registry.files}
@@ -189,16 +195,6 @@ def _await(child: int, notes: int, handed_on: list[tuple[int, float]]) -> End:
         if overdue or _is_to_be_ended(handed_on):
             with suppress(ProcessLookupError):
                 os.kill(child, signal.SIGKILL)
-
-
-def _end(code: int, registry: ReadRegistry, overdue: list[int], stopped: int) -> End:
-    """Return how a child ended, by what it was reading."""
-    numbers = overdue or list(registry.files)
-    files = dict.fromkeys(registry.files[number] for number in numbers)
-    skippable: dict[Path, None] = {}
-    if registry.restarts:
-        skippable = dict.fromkeys(registry.files[n] for n in numbers if n not in registry.required)
-    return End(code, tuple(files), bool(overdue), stopped, tuple(skippable))
 
 
 def _is_to_be_ended(handed_on: list[tuple[int, float]]) -> bool:

@@ -18,22 +18,15 @@ from exwarp_cli.runtime.stop import check_stop
 
 _BEGIN, _BEGIN_REQUIRED, _END, _RESTART = b"+", b"!", b"-", b"r"
 
-_numbers = count(1)  # of readings; `next` needs no lock
+_numbers = count(1)
 _pipe: int | None = None
 _skipped: Mapping[Path, str] = {}
 
 
 class ReadRegistry:
-    """What another process reads, as its pipe reports it.
+    """What another process reads: `files` by the number of the reading, and those `required`.
 
-    Attributes
-    ----------
-    files
-        By the number of the reading.
-    required
-        Numbers of those without which the command cannot go on.
-    restarts
-        Whether the command goes on without files that crash a library.
+    `restarts` is whether the command goes on without files that crash a library.
     """
 
     def __init__(self) -> None:
@@ -51,7 +44,7 @@ class ReadRegistry:
             if kind == _RESTART:
                 self.restarts = True
             elif kind == _END:
-                self.files.pop(number, None)
+                self.files.pop(number)
                 self.required.discard(number)
             else:
                 self.files[number] = Path(os.fsdecode(name))
@@ -60,14 +53,14 @@ class ReadRegistry:
 
 
 def attach(pipe: int, skipped: Mapping[Path, str]) -> None:
-    """Have this process report what it reads.
+    """Have this process report what it reads, and not read files at which an earlier one failed.
 
     Parameters
     ----------
     pipe
         Descriptor that is written to.
     skipped
-        Files that are not read, as an earlier process failed at them, with the reason.
+        The sentence that refuses a file, by its path.
     """
     global _pipe, _skipped
     _pipe, _skipped = pipe, dict(skipped)
@@ -87,12 +80,7 @@ def is_restarted() -> bool:
 def being_read(path: Path, required: bool = False) -> Iterator[None]:
     """Report a file while a library reads it in the block.
 
-    Parameters
-    ----------
-    path
-        The file.
-    required
-        Whether the command cannot go on without it, as a model.
+    Nothing can go on without a file that is `required`, such as a model.
 
     Raises
     ------
@@ -113,9 +101,8 @@ def being_read(path: Path, required: bool = False) -> Iterator[None]:
 
 
 def _send(kind: bytes, number: int, name: bytes = b"") -> None:
-    if _pipe is None:
-        return
-    # Up to this size, messages of several threads do not mix.
-    message = b"%s%d %s" % (kind, number, name)
-    with suppress(OSError):  # the parent has ended, and this process will
-        os.write(_pipe, message[: select.PIPE_BUF - 1] + b"\0")
+    if _pipe is not None:
+        message = b"%s%d %s" % (kind, number, name)
+        with suppress(OSError):  # the parent has ended, and this process will
+            # Up to this size, messages of several threads do not mix.
+            os.write(_pipe, message[: select.PIPE_BUF - 1] + b"\0")

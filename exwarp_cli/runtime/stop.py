@@ -16,10 +16,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, NoReturn
-
-if TYPE_CHECKING:
-    from subprocess import Popen
+from typing import NoReturn
 
 AT_ONCE_S = 1.0
 """Seconds in which signals count as one. A terminal sends SIGINT to both processes of a command,
@@ -37,19 +34,12 @@ _TICK_S = 0.25
 # The signal by which this process was asked to stop. No Event: its lock may be held by the thread
 # that a handler interrupts.
 _number = 0
-_progress = 0.0  # when a frame was last written, or a loop began to stop
-_temporaries: set[Path] = set()
-_programs: set[Popen[bytes]] = set()
+_progress = 0.0  # when a loop began to stop, or a temporary file was last completed
+_clean_ups: list[Callable[[], object]] = []
 
 
 class StopRequested(BaseException):
-    """A loop ends by this exception; no `Exception`, as it is no failure.
-
-    Attributes
-    ----------
-    number
-        The signal.
-    """
+    """A loop ends by this exception, with the signal's number; no `Exception`: it is no failure."""
 
     def __init__(self, number: int) -> None:
         super().__init__(number)
@@ -59,57 +49,48 @@ class StopRequested(BaseException):
 def check_stop() -> None:
     """Raise StopRequested if this process was asked to stop; loops call it after each frame."""
     if _number:
-        _note_progress()
+        note_progress()
         raise StopRequested(_number)
 
 
-@contextmanager
-def removed_at_end(path: Path) -> Iterator[Path]:
-    """Yield the path of a temporary file that is removed with the block, or with the process."""
-    _temporaries.add(path)
-    try:
-        yield path
-    finally:
-        with suppress(OSError):
-            path.unlink(missing_ok=True)
-        _temporaries.discard(path)
-        _note_progress()
+def note_progress() -> None:
+    """Have a process that was asked to stop go on for a while; what takes long to end calls it."""
+    global _progress
+    _progress = time.monotonic()
 
 
 @contextmanager
-def killed_at_end(program: Popen[bytes]) -> Iterator[None]:
-    """Kill a program with this process in the block, as it may write a temporary file anew."""
-    _programs.add(program)
+def cleaned_up(action: Callable[[], object]) -> Iterator[None]:
+    """Clean up when the block ends, or the process in it; where both do, twice."""
+    _clean_ups.append(action)
     try:
         yield
     finally:
-        _programs.discard(program)
+        action()
+        _clean_ups.remove(action)
+        note_progress()
 
 
 @contextmanager
 def temporary_folder() -> Iterator[Path]:
-    """Yield an empty folder that is removed, with its files, as `removed_at_end` removes a file."""
+    """Yield an empty folder that is removed when the block ends, or the process in it."""
     import tempfile  # not needed by most commands
 
-    with tempfile.TemporaryDirectory("-exwarp", ignore_cleanup_errors=True) as name:
-        _temporaries.add(Path(name))
-        try:
-            yield Path(name)
-        finally:
-            _temporaries.discard(Path(name))
+    folder = tempfile.TemporaryDirectory("-exwarp", ignore_cleanup_errors=True)
+    with cleaned_up(folder.cleanup):
+        yield Path(folder.name)
 
 
 @contextmanager
 def graceful_stop(last_words: Callable[[int], str], is_last: bool = False) -> Iterator[None]:
-    """Have SIGINT and SIGTERM set the flag within the block.
+    """Have SIGINT and SIGTERM set the flag within the block, unless SIGINT is ignored.
 
-    Outside the main thread signals belong to the program that embeds this one; the block changes
-    nothing then. A program that ignores SIGINT, or handles it, keeps that.
+    Outside the main thread signals belong to the program that embeds this one: nothing changes.
 
     Parameters
     ----------
     last_words
-        Returns the sentence to print when a signal ends the process at once.
+        Returns what to print when a signal, whose number it takes, ends the process at once.
     is_last
         Whether the process ends after the block; signals are ignored from there on.
 
@@ -149,10 +130,9 @@ def graceful_stop(last_words: Callable[[int], str], is_last: bool = False) -> It
 
 @contextmanager
 def blocked(*numbers: int) -> Iterator[None]:
-    """Keep signals from this thread in the block, and from what starts in it for good.
+    """Keep signals from this thread in the block, and for good from processes that start in it.
 
-    A terminal sends SIGINT to all processes of a command, and one that is importing would print a
-    traceback. Another thread takes the signal for this process meanwhile.
+    A terminal interrupts all processes of a command; one that is importing prints a traceback.
     """
     if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield
@@ -169,25 +149,16 @@ def _ask(number: int, _frame: FrameType | None = None) -> None:
     _number = _number or number
 
 
-def _note_progress() -> None:
-    global _progress
-    _progress = time.monotonic()
-
-
 def _watch(receiver: socket.socket, last_words: Callable[[int], str]) -> None:
     """End this process at a second signal, or when it does not stop by itself."""
-    first, is_announced = 0.0, False
+    first = 0.0
     with receiver:
         while True:
             try:
                 number = receiver.recv(1)
             except TimeoutError:
-                now = time.monotonic()
-                if now - max(first, _progress) > STALLED_S:
+                if time.monotonic() - max(first, _progress) > STALLED_S:
                     _end(last_words)
-                if now - first > AT_ONCE_S and not is_announced:
-                    is_announced = True
-                    _announce()
                 continue
             if not number:
                 return
@@ -201,31 +172,11 @@ def _watch(receiver: socket.socket, last_words: Callable[[int], str]) -> None:
                 _ask(number[0])
 
 
-def _announce() -> None:
-    """Tell the user of a terminal why the command still runs."""
-    with suppress(ValueError, AttributeError):
-        if _number == signal.SIGINT and sys.stderr.isatty():
-            _write("exwarp: stopping after the current frame; a second Ctrl-C stops at once")
-
-
 def _end(last_words: Callable[[int], str]) -> NoReturn:
     """End this process from another thread: the main one may be in a library."""
-    _write(last_words(_number))
-    for program in list(_programs):
-        program.kill()
-        with suppress(Exception):  # also when the main thread waits for it
-            program.wait(1)
-    for path in list(_temporaries):
-        with suppress(OSError):
-            if path.is_dir():
-                import shutil  # it is there, as `tempfile` needs it
-
-                shutil.rmtree(path, ignore_errors=True)
-            else:
-                path.unlink(missing_ok=True)
+    with suppress(OSError, ValueError, AttributeError):  # a lock may be held on the stream
+        os.write(sys.stderr.fileno(), f"{last_words(_number)}\n".encode())
+    for action in reversed(_clean_ups.copy()):  # programs before the files that they write
+        with suppress(Exception):
+            action()
     os._exit(128 + _number)
-
-
-def _write(line: str) -> None:
-    with suppress(OSError, ValueError, AttributeError):
-        os.write(sys.stderr.fileno(), f"{line}\n".encode())  # a lock may be held on the stream

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from exwarp_cli.runtime.stop import StopRequested, check_stop, graceful_stop, removed_at_end
+from exwarp_cli.runtime.stop import StopRequested, check_stop, cleaned_up, graceful_stop
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 
@@ -27,7 +27,8 @@ from exwarp_cli.runtime import stop
 stop.STALLED_S = float(sys.argv[2])
 words = "exwarp: error: {}".format
 with stop.graceful_stop(words):
-    with stop.removed_at_end(Path(sys.argv[1])) as file, stop.temporary_folder() as folder:
+    file = Path(sys.argv[1])
+    with stop.cleaned_up(file.unlink), stop.temporary_folder() as folder:
         file.touch()
         (folder / "part").touch()
         print(folder, flush=True)
@@ -136,9 +137,11 @@ class TestFlag:
         assert seen == [before]
 
 
-def test_a_temporary_file_goes_with_its_block(tmp_path):
-    with removed_at_end(tmp_path / "part") as path:
+def test_a_block_is_cleaned_up(tmp_path):
+    path = tmp_path / "part"
+    with pytest.raises(KeyError), cleaned_up(path.unlink):
         path.touch()
+        raise KeyError
     assert not path.exists()
 
 
