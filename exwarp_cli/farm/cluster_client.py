@@ -18,7 +18,7 @@ from exwarp_cli.domain.settings import ClusterSettings
 from exwarp_cli.domain.wording import first_line
 from exwarp_cli.errors import ClusterError, MissingExtraError
 from exwarp_cli.io.machine import processors
-from exwarp_cli.runtime.stop import blocked, cleaned_up, note_progress, temporary_folder
+from exwarp_cli.runtime.stop import blocked, cleaned_up, note_progress, scratch_folder
 
 CONNECT_S = 10.0
 """Seconds that a scheduler has to answer."""
@@ -131,7 +131,7 @@ def _local(distributed: Any, workers: int, threads: int | None) -> Iterator[Any]
         # It would lift the block below where the first process begins it.
         resource_tracker.ensure_running()
     with ExitStack() as stack:
-        folder = str(stack.enter_context(temporary_folder()))
+        folder = str(stack.enter_context(scratch_folder()))
         # Else some of its parts make a folder for all runs, which nobody removes.
         stack.enter_context(dask.config.set({"temporary-directory": folder}))
         try:

@@ -72,7 +72,7 @@ def cleaned_up(action: Callable[[], object]) -> Iterator[None]:
 
 
 @contextmanager
-def temporary_folder() -> Iterator[Path]:
+def scratch_folder() -> Iterator[Path]:
     """Yield an empty folder that is removed when the block ends, or the process in it."""
     import tempfile  # not needed by most commands
 

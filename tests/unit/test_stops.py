@@ -28,7 +28,7 @@ stop.STALLED_S = float(sys.argv[2])
 words = "exwarp: error: {}".format
 with stop.graceful_stop(words):
     file = Path(sys.argv[1])
-    with stop.cleaned_up(file.unlink), stop.temporary_folder() as folder:
+    with stop.cleaned_up(file.unlink), stop.scratch_folder() as folder:
         file.touch()
         (folder / "part").touch()
         print(folder, flush=True)

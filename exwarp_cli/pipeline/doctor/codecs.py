@@ -23,7 +23,7 @@ from exwarp_cli.io.specimens import (
     vmaf_problem,
 )
 from exwarp_cli.io.stills import STILLS
-from exwarp_cli.runtime.stop import temporary_folder
+from exwarp_cli.runtime.stop import scratch_folder
 
 ENCODERS = ("libx264", "aac")
 """What videos are written with."""
@@ -43,7 +43,7 @@ _FFMPEG = "install imageio-ffmpeg again, and unset IMAGEIO_FFMPEG_EXE if it name
 
 def check_exr() -> Check:
     """Write and read EXR in every compression."""
-    with temporary_folder() as folder:
+    with scratch_folder() as folder:
         problems = {name: exr_problem(folder, name) for name in COMPRESSIONS}
     remarks = tuple(
         failure(f"EXR with {name} does not work: {why}; install OpenEXR and OpenImageIO again")
@@ -62,7 +62,7 @@ def check_stills() -> Check:
     """Write and read every format of still images."""
     problems: dict[str, str | None] = {}
     unwritten = []
-    with temporary_folder() as folder:
+    with scratch_folder() as folder:
         for suffix in STILLS:
             try:
                 problems[suffix] = still_problem(folder, suffix)
@@ -103,7 +103,7 @@ def check_video() -> Check:
         warning(f"{path} has no filter {name}; {_FFMPEG}, or {FILTERS[name]}") for name in lacking
     ]
     if not missing:
-        with temporary_folder() as folder:
+        with scratch_folder() as folder:
             why = video_problem(folder)
         remarks += [] if why is None else [failure(f"video does not work: {why}; {_FFMPEG}")]
     if "libvmaf" not in lacking:
