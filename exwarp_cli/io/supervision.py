@@ -24,7 +24,7 @@ from types import FrameType
 from typing import Any
 
 from exwarp_cli.runtime.read_registry import ReadRegistry, attach
-from exwarp_cli.runtime.stop import AT_ONCE_S
+from exwarp_cli.runtime.stop import AT_ONCE_S, blocked
 
 TICK_S = 2.0
 """How often the parent looks at what is being read."""
@@ -134,20 +134,21 @@ def _part(skipped: Mapping[Path, str], usual: Mapping[int, Any]) -> End | None:
     for stream in (sys.stdout, sys.stderr):
         with suppress(OSError, ValueError, AttributeError):
             stream.flush()  # else both would print what waits
-    child = os.fork()
-    if child == 0:
-        os.close(notes)
-        os.close(held)
-        for number, handler in usual.items():
-            if handler is not None:  # something other than Python set it
-                signal.signal(number, handler)
-        with suppress(RuntimeError):  # no more threads: what needs one says so
-            threading.Thread(target=_end_with_parent, args=(lifeline,), daemon=True).start()
-        attach(noted, skipped)
-        return None
+    with blocked(*HANDED_ON):  # until both processes handle them
+        child = os.fork()
+        if child == 0:
+            os.close(notes)
+            os.close(held)
+            for number, handler in usual.items():
+                if handler is not None:  # something other than Python set it
+                    signal.signal(number, handler)
+            with suppress(RuntimeError):  # no more threads: what needs one says so
+                threading.Thread(target=_end_with_parent, args=(lifeline,), daemon=True).start()
+            attach(noted, skipped)
+            return None
+        handed_on = _hand_on(child, usual)
     os.close(noted)
     os.close(lifeline)
-    handed_on = _hand_on(child, usual)
     try:
         return _await(child, notes, handed_on)
     finally:
