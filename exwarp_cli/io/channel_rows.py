@@ -15,8 +15,8 @@ import numpy.typing as npt
 from numpy.lib.stride_tricks import as_strided
 
 from exwarp_cli.domain.frame import Float32
-from exwarp_cli.domain.lent_memory import lent
 from exwarp_cli.kernels.half import to_halfs
+from exwarp_cli.runtime.frame_pool import pool
 
 U16 = npt.NDArray[np.uint16]
 U32 = npt.NDArray[np.uint32]
@@ -46,7 +46,7 @@ class Unrounded:
 
     def rounded(self) -> np.ndarray:
         """Return the halfs [H, W]."""
-        out = lent(self.shape, np.uint16)
+        out = pool.empty(self.shape, np.uint16)
         to_halfs(_bits(self.values), self.bounded, out[None])
         return out.view(np.float16)
 

@@ -19,10 +19,8 @@ import numpy as np
 import OpenImageIO as oiio
 
 from exwarp_cli.domain import cores
-from exwarp_cli.domain.being_read import being_read
 from exwarp_cli.domain.bounds import require_canvas, require_size
 from exwarp_cli.domain.frame import Window
-from exwarp_cli.domain.lent_memory import lent
 from exwarp_cli.errors import (
     DamagedFileError,
     InputError,
@@ -35,6 +33,8 @@ from exwarp_cli.io.exr_decoding import ScanLines, Wanted
 from exwarp_cli.io.header_text import attributes_in
 from exwarp_cli.io.magic import EXR, head_of, kind_of
 from exwarp_cli.io.reading_retry import with_retries
+from exwarp_cli.runtime.frame_pool import pool
+from exwarp_cli.runtime.read_registry import being_read
 
 LINES, LINES_OF_DWAB = 32, 256
 """Scan lines in a chunk of the lossy compressions, the most that any but DWAB has."""
@@ -295,7 +295,7 @@ class ExrReader:
         lay in pieces of the allocator's heap, 100 to 160 MB at 1920x1080.
         """
         window, kind = part.data_window, "uint" if integer else "float"
-        out = lent((*window.shape, end - begin), np.uint32 if integer else np.float32)
+        out = pool.empty((*window.shape, end - begin), np.uint32 if integer else np.float32)
         across = (window.x, window.x + window.width)
         step = self._lines_at_once(part)
         for top in range(0, window.height, step):

@@ -23,7 +23,6 @@ from isal import isal_zlib
 
 from exwarp_cli.domain import cores
 from exwarp_cli.domain.frame import Window
-from exwarp_cli.domain.lent_memory import lent
 from exwarp_cli.io.exr_chunks import (
     FLOAT,
     I64,
@@ -35,6 +34,7 @@ from exwarp_cli.io.exr_chunks import (
     Stored,
     stored_parts,
 )
+from exwarp_cli.runtime.frame_pool import pool
 
 RUN = 1 << 21
 """Bytes of pixels that a thread takes at a time, or one chunk."""
@@ -141,7 +141,7 @@ class ScanLines:
             return None
         places = [names.index(name) if name in names else -1 for name, _ in stored.channels]
         try:
-            out = lent((*stored.window.shape, len(names)), np.uint32)
+            out = pool.empty((*stored.window.shape, len(names)), np.uint32)
         except MemoryError:
             return None
         plain = np.array([stored.sizes, places], np.int64).T.copy()

@@ -9,7 +9,6 @@ from functools import cached_property, partial
 from typing import Any
 
 from exwarp_cli import __version__
-from exwarp_cli.domain import lent_memory
 from exwarp_cli.domain.frame import Image
 from exwarp_cli.domain.maker import maker_of
 from exwarp_cli.domain.results import FrameKind, FrameRecord, LeftOut
@@ -37,6 +36,8 @@ from exwarp_cli.pipeline.source import Source
 from exwarp_cli.pipeline.staged import Staged, broken_in, with_write_times
 from exwarp_cli.pipeline.views import JointLoader
 from exwarp_cli.pipeline.watching import Watcher
+from exwarp_cli.runtime.frame_pool import pool
+from exwarp_cli.runtime.stop import check_stop
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import Judge, Method
 
@@ -92,7 +93,7 @@ class Run:
                     _finish(under_way)
                     under_way = self._steps(work)
                     del work  # before the next one is waited for, and staged
-                    lent_memory.let_go()
+                    pool.trim()
                     next(under_way, None)
             except (InputError, UnreadableError):
                 _finish(under_way)  # that is sound
@@ -204,8 +205,6 @@ class Run:
             shares |= {step: ms / len(slots) for step, ms in chosen.timing_ms.items()}
         self._broken = broken_in(loaded, self._broken) if len(there) < len(slots) else {}
         staged = Staged(interval, chosen, frozenset(there), shares, self._broken)
-        if self.method.judge is not None:
-            lent_memory.file_from(lent_memory.LARGE if staged.extrapolates else lent_memory.HUGE)
         if interval is not None and staged.extrapolates and loaded.late is not None:
             loaded = loaded.late(loaded)
             self._broken = broken_in(loaded, self._broken)
@@ -266,6 +265,7 @@ class Run:
                 # Of the paper's paths a slot may be made by way of the one before it.
                 interval.forget(slot.index - 1 if staged.extrapolates else slot.index)
             del made
+            check_stop()
         self._complete(loaded)
         self._scoring = None
         self.beside.begin(loaded, None)  # neither holds the interval on

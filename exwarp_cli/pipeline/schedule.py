@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor, wait
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TypeVar
 
 from exwarp_cli.domain.cores import waiting, working
@@ -63,34 +63,14 @@ class WriteBehind:
     def submit(self, write: Callable[[], None]) -> None:
         """Queue a write; blocks while `depth` writes are under way."""
         while len(self._waiting) >= self._depth:
-            awaited(self._waiting[0])
-            self._waiting.popleft()  # not before: who is interrupted has to wait for it
+            awaited(self._waiting.popleft())
         self._waiting.append(self._pool.submit(worked, write))
 
     def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
-        if kind is not None and not issubclass(kind, InputError):
-            self._cancel()
+        drops_waiting = kind is not None and not issubclass(kind, InputError)
         # What has begun is finished either way: a write is quick and leaves whole files.
-        try:
-            self._finish()
-        except BaseException:  # a stop that arrives here must not leave a temporary file
-            self._cancel()
-            self._finish()
-            raise
+        with waiting():
+            self._pool.shutdown(wait=True, cancel_futures=drops_waiting)
         if kind is None:
             for future in self._waiting:
                 future.result()
-
-    def _finish(self) -> None:
-        """Wait until all writes have ended.
-
-        Futures tell, as Python 3.11 takes a thread for ended when a signal interrupts its join.
-        """
-        with waiting():
-            wait([future for future in self._waiting if not future.cancelled()])
-            self._pool.shutdown(wait=True)
-
-    def _cancel(self) -> None:
-        """Drop the writes that have not begun."""
-        for future in self._waiting:
-            future.cancel()
