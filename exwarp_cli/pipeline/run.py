@@ -9,7 +9,6 @@ from functools import cached_property, partial
 from typing import Any
 
 from exwarp_cli import __version__
-from exwarp_cli.compiled.resident import let_compiler_go
 from exwarp_cli.domain.frame import Image
 from exwarp_cli.domain.maker import maker_of
 from exwarp_cli.domain.results import FrameKind, FrameRecord, LeftOut
@@ -95,7 +94,6 @@ class Run:
                     under_way = self._steps(work)
                     del work  # before the next one is waited for, and staged
                     pool.trim()
-                    let_compiler_go()
                     next(under_way, None)
             except (InputError, UnreadableError):
                 _finish(under_way)  # that is sound

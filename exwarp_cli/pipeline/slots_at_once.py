@@ -8,7 +8,7 @@ from functools import partial
 from typing import Generic, TypeVar
 
 from exwarp_cli.domain.cores import making, waiting, working
-from exwarp_cli.kernels import jit
+from exwarp_cli.kernels import _row_bands
 from exwarp_cli.pipeline.schedule import awaited
 
 S = TypeVar("S", bound=Hashable)
@@ -50,7 +50,9 @@ class SlotsAtOnce:
     def begin(self, make: Callable[[S], T], slots: Iterable[S]) -> Begun[S, T]:
         """Begin to make slots, in their order, as many at once as there are threads for."""
         if self._pool is None:
-            start = partial(jit.set_threads, self._share)  # holds for the thread that calls it
+            start = partial(
+                _row_bands.set_threads, self._share
+            )  # holds for the thread that calls it
             self._pool = ThreadPoolExecutor(self._workers, "exwarp-slot", start)
         pool, share = self._pool, self._share
         return Begun({slot: pool.submit(_made, make, slot, share) for slot in slots})

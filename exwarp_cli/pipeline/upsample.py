@@ -11,7 +11,7 @@ from exwarp_cli.domain.outcome import Outcome
 from exwarp_cli.domain.results import RunSummary
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.io.threads import use_threads
-from exwarp_cli.kernels import jit
+from exwarp_cli.kernels import _row_bands
 from exwarp_cli.pipeline.choosing import Chooser, always, by_policy, by_truth
 from exwarp_cli.pipeline.eta import kinds_of
 from exwarp_cli.pipeline.finding import is_usual
@@ -170,7 +170,7 @@ def _run_of(job: Job, note: str, progress: Progress, watcher: Watcher | None) ->
     chooser = make_chooser(job)
     maker = SlotMaker(job.settings, job.source, job.method, sink, beside)
     slots = max((len(job.source.timeline.made_of(key)) for key in job.keys), default=0)
-    at_once = SlotsAtOnce(jit.threads(), slots)
+    at_once = SlotsAtOnce(_row_bands.threads(), slots)
     return Run(
         job.settings, job.source, job.method, sink, progress, staging, beside, maker,
         chooser, at_once, watcher,

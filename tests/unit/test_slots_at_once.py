@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from exwarp_cli.domain import cores
-from exwarp_cli.kernels import jit
+from exwarp_cli.kernels import _row_bands
 from exwarp_cli.pipeline.slots_at_once import SlotsAtOnce
 from exwarp_cli.synthesis.geometry import reproject
 from exwarp_cli.synthesis.interval import Interval
@@ -23,7 +23,7 @@ def warm():
     key = key_frame(1, size=(40, 60))
     reproject(key.gbuffer, 0.5)
     yield key
-    jit.set_threads(None)
+    _row_bands.set_threads(None)
 
 
 def test_frames_are_those_of_one_after_the_other(warm):
@@ -71,7 +71,7 @@ def test_the_slots_of_the_next_interval_come_after():
 @pytest.mark.parametrize(("threads", "slots", "share"), [(2, 3, 1), (8, 3, 2), (3, 7, 1)])
 def test_threads_are_shared_out(threads, slots, share, monkeypatch):
     told = []
-    monkeypatch.setattr(jit, "set_threads", told.append)
+    monkeypatch.setattr(_row_bands, "set_threads", told.append)
     with SlotsAtOnce(threads, slots) as both:
         begun = both.begin(lambda slot: slot, range(slots))
         assert [begun.take(slot) for slot in range(slots)] == list(range(slots))
@@ -81,7 +81,7 @@ def test_threads_are_shared_out(threads, slots, share, monkeypatch):
 def test_what_goes_on_beside_has_the_cores_that_are_left():
     arrived, gate = threading.Semaphore(0), threading.Semaphore(0)
     cores.share(3, 3)
-    jit.set_threads(cores.left)
+    _row_bands.set_threads(cores.left)
 
     def make(slot: int) -> int:
         arrived.release()
@@ -91,11 +91,11 @@ def test_what_goes_on_beside_has_the_cores_that_are_left():
     with SlotsAtOnce(2, 3) as both:
         begun = both.begin(make, (1, 2))
         assert arrived.acquire(timeout=10) and arrived.acquire(timeout=10)
-        assert cores.left() == 1 and jit.threads() == 1
+        assert cores.left() == 1 and _row_bands.threads() == 1
         gate.release(2)
         assert [begun.take(slot) for slot in (1, 2)] == [1, 2]
     assert cores.left() == 3
-    assert jit.threads() == min(3, numba.config.NUMBA_NUM_THREADS)
+    assert _row_bands.threads() == min(3, numba.config.NUMBA_NUM_THREADS)
 
 
 def test_one_thread_goes_on_alone():
