@@ -19,7 +19,6 @@ from exwarp_cli.domain.frame import (
     outside,
     place,
 )
-from exwarp_cli.domain.lent_memory import lent, rest
 from exwarp_cli.domain.motion import MotionConvention
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError
 from exwarp_cli.io.channels import ChannelRef, Role, detect, require
@@ -30,6 +29,7 @@ from exwarp_cli.io.shot import Shot as Shot
 from exwarp_cli.io.shot import open_shot as open_shot
 from exwarp_cli.io.shot import plain, renamed
 from exwarp_cli.io.views import channels_of, choose, views_of
+from exwarp_cli.runtime.frame_pool import pool
 
 FAR = 1e9
 """Depth from which on a pixel counts as background: Blender writes 1e10 there."""
@@ -130,7 +130,6 @@ def read_raw(
         gbuffer = replace(gbuffer, stencil=stencil, objects=shown)
     raw = RawFrame(number, path, image, gbuffer, _motion(found, shot, canvas), found.broken_colour)
     shot.nonfinite.note(number, found.broken)
-    rest()
     return raw
 
 
@@ -282,7 +281,7 @@ def read_image(path: Path, view: str = "") -> Image:
     with ExrFile(path) as file:
         views = views_of(file.parts)
         channels = channels_of(file.parts, choose(views, view or None, path) if views else "")
-        mattes = find_cryptomattes({"": renamed(channels)}, {"": file.texts})
+        mattes = find_cryptomattes({"": renamed(channels)}, {"": file.header.texts})
         layout = detect({"": plain(channels, mattes)})
         refs = require(layout, Role.COLOUR, str(path), channels)
         chosen = [channels[ref.name] for ref in refs]
@@ -342,7 +341,7 @@ def cleaned(depth: Float32, normal: Float32 | None) -> tuple[Float32, bool]:
     """Do as `clean_depth`, and tell whether there are normals, all of them finite."""
     from exwarp_cli.kernels import depths  # numba: not for what only lists channels
 
-    out: Float32 = lent(depth.shape, np.float32)
+    out: Float32 = pool.empty(depth.shape, np.float32)
     flat, far = np.ascontiguousarray(depth, np.float32).reshape(-1), np.float32(FAR)
     if normal is None:
         depths.known_depths(flat, far, out.reshape(-1))
@@ -358,7 +357,7 @@ def clean_stencil(ids: np.ndarray) -> Int32:
     from exwarp_cli.kernels.ids import whole_ids  # numba: not for what only lists channels
 
     # Passes over the frame took 15 times as long.
-    out: Int32 = lent(ids.shape, np.int32)
+    out: Int32 = pool.empty(ids.shape, np.int32)
     whole_ids(np.ascontiguousarray(ids, np.float32).reshape(-1), out.reshape(-1))
     return out
 

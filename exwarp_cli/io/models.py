@@ -14,7 +14,6 @@ from exwarp_cli.domain import cores
 from exwarp_cli.domain.being_read import being_read
 from exwarp_cli.domain.extrapolator import INPUTS, OUTPUT, TIME, Inputs, NetworkInputs
 from exwarp_cli.domain.frame import Float32
-from exwarp_cli.domain.lent_memory import lent, rest
 from exwarp_cli.domain.tiles import Span, Tile, cut
 from exwarp_cli.errors import InputError, LayoutError, MissingExtraError, OutOfMemoryError
 from exwarp_cli.io.model_checks import (
@@ -32,6 +31,7 @@ from exwarp_cli.io.model_files import shipped_folder as shipped_folder
 from exwarp_cli.io.model_weights import with_weights
 from exwarp_cli.io.reach import reach_of
 from exwarp_cli.io.standard_streams import quiet_libraries
+from exwarp_cli.runtime.frame_pool import pool
 
 SHIPPED = "extrapolator.onnx"
 """Name of the network that comes with ExWarp."""
@@ -191,7 +191,6 @@ class OnnxExtrapolator(OnnxNetwork):
         for count, (rows, columns) in enumerate(tiles, start=1):
             room = self._taken_room((rows.end - rows.begin, columns.end - columns.begin))
             part = inputs.part(rows.seen, columns.seen, room)
-            rest()  # what the part is made of
             last = 1 < count == len(tiles)
             answer = self._made_of(part, last)
             self._room = None if last else room
@@ -207,7 +206,7 @@ class OnnxExtrapolator(OnnxNetwork):
         """
         shape = sum(INPUTS.values()), *size
         room, self._room = self._room, None
-        return room if room is not None and room.shape == shape else lent(shape, np.float32)
+        return room if room is not None and room.shape == shape else pool.empty(shape, np.float32)
 
     def _tiles(self, height: int, width: int) -> tuple[Tile, ...]:
         """Return what of a picture the network is given at a time; all of a small one."""

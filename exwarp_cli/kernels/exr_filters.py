@@ -210,52 +210,28 @@ def nan_to_half(bits: np.uint32) -> np.uint16:
     return np.uint16(sign | np.uint32(0x7C00) | kept | np.uint32(kept == 0))
 
 
-@inlined
-def round_row(row: U32, bounded: bool, out: U16) -> None:
-    """Round floats [N], given as bits; see `round_to_half`."""
-    most = np.uint32(0x477FE000) if bounded else np.uint32(0x7F800000)
-    largest = np.uint32(0)
-    for x in range(row.size):
-        size = np.uint32(row[x] & np.uint32(0x7FFFFFFF))
-        largest = max(largest, size)
-        out[x] = float_to_half(np.uint32(min(size, most) | row[x] & np.uint32(0x80000000)))
-    if largest > np.uint32(0x7F800000):
-        for x in range(row.size):
-            if row[x] & np.uint32(0x7FFFFFFF) > np.uint32(0x7F800000):
-                out[x] = nan_to_half(row[x])
-
-
 @serial
 def round_to_half(pixels: U32, bounded: bool, out: U16) -> None:
-    """Round floats to halfs, and take the channels of pixels apart; numpy takes ten times as long.
+    """Round floats to halfs, in a tenth of the time that numpy takes.
 
     Parameters
     ----------
     pixels
-        Bits of floats [H, W C], contiguous.
+        Bits of floats [H, W], contiguous.
     bounded
         Whether numbers beyond half's range, and infinity, become its largest; else infinity.
     out
-        Bits of halfs [C, H, W], contiguous, written.
+        Bits of halfs [H, W], contiguous, written.
     """
-    count, height, width = out.shape
-    mixed = np.empty(count * width, np.uint16)
-    for y in range(height):
-        # Rounding whole rows first takes half the time of rounding channel by channel.
-        line = out[0, y] if count == 1 else mixed
-        round_row(pixels[y], bounded, line)
-        # Loops for 4 and 3 channels save 4 ms of 26 ms that encoding a frame takes at 1920x1080.
-        if count == 4:
-            a, b, c, d = out[0, y], out[1, y], out[2, y], out[3, y]
-            for x in range(width):
-                a[x], b[x] = line[4 * x], line[4 * x + 1]
-                c[x], d[x] = line[4 * x + 2], line[4 * x + 3]
-        elif count == 3:
-            a, b, c = out[0, y], out[1, y], out[2, y]
-            for x in range(width):
-                a[x], b[x], c[x] = line[3 * x], line[3 * x + 1], line[3 * x + 2]
-        elif count > 1:
-            for k in range(count):
-                plane = out[k, y]
-                for x in range(width):
-                    plane[x] = line[count * x + k]
+    most = np.uint32(0x477FE000) if bounded else np.uint32(0x7F800000)
+    for y in range(len(pixels)):
+        row, halfs = pixels[y], out[y]
+        largest = np.uint32(0)
+        for x in range(row.size):
+            size = np.uint32(row[x] & np.uint32(0x7FFFFFFF))
+            largest = max(largest, size)
+            halfs[x] = float_to_half(np.uint32(min(size, most) | row[x] & np.uint32(0x80000000)))
+        if largest > np.uint32(0x7F800000):
+            for x in range(row.size):
+                if row[x] & np.uint32(0x7FFFFFFF) > np.uint32(0x7F800000):
+                    halfs[x] = nan_to_half(row[x])

@@ -11,7 +11,6 @@ from exwarp_cli.domain.bounds import require_canvas
 from exwarp_cli.domain.extrapolator import HISTORY, Extrapolator
 from exwarp_cli.domain.frame import SURFACE_PARTS, Float32, GBuffer, KeyFrame, Window
 from exwarp_cli.domain.interpolator import Interpolator
-from exwarp_cli.domain.lent_memory import filed, rest
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.pipeline.instants import between, without_surface
 from exwarp_cli.pipeline.loaded import Loaded, Older
@@ -145,7 +144,6 @@ class Staging:
             placed = frame.extended(basis[0])
             if placed.gbuffer is not None:
                 placed = replace(placed, gbuffer=settle_motion(placed.gbuffer))
-                rest()
             if self._bare and placed.gbuffer is not None:
                 placed = replace(placed, gbuffer=placed.gbuffer.bare())
             self._frames[index, basis] = placed
@@ -156,7 +154,7 @@ class Staging:
         newer = key
         for index, older in zip(range(loaded.key - 1, -1, -1), loaded.past, strict=False):
             if (index, basis) not in self._past:
-                motion = filed(self._motion(index, older, newer, basis))
+                motion = self._motion(index, older, newer, basis)
                 self._past[index, basis] = Past(self._frame(index, older.frame, basis), motion)
             found.append(self._past[index, basis])
             newer = found[-1].frame

@@ -5,9 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from exwarp_cli.domain import lent_memory
 from exwarp_cli.domain.results import InterpolatorSummary, NetworkSummary, RunSummary
-from exwarp_cli.io.allocator import share_one_arena
 from exwarp_cli.io.footage import close
 from exwarp_cli.io.output import compression_of
 from exwarp_cli.io.threads import use_threads
@@ -56,15 +54,6 @@ if TYPE_CHECKING:
     from exwarp_cli.pipeline.progress import Progress
     from exwarp_cli.pipeline.source import FrameOf, Source
     from exwarp_cli.synthesis.methods import Method
-
-IDLE_BYTES = 256 * 10**6
-"""Memory that may wait to be used again where a network may extrapolate: it takes a gigabyte when
-it does. A policy that warped at 1920x1080 was busy for 67 of 688 ms an interval with having the
-system clear what is fresh."""
-
-IDLE_PER_PIXEL = 20
-"""The same of other methods: a frame of four floats, and a little. At 1920x1080 each interval took
-that much from the system else, as what was idle lay in pieces; 3 % of its time."""
 
 
 @dataclass(frozen=True)
@@ -227,7 +216,6 @@ def open_job(settings: UpsampleSettings, runs: bool = True) -> Job:
         For anything that a user can cause, but for what is in the way of the output.
     """
     compression_of(settings.compression)
-    share_one_arena()
     use_threads(settings.threads)
     method, sources = _open_input(settings, runs)
     source = sources[0]
@@ -252,23 +240,12 @@ def open_job(settings: UpsampleSettings, runs: bool = True) -> Job:
     )  # fmt: skip
 
 
-def _filed_from(method: Method) -> int | None:
-    """Return above how many pixels memory of frames lies in files."""
-    if not method.extrapolates:
-        return None
-    return lent_memory.HUGE if method.path is None else lent_memory.LARGE
-
-
 def _open_input(settings: UpsampleSettings, runs: bool) -> tuple[Method, tuple[Source, ...]]:
     """Open the input, and settle the method, which may depend on it."""
     named = None if settings.method is None else find_method(settings.method)
     expected = named or find_method(USUAL)
-    lent_memory.file_from(_filed_from(expected))
     run = Beginning(settings.frames, expected) if runs else None
     motion_needed = named is None or named.needs_motion
     sources = open_sources(settings.source, motion_needed, pictures=True, run=run)
     method = named or find_method(usual_method(sources[0], settings))
-    lent_memory.file_from(_filed_from(method))
-    idle = IDLE_PER_PIXEL * sources[0].keys.display.pixels
-    lent_memory.let_wait(IDLE_BYTES if method.extrapolates else idle)
     return method, sources

@@ -10,7 +10,6 @@ from typing import Any
 
 from exwarp_cli import __version__
 from exwarp_cli.compiled.resident import let_compiler_go
-from exwarp_cli.domain import lent_memory
 from exwarp_cli.domain.frame import Image
 from exwarp_cli.domain.maker import maker_of
 from exwarp_cli.domain.results import FrameKind, FrameRecord, LeftOut
@@ -38,6 +37,7 @@ from exwarp_cli.pipeline.source import Source
 from exwarp_cli.pipeline.staged import Staged, broken_in, with_write_times
 from exwarp_cli.pipeline.views import JointLoader
 from exwarp_cli.pipeline.watching import Watcher
+from exwarp_cli.runtime.frame_pool import pool
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import Judge, Method
 
@@ -93,7 +93,7 @@ class Run:
                     _finish(under_way)
                     under_way = self._steps(work)
                     del work  # before the next one is waited for, and staged
-                    lent_memory.let_go()
+                    pool.trim()
                     let_compiler_go()
                     next(under_way, None)
             except (InputError, UnreadableError):
@@ -206,8 +206,6 @@ class Run:
             shares |= {step: ms / len(slots) for step, ms in chosen.timing_ms.items()}
         self._broken = broken_in(loaded, self._broken) if len(there) < len(slots) else {}
         staged = Staged(interval, chosen, frozenset(there), shares, self._broken)
-        if self.method.judge is not None:
-            lent_memory.file_from(lent_memory.LARGE if staged.extrapolates else lent_memory.HUGE)
         if interval is not None and staged.extrapolates and loaded.late is not None:
             loaded = loaded.late(loaded)
             self._broken = broken_in(loaded, self._broken)

@@ -5,13 +5,11 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 
-from exwarp_cli.domain import lent_memory
 from exwarp_cli.domain.cores import working
 from exwarp_cli.domain.frame import Window
 from exwarp_cli.domain.outcome import Outcome
 from exwarp_cli.domain.results import RunSummary
 from exwarp_cli.domain.settings import UpsampleSettings
-from exwarp_cli.io import allocator
 from exwarp_cli.io.threads import use_threads
 from exwarp_cli.kernels import jit
 from exwarp_cli.pipeline.choosing import Chooser, always, by_policy, by_truth
@@ -31,6 +29,7 @@ from exwarp_cli.pipeline.verifying import Sums, files_of, verify, verify_video
 from exwarp_cli.pipeline.views import JointLoader
 from exwarp_cli.pipeline.watching import Watcher
 from exwarp_cli.pipeline.without_vectors import BY_EXWARP, is_kept, note_of, video_look
+from exwarp_cli.runtime.frame_pool import pool
 
 MOST_WAITING = 80 * 10**6
 """Bytes of frames that wait to be written, beside those that are being written."""
@@ -106,11 +105,7 @@ def write_intervals(job: Job, progress: Progress, watcher: Watcher | None = None
     """
     settings = job.settings
     use_threads(settings.threads)
-    # Of what vectors were measured in: half of the memory of a run at 3840x2160. At 1920x1080
-    # frames take the same room, but for what OpenEXR itself had.
-    if job.source.keys.display.pixels > lent_memory.HUGE:
-        lent_memory.forget()
-    allocator.trim()
+    pool.clear()  # of what vectors were measured in
     loader = make_loader(job)
     note = ""
     if job.targets.frames is None:

@@ -11,9 +11,9 @@ from exwarp_cli.compiled import shares
 from exwarp_cli.compiled.shares import Share, rows_of
 from exwarp_cli.domain.extrapolator import HISTORY, INPUTS, Inputs, NetworkInputs
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, KeyFrame
-from exwarp_cli.domain.lent_memory import lent, rest
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.kernels import jit, planes
+from exwarp_cli.runtime.frame_pool import pool
 from exwarp_cli.synthesis.geometry import SlotField
 from exwarp_cli.synthesis.history import LookBack, Past
 from exwarp_cli.synthesis.modulation import decode, demodulated, encode_in_place, modulation_of
@@ -164,7 +164,7 @@ class Prepared:
 
     def finish(self, answer: Float32) -> Float32:
         """Turn the network's answer, float32 [3, H, W], into scene-linear colour [H, W, C]."""
-        out: Float32 = lent(self.filled.shape, np.float32)
+        out: Float32 = pool.empty(self.filled.shape, np.float32)
         modulation = NO_VECTORS if self.modulation is None else self.modulation
         planes.join(decode(answer), modulation, self.filled, out)
         hold_within(out, self.sources)
@@ -193,15 +193,13 @@ def prepare(
     divided = modulation is not None
     # Its colours are in the modulation.
     surface = seen.surface.without(*SMOOTH)
-    rest()
     pixels, depth, hole = moved(_shading(key, divided), back)
-    filled = lent(pixels.shape, np.float32)
+    filled = pool.empty(pixels.shape, np.float32)
     shares.run(_copy, (pixels, filled), jit.threads())
     fill_holes(filled, depth, hole)
     history = [Moved(pixels, ~hole)]
     sides = [Side(key.image.pixels, back.field, ~hole)]
     del pixels
-    rest()
     for step, field, hidden in zip(past, seen.fields, seen.hidden, strict=False):
         pixels, unseen = sampled(_shading(step.frame, divided), field)
         older = Moved(pixels, ~(unseen | hidden))
@@ -209,7 +207,6 @@ def prepare(
             history.append(older)
             sides.append(Side(step.frame.image.pixels, field, older.visible))
         del pixels, older
-        rest()
     history += [history[-1]] * (HISTORY - len(history))
     now, before, oldest = history
     median = _median(surface.depth)

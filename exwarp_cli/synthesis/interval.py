@@ -9,7 +9,6 @@ import numpy as np
 from exwarp_cli.domain.extrapolator import Extrapolator
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, KeyFrame, Window, place
 from exwarp_cli.domain.interpolator import Interpolator
-from exwarp_cli.domain.lent_memory import rest
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import LayoutError
 from exwarp_cli.synthesis.camera import Scene, scene_of
@@ -175,7 +174,6 @@ class Interval:
             prepared = self.prepared(slot)
             self._looked.pop(slot, None)  # before the network runs, which takes much memory
             self._extrapolated[slot] = prepared.finish(self.extrapolator(prepared.inputs))
-            rest()
         return self._extrapolated[slot]
 
     def forget(self, slot: int) -> None:

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from exwarp_cli.domain import lent_memory
 from tests.blender_layers import Planes
 from tests.cli import shots
 from tests.cli.shots import FORWARD, KEYS, SMALL, VECTORS, changed_by, generated
@@ -67,26 +66,6 @@ class TestSameBytes:
         network = save(tmp_path / "n.onnx", convolution(channels, scale=2, exwarp__stride="2"))
         made = [make(str(n), "s3", "--threads", n, network=network) for n in (1, 2, 5)]
         assert shots.contents(made[0]) == shots.contents(made[1]) == shots.contents(made[2])
-
-    @pytest.mark.parametrize("setting", SETTINGS)
-    @pytest.mark.parametrize("method", ["s3", "exwarp"])
-    def test_where_frames_lie_changes_nothing(self, make, monkeypatch, method, setting):
-        """Those of full size may leave memory while a network runs; here these small ones do."""
-        usual, asked = make("usual", method, setting=setting), []
-        monkeypatch.setattr(lent_memory, "LARGE", 0)
-        monkeypatch.setattr(lent_memory, "LEAST", 1)
-        file_from = lent_memory.file_from
-
-        def noted(pixels: int | None) -> None:
-            asked.append(pixels)
-            file_from(pixels)
-
-        monkeypatch.setattr(lent_memory, "file_from", noted)
-        assert shots.contents(make("filed", method, setting=setting)) == shots.contents(usual)
-        assert 0 in asked
-        monkeypatch.undo()
-        lent_memory.file_from(None)
-        lent_memory.forget()
 
     @pytest.mark.parametrize("setting", SETTINGS)
     @pytest.mark.parametrize("method", ["s1", "s2", "s3"])

@@ -35,9 +35,9 @@ def some_bits(each: int = 4) -> np.ndarray:
     return np.concatenate([EDGES, every.reshape(-1)])
 
 
-def rounded(bits: np.ndarray, bounded: bool, channels: int = 1) -> np.ndarray:
-    """Return halfs [C, H, W], as bits, of floats' bits [H, W C]."""
-    out = np.full((channels, len(bits), bits.shape[1] // channels), 7, np.uint16)
+def rounded(bits: np.ndarray, bounded: bool) -> np.ndarray:
+    """Return halfs [H, W], as bits, of floats' bits."""
+    out = np.full(bits.shape, 7, np.uint16)
     round_to_half(bits, bounded, out)
     return out
 

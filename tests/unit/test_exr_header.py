@@ -69,7 +69,7 @@ class TestReading:
             OpenEXR.File(str(path), header_only=True)
         (found,) = read_headers(path)
         with ExrFile(path) as file:
-            assert found[MANIFEST] == file.texts[0][MANIFEST] == TEXT
+            assert found[MANIFEST] == file.header.texts[0][MANIFEST] == TEXT
         assert {name: found[name] for name in GOOD} == GOOD
         assert found["compression"] == OpenEXR.ZIP_COMPRESSION
 
@@ -115,7 +115,7 @@ class TestWriting:
         assert output.recipe_of(out) == "abc"
         assert output.written_attributes(out)["recipe"] == "abc"
         with ExrFile(out) as file:
-            assert file.texts[0][MANIFEST] == TEXT
+            assert file.header.texts[0][MANIFEST] == TEXT
 
     def test_of_parts_each_gets_its_own(self, tmp_path):
         source = double(tmp_path / "a.exr")

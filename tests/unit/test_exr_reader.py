@@ -141,10 +141,10 @@ def test_attributes_of_every_part(tmp_path):
         "z": ({"Z": plane(4, 5, 1)}, {"shot:take": 3}),
     }
     with ExrFile(write_parts(tmp_path / "a.exr", made)) as file:
-        first, second = file.attributes
+        first, second = file.header.attributes
     assert first["shot:by"] == "Ada" and "shot:by" not in second
     assert second["shot:take"] == 3 and second["compression"] == OpenEXR.ZIP_COMPRESSION
-    assert file.texts[0]["shot:by"] == "Ada" and file.texts[1]["compression"] == "zip"
+    assert file.header.texts[0]["shot:by"] == "Ada" and file.header.texts[1]["compression"] == "zip"
 
 
 class TestPixels:

@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from exwarp_cli.domain import lent_memory
 from exwarp_cli.domain.extrapolator import INPUTS, NetworkInputs
 from exwarp_cli.domain.frame import Float32, GBuffer, KeyFrame, Window
 from exwarp_cli.errors import LayoutError
@@ -35,21 +34,6 @@ class Bright(Filled):
 @pytest.fixture(scope="module", params=SETTINGS)
 def interval(request, footage) -> Interval:
     return replace(footage.causal(K, request.param), extrapolator=Filled())
-
-
-@pytest.mark.parametrize("slot", [2, 3])
-def test_what_leaves_memory_between_steps_comes_back(interval, monkeypatch, slot):
-    """As large frames do, which this one is not."""
-    monkeypatch.setattr(lent_memory, "LEAST", 0)
-    lent_memory.file_from(0)
-    try:
-        resting = replace(interval)
-        made = resting.extrapolated(slot)
-        assert lent_memory._rooms
-    finally:
-        lent_memory.file_from(None)
-        lent_memory.forget()
-    np.testing.assert_array_equal(made, interval.extrapolated(slot))
 
 
 @given(

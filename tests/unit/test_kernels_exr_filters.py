@@ -83,18 +83,12 @@ class TestPredict:
 class TestRoundingToHalf:
     def test_it_is_numpy_s(self, bounded):
         bits = some_bits()[None]
-        np.testing.assert_array_equal(rounded(bits, bounded)[0], by_numpy(bits, bounded))
+        np.testing.assert_array_equal(rounded(bits, bounded), by_numpy(bits, bounded))
 
     def test_rows_without_nan(self, bounded):
         bits = some_bits()
         bits = bits[bits & 0x7FFFFFFF <= 0x7F800000][None]
-        np.testing.assert_array_equal(rounded(bits, bounded)[0], by_numpy(bits, bounded))
-
-    @pytest.mark.parametrize("channels", [1, 2, 3, 4, 5])
-    def test_channels_are_taken_apart(self, bounded, channels):
-        bits = some_bits()[: 3 * 37 * channels].reshape(3, -1)
-        expected = by_numpy(bits, bounded).reshape(3, 37, channels).transpose(2, 0, 1)
-        np.testing.assert_array_equal(rounded(bits, bounded, channels), expected)
+        np.testing.assert_array_equal(rounded(bits, bounded), by_numpy(bits, bounded))
 
 
 def test_rounding_to_half_interpreted(tmp_path):

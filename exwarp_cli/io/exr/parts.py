@@ -15,10 +15,28 @@ UINT, HALF, FLOAT = 0, 1, 2
 PIXEL_TYPES = {UINT: "uint", HALF: "half", FLOAT: "float"}
 
 SIZES = {
-    **{b"int": 4, b"float": 4, b"double": 8, b"rational": 8, b"timecode": 8, b"keycode": 28},
-    **{b"v2i": 8, b"v2f": 8, b"v2d": 16, b"v3i": 12, b"v3f": 12, b"v3d": 24, b"envmap": 1},
-    **{b"m33f": 36, b"m33d": 72, b"m44f": 64, b"m44d": 128, b"box2i": 16, b"box2f": 16},
-    **{b"chromaticities": 32, b"compression": 1, b"lineOrder": 1},
+    b"int": 4,
+    b"float": 4,
+    b"double": 8,
+    b"rational": 8,
+    b"timecode": 8,
+    b"keycode": 28,
+    b"v2i": 8,
+    b"v2f": 8,
+    b"v2d": 16,
+    b"v3i": 12,
+    b"v3f": 12,
+    b"v3d": 24,
+    b"envmap": 1,
+    b"m33f": 36,
+    b"m33d": 72,
+    b"m44f": 64,
+    b"m44d": 128,
+    b"box2i": 16,
+    b"box2f": 16,
+    b"chromaticities": 32,
+    b"compression": 1,
+    b"lineOrder": 1,
 }
 """Bytes of attributes, by the types that are of one size."""
 

@@ -12,7 +12,7 @@ import struct
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import accumulate
 from threading import Lock, local
 from typing import BinaryIO
@@ -23,9 +23,9 @@ import numpy.typing as npt
 
 from exwarp_cli.domain import cores
 from exwarp_cli.domain.frame import Window
-from exwarp_cli.domain.lent_memory import lent
 from exwarp_cli.io.exr.header import DEEP, LONG_NAMES, MULTIPART, TILED, RawHeader
 from exwarp_cli.io.exr.parts import FLOAT, HALF, UINT, Values, window_of
+from exwarp_cli.runtime.frame_pool import pool
 
 U8 = npt.NDArray[np.uint8]
 I64 = npt.NDArray[np.int64]
@@ -67,7 +67,7 @@ REQUIRED = {
 """Type and bytes of what every header has beside channels. Without one of them OpenEXR reads no
 pixels, or none of their compression."""
 
-_NOTHING = np.empty(0, np.uint8)
+_NOTHING, _NOWHERE = np.empty(0, np.uint8), np.empty(0, np.int64)
 
 
 @dataclass(frozen=True)
@@ -84,8 +84,8 @@ class ChunkLayout:
         The data window.
     channels
         Name and type of each, in the order in which they follow each other in a line.
-    tiled
-        Whether its chunks are tiles.
+    tile
+        Width and height of its tiles; None where its chunks are scan lines.
     starts, ends
         int64 [N] of each chunk in the table's order: its beginning, and that of what follows.
     """
@@ -94,14 +94,20 @@ class ChunkLayout:
     compression: int
     window: Window
     channels: Sequence[tuple[bytes, int]]
-    tiled: bool
+    tile: tuple[int, int] | None
     starts: I64
     ends: I64
 
     @property
     def is_decoded_here(self) -> bool:
         """Whether its chunks are scan-line blocks of ZIP or ZIPS."""
-        return not self.tiled and self.compression in (ZIPS, ZIP)
+        return self.tile is None and self.compression in (ZIPS, ZIP)
+
+    @property
+    def count(self) -> int:
+        """How many chunks there should be."""
+        width, height = self.tile or (self.window.width, self.lines)
+        return -(-self.window.width // width) * -(-self.window.height // height)
 
     @property
     def lines(self) -> int:
@@ -142,34 +148,23 @@ def parse_layouts(header: RawHeader, read: ReadAt, size: int) -> list[ChunkLayou
     stops = np.append(np.sort(np.minimum(table, np.uint64(size))), np.uint64(size))
     ends = stops[np.searchsorted(stops, table, "right").clip(max=len(table))]
     layouts: list[ChunkLayout | None] = []
-    for number, (part, last) in enumerate(zip(flat, accumulate(counts), strict=True)):
+    for number, (layout, last) in enumerate(zip(flat, accumulate(counts), strict=True)):
         own = slice(last - counts[number], last)
         valid = ((begin <= table[own]) & (table[own] < size)).all()
-        if part is None or part.count != counts[number] or not valid:
+        if layout is None or layout.count != counts[number] or not valid:
             layouts.append(None)
             continue
-        layouts.append(
-            ChunkLayout(
-                number if several else None, part.compression, part.window, part.channels,
-                part.tiled, table[own].astype(np.int64), ends[own].astype(np.int64),
-            )
-        )  # fmt: skip
+        starts, own_ends = table[own].astype(np.int64), ends[own].astype(np.int64)
+        number_in_chunks = number if several else None
+        layouts.append(replace(layout, number=number_in_chunks, starts=starts, ends=own_ends))
     return layouts
 
 
-@dataclass(frozen=True)
-class _Flat:
-    """What the header of a part of flat pixels says of its chunks, and how many there are."""
+def _flat(values: Values, size: int, flags: int) -> ChunkLayout | None:
+    """Read a part's header in a file of `size` bytes; None where it is not flat or not usual.
 
-    compression: int
-    window: Window
-    channels: tuple[tuple[bytes, int], ...]
-    tiled: bool
-    count: int
-
-
-def _flat(values: Values, size: int, flags: int) -> _Flat | None:
-    """Read a part's header in a file of `size` bytes; None where it is not flat or not usual."""
+    Where the chunks lie is left empty.
+    """
     kind, tiles = values.get(b"type"), values.get(b"tiles")
     names = {b"string": b"tiledimage" if tiles else b"scanlineimage"}
     typed = kind is not None and names.get(kind[0]) == kind[1]
@@ -186,17 +181,16 @@ def _flat(values: Values, size: int, flags: int) -> _Flat | None:
     line = window.width * sum(BYTES[of] for _, of in channels)
     if line * LINES[compression] > MAX_CHUNK or line * window.height > MAX_RATIO * size:
         return None
-    count = -(-window.height // LINES[compression])
+    tile = None
     if tiles is not None:
         if tiles[0] != b"tiledesc" or len(tiles[1]) != 9 or tiles[1][8]:
             return None  # of several levels
-        width, height = struct.unpack("<2I", tiles[1][:8])
-        if not 0 < width <= MAX_TILE or not 0 < height <= MAX_TILE:
+        tile = struct.unpack("<2I", tiles[1][:8])
+        if not 0 < min(tile) <= max(tile) <= MAX_TILE:
             return None
-        count = -(-window.width // width) * -(-window.height // height)
-    if not flags & MULTIPART and bool(flags & TILED) != (tiles is not None):
+    if not flags & MULTIPART and bool(flags & TILED) != (tile is not None):
         return None
-    return _Flat(compression, window, channels, tiles is not None, count)
+    return ChunkLayout(None, compression, window, channels, tile, _NOWHERE, _NOWHERE)
 
 
 def _channels(values: Values) -> tuple[tuple[bytes, int], ...] | None:
@@ -335,7 +329,7 @@ def _destination(request: ChannelRequest) -> _Destination | None:
         return None
     places = [names.index(name) if name in names else -1 for name, _ in layout.channels]
     try:
-        out = lent((*layout.window.shape, len(names)), np.uint32)
+        out = pool.empty((*layout.window.shape, len(names)), np.uint32)
     except MemoryError:
         return None
     return _Destination(np.array([layout.sizes, places], np.int64).T.copy(), out)

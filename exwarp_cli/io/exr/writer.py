@@ -32,12 +32,11 @@ import numpy as np
 import numpy.typing as npt
 import OpenEXR
 from isal import isal_zlib
-from numpy.lib.stride_tricks import as_strided
 
 from exwarp_cli.domain.frame import Float32, Window
-from exwarp_cli.domain.lent_memory import lent
 from exwarp_cli.io.exr.header import Attribute, attributes_in
 from exwarp_cli.kernels.exr_filters import predict, round_to_half
+from exwarp_cli.runtime.frame_pool import pool
 
 U16 = npt.NDArray[np.uint16]
 U32 = npt.NDArray[np.uint32]
@@ -105,8 +104,8 @@ class PendingHalf:
 
     def rounded(self) -> np.ndarray:
         """Return the halfs [H, W]."""
-        out = lent(self.shape, np.uint16)
-        round_to_half(_bits(self.values), self.bounded, out[None])
+        out = pool.empty(self.shape, np.uint16)
+        round_to_half(_bits(self.values), self.bounded, out)
         return out.view(np.float16)
 
 
@@ -280,25 +279,6 @@ def deflate_stream(*pieces: memoryview) -> list[bytes]:
     return [*out, stream.flush()]
 
 
-@dataclass(frozen=True)
-class _Pixels:
-    """Channels that are rounded together.
-
-    Attributes
-    ----------
-    values
-        float32 [H, W, C].
-    bounded
-        As in `PendingHalf`.
-    places
-        Where each of the C stands among a part's channels.
-    """
-
-    values: Float32
-    bounded: bool
-    places: tuple[int, ...]
-
-
 class ScanlineSource:
     """Gives the rows of channels of one shape, in their order and types.
 
@@ -318,21 +298,13 @@ class ScanlineSource:
         height, width = channels[0].shape
         self.height: int = height
         self.width: int = width
-        self._sizes = [channel.dtype.itemsize for channel in channels]
-        self._stored = {
-            i: np.ascontiguousarray(channel)
-            for i, channel in enumerate(channels)
-            if not isinstance(channel, PendingHalf)
-        }
-        pending = {i: c for i, c in enumerate(channels) if isinstance(c, PendingHalf)}
-        self._pixels = _together(pending)
-        rows = min(step, self.height)
-        self._memory = np.empty((len(pending), rows * self.width), np.uint16)
+        self._channels = channels
+        self._memory = np.empty((min(step, height), width), np.uint16)
 
     @property
     def line_size(self) -> int:
         """Bytes of a scan line."""
-        return int(self.width * sum(self._sizes))
+        return int(self.width * sum(channel.dtype.itemsize for channel in self._channels))
 
     def put(self, top: int, out: U16) -> None:
         """Write rows as a file has them uncompressed: in each a channel after the other.
@@ -344,61 +316,16 @@ class ScanlineSource:
         out
             Pairs of bytes [rows, `line_size` / 2], written.
         """
-        at = 0
-        for row in self._rows(top, len(out)):
-            pairs = row.view(np.uint16)
+        at, rows = 0, slice(top, top + len(out))
+        for channel in self._channels:
+            if isinstance(channel, PendingHalf):
+                pairs = self._memory[: len(out)]
+                round_to_half(_bits(channel.values[rows]), channel.bounded, pairs)
+            else:
+                pairs = np.ascontiguousarray(channel[rows]).view(np.uint16)
             out[:, at : at + pairs.shape[1]] = pairs
             at += pairs.shape[1]
 
-    def _rows(self, top: int, count: int) -> list[np.ndarray]:
-        """Return so many rows of each channel, [count, W]; the next call may overwrite them."""
-        rows = {i: stored[top : top + count] for i, stored in self._stored.items()}
-        used = 0
-        for pixels in self._pixels:
-            channels = len(pixels.places)
-            memory = self._memory[used : used + channels].reshape(-1)
-            out = memory[: channels * count * self.width].reshape(channels, count, self.width)
-            round_to_half(_bits(pixels.values[top : top + count]), pixels.bounded, out)
-            rows |= dict(zip(pixels.places, out.view(np.float16), strict=True))
-            used += channels
-        return [rows[i] for i in range(len(self._sizes))]
-
 
 def _bits(values: Float32) -> U32:
-    """Return bits of pixels [H, W] or [H, W, C] as rows [H, W C]."""
-    return np.ascontiguousarray(values).view(np.uint32).reshape(len(values), -1)
-
-
-def _together(planes: dict[int, PendingHalf]) -> list[_Pixels]:
-    """Join those channels that are all of the same pixels; the others stay alone."""
-    groups: dict[object, list[int]] = {}
-    for i, plane in planes.items():
-        values = plane.values
-        groups.setdefault((id(values.base), values.strides, plane.bounded), []).append(i)
-    pixels = []
-    for members in groups.values():
-        ordered = sorted(members, key=lambda i: _address(planes[i].values))
-        first = planes[ordered[0]]
-        if _are_all([planes[i].values for i in ordered]):
-            shape, strides = (*first.shape, len(ordered)), (*first.values.strides, 4)
-            pixels.append(
-                _Pixels(as_strided(first.values, shape, strides), first.bounded, (*ordered,))
-            )
-        else:
-            pixels += [_Pixels(planes[i].values, first.bounded, (i,)) for i in members]
-    return pixels
-
-
-def _are_all(planes: list[Float32]) -> bool:
-    """Whether planes of the same strides are the channels of contiguous pixels, in their order."""
-    (height, width), size = planes[0].shape, 4 * len(planes)
-    begin = _address(planes[0])
-    return planes[0].strides == (width * size, size) and all(
-        _address(plane) == begin + 4 * i and plane.shape == (height, width)
-        for i, plane in enumerate(planes)
-    )
-
-
-def _address(array: np.ndarray) -> int:
-    address: int = array.__array_interface__["data"][0]
-    return address
+    return np.ascontiguousarray(values).view(np.uint32)
