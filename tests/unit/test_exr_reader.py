@@ -14,9 +14,8 @@ import pytest
 from exwarp_cli.domain.frame import Window
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, MissingFrameError
 from exwarp_cli.io.exr import reader
-from exwarp_cli.io.exr.reader import ExrFile
+from exwarp_cli.io.exr.reader import ExrFile, read_headers
 from exwarp_cli.io.frames import read_image, read_plane
-from exwarp_cli.io.output import read_headers
 from tests.unit.cryptomatte_files import Style, attributes_of, planes_of, write_cryptomatte
 from tests.unit.exr_files import (
     box,

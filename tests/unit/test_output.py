@@ -16,14 +16,13 @@ from exwarp_cli.domain.frame import Image, Window
 from exwarp_cli.errors import DamagedFileError, OutputError, UsageError
 from exwarp_cli.io import output
 from exwarp_cli.io.channels import ChannelRef
-from exwarp_cli.io.exr.reader import ExrFile
+from exwarp_cli.io.exr.reader import ExrFile, read_headers
 from exwarp_cli.io.exr.template import (
     Plane,
     quantise,
-    read_headers,
     read_template,
 )
-from exwarp_cli.io.exr.writer import Smaller
+from exwarp_cli.io.exr.writer import OpenExrCompression
 from exwarp_cli.io.frames import read_image
 from tests.unit.exr_files import box, plane, rgba, write_parts, write_single
 from tests.unit.written_frames import CARRIED, WINDOW, beauty, image, pixels, template
@@ -274,7 +273,7 @@ class TestSmallThings:
     def test_compressions_by_name(self):
         assert output.compression_of(None) is None
         assert output.compression_of("zip") == OpenEXR.ZIP_COMPRESSION
-        assert output.compression_of("zip:4") == Smaller(OpenEXR.ZIP_COMPRESSION)
+        assert output.compression_of("zip:4") == OpenExrCompression(OpenEXR.ZIP_COMPRESSION)
         with pytest.raises(UsageError, match=r"--compression lzma is not one of none, rle"):
             output.compression_of("lzma")
 

@@ -13,14 +13,13 @@ from exwarp_cli.domain.frame import Image, Window
 from exwarp_cli.errors import LayoutError
 from exwarp_cli.io import output
 from exwarp_cli.io.channels import Role, detect
-from exwarp_cli.io.exr.reader import ExrFile
+from exwarp_cli.io.exr.reader import ExrFile, read_headers
 from exwarp_cli.io.exr.template import (
     PIXEL_TYPES,
     Plane,
     PlaneKey,
     Template,
     ViewLayers,
-    read_headers,
     read_template,
 )
 from exwarp_cli.io.frames import read_image

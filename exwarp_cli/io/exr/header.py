@@ -248,9 +248,13 @@ def _read_fully(file: BinaryIO, size: int) -> bytes:
 
 
 def _typed(data: bytes) -> tuple[dict[str, Any], ...]:
+    opaque = OpenEXR.OpaqueAttribute  # which OpenEXR cannot write back
     # From memory, so that the file is not opened once more.
     with OpenEXR.File(io.BytesIO(data), header_only=True) as file:
-        return tuple(dict(part.header) for part in file.parts)
+        return tuple(
+            {name: value for name, value in part.header.items() if not isinstance(value, opaque)}
+            for part in file.parts
+        )
 
 
 def in_utf8(data: bytes) -> tuple[bytes, dict[tuple[int, str], str | None]]:

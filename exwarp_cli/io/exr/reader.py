@@ -91,12 +91,15 @@ class FileHeader:
         The headers as bytes; None where they are not understood here.
     layouts
         How each part is stored; None for a part that OpenImageIO has to read.
+    stamp
+        By which a file is known that is another one now; see `_stamp`.
     """
 
     path: Path
     parts: tuple[Part, ...]
     raw: RawHeader | None
     layouts: tuple[ChunkLayout | None, ...]
+    stamp: tuple[int, ...] = ()
 
     @property
     def is_decoded_here(self) -> bool:
@@ -131,27 +134,32 @@ def parse_header(path: Path, file: BinaryIO) -> FileHeader:
 
     Without parts it is one of which OpenImageIO has to say what it holds, or what is wrong.
     """
-    raw, parts = None, []
-    layouts: tuple[ChunkLayout | None, ...] = ()
+    header, parts = FileHeader(path, (), None, ()), []
     try:
-        size = os.fstat(file.fileno()).st_size
-        raw = RawHeader.read(file, size)
-        layouts = tuple(parse_layouts(raw, FileBytes(file).read, size))
+        status = os.fstat(file.fileno())
+        raw = RawHeader.read(file, status.st_size)
+        header = replace(header, raw=raw, stamp=_stamp(status))
+        layouts = parse_layouts(raw, FileBytes(file).read, status.st_size)
+        header = replace(header, layouts=tuple(layouts))
         for index, values in enumerate(raw.by_part()):
             layout = layouts[index]
             if layout is None:
-                return FileHeader(path, (), raw, layouts)
+                return header
             part = part_from_header(index, values, layout.channels, len(layouts) > 1)
             if not _is_usual(part, sum(layout.sizes)):
-                return FileHeader(path, (), raw, layouts)
+                return header
             parts.append(part)
         # OpenImageIO opens what OpenEXR opens: so a file is judged alike, whoever reads it.
         with being_read(path):
             if len(raw.typed) == len(parts):
-                return FileHeader(path, with_distinct_names(parts), raw, layouts)
+                return replace(header, parts=with_distinct_names(parts))
     except (OSError, RuntimeError, ValueError, ArithmeticError, DamagedFileError):
         pass
-    return FileHeader(path, (), raw, layouts)
+    return header
+
+
+def _stamp(status: os.stat_result) -> tuple[int, ...]:
+    return status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns
 
 
 def _is_usual(part: Part, pixel_bytes: int) -> bool:
@@ -411,11 +419,12 @@ class HeaderCache:
         """Return the header of a file; raises as `ExrFile` does."""
         with self._lock:
             header = self._headers.get(path)
-        if header is None:
-            with ExrFile(path) as file:
-                header = file.header
-            self.keep(path, header)
-        return header
+        with suppress(OSError):
+            if header is not None and header.stamp == _stamp(path.stat()):
+                return header
+        with ExrFile(path) as file:
+            self.keep(path, file.header)
+            return file.header
 
     def keep(self, path: Path, header: FileHeader) -> None:
         """Keep a header as the newest; one without parts drops what is kept of that file."""

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import OpenEXR
 
 from exwarp_cli.domain.frame import Float32, Window, broken_pixels
 from exwarp_cli.errors import InputError, LayoutError
@@ -286,7 +285,5 @@ def _views(parts: tuple[Part, ...], index: int, written: Iterable[str]) -> tuple
 
 
 def _writable(name: str, value: object) -> bool:
-    """Whether an attribute is no other frame's own, and OpenEXR can write back what it read."""
-    if name.startswith(PREFIX) or (name == "name" and not value):
-        return False
-    return not isinstance(value, OpenEXR.OpaqueAttribute)
+    """Whether an attribute is no other frame's own, and can be written."""
+    return not name.startswith(PREFIX) and (name != "name" or bool(value))
