@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from exwarp_cli.io.channels import ChannelRef
+from exwarp_cli.io.exr.template import Plane
 from exwarp_cli.io.layer_store import Planes
-from exwarp_cli.io.template import Plane
 from exwarp_cli.pipeline.contents import Content
 
 

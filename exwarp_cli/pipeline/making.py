@@ -16,9 +16,9 @@ from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.io.authorship import KEY_FRAMES, REQUESTED_METHOD
 from exwarp_cli.io.decisions import decision_text
+from exwarp_cli.io.exr.template import Plane, PlaneKey, Template
 from exwarp_cli.io.frame_files import FrameTemplate, quantised
 from exwarp_cli.io.output import PREFIX, compression_of
-from exwarp_cli.io.template import Plane, PlaneKey, Template
 from exwarp_cli.pipeline.layers import Beside, named_by_path
 from exwarp_cli.pipeline.loaded import Loaded
 from exwarp_cli.pipeline.sink import Sink

@@ -16,12 +16,12 @@ from exwarp_cli.domain.frame import Bool, Float32, Image, Window
 from exwarp_cli.domain.frame_rates import OutputRate
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.io.atomic import is_there
-from exwarp_cli.io.exr_encoding import Buffer
+from exwarp_cli.io.exr.template import Plane, PlaneKey
+from exwarp_cli.io.exr.writer import Buffer
 from exwarp_cli.io.frame_files import FrameTemplate, facts_in, read_picture, write_picture
 from exwarp_cli.io.held import Held
-from exwarp_cli.io.key_file import key_file
+from exwarp_cli.io.key_file import key_file, opened_key
 from exwarp_cli.io.output import PREFIX, write_mask
-from exwarp_cli.io.template import Plane, PlaneKey
 from exwarp_cli.io.video import VideoLook, VideoWriter, to_display
 from exwarp_cli.pipeline.schedule import WriteBehind
 from exwarp_cli.pipeline.targets import Targets, key_is_there, slot_is_there
@@ -249,10 +249,10 @@ class Sink(Held):
 
     def _copy(self, number: int, source: Path) -> None:
         """Copy a key frame's file; its checksum is that of what the source gives."""
-        file = key_file(source, self._key_rate)
-        file.write(self._frame_path(number))
-        if self._wants_sums:
-            self.sums[FRAME, number] = sum_of(file.pieces())
+        with opened_key(source, self._key_rate) as file:
+            file.write(self._frame_path(number))
+            if self._wants_sums:
+                self.sums[FRAME, number] = sum_of(file.pieces())
 
     def _put(self, kind: str, number: int, write: Callable[[], list[Buffer]]) -> None:
         """Write a file; its checksum is that of what is in memory."""
