@@ -15,6 +15,7 @@ from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.pipeline.instants import between, without_surface
 from exwarp_cli.pipeline.loaded import Loaded, Older
 from exwarp_cli.pipeline.moving_ids import Ids, MovingIds, with_stencils
+from exwarp_cli.runtime.frame_pool import IN_MEMORY, ScratchFrames
 from exwarp_cli.synthesis.geometry import settle_motion
 from exwarp_cli.synthesis.history import Past
 from exwarp_cli.synthesis.holds import around_holds
@@ -44,6 +45,8 @@ class Staging:
         Whether key frames come with estimated motion, which is settled as it is.
     bare
         Whether nobody asks for more of key frames' settled geometry than motion and depth.
+    scratch
+        Where settled key frames lie that a network may see.
     """
 
     def __init__(
@@ -53,12 +56,14 @@ class Staging:
         interpolator: Interpolator | None = None,
         estimated: bool = False,
         bare: bool = False,
+        scratch: ScratchFrames = IN_MEMORY,
     ) -> None:
         self._display = display
         self._network = network
         self._interpolator = interpolator
         self._estimated = estimated
         self._bare = bare
+        self._scratch = scratch
         self._moving = MovingIds()
         self._frames: dict[tuple[int, Basis], KeyFrame] = {}
         self._instants: dict[tuple[Slot, Basis], GBuffer] = {}
@@ -112,7 +117,9 @@ class Staging:
         key = self._frame(loaded.key, self._whole(loaded, basis), basis)
         if loaded.late is not None:  # without its surface, none that follows has a use for it
             self._incomplete = self._frames.pop((loaded.key, basis))
-        slots = tuple(settle_motion(gbuffer.on(basis[0])) for gbuffer in loaded.slots)
+        slots = tuple(
+            self._scratch.store(settle_motion(gbuffer.on(basis[0]))) for gbuffer in loaded.slots
+        )
         past = self._led_back(loaded, key, basis)
         self._keep(loaded.key, slots, basis)
         networks = (self._network, self._interpolator)
@@ -128,6 +135,7 @@ class Staging:
             estimated=self._estimated,
             keeps=bool(loaded.truth),
             held=loaded.held,
+            scratch=self._scratch,
         )
 
     def _whole(self, loaded: Loaded, basis: Basis) -> KeyFrame:
@@ -146,7 +154,8 @@ class Staging:
                 placed = replace(placed, gbuffer=settle_motion(placed.gbuffer))
             if self._bare and placed.gbuffer is not None:
                 placed = replace(placed, gbuffer=placed.gbuffer.bare())
-            self._frames[index, basis] = placed
+            self._frames[index, basis] = self._scratch.store(placed)
+            self._scratch.page_out()
         return self._frames[index, basis]
 
     def _led_back(self, loaded: Loaded, key: KeyFrame, basis: Basis) -> tuple[Past, ...]:
@@ -154,7 +163,7 @@ class Staging:
         newer = key
         for index, older in zip(range(loaded.key - 1, -1, -1), loaded.past, strict=False):
             if (index, basis) not in self._past:
-                motion = self._motion(index, older, newer, basis)
+                motion = self._scratch.store(self._motion(index, older, newer, basis))
                 self._past[index, basis] = Past(self._frame(index, older.frame, basis), motion)
             found.append(self._past[index, basis])
             newer = found[-1].frame

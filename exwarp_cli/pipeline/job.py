@@ -41,6 +41,7 @@ from exwarp_cli.pipeline.without_vectors import (
     usual_method,
     usual_note,
 )
+from exwarp_cli.runtime.frame_pool import LARGE_PIXELS, ScratchFrames
 
 if TYPE_CHECKING:
     from exwarp_cli.domain.outcome import Outcome
@@ -248,4 +249,7 @@ def _open_input(settings: UpsampleSettings, runs: bool) -> tuple[Method, tuple[S
     motion_needed = named is None or named.needs_motion
     sources = open_sources(settings.source, motion_needed, pictures=True, run=run)
     method = named or find_method(usual_method(sources[0], settings))
+    if method.extrapolates:
+        scratch = ScratchFrames(LARGE_PIXELS)
+        sources = tuple(replace(source, scratch=scratch) for source in sources)
     return method, sources

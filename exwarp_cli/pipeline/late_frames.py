@@ -59,7 +59,7 @@ class LateFrames:
             When a file cannot be read.
         """
         assert loaded.frame is not None
-        frame = self._with_surface(loaded.frame)
+        frame = self._source.scratch.store(self._with_surface(loaded.frame))
         past = tuple(Older(self._whole(i), (), self._repeats(i + 1)) for i in history)
         self._frames[loaded.key] = frame
         return replace(loaded, frame=frame, past=past, late=None)
@@ -93,5 +93,5 @@ class LateFrames:
             frame = raw.key(None if finding is None else finding.convention)
             if frame.gbuffer is not None:
                 frame = replace(frame, gbuffer=self._within(index, frame.gbuffer))
-            self._frames[index] = frame
+            self._frames[index] = self._source.scratch.store(frame)
         return self._frames[index]

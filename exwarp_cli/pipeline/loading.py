@@ -249,7 +249,7 @@ class IntervalLoader:
                 frame = self._read_key(key)
                 if self.losses.bearable:
                     self._read_beside(key)
-            self._frames[key] = frame
+            self._frames[key] = self._source.scratch.store(frame)
         return self._frames[key]
 
     def _read_beside(self, key: int) -> None:
@@ -313,7 +313,8 @@ class IntervalLoader:
         assert source.slots is not None and number is not None
         roles = (*GEOMETRY, *SURFACE) if self._method.extrapolates else GEOMETRY
         with self._reading(slot):
-            gbuffer = read_raw(source.slots, number, roles, objects=True).settle(source.convention)
+            raw = read_raw(source.slots, number, roles, objects=True)
+        gbuffer = source.scratch.store(raw.settle(source.convention))
         if self._method.extrapolates:
             self._instants[slot] = without_surface(gbuffer)
         if self._observes and slot.index in (0, FACTOR - 1):

@@ -28,6 +28,7 @@ from exwarp_cli.pipeline.early_frames import Beginning, EarlyFrames
 from exwarp_cli.pipeline.motion_finding import KeyColours, find_motion
 from exwarp_cli.pipeline.object_ids import read_ids
 from exwarp_cli.pipeline.opening import open_keys, open_plain, open_slots, rate_of
+from exwarp_cli.runtime.frame_pool import IN_MEMORY, ScratchFrames
 
 FrameOf = Callable[[Slot], int | None]
 
@@ -67,6 +68,8 @@ class Source:
         Frames that were read already.
     unusable
         Why vectors that are there are not used, and motion is estimated instead; "" otherwise.
+    scratch
+        Where large key frames lie when a network may extrapolate.
     """
 
     keys: Shot
@@ -80,6 +83,7 @@ class Source:
     estimated: bool = False
     early: EarlyFrames = field(default_factory=EarlyFrames, compare=False, repr=False)
     unusable: str = ""
+    scratch: ScratchFrames = field(default=IN_MEMORY, compare=False, repr=False)
 
     @property
     def output_fps(self) -> Fraction:

@@ -161,7 +161,14 @@ def _run_of(job: Job, note: str, progress: Progress, watcher: Watcher | None) ->
     warps = job.source.slots is None and not job.method.extrapolates
     bare = warps and not anything_beside(job.contents)
     staging, *others = (
-        Staging(source.keys.display, job.network, job.interpolator, source.estimated, bare)
+        Staging(
+            source.keys.display,
+            job.network,
+            job.interpolator,
+            source.estimated,
+            bare,
+            source.scratch,
+        )
         for source in job.sources
     )
     beside = Beside(job.contents, tuple(others))
