@@ -20,7 +20,6 @@ from exwarp_cli.commands.progress_option import progress_option
 from exwarp_cli.commands.source_options import scan_option, source_options
 from exwarp_cli.commands.spread_options import spread_options
 from exwarp_cli.commands.threads_option import threads_option
-from exwarp_cli.domain.being_read import begun_again, go_on_without
 from exwarp_cli.domain.settings import (
     DEVICES,
     ClusterSettings,
@@ -29,6 +28,7 @@ from exwarp_cli.domain.settings import (
 )
 from exwarp_cli.domain.timeline import MOST
 from exwarp_cli.errors import IncompleteError, UsageError
+from exwarp_cli.runtime.read_registry import enable_restart, is_restarted
 
 if TYPE_CHECKING:
     from exwarp_cli.domain.results import RunSummary
@@ -216,8 +216,8 @@ def command(
 
     settings = settings_of(options)
     if settings.source.keep_going:
-        go_on_without()
-    if begun_again():  # what is there was written before
+        enable_restart()
+    if is_restarted():  # what is there was written before
         settings = replace(
             settings, skip_existing=True, overwrite=False, replaces_foreign=settings.overwrite
         )

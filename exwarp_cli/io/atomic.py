@@ -12,11 +12,13 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 
 from exwarp_cli.domain.cores import waiting
 from exwarp_cli.errors import InputError, OutputError
 from exwarp_cli.io.reading_retry import probe, with_retries
+from exwarp_cli.runtime.stop import cleaned_up
 
 MARK = ".exwarp-tmp"
 """Ending of every temporary name; no image or video reader takes it for one of its own."""
@@ -96,15 +98,13 @@ def atomic_path(path: Path) -> Iterator[Path]:
         When writing, or the rename, fails with an OSError.
     """
     temporary = path.with_name(_temporary_name(path.name))
-    try:
-        yield temporary
-        _flush(temporary)
-        temporary.replace(path)
-    except OSError as error:
-        raise output_error(path, error) from error
-    finally:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
+    with cleaned_up(partial(_remove, temporary)):
+        try:
+            yield temporary
+            _flush(temporary)
+            temporary.replace(path)
+        except OSError as error:
+            raise output_error(path, error) from error
 
 
 def atomic_write_bytes(path: Path, *pieces: bytes | bytearray | memoryview) -> None:
@@ -201,15 +201,12 @@ def marked(folder: Path) -> Iterator[Path]:
         When it cannot be written.
     """
     mark = folder / _temporary_name("mark")
-    try:
-        mark.touch()
-    except OSError as error:
-        raise output_error(mark, error) from error
-    try:
+    with cleaned_up(partial(_remove, mark)):
+        try:
+            mark.touch()
+        except OSError as error:
+            raise output_error(mark, error) from error
         yield mark
-    finally:
-        with suppress(OSError):
-            mark.unlink(missing_ok=True)
 
 
 def remove_leftovers(folder: Path) -> int:
@@ -234,6 +231,11 @@ def remove_leftovers(folder: Path) -> int:
                 entry.unlink()
                 removed += 1
     return removed
+
+
+def _remove(temporary: Path) -> None:
+    with suppress(OSError):
+        temporary.unlink(missing_ok=True)
 
 
 def _temporary_name(name: str) -> str:

@@ -19,7 +19,6 @@ import numpy as np
 import OpenImageIO as oiio
 
 from exwarp_cli.domain import cores
-from exwarp_cli.domain.being_read import being_read
 from exwarp_cli.domain.bounds import require_canvas, require_size
 from exwarp_cli.domain.frame import Window
 from exwarp_cli.errors import (
@@ -35,6 +34,7 @@ from exwarp_cli.io.header_text import attributes_in
 from exwarp_cli.io.magic import EXR, head_of, kind_of
 from exwarp_cli.io.reading_retry import with_retries
 from exwarp_cli.runtime.frame_pool import pool
+from exwarp_cli.runtime.read_registry import being_read
 
 LINES, LINES_OF_DWAB = 32, 256
 """Scan lines in a chunk of the lossy compressions, the most that any but DWAB has."""

@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 import OpenImageIO as oiio
 
-from exwarp_cli.domain.being_read import being_read
 from exwarp_cli.domain.bounds import require_size
 from exwarp_cli.domain.curves import FILM, LINEAR, SRGB, Curve
 from exwarp_cli.domain.frame import Float32, Image, Window
@@ -30,6 +29,7 @@ from exwarp_cli.io.magic import EXR, PNG, head_of
 from exwarp_cli.io.reading_retry import with_retries
 from exwarp_cli.io.still_seal import seal_still, software
 from exwarp_cli.io.webp_exif import with_orientation
+from exwarp_cli.runtime.read_registry import being_read
 
 STILLS = (
     *(".png", ".jpg", ".jpeg", ".tif", ".tiff", ".dpx", ".cin", ".tga", ".bmp", ".webp"),

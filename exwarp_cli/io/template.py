@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import OpenEXR
 
-from exwarp_cli.domain.being_read import being_read
 from exwarp_cli.domain.frame import Float32, Window, broken_pixels
 from exwarp_cli.errors import InputError, LayoutError
 from exwarp_cli.io.channel_rows import Channel as Written
@@ -24,6 +23,7 @@ from exwarp_cli.io.layers import Kind, Layer
 from exwarp_cli.io.reading_retry import with_retries
 from exwarp_cli.io.render_time import render_seconds
 from exwarp_cli.io.views import channels_of, views_of
+from exwarp_cli.runtime.read_registry import being_read
 
 HALF_MAX = 65504.0
 

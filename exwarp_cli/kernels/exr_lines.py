@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.kernels.jit import inlined, part, serial
+from exwarp_cli.kernels._compile import inlined, part, serial
 
 U8 = npt.NDArray[np.uint8]
 U16 = npt.NDArray[np.uint16]

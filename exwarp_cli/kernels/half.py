@@ -15,7 +15,7 @@ from numba import types
 from numba.core.registry import cpu_target
 from numba.extending import intrinsic, overload
 
-from exwarp_cli.kernels.jit import inlined, serial
+from exwarp_cli.kernels._compile import inlined, serial
 
 U16 = npt.NDArray[np.uint16]
 U32 = npt.NDArray[np.uint32]

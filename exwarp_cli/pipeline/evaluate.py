@@ -30,6 +30,7 @@ from exwarp_cli.pipeline.measuring import (
 )
 from exwarp_cli.pipeline.progress import FrameListener, NoProgress, Progress
 from exwarp_cli.pipeline.truth_rate import truth_rate
+from exwarp_cli.runtime.stop import check_stop
 
 KEY = FrameKind.KEY.value
 
@@ -217,6 +218,7 @@ def _score(
                 shares.append(None if pair.mask is None else float(np.mean(pair.mask)))
                 _show(watcher, one.b, pair, None)
                 progress.advance(one.b)
+                check_stop()
             scores = scoring.finish()
     finally:
         progress.finish()

@@ -14,6 +14,7 @@ from exwarp_cli.pipeline.interval_inputs import IntervalReader
 from exwarp_cli.pipeline.observing import Observer
 from exwarp_cli.pipeline.progress import NoProgress, Progress
 from exwarp_cli.pipeline.source import open_source
+from exwarp_cli.runtime.stop import check_stop
 from exwarp_cli.synthesis.methods import METHODS
 
 
@@ -85,5 +86,6 @@ def features(
                     tuple(int(x) for x in to_fixed(surroundings.inputs(node))),
                 )
             told.advance(number)
+            check_stop()
     finally:
         told.finish()

@@ -7,7 +7,6 @@ from functools import partial
 from time import perf_counter
 
 from exwarp_cli import __version__
-from exwarp_cli.compiled.resident import let_compiler_go
 from exwarp_cli.domain.cores import working
 from exwarp_cli.domain.frame import Image, Window
 from exwarp_cli.domain.outcome import Outcome
@@ -18,7 +17,7 @@ from exwarp_cli.errors import InputError
 from exwarp_cli.io.footage import picture
 from exwarp_cli.io.output import PREFIX
 from exwarp_cli.io.threads import use_threads
-from exwarp_cli.kernels import jit
+from exwarp_cli.kernels import _row_bands
 from exwarp_cli.pipeline.choosing import Chooser, Chosen, always, by_policy, by_truth
 from exwarp_cli.pipeline.eta import kind_of, kinds_of
 from exwarp_cli.pipeline.finding import is_usual
@@ -50,6 +49,7 @@ from exwarp_cli.pipeline.slot_renderer import RenderedSlot, SlotRenderer, rate_a
 from exwarp_cli.pipeline.verifying import Sums, files_of, verify, verify_video
 from exwarp_cli.pipeline.without_vectors import BY_EXWARP, is_kept, note_of, video_look
 from exwarp_cli.runtime.frame_pool import pool
+from exwarp_cli.runtime.stop import check_stop
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import Judge
 
@@ -222,7 +222,7 @@ class Run:
             job.settings, job.source, job.method, self.writer, self._layers
         )
         most = max((len(job.source.timeline.made_of(key)) for key in job.keys), default=0)
-        self._slots = ParallelSlots(jit.threads(), most)
+        self._slots = ParallelSlots(_row_bands.threads(), most)
         self._records: list[FrameRecord] = []
         self.left_out: list[LeftOut] = []
         self._broken: dict[int, int] = {}
@@ -240,7 +240,6 @@ class Run:
                 # Handed on at once: a variable would hold the raw geometry while the next is read.
                 self._do_interval(next(intervals))
                 pool.trim()
-                let_compiler_go()
         written = self.writer.write_ms
         return tuple(
             replace(record, timing_ms=record.timing_ms | {"write": written[record.number]})
@@ -287,6 +286,7 @@ class Run:
             if interval is not None:
                 # Of the paper's paths a slot may be made by way of the one before it.
                 interval.forget(slot.index - 1 if prepared.extrapolates else slot.index)
+            check_stop()
         if scores is not None:
             self._complete_scores(first_record, inputs, scores)
         self._layers.begin(inputs, None)

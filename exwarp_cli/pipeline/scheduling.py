@@ -8,7 +8,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor, wait
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from enum import Enum
 from functools import partial
@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, TypeVar
 from exwarp_cli.domain.cores import making, waiting, working
 from exwarp_cli.errors import InputError
 from exwarp_cli.io.threads import for_kernels
-from exwarp_cli.kernels import jit
+from exwarp_cli.kernels import _row_bands
 
 if TYPE_CHECKING:
     from exwarp_cli.pipeline.interval_builder import PreparedInterval
@@ -148,7 +148,9 @@ class ParallelSlots:
             yield from map(render, slots)
             return
         if self._pool is None:
-            start = partial(jit.set_threads, self._share)  # holds for the thread that calls it
+            start = partial(
+                _row_bands.set_threads, self._share
+            )  # holds for the thread that calls it
             self._pool = ThreadPoolExecutor(self.workers, "exwarp-slot", start)
         pending = deque([self._pool.submit(self._run, render, slot) for slot in slots])
         while pending:
@@ -178,34 +180,14 @@ class AsyncWriter:
     def submit(self, write: Callable[[], None]) -> None:
         """Queue a write; blocks while `depth` writes are under way."""
         while len(self._waiting) >= self._depth:
-            wait_result(self._waiting[0])
-            self._waiting.popleft()  # not before: who is interrupted has to wait for it
+            wait_result(self._waiting.popleft())
         self._waiting.append(self._pool.submit(run_with_core, write))
 
     def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
-        if kind is not None and not issubclass(kind, InputError):
-            self._cancel()
-        # What has begun is finished either way: a write is quick and leaves whole files.
-        try:
-            self._finish()
-        except BaseException:  # a stop that arrives here must not leave a temporary file
-            self._cancel()
-            self._finish()
-            raise
+        drops_waiting = kind is not None and not issubclass(kind, InputError)
+        # What has begun is finished either way: a write is quick and leaves complete files.
+        with waiting():
+            self._pool.shutdown(wait=True, cancel_futures=drops_waiting)
         if kind is None:
             for future in self._waiting:
                 future.result()
-
-    def _finish(self) -> None:
-        """Wait until all writes have ended.
-
-        Futures tell, as Python 3.11 takes a thread for ended when a signal interrupts its join.
-        """
-        with waiting():
-            wait([future for future in self._waiting if not future.cancelled()])
-            self._pool.shutdown(wait=True)
-
-    def _cancel(self) -> None:
-        """Drop the writes that have not begun."""
-        for future in self._waiting:
-            future.cancel()

@@ -19,6 +19,7 @@ from exwarp_cli.io.atomic import output_error
 from exwarp_cli.io.clip import open_clip
 from exwarp_cli.io.exr_encoding import Buffer
 from exwarp_cli.io.frame_files import read_picture, recipe_in
+from exwarp_cli.runtime.stop import check_stop
 
 if TYPE_CHECKING:
     from exwarp_cli.pipeline.frame_writer import OutputPlan
@@ -40,6 +41,7 @@ def sum_of(pieces: Iterable[Buffer]) -> str:
 
 def sum_in(path: Path) -> str:
     """Return the SHA-256 of a file, hexadecimal; raises OSError."""
+    check_stop()
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 

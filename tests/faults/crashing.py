@@ -27,6 +27,8 @@ def main() -> None:
         if here:
             if how != "hang":
                 os.kill(os.getpid(), signal.Signals[how])
+            sys.stderr.write("exwarp: a decoder hangs\n")
+            sys.stderr.flush()
             time.sleep(1000)
         return decode(self, wanted)
 

@@ -14,7 +14,7 @@ import pytest
 from exwarp_cli.domain import cores
 from exwarp_cli.domain.decision import Plan
 from exwarp_cli.errors import InputError
-from exwarp_cli.kernels import jit
+from exwarp_cli.kernels import _row_bands
 from exwarp_cli.pipeline.choosing import Chosen
 from exwarp_cli.pipeline.interval_builder import PreparedInterval
 from exwarp_cli.pipeline.scheduling import (
@@ -208,7 +208,7 @@ class TestParallelSlots:
     @pytest.fixture(autouse=True)
     def usual_threads(self, key):
         yield
-        jit.set_threads(None)
+        _row_bands.set_threads(None)
 
     @pytest.mark.parametrize("how", Mode)
     @pytest.mark.parametrize("name", ["s6", "softsplat"])
@@ -247,7 +247,7 @@ class TestParallelSlots:
     @pytest.mark.parametrize(("threads", "slots", "share"), [(2, 3, 1), (8, 3, 2), (3, 7, 1)])
     def test_threads_are_shared_out(self, threads, slots, share, monkeypatch):
         shares: list[int] = []
-        monkeypatch.setattr(jit, "set_threads", shares.append)
+        monkeypatch.setattr(_row_bands, "set_threads", shares.append)
         with ParallelSlots(threads, slots) as pool:
             rendered = pool.render(lambda slot: slot, range(slots), Mode.IN_POOL)
             assert list(rendered) == list(range(slots))
@@ -256,7 +256,7 @@ class TestParallelSlots:
     def test_what_goes_on_meanwhile_has_the_cores_that_are_left(self):
         arrived, gate, order = threading.Semaphore(0), threading.Semaphore(0), []
         cores.share(3, 3)
-        jit.set_threads(cores.left)
+        _row_bands.set_threads(cores.left)
 
         def render(slot: int) -> int:
             arrived.release()
@@ -268,11 +268,11 @@ class TestParallelSlots:
             taking = threading.Thread(target=lambda: order.extend(stream))
             taking.start()
             assert arrived.acquire(timeout=SOON) and arrived.acquire(timeout=SOON)
-            assert cores.left() == 1 and jit.threads() == 1
+            assert cores.left() == 1 and _row_bands.threads() == 1
             gate.release(2)
             taking.join(SOON)
         assert order == [1, 2] and cores.left() == 3
-        assert jit.threads() == min(3, numba.config.NUMBA_NUM_THREADS)
+        assert _row_bands.threads() == min(3, numba.config.NUMBA_NUM_THREADS)
 
     @pytest.mark.parametrize("how", Mode)
     def test_an_error_comes_where_its_slot_is_due(self, how):

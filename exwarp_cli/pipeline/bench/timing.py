@@ -19,6 +19,7 @@ from exwarp_cli.pipeline.bench.opened import Opened
 from exwarp_cli.pipeline.bench.pictures import FIXED_PATHS, Pictures, names_of
 from exwarp_cli.pipeline.interval_inputs import IntervalInputs
 from exwarp_cli.pipeline.scoring import SLOTS
+from exwarp_cli.runtime.stop import check_stop
 from exwarp_cli.synthesis.geometry import unmatched
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import METHODS
@@ -45,6 +46,7 @@ def time_subject(opened: Opened) -> dict[str, Any]:
     systems: Milliseconds = defaultdict(list)
     opened.restart()
     for count, key in enumerate(_chosen(opened.keys)):
+        check_stop()
         inputs = opened.load(key, lambda recipes: True)
         found = _interval(opened, inputs)
         if count == 0:  # compiled the kernels, and read what the next intervals share with it

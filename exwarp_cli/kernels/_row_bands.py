@@ -1,9 +1,8 @@
-"""Kernels shared out among threads: each runs the whole kernel, and takes some of its turns.
+"""Kernels shared out among threads: each thread runs the whole kernel, over some of its turns.
 
-The threads are Python's, as kernels run without its lock. A build for one thread serves any number
-of them, and any kernels may run at once. Numba's own loops for threads are compiled twice, between
-six passes and two wrappers, which took two thirds more time; and its threads, where neither OpenMP
-nor TBB is there, end the process when two kernels run at once.
+The threads are Python's, as kernels run without its lock. One build serves any number of threads,
+and any kernels may run at once. numba's own parallel loops took two thirds more compilation time,
+and its threads end the process when two kernels run at once without OpenMP or TBB.
 """
 
 from __future__ import annotations
@@ -12,22 +11,24 @@ import functools
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
+from threading import local
 from typing import Any
 
-from exwarp_cli.compiled.builds import part
+import numba
 
 Share = tuple[int, int]
 
 WHOLE: Share = (0, 1)
-"""Which share of its turns a thread takes, and of how many: here all of them."""
+"""The number of a share of turns, and how many shares there are: here one of one."""
 
 LEAST_SHARES = 8
-"""Into how many shares a kernel goes where several threads run it, or into one for each of them.
-Rows of sky take less time than others, and a thread that has to be woken comes late: with one share
-each, two cores took a tenth more time for what a network is given, as one waited for the other."""
+"""Shares of a kernel that several threads run, if there are no more threads. Rows of sky take less
+time than others, and a thread that wakes starts late: with a share for each, two cores took a tenth
+more time for the inputs of a network."""
+
+_own = local()
 
 
-@part
 def turns(count: int, share: Share) -> range:
     """Return the turns of a share: neighbours, as many as others have, or one more.
 
@@ -101,6 +102,26 @@ def _end(begun: Sequence[Future[None]]) -> None:
     except BaseException:
         _end(begun)
         raise
+
+
+def set_threads(count: int | Callable[[], int] | None) -> None:
+    """Set how many threads run a kernel that this thread calls.
+
+    Parameters
+    ----------
+    count
+        A number; a function that returns it at each call; None for all threads.
+    """
+    _own.count = count
+
+
+def threads() -> int:
+    """Return how many threads run a kernel that this thread calls, 1 to the most that may."""
+    most = int(numba.config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
+    count: int | Callable[[], int] | None = getattr(_own, "count", None)
+    if callable(count):
+        count = count()
+    return most if count is None else max(1, min(count, most))
 
 
 @functools.cache

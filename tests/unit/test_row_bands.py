@@ -12,9 +12,8 @@ import numba
 import numpy as np
 import pytest
 
-from exwarp_cli.compiled import shares
-from exwarp_cli.compiled.shares import LEAST_SHARES, WHOLE, Share, turns
-from exwarp_cli.kernels import jit
+from exwarp_cli.kernels import _compile, _row_bands
+from exwarp_cli.kernels._row_bands import LEAST_SHARES, WHOLE, Share, turns
 from tests.unit.all_kernel_cases import CASES
 
 
@@ -49,7 +48,7 @@ def test_compiled_turns_are_the_same():
 @pytest.mark.parametrize("size", [0, 1, 5, 1000])
 def test_every_turn_is_taken_once(number, size):
     values, seen = np.zeros(size), np.zeros(size)
-    shares.run(count, (values, seen), number)
+    _row_bands.run(count, (values, seen), number)
     assert (values == 1).all()
     assert (seen == (1 if number == 1 else max(number, LEAST_SHARES))).all()
 
@@ -58,8 +57,8 @@ def test_every_turn_is_taken_once(number, size):
 def test_kernels_give_the_same_in_any_number_of_shares(name, monkeypatch):
     expected = CASES[name](True)
     for number in (2, 5, LEAST_SHARES):
-        monkeypatch.setattr(jit, "threads", lambda number=number: number)
-        monkeypatch.setattr(shares, "LEAST_SHARES", number)
+        monkeypatch.setattr(_row_bands, "threads", lambda number=number: number)
+        monkeypatch.setattr(_row_bands, "LEAST_SHARES", number)
         for one, other in zip(expected, CASES[name](False), strict=True):
             assert one.tobytes() == other.tobytes()
 
@@ -72,8 +71,8 @@ class TestThreads:
         with ThreadPoolExecutor(1) as busy:
             released = threading.Event()
             busy.submit(released.wait)
-            monkeypatch.setattr(shares, "_pool", lambda: busy)
-            shares.run(lambda share: takers.append(threading.get_ident()), (), 4)
+            monkeypatch.setattr(_row_bands, "_pool", lambda: busy)
+            _row_bands.run(lambda share: takers.append(threading.get_ident()), (), 4)
             released.set()
         assert takers == [threading.get_ident()] * LEAST_SHARES
 
@@ -88,7 +87,7 @@ class TestThreads:
             ended.append(share[0])
 
         with pytest.raises(MemoryError):
-            shares.run(fail, (), 3)
+            _row_bands.run(fail, (), 3)
         seen = list(ended)
         assert len(seen) < LEAST_SHARES - 1  # nobody took another after that
         threading.Event().wait(0.06)
@@ -96,10 +95,10 @@ class TestThreads:
 
     def test_an_interruption_waits_for_the_others(self, monkeypatch):
         begun, ended = threading.Event(), threading.Event()
-        real: Callable[..., object] = shares.wait
+        real: Callable[..., object] = _row_bands.wait
 
         def interrupted(futures: object) -> object:
-            monkeypatch.setattr(shares, "wait", real)
+            monkeypatch.setattr(_row_bands, "wait", real)
             raise KeyboardInterrupt
 
         def work(share: Share) -> None:
@@ -110,16 +109,16 @@ class TestThreads:
             else:
                 begun.wait()
 
-        monkeypatch.setattr(shares, "wait", interrupted)
+        monkeypatch.setattr(_row_bands, "wait", interrupted)
         with pytest.raises(KeyboardInterrupt):
-            shares.run(work, (), 2)
+            _row_bands.run(work, (), 2)
         assert ended.is_set()
 
     def test_kernels_of_several_threads_at_once(self):
-        kernel = jit.parallel(count)
+        kernel = _compile.parallel(count)
 
         def work(_: int) -> bool:
-            jit.set_threads(None)
+            _row_bands.set_threads(None)
             values, seen = np.zeros(10_000), np.zeros(10_000)
             for _ in range(20):
                 kernel(values, seen)
@@ -128,9 +127,9 @@ class TestThreads:
         with ThreadPoolExecutor(4) as pool:
             assert all(pool.map(work, range(8)))
 
-    @pytest.mark.skipif(not hasattr(shares.os, "fork"), reason="this system does not fork")
+    @pytest.mark.skipif(not hasattr(_row_bands.os, "fork"), reason="this system does not fork")
     def test_a_child_has_threads_of_its_own(self):
-        shares.run(count, (np.zeros(9), np.zeros(9)), 3)
+        _row_bands.run(count, (np.zeros(9), np.zeros(9)), 3)
         child = multiprocessing.get_context("fork").Process(target=_count_in_shares)
         child.start()
         child.join(30)
@@ -138,16 +137,16 @@ class TestThreads:
 
 
 def test_each_thread_has_its_number_of_threads():
-    jit.set_threads(1)
+    _row_bands.set_threads(1)
     try:
         with ThreadPoolExecutor(1) as other:
-            assert jit.threads() == 1
-            assert other.submit(jit.threads).result() == numba.config.NUMBA_NUM_THREADS
+            assert _row_bands.threads() == 1
+            assert other.submit(_row_bands.threads).result() == numba.config.NUMBA_NUM_THREADS
     finally:
-        jit.set_threads(None)
+        _row_bands.set_threads(None)
 
 
 def _count_in_shares() -> None:
     values = np.zeros(9)
-    shares.run(count, (values, np.zeros(9)), 3)
+    _row_bands.run(count, (values, np.zeros(9)), 3)
     assert (values == 1).all()
