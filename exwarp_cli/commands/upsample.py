@@ -227,7 +227,7 @@ def command(
         with suppress(RuntimeError):  # no more threads: what needs one says so
             Thread(target=_import_run, name="exwarp-import").start()
     with _going_on(progress), reporting(progress, results_on_stdout=as_json) as told:
-        job = replace(open_job(settings, runs), reported=as_json or report_folder is not None)
+        job = replace(open_job(settings), reported=as_json or report_folder is not None)
         place = _report_place(report_folder, as_chunk, job)
         if dry_run:
             _tell(_foreseen(job, where, place, told), as_json)
@@ -264,7 +264,7 @@ def _import_run() -> None:
     What fails here fails again where it is used, and is told there.
     """
     with suppress(Exception):
-        import_module("exwarp_cli.pipeline.upsample")
+        import_module("exwarp_cli.pipeline.run")
 
 
 def _report_place(folder: Path | None, as_chunk: bool, job: Job) -> Path | None:
@@ -311,7 +311,7 @@ def _done(
         from exwarp_cli.farm.cluster import run_on_cluster
 
         return run_on_cluster(job, where, told, gallery)
-    from exwarp_cli.pipeline.upsample import run_job
+    from exwarp_cli.pipeline.run import run_job
 
     return run_job(job, told, gallery)
 

@@ -20,7 +20,7 @@ from exwarp_cli.io.atomic import atomic_path, atomic_write_text, make_folder
 from exwarp_cli.io.dataset import RenderedScene
 from exwarp_cli.io.output import file_digest
 from exwarp_cli.io.threads import use_threads
-from exwarp_cli.pipeline.schedule import read_ahead
+from exwarp_cli.pipeline.scheduling import prefetch
 from exwarp_cli.runtime.stop import check_stop
 from exwarp_cli.training.crops import Batch, Crops
 from exwarp_cli.training.curve import CURVE, add_row
@@ -311,4 +311,4 @@ def _ahead(crops: Crops, first: int, settings: TrainingSettings, device: str) ->
     def draw(step: int) -> Batch:
         return crops.drawn(step, settings.batch, settings.patch, settings.seed, device)
 
-    return read_ahead((partial(draw, step) for step in range(first, settings.steps)), 1)
+    return prefetch((partial(draw, step) for step in range(first, settings.steps)), 1)

@@ -25,7 +25,7 @@ from exwarp_cli.errors import ExwarpError
 from exwarp_cli.io.specimens import differing, read_exr, write_exr
 from exwarp_cli.pipeline.doctor.compilation import cache_use
 from exwarp_cli.pipeline.progress import NoProgress
-from exwarp_cli.pipeline.upsample import upsample
+from exwarp_cli.pipeline.run import upsample
 from exwarp_cli.runtime.stop import scratch_folder
 
 HEIGHT, WIDTH, KEYS = 48, 80, 3

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from exwarp_cli.domain.frame import SURFACE_PARTS, GBuffer, KeyFrame, Window
-from exwarp_cli.pipeline import geometry
-from exwarp_cli.pipeline.geometry import Staging
-from exwarp_cli.pipeline.instants import without_surface
-from exwarp_cli.pipeline.loaded import Loaded, Older
+from exwarp_cli.pipeline import interval_builder
+from exwarp_cli.pipeline.interval_builder import IntervalBuilder
+from exwarp_cli.pipeline.interval_inputs import HistoryFrame, IntervalInputs
+from exwarp_cli.pipeline.key_frames import without_surface
 from exwarp_cli.synthesis.interval import Interval
 from tests.unit.filled import Filled
 from tests.unit.scenes import View, town
@@ -45,41 +45,40 @@ def way_back(index: int) -> tuple[GBuffer, ...]:
     return tuple(without_surface(gbuffer) for gbuffer in instants)
 
 
-def loaded(index: int, setting: str, **changes: Any) -> Loaded:
+def inputs(index: int, setting: str, **changes: Any) -> IntervalInputs:
     slots = tuple(slot(index, i) for i in (1, 2, 3)) if setting == "slot" else ()
-    past = tuple(
-        Older(raw_key(j, setting), way_back(j) if setting == "slot" else ())
+    history = tuple(
+        HistoryFrame(raw_key(j, setting), way_back(j) if setting == "slot" else ())
         for j in range(index - 1, max(index - 3, -1), -1)
     )
-    template: Any = None
-    made = Loaded(index, raw_key(index, setting), None, slots, past, (), {}, template, {}, 0.0)
-    return replace(made, **changes)
+    metadata: Any = None
+    read = IntervalInputs(index, metadata, raw_key(index, setting), None, slots, history)
+    return replace(read, **changes)
 
 
-def staged(*indices: int, setting: str = "key") -> Interval:
+def built(*indices: int, setting: str = "key") -> Interval:
     """The last of some intervals made in order."""
-    staging = Staging(DISPLAY, Filled())
-    found = [staging.interval(loaded(index, setting)) for index in indices]
-    return found[-1]
+    builder = IntervalBuilder(DISPLAY, Filled())
+    return [builder.build(inputs(index, setting)) for index in indices][-1]
 
 
 @pytest.fixture
 def settled(monkeypatch) -> list[GBuffer]:
     """Every G-buffer whose motion was settled."""
     seen: list[GBuffer] = []
-    true = geometry.settle_motion
+    true = interval_builder.settle_motion
 
     def settle(gbuffer: GBuffer) -> GBuffer:
         seen.append(gbuffer)
         return true(gbuffer)
 
-    monkeypatch.setattr(geometry, "settle_motion", settle)
+    monkeypatch.setattr(interval_builder, "settle_motion", settle)
     return seen
 
 
 @pytest.mark.parametrize("setting", ["key", "slot"])
 def test_motion_leads_to_the_key_frame_before(setting):
-    found = staged(2, setting=setting)
+    found = built(2, setting=setting)
     assert [past.frame.number for past in found.past] == [1002, 1001]
     for newer, past in ((2, found.past[0]), (1, found.past[1])):
         seen = view(float(newer))
@@ -93,7 +92,7 @@ def test_motion_leads_to_the_key_frame_before(setting):
 @pytest.mark.parametrize("setting", ["key", "slot"])
 @pytest.mark.parametrize("before", [(2,), (0, 1, 2)])
 def test_what_is_shared_is_what_is_made_afresh(setting, before):
-    kept, fresh = staged(*before, 3, setting=setting), staged(3, setting=setting)
+    kept, fresh = built(*before, 3, setting=setting), built(3, setting=setting)
     np.testing.assert_array_equal(kept.key.image.pixels, fresh.key.image.pixels)
     for a, b in zip(kept.past, fresh.past, strict=True):
         assert a.frame.number == b.frame.number
@@ -108,48 +107,48 @@ def test_what_is_shared_is_what_is_made_afresh(setting, before):
 @pytest.mark.parametrize(("setting", "each"), [("key", 1), ("slot", 5)])
 def test_in_a_row_nothing_is_settled_twice(settled, setting, each):
     """With slot G-buffers, a key frame is settled for its interval and for the slot before."""
-    staging = Staging(DISPLAY, Filled())
+    builder = IntervalBuilder(DISPLAY, Filled())
     counts = []
     for index in range(4):
         before = len(settled)
-        staging.interval(loaded(index, setting))
+        builder.build(inputs(index, setting))
         counts.append(len(settled) - before)
     assert counts[2:] == [each] * 2
 
 
 @pytest.mark.parametrize("setting", ["key", "slot"])
 def test_it_keeps_no_more_in_a_long_run(setting):
-    staging = Staging(DISPLAY, Filled())
+    builder = IntervalBuilder(DISPLAY, Filled())
     sizes = []
     for index in range(4):
-        staging.interval(loaded(index, setting))
-        kept = (staging._frames, staging._instants, staging._past)
+        builder.build(inputs(index, setting))
+        kept = (builder._frames, builder._instants, builder._past)
         sizes.append(tuple(len(part) for part in kept))
     assert sizes[1:] == [sizes[1]] * 3
     assert sizes[1] == (2, 3 if setting == "slot" else 0, 1)
 
 
 def test_methods_without_a_network_keep_nothing_of_the_past():
-    staging = Staging(DISPLAY)
+    builder = IntervalBuilder(DISPLAY)
     for index in range(3):
-        found = staging.interval(loaded(index, "slot", past=()))
+        found = builder.build(inputs(index, "slot", history=()))
         assert found.past == () and found.extrapolator is None
-    assert not (staging._frames or staging._instants or staging._past)
+    assert not (builder._frames or builder._instants or builder._past)
 
 
 def test_an_interpolator_is_handed_on_and_keeps_nothing():
     network: Any = object()
-    staging = Staging(DISPLAY, None, network)
+    builder = IntervalBuilder(DISPLAY, None, network)
     for index in range(2):
-        found = staging.interval(loaded(index, "key", past=()))
+        found = builder.build(inputs(index, "key", history=()))
         assert found.interpolator is network and found.extrapolator is None
-    assert not (staging._frames or staging._past)
+    assert not (builder._frames or builder._past)
 
 
 def test_a_following_frame_is_kept_for_its_own_interval(settled):
-    staging = Staging(DISPLAY)
+    builder = IntervalBuilder(DISPLAY)
     for index in range(3):
-        staging.interval(loaded(index, "key", past=(), following=raw_key(index + 1)))
+        builder.build(inputs(index, "key", history=(), following=raw_key(index + 1)))
     assert len(settled) == 4
 
 
@@ -163,24 +162,23 @@ def test_an_interval_that_is_completed_is_one_that_was_read_whole(extrapolated):
         surface: dict[str, Any] = dict.fromkeys(SURFACE_PARTS, planes)
         return replace(frame, gbuffer=replace(frame.gbuffer, **surface))
 
-    def whole(index: int) -> Loaded:
-        given = loaded(index, "key")
-        past = [replace(older, frame=surfaced(older.frame)) for older in given.past]
-        return replace(given, frame=surfaced(given.frame), past=tuple(past))
+    def whole(index: int) -> IntervalInputs:
+        given = inputs(index, "key")
+        history = [replace(older, frame=surfaced(older.frame)) for older in given.history]
+        return replace(given, frame=surfaced(given.frame), history=tuple(history))
 
-    def bare(index: int) -> Loaded:
-        given = loaded(index, "key", past=())
-        return replace(given, late=lambda _: whole(index))
+    def bare(index: int) -> IntervalInputs:
+        return inputs(index, "key", history=(), lacks_history=True)
 
-    staging = Staging(DISPLAY, Filled())
+    builder = IntervalBuilder(DISPLAY, Filled())
     for index in range(3):
-        made = staging.interval(bare(index))
+        made = builder.build(bare(index))
         if index in extrapolated:
-            staging.led_back(made, whole(index))
-    made = staging.interval(bare(3))
-    assert not made.past and {index for index, _ in staging._frames} <= set(extrapolated)
-    found = staging.led_back(made, whole(3))
-    expected = Staging(DISPLAY, Filled()).interval(whole(3))
+            builder.add_history(made, whole(index))
+    made = builder.build(bare(3))
+    assert not made.past and {index for index, _ in builder._frames} <= set(extrapolated)
+    found = builder.add_history(made, whole(3))
+    expected = IntervalBuilder(DISPLAY, Filled()).build(whole(3))
     assert len(found.past) == 2
     for one, other in zip(
         (found.key, *(past.frame for past in found.past)),
@@ -201,15 +199,15 @@ def test_every_part_lies_on_the_key_frame_s_window():
         return frame.on(window)
 
     small, large = Window(10, 5, 70, 60), Window(-8, -4, 150, 90)
-    given = loaded(2, "key")
+    given = inputs(2, "key")
     assert given.frame is not None
-    newer, older = given.past
-    staging = Staging(DISPLAY, Filled())
-    found = staging.interval(
+    newer, older = given.history
+    builder = IntervalBuilder(DISPLAY, Filled())
+    found = builder.build(
         replace(
             given,
             frame=cropped(given.frame, small),
-            past=(
+            history=(
                 replace(newer, frame=cropped(newer.frame, large)),
                 replace(older, frame=cropped(older.frame, small)),
             ),
@@ -221,15 +219,15 @@ def test_every_part_lies_on_the_key_frame_s_window():
         assert past.motion.shape == (80, 128, 2)
         assert past.frame.gbuffer is not None and past.frame.gbuffer.window == DISPLAY
     # on another window nothing is shared
-    again = staging.interval(replace(loaded(3, "key"), frame=cropped(raw_key(3), large)))
+    again = builder.build(replace(inputs(3, "key"), frame=cropped(raw_key(3), large)))
     assert again.past[0].motion.shape == (90, 150, 2)
 
 
 @pytest.mark.parametrize("lost", [(), ("depth",)], ids=["all", "no depth"])
 def test_a_bare_interval_warps_as_a_whole_one(lost):
     """Without a depth pass positions tell what is background, and stay."""
-    made = replace(loaded(2, "key"), frame=raw_key(2).without(*lost), past=())
-    whole, bare = (Staging(DISPLAY, bare=wish).interval(made) for wish in (False, True))
+    made = replace(inputs(2, "key"), frame=raw_key(2).without(*lost), history=())
+    whole, bare = (IntervalBuilder(DISPLAY, bare=wish).build(made) for wish in (False, True))
     assert (bare.key.gbuffer.position is None) == (not lost)
     for interval in (bare, whole.bare()):
         found, expected = interval.back(2), whole.back(2)

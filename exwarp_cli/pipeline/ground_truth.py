@@ -13,15 +13,32 @@ from exwarp_cli.io.nonfinite import NonFinite, count_broken
 from exwarp_cli.io.sequence import Sequence
 from exwarp_cli.pipeline.source import FrameOf, Source
 
-CALLED = "ground truth"
+CHANNELS = "ground truth"
 """What the report calls the channels of its frames."""
-
-Frames = dict[int, Image]
-"""Ground truth by the slots' index."""
 
 
 @dataclass(frozen=True)
-class TruthFrames:
+class IntervalTruth:
+    """Ground truth of one interval, as far as there is some.
+
+    Attributes
+    ----------
+    frames
+        By slot, of the slots that are made.
+    ends
+        The rendered instants around, at slot 0 and, counted on as a slot, at the next key frame's
+        instant; only for VMAF.
+    unscored
+        Why frames cannot be used, by slot, where the run goes on without them.
+    """
+
+    frames: dict[int, Image] = field(default_factory=dict)
+    ends: dict[int, Image] = field(default_factory=dict)
+    unscored: dict[int, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class TruthReader:
     """Reads ground truth, as far as there is some.
 
     Attributes
@@ -32,54 +49,48 @@ class TruthFrames:
         The sequence, and its frame for a slot; None without.
     measured
         What is measured, as in `Score`.
-    bearable
+    tolerant
         Whether to go on without frames that cannot be used.
     nonfinite
-        What was found in its frames, by the number of the output frame.
+        What was counted in its frames, by the number of the output frame.
     """
 
     source: Source
     truth: tuple[Sequence, FrameOf] | None
     measured: tuple[str, ...]
-    bearable: bool = False
+    tolerant: bool = False
     nonfinite: NonFinite = field(default_factory=NonFinite)
 
-    def around(self, key: int) -> tuple[Frames, Frames, dict[int, str]]:
+    def read(self, key: int) -> IntervalTruth:
         """Read what an interval is scored by.
-
-        Returns
-        -------
-        truth
-            Of the slots that are made.
-        ends
-            The rendered instants around, for what scores the interval as a video.
-        lost
-            Why frames among them cannot be used, by slot, as far as that is bearable.
 
         Raises
         ------
         InputError
-            When one is damaged, holds no colour or is of another size, and that is not bearable.
+            When a frame is damaged, holds no colour or is of another size, unless tolerant.
         """
+        result = IntervalTruth()
         if self.truth is None:
-            return {}, {}, {}
-        lost: dict[int, str] = {}
-        truth = self._of(self.source.timeline.made_of(key), lost)
-        return truth, self._of(self._ends(key), lost), lost
+            return result
+        timeline = self.source.timeline
+        self._read_into(result.frames, timeline.made_of(key), result.unscored)
+        if "vmaf" in self.measured:
+            self._read_into(result.ends, self._ends(key), result.unscored)
+        return result
 
-    def _of(self, slots: Iterable[Slot], lost: dict[int, str]) -> Frames:
-        found = {}
+    def _read_into(
+        self, frames: dict[int, Image], slots: Iterable[Slot], unscored: dict[int, str]
+    ) -> None:
         for slot in slots:
             try:
                 image = self._frame(slot)
             except InputError as error:
-                if not self.bearable:
+                if not self.tolerant:
                     raise
-                lost[slot.index] = str(error)
+                unscored[slot.index] = str(error)
                 continue
             if image is not None:
-                found[slot.index] = image
-        return found
+                frames[slot.index] = image
 
     def _frame(self, slot: Slot) -> Image | None:
         """Read a frame; None where the sequence has none for the slot."""
@@ -92,22 +103,19 @@ class TruthFrames:
         output = self.source.timeline.number(slot)
         if image.display_window.shape != display.shape:
             raise truth_of_another_size(output, image.display_window, display)
-        self.nonfinite.note(output, {CALLED: count_broken((image.pixels,))})
+        self.nonfinite.note(output, {CHANNELS: count_broken((image.pixels,))})
         return image
 
     def _ends(self, key: int) -> tuple[Slot, ...]:
-        """Return the instants around an interval that are wanted."""
-        if "vmaf" not in self.measured:
-            return ()
         timeline = self.source.timeline
         after = Slot(key, len(timeline.between(key)) + 1)
         last = key + 1 == len(timeline.numbers)
         return (Slot(key, 0),) if last else (Slot(key, 0), after)
 
 
-def truth_of_another_size(output: int, found: Window, display: Window) -> LayoutError:
+def truth_of_another_size(output: int, size: Window, display: Window) -> LayoutError:
     """Build the error for the truth of an output frame that has another size than the input."""
     return LayoutError(
-        f"--ground-truth for frame {output} is {found} and the input is {display}; give a sequence "
+        f"--ground-truth for frame {output} is {size} and the input is {display}; give a sequence "
         "of the same resolution"
     )

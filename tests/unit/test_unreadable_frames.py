@@ -1,4 +1,4 @@
-"""Frames that are lost, and what still is taken of a sequence."""
+"""Frames that cannot be read, and what still is taken of a sequence."""
 
 from __future__ import annotations
 
@@ -9,90 +9,91 @@ from exwarp_cli.domain.timeline import MOST_FILLED, Slot, without_gaps
 from exwarp_cli.errors import DamagedFileError, InputError
 from exwarp_cli.io.sequence import find_aov_set, find_sequence
 from exwarp_cli.io.soundness import first_of
-from exwarp_cli.pipeline.losses import Losses
-from exwarp_cli.pipeline.shots import Shots
+from exwarp_cli.pipeline.shots import Shots, UnreadableFrames
 
 
-def lose(losses: Losses, slot: Slot, text: str = "gone") -> None:
-    with pytest.raises(InputError, match=text), losses.at(slot):
+def lose(unreadable: UnreadableFrames, slot: Slot, text: str = "gone") -> None:
+    with pytest.raises(InputError, match=text), unreadable.recorded(slot):
         raise DamagedFileError(text)
 
 
-class TestLosses:
-    def test_what_fails_is_lost(self):
-        losses = Losses(bearable=True)
-        lose(losses, Slot(3, 0))
-        assert losses.has(3) and not losses.has(2) and len(losses) == 1
-        assert [key for key in range(6) if losses.part(key)] == [3, 4]
+class TestUnreadableFrames:
+    def test_what_fails_is_unreadable(self):
+        unreadable = UnreadableFrames(tolerant=True)
+        lose(unreadable, Slot(3, 0))
+        assert unreadable.has(3) and not unreadable.has(2) and len(unreadable) == 1
+        assert [key for key in range(6) if unreadable.has_either(key)] == [3, 4]
 
     def test_it_is_not_read_again(self):
-        losses = Losses(bearable=True)
-        lose(losses, Slot(3, 0), "truncated")
-        with pytest.raises(InputError, match="truncated"), losses.at(Slot(3, 0)):
+        unreadable = UnreadableFrames(tolerant=True)
+        lose(unreadable, Slot(3, 0), "truncated")
+        with pytest.raises(InputError, match="truncated"), unreadable.recorded(Slot(3, 0)):
             pytest.fail("read again")
 
-    def test_who_reads_another_frame_is_not_lost_by_that(self):
-        losses = Losses(bearable=True)
+    def test_reading_another_frame_for_it_does_not_count(self):
+        unreadable = UnreadableFrames(tolerant=True)
         for _ in range(2):
-            with pytest.raises(InputError), losses.at(Slot(2, 0)):
-                lose_inside(losses, Slot(3, 0))
-        assert losses.has(3) and not losses.has(2)
+            with pytest.raises(InputError), unreadable.recorded(Slot(2, 0)):
+                lose_inside(unreadable, Slot(3, 0))
+        assert unreadable.has(3) and not unreadable.has(2)
 
-    def test_nor_spared_by_an_earlier_loss(self):
-        losses = Losses(bearable=True)
-        lose(losses, Slot(3, 0))
-        lose(losses, Slot(2, 0))
-        assert losses.has(2)
+    def test_nor_is_it_spared_by_an_earlier_failure(self):
+        unreadable = UnreadableFrames(tolerant=True)
+        lose(unreadable, Slot(3, 0))
+        lose(unreadable, Slot(2, 0))
+        assert unreadable.has(2)
 
     def test_slots_between_part_nothing(self):
-        losses = Losses(bearable=True)
-        lose(losses, Slot(2, 1))
-        assert not losses.part(2) and not losses.part(3)
-        assert losses.spare([Slot(2, 2)]) and not losses.spare([Slot(2, 2), Slot(2, 1)])
+        unreadable = UnreadableFrames(tolerant=True)
+        lose(unreadable, Slot(2, 1))
+        assert not unreadable.has_either(2) and not unreadable.has_either(3)
+        assert unreadable.all_readable([Slot(2, 2)]) and not unreadable.all_readable(
+            [Slot(2, 2), Slot(2, 1)]
+        )
 
-    def test_without_leave_errors_pass(self):
-        losses = Losses()
-        with pytest.raises(DamagedFileError), losses.at(Slot(3, 0)):
+    def test_unless_tolerant_errors_pass(self):
+        unreadable = UnreadableFrames()
+        with pytest.raises(DamagedFileError), unreadable.recorded(Slot(3, 0)):
             raise DamagedFileError("gone")
-        assert len(losses) == 0
+        assert len(unreadable) == 0
 
 
-def lose_inside(losses: Losses, slot: Slot) -> None:
-    with losses.at(slot):
+def lose_inside(unreadable: UnreadableFrames, slot: Slot) -> None:
+    with unreadable.recorded(slot):
         raise DamagedFileError("gone")
 
 
 class TestShots:
     @pytest.fixture
-    def losses(self) -> Losses:
-        return Losses(bearable=True)
+    def unreadable(self) -> UnreadableFrames:
+        return UnreadableFrames(tolerant=True)
 
-    def shots(self, losses: Losses, wish: CutWish, lost: int) -> Shots:
+    def shots(self, unreadable: UnreadableFrames, wish: CutWish, lost: int) -> Shots:
         def read(key: int) -> None:
-            with losses.at(Slot(key, 0)):
+            with unreadable.recorded(Slot(key, 0)):
                 if key == lost:
                     raise DamagedFileError("gone")
 
-        return Shots(wish, range(1001, 1009), read, losses)
+        return Shots(wish, range(1001, 1009), read, unreadable)
 
-    def test_a_lost_frame_is_a_hole_between_two_shots(self, losses):
-        shots = self.shots(losses, CutWish(detect=False), 3)
+    def test_a_lost_frame_is_a_hole_between_two_shots(self, unreadable):
+        shots = self.shots(unreadable, CutWish(detect=False), 3)
         with pytest.raises(InputError):
             shots.starts_at(3)
         assert [key for key in range(9) if shots.starts_at(key)] == [3, 4]
         assert shots.told(2, 0, ()) == ["end"]
         assert shots.told(4, 0, ()) == ["begin 0"]
 
-    def test_which_is_no_cut(self, losses):
-        shots = self.shots(losses, CutWish(False, (1006,)), 3)
+    def test_which_is_no_cut(self, unreadable):
+        shots = self.shots(unreadable, CutWish(False, (1006,)), 3)
         with pytest.raises(InputError):
             shots.starts_at(4)
         assert all(shots.starts_at(key) for key in (3, 4, 5))
         assert shots.cuts is not None and [cut.number for cut in shots.cuts] == [1006]
 
-    def test_it_shows_wherever_one_begins(self, losses):
+    def test_it_shows_wherever_one_begins(self, unreadable):
         """Cuts by hand are not looked for, yet what is around a key frame has to be known."""
-        shots = self.shots(losses, CutWish(detect=False), 3)
+        shots = self.shots(unreadable, CutWish(detect=False), 3)
         with pytest.raises(InputError):
             shots.starts_at(4)
         assert shots.starts_at(4)

@@ -1,10 +1,12 @@
-"""Where the frames of a run go: files written behind the work, hole masks, and a video."""
+"""Where the frames of a run go: the files that it writes, behind the work, and a video."""
 
 from __future__ import annotations
 
+import errno
 import time
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,27 +17,176 @@ from exwarp_cli.domain import cores
 from exwarp_cli.domain.frame import Bool, Float32, Image, Window
 from exwarp_cli.domain.frame_rates import OutputRate
 from exwarp_cli.domain.settings import UpsampleSettings
-from exwarp_cli.io.atomic import is_there
+from exwarp_cli.domain.timeline import Slot, Timeline, ranges
+from exwarp_cli.errors import OutputError, OutputExistsError, UsageError
+from exwarp_cli.io.atomic import is_there, make_folder, output_error, remove_leftovers
+from exwarp_cli.io.clip import is_clip
 from exwarp_cli.io.exr.template import Plane, PlaneKey
 from exwarp_cli.io.exr.writer import Buffer
-from exwarp_cli.io.frame_files import FrameTemplate, facts_in, read_picture, write_picture
+from exwarp_cli.io.footage import is_plain
+from exwarp_cli.io.frame_files import (
+    FrameTemplate,
+    facts_in,
+    read_picture,
+    recipe_in,
+    write_picture,
+)
 from exwarp_cli.io.held import Held
-from exwarp_cli.io.key_file import key_file, opened_key
+from exwarp_cli.io.key_file import KeyFile, key_file, opened_key
 from exwarp_cli.io.output import PREFIX, write_mask
-from exwarp_cli.io.video import VideoLook, VideoWriter, to_display
-from exwarp_cli.pipeline.schedule import WriteBehind
-from exwarp_cli.pipeline.targets import Targets, key_is_there, slot_is_there
+from exwarp_cli.io.sequence import EXR, OutputPattern, Sequence, output_pattern
+from exwarp_cli.io.stills import STILLS, require_writer
+from exwarp_cli.io.video import VideoLook, VideoWriter, require_container, to_display
+from exwarp_cli.pipeline.scheduling import AsyncWriter
 from exwarp_cli.pipeline.verifying import FRAME, HOLES, Sums, sum_of
 
 FRAMES_BEHIND = 4
 
 
-class Sink(Held):
-    """Takes the frames of a run, in order; a context manager.
+@dataclass(frozen=True)
+class OutputPlan:
+    """Where a run writes.
+
+    Attributes
+    ----------
+    frames
+        Pattern of the frames; None where only a video is written.
+    holes
+        Pattern of the hole masks; None without.
+    video
+        None without.
+    """
+
+    frames: OutputPattern | None
+    holes: OutputPattern | None
+    video: Path | None
+
+    @classmethod
+    def from_settings(cls, settings: UpsampleSettings, source: Sequence) -> OutputPlan:
+        """Read the output options.
+
+        Raises
+        ------
+        UsageError
+            When they name the same folder and pattern twice, or a video of an unknown kind.
+        """
+        alone = is_clip(settings.output)
+        if alone and settings.video is not None:
+            raise UsageError("-o names a video already; leave --video out, or name a folder in -o")
+        frames = None if alone else _frames(settings, source)
+        holes = None
+        if settings.write_holes is not None:
+            text = source.suffix[: -len(source.type)]
+            holes = output_pattern(settings.write_holes, replace(source, suffix=text + EXR[0]))
+            if holes == frames:
+                raise UsageError(
+                    "--write-holes and -o name the same files; give the masks a folder of their own"
+                )
+        named = settings.output if alone else settings.video
+        video = None if named is None else Path(named)
+        if video is not None:
+            require_container(video)
+            if video.resolve() in {path.resolve() for path in source.files.values()}:
+                raise OutputError(f"the video {video} is the input itself; name another")
+        return cls(frames, holes, video)
+
+    def make_folders(self) -> None:
+        """Make the folders, and clear what dead runs left there.
+
+        Raises
+        ------
+        OutputError
+            When one cannot be made or written to.
+        """
+        for folder in self.folders:
+            make_folder(folder)
+            remove_leftovers(folder)
+
+    @property
+    def folders(self) -> tuple[Path, ...]:
+        """The folders in which files are written."""
+        found = [pattern.folder for pattern in (self.frames, self.holes) if pattern is not None]
+        if self.video is not None:
+            found.append(self.video.parent)
+        return tuple(dict.fromkeys(found))
+
+    def check_conflicts(
+        self, settings: UpsampleSettings, timeline: Timeline, slots: list[Slot]
+    ) -> None:
+        """Refuse to overwrite, and touch nothing.
+
+        Raises
+        ------
+        OutputExistsError
+            When something is in the way and neither --overwrite nor --skip-existing was given.
+        OutputError
+            When a folder is where the video would be.
+        """
+        if settings.overwrite and settings.skip_existing:
+            raise UsageError("--overwrite and --skip-existing contradict each other; give one")
+        if self.video is not None and is_there(self.video) and self.video.is_dir():
+            raise output_error(self.video, IsADirectoryError(errno.EISDIR, ""))
+        if not (settings.overwrite or settings.skip_existing):
+            self._check_existing(timeline, slots)
+
+    def _check_existing(self, timeline: Timeline, slots: list[Slot]) -> None:
+        for pattern in (self.frames, self.holes):
+            if pattern is None:
+                continue
+            numbers = [timeline.number(slot) for slot in slots]
+            there = [n for n in numbers if is_there(pattern.path(n))]
+            if there:
+                raise OutputExistsError(
+                    f"{pattern.folder} has frame {ranges(there)} of {pattern.name} already; give "
+                    "--skip-existing to keep good ones, --overwrite to replace them, or another -o"
+                )
+        if self.video is not None and is_there(self.video):
+            option = "--video" if self.frames is not None else "-o"
+            raise OutputExistsError(
+                f"{self.video} exists already; give --overwrite to replace it, or another {option}"
+            )
+
+
+def frame_suffix(output: str, source: Sequence) -> str:
+    """Return the suffix of the frames that ``-o`` asks for: its own, else the input's."""
+    suffix = Path(output).suffix
+    named = suffix.lower() in (*EXR, *STILLS) and not Path(output).is_dir()
+    return suffix if named else source.suffix
+
+
+def _frames(settings: UpsampleSettings, source: Sequence) -> OutputPattern:
+    """Read where frames go: those of EXR as EXR, others as EXR or stills of any kind."""
+    plain = is_plain(source)
+    found = output_pattern(settings.output, source, (*STILLS, *EXR) if plain else EXR)
+    if found.type in STILLS:
+        require_writer(found.path(0))
+        if settings.compression is not None:
+            raise UsageError(
+                f"--compression is for EXR, and frames are written as {found.type}; leave it "
+                "out, or name a pattern such as out.####.exr"
+            )
+    return found
+
+
+def key_is_there(target: Path, source: KeyFile) -> bool:
+    """Whether a key frame was passed through already: the bytes that this job writes for it."""
+    try:
+        return target.exists() and source.is_at(target)
+    except OSError:
+        return False
+
+
+def slot_is_there(target: Path, recipe: str) -> bool:
+    """Whether a generated frame is there, undamaged, and as this run would make it."""
+    return target.exists() and recipe_in(target) == recipe
+
+
+class FrameWriter(Held):
+    """Writes the frames of a run, in order; a context manager.
 
     Parameters
     ----------
-    targets
+    output
         The files to write.
     settings
         Of the run.
@@ -55,7 +206,7 @@ class Sink(Held):
 
     def __init__(
         self,
-        targets: Targets,
+        output: OutputPlan,
         settings: UpsampleSettings,
         display: Window,
         rate: OutputRate,
@@ -64,7 +215,7 @@ class Sink(Held):
         look: VideoLook | None = None,
         sums: bool = False,
     ) -> None:
-        self._targets = targets
+        self._output = output
         self._settings = settings
         self._display = display
         self._fps = rate.fps
@@ -83,10 +234,10 @@ class Sink(Held):
 
     def _open(self, stack: ExitStack) -> None:
         threads = cores.count()
-        self._writer = stack.enter_context(WriteBehind(threads, self._behind + threads))
-        if self._targets.video is not None:
+        self._writer = stack.enter_context(AsyncWriter(threads, self._behind + threads))
+        if self._output.video is not None:
             height, width = self._display.shape
-            video = VideoWriter(self._targets.video, width, height, self._fps, self._look)
+            video = VideoWriter(self._output.video, width, height, self._fps, self._look)
             self._video = stack.enter_context(video)
 
     @property
@@ -101,7 +252,7 @@ class Sink(Held):
 
     def name(self, number: int) -> str:
         """Return the name of a frame's file, or of the video without files, without its folder."""
-        frames, video = self._targets.frames, self._targets.video
+        frames, video = self._output.frames, self._output.video
         if frames is None:
             assert video is not None
             return video.name
@@ -112,21 +263,21 @@ class Sink(Held):
 
         Frames that are not `masked` have no hole mask.
         """
-        if not self._settings.skip_existing or self._targets.frames is None:
+        if not self._settings.skip_existing or self._output.frames is None:
             return False
-        patterns = [self._targets.frames]
-        if self._targets.holes is not None and masked:
-            patterns.append(self._targets.holes)
+        patterns = [self._output.frames]
+        if self._output.holes is not None and masked:
+            patterns.append(self._output.holes)
         return all(slot_is_there(pattern.path(number), recipe) for pattern in patterns)
 
     @property
     def keeps_frames(self) -> bool:
         """Whether frames become files, and not a video alone."""
-        return self._targets.frames is not None
+        return self._output.frames is not None
 
     def copies(self, source: Path) -> bool:
         """Whether a key frame's file is copied, and not decoded and written anew."""
-        frames = self._targets.frames
+        frames = self._output.frames
         return frames is not None and frames.type == source.suffix.lower()
 
     def has_copy(self, number: int, source: Path) -> bool:
@@ -143,7 +294,7 @@ class Sink(Held):
         """
         may_replace = self._settings.overwrite or self._settings.skip_existing
         return (
-            may_replace and self._targets.frames is not None and is_there(self._frame_path(number))
+            may_replace and self._output.frames is not None and is_there(self._frame_path(number))
         )
 
     def replace_key(self, number: int, source: Path) -> None:
@@ -184,8 +335,8 @@ class Sink(Held):
         mask: Bool | None,
         template: FrameTemplate,
         attributes: Mapping[str, Any],
-        beside: Mapping[PlaneKey, Plane] | None = None,
-        here: bool = False,
+        layers: Mapping[PlaneKey, Plane] | None = None,
+        inline: bool = False,
     ) -> None:
         """Write a generated frame, and its hole mask if masks are written and it has one.
 
@@ -197,22 +348,22 @@ class Sink(Held):
             Its colour.
         mask
             bool [H, W] on the display window.
-        template, attributes, beside
+        template, attributes, layers
             As for `io.frame_files.write_picture`.
-        here
-            Whether to write in this thread, any one, before it goes on.
+        inline
+            Whether this thread writes, and does not return before; any thread may.
         """
-        do: Callable[[Callable[[], None]], None] = _now if here else self._writer.submit
-        if self._targets.frames is not None:
+        submit: Callable[[Callable[[], None]], None] = _run if inline else self._writer.submit
+        if self._output.frames is not None:
             path = self._frame_path(number)
-            written = partial(write_picture, path, image, template, attributes, beside)
-            do(partial(self._timed, number, partial(self._put, FRAME, number, written)))
-        if self._targets.holes is not None and mask is not None:
+            written = partial(write_picture, path, image, template, attributes, layers)
+            submit(partial(self._timed, number, partial(self._put, FRAME, number, written)))
+        if self._output.holes is not None and mask is not None:
             marks = {k: v for k, v in attributes.items() if k.startswith(PREFIX)}
             windows = (self._display, self._display)
-            path = self._targets.holes.path(number)
+            path = self._output.holes.path(number)
             masked = partial(write_mask, path, mask, windows, marks)
-            do(partial(self._put, HOLES, number, masked))
+            submit(partial(self._put, HOLES, number, masked))
 
     def show(self, image: Image) -> None:
         """Append a frame to the video, if there is one."""
@@ -244,8 +395,8 @@ class Sink(Held):
         return facts_in(self._frame_path(number))
 
     def _frame_path(self, number: int) -> Path:
-        assert self._targets.frames is not None
-        return self._targets.frames.path(number)
+        assert self._output.frames is not None
+        return self._output.frames.path(number)
 
     def _copy(self, number: int, source: Path) -> None:
         """Copy a key frame's file; its checksum is that of what the source gives."""
@@ -261,11 +412,10 @@ class Sink(Held):
             self.sums[kind, number] = sum_of(pieces)
 
     def _timed(self, number: int, write: Callable[[], None]) -> None:
-        """Write, and record how long it took."""
         begin = time.perf_counter()
         write()
         self.write_ms[number] = 1e3 * (time.perf_counter() - begin)
 
 
-def _now(write: Callable[[], None]) -> None:
+def _run(write: Callable[[], None]) -> None:
     write()
