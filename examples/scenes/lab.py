@@ -17,6 +17,7 @@ from stage import motion
 from stage.blender import bpy, mathutils
 from stage.looks import Nodes
 from stage.options import main
+from stage.quality import Quality
 from stage.shooting import Script
 
 Euler, Vector = mathutils.Euler, mathutils.Vector
@@ -82,6 +83,7 @@ SCENE = Script(
     build,
     seed=4,
     pace=2.6,
+    clean=Quality(32, 8, careful=True),
 )
 
 if __name__ == "__main__":

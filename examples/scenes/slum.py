@@ -20,6 +20,7 @@ from stage import looks, motion
 from stage.blender import mathutils
 from stage.meshes import MeshBuilder
 from stage.options import main
+from stage.quality import Quality
 from stage.shooting import Script
 
 Matrix, Vector = mathutils.Matrix, mathutils.Vector
@@ -300,6 +301,7 @@ SCENE = Script(
     build,
     seed=17,
     pace=3.6,
+    clean=Quality(32, 8, careful=True),
 )
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ import random
 from stage import looks, motion
 from stage.blender import mathutils
 from stage.options import main
+from stage.quality import Quality
 from stage.shooting import Script
 from town_houses import Materials, Row, palette, rows, tower
 from town_people import Crowd, pigeons
@@ -152,6 +153,8 @@ SCENE = Script(
     build,
     seed=41,
     pace=3.4,
+    clean=Quality(32, 8, careful=True),
+    span=(61, 181),
 )
 
 if __name__ == "__main__":

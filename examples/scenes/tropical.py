@@ -16,6 +16,7 @@ from stage import looks, motion
 from stage.blender import bpy, mathutils
 from stage.meshes import MeshBuilder
 from stage.options import main
+from stage.quality import Quality
 from stage.shooting import Script
 
 Vector = mathutils.Vector
@@ -339,6 +340,7 @@ SCENE = Script(
     build,
     seed=11,
     pace=3.4,
+    clean=Quality(32, 8, careful=True),
 )
 
 if __name__ == "__main__":

@@ -17,6 +17,7 @@ from stage import looks, motion
 from stage.blender import bpy, mathutils
 from stage.meshes import MeshBuilder, lettering
 from stage.options import main
+from stage.quality import Quality
 from stage.shooting import Script
 from village_land import WATER
 
@@ -234,6 +235,7 @@ SCENE = Script(
     build,
     seed=7,
     pace=3.0,
+    clean=Quality(32, 8, careful=True),
 )
 
 if __name__ == "__main__":
