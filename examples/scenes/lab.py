@@ -82,8 +82,8 @@ SCENE = Script(
     "A robotics laboratory with a polished floor: robot arm, rover, gyroscope, swinging lamp.",
     build,
     seed=4,
-    pace=2.6,
-    clean=Quality(32, 8, careful=True),
+    pace=3.0,
+    clean=Quality(32, 6, light_tree=False, clamp=2.0),
 )
 
 if __name__ == "__main__":

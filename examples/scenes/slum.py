@@ -300,8 +300,8 @@ SCENE = Script(
     "A hurried walk through narrow alleys full of clutter, washing and cables, in late sun.",
     build,
     seed=17,
-    pace=3.6,
-    clean=Quality(32, 8, careful=True),
+    pace=6.7,
+    clean=Quality(32, 8),
 )
 
 if __name__ == "__main__":

@@ -152,8 +152,8 @@ SCENE = Script(
     "A town's main street with tram, traffic and people, and a whip around a corner.",
     build,
     seed=41,
-    pace=3.4,
-    clean=Quality(32, 8, careful=True),
+    pace=5.1,
+    clean=Quality(32, 3),
     span=(61, 181),
 )
 

@@ -339,8 +339,8 @@ SCENE = Script(
     "A dash through leaves in a strong wind along a beach.",
     build,
     seed=11,
-    pace=3.4,
-    clean=Quality(32, 8, careful=True),
+    pace=5.7,
+    clean=Quality(32, 4),
 )
 
 if __name__ == "__main__":

@@ -234,8 +234,8 @@ SCENE = Script(
     "An old village at a pond: still, full of fine texture, a gentle camera.",
     build,
     seed=7,
-    pace=3.0,
-    clean=Quality(32, 8, careful=True),
+    pace=4.3,
+    clean=Quality(32, 3),
 )
 
 if __name__ == "__main__":

@@ -45,6 +45,8 @@ class Manifest:
         Renders with other noise, each denoised, whose mean a frame is.
     denoiser : str
         Name, or "" for none.
+    sampling : str
+        What differs from the quick way of sampling, or "".
     seed : int
         Of the scene and of the noise.
     motion : str
@@ -68,6 +70,7 @@ class Manifest:
     samples: int
     seeds: int
     denoiser: str
+    sampling: str
     seed: int
     motion: str
     key_step: int
@@ -121,7 +124,7 @@ def differences(folder: Path, manifest: Manifest, but: Collection[str] = ()) -> 
     except ValueError:
         return ["it is no JSON"]
     wanted = manifest.content()
-    there.setdefault("seeds", 1)  # in older manifests
+    there = {"seeds": 1, "sampling": ""} | there  # as in older manifests
     keys = sorted((wanted.keys() | there.keys()) - {FLOOR, *but})
     return [
         f"{key} is {there.get(key)!r}, not {wanted.get(key)!r}"

@@ -176,6 +176,7 @@ class Job:
             samples=self.quality.samples,
             seeds=self.quality.seeds,
             denoiser=self.quality.denoiser,
+            sampling=self.quality.sampling,
             seed=script.seed,
             motion=manifest.BLENDER_MOTION,
             key_step=script.key_step,
@@ -242,7 +243,7 @@ def _build(job: Job) -> dict[int, str]:
     """Build the scene in an empty file and return what its object ids are."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     dynamic = job.script.build(job.script.seed, job.script.instants - 1)
-    render.settle(job.order.size, job.quality.careful)
+    render.settle(job.order.size, job.quality)
     return dynamic
 
 
