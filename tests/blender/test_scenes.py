@@ -122,7 +122,7 @@ def test_a_benchmark_scene_renders(script, tmp_path, name):
     first = 61 if name == "town" else 1
     frames = {first, first + 1, first + 60, first + 120}
     wanted = ",".join(map(str, sorted(frames)))
-    done = script(name, "--data", tmp_path, "--frames", wanted, *SIZE, "--seeds", 2)
+    done = script(name, "--data", tmp_path, "--frames", wanted, *SIZE, "--renders", 2)
     assert done.returncode == 0, done.stderr
     scene = open_scene(tmp_path / name)
     manifest = scene.manifest
@@ -148,7 +148,7 @@ def test_more_renders_of_a_frame_leave_less_noise(script, tmp_path):
     floors = []
     for seeds in (1, 8):
         data = tmp_path / str(seeds)
-        done = script("village", "--data", data, "--frames", "1", *SIZE, "--seeds", seeds)
+        done = script("village", "--data", data, "--frames", "1", *SIZE, "--renders", seeds)
         assert done.returncode == 0, done.stderr
         frames = [data / "village" / kind / "village.0001.exr" for kind in ("instants", "floor")]
         one, other = (read_image(path).pixels for path in frames)

@@ -44,7 +44,7 @@ def options(parser: argparse.ArgumentParser) -> None:
         "artist delivers it, into the folder 'hurried' (%(default)s)",
     )
     add("--samples", type=count, metavar="N", help="per pixel of each render (the look's)")
-    add("--seeds", type=count, metavar="N", help="renders whose mean a frame is (the look's)")
+    add("--renders", type=count, metavar="N", help="whose mean a frame is (the look's)")
     add("--frames", type=ranges, default=frozenset(), help="instants, as in 1-49,97 (all)")
     add("--what", choices=(*KINDS, "all"), default="all")
     add(
@@ -62,7 +62,7 @@ def order(chosen: argparse.Namespace) -> Order:
         chosen.data.expanduser().resolve(),
         chosen.resolution,
         samples=chosen.samples,
-        seeds=chosen.seeds,
+        seeds=chosen.renders,
         hurried=chosen.look == "hurried",
         frames=chosen.frames,
         what=frozenset(what),

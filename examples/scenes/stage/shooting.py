@@ -156,7 +156,7 @@ class Job:
         chosen = replace(look, samples=order.samples or look.samples)
         chosen = replace(chosen, seeds=order.seeds or look.seeds)
         if chosen.seeds > MOST_SEEDS:
-            sys.exit(f"--seeds: at most {MOST_SEEDS} renders of a frame, not {chosen.seeds}.")
+            sys.exit(f"--renders: at most {MOST_SEEDS} renders of a frame, not {chosen.seeds}.")
         return cls(script, order, chosen, folder / script.name, range(first, last + 1))
 
     def describe(self, dynamic: dict[int, str]) -> Manifest:
