@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from exwarp_cli.domain.frame import Float32
-from exwarp_cli.domain.lent_memory import lent
+from exwarp_cli.runtime.frame_pool import pool
 
 MIDDLE, ABOUT = 0.5, 0.01
 """What stands for no motion in vectors that were clamped to 0 … 1, and how far from it 8 bits may
@@ -77,7 +77,7 @@ class AxisMap:
                 if self.length is not None:
                     value = value * raw[..., self.length]
                 axes.append(value * np.float32(scale))
-            out: Float32 = lent((*raw.shape[:-1], 2), np.float32)
+            out: Float32 = pool.empty((*raw.shape[:-1], 2), np.float32)
             np.stack(axes, axis=-1, out=out)
             out[~np.isfinite(axes[0] + axes[1])] = np.nan
         return out
@@ -86,7 +86,7 @@ class AxisMap:
         """Read plain displacements: in a third of the time that passes over the frame take."""
         from exwarp_cli.kernels import vectors  # numba: not for `exwarp --help`
 
-        out: Float32 = lent((*raw.shape[:-1], 2), np.float32)
+        out: Float32 = pool.empty((*raw.shape[:-1], 2), np.float32)
         rows = np.ascontiguousarray(raw, np.float32).reshape(-1, raw.shape[-1])
         scales = np.float32(self.x_scale), np.float32(self.y_scale)
         few = len(rows) < MANY

@@ -10,8 +10,8 @@ from functools import cached_property
 import numpy as np
 
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer
-from exwarp_cli.domain.lent_memory import lent
 from exwarp_cli.kernels import edges, holes, settling, splat
+from exwarp_cli.runtime.frame_pool import pool
 from exwarp_cli.synthesis.camera import (
     Scene,
     camera_after,
@@ -67,7 +67,7 @@ class SlotField:
         """
         if self.source is None:
             return np.zeros(self.depth.shape, np.bool_)
-        out: Bool = lent(self.depth.shape, np.bool_)
+        out: Bool = pool.empty(self.depth.shape, np.bool_)
         edges.find_fringe(self.field, self.depth, self.source, out)
         return out
 
@@ -96,12 +96,12 @@ def settle_motion(gbuffer: GBuffer) -> GBuffer:
         return gbuffer
     scene, vectors = scene_of(gbuffer), (gbuffer.to_previous, gbuffer.to_next)
     depth, stencil = depth_of(gbuffer), stencil_of(gbuffer)
-    edge: Bool = lent(depth.shape, np.bool_)
+    edge: Bool = pool.empty(depth.shape, np.bool_)
     edges.find_edges(depth, stencil, edge)
     position = _NOWHERE if scene is None else _flat(scene.position)
     surfaces = position, depth, stencil, edge
     given = tuple(_NOWHERE if way is None else _flat(way) for way in vectors)
-    found = tuple(lent(way.shape, np.float32) for way in given)
+    found = tuple(pool.empty(way.shape, np.float32) for way in given)
     cameras = cameras_around(scene, vectors, gbuffer.stencil)
     settling.settle(given, surfaces, cameras, np.float32(STATIC_TOLERANCE), found)
     before, after = (
@@ -162,9 +162,9 @@ def moved_on(gbuffer: GBuffer, motion: Float32) -> SlotField:
 
 def _moved_on(gbuffer: GBuffer, motion: Float32, reach: Float32) -> SlotField:
     depth = depth_of(gbuffer)
-    field, near = lent(motion.shape, np.float32), lent(depth.shape, np.float32)
+    field, near = pool.empty(motion.shape, np.float32), pool.empty(depth.shape, np.float32)
     splat.splat(motion, depth, reach, field, near)
-    hole: Bool = lent(depth.shape, np.bool_)
+    hole: Bool = pool.empty(depth.shape, np.bool_)
     return SlotField(field, near, np.isnan(near, out=hole), depth)
 
 

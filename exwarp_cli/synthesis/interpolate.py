@@ -7,8 +7,8 @@ import numpy as np
 from exwarp_cli.domain.curves import SRGB
 from exwarp_cli.domain.frame import Bool, Float32
 from exwarp_cli.domain.interpolator import Interpolator
-from exwarp_cli.domain.lent_memory import copied, lent
 from exwarp_cli.kernels import blend
+from exwarp_cli.runtime.frame_pool import pool
 from exwarp_cli.synthesis.warp import Warped, fill_holes, repair
 
 
@@ -30,8 +30,8 @@ def blend_by_depth(before: Warped, after: Warped, time: float) -> Float32:
         not see the surface weighs nothing, so disocclusions come from the side that sees them. What
         neither sees is filled from the background.
     """
-    depth: Float32 = lent(before.depth.shape, np.float32)
-    hole: Bool = lent(before.hole.shape, np.bool_)
+    depth: Float32 = pool.empty(before.depth.shape, np.float32)
+    hole: Bool = pool.empty(before.hole.shape, np.bool_)
     sides = [(side.pixels, side.depth, side.hole, side.fringe) for side in (before, after)]
     blend.blend(*sides, np.float32(time), before.pixels, depth, hole)
     return fill_holes(before.pixels, depth, hole)
@@ -77,4 +77,4 @@ def between(before: Float32, after: Float32, time: float, network: Interpolator)
     float32 [H, W, 3 or 4]
         Scene-linear, premultiplied alpha; a new array.
     """
-    return copied(network(repair(before), repair(after), time))
+    return pool.copy(network(repair(before), repair(after), time))

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from exwarp_cli.compiled import shares
-from exwarp_cli.compiled.shares import Share, rows_of
 from exwarp_cli.domain.frame import Float32, GBuffer, KeyFrame
-from exwarp_cli.domain.lent_memory import lent
-from exwarp_cli.kernels import jit, planes
+from exwarp_cli.kernels import _row_bands, planes
+from exwarp_cli.kernels._row_bands import Share, rows_of
+from exwarp_cli.runtime.frame_pool import pool
 
 DARKEST = 0.2
 """Surface colour that is divided by at the least: what is darker shows emission, refraction or the
@@ -36,8 +35,8 @@ def modulation_of(gbuffer: GBuffer) -> Float32 | None:
     """
     if gbuffer.albedo is None or gbuffer.specular is None:
         return None
-    total: Float32 = lent(gbuffer.albedo.shape, np.float32)
-    shares.run(_modulate, (gbuffer.albedo, gbuffer.specular, total), jit.threads())
+    total: Float32 = pool.empty(gbuffer.albedo.shape, np.float32)
+    _row_bands.run(_modulate, (gbuffer.albedo, gbuffer.specular, total), _row_bands.threads())
     return total
 
 
@@ -74,9 +73,9 @@ def encode_in_place(linear: Float32) -> None:
 
 def decode(coded: Float32) -> Float32:
     """Return the linear values that :func:`encode` was given."""
-    out: Float32 = lent(coded.shape, np.float32)
+    out: Float32 = pool.empty(coded.shape, np.float32)
     given = np.ascontiguousarray(coded).reshape(-1)
-    shares.run(_decode, (given, out.reshape(-1)), jit.threads())
+    _row_bands.run(_decode, (given, out.reshape(-1)), _row_bands.threads())
     return out
 
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from exwarp_cli.domain.frame import Bool, Float32
-from exwarp_cli.domain.lent_memory import lent, rest
 from exwarp_cli.kernels import extremes, fill
+from exwarp_cli.runtime.frame_pool import pool
 from exwarp_cli.synthesis.geometry import SlotField
 from exwarp_cli.synthesis.warp import Around, look_around, moved
 
@@ -105,7 +105,6 @@ def hold_within(frame: Float32, sources: Sources) -> None:
         bound = _bounds(sources, hole, around, sign, clear=False)
         extremes.hold(bound, EVERYWHERE, sign, frame.shape[2], frame)
         del bound
-        rest()
     clear = _clear(frame)
     if clear is None:
         return
@@ -113,7 +112,6 @@ def hold_within(frame: Float32, sources: Sources) -> None:
         bound = _bounds(sources, hole, around, sign, clear=True)
         extremes.hold(bound, clear, sign, extremes.ALPHA, frame)
         del bound
-        rest()
 
 
 def hold_in_range(frame: Float32, frames: Sequence[Float32]) -> None:
@@ -155,7 +153,7 @@ def _bounds(
     `clear` has only source pixels count whose alpha is 0.
     """
     shape = (*hole.shape, sources.sides[0].pixels.shape[2])
-    bound: Float32 = lent(shape, np.float32)
+    bound: Float32 = pool.empty(shape, np.float32)
     bound.fill(-np.inf)
     for side in sources.sides:
         _raise(bound, side, side.seen, sign, clear)

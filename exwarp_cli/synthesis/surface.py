@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer
-from exwarp_cli.domain.lent_memory import lent, rest
 from exwarp_cli.kernels import surface
+from exwarp_cli.runtime.frame_pool import pool
 from exwarp_cli.synthesis.geometry import depth_of
 from exwarp_cli.synthesis.warp import sampled
 
@@ -55,17 +55,15 @@ def reprojected(sources: Sequence[tuple[GBuffer, Float32]]) -> tuple[GBuffer, Bo
     made: dict[str, Any] = {}
     for name in NEAREST:
         if (array := getattr(first, name)) is not None:
-            made[name] = lent(array.shape, array.dtype)
+            made[name] = pool.empty(array.shape, array.dtype)
     # Nearly all of it: four times as fast for the whole frame as pixel by pixel.
     for name in SMOOTH:
         if (array := getattr(first, name)) is not None:
             made[name], _ = sampled(array, motion)
-            rest()
     unknown = np.ones(first.window.shape, np.bool_)
     _take_over(first.without(*SMOOTH), motion, made, unknown, blanks=True)
     for gbuffer, field in others:
         _take_over(replace(gbuffer, depth=depth_of(gbuffer)), field, made, unknown)
-        rest()
     return GBuffer(first.window, **made), unknown
 
 

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from exwarp_cli.domain.frame import Float32, GBuffer, Int32
-from exwarp_cli.domain.lent_memory import lent
 from exwarp_cli.kernels import parabola
 from exwarp_cli.kernels import reach as rows
 from exwarp_cli.kernels.follow import CLOSE, follow
+from exwarp_cli.runtime.frame_pool import pool
 from exwarp_cli.synthesis.rounding import EXACT, coarser, depth_step
 
 
@@ -61,7 +61,7 @@ def _displacement(gbuffer: GBuffer, time: float, reach: Float32) -> Float32:
     t = np.float32(time)
     after, before = gbuffer.to_next, gbuffer.to_previous
     if after is not None and before is not None:
-        out: Float32 = lent(after.shape, np.float32)
+        out: Float32 = pool.empty(after.shape, np.float32)
         ways = np.ascontiguousarray(before), np.ascontiguousarray(after)
         parabola.parabola(*ways, t, out, reach)
         return out

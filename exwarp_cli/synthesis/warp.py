@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli.domain.frame import Bool, Float32, Int32, broken_pixels
-from exwarp_cli.domain.lent_memory import lent
 from exwarp_cli.kernels import fill, gather
+from exwarp_cli.runtime.frame_pool import pool
 from exwarp_cli.synthesis.geometry import SlotField
 
 FILL_REACH = 0.25
@@ -84,8 +84,8 @@ def sampled(pixels: Float32, field: Float32) -> tuple[Float32, Bool]:
     unseen
         bool [H, W]: both of these.
     """
-    out: Float32 = lent(pixels.shape, np.float32)
-    unseen: Bool = lent(pixels.shape[:2], np.bool_)
+    out: Float32 = pool.empty(pixels.shape, np.float32)
+    unseen: Bool = pool.empty(pixels.shape[:2], np.bool_)
     gather.gather_bilinear(pixels, field, out, unseen)
     return out, unseen
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
-from exwarp_cli.domain import lent_memory
+from exwarp_cli.pipeline import job
 from tests.blender_layers import Planes
 from tests.cli import shots
 from tests.cli.shots import FORWARD, KEYS, SMALL, VECTORS, changed_by, generated
@@ -71,22 +73,13 @@ class TestSameBytes:
     @pytest.mark.parametrize("setting", SETTINGS)
     @pytest.mark.parametrize("method", ["s3", "exwarp"])
     def test_where_frames_lie_changes_nothing(self, make, monkeypatch, method, setting):
-        """Those of full size may leave memory while a network runs; here these small ones do."""
-        usual, asked = make("usual", method, setting=setting), []
-        monkeypatch.setattr(lent_memory, "LARGE", 0)
-        monkeypatch.setattr(lent_memory, "LEAST", 1)
-        file_from = lent_memory.file_from
-
-        def noted(pixels: int | None) -> None:
-            asked.append(pixels)
-            file_from(pixels)
-
-        monkeypatch.setattr(lent_memory, "file_from", noted)
-        assert shots.contents(make("filed", method, setting=setting)) == shots.contents(usual)
-        assert 0 in asked
-        monkeypatch.undo()
-        lent_memory.file_from(None)
-        lent_memory.forget()
+        """Large ones lie in scratch files; here these small ones do."""
+        usual = make("usual", method, setting=setting)
+        monkeypatch.setattr(job, "LARGE_PIXELS", 0)
+        filed = Mock(wraps=os.posix_fallocate)
+        monkeypatch.setattr(os, "posix_fallocate", filed)
+        assert shots.contents(make("stored", method, setting=setting)) == shots.contents(usual)
+        assert filed.called
 
     @pytest.mark.parametrize("setting", SETTINGS)
     @pytest.mark.parametrize("method", ["s1", "s2", "s3"])
