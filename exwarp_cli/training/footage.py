@@ -1,9 +1,12 @@
-"""A rendered scene as a source of key intervals, in any variant."""
+"""A rendered scene as a source of key intervals, in any variant and look."""
 
 from __future__ import annotations
 
+import zlib
 from collections import OrderedDict
 from dataclasses import replace
+
+import numpy as np
 
 from exwarp_cli.domain.extrapolator import HISTORY
 from exwarp_cli.domain.frame import Float32, GBuffer, Image, KeyFrame
@@ -18,6 +21,7 @@ from exwarp_cli.synthesis.geometry import settle_motion
 from exwarp_cli.synthesis.history import past_of
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.span import span_motion
+from exwarp_cli.training.looks import PLAIN, Look, delivered, meant
 from exwarp_cli.training.variant import Variant, backwards, mirrored
 
 KEPT = 24
@@ -34,12 +38,17 @@ class Footage:
     scene
         Rendered as far as it will be used.
     variant
-        How it is looked at; None for as it was rendered.
+        How it is played; None for as it was rendered.
+    look
+        How its frames are delivered.
     """
 
-    def __init__(self, scene: RenderedScene, variant: Variant | None = None) -> None:
+    def __init__(
+        self, scene: RenderedScene, variant: Variant | None = None, look: Look = PLAIN
+    ) -> None:
         self.scene = scene
         self.variant = variant or Variant()
+        self.look = look
         count = scene.manifest.instants.count
         self._order = self.variant.order(count)
         self._frames: OrderedDict[int, KeyFrame] = OrderedDict()
@@ -48,9 +57,9 @@ class Footage:
                 f"{scene.folder} has {count} instants, too few for {variant}; leave it out"
             )
 
-    def seen_as(self, variant: Variant) -> Footage:
-        """Return the same scene in another variant, sharing what was read."""
-        other = Footage(self.scene, variant)
+    def seen_as(self, variant: Variant, look: Look = PLAIN) -> Footage:
+        """Return the same scene in another variant and look, sharing what was read."""
+        other = Footage(self.scene, variant, look)
         other._frames = self._frames
         return other
 
@@ -73,9 +82,9 @@ class Footage:
         return self._moving(index, self._motion(index, self.variant.speed))
 
     def truth(self, k: int, i: int) -> Image:
-        """Return the colour that was rendered for slot i of key frame k."""
+        """Return what slot i of key frame k is to show."""
         frame = self._load(self._order[FACTOR * k + i])
-        return self._shown(replace(frame, gbuffer=None)).image
+        return meant(self._shown(replace(frame, gbuffer=None)).image, self.look)
 
     def interval(self, k: int, setting: str) -> Interval:
         """Return key interval k for synthesis.
@@ -126,7 +135,11 @@ class Footage:
         frame = self._load(index)
         before, after = motion
         gbuffer = replace(self._gbuffer(index), to_previous=before, to_next=after)
-        return self._shown(replace(frame, gbuffer=gbuffer))
+        shown = self._shown(replace(frame, gbuffer=gbuffer))
+        if self.look == PLAIN:
+            return shown
+        noise = np.random.default_rng((zlib.crc32(self.scene.name.encode()), index))
+        return delivered(shown, self.look, noise)
 
     def _shown(self, frame: KeyFrame) -> KeyFrame:
         """Apply what the variant does to a single frame."""

@@ -15,7 +15,7 @@ import numpy as np
 
 from exwarp_cli.domain.dataset import SceneManifest
 from exwarp_cli.domain.extrapolator import HISTORY
-from exwarp_cli.domain.frame import SURFACE_PARTS, Float32, Window
+from exwarp_cli.domain.frame import Float32, Window
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import InputError
 from exwarp_cli.io.atomic import make_folder, output_error
@@ -24,9 +24,10 @@ from exwarp_cli.runtime.stop import check_stop
 from exwarp_cli.synthesis.extrapolate import Prepared
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.training.footage import Footage
+from exwarp_cli.training.looks import Look, draw_look
 from exwarp_cli.training.variant import Variant
 
-VERSION = 9
+VERSION = 10
 """Of what is kept; crops of another version are made again."""
 
 CROPS = 4
@@ -48,9 +49,6 @@ the other crops."""
 
 SHORT_HISTORY = 0.1
 """How likely a frame with fewer than three key frames behind it is chosen, against another one."""
-
-BARE = 0.3
-"""Share of frames that are prepared without any of the surface, so not demodulated."""
 
 PARTIAL = 0.5
 SMALLEST = 0.5
@@ -74,15 +72,15 @@ class Choice:
         Key interval and slot, 1 to 3.
     setting
         "key" or "slot".
-    bare
-        Whether the surface is left out.
+    look
+        How its frames are delivered.
     """
 
     variant: Variant
     k: int
     slot: int
     setting: str
-    bare: bool
+    look: Look
 
 
 SHORT = 16
@@ -94,7 +92,7 @@ def share(frames: int, count: int) -> int:
     return round(frames * math.sqrt(max((count - 1) / SHORT, 1)))
 
 
-def choices(manifest: SceneManifest, frames: int, seed: int) -> list[Choice]:
+def choices(manifest: SceneManifest, frames: int, seed: int, side: int = 1) -> list[Choice]:
     """Choose frames of a scene, always the same ones for the same seed and name.
 
     Parameters
@@ -105,8 +103,11 @@ def choices(manifest: SceneManifest, frames: int, seed: int) -> list[Choice]:
         How many to draw; of one that is drawn twice other crops are taken.
     seed
         Of the choice.
+    side
+        Height and width of the crops that a frame of any look has to hold, pixels.
     """
     rng = _generator(seed, manifest.scene, 0)
+    can_halve = min(manifest.width, manifest.height) >= 2 * side
     variants = [Variant(p, backwards=b) for p in range(FACTOR) for b in (False, True)]
     places = {
         setting: [(v, k) for v in variants for k in _intervals(v, manifest, setting)]
@@ -123,9 +124,9 @@ def choices(manifest: SceneManifest, frames: int, seed: int) -> list[Choice]:
         share_of = likely[setting] / likely[setting].sum()
         variant, k = places[setting][int(rng.choice(len(share_of), p=share_of))]
         slot = 1 + int(rng.choice(len(SLOTS), p=SLOTS))
-        found.append(Choice(variant, k, slot, setting, bool(rng.random() < BARE)))
+        found.append(Choice(variant, k, slot, setting, draw_look(rng, can_halve)))
     order = {variant: i for i, variant in enumerate(variants)}
-    return sorted(found, key=lambda c: (order[c.variant], c.k, c.setting, c.slot, c.bare))
+    return sorted(found, key=lambda c: (order[c.variant], c.k, c.setting, c.slot))
 
 
 def _intervals(variant: Variant, manifest: SceneManifest, setting: str) -> list[int]:
@@ -186,11 +187,9 @@ def crops_of(scene: RenderedScene, settings: CropSettings) -> dict[str, np.ndarr
         )
     rng = _generator(settings.seed, scene.name, 1)
     parts: dict[str, list[np.ndarray]] = {}
-    chosen = choices(manifest, share(settings.frames, manifest.instants.count), settings.seed)
-    for footage, choice in _by_variant(scene, chosen):
+    count = share(settings.frames, manifest.instants.count)
+    for footage, choice in _played(scene, choices(manifest, count, settings.seed, side)):
         interval = footage.causal(choice.k, choice.setting)
-        if choice.bare:
-            interval = interval.without(*SURFACE_PARTS)
         view = _view(interval.key.image.data_window, side, rng)
         interval = interval.on(view)
         truth = footage.truth(choice.k, choice.slot).on(view).pixels[..., :3]
@@ -262,12 +261,11 @@ def _view(whole: Window, side: int, rng: np.random.Generator) -> Window:
     return Window(whole.x + int(x), whole.y + int(y), width, height)
 
 
-def _by_variant(scene: RenderedScene, chosen: list[Choice]) -> Iterator[tuple[Footage, Choice]]:
-    """Yield each choice with its variant's footage, which neighbouring choices share."""
+def _played(scene: RenderedScene, chosen: list[Choice]) -> Iterator[tuple[Footage, Choice]]:
+    """Yield each choice with footage in its variant and look; they share what was read."""
     footage = Footage(scene)
     for choice in chosen:
-        if footage.variant != choice.variant:
-            footage = footage.seen_as(choice.variant)
+        footage = footage.seen_as(choice.variant, choice.look)
         yield footage, choice
 
 

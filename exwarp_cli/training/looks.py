@@ -1,0 +1,213 @@
+"""How a shot is delivered: what renderers, game engines and artists in a hurry make of it.
+
+A look is put on a clean render as it is loaded, so that a network learns from frames like those
+that users have. It changes key frames as files would hold them. Ground truth gets the tones of the
+look, but neither its noise nor its rounding: a network is to learn what was meant.
+No look has motion blur: what ExWarp makes frames of is rendered without.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from exwarp_cli.domain.curves import SRGB
+from exwarp_cli.domain.frame import SURFACE_PARTS, Float32, GBuffer, Image, KeyFrame, Window
+
+GAME = ("normal", "position", *SURFACE_PARTS)
+"""What game engines do not deliver: they have colour, vectors, depth and a mask."""
+
+OPTIONAL = ("depth", "normal", "position", "stencil", *SURFACE_PARTS)
+"""What any renderer may leave out."""
+
+PASSES = {"all": 0.4, "no surface": 0.25, "game": 0.2, "some": 0.15}
+TONES = {"linear": 0.7, "8-bit": 0.18, "tone-mapped": 0.12}
+DEPTHS = {"full": 0.7, "coarse": 0.12, "inverse": 0.12, "absent": 0.06}
+VECTORS = {"full": 0.7, "half": 0.15, "rounded": 0.15}
+"""How often each kind is drawn."""
+
+SHARPENED = 0.12
+NOISY = 0.15
+ALIASED = 0.12
+"""How often each is drawn, apart from the kinds above."""
+
+LEFT_OUT = 0.4
+"""How likely each pass is missing where some are."""
+
+NOISE = (0.02, 0.12)
+"""Standard deviation of noise that is left, as a share of the light of a pixel of 1."""
+
+SHARPNESS = (0.3, 1.0)
+"""How much of what a blurred copy lacks is added."""
+
+WHITE = 4.0
+"""Scene-linear value that tone mapping shows as white."""
+
+COARSE_BITS = 10
+"""Of a depth that is stored as a share of the farthest one."""
+
+STEPS_A_PIXEL = 4
+"""Of rounded vectors."""
+
+_NEAREST = np.float32(0.05)
+"""Scene units to a camera's near plane, by which inverse depth is stored."""
+
+
+@dataclass(frozen=True)
+class Look:
+    """One way of delivering a shot.
+
+    Attributes
+    ----------
+    tones
+        "linear", "8-bit" (sRGB, clipped at 1) or "tone-mapped" (to 0..1).
+    depth
+        "full"; "coarse", of few bits; "inverse", near by far as half floats; "absent".
+    vectors
+        "full"; "half" floats; "rounded" to a quarter of a pixel.
+    missing
+        Passes that are left out.
+    sharpened, noisy
+        How strongly; 0 for not at all.
+    aliased
+        Whether only every second pixel is shown, which halves the size of the frame.
+    """
+
+    tones: str = "linear"
+    depth: str = "full"
+    vectors: str = "full"
+    missing: tuple[str, ...] = ()
+    sharpened: float = 0.0
+    noisy: float = 0.0
+    aliased: bool = False
+
+    @property
+    def traits(self) -> tuple[str, ...]:
+        """Names of what is not as it was rendered, for statistics."""
+        named = {
+            self.tones: self.tones != "linear",
+            f"{self.depth} depth": self.depth != "full",
+            f"{self.vectors} vectors": self.vectors != "full",
+            "game passes": self.missing == GAME,
+            "no surface": self.missing == SURFACE_PARTS,
+            "some passes": self.missing not in ((), GAME, SURFACE_PARTS),
+            "sharpened": self.sharpened > 0,
+            "noisy": self.noisy > 0,
+            "aliased": self.aliased,
+        }
+        return tuple(name for name, shown in named.items() if shown)
+
+
+PLAIN = Look()
+
+
+def draw_look(rng: np.random.Generator, can_halve: bool) -> Look:
+    """Draw a look; `can_halve` says whether a frame of half the size is still large enough."""
+    passes = _draw(PASSES, rng)
+    subset = tuple(name for name in OPTIONAL if rng.random() < LEFT_OUT)
+    missing = {"all": (), "no surface": SURFACE_PARTS, "game": GAME, "some": subset}[passes]
+    tones, depth, vectors = _draw(TONES, rng), _draw(DEPTHS, rng), _draw(VECTORS, rng)
+    sharpened = rng.uniform(*SHARPNESS) if rng.random() < SHARPENED else 0.0
+    noisy = rng.uniform(*NOISE) if rng.random() < NOISY else 0.0
+    is_aliased = bool(rng.random() < ALIASED) and can_halve
+    return Look(tones, depth, vectors, missing, sharpened, noisy, is_aliased)
+
+
+def delivered(frame: KeyFrame, look: Look, rng: np.random.Generator) -> KeyFrame:
+    """Return a frame as the look delivers it; `rng` draws its noise."""
+    image = meant(frame.image, look)
+    pixels = image.pixels
+    if look.noisy:
+        colour = pixels[..., :3]
+        # Noise of light paths grows with the square root of light.
+        spread = np.float32(look.noisy) * np.sqrt(np.maximum(colour, 0))
+        colour = colour + spread * rng.standard_normal(colour.shape, np.float32)
+        pixels = _with_colour(pixels, np.maximum(colour, 0))
+    if look.tones == "8-bit":
+        code = np.round(SRGB.to_code(pixels[..., :3].clip(0, 1)) * 255) / np.float32(255)
+        pixels = _with_colour(pixels, SRGB.to_linear(code.astype(np.float32)))
+    gbuffer = None if frame.gbuffer is None else _geometry(frame.gbuffer, look)
+    return replace(frame, image=replace(image, pixels=pixels), gbuffer=gbuffer)
+
+
+def meant(image: Image, look: Look) -> Image:
+    """Return what the look means to show: its size and tones, without noise and rounding."""
+    if look.aliased:
+        image = Image(
+            image.pixels[::2, ::2], _halved(image.data_window), _halved(image.display_window)
+        )
+    if look.tones == "linear" and not look.sharpened:
+        return image
+    colour = image.pixels[..., :3]
+    if look.tones == "tone-mapped":
+        light = np.maximum(colour, 0)
+        colour = (light * (1 + light / np.float32(WHITE**2)) / (1 + light)).clip(0, 1)
+    elif look.tones == "8-bit":
+        colour = colour.clip(0, 1)
+    if look.sharpened:
+        import cv2  # takes 0.1 s
+
+        blurred = cv2.GaussianBlur(np.ascontiguousarray(colour), (3, 3), 0)
+        colour = np.maximum(colour + np.float32(look.sharpened) * (colour - blurred), 0)
+    return replace(image, pixels=_with_colour(image.pixels, colour))
+
+
+def _geometry(gbuffer: GBuffer, look: Look) -> GBuffer:
+    if look.aliased:
+        gbuffer = _every_second(gbuffer)
+    missing = (*look.missing, "depth") if look.depth == "absent" else look.missing
+    gbuffer = gbuffer.without(*missing)
+    return replace(
+        gbuffer,
+        depth=_depth(gbuffer.depth, look.depth),
+        to_previous=_vectors(gbuffer.to_previous, look.vectors),
+        to_next=_vectors(gbuffer.to_next, look.vectors),
+    )
+
+
+def _depth(depth: Float32 | None, kind: str) -> Float32 | None:
+    """Return a depth as files of that kind hold it; background stays infinite."""
+    if depth is None or kind in ("full", "absent"):
+        return depth
+    if kind == "inverse":
+        stored = (_NEAREST / np.maximum(depth, _NEAREST)).astype(np.float16).astype(np.float32)
+        with np.errstate(divide="ignore"):
+            return np.where(np.isfinite(depth), _NEAREST / stored, depth)
+    surfaces = depth[np.isfinite(depth)]
+    if not surfaces.size:
+        return depth
+    step = surfaces.max() / np.float32(2**COARSE_BITS - 1)
+    return np.where(np.isfinite(depth), np.maximum(np.round(depth / step), 1) * step, depth)
+
+
+def _vectors(vectors: Float32 | None, kind: str) -> Float32 | None:
+    if vectors is None or kind == "full":
+        return vectors
+    if kind == "half":
+        return vectors.astype(np.float16).astype(np.float32)
+    return np.round(vectors * STEPS_A_PIXEL) / np.float32(STEPS_A_PIXEL)
+
+
+def _every_second(gbuffer: GBuffer) -> GBuffer:
+    arrays = {
+        name: array[::2, ::2]
+        for name, array in vars(gbuffer).items()
+        if isinstance(array, np.ndarray)
+    }
+    for name in ("to_previous", "to_next"):
+        if name in arrays:
+            arrays[name] = arrays[name] / np.float32(2)
+    return replace(gbuffer, window=_halved(gbuffer.window), **arrays)
+
+
+def _halved(window: Window) -> Window:
+    return Window(window.x // 2, window.y // 2, (window.width + 1) // 2, (window.height + 1) // 2)
+
+
+def _with_colour(pixels: Float32, colour: Float32) -> Float32:
+    return np.concatenate([colour.astype(np.float32), pixels[..., 3:]], axis=-1)
+
+
+def _draw(shares: dict[str, float], rng: np.random.Generator) -> str:
+    return str(rng.choice(list(shares), p=list(shares.values())))
