@@ -199,7 +199,8 @@ def prepare(
     modulation = scratch.store(_modulation(seen))
     divided = modulation is not None
     # Its colours are in the modulation.
-    surface = scratch.store(seen.surface.without(*SMOOTH))
+    surface = seen.surface.without(*SMOOTH)
+    scratch.page_out()
     pixels, depth, hole = moved(_shading(key, divided), back)
     filled = pool.empty(pixels.shape, np.float32)
     shares.run(_copy, (pixels, filled), jit.threads())
