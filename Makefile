@@ -1,5 +1,7 @@
 # make test     lint, types, layers and all tests, in a virtual environment made on first use
 # make check    the same without the tests
+# make golden   run 80 commands, and compare all that they write with what the base commit wrote
+#               (2 to 4 minutes); OPTIONS='--pixels' or '--threads 5'; see tests/golden/golden.py
 # make faults   kill runs, fill disks and spoil inputs, thousands of times (about 80 minutes; the
 #               spoilt inputs go on where they stopped); OPTIONS='--hypothesis 1000' for fewer
 # make bench    quality beside other interpolators, and run times beside OpenCV, the codecs and
@@ -38,7 +40,7 @@ TRAINING ?= $(HOME)/.cache/exwarp/training
 POLICY ?= build/policy
 MODEL ?= models/extrapolator.onnx
 
-.PHONY: test check faults bench bench-check profile demo scenes blender train policy judge paper clean
+.PHONY: test check golden faults bench bench-check profile demo scenes blender train policy judge paper clean
 
 test: check
 	$(BIN)/pytest --numprocesses auto --dist worksteal
@@ -48,6 +50,9 @@ check: $(STAMP)
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+golden: $(STAMP)
+	$(BIN)/python -m tests.golden.golden check $(OPTIONS)
 
 faults: $(STAMP)
 	$(BIN)/pip install --group faults

@@ -16,6 +16,7 @@ import traceback
 import warnings
 from collections.abc import Mapping
 from contextlib import suppress
+from functools import partial
 from typing import TYPE_CHECKING, NoReturn
 
 import click
@@ -30,8 +31,8 @@ from exwarp_cli.errors import (
     known_error,
 )
 from exwarp_cli.io.standard_streams import prepare_streams
-from exwarp_cli.io.stops import Stoppable, Terminated
 from exwarp_cli.io.supervision import HANDED_ON, End, part, parts
+from exwarp_cli.runtime.stop import StopRequested, graceful_stop
 
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
@@ -210,7 +211,7 @@ def _told(end: End, args: list[str]) -> int:
             DamagedFileError.exit_code,
         )
     if end.stopped:  # what it crashed by is of no interest: libraries do when they are broken off
-        return _stopped(end.stopped == signal.SIGINT, args)
+        return _stopped(end.stopped, args)
     if ended_by == signal.SIGKILL:
         while_reading = f" while it read {end.named}" if end.reading else ""
         return _fail(
@@ -234,18 +235,19 @@ def run(args: list[str], is_last: bool = False) -> int:
     """
     origins: dict[str, str] = {}  # of options that files and the environment set, by name
     try:
-        with Stoppable(is_last):
+        with graceful_stop(partial(_last_words, args), is_last):
             result = exwarp.main(args, prog_name="exwarp", standalone_mode=False, obj=origins)
         return result if isinstance(result, int) else 0
-    except (Exception, KeyboardInterrupt, Terminated) as error:
+    except (Exception, KeyboardInterrupt, StopRequested) as error:
         return _failed(error, args, origins)
 
 
 def _failed(error: BaseException, args: list[str], origins: Mapping[str, str]) -> int:
     """Say what ended a command; return the exit code."""
-    stopped = _stop_behind(error)
-    if stopped is not None:
-        return _stopped(not isinstance(stopped, Terminated), args)
+    if isinstance(error, StopRequested):
+        return _stopped(error.number, args)
+    if isinstance(error, KeyboardInterrupt | click.Abort):
+        return _stopped(signal.SIGINT, args)
     if isinstance(error, click.ClickException):
         return _fail(_with_hint(error, origins), error.exit_code)
     if isinstance(error, MemoryError):
@@ -259,18 +261,19 @@ def _failed(error: BaseException, args: list[str], origins: Mapping[str, str]) -
     return _defect(error)
 
 
-def _stop_behind(error: BaseException | None) -> BaseException | None:
-    """Return the interruption behind an error: libraries make their own of it as they start."""
-    while not isinstance(error, KeyboardInterrupt | Terminated | click.Abort | None):
-        error = error.__cause__
-    return error
-
-
-def _stopped(interrupted: bool, args: list[str]) -> int:
+def _stopped(number: int, args: list[str]) -> int:
     """Say that somebody wanted a command to end; return the exit code."""
-    if interrupted:
-        return _fail(f"interrupted; {_afterwards(args)}", INTERRUPTED)
-    return _fail(f"terminated; {_afterwards(args)}", TERMINATED)
+    if _debugs():
+        traceback.print_exc()
+    click.echo(_last_words(args, number), err=True)
+    return INTERRUPTED if number == signal.SIGINT else TERMINATED
+
+
+def _last_words(args: list[str], number: int) -> str:
+    """Return what is said of a command that a signal ends."""
+    if number == signal.SIGINT:  # a blank line, which parts it from the terminal's own "^C"
+        return f"\nexwarp: error: interrupted; {_afterwards(args)}"
+    return f"exwarp: error: terminated; {_afterwards(args)}"
 
 
 def _debugs() -> bool:

@@ -36,7 +36,7 @@ from exwarp_cli.io.output import read_headers
 from exwarp_cli.io.video import to_display
 from exwarp_cli.metrics.registry import score
 from exwarp_cli.pipeline.progress import NoProgress
-from exwarp_cli.pipeline.upsample import upsample
+from exwarp_cli.pipeline.run import upsample
 from exwarp_cli.report.quality import quality
 from exwarp_cli.training.footage import Footage
 

@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli.accel.fixed_point import I32
-from exwarp_cli.accel.jit import compiled
 from exwarp_cli.accel.mac_array import MacArray
 from exwarp_cli.accel.quantised_mlp import I8, QuantisedMlp, checked_states
+from exwarp_cli.kernels._compile import compiled
 
 BATCH = 64
 """States that are computed side by side."""

@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from exwarp_cli.accel.fixed_point import I32, I64, MOST_ACTIVATION
-from exwarp_cli.accel.jit import compiled, inlined
 from exwarp_cli.accel.quantised_mlp import I8, QuantisedMlp, checked_states
+from exwarp_cli.kernels._compile import compiled, inlined
 
 COLUMNS = 4
 """Inputs whose products are added at a time: sums are fetched and stored a quarter as often.

@@ -20,7 +20,6 @@ from exwarp_cli.commands.progress_option import progress_option
 from exwarp_cli.commands.source_options import scan_option, source_options
 from exwarp_cli.commands.spread_options import spread_options
 from exwarp_cli.commands.threads_option import threads_option
-from exwarp_cli.domain.being_read import begun_again, go_on_without
 from exwarp_cli.domain.settings import (
     DEVICES,
     ClusterSettings,
@@ -29,6 +28,7 @@ from exwarp_cli.domain.settings import (
 )
 from exwarp_cli.domain.timeline import MOST
 from exwarp_cli.errors import IncompleteError, UsageError
+from exwarp_cli.runtime.read_registry import enable_restart, is_restarted
 
 if TYPE_CHECKING:
     from exwarp_cli.domain.results import RunSummary
@@ -216,8 +216,8 @@ def command(
 
     settings = settings_of(options)
     if settings.source.keep_going:
-        go_on_without()
-    if begun_again():  # what is there was written before
+        enable_restart()
+    if is_restarted():  # what is there was written before
         settings = replace(
             settings, skip_existing=True, overwrite=False, replaces_foreign=settings.overwrite
         )
@@ -227,7 +227,7 @@ def command(
         with suppress(RuntimeError):  # no more threads: what needs one says so
             Thread(target=_import_run, name="exwarp-import").start()
     with _going_on(progress), reporting(progress, results_on_stdout=as_json) as told:
-        job = replace(open_job(settings, runs), reported=as_json or report_folder is not None)
+        job = replace(open_job(settings), reported=as_json or report_folder is not None)
         place = _report_place(report_folder, as_chunk, job)
         if dry_run:
             _tell(_foreseen(job, where, place, told), as_json)
@@ -264,7 +264,7 @@ def _import_run() -> None:
     What fails here fails again where it is used, and is told there.
     """
     with suppress(Exception):
-        import_module("exwarp_cli.pipeline.upsample")
+        import_module("exwarp_cli.pipeline.run")
 
 
 def _report_place(folder: Path | None, as_chunk: bool, job: Job) -> Path | None:
@@ -311,7 +311,7 @@ def _done(
         from exwarp_cli.farm.cluster import run_on_cluster
 
         return run_on_cluster(job, where, told, gallery)
-    from exwarp_cli.pipeline.upsample import run_job
+    from exwarp_cli.pipeline.run import run_job
 
     return run_job(job, told, gallery)
 

@@ -73,7 +73,6 @@ class Cores:
     def _take(self, many: int) -> None:
         with self._changed:
             self._changed.wait_for(lambda: self._free >= many)
-            # In this order, and as below: an interruption in between gives too many, never none.
             self._own.many = many
             self._free -= many
 

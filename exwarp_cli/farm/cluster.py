@@ -70,7 +70,7 @@ def run_on_cluster(
     ClusterError
         When the cluster cannot be reached, cannot do the work, or loses its workers.
     ExwarpError
-        As `pipeline.upsample.upsample` raises; frames written until then are whole.
+        As `pipeline.run.upsample` raises; frames written until then are whole.
     """
     _require_frames(job)
     job.refuse()

@@ -7,10 +7,8 @@ import logging
 import os
 import signal
 import sys
-import tempfile
 import warnings
-from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from multiprocessing import resource_tracker
@@ -20,13 +18,14 @@ from exwarp_cli.domain.settings import ClusterSettings
 from exwarp_cli.domain.wording import first_line
 from exwarp_cli.errors import ClusterError, MissingExtraError
 from exwarp_cli.io.machine import processors
+from exwarp_cli.runtime.stop import blocked, cleaned_up, note_progress, scratch_folder
 
 CONNECT_S = 10.0
 """Seconds that a scheduler has to answer."""
 
 LOOPBACK = "127.0.0.1"
 
-STOP_S = 10.0
+STOP_S = 6.0
 """Seconds that they have to end before they are killed."""
 
 _LATE = (OSError, TimeoutError, RuntimeError)
@@ -87,7 +86,7 @@ def connected(where: ClusterSettings, threads: int | None) -> Iterator[Any]:
 def _client(distributed: Any, address: Any) -> Iterator[Any]:
     """Connect, without becoming what Dask uses for everything else in this process."""
     try:
-        client = _whole(partial(_join, distributed, address), _leave)
+        client = _join(distributed, address)
     except Exception as error:  # whatever comes of what speaks another language, or none
         raise ClusterError(
             f"cannot reach a Dask scheduler at {address} ({_reason(error)}); check the address, "
@@ -129,58 +128,34 @@ def _local(distributed: Any, workers: int, threads: int | None) -> Iterator[Any]
     import dask
 
     if sys.platform != "win32":
-        # It would lift the block of `_deafen` where the first process begins it.
+        # It would lift the block below where the first process begins it.
         resource_tracker.ensure_running()
     with ExitStack() as stack:
-        scratch = tempfile.TemporaryDirectory(prefix="exwarp-", ignore_cleanup_errors=True)
-        folder = stack.enter_context(scratch)
+        folder = str(stack.enter_context(scratch_folder()))
         # Else some of its parts make a folder for all runs, which nobody removes.
         stack.enter_context(dask.config.set({"temporary-directory": folder}))
-        make = partial(
-            distributed.LocalCluster,
-            n_workers=workers,
-            threads_per_worker=threads_each(workers, threads),
-            processes=True,
-            host=LOOPBACK,
-            scheduler_kwargs={"dashboard": False, "dashboard_address": f"{LOOPBACK}:0"},
-            memory_limit=None,
-            silence_logs=logging.CRITICAL,
-            local_directory=folder,
-            preload=["exwarp_cli.farm.cluster_preload"],
-        )
         try:
-            cluster = _whole(make, _end)
+            with blocked(signal.SIGINT):  # this process ends its workers itself
+                cluster = distributed.LocalCluster(
+                    n_workers=workers,
+                    threads_per_worker=threads_each(workers, threads),
+                    processes=True,
+                    host=LOOPBACK,
+                    scheduler_kwargs={"dashboard": False, "dashboard_address": f"{LOOPBACK}:0"},
+                    memory_limit=None,
+                    silence_logs=logging.CRITICAL,
+                    local_directory=folder,
+                    preload=["exwarp_cli.farm.cluster_work"],
+                )
         except (OSError, RuntimeError) as error:
             raise ClusterError(
                 f"cannot start {workers} worker processes on this machine ({first_line(error)}); "
                 "use fewer --workers, or none"
             ) from error
-        stack.callback(_end, cluster)
+        # Taken now, as one that is being closed lists them no more.
+        stack.enter_context(cleaned_up(partial(_kill, tuple(cluster.workers.values()))))
+        stack.callback(_close, cluster)
         yield cluster
-
-
-def _whole(make: Callable[[], Any], end: Callable[[Any], None]) -> Any:
-    """Make something in a thread, and end it again if this one is interrupted meanwhile.
-
-    An interruption that reached Dask itself would leave processes half begun.
-    """
-    with ThreadPoolExecutor(1, initializer=_deafen) as pool:
-        future = pool.submit(make)
-        try:
-            return future.result()
-        except BaseException:
-            with suppress(Exception):  # its own, which is raised anyway
-                end(future.result())
-            raise
-
-
-def _deafen() -> None:
-    """Keep Ctrl-C from processes that this thread will begin, and the threads that it begins.
-
-    A terminal sends it to every process of the command, and workers would print where they were.
-    """
-    if sys.platform != "win32":
-        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
 
 
 def _leave(client: Any) -> None:
@@ -189,15 +164,19 @@ def _leave(client: Any) -> None:
         client.close(timeout=STOP_S)
 
 
-def _end(cluster: Any) -> None:
-    """End a local cluster's processes: nothing is lost by it, as what they wrote is whole."""
-    processes = [nanny.pid for nanny in cluster.workers.values() if nanny.pid]
-    try:
+def _close(cluster: Any) -> None:
+    """Close a local cluster; those of its processes that do not end are killed afterwards."""
+    note_progress()
+    with suppress(*_LATE):
         cluster.close(timeout=STOP_S)
-    except _LATE:
-        for process in processes:
+
+
+def _kill(nannies: Iterable[Any]) -> None:
+    """End a local cluster's processes: nothing is lost by it, as what they wrote is whole."""
+    for nanny in nannies:
+        if nanny.pid:
             with suppress(OSError):  # ended meanwhile
-                os.kill(process, signal.SIGTERM if os.name == "nt" else signal.SIGKILL)
+                os.kill(nanny.pid, signal.SIGTERM if os.name == "nt" else signal.SIGKILL)
 
 
 @contextmanager

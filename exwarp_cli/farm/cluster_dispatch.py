@@ -22,6 +22,7 @@ from distributed import CancelledError, KilledWorker
 from exwarp_cli.errors import ClusterError
 from exwarp_cli.farm.cluster_work import Chunk, Done, Needs, unfit, work
 from exwarp_cli.pipeline.eta import ANY, kind_of
+from exwarp_cli.runtime.stop import check_stop, note_progress
 
 POLL_S = 0.5
 """Seconds between two looks at who is there."""
@@ -240,6 +241,7 @@ class Dispatch:
 
     def _hear(self) -> None:
         """Take in what happened, and wait a little where nothing did."""
+        check_stop()
         try:
             kind, what = self._news.get(timeout=POLL_S)
             while True:
@@ -319,7 +321,8 @@ class Dispatch:
             return
         deadline = time.monotonic() + CALL_OFF_S
         while under_way and (left := deadline - time.monotonic()) > 0:
+            note_progress()
             with suppress(queue.Empty):
-                kind, what = self._news.get(timeout=left)
+                kind, what = self._news.get(timeout=min(left, POLL_S))
                 if kind == "event" and "end" in what:
                     under_way.discard(what["chunk"])

@@ -25,8 +25,8 @@ from exwarp_cli.io.atomic import make_folder
 from exwarp_cli.io.awaited import LOOK_S, shows
 from exwarp_cli.pipeline.eta import ANY
 from exwarp_cli.pipeline.job import Job, open_job
-from exwarp_cli.pipeline.upsample import write_intervals
-from exwarp_cli.pipeline.watching import Watcher
+from exwarp_cli.pipeline.progress import FrameListener
+from exwarp_cli.pipeline.run import write_intervals
 
 MARK_S = 2.0
 """Seconds for which a worker looks for the marks: it has not looked before, so that they should
@@ -39,7 +39,7 @@ _alone = threading.Lock()
 """Chunks of one process would only take cores and memory from each other."""
 
 
-class SharedWatcher(Watcher, Protocol):
+class SharedWatcher(FrameListener, Protocol):
     """A watcher whose parts see parts of a run, in other processes."""
 
     def share(self) -> SharedWatcher:
@@ -218,7 +218,7 @@ def _job(chunk: Chunk) -> Job:
     if _opened is None or _opened[0] != chunk.run:
         _opened = None
         threads = chunk.settings.threads or int(get_worker().state.nthreads)
-        _opened = chunk.run, open_job(replace(chunk.settings, threads=threads), runs=False)
+        _opened = chunk.run, open_job(replace(chunk.settings, threads=threads))
     return _opened[1]
 
 

@@ -47,7 +47,7 @@ def open_farm_job(
             "the frames in -o, and the video with --video"
         )
     # With the device of a worker, not of here.
-    job = open_job(replace(settings, device=UpsampleSettings.device), runs=False)
+    job = open_job(replace(settings, device=UpsampleSettings.device))
     try:
         _require_network(settings, job)
         job.refuse()

@@ -7,6 +7,8 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
+from exwarp_cli.runtime.stop import check_stop
+
 SHOWS_S = 20.0
 """Seconds that a new file may take to show on another machine's view of a network share."""
 
@@ -17,6 +19,7 @@ def await_file(path: Path, patience: float = SHOWS_S) -> None:
     """Wait until a file shows, but not for ever: who reads it says that it is missing."""
     deadline = time.monotonic() + patience
     while not shows(path) and time.monotonic() < deadline:
+        check_stop()
         time.sleep(LOOK_S)
 
 

@@ -21,6 +21,7 @@ import numpy as np
 from exwarp_cli.domain import cores
 from exwarp_cli.domain.frame import UInt8
 from exwarp_cli.io.held import Held
+from exwarp_cli.runtime.stop import check_stop, cleaned_up
 
 RAW = "-f rawvideo -pix_fmt rgb24"
 """What names frames as bytes: uint8 [H, W, 3], one after the other."""
@@ -136,7 +137,10 @@ class Drain(Held):
         ------
         FfmpegError
             When ffmpeg failed.
+        StopRequested
+            When this process was asked to stop.
         """
+        check_stop()
         assert self._ffmpeg.stdout is not None
         data = self._ffmpeg.stdout.read(size)
         if len(data) == size:
@@ -200,7 +204,7 @@ class Feed(Held):
             )
         except (OSError, RuntimeError) as error:
             raise _no_start(error) from error
-        stack.callback(self._kill)
+        stack.enter_context(cleaned_up(self._kill))
 
     def write(self, frame: UInt8) -> None:
         """Send a frame, uint8 [H, W, 3]; raises FfmpegError."""

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from exwarp_cli.domain import cores
-from exwarp_cli.domain.being_read import being_read
 from exwarp_cli.domain.extrapolator import INPUTS, OUTPUT, TIME, Inputs, NetworkInputs
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.domain.tiles import Span, Tile, cut
@@ -32,6 +31,7 @@ from exwarp_cli.io.model_weights import with_weights
 from exwarp_cli.io.reach import reach_of
 from exwarp_cli.io.standard_streams import quiet_libraries
 from exwarp_cli.runtime.frame_pool import pool
+from exwarp_cli.runtime.read_registry import being_read
 
 SHIPPED = "extrapolator.onnx"
 """Name of the network that comes with ExWarp."""
@@ -147,7 +147,7 @@ class OnnxNetwork:
         most = height * width // (stride**2 * PIXELS_PER_THREAD)
         session = self._session(max(1, min(self._threads, most)) if self.device == "cpu" else 1)
         try:
-            with being_read(self.path):
+            with being_read(self.path, required=True):
                 (out,) = session.run([output], feeds, self._giving_back if last else None)
         except _failures() as error:
             if isinstance(error, MemoryError) or "alloc" in str(error):
@@ -298,7 +298,7 @@ def open_session(path: Path, data: bytes, threads: int, device: str) -> Any:
     cuda = (CUDA, {"cudnn_conv_algo_search": "HEURISTIC", "use_tf32": "0"})
     providers = [cuda] if device == "cuda" else []
     try:
-        with being_read(path), quiet_libraries():
+        with being_read(path, required=True), quiet_libraries():
             session = runtime.InferenceSession(
                 data, options, providers=[*providers, "CPUExecutionProvider"], enable_fallback=False
             )

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from exwarp_cli.errors import DamagedFileError, UnreadableError
+from exwarp_cli.runtime.stop import check_stop
 
 T = TypeVar("T")
 
@@ -75,6 +76,7 @@ def with_retries(path: Path, read: Callable[[], T]) -> T:
             pause = next(pauses, None)
             if pause is None or (failure.errno in _RIGHTS and pause != PAUSES[0]):
                 raise unreadable(path, failure) from error
+        check_stop()
         time.sleep(pause)
 
 

@@ -1,12 +1,11 @@
-"""A parent that outlives whatever a library does to the process that works.
+"""A parent process that outlives whatever a library does to the process that works.
 
-Decoders and drivers are other people's C and C++: on a damaged file they may crash, or never come
-back. So the command runs in a child, and its parent, which only waits, says in a sentence what
-became of it. What the child wrote is whole either way: files are renamed into place. A command that
-goes on without bad files begins again, without those.
+Decoders and drivers are C and C++ of others: on a damaged file they may crash, or never return. So
+the command runs in a child, and its parent, which only waits, says in a sentence what became of it.
+Files are complete either way, as they are renamed into place. A command that goes on without
+damaged files starts again without those that were being read.
 
-The child dies with its parent, and gets the signals that its parent gets. Where it does not end on
-them, it is ended.
+The child ends with its parent, and gets the signals that its parent gets.
 """
 
 from __future__ import annotations
@@ -22,9 +21,10 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
-from typing import Any, NoReturn
+from typing import Any
 
-from exwarp_cli.domain.being_read import Board, hang_up
+from exwarp_cli.runtime.read_registry import ReadRegistry, attach
+from exwarp_cli.runtime.stop import AT_ONCE_S, blocked
 
 TICK_S = 2.0
 """How often the parent looks at what is being read."""
@@ -40,10 +40,10 @@ ALONE_VARIABLE = "EXWARP_SUPERVISE"
 """Environment variable that is 0 where the command is to run in one process, for a debugger."""
 
 GRACE_S = 60.0
-"""How long the child may take to end once it was told to: a frame's write, or a network's run."""
+"""How long the child may take to end after a signal: it finishes the files that it writes."""
 
-MOST_AGAIN = 32
-"""How often a command begins again: what fails more often is not a matter of single files."""
+MOST_RESTARTS = 32
+"""What fails more often is not a matter of single files."""
 
 HANDED_ON = tuple(
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
@@ -60,17 +60,20 @@ class End:
     code
         What it exited with; below 0 the signal that ended it, as of `subprocess`.
     reading
-        The files that libraries were reading then.
+        The files that libraries were reading then; those that took too long, if any did.
     overdue
         Whether it was ended because one of them took too long.
     stopped
         The signal by which somebody wanted it to end; 0 where nobody did.
+    skippable
+        Those of the files without which the command can start again.
     """
 
     code: int
     reading: tuple[Path, ...] = ()
     overdue: bool = False
     stopped: int = 0
+    skippable: tuple[Path, ...] = ()
 
     @property
     def is_failure(self) -> bool:
@@ -112,44 +115,45 @@ def part(tell: Callable[[str], None]) -> End | None:
     """
     if not parts():
         return None
-    board = Board()
     usual = {number: signal.getsignal(number) for number in HANDED_ON}
-    for _ in range(MOST_AGAIN):
-        end = _part(board, usual)
-        if end is None or not (end.reading and end.is_failure and board.goes_on):
+    skipped: dict[Path, str] = {}
+    for _ in range(MOST_RESTARTS):
+        end = _part(skipped, usual)
+        if end is None or not (end.is_failure and end.skippable):
             return end
-        board.clear()
-        if len(end.reading) > 1 and not board.singly:
-            board.singly = True
-            tell(f"{end.reason}; beginning again, to find out which")
-        else:
-            board.refused |= dict.fromkeys(end.reading, f"{end.reason}; render or copy it again")
-            tell(f"{end.reason}; beginning again without it")
-    return _part(board, usual)
+        skipped |= dict.fromkeys(end.skippable, f"{end.reason}; render or copy it again")
+        without = "it" if len(end.skippable) == 1 else "them"
+        tell(f"{end.reason}; beginning again without {without}")
+    return _part(skipped, usual)
 
 
-def _part(board: Board, usual: Mapping[int, Any]) -> End | None:
+def _part(skipped: Mapping[Path, str], usual: Mapping[int, Any]) -> End | None:
     """Part this process once, with what signals do in the child."""
-    alive, held = os.pipe()  # the child's end closes with it
+    notes, noted = os.pipe()  # what the child reads
+    lifeline, held = os.pipe()  # closes with the parent
     for stream in (sys.stdout, sys.stderr):
         with suppress(OSError, ValueError, AttributeError):
             stream.flush()  # else both would print what waits
-    parent = os.getpid()
-    child = os.fork()
-    if child == 0:
-        os.close(alive)
-        for number, handler in usual.items():
-            if handler is not None:  # something other than Python set it
-                signal.signal(number, handler)
-        _die_with(parent)
-        hang_up(board)
-        return None
-    os.close(held)
-    handed_on = _hand_on(child, usual)
+    with blocked(*HANDED_ON):  # until both processes handle them
+        child = os.fork()
+        if child == 0:
+            os.close(notes)
+            os.close(held)
+            for number, handler in usual.items():
+                if handler is not None:  # something other than Python set it
+                    signal.signal(number, handler)
+            with suppress(RuntimeError):  # no more threads: what needs one says so
+                threading.Thread(target=_end_with_parent, args=(lifeline,), daemon=True).start()
+            attach(noted, skipped)
+            return None
+        handed_on = _hand_on(child, usual)
+    os.close(noted)
+    os.close(lifeline)
     try:
-        return _await(child, alive, board, handed_on)
+        return _await(child, notes, handed_on)
     finally:
-        os.close(alive)
+        os.close(notes)
+        os.close(held)
 
 
 def limit() -> float:
@@ -161,43 +165,59 @@ def limit() -> float:
     return told if told > 0 else float("inf")
 
 
-def _await(child: int, alive: int, board: Board, handed_on: list[int]) -> End:
+def _await(child: int, notes: int, handed_on: list[tuple[int, float]]) -> End:
     """Wait for the child; end it where a file takes too long, or where it does not stop."""
     most = limit()
-    since: dict[int, float] = {}
-    overdue = False
-    stopped = 0.0
+    registry = ReadRegistry()
+    seconds: dict[int, float] = {}
+    overdue: list[int] = []
     tick = min(TICK_S, most)
     while True:
         begin = time.monotonic()
-        gone = bool(select.select([alive], [], [], tick)[0])
-        done, status = os.waitpid(child, 0 if gone else os.WNOHANG)
-        reading = board.notes()
-        if done:
-            files = tuple(dict.fromkeys(reading.values()))
-            return End(os.waitstatus_to_exitcode(status), files, overdue, *handed_on[:1])
+        ready = bool(select.select([notes], [], [], tick)[0])
+        data = os.read(notes, 1 << 16) if ready else b""
+        registry.receive(data)
+        if not data:  # the pipe closes with the child
+            done, status = os.waitpid(child, 0 if ready else os.WNOHANG)
+            if done:
+                numbers = overdue or list(registry.files)
+                skippable = set(numbers) - registry.required if registry.restarts else ()
+                return End(
+                    os.waitstatus_to_exitcode(status),
+                    tuple(dict.fromkeys(registry.files[number] for number in numbers)),
+                    bool(overdue),
+                    handed_on[0][0] if handed_on else 0,
+                    tuple({registry.files[number] for number in skippable}),
+                )
         # Whoever stops both processes for an hour does not want them ended afterwards.
         passed = min(time.monotonic() - begin, 2 * tick)
-        since = {number: since.get(number, 0.0) + passed for number in reading}
-        stopped += passed if handed_on else 0.0
-        overdue = not handed_on and any(seconds > most for seconds in since.values())
-        if overdue or stopped > GRACE_S:
+        seconds = {number: seconds.get(number, 0.0) + passed for number in registry.files}
+        overdue = [] if handed_on else [n for n, spent in seconds.items() if spent > most]
+        if overdue or _is_to_be_ended(handed_on):
             with suppress(ProcessLookupError):
                 os.kill(child, signal.SIGKILL)
 
 
-def _hand_on(child: int, usual: Mapping[int, Any]) -> list[int]:
+def _is_to_be_ended(handed_on: list[tuple[int, float]]) -> bool:
+    """Whether the child did not end by a signal in time; a second signal shortens that."""
+    if not handed_on:
+        return False
+    first, last, now = handed_on[0][1], handed_on[-1][1], time.monotonic()
+    return now - first > GRACE_S or (last - first > AT_ONCE_S and now - last > TICK_S)
+
+
+def _hand_on(child: int, usual: Mapping[int, Any]) -> list[tuple[int, float]]:
     """Have the child get the signals that end a command; who ignores one keeps to that.
 
     Returns
     -------
-    list of int
-        Those that came, as they come.
+    list of (int, float)
+        Those that came, as they come, each with its time.
     """
-    came: list[int] = []
+    came: list[tuple[int, float]] = []
 
     def hand_on(number: int, _frame: FrameType | None) -> None:
-        came.append(number)
+        came.append((number, time.monotonic()))
         with suppress(ProcessLookupError):
             os.kill(child, number)
 
@@ -207,28 +227,7 @@ def _hand_on(child: int, usual: Mapping[int, Any]) -> list[int]:
     return came
 
 
-def _die_with(parent: int) -> None:
-    """Have this process end when its parent does, whatever ended that."""
-    if not _by_kernel():
-        threading.Thread(target=_end_without, args=(parent,), daemon=True).start()
-    if os.getppid() != parent:  # it was quicker
-        os.kill(os.getpid(), signal.SIGKILL)
-
-
-def _by_kernel() -> bool:
-    """Have Linux end this process with its parent; whether it will."""
-    if not sys.platform.startswith("linux"):
-        return False
-    import ctypes  # numpy does, too
-
-    set_signal: Callable[..., int] | None
-    set_signal = getattr(ctypes.CDLL(None), "prctl", None)
-    pdeathsig = 1  # PR_SET_PDEATHSIG of <linux/prctl.h>
-    return set_signal is not None and set_signal(pdeathsig, signal.SIGKILL) == 0
-
-
-def _end_without(parent: int) -> NoReturn:
-    while os.getppid() == parent:
-        time.sleep(TICK_S)
+def _end_with_parent(lifeline: int) -> None:
+    """End this process when its parent does, whatever ended that."""
+    os.read(lifeline, 1)
     os.kill(os.getpid(), signal.SIGKILL)
-    raise AssertionError

@@ -11,7 +11,7 @@ import OpenImageIO as oiio
 
 from exwarp_cli.domain import cores
 from exwarp_cli.io.machine import processors
-from exwarp_cli.kernels import jit
+from exwarp_cli.kernels import _row_bands
 
 
 def use_threads(count: int | None) -> None:
@@ -34,4 +34,4 @@ def for_kernels() -> None:
 
     A new thread's kernels have threads for all cores, whatever others do.
     """
-    jit.set_threads(cores.left)
+    _row_bands.set_threads(cores.left)

@@ -10,7 +10,6 @@ pair and on the reference's neighbours, and on nothing else.
 from __future__ import annotations
 
 import json
-import tempfile
 from collections.abc import Iterable
 from contextlib import ExitStack
 from pathlib import Path
@@ -21,6 +20,7 @@ from exwarp_cli.domain.frame import UInt8
 from exwarp_cli.errors import InputError, LayoutError
 from exwarp_cli.io.ffmpeg import RAW_INPUT, TO_VIDEO, Feed, FfmpegError, even
 from exwarp_cli.io.held import Held
+from exwarp_cli.runtime.stop import scratch_folder
 
 LEAST = 17
 """Fewest rows and columns: with fewer libvmaf crashes."""
@@ -81,7 +81,7 @@ class Vmaf(Held):
         self._folder = Path()
 
     def _open(self, stack: ExitStack) -> None:
-        self._folder = Path(stack.enter_context(tempfile.TemporaryDirectory("-exwarp")))
+        self._folder = stack.enter_context(scratch_folder())
 
     def write(self, reference: UInt8, test: UInt8) -> None:
         """Append a pair of frames; see `vmaf`."""
@@ -127,7 +127,7 @@ class EncodedVmaf(Held):
         self._folder = Path()
 
     def _open(self, stack: ExitStack) -> None:
-        self._folder = Path(stack.enter_context(tempfile.TemporaryDirectory("-exwarp")))
+        self._folder = stack.enter_context(scratch_folder())
 
     def write(self, reference: UInt8, test: UInt8) -> None:
         """Append a pair of frames; see `vmaf`."""

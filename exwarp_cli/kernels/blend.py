@@ -7,8 +7,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.compiled.shares import WHOLE, Share, turns
-from exwarp_cli.kernels.jit import inlined, parallel, part, serial
+from exwarp_cli.kernels._compile import inlined, parallel, part, serial
+from exwarp_cli.kernels._row_bands import WHOLE, Share, turns
 
 F32 = npt.NDArray[np.float32]
 B8 = npt.NDArray[np.bool_]
@@ -137,8 +137,6 @@ def blend_text(
         float32 [H, W], written: the nearer of both depths.
     hole
         bool [H, W], written: neither side sees the surface.
-    share
-        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
 
     Notes
     -----

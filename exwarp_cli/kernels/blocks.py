@@ -7,8 +7,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.compiled.shares import WHOLE, Share, turns
-from exwarp_cli.kernels.jit import parallel, part, serial
+from exwarp_cli.kernels._compile import parallel, part, serial
+from exwarp_cli.kernels._row_bands import WHOLE, Share, turns
 
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
@@ -118,8 +118,6 @@ def block_means_text(motion: F32, shown: B8, size: int, out: F64, share: Share =
     out
         float64 [ceil(H / size), ceil(W / size), 2], written: means over the pixels that count and
         whose components are both finite; NaN where a block has none.
-    share
-        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
     height, width, _ = motion.shape
     fours = width // (FOUR * size)

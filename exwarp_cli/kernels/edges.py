@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.compiled.builds import Kernel
-from exwarp_cli.compiled.shares import WHOLE, Share, turns
-from exwarp_cli.kernels.jit import parallel, part, serial
+from exwarp_cli.kernels._compile import Kernel, parallel, part, serial
+from exwarp_cli.kernels._row_bands import WHOLE, Share, turns
 
 F32 = npt.NDArray[np.float32]
 I32 = npt.NDArray[np.int32]
@@ -86,8 +85,6 @@ def find_edges_text(depth: F32, stencil: I32, edge: B8, share: Share = WHOLE) ->
         int32 [H, W], or [0, 0] when unknown.
     edge
         bool [H, W], written.
-    share
-        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
 
     Notes
     -----
@@ -166,8 +163,6 @@ def mark_rims_text(depth: F32, rims: B8, share: Share = WHOLE) -> None:
         float32 [H, W].
     rims
         bool [H W + 1], written but for the last.
-    share
-        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
     height, width = depth.shape
     for i in turns(height, share):
@@ -183,8 +178,6 @@ def mark_ghosts_text(field: F32, near: F32, rims: B8, fringe: B8, share: Share =
         As for :func:`find_fringe`.
     rims
         bool [H W + 1], from :func:`mark_rims_text`; the last is where there is no source.
-    share
-        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
     height, width = near.shape
     source = np.empty(width, np.int32)

@@ -18,11 +18,10 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.compiled.shares import WHOLE, Share, turns
+from exwarp_cli.kernels._compile import parallel, part, serial
+from exwarp_cli.kernels._row_bands import WHOLE, Share, turns
 from exwarp_cli.kernels.blocks import any_of
 from exwarp_cli.kernels.extents import ROWS_PER_BAND, extents
-from exwarp_cli.kernels.jit import parallel, part, serial
-from exwarp_cli.kernels.prefetch import LINE, prefetch
 
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
@@ -116,18 +115,15 @@ def add_each(values: F32, edges: F64, bins: U32, lane: U32) -> None:
 
 
 @part
-def add_up(values: F32, edges: F64, bins: U32, lanes: U32, ahead: F32) -> None:
+def add_up(values: F32, edges: F64, bins: U32, lanes: U32) -> None:
     """Count bins [N] in the histograms [LANES, BINS + 1] that take turns.
 
-    Where there is doubt, the values [N] themselves tell, beside the bins' edges [BINS + 1]. What is
-    read next, `ahead` [N or more], is fetched meanwhile: a sixth of the time was waiting for it.
+    Where there is doubt, the values [N] themselves tell, beside the bins' edges [BINS + 1].
     """
     one, two, three, four = lanes[0], lanes[1], lanes[2], lanes[3]
     five, six, seven, eight = lanes[4], lanes[5], lanes[6], lanes[7]
     whole = bins.size // LANES * LANES
     for j in range(0, whole, LANES):
-        if j % LINE == 0:
-            prefetch(ahead, j)
         a, b, c, d = bins[j], bins[j + 1], bins[j + 2], bins[j + 3]
         e, f, g, h = bins[j + 4], bins[j + 5], bins[j + 6], bins[j + 7]
         if (a | b | c | d | e | f | g | h) & np.uint32(DOUBT):
@@ -145,14 +141,14 @@ def add_up(values: F32, edges: F64, bins: U32, lanes: U32, ahead: F32) -> None:
 
 
 @part
-def count_line(values: F32, shown: B8, edges: F64, bins: U32, lanes: U32, ahead: F32) -> None:
+def count_line(values: F32, shown: B8, edges: F64, bins: U32, lanes: U32) -> None:
     """Count values of a channel in its histograms; see `write_bins` and `add_up`."""
     low, high = edges[0], edges[BINS]
     if are_fine(low, high):
         write_bins(values, shown, low, high, bins)
     else:
         write_bins_each(values, shown, low, high, bins)
-    add_up(values, edges, bins, lanes, ahead)
+    add_up(values, edges, bins, lanes)
 
 
 @part
@@ -195,13 +191,8 @@ def end_of_run(shown: B8, begin: int, counting: bool) -> int:
 
 
 @part
-def count_row(
-    values: F32, shown: B8, edges: F64, lines: F32, bins: U32, lanes: U32, ahead: F32
-) -> None:
-    """Count a row's pixels [W C], skipping what shows nothing, such as sky.
-
-    Of the next row, `ahead`, each channel fetches a part.
-    """
+def count_row(values: F32, shown: B8, edges: F64, lines: F32, bins: U32, lanes: U32) -> None:
+    """Count a row's pixels [W C], skipping what shows nothing, such as sky."""
     channels, begin = edges.shape[0], end_of_run(shown, 0, False)
     while begin < shown.size:
         end = end_of_run(shown, begin, True)
@@ -209,8 +200,7 @@ def count_row(
         for c in range(channels):
             if edges[c, 0] < edges[c, BINS]:
                 line, some = lines[c, : end - begin], bins[: end - begin]
-                after = ahead[channels * begin + c * line.size : channels * end]
-                count_line(line, shown[begin:end], edges[c], some, lanes[c], after)
+                count_line(line, shown[begin:end], edges[c], some, lanes[c])
         begin = end_of_run(shown, end, False)
 
 
@@ -241,8 +231,6 @@ def count_text(values: F32, shown: B8, ranges: F64, counts: I64, share: Share = 
     counts
         int64 [ceil(H / ROWS_PER_BAND), C, BINS], written. A bin holds its lower end, the last one
         both ends. NaN and infinities are left out.
-    share
-        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
     height, width, channels = values.shape
     lines, bins = np.empty((channels, width), np.float32), np.empty(width, np.uint32)
@@ -251,8 +239,7 @@ def count_text(values: F32, shown: B8, ranges: F64, counts: I64, share: Share = 
         begin = band * ROWS_PER_BAND
         clear(lanes.reshape(-1))
         for i in range(begin, min(begin + ROWS_PER_BAND, height)):
-            ahead = values[min(i + 1, height - 1)].reshape(-1)
-            count_row(values[i].reshape(-1), shown[i], edges, lines, bins, lanes, ahead)
+            count_row(values[i].reshape(-1), shown[i], edges, lines, bins, lanes)
         for c in range(channels):
             gather_lanes(lanes[c], counts[band, c])
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.compiled.shares import WHOLE, Share, turns
+from exwarp_cli.kernels._compile import parallel, part, serial
+from exwarp_cli.kernels._row_bands import WHOLE, Share, turns
 from exwarp_cli.kernels.blocks import all_of, any_of
-from exwarp_cli.kernels.jit import parallel, part, serial
 
 F32 = npt.NDArray[np.float32]
 B8 = npt.NDArray[np.bool_]
@@ -108,8 +108,6 @@ def extents_text(values: F32, shown: B8, out: F32, share: Share = WHOLE) -> None
     out
         float32 [ceil(H / ROWS_PER_BAND), C, 2], written: least and greatest of the finite values
         that count; +inf and -inf where there are none.
-    share
-        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
     height, _, channels = values.shape
     low, high = np.empty(SPAN * channels, np.float32), np.empty(SPAN * channels, np.float32)

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.compiled.shares import WHOLE, Share, turns
-from exwarp_cli.kernels.jit import inlined, parallel, serial
+from exwarp_cli.kernels._compile import inlined, parallel, serial
+from exwarp_cli.kernels._row_bands import WHOLE, Share, turns
 
 F32 = npt.NDArray[np.float32]
 B8 = npt.NDArray[np.bool_]
@@ -81,8 +81,6 @@ def raise_bounds_text(
         1 for upper bounds; -1 for lower ones, which are negated.
     bound
         float32 [h, w, C], changed; -inf where there is no bound yet.
-    share
-        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
     height, width, channels = pixels.shape
     flat, made = pixels.reshape(-1), bound.reshape(-1)
@@ -130,8 +128,6 @@ def hold_text(
         How many are held.
     frame
         float32 [H, W, C], changed.
-    share
-        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
     height, width, _ = frame.shape
     for i in turns(height, share):

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.compiled.shares import WHOLE, Share, turns
-from exwarp_cli.kernels.jit import parallel, part, serial
+from exwarp_cli.kernels._compile import parallel, part, serial
+from exwarp_cli.kernels._row_bands import WHOLE, Share, turns
 from exwarp_cli.kernels.lanes import LANES, add_four
 
 F32 = npt.NDArray[np.float32]
@@ -52,8 +52,6 @@ def count_holes_text(hole: B8, bits: I32, counts: I32, furthest: I32, share: Sha
         int32 [H], written.
     furthest
         int32 [H], written: the bits of the greatest finite depth outside the holes, or of 0.
-    share
-        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
     height, _ = hole.shape
     for i in turns(height, share):
@@ -80,8 +78,6 @@ def list_holes_text(hole: B8, first: I32, column: I32, share: Share = WHOLE) -> 
         int32 [H + 1]: how many holes there are in all rows above each.
     column
         int32 [N], written, row by row, ascending.
-    share
-        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
     height, width = hole.shape
     for i in turns(height, share):
@@ -162,8 +158,6 @@ def look_text(
         How many steps to look, 1 to 32,766.
     steps
         int16 [8, N], written: how many steps away it is; 0 where there is none.
-    share
-        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
 
     Notes
     -----
@@ -330,8 +324,6 @@ def fill_text(
         Depth at which everything further counts as equally far, scene units.
     steps
         int16 [8, N], from :func:`look_text`.
-    share
-        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
 
     Notes
     -----

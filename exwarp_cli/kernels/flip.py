@@ -10,11 +10,11 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.compiled.shares import WHOLE, Share, turns
 from exwarp_cli.kernels import flip_filters as filters
+from exwarp_cli.kernels._compile import inlined, parallel, part, serial
+from exwarp_cli.kernels._row_bands import WHOLE, Share, turns
 from exwarp_cli.kernels.flip_colour import TO_XYZ, to_linear, to_xyz
 from exwarp_cli.kernels.flip_powers import power
-from exwarp_cli.kernels.jit import inlined, parallel, part, serial
 
 F32 = npt.NDArray[np.float32]
 
@@ -111,8 +111,6 @@ def perceive_text(planes: F32, seen: F32, share: Share = WHOLE) -> None:
         float32 [SEEN, H, W], written: lightness, 0 to 100, red-green and blue-yellow of CIELAB
         with Hunt's effect, after the blur of the eye; strength of edges and of points, 0 to
         sqrt(2).
-    share
-        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
     for row in turns(planes.shape[1], share):
         _perceive_row(planes, row, seen)
@@ -168,8 +166,6 @@ def differ_text(reference: F32, test: F32, error: F32, share: Share = WHOLE) -> 
         float32 [SEEN, H, W], from `perceive`.
     error
         float32 [H, W], 0 to 1: becomes the larger of itself and the pair's FLIP error.
-    share
-        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
     for row in turns(error.shape[0], share):
         _differ_row(reference, test, row, error)

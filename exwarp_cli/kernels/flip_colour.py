@@ -10,9 +10,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.compiled.shares import WHOLE, Share, turns
+from exwarp_cli.kernels._compile import inlined, parallel, part, serial
+from exwarp_cli.kernels._row_bands import WHOLE, Share, turns
 from exwarp_cli.kernels.flip_powers import power
-from exwarp_cli.kernels.jit import inlined, parallel, part, serial
 
 F32 = npt.NDArray[np.float32]
 
@@ -140,8 +140,6 @@ def decode_text(image: F32, planes: F32, share: Share = WHOLE) -> None:
         float32 [H, W, 3 or more], 0 to 255 with sRGB primaries; what is outside is clipped.
     planes
         float32 [PLANES, H, W], written.
-    share
-        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
     for row in turns(image.shape[0], share):
         _decode_row(image, row, planes)
@@ -158,8 +156,6 @@ def expose_text(image: F32, gain: np.float32, planes: F32, share: Share = WHOLE)
         float32, what colours are multiplied with before the tone mapper: up to 2^25.
     planes
         float32 [PLANES, H, W], written.
-    share
-        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
     for row in turns(image.shape[0], share):
         _tone_row(image, gain, row, planes)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.kernels.jit import part
+from exwarp_cli.kernels._compile import part
 
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from exwarp_cli.kernels.jit import inlined
+from exwarp_cli.kernels._compile import inlined
 
 _MANTISSA = np.int32(23)
 """Bits of a float32's mantissa."""

@@ -7,9 +7,9 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.compiled.shares import WHOLE, Share, turns
+from exwarp_cli.kernels._compile import inlined, parallel, part, serial
+from exwarp_cli.kernels._row_bands import WHOLE, Share, turns
 from exwarp_cli.kernels.holes import DEPTH_TOLERANCE, Steps, same_depth
-from exwarp_cli.kernels.jit import inlined, parallel, part, serial
 from exwarp_cli.kernels.surface import end_of
 
 F32 = npt.NDArray[np.float32]
@@ -238,8 +238,6 @@ def follow_text(
     moved
         float32 [H, W, 2], pixels, changed: how far the points have come; NaN where unknown, and
         where neither samples nor an expectation lead on.
-    share
-        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
 
     Notes
     -----
@@ -296,8 +294,6 @@ def follow_shown_text(
     led, missed
         The same after the step, written. Lost are then also those that have reached such a pixel,
         or none.
-    share
-        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
     height, width, _ = moved.shape
     nowhere = np.float32(np.nan), np.float32(np.nan)

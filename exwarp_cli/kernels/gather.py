@@ -12,8 +12,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.compiled.shares import WHOLE, Share, turns
-from exwarp_cli.kernels.jit import inlined, parallel, part, serial
+from exwarp_cli.kernels._compile import inlined, parallel, part, serial
+from exwarp_cli.kernels._row_bands import WHOLE, Share, turns
 from exwarp_cli.kernels.lanes import FLAGS, LANES, any_of_eight, mix_four
 
 F32 = npt.NDArray[np.float32]
@@ -273,8 +273,6 @@ def gather_bilinear_text(image: F32, field: F32, out: F32, hole: B8, share: Shar
     hole
         bool [h, w], written: no source, a source outside the image's pixel areas, or a non-finite
         value among the samples.
-    share
-        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
     pixels, channels = np.ascontiguousarray(image).reshape(-1), image.shape[2]
     work = np.empty(SPAN, np.int32), np.empty(2 * SPAN, np.float32)

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.compiled.shares import WHOLE, Share, turns
-from exwarp_cli.kernels.jit import inlined, parallel, serial
+from exwarp_cli.kernels._compile import inlined, parallel, serial
+from exwarp_cli.kernels._row_bands import WHOLE, Share, turns
 
 F32 = npt.NDArray[np.float32]
 I32 = npt.NDArray[np.int32]
@@ -156,8 +156,6 @@ def mark_text(
         inverse, and positions as a share of each.
     hole
         bool [H, W], written.
-    share
-        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
 
     Notes
     -----

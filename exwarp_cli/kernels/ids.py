@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.kernels.jit import serial
+from exwarp_cli.kernels._compile import serial
 
 F32 = npt.NDArray[np.float32]
 I32 = npt.NDArray[np.int32]

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.kernels.jit import inlined, part, serial
+from exwarp_cli.kernels._compile import inlined, part, serial
 
 I32 = npt.NDArray[np.int32]
 I64 = npt.NDArray[np.int64]

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.compiled.shares import WHOLE, Share, turns
-from exwarp_cli.kernels.jit import parallel, part, serial
+from exwarp_cli.kernels._compile import parallel, part, serial
+from exwarp_cli.kernels._row_bands import WHOLE, Share, turns
 
 F32 = npt.NDArray[np.float32]
 B8 = npt.NDArray[np.bool_]
@@ -88,8 +88,6 @@ def pick_between_text(
     told
         int64 [B, 3], written: how many of a band count in all, how many of them lie below `low`,
         and how many were copied.
-    share
-        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
     step = out.shape[1] - 1
     for band in turns(out.shape[0], share):

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.kernels.jit import serial
+from exwarp_cli.kernels._compile import serial
 
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]

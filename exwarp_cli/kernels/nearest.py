@@ -7,11 +7,11 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.compiled.shares import WHOLE, Share, turns
+from exwarp_cli.kernels._compile import inlined, parallel, part, serial
+from exwarp_cli.kernels._row_bands import WHOLE, Share, turns
 from exwarp_cli.kernels.blend import FRINGE_WEIGHT
 from exwarp_cli.kernels.fill import WAYS
 from exwarp_cli.kernels.gather import clamp
-from exwarp_cli.kernels.jit import inlined, parallel, part, serial
 
 F32 = npt.NDArray[np.float32]
 I32 = npt.NDArray[np.int32]
@@ -104,8 +104,6 @@ def choose_text(
         float32 [H, W], written: the nearer of both depths.
     hole
         bool [H, W], written: neither side sees the surface.
-    share
-        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
 
     Notes
     -----
@@ -194,8 +192,6 @@ def adopt_text(
         Depth at which everything further counts as equally far, scene units.
     steps
         int16 [8, N], from :func:`exwarp_cli.kernels.fill.look`.
-    share
-        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
     height, width = depth.shape
     for i in turns(height, share):
@@ -224,8 +220,6 @@ def sample_surface_text(image: F32, depth: F32, field: F32, out: F32, share: Sha
     out
         float32 [H, W, C], written: of the four pixels around the end those count whose depth may
         be the nearest one's; NaN where the end lies outside.
-    share
-        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
     height, width, channels = image.shape
     for i in turns(out.shape[0], share):

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.compiled.shares import WHOLE, Share, turns
-from exwarp_cli.kernels.jit import parallel, part, serial
+from exwarp_cli.kernels._compile import parallel, part, serial
+from exwarp_cli.kernels._row_bands import WHOLE, Share, turns
 from exwarp_cli.kernels.reach import write_reach
 
 F32 = npt.NDArray[np.float32]
@@ -44,8 +44,6 @@ def parabola_text(
     reach
         Written as by :func:`~exwarp_cli.kernels.reach.row_reach_text`, row by row, which finds each
         in the processor's cache; [0, 0, 2] where nobody asks.
-    share
-        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
     for i in turns(after.shape[0], share):
         line = out[i].reshape(-1)

@@ -7,9 +7,9 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.compiled.shares import WHOLE, Share, turns
+from exwarp_cli.kernels._compile import inlined, parallel, part, serial
+from exwarp_cli.kernels._row_bands import WHOLE, Share, turns
 from exwarp_cli.kernels.gather import clamp
-from exwarp_cli.kernels.jit import inlined, parallel, part, serial
 
 F32 = npt.NDArray[np.float32]
 B8 = npt.NDArray[np.bool_]
@@ -229,8 +229,6 @@ def spread_text(
     out
         float32 [25, h, w], written: `warped`, `mask`, `features` and `history` of
         `exwarp_cli.domain.extrapolator.NetworkInputs`.
-    share
-        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
     height, width, _ = filled.shape
     pixels = (frames[0][0], frames[1][0], frames[2][0], filled)
@@ -259,8 +257,6 @@ def join_text(colour: F32, modulation: F32, filled: F32, out: F32, share: Share 
         float32 [H, W, C]: the filled warp, whose further channels are taken over.
     out
         float32 [H, W, C], written.
-    share
-        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
     height, width, channels = filled.shape
     for i in turns(height, share):
@@ -307,8 +303,6 @@ def demodulate_text(
         Least and greatest.
     out
         float32 [H, W, C], written.
-    share
-        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
     height, width, channels = pixels.shape
     for i in turns(height, share):

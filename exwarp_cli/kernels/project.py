@@ -7,8 +7,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.compiled.shares import WHOLE, Share, turns
-from exwarp_cli.kernels.jit import inlined, parallel, serial
+from exwarp_cli.kernels._compile import inlined, parallel, serial
+from exwarp_cli.kernels._row_bands import WHOLE, Share, turns
 
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
@@ -92,8 +92,6 @@ def rigid_text(
         else they become NaN there.
     out
         float32 [H, W, 2], written, pixels.
-    share
-        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
     height, width = depth.shape
     chosen = still.shape[0] > 0
@@ -132,8 +130,6 @@ def standing_text(
         Pixels by which either of its components may miss.
     out
         bool [H, W], written.
-    share
-        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
     height, width = depth.shape
     for i in turns(height, share):

@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from exwarp_cli.kernels._compile import inlined, serial
 from exwarp_cli.kernels.edges import SAME_DEPTH
-from exwarp_cli.kernels.jit import inlined, serial
 
 F32 = npt.NDArray[np.float32]
 I32 = npt.NDArray[np.int32]

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.compiled.shares import WHOLE, Share, turns
-from exwarp_cli.kernels.jit import parallel, part, serial
+from exwarp_cli.kernels._compile import parallel, part, serial
+from exwarp_cli.kernels._row_bands import WHOLE, Share, turns
 from exwarp_cli.kernels.patches import FARTHEST
 
 F32 = npt.NDArray[np.float32]
@@ -60,8 +60,6 @@ def row_reach_text(displacement: F32, reach: F32, share: Share = WHOLE) -> None:
     reach
         float32 [H, S + 1, 2], written: the least and the greatest row, for each SPAN pixels and for
         the whole row; the greatest is less where nothing is known.
-    share
-        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
     height, width, _ = displacement.shape
     moves = np.ascontiguousarray(displacement).reshape(height, 2 * width)

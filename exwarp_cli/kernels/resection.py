@@ -11,7 +11,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.kernels.jit import serial
+from exwarp_cli.kernels._compile import serial
 
 F64 = npt.NDArray[np.float64]
 B8 = npt.NDArray[np.bool_]

@@ -8,9 +8,9 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.compiled.shares import WHOLE, Share, turns
+from exwarp_cli.kernels._compile import inlined, parallel, part, serial
+from exwarp_cli.kernels._row_bands import WHOLE, Share, turns
 from exwarp_cli.kernels.edges import ROWS_PER_BAND, SAME_DEPTH
-from exwarp_cli.kernels.jit import inlined, parallel, part, serial
 from exwarp_cli.kernels.project import away_from, seen_from
 
 F32 = npt.NDArray[np.float32]
@@ -250,8 +250,6 @@ def settle_text(
         as static.
     out
         float32 [H, 2 W] each, written; [0, 0] where there are no vectors.
-    share
-        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
 
     Notes
     -----

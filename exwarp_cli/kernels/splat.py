@@ -12,8 +12,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.compiled.shares import WHOLE, Share, turns
-from exwarp_cli.kernels.jit import inlined, parallel, part, serial
+from exwarp_cli.kernels._compile import inlined, parallel, part, serial
+from exwarp_cli.kernels._row_bands import WHOLE, Share, turns
 from exwarp_cli.kernels.patches import (
     NOTHING,
     Landings,
@@ -218,8 +218,6 @@ def splat_text(
         float32 [H, W, 2], written: from a target pixel to its source; NaN where nothing lands.
     near
         float32 [H, W], written: depth of what landed; NaN where nothing did.
-    share
-        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
 
     Notes
     -----

@@ -7,9 +7,9 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.compiled.shares import WHOLE, Share, turns
+from exwarp_cli.kernels._compile import inlined, parallel, part, serial
+from exwarp_cli.kernels._row_bands import WHOLE, Share, turns
 from exwarp_cli.kernels.gather import FURTHEST, sample_border
-from exwarp_cli.kernels.jit import inlined, parallel, part, serial
 
 F32 = npt.NDArray[np.float32]
 B8 = npt.NDArray[np.bool_]
@@ -110,8 +110,6 @@ def take_over_text(
         bool [H, W], changed: what becomes known is taken off.
     blanks
         Whether the slot's parts and colours become NaN, for depth, and 0 where nothing is known.
-    share
-        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
     height, width, _ = field.shape
     shape = (height, width, 3)
@@ -149,8 +147,6 @@ def go_on_text(foretold: F32, moved: F32, lost: B8, share: Share = WHOLE) -> Non
         float32 [H, W, 2], pixels, changed where it is NaN.
     lost
         bool [H, W], changed: false for these.
-    share
-        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
     height, width, _ = moved.shape
     for i in turns(height, share):

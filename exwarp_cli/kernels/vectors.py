@@ -7,8 +7,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.compiled.shares import WHOLE, Share, turns
-from exwarp_cli.kernels.jit import parallel, part, serial
+from exwarp_cli.kernels._compile import parallel, part, serial
+from exwarp_cli.kernels._row_bands import WHOLE, Share, turns
 
 F32 = npt.NDArray[np.float32]
 
@@ -58,8 +58,6 @@ def scale_vectors_text(
         Of x and y.
     out
         float32 [N, 2], written; NaN where one of both is not finite, or their sum.
-    share
-        Which turns are taken: those of :func:`~exwarp_cli.compiled.shares.turns`.
     """
     mine = turns(out.shape[0], share)
     scale_some(raw[mine.start : mine.stop], channels, scales, out[mine.start : mine.stop])

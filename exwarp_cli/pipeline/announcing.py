@@ -24,8 +24,8 @@ from exwarp_cli.io.footage import is_plain, lost_alpha, unevenness_of
 from exwarp_cli.io.layouts import alpha_left_out
 from exwarp_cli.pipeline.contents import Content, files_apart
 from exwarp_cli.pipeline.finding import OtherRate
+from exwarp_cli.pipeline.frame_writer import frame_suffix
 from exwarp_cli.pipeline.opening import step_note
-from exwarp_cli.pipeline.targets import frame_suffix
 from exwarp_cli.pipeline.without_vectors import video_look
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from exwarp_cli.domain.decision import CHOICES, NODES, PATHS, Decision, Plan
 from exwarp_cli.domain.frame import Window
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.io.frame_files import quantised
-from exwarp_cli.pipeline.loaded import Loaded
+from exwarp_cli.pipeline.interval_inputs import IntervalInputs
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import Judge
 
@@ -39,21 +39,21 @@ class Chosen:
     timing_ms: Mapping[str, float] = field(default_factory=dict)
 
 
-Chooser = Callable[[Loaded, Interval], Chosen]
+Chooser = Callable[[IntervalInputs, Interval], Chosen]
 
 
 def always(path: str) -> Chooser:
     """Return who takes one path whatever is seen."""
     chosen = Chosen(Plan.fixed(path))
-    return lambda loaded, interval: chosen
+    return lambda inputs, interval: chosen
 
 
 def by_policy(policy: LearnedPolicy, observer: Observer) -> Chooser:
     """Return who asks the learned policy."""
 
-    def choose(loaded: Loaded, interval: Interval) -> Chosen:
+    def choose(inputs: IntervalInputs, interval: Interval) -> Chosen:
         begin = time.perf_counter()
-        surroundings = observer.of(loaded, interval)
+        surroundings = observer.of(inputs, interval)
         seen = time.perf_counter()
         plan = policy.plan(surroundings)
         end = time.perf_counter()
@@ -73,12 +73,14 @@ def by_truth(judge: Judge, display: Window) -> Chooser:
     by_psnr = judge is Judge.PSNR
     best = outcomes.best_psnr if by_psnr else outcomes.best_return
 
-    def choose(loaded: Loaded, interval: Interval) -> Chosen:
-        if set(loaded.truth) != set(range(1, FACTOR)):
+    def choose(inputs: IntervalInputs, interval: Interval) -> Chosen:
+        if set(inputs.truth.frames) != set(range(1, FACTOR)):
             return Chosen(Plan.fixed("S6"))
         begin = time.perf_counter()
-        truth = {slot: image.on(display).pixels for slot, image in loaded.truth.items()}
-        found = outcomes_of(interval, truth, display, partial(quantised, template=loaded.template))
+        truth = {slot: image.on(display).pixels for slot, image in inputs.truth.frames.items()}
+        found = outcomes_of(
+            interval, truth, display, partial(quantised, template=inputs.metadata.template)
+        )
         path = tuple(PATHS)[int(best(found))]
         told = found[..., 0] if by_psnr else outcomes.rewards(found)
         decisions = tuple(

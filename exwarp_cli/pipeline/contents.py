@@ -9,15 +9,14 @@ from functools import cached_property
 from exwarp_cli.domain.motion import MotionConvention
 from exwarp_cli.io.channels import ChannelRef, Role
 from exwarp_cli.io.cryptomatte import find_cryptomattes
-from exwarp_cli.io.exr import ExrReader
+from exwarp_cli.io.exr.template import Plane, ViewLayers, read_template
 from exwarp_cli.io.footage import is_plain, plain_template
 from exwarp_cli.io.frame_files import FrameTemplate
-from exwarp_cli.io.layer_store import LayerStore
+from exwarp_cli.io.layer_store import LayerStore, Planes
 from exwarp_cli.io.layers import ALL, BEAUTY, Kind, Layer, chosen, layers_of
 from exwarp_cli.io.shot import Shot, renamed
-from exwarp_cli.io.template import ViewLayers, read_headers, read_template
+from exwarp_cli.pipeline.frame_writer import frame_suffix
 from exwarp_cli.pipeline.source import Source
-from exwarp_cli.pipeline.targets import frame_suffix
 
 POINTS = (Kind.POSITION, Kind.DEPTH)
 """Layers whose values change as a point moves."""
@@ -82,13 +81,87 @@ class Content:
             return ()
         return self.source.keys.layout.roles[Role.MOTION]
 
-    def stores(self) -> tuple[LayerStore, LayerStore | None]:
-        """Return what reads the layers of key frames, and of slots that have their own."""
-        keys = LayerStore(self.source.keys, self.beside, self.motion)
-        slots = self.source.slots
-        if slots is None or not self.rendered:
-            return keys, None
-        return keys, LayerStore(slots, self.rendered.values())
+
+@dataclass(frozen=True)
+class LayerFrames:
+    """Layers around the slots of one interval.
+
+    Attributes
+    ----------
+    before, after
+        Those of the key frames on both sides; `after` only where it is used.
+    older
+        Those of the key frame before, where points are led on from there.
+    slots
+        For each slot what its own file has, by the key frames' channels; empty without.
+    """
+
+    before: Planes
+    after: Planes | None
+    older: Planes | None
+    slots: tuple[Planes, ...]
+
+
+class LayerReader:
+    """Reads the layers of a view, interval by interval; what several share is read once."""
+
+    def __init__(self, content: Content) -> None:
+        self._content = content
+        source = content.source
+        self._keys = LayerStore(source.keys, content.beside, content.motion)
+        self._slots = None
+        if source.slots is not None and content.rendered:
+            self._slots = LayerStore(source.slots, content.rendered.values())
+
+    def read(self, key: int, lookahead: bool, older: int | None) -> LayerFrames:
+        """Read an interval.
+
+        Parameters
+        ----------
+        key
+            Index of the key frame.
+        lookahead
+            Whether the next one is used.
+        older
+            Index of the one before, where it is used.
+        """
+        numbers = self._content.source.timeline.numbers
+        before = self._keys.frame(numbers[key])
+        after = self._keys.frame(numbers[key + 1]) if lookahead else None
+        back = None if older is None else self._keys.frame(numbers[older])
+        self.release_before(key)
+        return LayerFrames(before, after, back, self._rendered(key))
+
+    def require(self, key: int) -> None:
+        """Read a key frame's layers ahead; raises InputError where that fails."""
+        self._keys.frame(self._content.source.timeline.numbers[key])
+
+    def release_before(self, key: int) -> None:
+        """Drop what no interval after this one needs."""
+        self._keys.keep(self._content.source.timeline.numbers[key : key + 2])
+
+    def _rendered(self, key: int) -> tuple[Planes, ...]:
+        """Read what the slots' own files have; () where a slot has no file."""
+        if self._slots is None:
+            return ()
+        source = self._content.source
+        slots = [source.slot_number(slot) for slot in source.timeline.between(key)]
+        numbers = [number for number in slots if number is not None]
+        if len(numbers) < len(slots):
+            return ()
+        planes = tuple(self._by_key_channels(self._slots.frame(number)) for number in numbers)
+        self._slots.keep(())
+        return planes
+
+    def _by_key_channels(self, planes: Planes) -> Planes:
+        """Return a slot's planes by the key frames' channels."""
+        named: dict[ChannelRef, Plane] = {}
+        for layer in self._content.beside:
+            rendered = self._content.rendered.get(layer)
+            if rendered is not None:
+                own = {ref.component: ref for ref in rendered.refs}
+                named |= {ref: planes[own[ref.component]] for ref in layer.refs}
+        return named
 
 
 def content_of(source: Source, text: str, leader: Content | None = None) -> Content:
@@ -152,7 +225,7 @@ def template_of(contents: tuple[Content, ...], output: str, number: int) -> Fram
     if is_plain(keys.sequence):
         return plain_template(keys, number, frame_suffix(output, keys.sequence))
     wanted = tuple(content.wanted for content in contents)
-    return read_template(keys.sequence.files[number], wanted)
+    return read_template(keys.sequence.files[number], wanted, keys.headers)
 
 
 def files_apart(shot: Shot) -> tuple[str, ...]:
@@ -166,8 +239,8 @@ def _layers_of(shot: Shot, main: bool) -> tuple[Layer, ...]:
     for aov, path in shot.files(shot.first).items():
         if aov and main:
             continue
-        with ExrReader(path) as file:
-            files[aov] = shot.channels(file.parts, aov)
-        known = find_cryptomattes({aov: renamed(files[aov])}, {aov: read_headers(path)})
+        header = shot.headers.read(path)
+        files[aov] = shot.channels(header.parts, aov)
+        known = find_cryptomattes({aov: renamed(files[aov])}, {aov: header.texts})
         cryptomattes |= {found.name for found in known}
     return layers_of(files, shot.layout, cryptomattes)

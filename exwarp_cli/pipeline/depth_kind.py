@@ -16,7 +16,6 @@ from exwarp_cli.io.depth import DepthKind, DepthReading, is_negative, measured, 
 from exwarp_cli.io.frames import read_planes, read_raw
 from exwarp_cli.io.shot import Shot
 from exwarp_cli.io.soundness import first_of
-from exwarp_cli.pipeline.early_frames import EarlyFrames
 from exwarp_cli.pipeline.shots import pair_beside_hold, pairs_within
 from exwarp_cli.synthesis.depth_order import OrderVotes, camera_end, occlusion_votes
 
@@ -80,7 +79,6 @@ def with_depth_ordered(
     shot: Shot,
     convention: MotionConvention | None,
     starts: Collection[int] = (),
-    early: EarlyFrames | None = None,
 ) -> Shot:
     """Return a shot whose depth grows away from the camera by its own vectors.
 
@@ -96,8 +94,6 @@ def with_depth_ordered(
         Of its vectors; None without.
     starts
         Numbers of frames before which cuts are known.
-    early
-        Where frames may be kept that are read already.
 
     Returns
     -------
@@ -117,7 +113,7 @@ def with_depth_ordered(
 
     @lru_cache(maxsize=1)  # a pair is looked at twice in a row
     def ways(first: int) -> list[tuple[Float32, Float32, Float32]]:
-        return list(_ways(shot, (numbers[first], numbers[first + 1]), convention, early))
+        return list(_ways(shot, (numbers[first], numbers[first + 1]), convention))
 
     def is_hold(first: int) -> bool:
         return any(
@@ -193,7 +189,6 @@ def _ways(
     shot: Shot,
     pair: tuple[int, int],
     convention: MotionConvention,
-    early: EarlyFrames | None,
 ) -> Iterator[tuple[Float32, Float32, Float32]]:
     """Yield the depth of a frame and of its neighbour, and the motion between, both ways.
 
@@ -201,9 +196,8 @@ def _ways(
     """
     buffers = []
     for number in pair:
-        raw = None if early is None else early.seen(number)
         try:
-            raw = raw or read_raw(shot, number, (Role.DEPTH, Role.MOTION))
+            raw = read_raw(shot, number, (Role.DEPTH, Role.MOTION))
         except InputError:
             return
         buffers.append(raw.settle(convention).on(shot.display))

@@ -14,11 +14,11 @@ from exwarp_cli.domain.outcome import Outcome
 from exwarp_cli.domain.results import RunSummary
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.io.atomic import is_there, output_error
+from exwarp_cli.pipeline.frame_writer import FrameWriter
+from exwarp_cli.pipeline.interval_inputs import IntervalInputs
 from exwarp_cli.pipeline.job import Job
-from exwarp_cli.pipeline.loaded import Loaded
 from exwarp_cli.pipeline.recipes import key_recipe
-from exwarp_cli.pipeline.sink import Sink
-from exwarp_cli.pipeline.upsample import make_loader, make_sink
+from exwarp_cli.pipeline.run import make_reader, make_writer
 from exwarp_cli.pipeline.without_vectors import is_kept, note_of
 
 
@@ -145,35 +145,35 @@ def _plain(job: Job) -> tuple[ForeseenFrame, ...]:
 
 def _compared(job: Job) -> tuple[tuple[ForeseenFrame, ...], tuple[Cut, ...] | None]:
     """Foresee frames where good ones are kept; return the cuts that were met, too."""
-    loader = make_loader(job)
+    reader = make_reader(job)
     if job.targets.frames is None:
-        note = note_of(loader.leading_recipes, job.settings, job.keys)
+        note = note_of(reader.leading_recipes, job.settings, job.keys)
         kept = is_kept(job.targets, job.settings, note)
         return tuple(_foreseen(job, slot, kept) for slot in job.slots), None
-    sink = make_sink(job)
+    writer = make_writer(job)
     frames = []
     for key in job.keys:
-        loaded = loader.load(key, lambda *_: False)
+        inputs = reader.read(key, lambda *_: False)
         slots, recipes = job.source.timeline.slots_of(key), {}
-        if isinstance(loaded, Loaded):
-            recipes = loaded.recipes
+        if isinstance(inputs, IntervalInputs):
+            recipes = inputs.metadata.recipes
         else:
-            slots = tuple(slot for slot in slots if loaded.passed is not None and not slot.index)
+            slots = tuple(slot for slot in slots if inputs.passed is not None and not slot.index)
         for slot in slots:
-            frames.append(_foreseen(job, slot, _is_there(job, sink, slot, recipes)))
-    return tuple(frames), loader.cuts
+            frames.append(_foreseen(job, slot, _is_there(job, writer, slot, recipes)))
+    return tuple(frames), reader.cuts
 
 
-def _is_there(job: Job, sink: Sink, slot: Slot, recipes: dict[int, str]) -> bool:
+def _is_there(job: Job, writer: FrameWriter, slot: Slot, recipes: dict[int, str]) -> bool:
     """Whether a slot's files are there as this run would write them."""
     number = job.source.timeline.number(slot)
     if slot.index:
-        return sink.has(number, recipes[slot.index])
+        return writer.has(number, recipes[slot.index])
     keys, key_number = job.source.keys, job.source.timeline.numbers[slot.key]
     path = keys.sequence.files[key_number]
-    if sink.copies(path):
-        return sink.has_copy(number, path)
-    return sink.has(number, key_recipe(keys, key_number, job.source.written_fps), masked=False)
+    if writer.copies(path):
+        return writer.has_copy(number, path)
+    return writer.has(number, key_recipe(keys, key_number, job.source.written_fps), masked=False)
 
 
 def _foreseen(job: Job, slot: Slot, kept: bool) -> ForeseenFrame:

@@ -28,9 +28,9 @@ from exwarp_cli.pipeline.measuring import (
     require_generated,
     scorer,
 )
-from exwarp_cli.pipeline.progress import NoProgress, Progress
+from exwarp_cli.pipeline.progress import FrameListener, NoProgress, Progress
 from exwarp_cli.pipeline.truth_rate import truth_rate
-from exwarp_cli.pipeline.watching import Watcher
+from exwarp_cli.runtime.stop import check_stop
 
 KEY = FrameKind.KEY.value
 
@@ -113,7 +113,7 @@ def evaluate(
     holes: str | None = None,
     progress: Progress | None = None,
     measuring: MeasureSettings | None = None,
-    watcher: Watcher | None = None,
+    watcher: FrameListener | None = None,
 ) -> Comparison:
     """Score every frame of `test` against the frame of `reference` that belongs to it.
 
@@ -201,7 +201,7 @@ class _Files:
 
 
 def _score(
-    files: list[_Files], scoring: Scorer, progress: Progress, watcher: Watcher | None
+    files: list[_Files], scoring: Scorer, progress: Progress, watcher: FrameListener | None
 ) -> tuple[tuple[ComparedFrame, ...], tuple[int, ...]]:
     """Score all pairs, one in memory at a time; also return the first one's rows and columns."""
     shares: list[float | None] = []
@@ -218,6 +218,7 @@ def _score(
                 shares.append(None if pair.mask is None else float(np.mean(pair.mask)))
                 _show(watcher, one.b, pair, None)
                 progress.advance(one.b)
+                check_stop()
             scores = scoring.finish()
     finally:
         progress.finish()
@@ -329,7 +330,7 @@ def _mask_files(masks: Sequence, test: Sequence, paired: dict[int, int]) -> dict
     return by_test or by_reference
 
 
-def _show(watcher: Watcher | None, number: int, one: Pair, score: Score | None) -> None:
+def _show(watcher: FrameListener | None, number: int, one: Pair, score: Score | None) -> None:
     """Show the test's frame to whoever wants it."""
     if watcher is not None and watcher.wants(number, score):
         watcher.frame(number, one.test, one.truth, one.mask, is_key=False)

@@ -10,10 +10,11 @@ from exwarp_cli.domain.decision import NODES, SLOTS
 from exwarp_cli.domain.features import Features
 from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.domain.timeline import Slot
-from exwarp_cli.pipeline.loading import IntervalLoader
+from exwarp_cli.pipeline.interval_inputs import IntervalReader
 from exwarp_cli.pipeline.observing import Observer
 from exwarp_cli.pipeline.progress import NoProgress, Progress
 from exwarp_cli.pipeline.source import open_source
+from exwarp_cli.runtime.stop import check_stop
 from exwarp_cli.synthesis.methods import METHODS
 
 
@@ -67,12 +68,12 @@ def features(
     told = progress or NoProgress()
     keys = source.timeline.select(frames)
     asked = UpsampleSettings(settings, "", "exwarp")
-    loader = IntervalLoader(source, METHODS["exwarp"], asked, None)
+    reader = IntervalReader(source, METHODS["exwarp"], asked)
     observer = Observer(source.keys.display, source.setting)
     told.start(len(keys))
     try:
         for key in keys:
-            observed, slots = loader.look(key)
+            observed, slots = reader.read_observed(key)
             settled = observer.settled(slots)
             surroundings = observer.surroundings(key, observed, settled, read=slots)
             number = source.timeline.numbers[key]
@@ -85,5 +86,6 @@ def features(
                     tuple(int(x) for x in to_fixed(surroundings.inputs(node))),
                 )
             told.advance(number)
+            check_stop()
     finally:
         told.finish()

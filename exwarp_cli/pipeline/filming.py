@@ -11,8 +11,8 @@ from exwarp_cli.io.awaited import await_file
 from exwarp_cli.io.footage import picture
 from exwarp_cli.io.held import Held
 from exwarp_cli.pipeline.job import Job
-from exwarp_cli.pipeline.schedule import WriteBehind
-from exwarp_cli.pipeline.upsample import make_sink
+from exwarp_cli.pipeline.run import make_writer
+from exwarp_cli.pipeline.scheduling import AsyncWriter
 
 
 class Film(Held):
@@ -31,8 +31,8 @@ class Film(Held):
         self._job = job
 
     def _open(self, stack: ExitStack) -> None:
-        self._sink = stack.enter_context(make_sink(self._job))
-        self._writer = stack.enter_context(WriteBehind(1, len(self._job.slots)))
+        self._sink = stack.enter_context(make_writer(self._job))
+        self._writer = stack.enter_context(AsyncWriter(1, len(self._job.slots)))
 
     @property
     def remarks(self) -> tuple[str, ...]:

@@ -19,7 +19,6 @@ from exwarp_cli.pipeline.announcing import (
     input_summary,
 )
 from exwarp_cli.pipeline.contents import Content, contents_of
-from exwarp_cli.pipeline.early_frames import Beginning
 from exwarp_cli.pipeline.finding import (
     find_interpolator,
     find_method,
@@ -31,12 +30,11 @@ from exwarp_cli.pipeline.finding import (
     require_truth,
 )
 from exwarp_cli.pipeline.frame_sizes import require_one_size_of, require_truth_size
+from exwarp_cli.pipeline.frame_writer import OutputPlan
 from exwarp_cli.pipeline.ownership import require_own
 from exwarp_cli.pipeline.scoring import require_measurable
-from exwarp_cli.pipeline.targets import Targets
-from exwarp_cli.pipeline.views import open_sources
+from exwarp_cli.pipeline.source import open_sources
 from exwarp_cli.pipeline.without_vectors import (
-    USUAL,
     require_able,
     usual_method,
     usual_note,
@@ -94,7 +92,7 @@ class Job:
     models: Models
     contents: tuple[Content, ...]
     keys: tuple[int, ...]
-    targets: Targets
+    targets: OutputPlan
     truth: tuple[Sequence, FrameOf] | None
     reported: bool = False
 
@@ -120,13 +118,13 @@ class Job:
 
     @property
     def groups(self) -> list[list[int]]:
-        """The output numbers of each key interval, as a `Watcher` plans by them."""
+        """The output numbers of each key interval, as a `FrameListener` plans by them."""
         timeline = self.source.timeline
         return [[timeline.number(slot) for slot in timeline.slots_of(key)] for key in self.keys]
 
     @property
-    def told(self) -> tuple[NetworkSummary | None, str | None, InterpolatorSummary | None]:
-        """What networks and policy frames depend on, as `IntervalLoader` takes it."""
+    def depends_on(self) -> tuple[NetworkSummary | None, str | None, InterpolatorSummary | None]:
+        """What networks and policy frames depend on, as `IntervalReader` takes it."""
         checksum = None if self.policy is None else self.policy.checksum
         return self.models.extrapolator, checksum, self.models.interpolator
 
@@ -137,7 +135,7 @@ class Job:
     def refuse(self) -> None:
         """Refuse frames of several sizes, and to overwrite; touch nothing.
 
-        See `require_one_size`, `Targets.refuse` and `require_own`.
+        See `require_one_size`, `OutputPlan.check_conflicts` and `require_own`.
         """
         for source in self.sources:
             require_one_size_of(source, self.keys, self.method.lookahead)
@@ -145,7 +143,7 @@ class Job:
             self.method.needs_truth or not self.settings.source.keep_going
         ):
             require_truth_size(self.truth, self.source, self.keys)
-        self.targets.refuse(self.settings, self.source.timeline, self.slots)
+        self.targets.check_conflicts(self.settings, self.source.timeline, self.slots)
         if self.settings.skip_existing and not self.settings.replaces_foreign:
             require_own(self.targets, self.source, self.method, self.slots)
 
@@ -201,15 +199,8 @@ class Job:
         )
 
 
-def open_job(settings: UpsampleSettings, runs: bool = True) -> Job:
+def open_job(settings: UpsampleSettings) -> Job:
     """Open all that settings name; nothing is written.
-
-    Parameters
-    ----------
-    settings
-        What the user asked for.
-    runs
-        Whether it is done next, in this process; what it reads first is kept then.
 
     Raises
     ------
@@ -218,8 +209,16 @@ def open_job(settings: UpsampleSettings, runs: bool = True) -> Job:
     """
     compression_of(settings.compression)
     use_threads(settings.threads)
-    method, sources = _open_input(settings, runs)
+    # The method that is used where none is named depends on the input.
+    named = None if settings.method is None else find_method(settings.method)
+    motion_needed = named is None or named.needs_motion
+    sources = open_sources(settings.source, motion_needed, pictures=True)
     source = sources[0]
+    method = named or find_method(usual_method(source, settings))
+    if method.extrapolates:
+        scratch = ScratchFrames(LARGE_PIXELS)
+        sources = tuple(replace(each, scratch=scratch) for each in sources)
+        source = sources[0]
     network = find_network(settings, method)
     interpolator = find_interpolator(settings, method)
     policy = find_policy(settings, method)
@@ -229,7 +228,7 @@ def open_job(settings: UpsampleSettings, runs: bool = True) -> Job:
     contents = contents_of(sources, settings.layers)
     models = Models.of(source, network, interpolator, policy)
     keys = source.timeline.select(settings.frames)
-    targets = Targets.of(settings, source.keys.sequence)
+    targets = OutputPlan.from_settings(settings, source.keys.sequence)
     truth = None
     if settings.ground_truth is not None:
         bearable = settings.source.keep_going and not method.needs_truth
@@ -239,17 +238,3 @@ def open_job(settings: UpsampleSettings, runs: bool = True) -> Job:
         settings, method, sources, network, interpolator, policy, models, contents, keys, targets,
         truth,
     )  # fmt: skip
-
-
-def _open_input(settings: UpsampleSettings, runs: bool) -> tuple[Method, tuple[Source, ...]]:
-    """Open the input, and settle the method, which may depend on it."""
-    named = None if settings.method is None else find_method(settings.method)
-    expected = named or find_method(USUAL)
-    run = Beginning(settings.frames, expected) if runs else None
-    motion_needed = named is None or named.needs_motion
-    sources = open_sources(settings.source, motion_needed, pictures=True, run=run)
-    method = named or find_method(usual_method(sources[0], settings))
-    if method.extrapolates:
-        scratch = ScratchFrames(LARGE_PIXELS)
-        sources = tuple(replace(source, scratch=scratch) for source in sources)
-    return method, sources

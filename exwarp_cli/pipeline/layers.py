@@ -10,13 +10,12 @@ import numpy as np
 
 from exwarp_cli.domain.frame import Float32, Window, outside, place
 from exwarp_cli.io.channels import ChannelRef
+from exwarp_cli.io.exr.template import Plane, PlaneKey, Template
 from exwarp_cli.io.layer_store import Planes
 from exwarp_cli.io.layers import Kind, Layer
-from exwarp_cli.io.template import Plane, PlaneKey, Template
-from exwarp_cli.pipeline.contents import POINTS, Content
-from exwarp_cli.pipeline.geometry import Staging
-from exwarp_cli.pipeline.layer_frames import LayerFrames
-from exwarp_cli.pipeline.loaded import Loaded
+from exwarp_cli.pipeline.contents import POINTS, Content, LayerFrames
+from exwarp_cli.pipeline.interval_builder import IntervalBuilder
+from exwarp_cli.pipeline.interval_inputs import IntervalInputs
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import Predicted
 from exwarp_cli.synthesis.retime import Course, Retiming, retiming
@@ -25,47 +24,44 @@ Predict = Callable[[Interval], Predicted]
 """Makes the frame of a slot from an interval of any view, by what was decided."""
 
 
-def anything_beside(contents: tuple[Content, ...]) -> bool:
-    """Whether anything is written beside the beauty of the view that leads."""
-    return len(contents) > 1 or bool(contents[0].beside)
-
-
-class Beside:
+class ExtraLayers:
     """Makes the planes that are written with the beauty of the view that leads.
 
     Parameters
     ----------
     contents
         What is written of each view, the one that leads first.
-    stagings
+    builders
         Of the other views, in the same order.
     """
 
-    def __init__(self, contents: tuple[Content, ...], stagings: tuple[Staging, ...] = ()) -> None:
+    def __init__(
+        self, contents: tuple[Content, ...], builders: tuple[IntervalBuilder, ...] = ()
+    ) -> None:
         self._contents = contents
-        self._stagings = stagings
+        self._builders = builders
         self._views: tuple[ViewInterval, ...] = ()
 
     @property
-    def anything(self) -> bool:
-        """Whether there is anything beside."""
-        return anything_beside(self._contents)
+    def any(self) -> bool:
+        """Whether more than the beauty of the view that leads is written."""
+        return len(self._contents) > 1 or bool(self._contents[0].beside)
 
     @property
     def moves_vectors(self) -> bool:
         """Whether motion vectors are written."""
         return any(la.kind is Kind.MOTION for content in self._contents for la in content.beside)
 
-    def begin(self, loaded: Loaded, interval: Interval | None) -> None:
-        """Turn to an interval; None where nothing of it has to be made."""
+    def begin(self, inputs: IntervalInputs, interval: Interval | None) -> None:
+        """Turn to an interval; None where nothing of it has to be made, and to let the last go."""
         self._views = ()
         if interval is None:
             return
-        views = [ViewInterval(self._contents[0], loaded, interval)]
-        for content, staging, seen in zip(
-            self._contents[1:], self._stagings, loaded.views, strict=True
+        views = [ViewInterval(self._contents[0], inputs, interval)]
+        for content, builder, view in zip(
+            self._contents[1:], self._builders, inputs.views, strict=True
         ):
-            views.append(ViewInterval(content, seen, staging.interval(seen)))
+            views.append(ViewInterval(content, view, builder.build(view)))
         self._views = tuple(views)
 
     def make(
@@ -102,12 +98,12 @@ class ViewInterval:
     ----------
     content
         What is written of it.
-    loaded, interval
+    inputs, interval
         As read, and on one window.
     """
 
     content: Content
-    loaded: Loaded
+    inputs: IntervalInputs
     interval: Interval
 
     @property
@@ -121,7 +117,7 @@ class ViewInterval:
         key, following = self.interval.key.gbuffer, self.interval.following
         if key is None or not key.has_motion:
             return None
-        older = None if self.loaded.older is None else self.loaded.older.extended(self.window)
+        older = None if self.inputs.older is None else self.inputs.older.extended(self.window)
         return Course(
             key,
             None if following is None else following.gbuffer,
@@ -149,7 +145,7 @@ class ViewInterval:
             Those that are written: a channel that several views have in common is the first one's.
         """
         view = self.content.wanted.view
-        frames = self.loaded.layers
+        frames = self.inputs.layers
         if frames is None:
             return {}
         maker = _Maker(self, frames, retiming(self.interval, slot, shown), slot)

@@ -14,9 +14,8 @@ from exwarp_cli.domain.frame_rates import number_step
 from exwarp_cli.domain.motion import AxisMap, MotionConvention, MotionFinding
 from exwarp_cli.errors import InputError, MotionError
 from exwarp_cli.io.channels import Role
-from exwarp_cli.io.frames import RawFrame, Shot, is_seen, read_raw
+from exwarp_cli.io.frames import Shot, is_seen, read_raw
 from exwarp_cli.io.producers import PRESETS
-from exwarp_cli.pipeline.early_frames import EarlyFrames, serves
 from exwarp_cli.pipeline.motion_option import motion_names, parse_motion
 from exwarp_cli.pipeline.shots import pair_beside_hold, pairs_within
 from exwarp_cli.pipeline.zero_vectors import zero_vectors_error
@@ -50,7 +49,6 @@ def find_motion(
     given: str | None,
     detect: bool = True,
     starts: Collection[int] = (),
-    early: EarlyFrames | None = None,
     colours: KeyColours | None = None,
 ) -> MotionFinding | None:
     """Settle the motion convention of a shot, by hand or by measuring; None without motion.
@@ -65,8 +63,6 @@ def find_motion(
         Whether to look for cuts, where vectors explain nothing: what crosses one is no motion.
     starts
         Numbers of frames before which cuts are known.
-    early
-        Where frames are kept that a run reads first.
     colours
         Key frames with colour, where the shot itself has none.
 
@@ -78,7 +74,7 @@ def find_motion(
     if Role.MOTION not in shot.layout:
         return None
     names, size = motion_names(shot), (shot.display.width, shot.display.height)
-    measuring = _Measuring(shot, early or EarlyFrames(), starts, colours, names)
+    measuring = _Measuring(shot, starts, colours, names)
     if given is None:
         guess = None if shot.layout.guess is None else shot.layout.guess.sized(*size)
         return measuring.finding(guess, detect)
@@ -103,13 +99,11 @@ class _Measuring:
     def __init__(
         self,
         shot: Shot,
-        early: EarlyFrames,
         starts: Collection[int],
         colours: KeyColours | None,
         names: tuple[str, ...],
     ) -> None:
         self._shot = shot
-        self._early = early
         self._starts = starts
         self._colours = colours
         self._names = names
@@ -270,7 +264,7 @@ class _Measuring:
         """Read and reduce a frame; what was reduced before is kept."""
         key = number, by_colour
         if key not in self._frames:
-            self._frames[key] = _sampled(self._shot, self._early, number, by_colour)
+            self._frames[key] = _sampled(self._shot, number, by_colour)
         return self._frames[key]
 
     def _parted(self, index: int) -> bool:
@@ -337,16 +331,16 @@ def _is_sound(frame: Callable[[int], Sampled], number: int) -> bool:
     return True
 
 
-def _sampled(shot: Shot, early: EarlyFrames, number: int, by_colour: bool) -> Sampled:
+def _sampled(shot: Shot, number: int, by_colour: bool) -> Sampled:
     """Read a frame on the display window: data windows differ, and normalised vectors go by it."""
-    raw = _read(shot, early, number, by_colour)
+    # World positions tell points apart best, and alone; reading the rest takes most of the time.
+    by_position = Role.POSITION in shot.layout and not by_colour
+    seen = Role.POSITION if by_position else Role.COLOUR
+    raw = read_raw(shot, number, (Role.MOTION, Role.DEPTH, Role.STENCIL, seen))
     assert raw.motion is not None
     motion = place(raw.motion, raw.gbuffer.window, shot.display, np.nan)
     colour = None if raw.image is None else raw.image.on(shot.display).pixels
-    gbuffer = raw.gbuffer.on(shot.display)
-    if by_colour and gbuffer.position is not None:
-        gbuffer = gbuffer.without("position")
-    return sampled(Instant(number, gbuffer, motion, colour))
+    return sampled(Instant(number, raw.gbuffer.on(shot.display), motion, colour))
 
 
 def _vectors(shot: Shot, number: int) -> Float32:
@@ -354,20 +348,3 @@ def _vectors(shot: Shot, number: int) -> Float32:
     raw = read_raw(shot, number, (Role.MOTION,))
     assert raw.motion is not None
     return place(raw.motion, raw.gbuffer.window, shot.display, np.nan)
-
-
-def _read(shot: Shot, early: EarlyFrames, number: int, by_colour: bool) -> RawFrame:
-    """Read of a frame what vectors are measured by, or as a run does where that has it in it."""
-    # World positions tell points apart best, and alone; reading the rest takes most of the time.
-    by_position = Role.POSITION in shot.layout and not by_colour
-    seen = (Role.POSITION,) if by_position else (Role.COLOUR,)
-    roles = (Role.MOTION, Role.DEPTH, Role.STENCIL, *seen)
-    if number in early.numbers:
-        try:
-            raw = read_raw(shot, number, early.roles, objects=True)
-        except InputError:  # what is wrong with the rest of it is said when it is wanted
-            return read_raw(shot, number, roles)
-        if serves(raw, shot, roles):
-            early.keep(raw)
-            return raw
-    return read_raw(shot, number, roles)

@@ -11,7 +11,6 @@ from exwarp_cli.errors import DamagedFileError, InputError, LayoutError
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.cryptomatte import Cryptomatte, find_cryptomattes
 from exwarp_cli.io.cryptomatte_manifest import Manifest, dynamic_objects, read_manifest
-from exwarp_cli.io.exr import ExrReader
 from exwarp_cli.io.frames import read_raw
 from exwarp_cli.io.id_reading import IdReading
 from exwarp_cli.io.shot import Shot, renamed
@@ -122,9 +121,9 @@ def _of_all_frames(shot: Shot) -> Iterator[tuple[Cryptomatte, Path]]:
 def _in_file(shot: Shot, path: Path) -> list[Cryptomatte]:
     """Return a shot's Cryptomatte as a file has it."""
     wanted = shot.cryptomattes[0]
-    with ExrReader(path) as file:
-        channels = {wanted.aov: renamed(shot.channels(file.parts, wanted.aov))}
-        found = find_cryptomattes(channels, {wanted.aov: file.headers})
+    header = shot.headers.read(path)
+    channels = {wanted.aov: renamed(shot.channels(header.parts, wanted.aov))}
+    found = find_cryptomattes(channels, {wanted.aov: header.texts})
     mine = [one for one in found if one.name == wanted.name]
     for one in mine:
         one.require_exact(str(path))

@@ -10,7 +10,7 @@ import numpy as np
 from exwarp_cli.domain.features import Features
 from exwarp_cli.domain.frame import GBuffer, Window
 from exwarp_cli.domain.timeline import FACTOR
-from exwarp_cli.pipeline.loaded import Loaded, Observed
+from exwarp_cli.pipeline.interval_inputs import IntervalInputs, PolicyObservation
 from exwarp_cli.policy.features import Shapes, compare
 from exwarp_cli.policy.state import KEYS_BACK, Surroundings
 from exwarp_cli.synthesis.geometry import settle_motion
@@ -42,7 +42,7 @@ class Observer:
     def surroundings(
         self,
         key: int,
-        observed: Sequence[Observed],
+        observed: Sequence[PolicyObservation],
         slots: Sequence[GBuffer],
         settled: GBuffer | None = None,
         read: Sequence[GBuffer] = (),
@@ -97,7 +97,7 @@ class Observer:
         known = self._last
         return known if known is not None and known.are_of(gbuffer) else Shapes(gbuffer)
 
-    def of(self, loaded: Loaded, interval: Interval) -> Surroundings:
+    def of(self, inputs: IntervalInputs, interval: Interval) -> Surroundings:
         """Return what the states of an interval are made of that was read and staged.
 
         Motion settled on another window than the display's differs in its last digits, as other
@@ -105,13 +105,13 @@ class Observer:
         moves in it for ids: features are of an instant, whichever interval they are first seen in.
         """
         settled, slots = None, interval.slots
-        whole = loaded.frame is not None and loaded.frame.image.data_window == self._display
-        alike = interval.key.image.data_window == self._display and not _shows_objects(loaded)
+        whole = inputs.frame is not None and inputs.frame.image.data_window == self._display
+        alike = interval.key.image.data_window == self._display and not _shows_objects(inputs)
         if self._span == FACTOR and whole and alike:
             settled = interval.key.gbuffer
         if not alike:
-            slots = self.settled(loaded.slots)
-        return self.surroundings(loaded.key, loaded.observed, slots, settled, loaded.slots)
+            slots = self.settled(inputs.slots)
+        return self.surroundings(inputs.key, inputs.observed, slots, settled, inputs.slots)
 
     def settled(self, slots: Sequence[GBuffer]) -> tuple[GBuffer, ...]:
         """Return G-buffers of slots as `surroundings` takes them."""
@@ -140,7 +140,7 @@ def with_ids(
     return replace(gbuffer, stencil=np.where(moves, MOVING, 0).astype(np.int32))
 
 
-def _shows_objects(loaded: Loaded) -> bool:
+def _shows_objects(inputs: IntervalInputs) -> bool:
     """Whether what was read has ids of whatever is shown."""
-    frame = None if loaded.frame is None else loaded.frame.gbuffer
-    return any(g is not None and g.objects is not None for g in (frame, *loaded.slots))
+    frame = None if inputs.frame is None else inputs.frame.gbuffer
+    return any(g is not None and g.objects is not None for g in (frame, *inputs.slots))

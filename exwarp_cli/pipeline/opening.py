@@ -17,7 +17,7 @@ from exwarp_cli.io.channels import Role
 from exwarp_cli.io.clip import is_clip
 from exwarp_cli.io.footage import find_plain, is_plain, own_rate, shot_of
 from exwarp_cli.io.frames import require_seen
-from exwarp_cli.io.output import frame_rate, read_headers
+from exwarp_cli.io.output import frame_rate
 from exwarp_cli.io.shot import Shot, open_shot, open_views
 from exwarp_cli.io.views import ALL
 from exwarp_cli.pipeline.depth_kind import with_depth_measured, with_world_positions
@@ -141,7 +141,7 @@ def rate_of(keys: Shot, given: Fraction | None) -> tuple[Fraction, str]:
     own = own_rate(keys.sequence)
     if own is not None:
         return own, "file"
-    rate = None if is_plain(keys.sequence) else _rate_in(keys.sequence.files[keys.first])
+    rate = None if is_plain(keys.sequence) else _rate_in(keys)
     step = number_step(keys.sequence.numbers)
     return (DEFAULT_FPS / step, "assumed") if rate is None else (rate / step, "header")
 
@@ -160,6 +160,7 @@ def step_note(numbers: Sequence[int], fps: Fraction, fps_source: str) -> str | N
     )
 
 
-def _rate_in(path: Path) -> Fraction | None:
-    """Return the rate that a file's headers have; None without."""
-    return next(filter(None, map(frame_rate, read_headers(path))), None)
+def _rate_in(keys: Shot) -> Fraction | None:
+    """Return the rate that the headers of the first frame have; None without."""
+    header = keys.headers.read(keys.sequence.files[keys.first])
+    return next(filter(None, map(frame_rate, header.attributes)), None)

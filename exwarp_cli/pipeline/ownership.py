@@ -29,8 +29,8 @@ from exwarp_cli.io.authorship import (
 from exwarp_cli.io.key_file import written_forms
 from exwarp_cli.io.output import file_digest
 from exwarp_cli.io.video import video_note
+from exwarp_cli.pipeline.frame_writer import OutputPlan, key_is_there
 from exwarp_cli.pipeline.source import Source
-from exwarp_cli.pipeline.targets import Targets, key_is_there
 from exwarp_cli.pipeline.without_vectors import BY_EXWARP
 from exwarp_cli.synthesis.methods import Method
 
@@ -54,7 +54,7 @@ Reason = str
 """Why a file is not the run's own, in words that stand in parentheses after its name."""
 
 
-def require_own(targets: Targets, source: Source, method: Method, slots: list[Slot]) -> None:
+def require_own(targets: OutputPlan, source: Source, method: Method, slots: list[Slot]) -> None:
     """Refuse to replace what the run's earlier parts did not write.
 
     Parameters
@@ -96,7 +96,7 @@ def require_own(targets: Targets, source: Source, method: Method, slots: list[Sl
 class _Examination:
     """Looks at the files in the way of one run."""
 
-    targets: Targets
+    targets: OutputPlan
     source: Source
     method: Method
     _known: dict[Path, Authorship | None] = field(default_factory=dict)

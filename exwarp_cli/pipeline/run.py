@@ -1,428 +1,541 @@
-"""One run under way: interval by interval, from what was read to what is written and recorded."""
+"""The main job: a key sequence in, a sequence at four times its rate out, or at another."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
-from typing import Any
+from dataclasses import replace
+from functools import partial
+from time import perf_counter
 
 from exwarp_cli import __version__
-from exwarp_cli.compiled.resident import let_compiler_go
-from exwarp_cli.domain.frame import Image
-from exwarp_cli.domain.maker import maker_of
-from exwarp_cli.domain.results import FrameKind, FrameRecord, LeftOut
+from exwarp_cli.domain.cores import working
+from exwarp_cli.domain.frame import Image, Window
+from exwarp_cli.domain.outcome import Outcome
+from exwarp_cli.domain.results import FrameKind, FrameRecord, LeftOut, RunSummary
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import Slot
-from exwarp_cli.errors import InputError, OutputError, UnreadableError
-from exwarp_cli.io.decisions import parse_decision
+from exwarp_cli.errors import InputError
 from exwarp_cli.io.footage import picture
 from exwarp_cli.io.output import PREFIX
-from exwarp_cli.pipeline.choosing import Chooser, Chosen
-from exwarp_cli.pipeline.eta import kind_of
-from exwarp_cli.pipeline.geometry import Staging
-from exwarp_cli.pipeline.layers import Beside
+from exwarp_cli.io.threads import use_threads
+from exwarp_cli.kernels import _row_bands
+from exwarp_cli.pipeline.choosing import Chooser, Chosen, always, by_policy, by_truth
+from exwarp_cli.pipeline.eta import kind_of, kinds_of
+from exwarp_cli.pipeline.finding import is_usual
+from exwarp_cli.pipeline.frame_writer import FRAMES_BEHIND, FrameWriter
+from exwarp_cli.pipeline.interval_builder import IntervalBuilder, PreparedInterval, count_broken
+from exwarp_cli.pipeline.interval_inputs import (
+    IntervalInputs,
+    IntervalReader,
+    SkippedInterval,
+    ViewsReader,
+)
+from exwarp_cli.pipeline.job import Job, open_job
+from exwarp_cli.pipeline.layers import ExtraLayers
 from exwarp_cli.pipeline.leaving_out import left_out, tell_left_out, unscored
-from exwarp_cli.pipeline.loaded import Loaded, Unmade
-from exwarp_cli.pipeline.making import Made, SlotMaker, rate_attribute, rounded
-from exwarp_cli.pipeline.progress import Progress
+from exwarp_cli.pipeline.nonfinite import broken_pixels_of
+from exwarp_cli.pipeline.progress import FrameListener, NoProgress, Progress
 from exwarp_cli.pipeline.recipes import key_recipe
 from exwarp_cli.pipeline.regions import remark
-from exwarp_cli.pipeline.schedule import read_ahead
+from exwarp_cli.pipeline.scheduling import (
+    Mode,
+    ParallelSlots,
+    mode,
+    prefetch,
+    read_depth,
+    record_time,
+)
 from exwarp_cli.pipeline.scoring import IntervalScores
-from exwarp_cli.pipeline.sink import Sink
-from exwarp_cli.pipeline.slots_at_once import Begun, SlotsAtOnce
-from exwarp_cli.pipeline.source import Source
-from exwarp_cli.pipeline.staged import Staged, broken_in, with_write_times
-from exwarp_cli.pipeline.views import JointLoader
-from exwarp_cli.pipeline.watching import Watcher
+from exwarp_cli.pipeline.slot_renderer import RenderedSlot, SlotRenderer, rate_attribute, rounded
+from exwarp_cli.pipeline.verifying import Sums, files_of, verify, verify_video
+from exwarp_cli.pipeline.without_vectors import BY_EXWARP, is_kept, note_of, video_look
 from exwarp_cli.runtime.frame_pool import pool
+from exwarp_cli.runtime.stop import check_stop
 from exwarp_cli.synthesis.interval import Interval
-from exwarp_cli.synthesis.methods import Judge, Method
+from exwarp_cli.synthesis.methods import Judge
 
-INTERVALS_AHEAD = 1
-"""How many key intervals are read ahead of the one that is worked on."""
+MAX_BYTES_BEHIND = 80 * 10**6
+"""Bytes of frames that wait to be written, beside those that are being written."""
 
-MOST_AHEAD = 4 * 2**20
-"""Pixels of a frame up to which any are: of 3840x2160 a key frame with its geometry takes 430 MB,
-and decoding keeps all cores busy by itself."""
-
-
-@dataclass(frozen=True)
-class _Work:
-    """An interval as it is staged; `begun` are its slots, where they are made at once."""
-
-    loaded: Loaded
-    staged: Staged
-    begun: Begun[Slot, Made] | None
+PIXEL_BYTES = 16
+"""Four channels in float32."""
 
 
-@dataclass
+def upsample(
+    settings: UpsampleSettings,
+    progress: Progress | None = None,
+    listener: FrameListener | None = None,
+) -> RunSummary:
+    """Write the slots of the selected key frames.
+
+    Parameters
+    ----------
+    settings
+        What to do.
+    progress
+        Told of every frame; None for silence.
+    listener
+        Shown the frames that it asks for; None without.
+
+    Returns
+    -------
+    RunSummary
+        What was written and how good it is.
+
+    Raises
+    ------
+    ExwarpError
+        For anything that a user can cause; frames written until then are complete.
+    """
+    return run_job(open_job(settings), progress or NoProgress(), listener)
+
+
+def run_job(job: Job, progress: Progress, listener: FrameListener | None = None) -> RunSummary:
+    """Do a job that is open; see `upsample`."""
+    job.refuse()
+    job.targets.make_folders()
+    job.announce(progress)
+    begin = perf_counter()
+    progress.start(len(job.slots), kinds_of(job.slots))
+    try:
+        if listener is not None:
+            listener.plan(job.groups)
+        outcome = write_intervals(job, progress, listener)
+    finally:
+        progress.finish()
+    return job.summary(outcome, perf_counter() - begin)
+
+
+def write_intervals(job: Job, progress: Progress, listener: FrameListener | None = None) -> Outcome:
+    """Do the work of a job whose folders are there, in this thread.
+
+    Parameters
+    ----------
+    job
+        What is done.
+    progress
+        Told of every frame; started and finished by the caller.
+    listener
+        Shown frames; it has heard already which will come.
+
+    Returns
+    -------
+    Outcome
+        Without frames for a video alone that was there as this run would make it.
+
+    Raises
+    ------
+    OutputError
+        When files are not on the disk as they were written, where that is verified.
+    """
+    settings = job.settings
+    use_threads(settings.threads)
+    pool.clear()  # of what vectors were measured in
+    reader = make_reader(job)
+    note = ""
+    if job.targets.frames is None:
+        note = note_of(reader.leading_recipes, settings, job.keys)
+    try:
+        if listener is None and is_kept(job.targets, settings, note):
+            return Outcome(cuts=reader.cuts)
+        run = Run(job, reader, note, progress, listener)
+        with working():
+            frames = run.render_all()
+        outcome = Outcome(
+            frames,
+            reader.cuts,
+            tuple(run.left_out),
+            nonfinite=broken_pixels_of(job, reader.truth.nonfinite),
+        )
+        return checked(outcome, job, run.writer.sums)
+    finally:
+        job.close()
+
+
+def checked(outcome: Outcome, job: Job, sums: Sums) -> Outcome:
+    """Add checksums of the files to an outcome, and read these back, where that is asked.
+
+    Parameters
+    ----------
+    outcome
+        Of the job.
+    job
+        Of a run, or of a part of one.
+    sums
+        What is known of its files.
+
+    Raises
+    ------
+    OutputError
+        When files cannot be read, or are not as they were made.
+    """
+    settings = job.settings
+    if not (job.sums and outcome.frames):
+        return outcome
+    files = files_of(job.targets, outcome.frames, sums)
+    count = None
+    if settings.verify:
+        count = verify(job.targets, outcome.frames, files, job.source.keys.view, outcome.shown)
+        if job.targets.frames is not None and job.targets.video is not None:
+            verify_video(job.targets.video, outcome.shown)
+    return replace(outcome, files=files, verified=count)
+
+
 class Run:
-    """One run under way: settings, open outputs, and what was recorded."""
+    """One run: reads, renders, writes and records interval by interval.
 
-    settings: UpsampleSettings
-    source: Source
-    method: Method
-    sink: Sink
-    progress: Progress
-    staging: Staging
-    beside: Beside
-    maker: SlotMaker
-    chooser: Chooser | None
-    at_once: SlotsAtOnce
-    watcher: Watcher | None = None
-    records: list[FrameRecord] = field(default_factory=list)
-    left_out: list[LeftOut] = field(default_factory=list)
-    _scoring: IntervalScores | None = None
-    _broken: dict[int, int] = field(default_factory=dict)
-    _told_windows: set[bool] = field(default_factory=set)
+    Parameters
+    ----------
+    job
+        What is done.
+    reader
+        Reads the intervals.
+    note
+        What a video that is written alone says of itself.
+    progress, listener
+        As of `write_intervals`.
+    """
 
-    def write_all(self, loader: JointLoader, keys: tuple[int, ...]) -> tuple[FrameRecord, ...]:
-        """Work through the intervals: reading ahead, computing here, writing behind."""
-        tasks = (partial(loader.load, key, self._needed) for key in keys)
-        under_way: Iterator[None] = iter(())
-        with self.sink, self.at_once:
-            for text in self.sink.remarks:
-                self.progress.message(text)
-            try:
-                for loaded in read_ahead(tasks, self._ahead):
-                    work = self._work(loaded)
-                    del loaded
-                    _finish(under_way)
-                    under_way = self._steps(work)
-                    del work  # before the next one is waited for, and staged
-                    pool.trim()
-                    let_compiler_go()
-                    next(under_way, None)
-            except (InputError, UnreadableError):
-                _finish(under_way)  # that is sound
-                raise
-            _finish(under_way)
-        return with_write_times(self.records, self.sink.write_ms)
+    def __init__(
+        self,
+        job: Job,
+        reader: ViewsReader,
+        note: str,
+        progress: Progress,
+        listener: FrameListener | None = None,
+    ) -> None:
+        self._job, self._reader = job, reader
+        self._progress, self._listener = progress, listener
+        display = job.source.keys.display
+        warps = job.source.slots is None and not job.method.extrapolates
+        bare = warps and not ExtraLayers(job.contents).any
+        self._builder, *others = (
+            IntervalBuilder(
+                source.keys.display,
+                job.network,
+                job.interpolator,
+                source.estimated,
+                bare,
+                source.scratch,
+            )
+            for source in job.sources
+        )
+        self._layers = ExtraLayers(job.contents, tuple(others))
+        # Frames with all their layers are large, and few may wait.
+        self.writer = make_writer(job, note, 0 if self._layers.any else _writes_behind(display))
+        self._chooser = make_chooser(job)
+        self._renderer = SlotRenderer(
+            job.settings, job.source, job.method, self.writer, self._layers
+        )
+        most = max((len(job.source.timeline.made_of(key)) for key in job.keys), default=0)
+        self._slots = ParallelSlots(_row_bands.threads(), most)
+        self._records: list[FrameRecord] = []
+        self.left_out: list[LeftOut] = []
+        self._broken: dict[int, int] = {}
+        self._remarked: set[bool] = set()
 
-    def _work(self, loaded: Loaded | Unmade) -> _Work | Unmade:
-        """Stage an interval, and begin its slots where that can be done at once."""
-        if isinstance(loaded, Unmade):
-            return loaded
-        self._tell_window(loaded)
-        try:
-            loaded, staged = self._staged(loaded)
-        except InputError as error:  # of what is read late
-            if not self.settings.source.keep_going:
-                raise
-            return Unmade(loaded.key, str(error), loaded.lean())
-        begun = None
-        self._replace_key(loaded)
-        if self._goes_at_once(loaded, staged):
-            made_of = self.source.timeline.made_of(loaded.key)
-            slots = sorted(slot for slot in made_of if slot not in staged.there)
-            begun = self.at_once.begin(partial(self.maker.make, staged, loaded, here=True), slots)
-        return _Work(loaded, staged, begun)
+    def render_all(self) -> tuple[FrameRecord, ...]:
+        """Work through the intervals: reading ahead, rendering here, writing behind."""
+        keys = self._job.keys
+        tasks = (partial(self._reader.read, key, self._is_needed) for key in keys)
+        with self.writer, self._slots:
+            for text in self.writer.remarks:
+                self._progress.message(text)
+            intervals = prefetch(tasks, read_depth(self._job.source.keys.display.pixels))
+            for _ in keys:
+                # Handed on at once: a variable would hold the raw geometry while the next is read.
+                self._do_interval(next(intervals))
+                pool.trim()
+        written = self.writer.write_ms
+        return tuple(
+            replace(record, timing_ms=record.timing_ms | {"write": written[record.number]})
+            if record.number in written
+            else record
+            for record in self._records
+        )
 
-    def _tell_window(self, loaded: Loaded) -> None:
-        """Say how windows smaller than the display window are read, once each way."""
-        if loaded.frame is None or loaded.region in self._told_windows:
+    def _do_interval(self, inputs: IntervalInputs | SkippedInterval) -> None:
+        """Render an interval's frames, or skip them."""
+        if isinstance(inputs, SkippedInterval):
+            self._skip(inputs)
             return
-        text = remark(loaded.frame.image, loaded.region)
-        if text is not None:
-            self._told_windows.add(loaded.region)
-            self.progress.message(text)
-
-    def _steps(self, work: _Work | Unmade) -> Iterator[None]:
-        """Make an interval's frames, or leave them out."""
-        return self._leave_out(work) if isinstance(work, Unmade) else self._interval(work)
-
-    def _leave_out(self, work: Unmade) -> Iterator[None]:
-        """Pass the key frame through if it is sound, and note what is missing."""
-        timeline = self.source.timeline
-        slots = timeline.slots_of(work.key)
-        if work.passed is not None and timeline.shows(work.key):
-            self._pass_key(work.passed)
-            slots = timeline.made_of(work.key)
-        left = left_out(timeline, work.key, slots, work.reason)
-        if left.frames:
-            self.left_out.append(left)
-            tell_left_out(self.progress, left)
+        self._remark_window(inputs)
+        try:
+            prepared, inputs = self._prepare(inputs)
+        except InputError as error:  # of what only extrapolation needs
+            if not self._job.settings.source.keep_going:
+                raise
+            self._skip(SkippedInterval(inputs.key, str(error), inputs.without_geometry()))
+            return
+        timeline, interval = self._job.source.timeline, prepared.interval
+        self._replace_key(inputs)
+        for skipped in unscored(timeline, inputs.key, inputs.truth.unscored):
+            self.left_out.append(skipped)
+            tell_left_out(self._progress, skipped)
+        if timeline.shows(inputs.key):
+            self._pass_key(inputs)
+        slots = timeline.made_of(inputs.key)
+        missing = [slot for slot in slots if slot not in prepared.existing]
+        self._layers.begin(inputs, interval if missing else None)
+        scores = self._scores(inputs, interval)
+        pixels = self._job.source.keys.display.pixels
+        how = mode(prepared, self._job.method, pixels, self._layers.any, self._slots.workers)
+        render = partial(self._renderer.render, prepared, inputs, in_pool=how is Mode.IN_POOL)
+        rendered = self._slots.render(render, missing, how)
+        first_record = len(self._records)
         for slot in slots:
-            self.sink.show_again()
-            number = timeline.number(slot)
-            self.progress.advance(number, "left out", kind_of(slot.index), made=False)
-        yield
+            if slot in prepared.existing:
+                masked = self._listener is not None
+                self._record(self._renderer.resume(slot, interval, inputs, masked), inputs, scores)
+            else:
+                self._record(next(rendered), inputs, scores)
+            if interval is not None:
+                # Of the paper's paths a slot may be made by way of the one before it.
+                interval.forget(slot.index - 1 if prepared.extrapolates else slot.index)
+            check_stop()
+        if scores is not None:
+            self._complete_scores(first_record, inputs, scores)
+        self._layers.begin(inputs, None)
 
-    def _goes_at_once(self, loaded: Loaded, staged: Staged) -> bool:
-        """Whether threads can make a slot each: none goes by another."""
-        if not self._may_go_at_once or staged.interval is None or loaded.slots:
-            return False
-        return staged.plan is None or staged.plan.path == "S6"
-
-    @cached_property
-    def _may_go_at_once(self) -> bool:
-        """Whether slots of some intervals can be made at once, as far as memory permits."""
-        if self.beside.anything or self.method.interpolates or self.source.slots is not None:
-            return False
-        return self.method.path in (None, "S6") and self._is_small and self.at_once.pays
-
-    @property
-    def _is_small(self) -> bool:
-        """Whether memory permits to work on an interval before the last is done with."""
-        return self.source.keys.display.pixels <= MOST_AHEAD
-
-    @property
-    def _ahead(self) -> int:
-        """How many intervals to read ahead: none where slots of the last one are made meanwhile.
-
-        But where a network may extrapolate, which takes more memory than that, one is: staging for
-        a policy takes so long that a core waited for it, 2 % of the time where it warps.
-        """
-        waits = self._may_go_at_once and not self.method.extrapolates
-        return INTERVALS_AHEAD if self._is_small and not waits else 0
-
-    def _needed(self, key: int, recipes: dict[int, str]) -> bool:
-        """Whether an interval has to be computed: something is missing, or is to be scored."""
-        if not self.settings.skip_existing or self.settings.ground_truth is not None:
-            return True
-        return not all(self._is_there(Slot(key, i), recipes) for i in recipes)
-
-    def _is_there(self, slot: Slot, recipes: dict[int, str]) -> bool:
-        """Whether an earlier run wrote this slot's files as this one would."""
-        return self.sink.has(self.source.timeline.number(slot), recipes[slot.index])
-
-    def _staged(self, loaded: Loaded) -> tuple[Loaded, Staged]:
-        """Bring an interval to where slots can be made, and have its path decided."""
-        begin = time.perf_counter()
-        interval = None if loaded.frame is None else self.staging.interval(loaded)
-        geometry_ms = 1e3 * (time.perf_counter() - begin)
-        slots = self.source.timeline.made_of(loaded.key)
-        there = {slot for slot in slots if interval is None or self._is_there(slot, loaded.recipes)}
+    def _prepare(self, inputs: IntervalInputs) -> tuple[PreparedInterval, IntervalInputs]:
+        """Build an interval, and decide its path; return it with what is left of its inputs."""
+        method, slots = self._job.method, self._job.source.timeline.made_of(inputs.key)
+        timing_ms: dict[str, float] = {}
+        interval: Interval | None = None
+        with record_time(timing_ms, "geometry", len(slots)):
+            if inputs.frame is not None:
+                interval = self._builder.build(inputs)
+        recipes = inputs.metadata.recipes
+        existing = {slot for slot in slots if interval is None or self._exists(slot, recipes)}
+        choice = None
         # A policy looks at every interval: the states of later ones hold what it saw.
-        looks = len(there) < len(slots) or self.method.judge is Judge.POLICY
-        chosen = None  # outside the decision tree
-        if slots and looks and self.chooser is not None and interval is not None:
-            chosen = self._chosen(loaded, interval)
-        shares = {"geometry": geometry_ms / max(len(slots), 1)}
-        if chosen is not None:
-            shares |= {step: ms / len(slots) for step, ms in chosen.timing_ms.items()}
-        self._broken = broken_in(loaded, self._broken) if len(there) < len(slots) else {}
-        staged = Staged(interval, chosen, frozenset(there), shares, self._broken)
-        if interval is not None and staged.extrapolates and loaded.late is not None:
-            loaded = loaded.late(loaded)
-            self._broken = broken_in(loaded, self._broken)
-            interval = self.staging.led_back(interval, loaded)
-            staged = replace(staged, interval=interval, broken=self._broken)
-        elif interval is not None and self._only_moves(loaded, staged):
-            staged = replace(staged, interval=interval.bare())
-        return loaded.lean(), staged
+        looks = len(existing) < len(slots) or method.judge is Judge.POLICY
+        if slots and looks and interval is not None:
+            choice = self._choose(inputs, interval)
+        if choice is not None:
+            timing_ms |= {step: ms / len(slots) for step, ms in choice.timing_ms.items()}
+        self._broken = count_broken(inputs, self._broken) if len(existing) < len(slots) else {}
+        prepared = PreparedInterval(interval, choice, frozenset(existing), timing_ms, self._broken)
+        if interval is not None and prepared.extrapolates and inputs.lacks_history:
+            inputs = self._reader.add_history(inputs)
+            self._broken = count_broken(inputs, self._broken)
+            interval = self._builder.add_history(interval, inputs)
+        elif interval is not None and not (
+            prepared.extrapolates or inputs.slots or inputs.truth.frames or self._layers.any
+        ):
+            interval = interval.bare()  # slots are warped from the key frame
+        prepared = replace(prepared, interval=interval, broken=self._broken)
+        return prepared, inputs.without_geometry()
 
-    def _chosen(self, loaded: Loaded, interval: Interval) -> Chosen | None:
-        """Have an interval's path decided; None where it is held, and nothing is to be decided.
+    def _choose(self, inputs: IntervalInputs, interval: Interval) -> Chosen | None:
+        """Decide an interval's path; None where it is held, and nothing is to be decided.
 
         A policy looks at it all the same.
         """
-        assert self.chooser is not None
-        if interval.held and self.method.judge is not Judge.POLICY:
+        if self._chooser is None or (interval.held and self._job.method.judge is not Judge.POLICY):
             return None
-        chosen = self.chooser(loaded, interval)
-        return None if interval.held else chosen
+        choice = self._chooser(inputs, interval)
+        return None if interval.held else choice
 
-    def _only_moves(self, loaded: Loaded, staged: Staged) -> bool:
-        """Whether slots are made by settled motion, depth and ids of key frames alone."""
-        return not (loaded.slots or loaded.truth or self.beside.anything or staged.extrapolates)
+    def _is_needed(self, key: int, recipes: dict[int, str]) -> bool:
+        """Return True if any slot is missing or must be scored."""
+        settings = self._job.settings
+        if not settings.skip_existing or settings.ground_truth is not None:
+            return True
+        return not all(self._exists(Slot(key, i), recipes) for i in recipes)
 
-    def _interval(self, work: _Work) -> Iterator[None]:
-        """Pass a key frame on, and make the slots after it, or take those that were begun.
+    def _exists(self, slot: Slot, recipes: dict[int, str]) -> bool:
+        """Return True if an earlier run wrote this slot's files as this one would."""
+        return self.writer.has(self._job.source.timeline.number(slot), recipes[slot.index])
 
-        Of slots that were begun it yields before the first, so that the next interval is read and
-        staged meanwhile, and no core waits for slots to make; before the last where a next key
-        frame is looked ahead to, as two of them are in memory then.
-        """
-        loaded, staged, interval = work.loaded, work.staged, work.staged.interval
-        for one in unscored(self.source.timeline, loaded.key, loaded.unscored):
-            self.left_out.append(one)
-            tell_left_out(self.progress, one)
-        if self.source.timeline.shows(loaded.key):
-            self._pass_key(loaded)
-        slots = self.source.timeline.made_of(loaded.key)
-        pause = slots[-1:] if self.method.lookahead else slots[:1]
-        self.beside.begin(loaded, interval if len(staged.there) < len(slots) else None)
-        self._scoring = self._scores(loaded, interval)
+    def _skip(self, skipped: SkippedInterval) -> None:
+        """Pass the key frame through if it can be read, and record what is missing."""
+        timeline = self._job.source.timeline
+        slots = timeline.slots_of(skipped.key)
+        if skipped.passed is not None and timeline.shows(skipped.key):
+            self._pass_key(skipped.passed)
+            slots = timeline.made_of(skipped.key)
+        left = left_out(timeline, skipped.key, slots, skipped.reason)
+        if left.frames:
+            self.left_out.append(left)
+            tell_left_out(self._progress, left)
         for slot in slots:
-            if slot in pause and work.begun is not None:
-                yield
-            if interval is None or slot in staged.there:
-                made = self._resume(slot, interval, loaded)
-            elif work.begun is not None:
-                made = work.begun.take(slot)
-            else:
-                made = self.maker.make(staged, loaded, slot)
-            record = self._scored(made, loaded)
-            self.records.append(record)
-            self._show(record, made, loaded)
-            self.progress.advance(
-                record.number, record.method, kind_of(slot.index), made=not record.resumed
-            )
-            if interval is not None:
-                # Of the paper's paths a slot may be made by way of the one before it.
-                interval.forget(slot.index - 1 if staged.extrapolates else slot.index)
-            del made
-        self._complete(loaded)
-        self._scoring = None
-        self.beside.begin(loaded, None)  # neither holds the interval on
+            self.writer.show_again()
+            number = timeline.number(slot)
+            self._progress.advance(number, "left out", kind_of(slot.index), made=False)
 
-    def _replace_key(self, loaded: Loaded) -> None:
+    def _remark_window(self, inputs: IntervalInputs) -> None:
+        """Say how windows smaller than the display window are read, once each way."""
+        if inputs.frame is None or inputs.region in self._remarked:
+            return
+        text = remark(inputs.frame.image, inputs.region)
+        if text is not None:
+            self._remarked.add(inputs.region)
+            self._progress.message(text)
+
+    def _replace_key(self, inputs: IntervalInputs) -> None:
         """Replace a copy of an earlier render before any frame that is made of the new one."""
-        timeline = self.source.timeline
-        path = self.source.keys.sequence.files[timeline.numbers[loaded.key]]
-        if timeline.shows(loaded.key) and self.sink.copies(path):
-            self.sink.replace_key(timeline.number(Slot(loaded.key, 0)), path)
+        source = self._job.source
+        path = source.keys.sequence.files[source.timeline.numbers[inputs.key]]
+        if source.timeline.shows(inputs.key) and self.writer.copies(path):
+            self.writer.replace_key(source.timeline.number(Slot(inputs.key, 0)), path)
 
-    def _pass_key(self, loaded: Loaded) -> None:
+    def _pass_key(self, inputs: IntervalInputs) -> None:
         """Pass the key frame through."""
-        number = self.source.timeline.numbers[loaded.key]
-        output = self.source.timeline.number(Slot(loaded.key, 0))
-        path = self.source.keys.sequence.files[number]
-        copied = self.sink.copies(path)
-        replaced = self.sink.was_replaced(output) or self.sink.is_in_the_way(output)
-        resumed = self.sink.pass_key(output, path) if copied else self._write_key(output, loaded)
-        name = self.sink.name(output)
-        record = FrameRecord(output, name, number, 0, FrameKind.KEY, "key", (number,))
-        timing = {} if resumed else {"read": loaded.read_ms}
-        render = loaded.template.render
-        record = replace(record, resumed=resumed, replaced=replaced and not resumed)
-        self.records.append(replace(record, timing_ms=timing, render=render))
-        self._show(self.records[-1], Made(record), loaded)
-        self.progress.advance(output, "key", kind_of(0), made=not resumed)
+        source, writer = self._job.source, self.writer
+        number = source.timeline.numbers[inputs.key]
+        output = source.timeline.number(Slot(inputs.key, 0))
+        path = source.keys.sequence.files[number]
+        replaced = writer.was_replaced(output) or writer.is_in_the_way(output)
+        if writer.copies(path):
+            resumed = writer.pass_key(output, path)
+        else:
+            resumed = self._write_key(output, inputs)
+        record = FrameRecord(
+            output, writer.name(output), number, 0, FrameKind.KEY, "key", (number,),
+            resumed=resumed,
+            replaced=replaced and not resumed,
+            timing_ms={} if resumed else {"read": inputs.read_ms},
+            render=inputs.metadata.template.render,
+        )  # fmt: skip
+        self._records.append(record)
+        self._show(RenderedSlot(record), inputs)
+        self._progress.advance(output, "key", kind_of(0), made=not resumed)
 
-    def _write_key(self, output: int, loaded: Loaded) -> bool:
+    def _write_key(self, output: int, inputs: IntervalInputs) -> bool:
         """Write a key frame that is no file of the output's format; return whether it is there."""
-        keys, number = self.source.keys, self.source.timeline.numbers[loaded.key]
-        if not self.sink.keeps_frames:
+        source = self._job.source
+        number = source.timeline.numbers[inputs.key]
+        if not self.writer.keeps_frames:
             return False
-        recipe = key_recipe(keys, number, self.source.written_fps)
-        if self.sink.has(output, recipe, masked=False):
+        recipe = key_recipe(source.keys, number, source.written_fps)
+        if self.writer.has(output, recipe, masked=False):
             return True
         attributes = {
-            **rate_attribute(self.source),
+            **rate_attribute(source),
             f"{PREFIX}version": __version__,
             f"{PREFIX}kind": FrameKind.KEY.value,
             f"{PREFIX}key": number,
             f"{PREFIX}recipe": recipe,
         }
-        self.sink.write(output, self._key_image(loaded), None, loaded.template, attributes)
+        template = inputs.metadata.template
+        self.writer.write(output, self._key_image(inputs), None, template, attributes)
         return False
 
-    def _key_image(self, loaded: Loaded) -> Image:
+    def _key_image(self, inputs: IntervalInputs) -> Image:
         """Return a key frame's colour, from disk where nothing else of its interval was read."""
-        if loaded.frame is not None:
-            return loaded.frame.image
-        keys, number = self.source.keys, self.source.timeline.numbers[loaded.key]
-        return picture(keys.sequence, number, keys.view)
+        if inputs.frame is not None:
+            return inputs.frame.image
+        source = self._job.source
+        number = source.timeline.numbers[inputs.key]
+        return picture(source.keys.sequence, number, source.keys.view)
 
-    def _show(self, record: FrameRecord, made: Made, loaded: Loaded) -> None:
-        """Show a frame as its file has it: to the video, and beside its truth to the watcher."""
-        watched = self.watcher is not None and self.watcher.wants(record.number, record.score)
-        if not (watched or self.sink.shows):
+    def _record(
+        self, rendered: RenderedSlot, inputs: IntervalInputs, scores: IntervalScores | None
+    ) -> None:
+        """Score, record and show a slot's frame."""
+        record, image = rendered.record, rendered.image
+        truth = inputs.truth.frames.get(record.slot)
+        if scores is not None and truth is not None and image is not None:
+            timing_ms = dict(record.timing_ms)
+            with record_time(timing_ms, "score"):
+                reference = truth.on(truth.display_window).pixels
+                test = image.on(self._job.source.keys.display).pixels
+                overall, holes = scores.frame(record.slot, reference, test, rendered.mask)
+            record = replace(record, score=overall, hole_score=holes, timing_ms=timing_ms)
+        self._records.append(record)
+        self._show(replace(rendered, record=record), inputs)
+        self._progress.advance(
+            record.number, record.method, kind_of(record.slot), made=not record.resumed
+        )
+
+    def _show(self, rendered: RenderedSlot, inputs: IntervalInputs) -> None:
+        """Show a frame as its file has it: to the video, and with its truth to the listener."""
+        record, writer = rendered.record, self.writer
+        listens = self._listener is not None and self._listener.wants(record.number, record.score)
+        if not (listens or writer.shows):
             return
         is_key = record.kind is FrameKind.KEY
         if is_key:
-            image = self._key_image(loaded)
-        elif made.image is None:
-            image = self.sink.read(record.number)
+            image = self._key_image(inputs)
+        elif rendered.image is None:
+            image = writer.read(record.number)
+        elif rendered.rounded:
+            image = rendered.image
         else:
-            image = made.image if made.rounded else rounded(made.image, loaded.template)
-        if watched:
-            assert self.watcher is not None
-            truth = loaded.truth.get(record.slot)
-            self.watcher.frame(
+            image = rounded(rendered.image, inputs.metadata.template)
+        if listens:
+            assert self._listener is not None
+            truth = inputs.truth.frames.get(record.slot)
+            self._listener.frame(
                 record.number,
-                self.sink.displayed(image.on(self.source.keys.display).pixels),
-                None
-                if truth is None
-                else self.sink.displayed(truth.on(truth.display_window).pixels),
-                made.mask,
+                writer.displayed(image.on(self._job.source.keys.display).pixels),
+                None if truth is None else writer.displayed(truth.on(truth.display_window).pixels),
+                rendered.mask,
                 is_key=is_key,
             )
-        self.sink.show(image)
+        writer.show(image)
 
-    def _resume(self, slot: Slot, interval: Interval | None, loaded: Loaded) -> Made:
-        """Record a frame that an earlier run wrote."""
-        number = self.source.timeline.number(slot)
-        try:
-            record = self._recorded(slot, self.sink.written(number))
-        except (LookupError, TypeError, ValueError, AttributeError, RecursionError) as error:
-            raise OutputError(
-                f"what {self.sink.name(number)} says of itself was changed by hand; remove it, or "
-                "give --overwrite to replace all frames"
-            ) from error
-        scored = slot.index in loaded.truth
-        if interval is None or not (scored or self.watcher is not None):
-            return Made(record)
-        image = self.sink.read(number) if scored else None
-        return Made(record, image, mask=self.maker.mask(interval, slot))
-
-    def _recorded(self, slot: Slot, known: Mapping[str, Any]) -> FrameRecord:
-        """Return the record of a frame from what its header says."""
-        number, holes = self.source.timeline.number(slot), known.get("holeFraction")
-        return FrameRecord(
-            number=number,
-            file=self.sink.name(number),
-            key=self.source.timeline.numbers[slot.key],
-            slot=slot.index,
-            kind=FrameKind(known["kind"]),
-            method=str(known["method"]),
-            sources=tuple(int(n) for n in str(known["sources"]).split(",")),
-            hole_fraction=None if holes is None else float(holes),
-            resumed=True,
-            made_by=maker_of(known.get("madeBy"), str(known["method"])),
-            path=known.get("path"),
-            decision=parse_decision(known.get("decision")),
-        )
-
-    def _scored(self, made: Made, loaded: Loaded) -> FrameRecord:
-        """Score a frame against ground truth, where there is some, on the display window."""
-        record, image = made.record, made.image
-        truth = loaded.truth.get(record.slot)
-        if truth is None or image is None:
-            return record
-        display = self.source.keys.display
-        assert self._scoring is not None
-        begin = time.perf_counter()
-        reference, test = truth.on(truth.display_window).pixels, image.on(display).pixels
-        everything, holes = self._scoring.frame(record.slot, reference, test, made.mask)
-        elapsed = 1e3 * (time.perf_counter() - begin)
-        timing = record.timing_ms | {"score": elapsed}
-        return replace(record, score=everything, hole_score=holes, timing_ms=timing)
-
-    def _scores(self, loaded: Loaded, interval: Interval | None) -> IntervalScores | None:
-        """Return what scores an interval's slots; None where nothing is."""
-        if interval is None or not loaded.truth:
+    def _scores(self, inputs: IntervalInputs, interval: Interval | None) -> IntervalScores | None:
+        """Return what scores an interval's slots; None without ground truth."""
+        if interval is None or not inputs.truth.frames:
             return None
-        return IntervalScores(
-            interval, self.source.keys.display, self.settings.measured, loaded.followed
-        )
+        measured = self._job.settings.measured
+        return IntervalScores(interval, self._job.source.keys.display, measured, inputs.followed)
 
-    def _complete(self, loaded: Loaded) -> None:
-        """Add what takes all frames of the interval to the scores of those recorded last."""
-        if self._scoring is None:
-            return
-        begin = time.perf_counter()
-        ends = {i: image.on(image.display_window).pixels for i, image in loaded.truth_ends.items()}
-        found = self._scoring.complete(ends)
-        elapsed = 1e3 * (time.perf_counter() - begin) / len(found)
-        number = self.source.timeline.numbers[loaded.key]
-        count = len(self.source.timeline.slots_of(loaded.key))
-        for index in range(len(self.records) - count, len(self.records)):
-            record = self.records[index]
-            if record.key == number and record.slot in found:
-                overall, holes = found[record.slot]
-                timing = record.timing_ms | {"score": record.timing_ms["score"] + elapsed}
-                self.records[index] = replace(
-                    record, score=overall, hole_score=holes, timing_ms=timing
+    def _complete_scores(self, first: int, inputs: IntervalInputs, scores: IntervalScores) -> None:
+        """Add what takes all frames of an interval to its scores; `first` is its first record."""
+        timing_ms: dict[str, float] = {}
+        with record_time(timing_ms, "score", len(inputs.truth.frames)):
+            ends = {slot: i.on(i.display_window).pixels for slot, i in inputs.truth.ends.items()}
+            complete = scores.complete(ends)
+        for index, record in enumerate(self._records[first:], start=first):
+            if record.slot in complete:
+                overall, holes = complete[record.slot]
+                elapsed = record.timing_ms["score"] + timing_ms["score"]
+                self._records[index] = replace(
+                    record,
+                    score=overall,
+                    hole_score=holes,
+                    timing_ms=record.timing_ms | {"score": elapsed},
                 )
 
 
-def _finish(steps: Iterator[None]) -> None:
-    """Go through all steps that are left."""
-    for _ in steps:
-        pass
+def make_chooser(job: Job) -> Chooser | None:
+    """Return what decides the path of each key interval; None outside the decision tree."""
+    method, source = job.method, job.source
+    if method.path is not None:
+        return always(method.path) if is_usual(source) else None
+    if job.policy is not None:
+        from exwarp_cli.pipeline.observing import Observer
+        from exwarp_cli.policy.policies import LearnedPolicy
+
+        observer = Observer(source.keys.display, source.setting)
+        return by_policy(LearnedPolicy(job.policy.network), observer)
+    return None if method.judge is None else by_truth(method.judge, source.keys.display)
+
+
+def make_reader(job: Job) -> ViewsReader:
+    """Return what reads the views that are written; the first decides, and is scored."""
+    contents, method, settings = job.contents, job.method, job.settings
+    leader = IntervalReader(
+        contents[0].source, method, settings, job.truth, job.depends_on, contents
+    )
+    others = (
+        IntervalReader(content.source, method, settings, None, job.depends_on, (content,), leader)
+        for content in contents[1:]
+    )
+    return ViewsReader(leader, tuple(others))
+
+
+def make_writer(job: Job, note: str = "", behind: int = FRAMES_BEHIND) -> FrameWriter:
+    """Return where frames go; `note` is what a video that is written alone says of itself."""
+    keys, rate = job.source.keys, job.source.output_rate
+    look = video_look(job.source, job.keys, note or BY_EXWARP)
+    return FrameWriter(
+        job.targets, job.settings, keys.display, rate, keys.view, behind, look, job.sums
+    )
+
+
+def _writes_behind(display: Window) -> int:
+    """Return how many frames may wait to be written: fewer of large ones."""
+    return min(FRAMES_BEHIND, MAX_BYTES_BEHIND // (display.pixels * PIXEL_BYTES))

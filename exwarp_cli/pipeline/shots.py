@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
 
 from exwarp_cli.domain.cuts import Cut, CutWish
 from exwarp_cli.domain.frame import Float32, GBuffer, KeyFrame
-from exwarp_cli.pipeline.losses import Losses
+from exwarp_cli.domain.timeline import Slot
+from exwarp_cli.errors import InputError
 from exwarp_cli.synthesis.cuts import is_cut_between
 from exwarp_cli.synthesis.glance import Glance, glance_at
 from exwarp_cli.synthesis.holds import SOON, Change, change_between, is_same_picture
@@ -21,6 +23,66 @@ to another camera, mostly by a good part of the frame."""
 
 AROUND_HOLD = (1, -1, 2, -2, 3, -3, 5, -5, 8, -8, 16, -16, 32, -32)
 """Distances at which another pair is sought in place of one that shows the same picture twice."""
+
+
+class _RecordedError(Exception):
+    """The cause of an error of a frame that is recorded as unreadable."""
+
+
+class UnreadableFrames:
+    """Frames of the input that cannot be read, by their slot, whose index is 0 for key frames.
+
+    An unreadable key frame is like a hole between two shots: nothing is taken across it. The same
+    frames have to be unreadable for every chunk of a sequence, whatever else that chunk reads. So
+    a key frame is always read in the same way, and a question where shots begin reads the key
+    frames on both sides.
+
+    Parameters
+    ----------
+    tolerant
+        Whether a run skips what depends on them; otherwise errors pass, and nothing is recorded.
+    """
+
+    def __init__(self, tolerant: bool = False) -> None:
+        self.tolerant = tolerant
+        self._reasons: dict[Slot, str] = {}
+
+    def __len__(self) -> int:
+        return len(self._reasons)
+
+    @contextmanager
+    def recorded(self, slot: Slot) -> Iterator[None]:
+        """Record the slot's frame as unreadable when the block fails.
+
+        Raises
+        ------
+        InputError
+            What the block raises; and at once for a frame that is recorded.
+        """
+        if not self.tolerant:
+            yield
+            return
+        if slot in self._reasons:
+            raise InputError(self._reasons[slot]) from _RecordedError()
+        try:
+            yield
+        except InputError as error:
+            if isinstance(error.__cause__, _RecordedError):  # another frame, read for this one
+                raise
+            self._reasons[slot] = str(error)  # without what its traceback holds
+            raise InputError(self._reasons[slot]) from _RecordedError()
+
+    def has(self, key: int) -> bool:
+        """Return True if a key frame, by its index, is recorded."""
+        return Slot(key, 0) in self._reasons
+
+    def has_either(self, key: int) -> bool:
+        """Return True if a key frame or the one before it is recorded."""
+        return self.has(key) or self.has(key - 1)
+
+    def all_readable(self, slots: Iterable[Slot]) -> bool:
+        """Return True if no frame of these slots is recorded."""
+        return not any(slot in self._reasons for slot in slots)
 
 
 class Shots:
@@ -38,8 +100,8 @@ class Shots:
     read
         Called with the index of a key frame that was not seen, or forgotten; shows it by `see`, and
         returns it.
-    losses
-        Key frames that are lost: shots end before them, and begin after them.
+    unreadable
+        Key frames that cannot be read: shots end before them, and begin after them.
     lossy
         True if a lossy codec may have changed pictures that are repeated.
 
@@ -54,14 +116,14 @@ class Shots:
         wish: CutWish,
         numbers: Sequence[int],
         read: Callable[[int], KeyFrame],
-        losses: Losses | None = None,
+        unreadable: UnreadableFrames | None = None,
         lossy: bool = False,
     ) -> None:
         self._wish = wish
         self._numbers = numbers
         self._given = wish.starts_in(numbers)
         self._read = read
-        self._losses = Losses() if losses is None else losses
+        self._unreadable = UnreadableFrames() if unreadable is None else unreadable
         self._glances: dict[int, Glance] = {}
         self._starts: dict[int, bool] = {}
         self._leaps: dict[int, _Leap | None] = {}
@@ -105,7 +167,7 @@ class Shots:
         if self._leader is not None:
             return self._leader.starts_at(key)
         inside = 0 < key < len(self._numbers)
-        if self._losses.part(key) and key not in self._given:
+        if self._unreadable.has_either(key) and key not in self._given:
             return inside
         if key not in self._starts:
             self._starts[key] = inside and (key in self._given or self._found(key))
@@ -196,7 +258,7 @@ class Shots:
     def _found(self, key: int) -> bool:
         """Look whether there is a cut before a key frame."""
         if not self._wish.detect:
-            if self._losses.bearable:  # whether one of them is lost shows as it is read
+            if self._unreadable.tolerant:  # whether they can be read shows as they are read
                 self._read(key - 1)
                 self._read(key)
             return False

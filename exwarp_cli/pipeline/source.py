@@ -24,10 +24,9 @@ from exwarp_cli.io.frames import Shot
 from exwarp_cli.io.sequence import Sequence
 from exwarp_cli.io.unrecognised import is_colour_alone, no_vectors
 from exwarp_cli.pipeline.depth_kind import read_alike, with_depth_ordered
-from exwarp_cli.pipeline.early_frames import Beginning, EarlyFrames
 from exwarp_cli.pipeline.motion_finding import KeyColours, find_motion
 from exwarp_cli.pipeline.object_ids import read_ids
-from exwarp_cli.pipeline.opening import open_keys, open_plain, open_slots, rate_of
+from exwarp_cli.pipeline.opening import each_view, open_keys, open_plain, open_slots, rate_of
 from exwarp_cli.runtime.frame_pool import IN_MEMORY, ScratchFrames
 
 FrameOf = Callable[[Slot], int | None]
@@ -64,8 +63,6 @@ class Source:
         What the user says about cuts; those given lie at key frames.
     estimated
         Whether motion is needed and there are no vectors, so that it is estimated from colour.
-    early
-        Frames that were read already.
     unusable
         Why vectors that are there are not used, and motion is estimated instead; "" otherwise.
     scratch
@@ -81,7 +78,6 @@ class Source:
     fps_source: str
     cuts: CutWish
     estimated: bool = False
-    early: EarlyFrames = field(default_factory=EarlyFrames, compare=False, repr=False)
     unusable: str = ""
     scratch: ScratchFrames = field(default=IN_MEMORY, compare=False, repr=False)
 
@@ -128,7 +124,6 @@ def open_source(
     settings: SourceSettings,
     motion_needed: bool = True,
     pictures: bool = False,
-    run: Beginning | None = None,
 ) -> Source:
     """Find and recognise an input.
 
@@ -142,8 +137,6 @@ def open_source(
     pictures
         Whether videos, stills and EXR with colour alone are taken, and their motion estimated; and
         EXR with other passes and without usable vectors, where `settings` allow it.
-    run
-        That it is opened for: frames that it reads first are kept for it. None without.
 
     Raises
     ------
@@ -181,18 +174,15 @@ def open_source(
         _enough(timeline, slots, slot_number)
     shot = slots or keys
     starts = _numbers_at(begin, timeline, None if slots is None else slot_number)
-    early = EarlyFrames()
-    if run is not None and slots is None:
-        early = EarlyFrames.of(run, keys, timeline, cuts.detect)
     unusable = ""
     try:
         colours = _key_colours(keys, slots, timeline, slot_number)
-        finding = find_motion(shot, settings.motion, cuts.detect, starts, early, colours)
+        finding = find_motion(shot, settings.motion, cuts.detect, starts, colours)
     except MotionError as error:
         if motion_needed and not (pictures and _may_estimate(settings)):
             raise
         finding, unusable = None, str(error)
-    keys, slots = _with_depth(keys, slots, finding, (starts, early))
+    keys, slots = _with_depth(keys, slots, finding, starts)
     shot = slots or keys
     estimated = finding is None and motion_needed and pictures and _is_estimated(shot, settings)
     if motion_needed and not estimated:
@@ -200,9 +190,30 @@ def open_source(
     if slots is not None and (finding is None or finding.convention.to_previous is None):
         slots, slot_number, finding = None, _no_number, None
     return Source(
-        keys, slots, slot_number, timeline, finding, fps, fps_source, cuts, estimated, early,
-        unusable,
-    )  # fmt: skip
+        keys, slots, slot_number, timeline, finding, fps, fps_source, cuts, estimated, unusable
+    )
+
+
+def open_sources(
+    settings: SourceSettings, motion_needed: bool, pictures: bool = False
+) -> tuple[Source, ...]:
+    """Open the view that is asked for; of all views every one, the hero first; see `open_source`.
+
+    Raises
+    ------
+    UsageError
+        When all views are asked for, and each has files of its own.
+    """
+    sources = tuple(open_source(view, motion_needed, pictures) for view in each_view(settings))
+    leader, *others = sources
+    for other in others:
+        if other.keys.sequence.files != leader.keys.sequence.files:
+            raise UsageError(
+                f"--view all writes all views into one file, and here each has its own "
+                f"({leader.keys.sequence.pattern}); run once for each: "
+                + ", ".join(f"--view {source.keys.view}" for source in sources)
+            )
+    return sources
 
 
 def _key_colours(
@@ -221,21 +232,18 @@ def _with_depth(
     keys: Shot,
     slots: Shot | None,
     finding: MotionFinding | None,
-    known: tuple[Collection[int], EarlyFrames],
+    starts: Collection[int],
 ) -> tuple[Shot, Shot | None]:
     """Return key frames and slots with depth as their vectors say it grows.
 
-    Depth of the same name in both is read alike. `known` are the starts of shots, and frames that
-    were read already.
+    Depth of the same name in both is read alike. `starts` are numbers at which shots begin.
     """
     if finding is None:
         return keys, slots
-    starts, early = known
     shot = slots or keys
-    found = with_depth_ordered(shot, finding.convention, starts, early)
+    found = with_depth_ordered(shot, finding.convention, starts)
     if found is shot:
         return keys, slots
-    early.drop()  # their depth was read in the other way
     if slots is None:
         return found, None
     names = [{ref.name for ref in each.layout.roles.get(Role.DEPTH, ())} for each in (keys, slots)]

@@ -9,6 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from exwarp_cli.domain import cores
 from exwarp_cli.domain.results import FrameKind, FrameRecord, WrittenFile
@@ -16,9 +17,12 @@ from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.errors import InputError, OutputError
 from exwarp_cli.io.atomic import output_error
 from exwarp_cli.io.clip import open_clip
-from exwarp_cli.io.exr_encoding import Buffer
+from exwarp_cli.io.exr.writer import Buffer
 from exwarp_cli.io.frame_files import read_picture, recipe_in
-from exwarp_cli.pipeline.targets import Targets
+from exwarp_cli.runtime.stop import check_stop
+
+if TYPE_CHECKING:
+    from exwarp_cli.pipeline.frame_writer import OutputPlan
 
 FRAME, HOLES, VIDEO = "frame", "holes", "video"
 """Kinds of written files."""
@@ -37,12 +41,13 @@ def sum_of(pieces: Iterable[Buffer]) -> str:
 
 def sum_in(path: Path) -> str:
     """Return the SHA-256 of a file, hexadecimal; raises OSError."""
+    check_stop()
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def files_of(
-    targets: Targets, frames: Iterable[FrameRecord], sums: Sums
+    targets: OutputPlan, frames: Iterable[FrameRecord], sums: Sums
 ) -> tuple[WrittenFile, ...]:
     """List the files of a run with their checksums.
 
@@ -67,7 +72,7 @@ def files_of(
 
 
 def verify(
-    targets: Targets,
+    targets: OutputPlan,
     frames: Iterable[FrameRecord],
     files: Iterable[WrittenFile],
     view: str,
@@ -177,7 +182,7 @@ Listed = tuple[str, int | None, Path, bool]
 """Kind, number of the frame, path, and whether its own seal tells, as it is of an earlier run."""
 
 
-def _listed(targets: Targets, frames: Iterable[FrameRecord]) -> Iterator[Listed]:
+def _listed(targets: OutputPlan, frames: Iterable[FrameRecord]) -> Iterator[Listed]:
     """Yield the files of a run; a video beside frames can be made of them at any time."""
     for frame in frames:
         sealed = frame.resumed and frame.kind is not FrameKind.KEY

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from fractions import Fraction
+from typing import TYPE_CHECKING
 
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR, Slot
@@ -15,9 +16,11 @@ from exwarp_cli.io.video import VideoLook, video_note
 from exwarp_cli.pipeline.finding import is_usual
 from exwarp_cli.pipeline.recipes import Recipes, key_recipe
 from exwarp_cli.pipeline.source import Source
-from exwarp_cli.pipeline.targets import Targets
 from exwarp_cli.synthesis.methods import Method
 from exwarp_cli.synthesis.optical_flow import require_video
+
+if TYPE_CHECKING:
+    from exwarp_cli.pipeline.frame_writer import OutputPlan
 
 USUAL, USUAL_ELSEWHERE = "exwarp", "softsplat"
 """Methods where none is named: for the paper's factor along a renderer's vectors, and otherwise."""
@@ -138,7 +141,7 @@ def note_of(recipes: Recipes, settings: UpsampleSettings, keys: tuple[int, ...])
     return f"{BY_EXWARP} {digest}"
 
 
-def is_kept(targets: Targets, settings: UpsampleSettings, note: str) -> bool:
+def is_kept(targets: OutputPlan, settings: UpsampleSettings, note: str) -> bool:
     """Whether a video that is written alone is there already, as this run would make it."""
     wanted = settings.skip_existing and settings.ground_truth is None
     if not (wanted and note) or targets.frames is not None or targets.video is None:

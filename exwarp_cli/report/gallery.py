@@ -165,7 +165,7 @@ class Album:
 
 
 class Gallery:
-    """Watches a run and keeps some of its frames: a `pipeline.watching.Watcher`.
+    """Watches a run and keeps some of its frames: a `pipeline.progress.FrameListener`.
 
     Whole groups (key intervals) evenly over the run, and the frame that is worst by the first
     metric that is known while frames are at hand (all but VMAF and flicker), which the viewer

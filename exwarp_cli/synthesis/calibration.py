@@ -18,7 +18,7 @@ import numpy as np
 from exwarp_cli.domain.frame import Bool
 from exwarp_cli.domain.motion import AxisMap, MotionConvention, MotionFinding
 from exwarp_cli.errors import MotionError
-from exwarp_cli.kernels.jit import threads
+from exwarp_cli.kernels._row_bands import threads
 from exwarp_cli.synthesis.directions import (
     CLEARLY_WORSE,
     TIE_FLOOR,

@@ -7,12 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from exwarp_cli.compiled import shares
-from exwarp_cli.compiled.shares import Share, rows_of
 from exwarp_cli.domain.extrapolator import HISTORY, INPUTS, Inputs, NetworkInputs
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, KeyFrame
 from exwarp_cli.domain.timeline import FACTOR
-from exwarp_cli.kernels import jit, planes
+from exwarp_cli.kernels import _row_bands, planes
+from exwarp_cli.kernels._row_bands import Share, rows_of
 from exwarp_cli.runtime.frame_pool import IN_MEMORY, ScratchFrames, pool
 from exwarp_cli.synthesis.geometry import SlotField
 from exwarp_cli.synthesis.history import LookBack, Past
@@ -111,7 +110,7 @@ class SlotInputs:
             (top, left), made,
         )  # fmt: skip
         self.scratch.page_out()  # before the network takes its memory
-        shares.run(_encode, (made.reshape(len(made), -1),), jit.threads())
+        _row_bands.run(_encode, (made.reshape(len(made), -1),), _row_bands.threads())
         ends = np.cumsum(list(INPUTS.values()))[:-1]
         warped, mask, features, history = np.split(made, ends)
         return NetworkInputs(warped, mask, features, history, self.time)
@@ -203,7 +202,7 @@ def prepare(
     scratch.page_out()
     pixels, depth, hole = moved(_shading(key, divided), back)
     filled = pool.empty(pixels.shape, np.float32)
-    shares.run(_copy, (pixels, filled), jit.threads())
+    _row_bands.run(_copy, (pixels, filled), _row_bands.threads())
     fill_holes(filled, depth, hole)
     history = [scratch.store(Moved(pixels, ~hole))]
     sides = [Side(key.image.pixels, back.field, history[0].visible)]

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from exwarp_cli.compiled import shares
-from exwarp_cli.compiled.shares import Share, rows_of
 from exwarp_cli.domain.frame import Float32, GBuffer, KeyFrame
-from exwarp_cli.kernels import jit, planes
+from exwarp_cli.kernels import _row_bands, planes
+from exwarp_cli.kernels._row_bands import Share, rows_of
 from exwarp_cli.runtime.frame_pool import pool
 
 DARKEST = 0.2
@@ -37,7 +36,7 @@ def modulation_of(gbuffer: GBuffer) -> Float32 | None:
     if gbuffer.albedo is None or gbuffer.specular is None:
         return None
     total: Float32 = pool.empty(gbuffer.albedo.shape, np.float32)
-    shares.run(_modulate, (gbuffer.albedo, gbuffer.specular, total), jit.threads())
+    _row_bands.run(_modulate, (gbuffer.albedo, gbuffer.specular, total), _row_bands.threads())
     return total
 
 
@@ -76,7 +75,7 @@ def decode(coded: Float32) -> Float32:
     """Return the linear values that :func:`encode` was given."""
     out: Float32 = pool.empty(coded.shape, np.float32)
     given = np.ascontiguousarray(coded).reshape(-1)
-    shares.run(_decode, (given, out.reshape(-1)), jit.threads())
+    _row_bands.run(_decode, (given, out.reshape(-1)), _row_bands.threads())
     return out
 
 

@@ -28,7 +28,7 @@ import numpy as np
 from exwarp_cli.domain.curves import SRGB
 from exwarp_cli.domain.frame import Float32, GBuffer, KeyFrame, UInt8, Window
 from exwarp_cli.errors import MissingExtraError
-from exwarp_cli.kernels.jit import threads
+from exwarp_cli.kernels._row_bands import threads
 from exwarp_cli.synthesis.geometry import moved_on
 from exwarp_cli.synthesis.warp import repair, sampled
 

@@ -20,6 +20,7 @@ from exwarp_cli.domain.decision import CHOICES, NEXT, NODES
 from exwarp_cli.domain.features import FEATURES
 from exwarp_cli.policy.outcomes import rewards
 from exwarp_cli.policy.state import INPUTS, STATES
+from exwarp_cli.runtime.stop import check_stop
 from exwarp_cli.training.policy_table import PolicyTable
 from exwarp_cli.training.settings import PolicySettings
 
@@ -95,6 +96,7 @@ def _trained(tables: Sequence[PolicyTable], settings: PolicySettings) -> nn.Sequ
         loss.backward()
         optimiser.step()
         schedule.step()
+        check_stop()
     return network
 
 

@@ -20,7 +20,8 @@ from exwarp_cli.io.atomic import atomic_path, atomic_write_text, make_folder
 from exwarp_cli.io.dataset import RenderedScene
 from exwarp_cli.io.output import file_digest
 from exwarp_cli.io.threads import use_threads
-from exwarp_cli.pipeline.schedule import read_ahead
+from exwarp_cli.pipeline.scheduling import prefetch
+from exwarp_cli.runtime.stop import check_stop
 from exwarp_cli.training.crops import Batch, Crops
 from exwarp_cli.training.curve import CURVE, add_row
 from exwarp_cli.training.export import export_extrapolator
@@ -103,6 +104,7 @@ class Training:
                 self._record(float(np.mean(losses)), *self._validate(held))
                 self._save()
                 losses = []
+            check_stop()
 
     def export(self) -> Path:
         """Write the network as an ONNX model; return its path."""
@@ -164,6 +166,7 @@ class Training:
         in_holes: list[float] = []
         with torch.no_grad():
             for first in range(0, len(chosen), TOGETHER):
+                check_stop()
                 batch = held.batch(chosen[first : first + TOGETHER].tolist(), self.device)
                 made = batch.finish(self.average(*batch.inputs))
                 plain = batch.plain
@@ -308,4 +311,4 @@ def _ahead(crops: Crops, first: int, settings: TrainingSettings, device: str) ->
     def draw(step: int) -> Batch:
         return crops.drawn(step, settings.batch, settings.patch, settings.seed, device)
 
-    return read_ahead((partial(draw, step) for step in range(first, settings.steps)), 1)
+    return prefetch((partial(draw, step) for step in range(first, settings.steps)), 1)

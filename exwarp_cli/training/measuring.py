@@ -25,6 +25,7 @@ from exwarp_cli.io.threads import use_threads
 from exwarp_cli.pipeline.observing import with_ids
 from exwarp_cli.pipeline.oracle import outcomes_of
 from exwarp_cli.policy.features import observe
+from exwarp_cli.runtime.stop import check_stop
 from exwarp_cli.training.footage import Footage
 from exwarp_cli.training.variant import Variant
 
@@ -134,6 +135,7 @@ def measure(scene: RenderedScene, view: View, model: Path | None, cache: Path) -
     for k in view.intervals(footage) if missing else ():
         for file in missing:
             rows[file].append(kept[file](k))
+        check_stop()
     for file in missing:
         text, known[file] = io.BytesIO(), np.array(rows[file])
         np.save(text, np.array(rows[file]))

@@ -20,6 +20,7 @@ from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import InputError
 from exwarp_cli.io.atomic import make_folder, output_error
 from exwarp_cli.io.dataset import RenderedScene
+from exwarp_cli.runtime.stop import check_stop
 from exwarp_cli.synthesis.extrapolate import Prepared
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.training.footage import Footage
@@ -201,6 +202,7 @@ def crops_of(scene: RenderedScene, settings: CropSettings) -> dict[str, np.ndarr
                 cut = array[:, y : y + side, x : x + side]
                 parts.setdefault(name, []).append(cut.copy())
             parts.setdefault("time", []).append(np.array(choice.slot / FACTOR, np.float32))
+        check_stop()
     return {name: np.stack(arrays) for name, arrays in parts.items()}
 
 

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from contextlib import closing
 from dataclasses import dataclass
-from multiprocessing import get_context
 from pathlib import Path
 
 from exwarp_cli.domain.dataset import BENCHMARK
@@ -14,6 +13,7 @@ from exwarp_cli.io.atomic import make_folder
 from exwarp_cli.io.dataset import RenderedScene, find_scenes
 from exwarp_cli.io.machine import processors
 from exwarp_cli.io.models import shipped_folder
+from exwarp_cli.pipeline.bench.side_by_side import follow_parent, side_by_side
 from exwarp_cli.training.measuring import VIEWS, Measured, View, fits, measure, network
 from exwarp_cli.training.policy_table import PolicyTable, joined, load_table, save_table
 
@@ -108,18 +108,18 @@ def build_tables(survey: Survey, say: Say) -> list[PolicyTable]:
     _require_different(scenes)
     checksum = network(model).checksum
     tasks = [(scene, view) for view in VIEWS for scene in scenes if fits(scene, view)]
+    measured: dict[tuple[str, str, str], Measured] = {}
+    work = [(scene, view, model, cache) for scene, view in tasks]
+    with closing(side_by_side(measure, work, jobs, follow_parent)) as done:
+        for (scene, view, *_), result in done:
+            measured[scene.name, scene.manifest.size, view.name] = result
+            count = len(result.outcomes)
+            say(f"{scene.name} {scene.manifest.size} {view.name}: {count} key intervals")
     parts: dict[str, list[tuple[str, View, Measured]]] = {}
-    with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:
-        work = [pool.submit(measure, scene, view, model, cache) for scene, view in tasks]
-        try:
-            for (scene, view), done in zip(tasks, work, strict=True):
-                count = len(done.result().outcomes)
-                parts.setdefault(scene.name, []).append((scene.manifest.size, view, done.result()))
-                say(f"{scene.name} {scene.manifest.size} {view.name}: {count} key intervals")
-        except BaseException:
-            # Else all that is left would be measured before anybody hears of it.
-            pool.shutdown(cancel_futures=True)
-            raise
+    for scene, view in tasks:
+        size = scene.manifest.size
+        result = measured[scene.name, size, view.name]
+        parts.setdefault(scene.name, []).append((size, view, result))
     return [joined(name, parts[name], checksum) for name in sorted(parts)]
 
 

@@ -18,7 +18,7 @@ from exwarp_cli.domain.extrapolator import TIME, Extrapolator, NetworkInputs
 from exwarp_cli.domain.frame import GBuffer, KeyFrame
 from exwarp_cli.io.model_checks import stated_stride
 from exwarp_cli.io.models import load_extrapolator, open_session, shipped_folder
-from exwarp_cli.kernels import jit
+from exwarp_cli.kernels import _row_bands
 from exwarp_cli.synthesis.geometry import settle_motion
 from exwarp_cli.synthesis.history import past_of
 from exwarp_cli.synthesis.interval import Interval
@@ -45,7 +45,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = goals.parser_of("tests.bench.bench_extrapolate", __doc__, ROUNDS, threads=True)
     parser.add_argument("--model", type=Path, help="default: the one that comes with ExWarp")
     options = parser.parse_args(arguments)
-    jit.set_threads(options.threads)
+    _row_bands.set_threads(options.threads)
     network = load_extrapolator(options.model, options.threads, "cpu")
     path = options.model or shipped_folder() / "extrapolator.onnx"
     bare, stride = _session(path, options.threads)

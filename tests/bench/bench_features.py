@@ -20,7 +20,7 @@ import OpenEXR
 from scipy.stats import wasserstein_distance
 
 from exwarp_cli.domain.frame import GBuffer, Int32
-from exwarp_cli.kernels import emd, jit, labelling
+from exwarp_cli.kernels import _row_bands, emd, labelling
 from exwarp_cli.policy.features import observe
 from exwarp_cli.synthesis.geometry import settle_motion
 from tests.bench import goals
@@ -39,7 +39,7 @@ SPAN = 4
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = goals.parser_of("tests.bench.bench_features", __doc__, ROUNDS, threads=True)
     options = parser.parse_args(arguments)
-    jit.set_threads(options.threads)
+    _row_bands.set_threads(options.threads)
     cv2.setNumThreads(options.threads)
     ran = f"{options.threads} threads, {options.rounds} rounds"
     large = [_gbuffer(instant, SIZE) for instant in (1, 2)]

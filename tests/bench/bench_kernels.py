@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from exwarp_cli.domain.frame import Float32, GBuffer, KeyFrame
-from exwarp_cli.kernels import edges, gather, holes, jit, splat
+from exwarp_cli.kernels import _row_bands, edges, gather, holes, splat
 from exwarp_cli.synthesis.geometry import (
     TURN_PER_SLOT,
     SlotField,
@@ -42,7 +42,7 @@ adds the surfaces' holes."""
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = goals.parser_of("tests.bench.bench_kernels", __doc__, ROUNDS, threads=True)
     options = parser.parse_args(arguments)
-    jit.set_threads(options.threads)
+    _row_bands.set_threads(options.threads)
     cv2.setNumThreads(options.threads)
     raw = [key_frame(instant) for instant in (1, 2)]
     keys = [_settled(key) for key in raw]

@@ -12,7 +12,7 @@ import numpy as np
 from skimage.metrics import structural_similarity
 
 from exwarp_cli.domain.frame import Float32
-from exwarp_cli.kernels import jit
+from exwarp_cli.kernels import _row_bands
 from exwarp_cli.kernels.ssim import SIGMA, ssim_map
 from exwarp_cli.metrics import flip, psnr, ssim
 from exwarp_cli.metrics.display import PEAK, encode
@@ -29,7 +29,7 @@ ROUNDS = 3
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = goals.parser_of("tests.bench.bench_metrics", __doc__, ROUNDS, threads=True)
     options = parser.parse_args(arguments)
-    jit.set_threads(options.threads)
+    _row_bands.set_threads(options.threads)
     linear = [np.ascontiguousarray(key_frame(i).image.pixels[..., :3]) for i in (1, 2)]
     shown, judged = (encode(image) for image in linear)
     ratios = compare(_ssim(shown, judged), options.rounds)

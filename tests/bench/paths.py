@@ -26,7 +26,7 @@ from exwarp_cli.domain.results import FrameKind, Score
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.io.dataset import find_scenes
 from exwarp_cli.io.models import load_extrapolator
-from exwarp_cli.kernels import jit
+from exwarp_cli.kernels import _row_bands
 from exwarp_cli.metrics.registry import METRICS, score
 from exwarp_cli.synthesis.methods import METHODS
 from exwarp_cli.training.footage import Footage
@@ -106,7 +106,7 @@ def _judge(task: Task) -> dict[str, Any]:
     if kept.exists():
         found: dict[str, Any] = json.loads(kept.read_text(encoding="utf-8"))
         return found
-    jit.set_threads(1)
+    _row_bands.set_threads(1)
     (scene,) = find_scenes(task.data, names=[task.scene])
     footage = Footage(scene)
     sums: dict[str, dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))

@@ -21,7 +21,7 @@ def main() -> int:
     resource.setrlimit(resource.RLIMIT_AS, (LIMIT_GB * 2**30,) * 2)
     keys, out, method, threads = sys.argv[1:]
     from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
-    from exwarp_cli.pipeline.upsample import upsample
+    from exwarp_cli.pipeline.run import upsample
 
     settings = UpsampleSettings(
         SourceSettings(keys), out, method, overwrite=True, threads=int(threads)

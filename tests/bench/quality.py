@@ -23,7 +23,7 @@ from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.io.frame_files import read_picture
 from exwarp_cli.io.sequence import find_sequence
 from exwarp_cli.metrics.registry import METRICS, score
-from exwarp_cli.pipeline.upsample import upsample
+from exwarp_cli.pipeline.run import upsample
 from exwarp_cli.synthesis.methods import METHODS
 from tests.bench.peers import Frames, dis_flow, minterpolate, to_bytes
 

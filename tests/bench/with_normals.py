@@ -6,9 +6,9 @@ What decoding them takes is told so from what a policy's features take, for whic
 from __future__ import annotations
 
 from exwarp_cli.cli import main
-from exwarp_cli.pipeline import early_frames
+from exwarp_cli.pipeline import key_frames
 
 if __name__ == "__main__":
     # Before the module that reads asks for it by name.
-    early_frames.wants_normals = lambda shot, extrapolates: True
+    key_frames.frames_need_normals = lambda shot, extrapolates: True
     main()

@@ -14,7 +14,7 @@ from exwarp_cli.io.channels import Role
 from exwarp_cli.io.dataset import find_scenes, open_scene
 from exwarp_cli.io.frames import read_image, read_raw
 from exwarp_cli.metrics.registry import score
-from exwarp_cli.pipeline.upsample import upsample
+from exwarp_cli.pipeline.run import upsample
 from exwarp_cli.training.footage import Footage
 from exwarp_cli.training.variant import Variant
 

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from exwarp_cli.io.channels import Role
-from exwarp_cli.pipeline import loading, motion_finding
+from exwarp_cli.pipeline import key_frames, motion_finding
 from tests.blender_layers import Planes, layer
 from tests.cli import shots
 from tests.cli.shots import FORWARD, KEYS, SMALL, VECTORS
@@ -279,9 +279,9 @@ class TestHistory:
 
     @pytest.mark.parametrize(("setting", "each"), [("key", 1), ("slot", 2)])
     def test_every_file_is_read_once(self, make, monkeypatch, setting, each):
-        """By the run; what vectors were measured by is handed on, or read for that alone."""
+        """By the run, beside the frames that vectors are measured by."""
         by_run, by_measuring = (
-            shots.reads_of(monkeypatch, module) for module in (loading, motion_finding)
+            shots.reads_of(monkeypatch, module) for module in (key_frames, motion_finding)
         )
         make("out", "s3", setting=setting)
         assert set(by_run.values()) == {1}
@@ -292,14 +292,13 @@ class TestHistory:
         self, upsample, monkeypatch, tmp_path
     ):
         asked: set[tuple[Role, ...]] = set()
-        true = loading.read_raw
+        true = key_frames.read_raw
 
         def read_raw(given: Any, number: int, roles: tuple[Role, ...], **more: Any) -> Any:
             asked.add(roles)
             return true(given, number, roles, **more)
 
-        for module in (loading, motion_finding):
-            monkeypatch.setattr(module, "read_raw", read_raw)
+        monkeypatch.setattr(key_frames, "read_raw", read_raw)
         keys = shots.sequence(tmp_path / "keys", shots.blender4, (1, 2), SMALL)
         upsample(keys, tmp_path / "out", "-m", "s6", *VECTORS)
         geometry = (Role.DEPTH, Role.POSITION, Role.STENCIL, Role.MOTION)

@@ -10,7 +10,7 @@ import OpenEXR
 import pytest
 
 from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
-from exwarp_cli.pipeline.upsample import upsample
+from exwarp_cli.pipeline.run import upsample
 from tests.cli import shots
 from tests.stereo_shots import arguments, write_stereo
 from tests.unit.exr_files import deep_part, flat_part, plane, rgba, write_tiled

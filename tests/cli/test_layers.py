@@ -90,7 +90,7 @@ def inside(array: np.ndarray) -> np.ndarray:
 def made(keys, tmp_path_factory):
     """Run a method with all layers, once; return the folder."""
     from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
-    from exwarp_cli.pipeline.upsample import upsample
+    from exwarp_cli.pipeline.run import upsample
 
     done: dict[str, Path] = {}
 

@@ -168,22 +168,22 @@ class TestReplaced:
 
     def test_a_kill_between_leaves_it_known(self, upsample, keys, out, tmp_path, monkeypatch):
         """The old copy of a key frame goes before the frames that name it."""
-        from exwarp_cli.pipeline.making import SlotMaker
+        from exwarp_cli.pipeline.slot_renderer import SlotRenderer
 
         render_again(keys, 2)
-        make, count = SlotMaker.make, 0
+        render, count = SlotRenderer.render, 0
 
         def killed(self, *args, **more):
             nonlocal count
             count += 1
             if count > 5:
                 raise KeyboardInterrupt
-            return make(self, *args, **more)
+            return render(self, *args, **more)
 
-        monkeypatch.setattr(SlotMaker, "make", killed)
+        monkeypatch.setattr(SlotRenderer, "render", killed)
         with pytest.raises(AssertionError):
             upsample(keys, out, *HOW, "--skip-existing", "--threads", 1)
-        monkeypatch.setattr(SlotMaker, "make", make)
+        monkeypatch.setattr(SlotRenderer, "render", render)
         assert (out / "shot.0005.exr").read_bytes() == rated(keys / "shot.0002.exr")
         self.again(upsample, keys, out)
         assert shots.contents(out) == self.fresh(upsample, keys, tmp_path)
@@ -235,15 +235,15 @@ class TestFramesOfEarlierBuilds:
 
     @pytest.fixture(autouse=True)
     def earlier(self, monkeypatch):
-        from exwarp_cli.pipeline.making import SlotMaker
+        from exwarp_cli.pipeline.slot_renderer import SlotRenderer
 
-        attributes = SlotMaker._attributes
+        attributes = SlotRenderer._attributes
 
         def fewer(self, *args):
             new = ("exwarp:keyFrames", "exwarp:requestedMethod")
             return {k: v for k, v in attributes(self, *args).items() if k not in new}
 
-        monkeypatch.setattr(SlotMaker, "_attributes", fewer)
+        monkeypatch.setattr(SlotRenderer, "_attributes", fewer)
 
     def test_the_method_of_each_frame_counts(self, exwarp, upsample, keys, out):
         how = ("--skip-existing", "--fps", 25)

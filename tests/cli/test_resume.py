@@ -10,7 +10,7 @@ import imageio_ffmpeg
 import pytest
 
 from exwarp_cli.io.atomic import MARK, _host
-from exwarp_cli.pipeline import sink
+from exwarp_cli.pipeline import frame_writer
 from tests.cli import shots
 from tests.cli.street import Street
 
@@ -189,7 +189,7 @@ def test_what_frames_say_of_themselves_may_be_forged(
     """Their checksum is no signature."""
     options = ("-m", "s6", *FORWARD, "--progress", "none")
     upsample(nine, tmp_path / "out", *options)
-    told = sink.facts_in
-    monkeypatch.setattr(sink, "facts_in", lambda path: told(path) | change)
+    told = frame_writer.facts_in
+    monkeypatch.setattr(frame_writer, "facts_in", lambda path: told(path) | change)
     result = exwarp("upsample", nine, "-o", tmp_path / "out", *options, "--skip-existing")
     result.refused(5, "shot.0002.exr says of itself")

@@ -1,22 +1,17 @@
-"""Killed at any moment: what is there is whole, and going on gives the undisturbed run's bytes."""
+"""Stopped by a signal: one sentence, and what is there is whole."""
 
 from __future__ import annotations
 
 import os
-import random
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
 
-from exwarp_cli.cli import Terminated
-from exwarp_cli.errors import MissingExtraError
 from exwarp_cli.io.atomic import MARK
 from exwarp_cli.io.output import is_intact
-from exwarp_cli.pipeline import job
 from tests.cli import shots
 from tests.cli.processes import await_files
 from tests.cli.street import Street
@@ -44,45 +39,6 @@ def start(*options: str) -> subprocess.Popen[str]:
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
-def kill_and_go_on(keys: Path, root: Path, kills: int, seed: int, exwarp) -> None:
-    chance = random.Random(seed)
-    struck = 0
-    for _ in range(kills):
-        before = len(shots.names(root / "out"))
-        with start(*arguments(keys, root, "--skip-existing")) as process:
-            await_files(process, root / "out", before + chance.randint(1, 5))
-            time.sleep(chance.uniform(0, 0.03))
-            process.kill()
-        struck += process.returncode == -signal.SIGKILL
-        rendered = {shots.passed_through(path, 120) for path in keys.iterdir()}
-        for folder in (root / "out", root / "holes"):
-            for name, data in shots.contents(folder).items():
-                assert MARK in name or data in rendered or is_intact(data)
-        if len(shots.names(root / "out")) >= 4 * KEYS - 6:
-            for name in chance.sample(shots.names(root / "out"), 4 * KEYS - 8):
-                (root / "out" / name).unlink()  # go on killing
-    assert struck > kills // 2
-    assert exwarp(*arguments(keys, root, "--skip-existing")).code == 0
-
-
-class TestKill:
-    @pytest.fixture(scope="class")
-    @staticmethod
-    def undisturbed(keys, tmp_path_factory) -> Path:
-        root = tmp_path_factory.mktemp("undisturbed")
-        with start(*arguments(keys, root)) as process:
-            assert process.wait() == 0
-        return root
-
-    @pytest.mark.parametrize(
-        ("kills", "seed"), [(6, 1), pytest.param(25, 2, marks=pytest.mark.slow)]
-    )
-    def test_going_on_gives_the_same_bytes(self, keys, undisturbed, exwarp, tmp_path, kills, seed):
-        kill_and_go_on(keys, tmp_path, kills, seed, exwarp)
-        for folder in ("out", "holes"):
-            assert shots.contents(tmp_path / folder) == shots.contents(undisturbed / folder)
-
-
 class TestTermination:
     @pytest.mark.parametrize(
         ("number", "code", "word"),
@@ -103,24 +59,3 @@ class TestTermination:
         for name, data in shots.contents(tmp_path / "out").items():
             assert MARK not in name and (data in rendered or is_intact(data))
         assert set(shots.names(tmp_path)) == {"out", "holes"}
-
-
-@pytest.mark.parametrize(
-    ("stopped", "code", "word"),
-    [(KeyboardInterrupt, 130, "interrupted"), (Terminated, 143, "terminated")],
-)
-def test_an_interruption_that_a_library_renames(exwarp, keys, monkeypatch, stopped, code, word):
-    """As onnxruntime does while it is imported."""
-
-    def start(*_: object) -> None:
-        try:
-            try:
-                raise stopped
-            except stopped as stop:
-                raise ImportError("initialization failed") from stop
-        except ImportError as error:
-            raise MissingExtraError("onnxruntime cannot be loaded") from error
-
-    monkeypatch.setattr(job, "open_job", start)
-    refused = exwarp(*arguments(keys, keys.parent / "interrupted"))
-    refused.refused(code, word)

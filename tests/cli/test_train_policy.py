@@ -11,7 +11,7 @@ import pytest
 
 from exwarp_cli.cli import run
 from exwarp_cli.io.policy_files import load_policy
-from exwarp_cli.kernels import jit
+from exwarp_cli.kernels import _row_bands
 from exwarp_cli.training import measuring
 from exwarp_cli.training.measuring import View
 from exwarp_cli.training.policy_table import load_table, save_table
@@ -37,7 +37,7 @@ def threads():
     """Measuring is done on one thread; what follows gets all of them back."""
     yield
     measuring.network.cache_clear()
-    jit.set_threads(None)
+    _row_bands.set_threads(None)
 
 
 @pytest.fixture(scope="module")

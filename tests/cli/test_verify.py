@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from exwarp_cli.pipeline import sink, verifying
+from exwarp_cli.pipeline import frame_writer, verifying
 from tests.cli.shots import KEYS, contents, names
 
 QUIET = ("--progress", "none", "--threads", 1)
@@ -74,7 +74,7 @@ class TestChecksums:
 
     def test_nobody_pays_for_what_nobody_asked(self, upsample, shot, tmp_path, monkeypatch):
         keys, *rest = shot["key"]
-        for module in (sink, verifying):
+        for module in (frame_writer, verifying):
             monkeypatch.setattr(module, "sum_of", None)
         monkeypatch.setattr(verifying, "sum_in", None)
         upsample(keys, tmp_path / "out", "-m", "s6", *rest)

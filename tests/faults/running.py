@@ -13,7 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-from exwarp_cli import cli, errors
+from exwarp_cli import errors
 from exwarp_cli.io.atomic import MARK
 from exwarp_cli.io.output import is_intact
 from tests.cli import shots
@@ -27,7 +27,8 @@ BOUND_S = 120
 CODES = {0, *(kind.exit_code for kind in vars(errors).values() if isinstance(kind, type))} - {1}
 """What a command may exit with, defects apart."""
 
-STOPPED = {errors.INTERRUPTED, cli.TERMINATED}
+CRASHING = "tests.faults.crashing"
+"""The command with a decoder that fails; see there for the words before its arguments."""
 
 PLAIN = ("-m", "softsplat", "--motion", "forward", "--threads", "1", "--progress", "none")
 
@@ -66,6 +67,7 @@ def started(
     environment: Mapping[str, str] | None = None,
     largest_file: int | None = None,
     memory: int | None = None,
+    module: str = "exwarp_cli",
 ) -> subprocess.Popen[str]:
     """Start the command in a group of its own.
 
@@ -79,6 +81,8 @@ def started(
         Bytes that a file may have.
     memory
         Bytes of address space.
+    module
+        What is run as the command.
     """
 
     def bound() -> None:
@@ -88,7 +92,7 @@ def started(
             resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
 
     return subprocess.Popen(
-        [sys.executable, "-m", "exwarp_cli", *map(str, arguments)],
+        [sys.executable, "-m", module, *map(str, arguments)],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, errors="replace",
         env=os.environ | dict(environment or {}), start_new_session=True, preexec_fn=bound,
     )  # fmt: skip

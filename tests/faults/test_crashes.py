@@ -15,12 +15,29 @@ import pytest
 
 from tests.cli import shots
 from tests.cli.processes import await_files
-from tests.faults.running import PLAIN, Outcome, ended, require_whole, run, started
+from tests.faults.running import (
+    CRASHING,
+    FULL,
+    PLAIN,
+    Outcome,
+    ended,
+    require_whole,
+    run,
+    started,
+)
 from tests.unit.tiny_models import endless, save
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs processes of POSIX")
 
 INPUT, DEFECT, MEMORY, INCOMPLETE = 3, 1, 11, 12
+
+CRASHES = ("SIGSEGV", "SIGABRT", "SIGBUS", "SIGILL", "SIGFPE")
+AGAIN = (
+    ("SIGSEGV", ("--threads", "2")), ("hang", ("--overwrite",)),
+    ("SIGSEGV", ("--threads", "1")), ("SIGSEGV", ("--overwrite",)),
+    ("hang", ("--threads", "1")), ("hang", ("--threads", "2")),
+)  # fmt: skip
+"""How a decoder fails at one file time and again, and options of the command that begins again."""
 
 GOING = (*PLAIN, "--keep-going")
 BAD = "shot.0004.exr"
@@ -29,43 +46,41 @@ BAD = "shot.0004.exr"
 TWO_AT_ONCE = """
 import os, sys, threading, time
 from pathlib import Path
-from exwarp_cli.domain.being_read import being_read, go_on_without
 from exwarp_cli.errors import DamagedFileError
 from exwarp_cli.io.supervision import part
+from exwarp_cli.runtime.read_registry import being_read, enable_restart
 
 def read_well():
-    with being_read(Path("a.exr")):
+    with being_read(Path("a.exr")), being_read(Path("model.onnx"), required=True):
         begun.set()
-        time.sleep(0.2)
+        time.sleep(60)
 
 end = part(lambda told: print(told, flush=True))
 if end is not None:
     sys.exit(end.code)
-go_on_without()
+enable_restart()
+for name in ("a.exr", "b.exr"):
+    try:
+        with being_read(Path(name)):
+            pass
+    except DamagedFileError as error:
+        print(error, flush=True)
+        if name == "b.exr":
+            sys.exit(0)
 begun = threading.Event()
-other = threading.Thread(target=read_well)
-other.start()
+threading.Thread(target=read_well, daemon=True).start()
 begun.wait()
-try:
-    with being_read(Path("b.exr")):
-        os.abort()
-except DamagedFileError as error:
-    print(type(error).__name__, flush=True)
-other.join()
+with being_read(Path("b.exr")):
+    os.abort()
 """
 
 
 def failing(how: str, after: object, *arguments: object, **environment: str) -> Outcome:
-    words = [sys.executable, "-m", "tests.faults.crashing", how, str(after), *map(str, arguments)]
-    process = subprocess.Popen(
-        words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        env=os.environ | environment,
-    )  # fmt: skip
-    return ended(process)
+    return run(how, after, *arguments, module=CRASHING, environment=environment)
 
 
 class TestCrash:
-    @pytest.mark.parametrize("how", ["SIGSEGV", "SIGABRT", "SIGBUS", "SIGILL", "SIGFPE"])
+    @pytest.mark.parametrize("how", CRASHES if FULL else CRASHES[:1])
     def test_a_decoder_crashes(self, keys, rendered, undisturbed, tmp_path, how):
         out = tmp_path / "out"
         # So many decodes measure vectors and depth, and make the first frames.
@@ -93,16 +108,13 @@ class TestCrash:
         assert f"while it read {keys}/shot.000" in outcome.told[0]
         require_whole(out, rendered)
 
-    def test_options_before_the_command(self, keys, tmp_path):
-        told = ("--config", "none", "upsample", keys, "-o", tmp_path / "out", *PLAIN)
-        failing("SIGSEGV", 5, *told).judge(INPUT)
-
     def test_before_anything_is_written(self, keys, tmp_path):
-        outcome = failing("SIGSEGV", 0, "upsample", keys, "-o", tmp_path / "out", *PLAIN)
+        told = ("--config", "none", "upsample", keys, "-o", tmp_path / "out", *PLAIN)
+        outcome = failing("SIGSEGV", 0, *told)
         outcome.judge(INPUT)
         assert "shot.0001.exr" in outcome.told[0]
 
-    @pytest.mark.parametrize("command", ["inspect", "features", "compare"])
+    @pytest.mark.parametrize("command", ["compare", *(["features", "inspect"] if FULL else [])])
     def test_other_commands_too(self, keys, command):
         given = {"compare": (keys, keys), "features": (keys, "--motion", "forward")}
         failing("SIGSEGV", 0, command, *given.get(command, (keys,))).judge(INPUT)
@@ -127,8 +139,7 @@ def without(keys, tmp_path_factory):
 class TestKeepGoing:
     """A library fails at one file, time and again."""
 
-    @pytest.mark.parametrize("how", ["SIGSEGV", "hang"])
-    @pytest.mark.parametrize("options", [("--threads", "1"), ("--threads", "2"), ("--overwrite",)])
+    @pytest.mark.parametrize(("how", "options"), AGAIN if FULL else AGAIN[:2])
     def test_it_begins_again_without_it(self, keys, without, tmp_path, how, options):
         out, report = tmp_path / "out", tmp_path / "report"
         out.mkdir()
@@ -150,19 +161,18 @@ class TestKeepGoing:
         outcome.judge(INPUT, INCOMPLETE)
         require_whole(out, rendered)
 
-    def test_which_of_two_files_it_was(self):
-        """Two are read when the process crashes; one after the other tells."""
+    def test_it_begins_again_without_all_files_that_were_being_read(self):
+        """But with a model, without which there is nothing to go on with."""
         process = subprocess.Popen(
             [sys.executable, "-c", TWO_AT_ONCE], stdout=subprocess.PIPE, stderr=subprocess.PIPE,
             text=True,
         )  # fmt: skip
         outcome = ended(process)
         assert outcome.code == 0, outcome.err
-        found, told, without = outcome.out.splitlines()
-        assert found.startswith("a library crashed (SIGABRT) while it read ")
-        assert found.endswith("; beginning again, to find out which")
-        assert told == "a library crashed (SIGABRT) while it read b.exr; beginning again without it"
-        assert without == "DamagedFileError"
+        told, *refused = outcome.out.splitlines()
+        why = "a library crashed (SIGABRT) while it read a.exr or model.onnx or b.exr"
+        assert told == f"{why}; beginning again without them"
+        assert refused == 2 * [f"{why}; render or copy it again"]
 
     def test_who_is_interrupted_does_not_begin_again(self, keys, tmp_path):
         words = ("upsample", keys, "-o", tmp_path / "out", *GOING)

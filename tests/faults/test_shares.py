@@ -18,7 +18,8 @@ FAULTS = [
     for number in (NUMBERS if FULL else (errno.ESTALE, errno.EMFILE)[: 1 + (call == "look")])
     for after in ((0, 1, 3, 5, 8) if FULL else (1,))
 ]
-MENDS = {errno.EMFILE: "limit of open files", errno.EACCES: "rights"}
+OPEN_FILES = "limit of open files"
+MENDS = {errno.EMFILE: OPEN_FILES, errno.ENFILE: OPEN_FILES, errno.EACCES: "rights"}
 
 
 def injected(shim, call: str, number: int, name: str, **more: object) -> dict[str, str]:

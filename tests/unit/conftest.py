@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from numba.core.dispatcher import Dispatcher
 
-from exwarp_cli.compiled import builds, cache
 from exwarp_cli.io.dataset import open_scene
+from exwarp_cli.kernels import _compile
 from exwarp_cli.training.footage import Footage
 from tests.unit.analytic_scene import write_scene
 
@@ -24,13 +24,5 @@ def unwritable_cache(monkeypatch) -> None:
     def unwritable(self) -> None:
         raise RuntimeError("cannot cache function: no locator available")
 
-    monkeypatch.setattr(builds, "knows_inside", lambda: False)
+    monkeypatch.setattr(_compile, "is_tested", lambda: False)
     monkeypatch.setattr(Dispatcher, "enable_caching", unwritable)
-
-
-@pytest.fixture
-def uncached(monkeypatch) -> None:
-    """Have all that is compiled made anew, by numba as it is known here, and not kept."""
-    assert builds.knows_inside()
-    monkeypatch.setattr(cache.KernelCache, "load_overload", lambda *_: None)
-    monkeypatch.setattr(cache.KernelCache, "save_overload", lambda *_: None)

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from exwarp_cli.io.frames import read_image
+from exwarp_cli.kernels._compile import serial
 from exwarp_cli.kernels.flip_powers import power
-from exwarp_cli.kernels.jit import serial
 from exwarp_cli.metrics import flip, hdr_flip
 from exwarp_cli.metrics.display import encode
 from tests.reference import flip as naive

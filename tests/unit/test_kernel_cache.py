@@ -15,17 +15,16 @@ import numpy as np
 import pytest
 
 from exwarp_cli.accel import kernel as accelerator
-from exwarp_cli.compiled import builds, cache
-from exwarp_cli.compiled.shares import WHOLE
-from exwarp_cli.kernels import parabola
+from exwarp_cli.kernels import _compile, parabola
+from exwarp_cli.kernels._row_bands import WHOLE
 
 ROOT = Path(__file__).parents[2]
 SCRIPT = """
 import numpy as np
 from exwarp_cli.accel import kernel as accelerator
-from exwarp_cli.kernels import jit, parabola
+from exwarp_cli.kernels import _compile, parabola
 out, reach = np.zeros((4, 5, 2), np.float32), np.zeros((0, 0, 2), np.float32)
-build = jit.build(parabola.parabola_text)
+build = _compile.build(parabola.parabola_text)
 for kernel in (parabola.parabola_serial, parabola.parabola):
     kernel(out + 1, out + 2, np.float32(0.5), out, reach)
     print(sum(build.stats.cache_misses.values()), float(out[0, 0, 0]))
@@ -39,20 +38,20 @@ print(sum(kernel.stats.cache_misses.values()), int(outputs.sum()))
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch) -> Path:
-    """The only place for builds."""
+    """The only place for _compile."""
     return places(monkeypatch, tmp_path / "kernels")[0]
 
 
 def places(monkeypatch, *paths: Path) -> tuple[Path, ...]:
-    monkeypatch.setattr(cache, "places_in_turn", lambda: iter(paths))
-    for cached in (cache.folders, cache.writable_folder):
-        monkeypatch.setattr(cache, cached.__name__, getattr(cached, "__wrapped__", cached))
+    monkeypatch.setattr(_compile, "places_in_turn", lambda: iter(paths))
+    for cached in (_compile.folders, _compile.writable_folder):
+        monkeypatch.setattr(_compile, cached.__name__, getattr(cached, "__wrapped__", cached))
     return paths
 
 
 def run() -> tuple[int, int]:
     """Compile or load a kernel, see that it works; how often it was loaded and compiled."""
-    kernel: Any = builds.compiled(parabola.parabola_text)
+    kernel: Any = _compile.compiled(parabola.parabola_text)
     out, reach = np.zeros((4, 5, 2), np.float32), np.zeros((0, 0, 2), np.float32)
     kernel(out + 1, out + 2, np.float32(0.5), out, reach, WHOLE)
     assert (out == 0.5 * 0.5 * (2 - 1) + 0.5 * 0.25 * (2 + 1)).all()
@@ -62,7 +61,7 @@ def run() -> tuple[int, int]:
 
 def test_a_second_run_loads(folder):
     assert run() == (0, 1)
-    assert [path.suffix for path in folder.iterdir()] == [cache.SUFFIX]
+    assert [path.suffix for path in folder.iterdir()] == [_compile.SUFFIX]
     assert run() == (1, 0)
 
 
@@ -88,7 +87,7 @@ def test_what_cannot_be_unpickled_is_compiled_anew(folder):
     run()
     (path,) = folder.iterdir()
     content = b"no pickle"
-    path.write_bytes(cache.hashlib.sha256(content).digest() + content)
+    path.write_bytes(_compile.hashlib.sha256(content).digest() + content)
     assert run() == (0, 1)
 
 
@@ -108,14 +107,14 @@ def test_a_folder_that_can_only_be_read_is_read(tmp_path, monkeypatch):
     first, second = tmp_path / "first", tmp_path / "second"
     places(monkeypatch, first)
     run()
-    real = cache.tempfile.TemporaryFile
+    real = _compile.tempfile.TemporaryFile
 
     def read_only(dir: Path) -> Any:
         if dir == first:
             raise OSError(30, "Read-only file system")
         return real(dir=dir)
 
-    monkeypatch.setattr(cache.tempfile, "TemporaryFile", read_only)
+    monkeypatch.setattr(_compile.tempfile, "TemporaryFile", read_only)
     places(monkeypatch, first, second)
     assert run() == (1, 0)
     assert list(second.iterdir()) == []
@@ -151,7 +150,7 @@ def test_processes_that_compile_at_once_share_a_folder(tmp_path):
     racing = [start() for _ in range(2)]
     assert [process.communicate()[0] for process in racing] == ["1 0.625\n1 0.78125\n1 0\n"] * 2
     assert [process.returncode for process in racing] == [0, 0]
-    assert {path.suffix for path in (tmp_path / "exwarp").iterdir()} == {cache.SUFFIX}
+    assert {path.suffix for path in (tmp_path / "exwarp").iterdir()} == {_compile.SUFFIX}
     assert start().communicate()[0] == "0 0.625\n0 0.78125\n0 0\n"
 
 
@@ -159,7 +158,7 @@ class TestNames:
     """A file's name says all that its content depends on."""
 
     def test_the_processor(self, folder, monkeypatch):
-        codegen = type(builds.compiled(parabola.parabola_text).targetctx.codegen())
+        codegen = type(_compile.compiled(parabola.parabola_text).targetctx.codegen())
         run()
         monkeypatch.setattr(codegen, "magic_tuple", lambda self: ("another", "cpu", ""))
         assert run() == (0, 1)
@@ -167,59 +166,47 @@ class TestNames:
 
     def test_the_version_of_numba(self, folder, monkeypatch):
         run()
-        monkeypatch.setattr(cache, "_versions", lambda: ("0.0", "0.0", "3", ""))
+        monkeypatch.setattr(_compile, "versions", lambda: ("0.0", "0.0", "3"))
         assert run() == (0, 1)
 
     def test_the_source(self, folder, monkeypatch):
         run()
-        monkeypatch.setattr(cache, "source_digest", lambda file: "0")
+        monkeypatch.setattr(_compile, "source_digest", lambda file: "0")
         assert run() == (0, 1)
-
-    def test_the_build(self):
-        one, other = (
-            cache.KernelCache(parabola.parabola_text, {"parallel": wanted})._name(
-                (), builds.compiled(parabola.parabola_text).targetctx.codegen()
-            )
-            for wanted in (True, False)
-        )
-        assert one != other
 
     def test_the_types_of_arguments(self, folder):
         run()
-        kernel: Any = builds.compiled(parabola.parabola_text)
+        kernel: Any = _compile.compiled(parabola.parabola_text)
         out, reach = np.zeros((4, 5, 2)), np.zeros((0, 0, 2), np.float32)
         kernel(out + 1, out + 2, np.float32(0.5), out, reach, WHOLE)
         assert len(list(folder.iterdir())) == 2
 
 
-def test_a_kernel_goes_by_the_files_that_it_uses(tmp_path, monkeypatch):
-    monkeypatch.setattr(cache, "PACKAGE", tmp_path)
-    monkeypatch.setattr(cache, "source_digest", cache.source_digest.__wrapped__)
-    monkeypatch.setattr(cache, "_source", cache._source.__wrapped__)
-    folder = tmp_path / "kernels"
-    folder.mkdir()
-    texts = {
-        "one": "from exwarp_cli.kernels.two import (\n    PART,\n    Y,\n)\n",
-        "two": "from exwarp_cli.kernels import three as other\nPART = 1\n\n\ndef later():\n"
-        "    from exwarp_cli.kernels import five, three  # both\n",
-        **dict.fromkeys(("three", "four", "five"), "X = 1\n"),
-    }
-    for name, text in texts.items():
-        (folder / f"{name}.py").write_text(text)
-    found = [cache.source_digest(folder / "one.py")]
-    (folder / "four.py").write_text("X = 2\n")
-    assert cache.source_digest(folder / "one.py") == found[0]
-    for name in ("three", "five"):
-        (folder / f"{name}.py").write_text("X = 2\n")
-        found.append(cache.source_digest(folder / "one.py"))
-    assert len(set(found)) == 3
+def test_a_change_in_any_module_of_kernels_is_another_source(tmp_path, monkeypatch):
+    monkeypatch.setattr(_compile, "__file__", str(tmp_path / "kernels" / "_compile.py"))
+    digest = _compile.source_digest.__wrapped__
+    for folder, name in (("kernels", "one"), ("kernels", "two"), ("accel", "three"), ("", "own")):
+        (tmp_path / folder).mkdir(exist_ok=True)
+        (tmp_path / folder / f"{name}.py").write_text("X = 1\n")
+    found = [digest(tmp_path / "own.py")]
+    for path in ("kernels/two.py", "accel/three.py", "own.py"):
+        (tmp_path / path).write_text("X = 2\n")
+        found.append(digest(tmp_path / "own.py"))
+    assert len(set(found)) == 4
+
+
+def test_a_function_that_another_one_makes_is_not_kept(folder):
+    """It may depend on that one's variables, which no name tells."""
+    for factor in (2, 3):
+        assert _compile.compiled(lambda value, factor=factor: value * factor)(5) == 5 * factor
+    assert not folder.exists() or list(folder.iterdir()) == []
 
 
 class TestUnused:
     """Builds that nobody loads are removed."""
 
     def test_old_ones_are_removed_as_another_is_kept(self, folder, monkeypatch):
-        monkeypatch.setattr(cache, "remove_unused", cache.remove_unused.__wrapped__)
+        monkeypatch.setattr(_compile, "remove_unused", _compile.remove_unused.__wrapped__)
         folder.mkdir()
         for name, days in (("a.kernel", 31), ("b.kernel", 29), ("c.kernel.12ab", 31), ("d.py", 99)):
             (folder / name).write_text("")
@@ -246,13 +233,13 @@ class TestUnused:
         def refuses(*_: Any) -> None:
             raise OSError(30, "Read-only file system")
 
-        monkeypatch.setattr(cache.os, "utime", refuses)
+        monkeypatch.setattr(_compile.os, "utime", refuses)
         assert run() == (1, 0)
 
 
 def test_the_accelerator_has_its_builds_there_too(folder):
     def use() -> tuple[int, int]:
-        kernel: Any = builds.compiled(accelerator.decide_text)
+        kernel: Any = _compile.compiled(accelerator.decide_text)
         arrays = np.zeros(4, np.int8), np.zeros((3, 3), np.int32), np.array([1, 2], np.int64)
         assert kernel(*arrays, np.ones(1, np.int32), 4) == (0, 0)
         stats = kernel.stats
@@ -288,7 +275,7 @@ def test_without_home_builds_go_to_a_temporary_folder(homeless, monkeypatch, hom
         monkeypatch.setenv("HOME", str(missing))
     if cache_home is not None:
         monkeypatch.setenv("XDG_CACHE_HOME", cache_home)
-    places = [place for place in cache.places_in_turn() if ROOT not in place.parents]
+    places = [place for place in _compile.places_in_turn() if ROOT not in place.parents]
     assert places == [homeless.parent / f"exwarp-{os.getuid()}"]
     assert places[0].stat().st_mode & 0o777 == 0o700
     assert list(homeless.iterdir()) == [] and not missing.exists()
@@ -296,7 +283,7 @@ def test_without_home_builds_go_to_a_temporary_folder(homeless, monkeypatch, hom
 
 def test_a_cache_folder_that_is_set_needs_no_home(homeless, monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    assert tmp_path / "cache" / "numba" / "exwarp" in cache.places_in_turn()
+    assert tmp_path / "cache" / "numba" / "exwarp" in _compile.places_in_turn()
 
 
 @pytest.mark.parametrize("damage", ["writable for others", "a link"])
@@ -308,4 +295,4 @@ def test_a_temporary_folder_of_others_is_not_trusted(homeless, tmp_path, damage)
     else:
         folder.mkdir()
         folder.chmod(0o777)
-    assert folder not in list(cache.places_in_turn())
+    assert folder not in list(_compile.places_in_turn())

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from exwarp_cli import kernels
-from exwarp_cli.kernels import jit
-from exwarp_cli.kernels.jit import set_threads
+from exwarp_cli.kernels import _compile
+from exwarp_cli.kernels._row_bands import set_threads
 from tests.unit import kernel_calls as calls
 from tests.unit import kernel_cases as cases
 from tests.unit.all_kernel_cases import CASES, run_all
@@ -81,4 +81,4 @@ def test_compiled_and_interpreted_agree(tmp_path):
 
 
 def test_without_a_writable_cache_kernels_still_compile(unwritable_cache):
-    assert jit.serial(lambda value: value + 1)(2) == 3
+    assert _compile.serial(lambda value: value + 1)(2) == 3

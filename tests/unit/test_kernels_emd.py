@@ -12,9 +12,9 @@ from hypothesis.extra import numpy as arrays
 from scipy.stats import wasserstein_distance
 
 from exwarp_cli.kernels import emd
+from exwarp_cli.kernels._row_bands import set_threads
 from exwarp_cli.kernels.emd import BINS, LANES, SPAN, Values, distances
 from exwarp_cli.kernels.extents import ROWS_PER_BAND
-from exwarp_cli.kernels.jit import set_threads
 from tests.reference.features import distance
 from tests.unit.kernel_calls import counted, extended
 

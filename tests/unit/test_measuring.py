@@ -22,7 +22,7 @@ from exwarp_cli.io.models import (
     load_extrapolator,
     shipped_folder,
 )
-from exwarp_cli.kernels import jit
+from exwarp_cli.kernels import _row_bands
 from exwarp_cli.metrics.display import encode
 from exwarp_cli.metrics.registry import METRICS
 from exwarp_cli.pipeline.featuring import features
@@ -50,7 +50,7 @@ def threads():
     """Measuring is done on one thread; what follows gets all of them back."""
     yield
     measuring.network.cache_clear()
-    jit.set_threads(None)
+    _row_bands.set_threads(None)
 
 
 @pytest.fixture(scope="module")

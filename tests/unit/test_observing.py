@@ -11,7 +11,7 @@ import pytest
 from exwarp_cli.domain.frame import GBuffer, Window
 from exwarp_cli.kernels import emd
 from exwarp_cli.pipeline import observing
-from exwarp_cli.pipeline.loaded import Observed
+from exwarp_cli.pipeline.interval_inputs import PolicyObservation
 from exwarp_cli.pipeline.observing import Observer, with_ids
 from exwarp_cli.policy.features import compare, count_objects, observe
 from exwarp_cli.synthesis.geometry import settle_motion
@@ -73,17 +73,21 @@ class TestIds:
         assert count_objects(with_ids(still).stencil) == 0
 
 
-def keys(*indices: int, window: Window = DISPLAY) -> list[Observed]:
+def keys(*indices: int, window: Window = DISPLAY) -> list[PolicyObservation]:
     """Instants in the key setting, as they are read."""
     return [
-        Observed(i, raw(float(i)).on(window), raw(i - 1.0).on(window) if i else None)
+        PolicyObservation(i, raw(float(i)).on(window), raw(i - 1.0).on(window) if i else None)
         for i in indices
     ]
 
 
-def slots(index: int) -> list[Observed]:
+def slots(index: int) -> list[PolicyObservation]:
     """The instant of a key frame in the slot setting."""
-    return [Observed(index, raw(float(index), 0.25), raw(index - 0.25, 0.25) if index else None)]
+    return [
+        PolicyObservation(
+            index, raw(float(index), 0.25), raw(index - 0.25, 0.25) if index else None
+        )
+    ]
 
 
 class TestKeySetting:

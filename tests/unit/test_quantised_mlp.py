@@ -11,7 +11,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from exwarp_cli.accel import jit
 from exwarp_cli.accel.array_kernel import infer_as_array
 from exwarp_cli.accel.kernel import MlpKernel
 from exwarp_cli.accel.mac_array import MacArray
@@ -22,6 +21,7 @@ from exwarp_cli.accel.quantised_mlp import (
     infer_reference,
 )
 from exwarp_cli.accel.simulation import simulate
+from exwarp_cli.kernels import _compile
 from tests.reference.mlp import infer, infer_many
 from tests.unit.interpreted import same_when_interpreted
 from tests.unit.mlp_cases import edges, network, parts, run_all, states
@@ -231,4 +231,4 @@ def test_the_specification_does_without_numba():
 
 
 def test_without_a_writable_cache_kernels_still_compile(unwritable_cache):
-    assert jit.compiled(lambda value: value + 1)(2) == 3
+    assert _compile.compiled(lambda value: value + 1)(2) == 3

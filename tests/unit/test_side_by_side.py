@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import threading
 import time
 from multiprocessing import active_children
 from pathlib import Path
@@ -12,7 +11,6 @@ from pathlib import Path
 import pytest
 
 from exwarp_cli.errors import ExwarpError, UsageError
-from exwarp_cli.pipeline.bench import side_by_side as side_by_side_module
 from exwarp_cli.pipeline.bench.side_by_side import follow_parent, side_by_side, tell
 
 
@@ -43,29 +41,10 @@ def test_a_process_that_is_ended_from_outside_is_one_sentence():
         list(side_by_side(os._exit, [(1,)], 1, follow_parent))
 
 
-def test_interruptions_wait_while_processes_begin():
-    """Also one that another thread takes, which this thread's mask keeps nothing from."""
-    heard: list[str] = []
-    started, told = threading.Event(), threading.Event()
-
-    def other() -> None:
-        started.wait()
-        signal.raise_signal(signal.SIGTERM)
-        told.set()
-
-    before = signal.signal(signal.SIGTERM, lambda *_: heard.append("terminated"))
-    try:
-        thread = threading.Thread(target=other)
-        thread.start()
-        with side_by_side_module._undisturbed():
-            started.set()
-            assert told.wait(10)
-            for _ in range(1000):  # handlers run between instructions of the main thread
-                assert heard == []
-        thread.join()
-        assert heard == ["terminated"]
-    finally:
-        signal.signal(signal.SIGTERM, before)
+def test_interruptions_leave_processes_alone():
+    """A terminal sends them to every process, whatever it is doing."""
+    found = side_by_side(interrupt_and_return, [(1,), (2,)], 2, follow_parent)
+    assert sorted(result for _, result in found) == [1, 2]
 
 
 def test_what_a_process_tells_is_heard_while_it_works(tmp_path):
@@ -84,6 +63,11 @@ def tell_and_wait(path: Path) -> str | None:
             return text
         time.sleep(0.01)
     return None
+
+
+def interrupt_and_return(number: int) -> int:
+    os.kill(os.getpid(), signal.SIGINT)
+    return number
 
 
 def touch_later(path: Path, seconds: float) -> None:

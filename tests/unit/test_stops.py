@@ -1,103 +1,126 @@
-"""Where a stop strikes, and where it waits."""
+"""Signals set a flag that loops read; a second one, or no progress, ends the process."""
 
 from __future__ import annotations
 
-import functools
-import importlib
 import os
 import signal
+import subprocess
 import sys
-import threading
 import time
-import weakref
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
-from types import ModuleType, SimpleNamespace
+from pathlib import Path
 
 import pytest
 
-from exwarp_cli.io.stops import Stoppable, Terminated
+from exwarp_cli.runtime.stop import StopRequested, check_stop, cleaned_up, graceful_stop
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 
-
 LONG_S = 60
 """Seconds after which nobody came."""
+
+IN_A_LIBRARY = """
+import sys, time
+from pathlib import Path
+from exwarp_cli.runtime import stop
+
+stop.STALLED_S = float(sys.argv[2])
+words = "exwarp: error: {}".format
+with stop.graceful_stop(words):
+    file = Path(sys.argv[1])
+    with stop.cleaned_up(file.unlink), stop.scratch_folder() as folder:
+        file.touch()
+        (folder / "part").touch()
+        print(folder, flush=True)
+        time.sleep(60)  # C, which a handler of Python does not end
+"""
 
 
 def stop(number: int = signal.SIGTERM) -> None:
     os.kill(os.getpid(), number)
 
 
-def later() -> None:
-    """Be somewhere that may be broken off."""
+def words(number: int) -> str:
+    return f"ended by {number}"
+
+
+def loop() -> None:
+    """Work until somebody wants it to end."""
     end = time.monotonic() + LONG_S
     while time.monotonic() < end:
-        pass
+        check_stop()
 
 
-class TestStoppable:
-    @pytest.mark.parametrize(
-        ("number", "raised"),
-        [(signal.SIGTERM, Terminated), (signal.SIGINT, KeyboardInterrupt)],
-    )
-    def test_it_raises(self, number, raised):
-        with pytest.raises(raised), Stoppable():
+class TestFlag:
+    @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+    def test_a_loop_ends_after_a_signal(self, number):
+        with pytest.raises(StopRequested) as raised, graceful_stop(words):
             stop(number)
-            later()
+            loop()
+        assert raised.value.number == number
 
-    def test_signals_are_as_before_afterwards(self):
-        numbers = (signal.SIGTERM, signal.SIGINT, signal.SIGALRM)
-        before = [signal.getsignal(number) for number in numbers]
-        hook = sys.unraisablehook
-        with pytest.raises(Terminated), Stoppable():
+    def test_without_a_signal_it_goes_on(self):
+        with graceful_stop(words):
+            check_stop()
+
+    def test_the_next_command_goes_on(self):
+        with pytest.raises(StopRequested), graceful_stop(words):
             stop()
-            later()
-        assert [signal.getsignal(number) for number in numbers] == before
-        assert sys.unraisablehook is hook
-        assert signal.getitimer(signal.ITIMER_REAL)[0] == 0
+            loop()
+        with graceful_stop(words):
+            check_stop()
 
-    def test_a_second_one_does_not_break_off_the_first(self):
+    def test_cleaning_up_is_not_broken_off(self):
         cleaned = False
-        with pytest.raises(Terminated), Stoppable():
+        with pytest.raises(StopRequested), graceful_stop(words):
             try:
                 stop()
-                later()
+                loop()
             finally:
                 stop()
+                time.sleep(0.05)
                 cleaned = True
         assert cleaned
+
+    def test_what_fails_after_a_signal_was_stopped(self):
+        """A terminal interrupts other programs of the command, too, and they end at once."""
+        with pytest.raises(StopRequested), graceful_stop(words):
+            stop()
+            raise OSError("ffmpeg has ended")
+
+    def test_what_fails_without_a_signal_is_a_failure(self):
+        with pytest.raises(OSError, match="full"), graceful_stop(words):
+            raise OSError("full")
+
+    def test_signals_are_as_before_afterwards(self):
+        numbers = (signal.SIGTERM, signal.SIGINT)
+        before = [signal.getsignal(number) for number in numbers]
+        with pytest.raises(StopRequested), graceful_stop(words):
+            stop()
+            loop()
+        assert [signal.getsignal(number) for number in numbers] == before
+        wakeup = signal.set_wakeup_fd(-1)
+        assert wakeup == -1
 
     @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
     def test_nothing_strikes_behind_the_last_one(self, number):
         before = {each: signal.getsignal(each) for each in (signal.SIGTERM, signal.SIGINT)}
         try:
-            with pytest.raises((Terminated, KeyboardInterrupt)), Stoppable(is_last=True):
+            with pytest.raises(StopRequested), graceful_stop(words, is_last=True):
                 stop(number)
-                later()
+                loop()
             stop(signal.SIGINT)
             stop(signal.SIGTERM)
         finally:
             for each, handler in before.items():
                 signal.signal(each, handler)
 
-    def test_interruptions_at_once_are_one(self):
-        cleaned = False
-        with pytest.raises(KeyboardInterrupt), Stoppable():
-            try:
-                stop(signal.SIGINT)
-                later()
-            finally:
-                stop(signal.SIGINT)
-                cleaned = True
-        assert cleaned
-
     def test_who_ignores_interruptions_keeps_to_that(self):
         before = signal.signal(signal.SIGINT, signal.SIG_IGN)
         try:
-            with Stoppable():
+            with graceful_stop(words):
                 stop(signal.SIGINT)
+                check_stop()
         finally:
             signal.signal(signal.SIGINT, before)
 
@@ -106,7 +129,7 @@ class TestStoppable:
         seen = []
 
         def work() -> None:
-            with Stoppable():
+            with graceful_stop(words):
                 seen.append(signal.getsignal(signal.SIGTERM))
 
         with ThreadPoolExecutor(1) as pool:
@@ -114,102 +137,41 @@ class TestStoppable:
         assert seen == [before]
 
 
-class TestWhatWaitsLong:
-    @pytest.mark.parametrize("waiting", ["condition", "future", "thread", "shutdown"])
-    def test_it_is_broken_off(self, waiting):
-        go_on = threading.Event()
-        with ThreadPoolExecutor(1) as pool:
-            future = pool.submit(go_on.wait, LONG_S)
-            threading.Timer(0.1, stop).start()
-            with pytest.raises(Terminated), Stoppable():
-                if waiting == "condition":
-                    go_on.wait(LONG_S)
-                elif waiting == "future":
-                    future.result()
-                elif waiting == "thread":
-                    next(iter(pool._threads)).join()
-                else:
-                    pool.shutdown()
-            assert not future.done()
-            go_on.set()
+def test_a_block_is_cleaned_up(tmp_path):
+    path = tmp_path / "part"
+    with pytest.raises(KeyError), cleaned_up(path.unlink):
+        path.touch()
+        raise KeyError
+    assert not path.exists()
 
 
-class TestWhatMustBeWhole:
-    def test_a_lock_is_not_left_taken(self):
-        condition = threading.Condition()
-        entered: list[int] = []
-        left: list[int] = []
-        taking = functools.partial(signal.raise_signal, signal.SIGTERM)  # C, as a lock's
-        lock = SimpleNamespace(__enter__=taking, __exit__=lambda *_: left.append(1))
-        condition._lock = lock  # type: ignore[attr-defined]
-        with pytest.raises(Terminated), Stoppable():
-            with condition:
-                entered.append(1)
-            later()
-        assert entered == left == [1]
+class TestInALibrary:
+    """The main thread is in C, and reads no flag."""
 
-    def test_a_block_that_is_being_entered_is_entered(self):
-        @contextmanager
-        def block() -> Iterator[None]:
-            yield
+    def test_a_second_signal_ends_it_at_once(self, tmp_path):
+        with started(tmp_path / "part") as process:
+            folder = Path(process.stdout.readline().strip())
+            assert folder.is_dir()
+            for _ in range(2):  # both at once count as one
+                process.send_signal(signal.SIGTERM)
+            time.sleep(1.2)
+            assert process.poll() is None
+            begin = time.monotonic()
+            process.send_signal(signal.SIGTERM)
+            _, err = process.communicate(timeout=LONG_S)
+        assert time.monotonic() - begin < 5
+        assert (process.returncode, err) == (143, f"exwarp: error: {signal.SIGTERM.value}\n")
+        assert not folder.exists() and not (tmp_path / "part").exists()
 
-        entered = []
-        manager = block()
-        manager.gen = map(signal.raise_signal, [signal.SIGTERM])  # type: ignore[attr-defined]
-        with pytest.raises(Terminated), Stoppable():
-            manager.__enter__()
-            entered.append(1)
-            later()
-        assert entered == [1]
+    def test_without_progress_one_signal_does(self, tmp_path):
+        with started(tmp_path / "part", stalled_s=0.3) as process:
+            folder = Path(process.stdout.readline().strip())
+            process.send_signal(signal.SIGINT)
+            _, err = process.communicate(timeout=LONG_S)
+        assert (process.returncode, err) == (130, f"exwarp: error: {signal.SIGINT.value}\n")
+        assert not folder.exists() and not (tmp_path / "part").exists()
 
-    def test_an_import_is_done(self, monkeypatch):
-        class Finder:
-            """Makes a module in whose making the stop arrives."""
 
-            def find_spec(self, name: str, *_: object) -> object:
-                from importlib.machinery import ModuleSpec
-
-                return ModuleSpec(name, self) if name == "half_imported" else None  # type: ignore[arg-type]
-
-            def create_module(self, _spec: object) -> None:
-                return None
-
-            def exec_module(self, module: ModuleType) -> None:
-                stop()
-                time.sleep(0.05)
-                module.whole = True  # type: ignore[attr-defined]
-
-        monkeypatch.setattr(sys, "meta_path", [Finder(), *sys.meta_path])
-        with pytest.raises(Terminated), Stoppable():
-            importlib.import_module("half_imported")
-            later()
-        assert sys.modules.pop("half_imported").whole
-
-    def test_a_finalizer_is_done(self):
-        class Thing:
-            pass
-
-        done = []
-
-        def finalizer() -> None:
-            stop()
-            time.sleep(0.05)
-            done.append(1)
-
-        thing = Thing()
-        weakref.finalize(thing, finalizer)
-        with pytest.raises(Terminated), Stoppable():
-            del thing
-            later()
-        assert done == [1]
-
-    def test_what_was_raised_where_it_is_dropped_is_raised_again(self):
-        class Thing:
-            def __del__(self) -> None:
-                stop()
-                later()
-
-        thing = Thing()
-        with pytest.raises(Terminated), Stoppable():
-            del thing
-            later()
+def started(path: Path, stalled_s: float = LONG_S) -> subprocess.Popen[str]:
+    line = [sys.executable, "-c", IN_A_LIBRARY, str(path), str(stalled_s)]
+    return subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)

@@ -11,8 +11,8 @@ from exwarp_cli.domain import cores
 from exwarp_cli.io import ffmpeg, models, threads
 from exwarp_cli.io.machine import Processors
 from exwarp_cli.io.threads import use_threads
-from exwarp_cli.kernels import jit
-from exwarp_cli.pipeline.schedule import WriteBehind, read_ahead
+from exwarp_cli.kernels import _row_bands
+from exwarp_cli.pipeline.scheduling import AsyncWriter, prefetch
 
 
 @pytest.fixture(autouse=True)
@@ -56,8 +56,8 @@ def test_networks_have_as_many_unless_told(monkeypatch, given, count):
 
 def test_kernels_of_readers_and_writers_have_no_more_than_those_of_the_caller():
     use_threads(1)
-    found = list(read_ahead([jit.threads, jit.threads], 1))
-    with WriteBehind(2, 4) as behind:
+    found = list(prefetch([_row_bands.threads, _row_bands.threads], 1))
+    with AsyncWriter(2, 4) as behind:
         for _ in range(4):
-            behind.submit(lambda: found.append(jit.threads()))
+            behind.submit(lambda: found.append(_row_bands.threads()))
     assert found == [1] * 6

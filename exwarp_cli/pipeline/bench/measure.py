@@ -15,7 +15,7 @@ from exwarp_cli.domain.results import Score
 from exwarp_cli.pipeline.bench.opened import Opened
 from exwarp_cli.pipeline.bench.pictures import FIXED_PATHS, makers_of, names_of
 from exwarp_cli.pipeline.bench.scoring import MIDDLE, Scored, Scores
-from exwarp_cli.pipeline.loaded import Loaded
+from exwarp_cli.pipeline.interval_inputs import IntervalInputs
 from exwarp_cli.pipeline.scoring import SLOTS, steps_of
 from exwarp_cli.policy.outcomes import METRICS as JUDGED
 from exwarp_cli.policy.outcomes import best_psnr, best_return, returns
@@ -40,7 +40,7 @@ def identity(opened: Opened, key: int, recipes: Mapping[int, str]) -> str:
     return hashlib.sha256(json.dumps(told).encode()).hexdigest()
 
 
-def measure(opened: Opened, loaded: Loaded) -> dict[str, Any]:
+def measure(opened: Opened, inputs: IntervalInputs) -> dict[str, Any]:
     """Make and score the frames of slots 1 to 3 by every system.
 
     Returns
@@ -51,22 +51,22 @@ def measure(opened: Opened, loaded: Loaded) -> dict[str, Any]:
         ``returns`` of S1 to S6; ``warp_psnr_db`` of W at slots 1 to 3; ``systems``, for each the
         scores of its three frames; ``extranet``, scores of pictures by ExtraNet's procedure.
     """
-    interval = opened.interval(loaded)
-    surroundings = opened.look(loaded, interval)
+    interval = opened.interval(inputs)
+    surroundings = opened.look(inputs, interval)
     wanted = frozenset((*opened.settings.metrics, *JUDGED))
     masks, display = opened.masks(interval), opened.source.keys.display
     scores = Scores(
-        opened.pictures(loaded, interval),
-        opened.truth(loaded.key),
+        opened.pictures(inputs, interval),
+        opened.truth(inputs.key),
         masks,
-        steps_of(interval, display, loaded.followed) if "flicker" in wanted else None,
+        steps_of(interval, display, inputs.followed) if "flicker" in wanted else None,
         wanted,
     )
     paths, gains = _paths(opened, scores, opened.decide(surroundings))
     shown = {name: names_of(name, paths.get(name)) for name in _systems(opened)}
     scores.add_vmaf(list(shown.values()))
     return {
-        "key": opened.number(loaded.key),
+        "key": opened.number(inputs.key),
         "holes": [float(masks[slot].mean()) if slot in masks else None for slot in SLOTS],
         "features": [[float(v) for v in astuple(seen)] for seen in surroundings.now],
         "paths": {name: paths[name] for name in CHOOSERS if name in paths},

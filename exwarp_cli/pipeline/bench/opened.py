@@ -21,9 +21,8 @@ from exwarp_cli.io.vmaf import require_size
 from exwarp_cli.pipeline.bench.pictures import Pictures
 from exwarp_cli.pipeline.bench.plan import Subject
 from exwarp_cli.pipeline.finding import find_truth, require_state
-from exwarp_cli.pipeline.geometry import Staging
-from exwarp_cli.pipeline.loaded import Loaded
-from exwarp_cli.pipeline.loading import IntervalLoader
+from exwarp_cli.pipeline.interval_builder import IntervalBuilder
+from exwarp_cli.pipeline.interval_inputs import IntervalInputs, IntervalReader
 from exwarp_cli.pipeline.observing import Observer
 from exwarp_cli.pipeline.scoring import SLOTS
 from exwarp_cli.pipeline.source import open_source
@@ -130,8 +129,8 @@ class Opened:
         """Forget what was read: the next interval need not follow the last one."""
         asked = UpsampleSettings(self.subject.source, "", EVERYTHING.name)
         display = self.source.keys.display
-        self._loader = IntervalLoader(self.source, EVERYTHING, asked, None)
-        self._staging = Staging(display, self.networks.own or self.networks.imported)
+        self._reader = IntervalReader(self.source, EVERYTHING, asked)
+        self._builder = IntervalBuilder(display, self.networks.own or self.networks.imported)
         self._observer = Observer(display, self.source.setting)
         self._policy = LearnedPolicy(self.policy.network)
 
@@ -148,28 +147,28 @@ class Opened:
             )
         return tuple(known[:: self.settings.every])
 
-    def load(self, key: int, needed: Callable[[dict[int, str]], bool]) -> Loaded:
+    def load(self, key: int, needed: Callable[[dict[int, str]], bool]) -> IntervalInputs:
         """Read a key interval, unless its recipes show that it is not needed."""
-        return self._loader.load(key, lambda _key, recipes: needed(recipes))
+        return self._reader.read(key, lambda _key, recipes: needed(recipes))
 
-    def interval(self, loaded: Loaded) -> Interval:
+    def interval(self, inputs: IntervalInputs) -> Interval:
         """Bring what was read onto one window."""
-        return self._staging.interval(loaded)
+        return self._builder.build(inputs)
 
-    def look(self, loaded: Loaded, interval: Interval) -> Surroundings:
+    def look(self, inputs: IntervalInputs, interval: Interval) -> Surroundings:
         """Return what the policy sees."""
-        return self._observer.of(loaded, interval)
+        return self._observer.of(inputs, interval)
 
     def decide(self, surroundings: Surroundings) -> str:
         """Ask the policy for the interval's path."""
         return self._policy.plan(surroundings).path
 
-    def pictures(self, loaded: Loaded, interval: Interval) -> Pictures:
+    def pictures(self, inputs: IntervalInputs, interval: Interval) -> Pictures:
         """Return what systems show, as files would hold it."""
         canvas, display = interval.key.image.data_window, self.source.keys.display
 
         def finish(pixels: Float32) -> Float32:
-            return place(quantised(pixels, loaded.template), canvas, display)
+            return place(quantised(pixels, inputs.metadata.template), canvas, display)
 
         return Pictures(
             interval,

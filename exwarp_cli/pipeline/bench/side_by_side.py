@@ -5,14 +5,14 @@ from __future__ import annotations
 import os
 import signal
 import threading
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from multiprocessing import active_children, get_context, parent_process
 from typing import Any, TypeVar
 
 from exwarp_cli.errors import ExwarpError
+from exwarp_cli.runtime.stop import blocked, check_stop
 
 Task = TypeVar("Task", bound=tuple[Any, ...])
 Result = TypeVar("Result")
@@ -23,7 +23,8 @@ LOOK_S = 0.2
 _news: Any = None
 """Where this process tells what it has done; None in one that is no worker."""
 
-PUT_OFF = (signal.SIGINT, signal.SIGTERM)
+BLOCKED = (signal.SIGINT, signal.SIGTERM)
+"""Signals that reach no process before `follow_parent` has run in it."""
 
 
 def side_by_side(
@@ -59,10 +60,11 @@ def side_by_side(
     news = context.SimpleQueue()
     pool = ProcessPoolExecutor(jobs, context, _begin, (begin, news))
     try:
-        with _undisturbed():
+        with blocked(*BLOCKED):
             waiting = {pool.submit(work, *task): task for task in tasks}
         pending: set[Future[Result]] = set(waiting)
         while pending:
+            check_stop()
             done, pending = wait(pending, LOOK_S, FIRST_COMPLETED)
             while not news.empty():
                 hear(news.get())
@@ -95,33 +97,6 @@ def _begin(begin: Callable[[], None], news: Any) -> None:
     begin()
 
 
-@contextmanager
-def _undisturbed() -> Iterator[None]:
-    """Put signals off while processes begin; they arrive afterwards.
-
-    A terminal interrupts all processes at once, and one that is still importing prints a traceback;
-    nor can a pool be shut down that has begun by half. Processes inherit what is put off. The mask
-    is that of this thread alone: what another one takes is kept until the end, too.
-    """
-    if not hasattr(signal, "pthread_sigmask"):  # Windows
-        yield
-        return
-    came: list[int] = []
-    answers: dict[signal.Signals, Any] = {}
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, PUT_OFF)
-    try:
-        if threading.current_thread() is threading.main_thread():
-            for number in PUT_OFF:
-                answers[number] = signal.signal(number, lambda n, _frame: came.append(n))
-        yield
-    finally:
-        for number, answer in answers.items():
-            signal.signal(number, signal.SIG_DFL if answer is None else answer)
-        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        if came:
-            signal.raise_signal(came[0])
-
-
 def follow_parent() -> None:
     """Prepare a process to end with its parent, however that ends, and only then.
 
@@ -130,7 +105,7 @@ def follow_parent() -> None:
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if hasattr(signal, "pthread_sigmask"):
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, PUT_OFF)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, BLOCKED)
     threading.Thread(target=_await_parent, daemon=True).start()
 
 

@@ -17,8 +17,9 @@ from typing import Any
 from exwarp_cli.domain.bench import POLICY, TIMED
 from exwarp_cli.pipeline.bench.opened import Opened
 from exwarp_cli.pipeline.bench.pictures import FIXED_PATHS, Pictures, names_of
-from exwarp_cli.pipeline.loaded import Loaded
+from exwarp_cli.pipeline.interval_inputs import IntervalInputs
 from exwarp_cli.pipeline.scoring import SLOTS
+from exwarp_cli.runtime.stop import check_stop
 from exwarp_cli.synthesis.geometry import unmatched
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import METHODS
@@ -45,8 +46,9 @@ def time_subject(opened: Opened) -> dict[str, Any]:
     systems: Milliseconds = defaultdict(list)
     opened.restart()
     for count, key in enumerate(_chosen(opened.keys)):
-        loaded = opened.load(key, lambda recipes: True)
-        found = _interval(opened, loaded)
+        check_stop()
+        inputs = opened.load(key, lambda recipes: True)
+        found = _interval(opened, inputs)
         if count == 0:  # compiled the kernels, and read what the next intervals share with it
             continue
         for name, value in found[0].items():
@@ -76,13 +78,15 @@ def _chosen(keys: tuple[int, ...]) -> tuple[int, ...]:
     return chosen if len(chosen) > 1 else chosen * 2
 
 
-def _interval(opened: Opened, loaded: Loaded) -> tuple[Mapping[str, float], Mapping[str, float]]:
+def _interval(
+    opened: Opened, inputs: IntervalInputs
+) -> tuple[Mapping[str, float], Mapping[str, float]]:
     """Time the steps of one interval, and its systems; milliseconds a frame."""
     count = len(SLOTS)
-    geometry, interval = timed(lambda: opened.interval(loaded))
-    features, surroundings = timed(lambda: opened.look(loaded, interval))
+    geometry, interval = timed(lambda: opened.interval(inputs))
+    features, surroundings = timed(lambda: opened.look(inputs, interval))
     decide, path = timed(lambda: opened.decide(surroundings))
-    found = {"read": loaded.read_ms / (count + 1), "geometry": geometry / count}
+    found = {"read": inputs.read_ms / (count + 1), "geometry": geometry / count}
     found |= {"features": features / count, "decide": decide / count}
     found |= _steps(interval)
     paths = FIXED_PATHS | {POLICY: path}
@@ -92,7 +96,7 @@ def _interval(opened: Opened, loaded: Loaded) -> tuple[Mapping[str, float], Mapp
         if path is None and name.startswith("oracle"):
             continue
         # A copy has none of the motion fields that were found before.
-        pictures = opened.pictures(loaded, replace(interval))
+        pictures = opened.pictures(inputs, replace(interval))
         names = dict.fromkeys(names_of(name, path))
         spent, _ = timed(partial(_make, pictures, names))
         systems[name] = spent / count

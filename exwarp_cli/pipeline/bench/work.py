@@ -24,6 +24,7 @@ from exwarp_cli.pipeline.bench.plan import Subject, subjects_of
 from exwarp_cli.pipeline.bench.side_by_side import follow_parent, side_by_side, tell
 from exwarp_cli.pipeline.bench.timing import time_subject
 from exwarp_cli.pipeline.progress import NoProgress, Progress
+from exwarp_cli.runtime.stop import check_stop
 
 PARTS = "parts"
 """Folder of what was measured, a file a key interval."""
@@ -270,6 +271,7 @@ def work(
         part, made = _part(opened, key)
         found.append((key, part))
         hear(Step(subject, part["key"], made))
+        check_stop()
     return found
 
 

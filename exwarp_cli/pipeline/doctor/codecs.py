@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import re
-import tempfile
 from importlib import metadata
-from pathlib import Path
 
 import imageio_ffmpeg
 import OpenImageIO as oiio
@@ -13,8 +11,8 @@ import OpenImageIO as oiio
 from exwarp_cli.domain.checkup import Check, failure, warning
 from exwarp_cli.domain.wording import counted, first_line
 from exwarp_cli.errors import UsageError
+from exwarp_cli.io.exr.writer import COMPRESSIONS
 from exwarp_cli.io.ffmpeg import FfmpegError
-from exwarp_cli.io.output import COMPRESSIONS
 from exwarp_cli.io.specimens import (
     LOSSLESS,
     exr_problem,
@@ -25,6 +23,7 @@ from exwarp_cli.io.specimens import (
     vmaf_problem,
 )
 from exwarp_cli.io.stills import STILLS
+from exwarp_cli.runtime.stop import scratch_folder
 
 ENCODERS = ("libx264", "aac")
 """What videos are written with."""
@@ -44,8 +43,8 @@ _FFMPEG = "install imageio-ffmpeg again, and unset IMAGEIO_FFMPEG_EXE if it name
 
 def check_exr() -> Check:
     """Write and read EXR in every compression."""
-    with tempfile.TemporaryDirectory("-exwarp") as folder:
-        problems = {name: exr_problem(Path(folder), name) for name in COMPRESSIONS}
+    with scratch_folder() as folder:
+        problems = {name: exr_problem(folder, name) for name in COMPRESSIONS}
     remarks = tuple(
         failure(f"EXR with {name} does not work: {why}; install OpenEXR and OpenImageIO again")
         for name, why in problems.items()
@@ -63,10 +62,10 @@ def check_stills() -> Check:
     """Write and read every format of still images."""
     problems: dict[str, str | None] = {}
     unwritten = []
-    with tempfile.TemporaryDirectory("-exwarp") as folder:
+    with scratch_folder() as folder:
         for suffix in STILLS:
             try:
-                problems[suffix] = still_problem(Path(folder), suffix)
+                problems[suffix] = still_problem(folder, suffix)
             except UsageError:
                 unwritten.append(suffix)
     remarks = [
@@ -104,8 +103,8 @@ def check_video() -> Check:
         warning(f"{path} has no filter {name}; {_FFMPEG}, or {FILTERS[name]}") for name in lacking
     ]
     if not missing:
-        with tempfile.TemporaryDirectory("-exwarp") as folder:
-            why = video_problem(Path(folder))
+        with scratch_folder() as folder:
+            why = video_problem(folder)
         remarks += [] if why is None else [failure(f"video does not work: {why}; {_FFMPEG}")]
     if "libvmaf" not in lacking:
         why = vmaf_problem()

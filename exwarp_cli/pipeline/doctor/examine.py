@@ -15,6 +15,7 @@ from exwarp_cli.domain.checkup import Check, Checkup, failure
 from exwarp_cli.domain.wording import first_line
 from exwarp_cli.errors import ExwarpError
 from exwarp_cli.pipeline.doctor.compilation import telling_of_compilation
+from exwarp_cli.runtime.stop import check_stop
 
 CHECKS = {
     "machine": "machine:check_machine",
@@ -69,6 +70,7 @@ def examine(
             begin = time.perf_counter()
             checks[name] = _made(make)
             seconds[name] = time.perf_counter() - begin
+            check_stop()
     return Checkup(__version__, checks, seconds)
 
 

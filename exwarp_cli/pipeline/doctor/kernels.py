@@ -11,14 +11,12 @@ from typing import Any
 
 import numba
 import numpy as np
-from llvmlite import binding  # type: ignore[import-untyped]
 
-from exwarp_cli.compiled import builds, cache
-from exwarp_cli.compiled.cache import SUFFIX
 from exwarp_cli.domain.checkup import Check, Remark, failure, warning
 from exwarp_cli.domain.wording import counted, size_text
 from exwarp_cli.io.machine import Folder, cached_files, look_at
-from exwarp_cli.kernels import jit
+from exwarp_cli.kernels import _compile, _row_bands
+from exwarp_cli.kernels._compile import SUFFIX
 from exwarp_cli.kernels.gather import gather_bilinear, gather_bilinear_serial
 from exwarp_cli.pipeline.doctor.compilation import cache_folders, cache_use
 
@@ -31,7 +29,7 @@ LEAST_FREE = 64 << 20
 
 def check_kernels() -> Check:
     """Compile and run a kernel by one thread and by all, on motion by whole pixels."""
-    jit.set_threads(None)
+    _row_bands.set_threads(None)
     remarks = []
     if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
         remarks.append(
@@ -52,10 +50,10 @@ def check_kernels() -> Check:
         "numba": numba.__version__,
         "llvmlite": metadata.version("llvmlite"),
         "jit": not numba.config.DISABLE_JIT,  # type: ignore[attr-defined]
-        "cpu": binding.get_host_cpu_name(),
-        "threads": jit.threads(),
+        "cpu": _compile.processor(),
+        "threads": _row_bands.threads(),
     }
-    threads = counted(jit.threads(), "thread")
+    threads = counted(_row_bands.threads(), "thread")
     found = f"numba {numba.__version__} on numpy {np.__version__}, {threads}"
     lines = (f"llvmlite {facts['llvmlite']}, which takes this CPU for {facts['cpu']}",)
     return Check(found, tuple(remarks), facts, lines)
@@ -111,9 +109,9 @@ def check_cache() -> Check:
 
 def only_read() -> list[Path]:
     """Return the folders whose builds are taken though nothing can be written there."""
-    if not builds.knows_inside():
+    if not _compile.is_tested():
         return []
-    found = [path for path in cache.folders() if path != cache.writable_folder()]
+    found = [path for path in _compile.folders() if path != _compile.writable_folder()]
     return [path for path in found if cached_files(path, SUFFIX)[0]]
 
 
@@ -129,7 +127,7 @@ def place_of(folder: Path) -> str:
     named = os.environ.get(FOLDER_VARIABLE)
     if named and Path(named).resolve() in folder.resolve().parents:
         return f"in {FOLDER_VARIABLE}"
-    beside = Path(jit.__file__).resolve().parents[1] in folder.resolve().parents
+    beside = Path(_compile.__file__).resolve().parents[1] in folder.resolve().parents
     if beside:
         return "beside the source"
     is_temporary = Path(tempfile.gettempdir()) == folder.parent

@@ -7,7 +7,6 @@ to slot, so that warping and splatting copy pixels and must get them right in ev
 from __future__ import annotations
 
 import io
-import tempfile
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -26,7 +25,8 @@ from exwarp_cli.errors import ExwarpError
 from exwarp_cli.io.specimens import differing, read_exr, write_exr
 from exwarp_cli.pipeline.doctor.compilation import cache_use
 from exwarp_cli.pipeline.progress import NoProgress
-from exwarp_cli.pipeline.upsample import upsample
+from exwarp_cli.pipeline.run import upsample
+from exwarp_cli.runtime.stop import scratch_folder
 
 HEIGHT, WIDTH, KEYS = 48, 80, 3
 RIGHT, DOWN = 2, -1
@@ -76,8 +76,7 @@ class Trial:
 def check_self_test() -> Check:
     """Upsample the shot by three methods, and in chunks."""
     begin, compiled = time.perf_counter(), cache_use()[1]
-    with tempfile.TemporaryDirectory("-exwarp") as name:
-        folder = Path(name)
+    with scratch_folder() as folder:
         write_shot(folder / "keys")
         trials = {"s6": _trial(folder, "s6", None)}
         trials |= {m: _trial(folder, m, CONVENTION) for m in ("softsplat", "exwarp")}

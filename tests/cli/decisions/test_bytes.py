@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from exwarp_cli.io.channels import Role
-from exwarp_cli.pipeline import late_frames, loading, motion_finding
+from exwarp_cli.pipeline import key_frames, motion_finding
 from tests.cli import shots
 from tests.cli.decisions.conftest import KEYS, SETTINGS, STREET, Done, take, write_shots
 from tests.cli.decisions.windows import moving_shots, parted
@@ -108,10 +108,13 @@ class TestChunks:
         assert shots.contents(parts) == shots.contents(whole)
 
     @pytest.mark.parametrize(("setting", "files"), [("key", KEYS), ("slot", 5 * KEYS - 3)])
-    def test_every_file_is_read_once(self, make, monkeypatch, setting, files):
-        """By the run; what vectors were measured by is handed on, or read for that alone."""
-        by_run, by_measuring = reads_of(monkeypatch, loading), reads_of(monkeypatch, motion_finding)
-        make("out", setting=setting)
+    def test_every_file_is_read_once(self, make, policies, monkeypatch, setting, files):
+        """By a run that only warps, beside the frames that vectors are measured by."""
+        by_run, by_measuring = (
+            reads_of(monkeypatch, key_frames),
+            reads_of(monkeypatch, motion_finding),
+        )
+        make("out", setting=setting, policy=policies("warp"))
         assert set(by_run.values()) == {1}
         assert len({*by_run, *by_measuring}) == files
 
@@ -121,13 +124,14 @@ class TestChunks:
     ):
         """The surface of its key frame, and the key frames before that no interval has read so."""
         read: list[tuple[int, bool]] = []
-        true = late_frames.read_raw
+        true = key_frames.read_raw
 
         def read_raw(given: Any, number: int, roles: tuple[Role, ...], **more: Any) -> Any:
-            read.append((number, Role.DEPTH in roles))
+            if Role.ALBEDO in roles:
+                read.append((number, Role.DEPTH in roles))
             return true(given, number, roles, **more)
 
-        monkeypatch.setattr(late_frames, "read_raw", read_raw)
+        monkeypatch.setattr(key_frames, "read_raw", read_raw)
         make("out", policy=policies(policy))
         expected: list[tuple[int, bool]] = []
         for key, path in enumerate(judged(policy).paths, 1):

@@ -28,11 +28,11 @@ class TestMachine:
         warned(examined("machine"), "machine", "300 MiB of memory", "limit")
 
     def test_a_temporary_folder_that_cannot_be_written(self, examined, monkeypatch, tmp_path):
-        def none(*_: Any) -> None:
+        def none(*_: Any, **__: Any) -> None:
             raise FileNotFoundError(2, "No such file or directory")
 
         monkeypatch.setattr(machine, "temporary_folder", lambda: tmp_path / "none")
-        monkeypatch.setattr(codecs.tempfile, "TemporaryDirectory", none)
+        monkeypatch.setattr("tempfile.TemporaryDirectory", none)
         found = examined("temp_folder", "exr")
         failed(found, "temp_folder", "No such file", "TMPDIR")
         failed(found, "exr", "see 'temp folder'")

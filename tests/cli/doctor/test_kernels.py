@@ -63,8 +63,8 @@ class TestKernels:
         (shared / "gather.kernel").write_bytes(b"1234")
         folders = [] if other == "none" else [own]
         monkeypatch.setenv("NUMBA_CACHE_DIR", str(shared.parent))
-        monkeypatch.setattr(kernels.cache, "folders", lambda: (shared, *folders))
-        monkeypatch.setattr(kernels.cache, "writable_folder", lambda: (*folders, None)[0])
+        monkeypatch.setattr(kernels._compile, "folders", lambda: (shared, *folders))
+        monkeypatch.setattr(kernels._compile, "writable_folder", lambda: (*folders, None)[0])
         monkeypatch.setattr(kernels, "cache_folders", lambda: folders)
         monkeypatch.setattr(kernels, "cache_use", lambda: (5, 0))
         found = examined("kernel_cache")
@@ -76,7 +76,7 @@ class TestKernels:
         warned(examined("kernel_cache"), "kernel_cache", "NUMBA_CACHE_DIR")
 
     def test_where_the_cache_is(self, monkeypatch, tmp_path):
-        source = Path(kernels.jit.__file__).parent / "__pycache__"
+        source = Path(kernels._compile.__file__).parent / "__pycache__"
         assert kernels.place_of(source) == "beside the source"
         assert kernels.place_of(tmp_path / "numba" / "kernels_1") == "in the user's cache"
         monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))

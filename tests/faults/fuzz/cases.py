@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-import io
 import os
 import shutil
 import signal
+import struct
 import sys
 import tempfile
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass
+from fractions import Fraction
 from pathlib import Path
 from types import FrameType
 from typing import NoReturn
 
-import OpenEXR
 from hypothesis import strategies as st
 
 from exwarp_cli import cli
@@ -37,6 +37,9 @@ from tests.faults.running import Outcome, require_no_leftovers
 
 SECONDS = 120
 """After which a case counts as one that hangs."""
+
+RATE = b"framesPerSecond\0rational\0" + struct.pack("<i", 8)
+"""Before the rate that a key frame is written with: what a header says of it."""
 
 VECTORS = ("--motion", "previous=X,-Y next=-Z,W")
 METHODS = ("s6", "softsplat", "exwarp", "s3", "blend", "hold")
@@ -76,8 +79,10 @@ def _passes(source: Path, data: bytes) -> bool:
     """Whether a file is a key frame, as it is or with another rate in its header."""
     if source.read_bytes() == data:
         return True
-    with OpenEXR.File(io.BytesIO(data), header_only=True) as file:
-        rate = file.parts[0].header.get("framesPerSecond")
+    rate = None
+    at = data.find(RATE)  # text of the header need not be UTF-8, as OpenEXR's module wants it
+    if at >= 0:
+        rate = Fraction(*struct.unpack_from("<iI", data, at + len(RATE)))
     with suppress(InputError):
         return b"".join(key_file(source, rate).pieces()) == data
     return False

@@ -1,0 +1,193 @@
+"""Threads of a run: intervals read ahead, slots rendered in parallel, files written behind.
+
+Everything is bounded, so that memory does not grow with the sequence.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from enum import Enum
+from functools import partial
+from typing import TYPE_CHECKING, TypeVar
+
+from exwarp_cli.domain.cores import making, waiting, working
+from exwarp_cli.errors import InputError
+from exwarp_cli.io.threads import for_kernels
+from exwarp_cli.kernels import _row_bands
+
+if TYPE_CHECKING:
+    from exwarp_cli.pipeline.interval_builder import PreparedInterval
+    from exwarp_cli.synthesis.methods import Method
+
+S = TypeVar("S")
+T = TypeVar("T")
+
+MAX_PIXELS_AHEAD = 4 * 2**20
+"""Pixels of a frame up to which anything is done ahead: of 3840x2160 a key frame with its geometry
+takes 430 MB, and decoding keeps all cores busy by itself."""
+
+
+class Mode(Enum):
+    """How the slots of an interval are rendered."""
+
+    IN_LINE = "in line"
+    """One after the other, by all threads together; files are written behind."""
+
+    IN_POOL = "in a pool"
+    """Several at a time, each by a share of the threads, which write the file as well."""
+
+
+def mode(
+    prepared: PreparedInterval, method: Method, pixels: int, has_layers: bool, workers: int
+) -> Mode:
+    """Decide how the slots of an interval are rendered.
+
+    Parameters
+    ----------
+    prepared
+        The interval.
+    method
+        Of the run.
+    pixels
+        Of a frame: in a pool several slots are in memory at a time.
+    has_layers
+        Whether more than the beauty is written: layers of a slot are made in order.
+    workers
+        Threads of the pool.
+    """
+    # A kernel that all threads share waits for the last of them, whose core may be reading or
+    # writing: of two cores, 1.6 were busy. Networks use all threads by themselves.
+    interval = prepared.interval
+    alone = workers > 1 and pixels <= MAX_PIXELS_AHEAD and not has_layers
+    warps = not prepared.extrapolates and not method.interpolates
+    # Slots with G-buffers are led along those before; other paths repeat slots or mix them.
+    independent = interval is not None and not interval.slots
+    fixed = prepared.plan is None or prepared.plan.path == "S6"
+    return Mode.IN_POOL if alone and warps and independent and fixed else Mode.IN_LINE
+
+
+def read_depth(pixels: int) -> int:
+    """Return how many intervals are read ahead of the one that is rendered."""
+    return 1 if pixels <= MAX_PIXELS_AHEAD else 0
+
+
+@contextmanager
+def record_time(timing_ms: dict[str, float], step: str, count: int = 1) -> Iterator[None]:
+    """Add the milliseconds that the block takes to a step, as the share of each of `count`."""
+    begin = time.perf_counter()
+    yield
+    elapsed = 1e3 * (time.perf_counter() - begin)
+    timing_ms[step] = timing_ms.get(step, 0.0) + elapsed / max(count, 1)
+
+
+def prefetch(tasks: Iterable[Callable[[], T]], depth: int) -> Iterator[T]:
+    """Run tasks on one thread, in order, at most `depth` ahead of the consumer.
+
+    An error of a task is raised where its result is due.
+    """
+    ahead: deque[Future[T]] = deque()
+    pool = ThreadPoolExecutor(1, "exwarp-read", for_kernels)
+    try:
+        for task in tasks:
+            ahead.append(pool.submit(run_with_core, task))
+            if len(ahead) > depth:
+                yield wait_result(ahead.popleft())
+        while ahead:
+            yield wait_result(ahead.popleft())
+    finally:
+        with waiting():
+            pool.shutdown(wait=True, cancel_futures=True)
+
+
+def wait_result(future: Future[T]) -> T:
+    """Return what another thread makes; it may work on this thread's cores until then."""
+    with waiting():
+        return future.result()
+
+
+def run_with_core(task: Callable[[], T]) -> T:
+    """Run a task on a core."""
+    with working():
+        return task()
+
+
+class ParallelSlots:
+    """Renders the slots of intervals, in a pool or in line; a context manager.
+
+    Parameters
+    ----------
+    threads
+        How many there are in all.
+    slots
+        The most slots that an interval has.
+    """
+
+    def __init__(self, threads: int, slots: int) -> None:
+        self.workers = max(1, min(threads, slots))
+        self._share = max(1, threads // self.workers)
+        self._pool: ThreadPoolExecutor | None = None
+
+    def __enter__(self) -> ParallelSlots:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        if self._pool is not None:
+            with waiting():
+                self._pool.shutdown(wait=True, cancel_futures=True)
+
+    def render(self, render: Callable[[S], T], slots: Iterable[S], how: Mode) -> Iterator[T]:
+        """Yield what `render` returns for each slot, in their order.
+
+        An error of a slot is raised where its result is due.
+        """
+        if how is Mode.IN_LINE:
+            yield from map(render, slots)
+            return
+        if self._pool is None:
+            start = partial(
+                _row_bands.set_threads, self._share
+            )  # holds for the thread that calls it
+            self._pool = ThreadPoolExecutor(self.workers, "exwarp-slot", start)
+        pending = deque([self._pool.submit(self._run, render, slot) for slot in slots])
+        while pending:
+            yield wait_result(pending.popleft())
+
+    def _run(self, render: Callable[[S], T], slot: S) -> T:
+        # Cores of slots are not left for others meanwhile.
+        with working(self._share), making():
+            return render(slot)
+
+
+class AsyncWriter:
+    """Runs writes on their own threads, at most `depth` behind; a context manager.
+
+    The first error stops everything: it is raised by the next call of `submit`, or at the end.
+    Where an input cannot be used further on, what waits is still written.
+    """
+
+    def __init__(self, threads: int, depth: int) -> None:
+        self._pool = ThreadPoolExecutor(threads, "exwarp-write", for_kernels)
+        self._depth = depth
+        self._waiting: deque[Future[None]] = deque()
+
+    def __enter__(self) -> AsyncWriter:
+        return self
+
+    def submit(self, write: Callable[[], None]) -> None:
+        """Queue a write; blocks while `depth` writes are under way."""
+        while len(self._waiting) >= self._depth:
+            wait_result(self._waiting.popleft())
+        self._waiting.append(self._pool.submit(run_with_core, write))
+
+    def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
+        drops_waiting = kind is not None and not issubclass(kind, InputError)
+        # What has begun is finished either way: a write is quick and leaves complete files.
+        with waiting():
+            self._pool.shutdown(wait=True, cancel_futures=drops_waiting)
+        if kind is None:
+            for future in self._waiting:
+                future.result()

@@ -1,0 +1,249 @@
+"""Rendering the frame of a slot: from its interval to the writer, and what is recorded of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from exwarp_cli import __version__
+from exwarp_cli.domain.decision import Plan
+from exwarp_cli.domain.frame import Bool, Image, place
+from exwarp_cli.domain.maker import maker_of, step_of
+from exwarp_cli.domain.results import FrameKind, FrameRecord
+from exwarp_cli.domain.settings import UpsampleSettings
+from exwarp_cli.domain.timeline import Slot
+from exwarp_cli.errors import OutputError
+from exwarp_cli.io.authorship import KEY_FRAMES, REQUESTED_METHOD
+from exwarp_cli.io.decisions import decision_text, parse_decision
+from exwarp_cli.io.exr.template import Plane, PlaneKey, Template
+from exwarp_cli.io.frame_files import FrameTemplate, quantised
+from exwarp_cli.io.output import PREFIX, compression_of
+from exwarp_cli.pipeline.frame_writer import FrameWriter
+from exwarp_cli.pipeline.interval_builder import PreparedInterval
+from exwarp_cli.pipeline.interval_inputs import IntervalInputs
+from exwarp_cli.pipeline.layers import ExtraLayers, named_by_path
+from exwarp_cli.pipeline.scheduling import record_time
+from exwarp_cli.pipeline.source import Source
+from exwarp_cli.synthesis.interval import Interval
+from exwarp_cli.synthesis.methods import Method, Predicted, repeat_held, take
+
+
+@dataclass(frozen=True)
+class RenderedSlot:
+    """A slot's frame on its way to its file, or there.
+
+    Attributes
+    ----------
+    record
+        Without scores, and without the time that writing took.
+    image
+        The frame; None where it has to be read from its file.
+    rounded
+        Whether it is as its file has it.
+    mask
+        bool [H, W]: its holes on the display window; None without motion.
+    """
+
+    record: FrameRecord
+    image: Image | None = None
+    rounded: bool = True
+    mask: Bool | None = None
+
+
+class SlotRenderer:
+    """Renders the frames of slots; in several threads, where only the beauty is written.
+
+    Parameters
+    ----------
+    settings, source, method
+        Of the run.
+    writer
+        Where frames go.
+    layers
+        What is written beside the beauty.
+    """
+
+    def __init__(
+        self,
+        settings: UpsampleSettings,
+        source: Source,
+        method: Method,
+        writer: FrameWriter,
+        layers: ExtraLayers,
+    ) -> None:
+        self._settings = settings
+        self._source = source
+        self._method = method
+        self._writer = writer
+        self._layers = layers
+
+    def render(
+        self,
+        prepared: PreparedInterval,
+        inputs: IntervalInputs,
+        slot: Slot,
+        in_pool: bool = False,
+    ) -> RenderedSlot:
+        """Render the frame of a slot, and have it written.
+
+        With `in_pool`, this thread writes it, and does not return before.
+        """
+        interval, plan = prepared.interval, prepared.plan
+        assert interval is not None
+        timing = dict(prepared.timing_ms)
+        layers_timing: dict[str, float] = {}
+        with record_time(timing, "render"):
+            predicted = self._predict(interval, plan, slot.index)
+        timing[step_of(predicted.made_by)] = timing.pop("render")
+        image = Image(predicted.pixels, interval.key.image.data_window, self._source.keys.display)
+        with record_time(layers_timing, "layers"):
+            layers = self._make_layers(slot, predicted, inputs, plan)
+        mask = self._mask(interval, slot)
+        number, template = self._source.timeline.number(slot), inputs.metadata.template
+        record = FrameRecord(
+            number=number,
+            file=self._writer.name(number),
+            key=interval.key.number,
+            slot=slot.index,
+            kind=self._kind(predicted, slot, inputs.after_hold),
+            method=predicted.method,
+            sources=predicted.sources,
+            # Rounded to float32 as the header of the frame keeps it.
+            hole_fraction=(
+                None if mask is None else float(np.float32(np.count_nonzero(mask) / mask.size))
+            ),
+            nonfinite_pixels=sum(prepared.broken.get(n, 0) for n in predicted.sources),
+            timing_ms=timing | (layers_timing if layers else {}),
+            made_by=predicted.made_by,
+            path=None if plan is None else plan.path,
+            decision=None if plan is None else plan.decision_of(slot.index),
+            replaced=self._writer.is_in_the_way(number),
+        )
+        if in_pool:
+            interval.forget(slot.index)
+        attributes = self._attributes(record, inputs)
+        self._writer.write(number, image, mask, template, attributes, layers, inline=in_pool)
+        if inputs.truth.frames or self._writer.shows:
+            return RenderedSlot(record, rounded(image, template), mask=mask)
+        if in_pool:  # what else needs it reads its file
+            return RenderedSlot(record, mask=mask)
+        return RenderedSlot(record, image, rounded=False, mask=mask)
+
+    def resume(
+        self, slot: Slot, interval: Interval | None, inputs: IntervalInputs, masked: bool
+    ) -> RenderedSlot:
+        """Return a frame that an earlier run wrote; with its holes if `masked` or scored."""
+        number, writer = self._source.timeline.number(slot), self._writer
+        try:
+            record = self._recorded(slot, writer.written(number))
+        except (LookupError, TypeError, ValueError, AttributeError, RecursionError) as error:
+            raise OutputError(
+                f"what {writer.name(number)} says of itself was changed by hand; remove it, or "
+                "give --overwrite to replace all frames"
+            ) from error
+        scored = slot.index in inputs.truth.frames
+        if interval is None or not (scored or masked):
+            return RenderedSlot(record)
+        image = writer.read(number) if scored else None
+        return RenderedSlot(record, image, mask=self._mask(interval, slot))
+
+    def _recorded(self, slot: Slot, header: Mapping[str, Any]) -> FrameRecord:
+        """Return the record of a frame from what its header says."""
+        number, holes = self._source.timeline.number(slot), header.get("holeFraction")
+        return FrameRecord(
+            number=number,
+            file=self._writer.name(number),
+            key=self._source.timeline.numbers[slot.key],
+            slot=slot.index,
+            kind=FrameKind(header["kind"]),
+            method=str(header["method"]),
+            sources=tuple(int(n) for n in str(header["sources"]).split(",")),
+            hole_fraction=None if holes is None else float(holes),
+            resumed=True,
+            made_by=maker_of(header.get("madeBy"), str(header["method"])),
+            path=header.get("path"),
+            decision=parse_decision(header.get("decision")),
+        )
+
+    def _mask(self, interval: Interval, slot: Slot) -> Bool | None:
+        """Return the hole mask of a slot on the display window."""
+        mask = interval.hole_mask(slot.index)
+        if mask is None:
+            return None
+        return place(mask, interval.key.image.data_window, self._source.keys.display)
+
+    def _predict(self, interval: Interval, plan: Plan | None, slot: int) -> Predicted:
+        if interval.held:
+            return repeat_held(interval)
+        if self._method.predict is not None:
+            return self._method.predict(interval, slot)
+        assert plan is not None
+        return replace(take(plan.path, interval, slot), method=self._method.name)
+
+    def _make_layers(
+        self, slot: Slot, predicted: Predicted, inputs: IntervalInputs, plan: Plan | None
+    ) -> Mapping[PlaneKey, Plane]:
+        """Make what is written with a slot's beauty: further layers, and other views."""
+        if not self._layers.any:
+            return {}
+        path = None if plan is None else plan.path
+
+        def predict(interval: Interval) -> Predicted:
+            return named_by_path(self._predict(interval, plan, slot.index), path)
+
+        shown = named_by_path(predicted, path)
+        template = inputs.metadata.template
+        assert isinstance(template, Template)  # layers are for EXR
+        return self._layers.make(slot.index, shown, predict, template)
+
+    def _kind(self, predicted: Predicted, slot: Slot, after_hold: bool) -> FrameKind:
+        # The first repeat of a key frame that is not shown itself is no repeat.
+        shown = after_hold or self._source.timeline.shows(slot.key)
+        first = slot.index == 1 and not shown
+        return FrameKind.GENERATED if first else predicted.kind
+
+    def _attributes(self, record: FrameRecord, inputs: IntervalInputs) -> dict[str, Any]:
+        """Header attributes of a generated frame."""
+        out: dict[str, Any] = {
+            **rate_attribute(self._source),
+            f"{PREFIX}version": __version__,
+            f"{PREFIX}method": record.method,
+            f"{PREFIX}kind": record.kind.value,
+            f"{PREFIX}sources": ",".join(str(n) for n in record.sources),
+            f"{PREFIX}key": record.key,
+            f"{PREFIX}slot": record.slot,
+            f"{PREFIX}setting": self._source.setting,
+            f"{PREFIX}recipe": inputs.metadata.recipes[record.slot],
+            f"{PREFIX}{REQUESTED_METHOD}": self._method.name,
+        }
+        if inputs.metadata.key_digests:
+            named = (f"{number}:{digest}" for number, digest in inputs.metadata.key_digests.items())
+            out[f"{PREFIX}{KEY_FRAMES}"] = ",".join(named)
+        if record.made_by is not None:
+            out[f"{PREFIX}madeBy"] = record.made_by
+        if record.path is not None:
+            out[f"{PREFIX}path"] = record.path
+        if record.decision is not None:
+            out[f"{PREFIX}decision"] = decision_text(record.decision)
+        if record.hole_fraction is not None:
+            out[f"{PREFIX}holeFraction"] = record.hole_fraction
+        if self._layers.moves_vectors:
+            # Those of a key frame, too, lead over a key interval, which is so many output frames.
+            out[f"{PREFIX}vectorSpan"] = float(self._source.timeline.factor)
+        compression = compression_of(self._settings.compression)
+        if compression is not None:
+            out["compression"] = compression
+        return out
+
+
+def rate_attribute(source: Source) -> dict[str, Any]:
+    """Return the header attribute for the rate of the output; none where the rate is assumed."""
+    return {} if source.written_fps is None else {"framesPerSecond": source.written_fps}
+
+
+def rounded(image: Image, template: FrameTemplate) -> Image:
+    """Return a frame as its file has it."""
+    return replace(image, pixels=quantised(image.pixels, template))

@@ -1,0 +1,108 @@
+"""Which files libraries read now, reported to the parent process by a pipe.
+
+A decoder may crash on a damaged file, or never return. Then this process cannot name the file, and
+its parent does.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from itertools import count
+from pathlib import Path
+
+from exwarp_cli.errors import DamagedFileError
+from exwarp_cli.runtime.stop import check_stop
+
+_BEGIN, _BEGIN_REQUIRED, _END, _RESTART = b"+", b"!", b"-", b"r"
+
+_numbers = count(1)
+_pipe: int | None = None
+_skipped: Mapping[Path, str] = {}
+
+
+class ReadRegistry:
+    """What another process reads: `files` by the number of the reading, and those `required`.
+
+    `restarts` is whether the command goes on without files that crash a library.
+    """
+
+    def __init__(self) -> None:
+        self.files: dict[int, Path] = {}
+        self.required: set[int] = set()
+        self.restarts = False
+        self._rest = b""
+
+    def receive(self, data: bytes) -> None:
+        """Update from the next bytes of the pipe."""
+        *messages, self._rest = (self._rest + data).split(b"\0")
+        for message in messages:
+            head, _, name = message.partition(b" ")
+            kind, number = head[:1], int(head[1:])
+            if kind == _RESTART:
+                self.restarts = True
+            elif kind == _END:
+                self.files.pop(number)
+                self.required.discard(number)
+            else:
+                self.files[number] = Path(os.fsdecode(name))
+                if kind == _BEGIN_REQUIRED:
+                    self.required.add(number)
+
+
+def attach(pipe: int, skipped: Mapping[Path, str]) -> None:
+    """Have this process report what it reads, and not read files at which an earlier one failed.
+
+    Parameters
+    ----------
+    pipe
+        Descriptor that is written to.
+    skipped
+        The sentence that refuses a file, by its path.
+    """
+    global _pipe, _skipped
+    _pipe, _skipped = pipe, dict(skipped)
+
+
+def enable_restart() -> None:
+    """Have another process go on without files at which a library crashes or hangs."""
+    _send(_RESTART, 0)
+
+
+def is_restarted() -> bool:
+    """Return whether this process goes on for one that failed at a file."""
+    return bool(_skipped)
+
+
+@contextmanager
+def being_read(path: Path, required: bool = False) -> Iterator[None]:
+    """Report a file while a library reads it in the block.
+
+    Nothing can go on without a file that is `required`, such as a model.
+
+    Raises
+    ------
+    DamagedFileError
+        When an earlier process failed at it.
+    StopRequested
+        When this process was asked to stop.
+    """
+    check_stop()
+    if path in _skipped:
+        raise DamagedFileError(_skipped[path])
+    number = next(_numbers)
+    _send(_BEGIN_REQUIRED if required else _BEGIN, number, os.fsencode(path))
+    try:
+        yield
+    finally:
+        _send(_END, number)
+
+
+def _send(kind: bytes, number: int, name: bytes = b"") -> None:
+    if _pipe is not None:
+        message = b"%s%d %s" % (kind, number, name)
+        with suppress(OSError):  # the parent has ended, and this process will
+            # Up to this size, messages of several threads do not mix.
+            os.write(_pipe, message[: select.PIPE_BUF - 1] + b"\0")
