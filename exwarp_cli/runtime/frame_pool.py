@@ -101,6 +101,8 @@ class FramePool:
         with self._lock:
             self._collect()
             buffer = self._take(size)
+            if buffer is None:
+                self._drop(size)
         if buffer is None:
             buffer = _fresh(size)
         lease = _Lease(buffer, shape, dtype)
@@ -131,9 +133,12 @@ class FramePool:
         while self._returned:
             buffer = self._returned.popleft()
             self._free.append(_Free(buffer, self._trims))
-        spare = sum(free.buffer.nbytes for free in self._free) - self._max_free
-        while spare > 0:
-            spare -= self._free.pop(0).buffer.nbytes
+        self._drop(sum(free.buffer.nbytes for free in self._free) - self._max_free)
+
+    def _drop(self, size: int) -> None:
+        """Drop so many bytes, or all, beginning with the buffers that are free for longest."""
+        while size > 0 and self._free:
+            size -= self._free.pop(0).buffer.nbytes
 
     def _take(self, size: int) -> Buffer | None:
         """Take the buffer of a size that was used last; None if none is free."""
