@@ -225,6 +225,7 @@ class ScratchFrames:
         if file is None:
             return array
         out = np.ndarray(array.shape, array.dtype, buffer=file)
+        self.page_out()  # else what is read seldom counts at every peak
         out[...] = array
         file.madvise(mmap.MADV_DONTNEED)
         with self._lock:

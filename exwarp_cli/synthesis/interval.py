@@ -182,7 +182,6 @@ class Interval:
             pool.clear()  # the network takes a gigabyte
             answer = self.extrapolator(prepared.inputs)
             self._extrapolated[slot] = self.scratch.store(prepared.finish(answer))
-            self.scratch.page_out()
         return self._extrapolated[slot]
 
     def forget(self, slot: int) -> None:
