@@ -198,7 +198,6 @@ class IntervalBuilder:
                 settled = settle_motion(placed.gbuffer)
                 placed = replace(placed, gbuffer=settled.bare() if self._bare else settled)
             self._frames[index, basis] = self._scratch.store(placed)
-            self._scratch.page_out()
         return self._frames[index, basis]
 
     def _led_back(self, inputs: IntervalInputs, key: KeyFrame, basis: Basis) -> tuple[Past, ...]:

@@ -129,7 +129,6 @@ def write_intervals(job: Job, progress: Progress, listener: FrameListener | None
     """
     settings = job.settings
     use_threads(settings.threads)
-    pool.clear()  # of what vectors were measured in
     reader = make_reader(job)
     note = ""
     if job.targets.frames is None:

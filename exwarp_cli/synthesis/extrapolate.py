@@ -198,7 +198,7 @@ def prepare(
     modulation = scratch.store(_modulation(seen))
     divided = modulation is not None
     # Its colours are in the modulation.
-    surface = scratch.store(seen.surface.without(*SMOOTH))
+    surface = seen.surface.without(*SMOOTH)
     pixels, depth, hole = moved(_shading(key, divided), back)
     filled = pool.empty(pixels.shape, np.float32)
     _row_bands.run(_copy, (pixels, filled), _row_bands.threads())
@@ -206,7 +206,6 @@ def prepare(
     history = [scratch.store(Moved(pixels, ~hole))]
     sides = [Side(key.image.pixels, back.field, history[0].visible)]
     del pixels
-    scratch.page_out()
     for step, field, hidden in zip(past, seen.fields, seen.hidden, strict=False):
         pixels, unseen = sampled(_shading(step.frame, divided), field)
         older = scratch.store(Moved(pixels, ~(unseen | hidden)))
