@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from exwarp_cli.io.models import OnnxExtrapolator
     from exwarp_cli.io.policy_files import PolicyFile
     from exwarp_cli.io.sequence import Sequence
-    from exwarp_cli.pipeline.late_network import LateNetwork
     from exwarp_cli.pipeline.progress import Progress
     from exwarp_cli.pipeline.source import FrameOf, Source
     from exwarp_cli.synthesis.methods import Method
@@ -54,7 +53,7 @@ class Models:
     def of(
         cls,
         source: Source,
-        network: OnnxExtrapolator | LateNetwork | None,
+        network: OnnxExtrapolator | None,
         interpolator: OnnxInterpolator | None,
         policy: PolicyFile | None,
     ) -> Models:
@@ -76,7 +75,7 @@ def announce_models(progress: Progress, models: Models, source: Source) -> None:
         _announce_policy(progress, models.policy, _dynamic(source))
 
 
-def other_extrapolator(policy: PolicyFile, network: OnnxExtrapolator | LateNetwork) -> str | None:
+def other_extrapolator(policy: PolicyFile, network: OnnxExtrapolator) -> str | None:
     """Say that a policy was trained for another network than the one that extrapolates.
 
     It learned by how much that network's frames are better than warps, so its choices may be wrong.
@@ -105,7 +104,7 @@ def other_extrapolator(policy: PolicyFile, network: OnnxExtrapolator | LateNetwo
 
 
 def _policy_summary(
-    policy: PolicyFile, source: Source, network: OnnxExtrapolator | LateNetwork | None
+    policy: PolicyFile, source: Source, network: OnnxExtrapolator | None
 ) -> PolicySummary:
     """Say what the policy sees of the input."""
     shot = source.slots or source.keys
@@ -152,7 +151,7 @@ def _announce_policy(
         )
 
 
-def _network_summary(network: OnnxExtrapolator | LateNetwork, source: Source) -> NetworkSummary:
+def _network_summary(network: OnnxExtrapolator, source: Source) -> NetworkSummary:
     demodulated = not _missing_colours(source)
     return NetworkSummary(str(network.path), network.checksum, network.device, demodulated)
 

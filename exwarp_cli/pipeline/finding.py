@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from exwarp_cli.io.interpolator import OnnxInterpolator
     from exwarp_cli.io.models import OnnxExtrapolator
     from exwarp_cli.io.policy_files import PolicyFile
-    from exwarp_cli.pipeline.late_network import LateNetwork
 
 
 def find_method(name: str) -> Method:
@@ -33,13 +32,8 @@ def find_method(name: str) -> Method:
     return METHODS[name]
 
 
-def find_network(
-    settings: UpsampleSettings, method: Method
-) -> OnnxExtrapolator | LateNetwork | None:
-    """Find the network that a method needs; None for methods that do not extrapolate.
-
-    It is loaded, unless it is the one that comes with ExWarp, and a policy is going to decide
-    whether it is asked for.
+def find_network(settings: UpsampleSettings, method: Method) -> OnnxExtrapolator | None:
+    """Load the network that a method needs; None for methods that do not extrapolate.
 
     Raises
     ------
@@ -51,11 +45,6 @@ def find_network(
     _refuse_network_options(settings, method)
     if not method.extrapolates:
         return None
-    shipped = settings.extrapolator is None and settings.device == UpsampleSettings.device
-    if shipped and method.judge is Judge.POLICY:
-        from exwarp_cli.pipeline.late_network import LateNetwork
-
-        return LateNetwork(settings.threads)
     from exwarp_cli.io.models import load_extrapolator
 
     path = None if settings.extrapolator is None else Path(settings.extrapolator)

@@ -48,7 +48,6 @@ if TYPE_CHECKING:
     from exwarp_cli.io.models import OnnxExtrapolator
     from exwarp_cli.io.policy_files import PolicyFile
     from exwarp_cli.io.sequence import Sequence
-    from exwarp_cli.pipeline.late_network import LateNetwork
     from exwarp_cli.pipeline.progress import Progress
     from exwarp_cli.pipeline.source import FrameOf, Source
     from exwarp_cli.synthesis.methods import Method
@@ -85,7 +84,7 @@ class Job:
     settings: UpsampleSettings
     method: Method
     sources: tuple[Source, ...]
-    network: OnnxExtrapolator | LateNetwork | None
+    network: OnnxExtrapolator | None
     interpolator: OnnxInterpolator | None
     policy: PolicyFile | None
     models: Models

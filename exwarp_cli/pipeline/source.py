@@ -25,8 +25,14 @@ from exwarp_cli.io.sequence import Sequence
 from exwarp_cli.io.unrecognised import is_colour_alone, no_vectors
 from exwarp_cli.pipeline.depth_kind import read_alike, with_depth_ordered
 from exwarp_cli.pipeline.motion_finding import KeyColours, find_motion
-from exwarp_cli.pipeline.object_ids import read_ids
-from exwarp_cli.pipeline.opening import each_view, open_keys, open_plain, open_slots, rate_of
+from exwarp_cli.pipeline.opening import (
+    each_view,
+    open_keys,
+    open_plain,
+    open_slots,
+    rate_of,
+    read_ids,
+)
 
 FrameOf = Callable[[Slot], int | None]
 
