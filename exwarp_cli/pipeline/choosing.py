@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
@@ -15,6 +14,7 @@ from exwarp_cli.domain.frame import Window
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.io.frame_files import quantised
 from exwarp_cli.pipeline.interval_inputs import IntervalInputs
+from exwarp_cli.pipeline.scheduling import record_time
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import Judge
 
@@ -52,12 +52,12 @@ def by_policy(policy: LearnedPolicy, observer: Observer) -> Chooser:
     """Return who asks the learned policy."""
 
     def choose(inputs: IntervalInputs, interval: Interval) -> Chosen:
-        begin = time.perf_counter()
-        surroundings = observer.of(inputs, interval)
-        seen = time.perf_counter()
-        plan = policy.plan(surroundings)
-        end = time.perf_counter()
-        return Chosen(plan, {"features": 1e3 * (seen - begin), "decide": 1e3 * (end - seen)})
+        timing_ms: dict[str, float] = {}
+        with record_time(timing_ms, "features"):
+            surroundings = observer.of(inputs, interval)
+        with record_time(timing_ms, "decide"):
+            plan = policy.plan(surroundings)
+        return Chosen(plan, timing_ms)
 
     return choose
 
@@ -76,23 +76,23 @@ def by_truth(judge: Judge, display: Window) -> Chooser:
     def choose(inputs: IntervalInputs, interval: Interval) -> Chosen:
         if set(inputs.truth.frames) != set(range(1, FACTOR)):
             return Chosen(Plan.fixed("S6"))
-        begin = time.perf_counter()
-        truth = {slot: image.on(display).pixels for slot, image in inputs.truth.frames.items()}
-        found = outcomes_of(
-            interval, truth, display, partial(quantised, template=inputs.metadata.template)
-        )
-        path = tuple(PATHS)[int(best(found))]
-        told = found[..., 0] if by_psnr else outcomes.rewards(found)
-        decisions = tuple(
-            Decision(node, choice, outputs=_pair(told[NODES.index(node)]))
-            for node, choice in PATHS[path].choices.items()
-        )
-        return Chosen(Plan(path, decisions), {"decide": 1e3 * (time.perf_counter() - begin)})
+        timing_ms: dict[str, float] = {}
+        with record_time(timing_ms, "decide"):
+            truth = {slot: image.on(display).pixels for slot, image in inputs.truth.frames.items()}
+            as_written = partial(quantised, template=inputs.metadata.template)
+            scores = outcomes_of(interval, truth, display, as_written)
+            path = tuple(PATHS)[int(best(scores))]
+            outputs = scores[..., 0] if by_psnr else outcomes.rewards(scores)
+            decisions = tuple(
+                Decision(node, choice, outputs=_pair(outputs[NODES.index(node)]))
+                for node, choice in PATHS[path].choices.items()
+            )
+        return Chosen(Plan(path, decisions), timing_ms)
 
     return choose
 
 
-def _pair(told: np.ndarray) -> tuple[float, float]:
-    """Return what was told of the two choices."""
-    warp, extrapolate = (float(told[CHOICES.index(choice)]) for choice in CHOICES)
+def _pair(outputs: np.ndarray) -> tuple[float, float]:
+    """Return the outputs for the two choices."""
+    warp, extrapolate = (float(outputs[CHOICES.index(choice)]) for choice in CHOICES)
     return warp, extrapolate

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import time
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -37,7 +36,7 @@ from exwarp_cli.io.sequence import EXR, OutputPattern, Sequence, output_pattern
 from exwarp_cli.io.stills import STILLS, require_writer
 from exwarp_cli.io.template import Plane, PlaneKey
 from exwarp_cli.io.video import VideoLook, VideoWriter, require_container, to_display
-from exwarp_cli.pipeline.scheduling import AsyncWriter
+from exwarp_cli.pipeline.scheduling import AsyncWriter, record_time
 from exwarp_cli.pipeline.verifying import FRAME, HOLES, Sums, sum_of
 
 FRAMES_BEHIND = 4
@@ -105,10 +104,10 @@ class OutputPlan:
     @property
     def folders(self) -> tuple[Path, ...]:
         """The folders in which files are written."""
-        found = [pattern.folder for pattern in (self.frames, self.holes) if pattern is not None]
+        folders = [pattern.folder for pattern in (self.frames, self.holes) if pattern is not None]
         if self.video is not None:
-            found.append(self.video.parent)
-        return tuple(dict.fromkeys(found))
+            folders.append(self.video.parent)
+        return tuple(dict.fromkeys(folders))
 
     def check_conflicts(
         self, settings: UpsampleSettings, timeline: Timeline, slots: list[Slot]
@@ -157,15 +156,15 @@ def frame_suffix(output: str, source: Sequence) -> str:
 def _frames(settings: UpsampleSettings, source: Sequence) -> OutputPattern:
     """Read where frames go: those of EXR as EXR, others as EXR or stills of any kind."""
     plain = is_plain(source)
-    found = output_pattern(settings.output, source, (*STILLS, *EXR) if plain else EXR)
-    if found.type in STILLS:
-        require_writer(found.path(0))
+    pattern = output_pattern(settings.output, source, (*STILLS, *EXR) if plain else EXR)
+    if pattern.type in STILLS:
+        require_writer(pattern.path(0))
         if settings.compression is not None:
             raise UsageError(
-                f"--compression is for EXR, and frames are written as {found.type}; leave it "
+                f"--compression is for EXR, and frames are written as {pattern.type}; leave it "
                 "out, or name a pattern such as out.####.exr"
             )
-    return found
+    return pattern
 
 
 def key_is_there(target: Path, source: KeyFile) -> bool:
@@ -412,9 +411,8 @@ class FrameWriter(Held):
             self.sums[kind, number] = sum_of(pieces)
 
     def _timed(self, number: int, write: Callable[[], None]) -> None:
-        begin = time.perf_counter()
-        write()
-        self.write_ms[number] = 1e3 * (time.perf_counter() - begin)
+        with record_time(self.write_ms, number):
+            write()
 
 
 def _run(write: Callable[[], None]) -> None:

@@ -146,28 +146,13 @@ def write_intervals(job: Job, progress: Progress, listener: FrameListener | None
             tuple(run.left_out),
             nonfinite=broken_pixels_of(job, reader.truth.nonfinite),
         )
-        return checked(outcome, job, run.writer.sums)
+        return _verified(outcome, job, run.writer.sums)
     finally:
         job.close()
 
 
-def checked(outcome: Outcome, job: Job, sums: Sums) -> Outcome:
-    """Add checksums of the files to an outcome, and read these back, where that is asked.
-
-    Parameters
-    ----------
-    outcome
-        Of the job.
-    job
-        Of a run, or of a part of one.
-    sums
-        What is known of its files.
-
-    Raises
-    ------
-    OutputError
-        When files cannot be read, or are not as they were made.
-    """
+def _verified(outcome: Outcome, job: Job, sums: Sums) -> Outcome:
+    """Add checksums of the files to an outcome, and read these back, where that is asked."""
     settings = job.settings
     if not (job.sums and outcome.frames):
         return outcome
