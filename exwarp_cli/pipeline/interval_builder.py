@@ -85,10 +85,8 @@ class IntervalBuilder:
     ----------
     display
         The display window of all frames.
-    network
-        For methods that extrapolate.
-    interpolator
-        For methods that have a network interpolate.
+    network, interpolator
+        For methods that extrapolate, and that interpolate by a network.
     estimated
         Whether key frames come with estimated motion, which is settled as it is.
     bare
@@ -129,14 +127,9 @@ class IntervalBuilder:
         return self._settled(with_stencils(inputs, ids), (canvas, ids))
 
     def add_history(self, interval: Interval, inputs: IntervalInputs) -> Interval:
-        """Return an interval with what only extrapolation needs.
+        """Return an interval with the history and surface that it was built without.
 
-        Parameters
-        ----------
-        interval
-            Of the key setting, as it was built without; no slot is rendered yet.
-        inputs
-            What it was built of, with history and surface.
+        It is of the key setting, and no slot is rendered yet.
         """
         frame, settled = inputs.frame, interval.key.gbuffer
         if frame is None or frame.gbuffer is None or settled is None:
@@ -261,17 +254,7 @@ class MovingObjects:
     def find(self, inputs: IntervalInputs, canvas: Window) -> Ids | None:
         """Return the ids of what moves between any two instants of an interval.
 
-        Parameters
-        ----------
-        inputs
-            As read.
-        canvas
-            The window that the interval is built on.
-
-        Returns
-        -------
-        frozenset or None
-            None where there are no ids of what is shown.
+        None where there are no ids of what is shown. `canvas` is what the interval is built on.
         """
         instants = list(_instants(inputs))
         if all(gbuffer.objects is None for _, gbuffer in instants):
@@ -290,12 +273,7 @@ class MovingObjects:
 def with_stencils(inputs: IntervalInputs, ids: Ids | None) -> IntervalInputs:
     """Return an interval whose G-buffers have the objects of some ids as their stencil.
 
-    Parameters
-    ----------
-    inputs
-        As read.
-    ids
-        As of `MovingObjects`; with None it stays as it is.
+    With None, as `MovingObjects.find` returns it, the interval stays as it is.
     """
     if ids is None:
         return inputs

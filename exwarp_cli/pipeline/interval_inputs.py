@@ -471,12 +471,7 @@ class IntervalReader:
 class ViewsReader:
     """Reads an interval of every view: the other views' are in `IntervalInputs.views`.
 
-    Parameters
-    ----------
-    leader
-        Of the view that decides, where its cuts are found too.
-    others
-        Of the other views, which were made with that leader.
+    The other views' readers were made with that leader.
     """
 
     def __init__(self, leader: IntervalReader, others: tuple[IntervalReader, ...] = ()) -> None:

@@ -65,21 +65,7 @@ def upsample(
     progress: Progress | None = None,
     listener: FrameListener | None = None,
 ) -> RunSummary:
-    """Write the slots of the selected key frames.
-
-    Parameters
-    ----------
-    settings
-        What to do.
-    progress
-        Told of every frame; None for silence.
-    listener
-        Shown the frames that it asks for; None without.
-
-    Returns
-    -------
-    RunSummary
-        What was written and how good it is.
+    """Write the slots of the selected key frames; return what was written and how good it is.
 
     Raises
     ------
@@ -108,19 +94,8 @@ def run_job(job: Job, progress: Progress, listener: FrameListener | None = None)
 def write_intervals(job: Job, progress: Progress, listener: FrameListener | None = None) -> Outcome:
     """Do the work of a job whose folders are there, in this thread.
 
-    Parameters
-    ----------
-    job
-        What is done.
-    progress
-        Told of every frame; started and finished by the caller.
-    listener
-        Shown frames; it has heard already which will come.
-
-    Returns
-    -------
-    Outcome
-        Without frames for a video alone that was there as this run would make it.
+    The caller starts and finishes `progress`, and has planned `listener`. The outcome has no frames
+    for a video alone that was there as this run would make it.
 
     Raises
     ------
@@ -168,16 +143,7 @@ def _verified(outcome: Outcome, job: Job, sums: Sums) -> Outcome:
 class Run:
     """One run: reads, renders, writes and records interval by interval.
 
-    Parameters
-    ----------
-    job
-        What is done.
-    reader
-        Reads the intervals.
-    note
-        What a video that is written alone says of itself.
-    progress, listener
-        As of `write_intervals`.
+    `note` is what a video that is written alone says of itself.
     """
 
     def __init__(

@@ -54,17 +54,7 @@ class RenderedSlot:
 
 
 class SlotRenderer:
-    """Renders the frames of slots; in several threads, where only the beauty is written.
-
-    Parameters
-    ----------
-    settings, source, method
-        Of the run.
-    writer
-        Where frames go.
-    layers
-        What is written beside the beauty.
-    """
+    """Renders the frames of slots; in several threads, where only the beauty is written."""
 
     def __init__(
         self,
