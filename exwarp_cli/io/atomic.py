@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
+from typing import BinaryIO
 
 from exwarp_cli.domain.cores import waiting
 from exwarp_cli.errors import InputError, OutputError
@@ -33,6 +34,9 @@ longer than any frame takes, and longer than the clocks of a farm differ.
 _LEFTOVER = re.compile(r"\..*\.(?P<host>[A-Za-z0-9_-]+)-(?P<pid>[0-9]+)-[0-9]+" + re.escape(MARK))
 _KILL, _EXITING = 1 << 8, 0x4
 """SIGKILL among pending signals, and PF_EXITING among a process's flags, as Linux tells them."""
+
+PIECE = 1 << 23
+"""Bytes that are copied at a time."""
 
 _NAME_LIMIT = 255  # bytes in a file name, on every file system that matters
 _counter = itertools.count()
@@ -132,18 +136,20 @@ def atomic_copy(source: Path, target: Path) -> None:
     """
 
     def copy() -> None:
-        with source.open("rb"):
-            pass
-        try:
-            with atomic_path(target) as temporary:
+        with source.open("rb", buffering=0) as read:
+            try:
                 # Modes and times are the new file's own.
-                if not _copied_by_system(source, temporary):
-                    shutil.copyfile(source, temporary)
-        except OutputError:
-            failure = probe(source)  # a copy does not say which of the two files failed
-            if failure is None:
-                raise
-            raise failure from None
+                with atomic_path(target) as temporary, temporary.open("wb") as written:
+                    if not _copied_by_system(read, written):
+                        read.seek(0)
+                        written.seek(0)
+                        written.truncate()
+                        shutil.copyfileobj(read, written, PIECE)
+            except OutputError:
+                failure = probe(source)  # a copy does not say which of the two files failed
+                if failure is None:
+                    raise
+                raise failure from None
 
     try:
         with_retries(source, copy)
@@ -153,7 +159,7 @@ def atomic_copy(source: Path, target: Path) -> None:
         ) from error
 
 
-def _copied_by_system(source: Path, target: Path) -> bool:
+def _copied_by_system(source: BinaryIO, target: BinaryIO) -> bool:
     """Have the file system copy a file; return whether it could, and did so to the end.
 
     Some share the blocks (XFS, Btrfs, ZFS) or let the server do it (NFS 4.2, SMB), so that no byte
@@ -162,10 +168,10 @@ def _copied_by_system(source: Path, target: Path) -> bool:
     """
     if not hasattr(os, "copy_file_range"):
         return False
-    with suppress(OSError), source.open("rb") as read, target.open("wb") as written:
-        left = os.fstat(read.fileno()).st_size
+    with suppress(OSError):
+        left = os.fstat(source.fileno()).st_size
         while left > 0:
-            done = os.copy_file_range(read.fileno(), written.fileno(), left)
+            done = os.copy_file_range(source.fileno(), target.fileno(), left)
             if done == 0:
                 break
             left -= done

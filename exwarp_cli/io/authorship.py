@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from exwarp_cli.errors import DamagedFileError, InputError
-from exwarp_cli.io.magic import EXR as MAGIC
+from exwarp_cli.io.exr.header import MAGIC
 from exwarp_cli.io.output import CHECKSUM, PREFIX, is_intact, read_text
 from exwarp_cli.io.reading_retry import with_retries
 from exwarp_cli.io.sequence import EXR

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import OpenEXR
 
 from exwarp_cli.domain.curves import SRGB
 from exwarp_cli.domain.frame import Image, Window
@@ -20,7 +19,9 @@ from exwarp_cli.errors import InputError, LayoutError
 from exwarp_cli.io.channels import ChannelRef, Layout, Role
 from exwarp_cli.io.chromaticities import primaries_of
 from exwarp_cli.io.clip import CLIPS, Clip, ClipReader, is_clip, open_clip
-from exwarp_cli.io.exr import display_window
+from exwarp_cli.io.exr.reader import display_window
+from exwarp_cli.io.exr.template import PartTemplate, PlaneTemplate, Template
+from exwarp_cli.io.exr.writer import COMPRESSIONS
 from exwarp_cli.io.frame_files import FrameTemplate, read_picture
 from exwarp_cli.io.frame_names import file_type, split_names
 from exwarp_cli.io.nonfinite import count_broken
@@ -35,7 +36,6 @@ from exwarp_cli.io.stills import (
     read_still_template,
     still_size,
 )
-from exwarp_cli.io.template import PartTemplate, PlaneTemplate, Template, read_headers
 from exwarp_cli.io.video import VideoLook, pixel_aspect
 
 CLIP_PADDING = 4
@@ -271,7 +271,7 @@ def plain_template(shot: Shot, number: int, suffix: str) -> FrameTemplate:
             PlaneTemplate(("", ref), ref.name, np.dtype(np.float16), bounded=True)
             for ref in shot.layout.roles[Role.COLOUR]
         )
-        header = {"compression": OpenEXR.ZIP_COMPRESSION}
+        header = {"compression": COMPRESSIONS["zip"]}
         return Template((PartTemplate(header, planes, shot.display),), planes)
     if isinstance(shot.sequence, ClipSequence):
         clip = shot.sequence.frames.clip
@@ -306,7 +306,7 @@ def look_of(
     if is_plain(sequence) and not isinstance(sequence, ClipSequence):
         return VideoLook(note=note)
     if not isinstance(sequence, ClipSequence):
-        header = read_headers(sequence.files[shot.first])[0]
+        header = shot.headers.read(sequence.files[shot.first]).attributes[0]
         aspect = pixel_aspect(header.get("pixelAspectRatio"))
         return VideoLook(pixel_aspect=aspect, note=note, primaries=primaries_of(header))
     clip = sequence.frames.clip

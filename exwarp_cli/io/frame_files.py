@@ -11,13 +11,13 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from exwarp_cli.domain.frame import Float32, Image
-from exwarp_cli.io.exr_encoding import Buffer
+from exwarp_cli.io.exr.template import Plane, PlaneKey, Template, quantise
+from exwarp_cli.io.exr.writer import Buffer
 from exwarp_cli.io.frames import read_image
 from exwarp_cli.io.output import PREFIX, recipe_of, write_frame, written_attributes
 from exwarp_cli.io.sequence import EXR
 from exwarp_cli.io.still_seal import still_facts
 from exwarp_cli.io.stills import StillTemplate, quantise_still, read_still, write_still
-from exwarp_cli.io.template import Plane, PlaneKey, Template, quantise
 
 FrameTemplate: TypeAlias = Template | StillTemplate
 """What a generated frame takes over from its key frame's file."""

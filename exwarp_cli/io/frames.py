@@ -23,7 +23,7 @@ from exwarp_cli.domain.motion import MotionConvention
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError
 from exwarp_cli.io.channels import ChannelRef, Role, detect, require
 from exwarp_cli.io.cryptomatte import find_cryptomattes
-from exwarp_cli.io.exr import ExrReader
+from exwarp_cli.io.exr.reader import ExrFile
 from exwarp_cli.io.nonfinite import count_broken
 from exwarp_cli.io.shot import Shot as Shot
 from exwarp_cli.io.shot import open_shot as open_shot
@@ -278,10 +278,10 @@ def read_image(path: Path, view: str = "") -> Image:
     LayoutError
         When no colour is recognised.
     """
-    with ExrReader(path) as file:
+    with ExrFile(path) as file:
         views = views_of(file.parts)
         channels = channels_of(file.parts, choose(views, view or None, path) if views else "")
-        mattes = find_cryptomattes({"": renamed(channels)}, {"": file.headers})
+        mattes = find_cryptomattes({"": renamed(channels)}, {"": file.header.texts})
         layout = detect({"": plain(channels, mattes)})
         refs = require(layout, Role.COLOUR, str(path), channels)
         chosen = [channels[ref.name] for ref in refs]
@@ -299,7 +299,7 @@ def read_image(path: Path, view: str = "") -> Image:
 
 def read_plane(path: Path, name: str) -> tuple[Float32, Window, Window]:
     """Read one channel by name: float32 [H, W], its data window and the display window."""
-    with ExrReader(path) as file:
+    with ExrFile(path) as file:
         for part in file.parts:
             for channel in part.channels:
                 if name in (channel.name, channel.raw_name):
@@ -379,11 +379,11 @@ def colour_window(shot: Shot, number: int) -> Window:
     """
     ref = shot.layout.roles[Role.COLOUR][0]
     path = shot.files(number)[ref.aov]
-    with ExrReader(path) as file:
-        channel = shot.channels(file.parts, ref.aov).get(ref.name)
-        if channel is None:
-            raise LayoutError(f"{path} has no channel {ref.name!r}; render it again")
-        return file.parts[channel.part].data_window
+    parts = shot.headers.read(path).parts
+    channel = shot.channels(parts, ref.aov).get(ref.name)
+    if channel is None:
+        raise LayoutError(f"{path} has no channel {ref.name!r}; render it again")
+    return parts[channel.part].data_window
 
 
 def is_seen(shot: Shot, number: int) -> bool:
@@ -426,7 +426,7 @@ def read_planes(
     refs = [ref for group in groups for ref in group]
     for aov in sorted({ref.aov for ref in refs}):
         path = files[aov]
-        with ExrReader(path) as file:
+        with shot.headers.open(path, aov) as file:
             _same_size(file.parts[0].display_window, shot, path)
             channels = shot.channels(file.parts, aov)
             mine = [ref for ref in refs if ref.aov == aov]

@@ -7,28 +7,27 @@ and adds a date.
 
 from __future__ import annotations
 
+import hashlib
+import os
 import struct
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
-from functools import partial
 from pathlib import Path
 from typing import BinaryIO
 
 from exwarp_cli.domain.frame_rates import parsed_rate
 from exwarp_cli.errors import InputError
 from exwarp_cli.io import checksum
-from exwarp_cli.io.atomic import atomic_copy, atomic_path
-from exwarp_cli.io.exr import damaged
-from exwarp_cli.io.exr_chunks import FIRST, LAST
-from exwarp_cli.io.header_text import BODY, MULTIPART, Attribute, attributes_in
+from exwarp_cli.io.atomic import PIECE, atomic_copy, atomic_path
+from exwarp_cli.io.exr.header import RawHeader
+from exwarp_cli.io.exr.reader import HeaderCache, damaged, parse_header
 from exwarp_cli.io.output import CHECKSUM, is_intact, seal
 from exwarp_cli.io.reading_retry import with_retries
 from exwarp_cli.io.sequence import EXR
 
 RATE = b"framesPerSecond"
-PIECE = 1 << 23
-"""Bytes that are copied at a time."""
 
 _FORMATS = {b"int": "<i", b"float": "<f", b"double": "<d"}
 """Of the numbers that a rate may be, beside rationals and text."""
@@ -49,11 +48,14 @@ class KeyFile:
         Bytes that come first; empty where the file is copied as it is.
     rest
         Where the bytes of the source begin that follow.
+    opened
+        The source, opened unbuffered; None to open it when it is read.
     """
 
     source: Path
     head: bytes = b""
     rest: int = 0
+    opened: BinaryIO | None = field(default=None, compare=False, repr=False)
 
     def pieces(self) -> Iterator[bytes]:
         """Yield the file piece by piece.
@@ -66,23 +68,29 @@ class KeyFile:
             When the system does not let the source through.
         """
         yield self.head
-        at = self.rest
-        while piece := self._piece(at):
-            at += len(piece)
-            yield piece
+        file, at = self.opened, self.rest
+        with ExitStack() as stack:
 
-    def _piece(self, at: int) -> bytes:
-        """Read a piece of the source; the file is opened anew, as a stale handle stays stale."""
+            def read() -> bytes:
+                nonlocal file
+                if file is None:
+                    file = stack.enter_context(self.source.open("rb", buffering=0))
+                try:
+                    file.seek(at)
+                    return file.read(PIECE)
+                except OSError:
+                    file = None  # a stale handle stays stale
+                    raise
 
-        def read() -> bytes:
-            with self.source.open("rb") as file:
-                file.seek(at)
-                return file.read(PIECE)
-
-        try:
-            return with_retries(self.source, read)
-        except OSError as error:
-            raise _missing(self.source, error) from error
+            while True:
+                try:
+                    piece = with_retries(self.source, read)
+                except OSError as error:
+                    raise _missing(self.source, error) from error
+                if not piece:
+                    return
+                at += len(piece)
+                yield piece
 
     def write(self, target: Path) -> None:
         """Write the file, whole or not at all.
@@ -96,7 +104,7 @@ class KeyFile:
         OutputError
             When the target cannot be written.
         """
-        if not self.head:
+        if not self.head and self.opened is None:
             atomic_copy(self.source, target)
             return
         with atomic_path(target) as temporary, temporary.open("wb") as file:
@@ -138,17 +146,23 @@ def written_forms(source: Path, target: Path) -> tuple[KeyFile, ...]:
     """
     plain = KeyFile(source)
     try:
-        with target.open("rb") as file:
-            data, attributes = _header(file, target.stat().st_size)
-        own = next(one for one in attributes if one.name == RATE)
-        rate = _rate_of(own.kind, data[own.begin : own.end])
-        return plain, key_file(source, rate)
+        with target.open("rb", buffering=0) as file:
+            header = RawHeader.read(file, target.stat().st_size)
+        own = next(attribute for attribute in header.attributes if attribute.name == RATE)
+        return plain, key_file(source, _rate_of(own.kind, header.value(own)))
     except (OSError, ValueError, struct.error, StopIteration, InputError):
         return (plain,)  # the target or the source is no sound EXR, or the target has no rate
 
 
 def key_file(source: Path, rate: Fraction | None) -> KeyFile:
-    """Return what is written for a key frame whose header is to have a frame rate.
+    """Return what is written for a key frame; as `opened_key`, but the source is closed."""
+    with opened_key(source, rate) as key:
+        return replace(key, opened=None)
+
+
+@contextmanager
+def opened_key(source: Path, rate: Fraction | None) -> Iterator[KeyFile]:
+    """Open a key frame whose header is to have a frame rate, to write it or to read it once more.
 
     Parameters
     ----------
@@ -167,71 +181,103 @@ def key_file(source: Path, rate: Fraction | None) -> KeyFile:
         When its header or its table of chunks is broken.
     """
     if rate is None or source.suffix.lower() not in EXR:
-        return KeyFile(source)
+        yield KeyFile(source)
+        return
+    with ExitStack() as stack:
+
+        def opened() -> KeyFile:
+            file = stack.enter_context(source.open("rb", buffering=0))
+            return KeyFile(source, *_with_rate(file, rate), file)
+
+        try:
+            key = with_retries(source, opened)
+        except OSError as error:
+            raise _missing(source, error) from error
+        except (ValueError, struct.error) as error:
+            raise damaged(source, str(error)) from error
+        yield key
+
+
+def digests(
+    path: Path, rate: Fraction | None = None, headers: HeaderCache | None = None
+) -> tuple[str, str | None]:
+    """Digest a frame's file, and what is written for it as a key frame.
+
+    Parameters
+    ----------
+    path
+        The file.
+    rate
+        The frame rate that a written key frame gets; None where it is copied as it is.
+    headers
+        Keeps the file's header, so that the file need not be opened again for it.
+
+    Returns
+    -------
+    str
+        Of the file, hexadecimal, as generated files' checksums are.
+    str or None
+        Of what is written; None where a broken header takes no rate.
+
+    Raises
+    ------
+    DamagedFileError
+        When there is no such file.
+    UnreadableError
+        When the system does not let it through.
+    """
+
+    def read() -> tuple[str, str | None]:
+        with path.open("rb", buffering=0) as file:
+            digest = hashlib.file_digest(file, checksum.new).hexdigest()
+            is_exr = path.suffix.lower() in EXR
+            if headers is not None and is_exr:
+                headers.keep(path, parse_header(path, file))
+            if rate is None or not is_exr:
+                return digest, digest
+            try:
+                key = KeyFile(path, *_with_rate(file, rate), file)
+            except (ValueError, struct.error):
+                return digest, None
+            return digest, key.digest() if key.head else digest
+
     try:
-        return with_retries(source, partial(_rewritten, source, rate))
+        return with_retries(path, read)
     except OSError as error:
-        raise _missing(source, error) from error
+        raise damaged(path, str(error.strerror)) from error
 
 
-def _rewritten(source: Path, rate: Fraction) -> KeyFile:
-    try:
-        with source.open("rb") as file:
-            head, rest = _with_rate(file, source.stat().st_size, rate)
-            if CHECKSUM.encode() in head:
-                head = _sealed(file, head, rest)
-    except (ValueError, struct.error) as error:
-        raise damaged(source, str(error)) from error
-    return KeyFile(source, head, rest)
-
-
-def _with_rate(file: BinaryIO, size: int, rate: Fraction) -> tuple[bytes, int]:
+def _with_rate(file: BinaryIO, rate: Fraction) -> tuple[bytes, int]:
     """Return the header and table of chunks with a rate, and where the source goes on."""
-    data, attributes = _header(file, size)
-    several = bool(int.from_bytes(data[4:BODY], "little") & MULTIPART)
-    end = attributes[-1].end + 1 + several
-    changes = _changes(attributes, data, rate)
+    size = os.fstat(file.fileno()).st_size
+    header = RawHeader.read(file, size)
+    data, end = header.data, len(header.data)
+    changes = _changes(header, rate)
     if not changes:
         return b"", 0
-    head, at = b"", 0
+    head, at, rest = b"", 0, end
     for begin, stop, text in changes:
         head, at = head + data[at:begin] + text, stop
-    head += data[at:end]
-    if len(head) == end:
-        return head, end
-    table = _table(file, size, end, _chunk_count(attributes, data) if several else None)
-    moved = [place + len(head) - end if place else 0 for place in table]
-    return head + struct.pack(f"<{len(moved)}Q", *moved), end + _ENTRY * len(table)
+    head += data[at:]
+    if len(head) != end:
+        table = _table(file, size, end, _chunk_count(header) if header.is_multipart else None)
+        moved = [place + len(head) - end if place else 0 for place in table]
+        head, rest = head + struct.pack(f"<{len(moved)}Q", *moved), end + _ENTRY * len(table)
+    return (_sealed(file, head, rest) if CHECKSUM.encode() in head else head), rest
 
 
-def _header(file: BinaryIO, size: int) -> tuple[bytes, list[Attribute]]:
-    """Read the beginning of a file, as much of it as holds all headers."""
-    length = FIRST
-    while True:
-        file.seek(0)
-        data = file.read(min(length, size))
-        try:
-            return data, list(attributes_in(data))
-        except ValueError:
-            if length >= min(size, LAST):
-                raise
-            length *= 8
-
-
-def _changes(
-    attributes: Sequence[Attribute], data: bytes, rate: Fraction
-) -> list[tuple[int, int, bytes]]:
+def _changes(header: RawHeader, rate: Fraction) -> list[tuple[int, int, bytes]]:
     """Return what bytes of the headers are replaced: from, to, and by what."""
     text = RATE + b"\0rational\0" + struct.pack("<Iii", 8, rate.numerator, rate.denominator)
-    found = []
-    for part in range(attributes[-1].part + 1):
-        mine = [one for one in attributes if one.part == part]
-        own = next((one for one in mine if one.name == RATE), None)
+    changes = []
+    for part in range(header.part_count):
+        attributes = [one for one in header.attributes if one.part == part]
+        own = next((one for one in attributes if one.name == RATE), None)
         if own is None:
-            found.append((mine[-1].end, mine[-1].end, text))
-        elif _rate_of(own.kind, data[own.begin : own.end]) != rate:
-            found.append((own.at, own.end, text))
-    return found
+            changes.append((attributes[-1].end, attributes[-1].end, text))
+        elif _rate_of(own.kind, header.value(own)) != rate:
+            changes.append((own.at, own.end, text))
+    return changes
 
 
 def _rate_of(kind: bytes, value: bytes) -> Fraction | None:
@@ -244,12 +290,12 @@ def _rate_of(kind: bytes, value: bytes) -> Fraction | None:
     return parsed_rate(value.decode("utf-8", "replace")) if kind == b"string" else None
 
 
-def _chunk_count(attributes: Sequence[Attribute], data: bytes) -> int:
+def _chunk_count(header: RawHeader) -> int:
     """Return how many chunks all parts have together."""
-    counts = [one for one in attributes if one.name == b"chunkCount"]
-    if len(counts) != attributes[-1].part + 1:
+    counts = [one for one in header.attributes if one.name == b"chunkCount"]
+    if len(counts) != header.part_count:
         raise ValueError("a part has no chunkCount")
-    return sum(struct.unpack("<I", data[one.begin : one.end])[0] for one in counts)
+    return sum(struct.unpack("<I", header.value(one))[0] for one in counts)
 
 
 def _table(file: BinaryIO, size: int, begin: int, count: int | None) -> list[int]:

@@ -7,11 +7,11 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 import numpy as np
 
 from exwarp_cli.io.channels import ChannelRef, Role
+from exwarp_cli.io.exr.template import Plane
 from exwarp_cli.io.frames import read_planes
 from exwarp_cli.io.layers import Kind, Layer
 from exwarp_cli.io.nonfinite import count_broken
 from exwarp_cli.io.shot import Shot
-from exwarp_cli.io.template import Plane
 
 Planes = Mapping[ChannelRef, Plane]
 """Channels of one frame, each in the file's own type and on its own window."""

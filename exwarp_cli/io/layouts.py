@@ -8,7 +8,7 @@ from dataclasses import replace
 from exwarp_cli.io.aov_files import named
 from exwarp_cli.io.channel_map import ChannelMap
 from exwarp_cli.io.channels import ChannelRef, Layout, Role
-from exwarp_cli.io.exr import Channel
+from exwarp_cli.io.exr.parts import Channel
 
 
 def corrected(

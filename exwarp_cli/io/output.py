@@ -16,43 +16,34 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import OpenEXR
 
 from exwarp_cli.domain.frame import Bool, Image, Window, place
 from exwarp_cli.domain.frame_rates import parsed_rate
 from exwarp_cli.errors import OutputError, UsageError
 from exwarp_cli.io import checksum
 from exwarp_cli.io.atomic import atomic_write_bytes
-from exwarp_cli.io.channel_rows import Channel
-from exwarp_cli.io.exr import damaged
-from exwarp_cli.io.exr_encoding import Buffer, Smaller, encoded
-from exwarp_cli.io.header_text import as_it_was, plain
+from exwarp_cli.io.exr.header import replace_non_utf8, restore_non_utf8
+from exwarp_cli.io.exr.reader import damaged, read_headers
+from exwarp_cli.io.exr.template import PREFIX as PREFIX
+from exwarp_cli.io.exr.template import PartTemplate, Plane, PlaneKey, Template
+from exwarp_cli.io.exr.template import ViewLayers as ViewLayers
+from exwarp_cli.io.exr.template import quantise as quantise
+from exwarp_cli.io.exr.template import read_template as read_template
+from exwarp_cli.io.exr.writer import COMPRESSIONS as COMPRESSIONS
+from exwarp_cli.io.exr.writer import (
+    Buffer,
+    OpenExrCompression,
+    OutputChannel,
+    encode,
+    scanline_structure,
+)
 from exwarp_cli.io.reading_retry import with_retries
-from exwarp_cli.io.template import PREFIX as PREFIX
-from exwarp_cli.io.template import PartTemplate, Plane, PlaneKey, Template
-from exwarp_cli.io.template import ViewLayers as ViewLayers
-from exwarp_cli.io.template import quantise as quantise
-from exwarp_cli.io.template import read_headers as read_headers
-from exwarp_cli.io.template import read_template as read_template
 
 CHECKSUM = f"{PREFIX}{checksum.NAME}"
 RECIPE = f"{PREFIX}recipe"
 
-COMPRESSIONS: dict[str, Any] = {
-    "none": OpenEXR.NO_COMPRESSION,
-    "rle": OpenEXR.RLE_COMPRESSION,
-    "zips": OpenEXR.ZIPS_COMPRESSION,
-    "zip": OpenEXR.ZIP_COMPRESSION,
-    "piz": OpenEXR.PIZ_COMPRESSION,
-    "pxr24": OpenEXR.PXR24_COMPRESSION,
-    "b44": OpenEXR.B44_COMPRESSION,
-    "b44a": OpenEXR.B44A_COMPRESSION,
-    "dwaa": OpenEXR.DWAA_COMPRESSION,
-    "dwab": OpenEXR.DWAB_COMPRESSION,
-}
-
-SMALLER = {f"{name}:4": Smaller(COMPRESSIONS[name]) for name in ("zips", "zip", "pxr24")}
-"""Those that can also be had as OpenEXR makes them; see `io.exr_encoding` for what that takes."""
+SMALLER = {f"{name}:4": OpenExrCompression(COMPRESSIONS[name]) for name in ("zips", "zip", "pxr24")}
+"""Those that can also be had as OpenEXR makes them; see `io.exr.writer` for what that takes."""
 
 
 def frame_rate(header: Mapping[str, Any]) -> Fraction | None:
@@ -61,7 +52,7 @@ def frame_rate(header: Mapping[str, Any]) -> Fraction | None:
 
 
 def compression_of(name: str | None) -> Any:
-    """Return OpenEXR's constant for a compression, maybe a `Smaller` one; None for None.
+    """Return OpenEXR's constant for a compression, maybe an `OpenExrCompression`; None for None.
 
     Raises
     ------
@@ -126,11 +117,11 @@ def write_mask(
 
     The windows are data and display. Its bytes are returned, piece by piece.
     """
-    header = {"compression": OpenEXR.ZIPS_COMPRESSION, **attributes, **_structure(*windows)}
+    header = {"compression": COMPRESSIONS["zips"], **attributes, **scanline_structure(*windows)}
     return _write(path, [(header, {"holes": mask.astype(np.float16)})])
 
 
-Encoded = tuple[dict[str, Any], dict[str, Channel]]
+Encoded = tuple[dict[str, Any], dict[str, OutputChannel]]
 """Header and channels of one part."""
 
 
@@ -147,32 +138,24 @@ def _encoded(
         template.name: template.channel(place(plane.values, plane.window, window))
         for template, plane in members.items()
     }
-    return {**part.header, **attributes, **_structure(window, display)}, channels
-
-
-def _structure(data: Window, display: Window) -> dict[str, Any]:
-    return {
-        "type": OpenEXR.scanlineimage,
-        "dataWindow": _box(data),
-        "displayWindow": _box(display),
-    }
+    return {**part.header, **attributes, **scanline_structure(window, display)}, channels
 
 
 def _write(path: Path, parts: list[Encoded]) -> list[Buffer]:
     """Encode in memory, seal, and write; return what was written."""
     parts[0][0][CHECKSUM] = checksum.ZEROS
     try:
-        head, *pieces = encoded([(_in_utf8(header), planes) for header, planes in parts])
+        head, *pieces = encode([(_in_utf8(header), planes) for header, planes in parts])
     except (RuntimeError, ValueError, TypeError) as error:
         raise OutputError(f"cannot encode {path}: {error}; try another --compression") from error
-    head = as_it_was(memoryview(head), (header for header, _ in parts))
+    head = restore_non_utf8(memoryview(head), (header for header, _ in parts))
     sealed = seal(head, *pieces)
     atomic_write_bytes(path, *sealed)
     return sealed
 
 
 def _in_utf8(header: dict[str, Any]) -> dict[str, Any]:
-    return {name: plain(v) if isinstance(v, str) else v for name, v in header.items()}
+    return {name: replace_non_utf8(v) if isinstance(v, str) else v for name, v in header.items()}
 
 
 def seal(head: Buffer, *rest: Buffer) -> list[Buffer]:
@@ -293,8 +276,3 @@ def _checksum_at(data: Buffer) -> int | None:
     if found is None or found.end() + checksum.DIGITS > len(data):
         return None
     return found.end()
-
-
-def _box(window: Window) -> tuple[np.ndarray, np.ndarray]:
-    x0, y0, x1, y1 = window.corners
-    return np.array([x0, y0], np.int32), np.array([x1, y1], np.int32)

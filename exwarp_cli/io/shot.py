@@ -16,7 +16,8 @@ from exwarp_cli.io.channels import ChannelRef, Layout, Role, detect
 from exwarp_cli.io.cryptomatte import Cryptomatte, find_cryptomattes
 from exwarp_cli.io.depth import DepthReading
 from exwarp_cli.io.depth import named as depth_named
-from exwarp_cli.io.exr import Channel, Part
+from exwarp_cli.io.exr.parts import Channel, Part
+from exwarp_cli.io.exr.reader import HeaderCache
 from exwarp_cli.io.id_reading import IdReading
 from exwarp_cli.io.layouts import corrected, merged, moved
 from exwarp_cli.io.layouts import spelled as spelled
@@ -70,6 +71,8 @@ class Shot:
         Number of the frame that it was recognised by.
     keep_going
         Whether frames may be missing or damaged, which are left out then.
+    headers
+        Of the files that were read last.
     nonfinite
         What was found in its frames; a shot that is read in another way has its own.
     """
@@ -90,6 +93,7 @@ class Shot:
     every: tuple[ChannelRef, ...] = ()
     first: int = 0
     keep_going: bool = False
+    headers: HeaderCache = field(default_factory=HeaderCache, compare=False, repr=False)
     nonfinite: NonFinite = field(default_factory=NonFinite, init=False, compare=False, repr=False)
 
     def files(self, number: int) -> dict[str, Path]:
@@ -242,10 +246,10 @@ def _open(found: Looks, wish: _Wish, named_view: str, views: tuple[str, ...]) ->
     within = {aov: _within(parts, view, named_view, pattern) for aov, parts in found.parts.items()}
     channels = {aov: channels_of(parts, within[aov]) for aov, parts in found.parts.items()}
     every = {aov: renamed(members) for aov, members in channels.items()}
-    mattes = find_cryptomattes(every, found.headers)
+    mattes = find_cryptomattes(every, found.texts)
     own = detect({aov: plain(members, mattes, aov) for aov, members in channels.items()})
     if Role.COLOUR in own:
-        mattes = find_cryptomattes(every, found.headers, own.roles[Role.COLOUR][0].name)
+        mattes = find_cryptomattes(every, found.texts, own.roles[Role.COLOUR][0].name)
     if not own.roles:
         _refuse_luminance(channels, pattern)
     layout = own if wish.channel_map is None else corrected(own, channels, wish.channel_map)
@@ -253,6 +257,7 @@ def _open(found: Looks, wish: _Wish, named_view: str, views: tuple[str, ...]) ->
     shot = Shot(
         found.leader, found.aovs, layout, display, views, view, within, cryptomattes=mattes,
         every=refs_of(channels), first=found.number, keep_going=wish.keep_going,
+        headers=found.cache,
     )  # fmt: skip
     for aov in wish.aovs:
         shot = _joined(shot, aov)
@@ -310,7 +315,8 @@ def _joined(shot: Shot, aov: AovFile) -> Shot:
         )
     files = {number: sequence.files[number] for number in shot.sequence.numbers}
     path = files[shot.first]
-    parts, headers = look(path)
+    header = look(path, shot.headers)
+    parts = header.parts
     if parts[0].display_window != shot.display:
         raise LayoutError(
             f"{path} of {aov.option} has the display window {parts[0].display_window} where the "
@@ -319,7 +325,7 @@ def _joined(shot: Shot, aov: AovFile) -> Shot:
     within = _within(parts, shot.view, named_view, path)
     channels = channels_of(parts, within)
     name = _name_of(shot, aov, sequence)
-    mattes = find_cryptomattes({name: renamed(channels)}, {name: headers})
+    mattes = find_cryptomattes({name: renamed(channels)}, {name: header.texts})
     if aov.role is Role.STENCIL and mattes and not aov.channels:
         found = Layout({aov.role: mattes[0].stencil})
     else:

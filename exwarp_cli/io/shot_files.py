@@ -9,7 +9,8 @@ from pathlib import Path
 from exwarp_cli.errors import InputError, LayoutError
 from exwarp_cli.io.channels import Role, detect
 from exwarp_cli.io.cryptomatte import Headers
-from exwarp_cli.io.exr import ExrReader, Part, deep_only
+from exwarp_cli.io.exr.parts import Part
+from exwarp_cli.io.exr.reader import FileHeader, HeaderCache, deep_only
 from exwarp_cli.io.pass_sets import pass_role
 from exwarp_cli.io.producers import direction_named
 from exwarp_cli.io.sequence import AovSet, Sequence, find_aov_set, find_sequence
@@ -26,15 +27,27 @@ class Looks:
         The sequences, as in `ShotFiles`.
     number
         Of the frame.
-    parts, headers
+    headers
         By AOV, the leader's first.
+    cache
+        Where they are kept.
     """
 
     leader: Sequence
     aovs: Mapping[str, Sequence]
     number: int
-    parts: Mapping[str, tuple[Part, ...]]
-    headers: Headers
+    headers: Mapping[str, FileHeader]
+    cache: HeaderCache
+
+    @property
+    def parts(self) -> dict[str, tuple[Part, ...]]:
+        """The parts of each file by AOV."""
+        return {aov: header.parts for aov, header in self.headers.items()}
+
+    @property
+    def texts(self) -> Headers:
+        """The attributes of each file that are text, by AOV."""
+        return {aov: header.texts for aov, header in self.headers.items()}
 
 
 @dataclass
@@ -58,10 +71,9 @@ class ShotFiles:
         if self._last is None or self._last.number != number:
             members = {} if self.leader in self.aovs.values() else {"": self.leader}
             members |= self.aovs
-            looks = {aov: look(member.files[number]) for aov, member in members.items()}
-            parts = {aov: look[0] for aov, look in looks.items()}
-            headers = {aov: look[1] for aov, look in looks.items()}
-            self._last = Looks(self.leader, self.aovs, number, parts, headers)
+            cache = HeaderCache()
+            headers = {aov: look(member.files[number], cache) for aov, member in members.items()}
+            self._last = Looks(self.leader, self.aovs, number, headers, cache)
         return self._last
 
 
@@ -114,7 +126,7 @@ def _own_roles(colour: Sequence) -> set[Role]:
     """Return the roles that the colour's files hold, by the first one that can be read."""
     for path in colour.files.values():
         try:
-            parts, _ = look(path)
+            parts = look(path, HeaderCache()).parts
         except InputError:  # it is told when that frame is read
             continue
         views = views_of(parts)
@@ -124,10 +136,9 @@ def _own_roles(colour: Sequence) -> set[Role]:
     return set()
 
 
-def look(path: Path) -> tuple[tuple[Part, ...], list[dict[str, object]]]:
-    """Return the parts of a file of which one at least is flat, and their attributes."""
-    with ExrReader(path) as file:
-        parts, headers = file.parts, file.headers
-    if all(part.deep for part in parts):
+def look(path: Path, headers: HeaderCache) -> FileHeader:
+    """Return the header of a file of which one part at least is flat."""
+    header = headers.read(path)
+    if all(part.deep for part in header.parts):
         raise deep_only(path)
-    return parts, headers
+    return header

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from exwarp_cli.errors import InputError
-from exwarp_cli.io.exr import ExrReader
+from exwarp_cli.io.exr.reader import ExrFile
 
 T = TypeVar("T")
 
@@ -49,7 +49,7 @@ def require_sound(paths: Iterable[Path]) -> None:
         When one is missing or damaged.
     """
     for path in paths:
-        with ExrReader(path) as file:
+        with ExrFile(path) as file:
             for part in file.parts:
                 for i in range(0, 0 if part.deep else len(part.channels), AT_A_TIME):
                     file.read(part.channels[i : i + AT_A_TIME])

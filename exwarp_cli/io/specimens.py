@@ -8,15 +8,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import OpenEXR
 
 from exwarp_cli.domain.curves import LINEAR, SRGB
 from exwarp_cli.domain.frame import Float32, Image, UInt8, Window
 from exwarp_cli.errors import ExwarpError
 from exwarp_cli.io.clip import open_clip
-from exwarp_cli.io.exr import ExrReader
+from exwarp_cli.io.exr.reader import ExrFile
+from exwarp_cli.io.exr.writer import COMPRESSIONS, encode_by_openexr, scanline_structure
 from exwarp_cli.io.ffmpeg import told
-from exwarp_cli.io.output import COMPRESSIONS
 from exwarp_cli.io.stills import StillTemplate, read_still, require_writer, write_still
 from exwarp_cli.io.video import VideoLook, VideoWriter, from_display, to_display
 from exwarp_cli.io.vmaf import vmaf
@@ -50,18 +49,20 @@ def write_exr(
     path: Path, channels: Mapping[str, np.ndarray], compression: str, fps: int = 24
 ) -> None:
     """Write channels [H, W], each in its own type, to a plain EXR."""
+    planes = {name: np.ascontiguousarray(plane) for name, plane in channels.items()}
+    height, width = next(iter(planes.values())).shape
+    window = Window(0, 0, width, height)
     header: dict[str, Any] = {
+        **scanline_structure(window, window),
         "compression": COMPRESSIONS[compression],
-        "type": OpenEXR.scanlineimage,
         "framesPerSecond": Fraction(fps),
     }
-    planes = {name: np.ascontiguousarray(plane) for name, plane in channels.items()}
-    OpenEXR.File(header, planes).write(str(path))
+    path.write_bytes(encode_by_openexr([(header, planes)]))
 
 
 def read_exr(path: Path) -> dict[str, np.ndarray]:
     """Read all channels of an EXR's first part, [H, W], as frames are read."""
-    with ExrReader(path) as file:
+    with ExrFile(path) as file:
         part = file.parts[0]
         return {channel.raw_name: plane for channel, plane in file.read(part.channels).items()}
 

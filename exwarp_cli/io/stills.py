@@ -10,7 +10,7 @@ run makes their frames again; the others keep nothing, so it refuses to replace 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -24,8 +24,8 @@ from exwarp_cli.domain.curves import FILM, LINEAR, SRGB, Curve
 from exwarp_cli.domain.frame import Float32, Image, Window
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, UsageError
 from exwarp_cli.io.atomic import atomic_path, output_error
-from exwarp_cli.io.exr_encoding import Buffer
-from exwarp_cli.io.magic import EXR, PNG, head_of
+from exwarp_cli.io.exr.header import MAGIC, PNG
+from exwarp_cli.io.exr.writer import Buffer
 from exwarp_cli.io.reading_retry import with_retries
 from exwarp_cli.io.still_seal import seal_still, software
 from exwarp_cli.io.webp_exif import with_orientation
@@ -219,8 +219,10 @@ def _opened(path: Path) -> Iterator[Any]:
     """Open an image, its alpha as the file has it."""
     if not path.is_file():
         raise InputError(f"there is no image {path}; check the path")
-    head = head_of(path) or b""
-    if head.startswith(EXR):  # as a still it would lose windows, layers and attributes
+    head = b""
+    with suppress(OSError), path.open("rb") as opened:
+        head = opened.read(len(PNG))
+    if head.startswith(MAGIC):  # as a still it would lose windows, layers and attributes
         raise InputError(f"{path} is an OpenEXR file by its content; name it .exr")
     if head.startswith(PNG) and not _ends(path):
         raise _damaged(path, "")  # its decoder would print that too

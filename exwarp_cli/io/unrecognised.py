@@ -8,7 +8,6 @@ from collections.abc import Iterable
 
 from exwarp_cli.io.channels import ChannelRef, Role, words_of
 from exwarp_cli.io.cryptomatte import find_cryptomattes
-from exwarp_cli.io.exr import ExrReader
 from exwarp_cli.io.sequence import beside
 from exwarp_cli.io.shot import Shot, plain, spelled
 
@@ -37,11 +36,11 @@ def unrecognised(shot: Shot) -> tuple[ChannelRef, ...]:
     used = {ref for refs in shot.layout.roles.values() for ref in refs}
     out: list[ChannelRef] = []
     for aov, path in shot.files(shot.first).items():
-        with ExrReader(path) as file:
-            channels, headers = shot.channels(file.parts, aov), file.headers
+        header = shot.headers.read(path)
+        channels = shot.channels(header.parts, aov)
         members = tuple(channels)
         every = plain(channels, (), aov)
-        rest = plain(channels, find_cryptomattes({aov: every}, {aov: headers}), aov)
+        rest = plain(channels, find_cryptomattes({aov: every}, {aov: header.texts}), aov)
         names = {channel.name for channel in rest}
         refs = (ChannelRef(aov, name) for name in members if name in names)
         out += (ref for ref in refs if ref not in used)

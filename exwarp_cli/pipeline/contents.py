@@ -9,13 +9,12 @@ from functools import cached_property
 from exwarp_cli.domain.motion import MotionConvention
 from exwarp_cli.io.channels import ChannelRef, Role
 from exwarp_cli.io.cryptomatte import find_cryptomattes
-from exwarp_cli.io.exr import ExrReader
+from exwarp_cli.io.exr.template import Plane, ViewLayers, read_template
 from exwarp_cli.io.footage import is_plain, plain_template
 from exwarp_cli.io.frame_files import FrameTemplate
 from exwarp_cli.io.layer_store import LayerStore, Planes
 from exwarp_cli.io.layers import ALL, BEAUTY, Kind, Layer, chosen, layers_of
 from exwarp_cli.io.shot import Shot, renamed
-from exwarp_cli.io.template import Plane, ViewLayers, read_headers, read_template
 from exwarp_cli.pipeline.frame_writer import frame_suffix
 from exwarp_cli.pipeline.source import Source
 
@@ -226,7 +225,7 @@ def template_of(contents: tuple[Content, ...], output: str, number: int) -> Fram
     if is_plain(keys.sequence):
         return plain_template(keys, number, frame_suffix(output, keys.sequence))
     wanted = tuple(content.wanted for content in contents)
-    return read_template(keys.sequence.files[number], wanted)
+    return read_template(keys.sequence.files[number], wanted, keys.headers)
 
 
 def files_apart(shot: Shot) -> tuple[str, ...]:
@@ -240,8 +239,8 @@ def _layers_of(shot: Shot, main: bool) -> tuple[Layer, ...]:
     for aov, path in shot.files(shot.first).items():
         if aov and main:
             continue
-        with ExrReader(path) as file:
-            files[aov] = shot.channels(file.parts, aov)
-        known = find_cryptomattes({aov: renamed(files[aov])}, {aov: read_headers(path)})
+        header = shot.headers.read(path)
+        files[aov] = shot.channels(header.parts, aov)
+        known = find_cryptomattes({aov: renamed(files[aov])}, {aov: header.texts})
         cryptomattes |= {found.name for found in known}
     return layers_of(files, shot.layout, cryptomattes)

@@ -20,7 +20,8 @@ from exwarp_cli.domain.timeline import Slot, Timeline, ranges
 from exwarp_cli.errors import OutputError, OutputExistsError, UsageError
 from exwarp_cli.io.atomic import is_there, make_folder, output_error, remove_leftovers
 from exwarp_cli.io.clip import is_clip
-from exwarp_cli.io.exr_encoding import Buffer
+from exwarp_cli.io.exr.template import Plane, PlaneKey
+from exwarp_cli.io.exr.writer import Buffer
 from exwarp_cli.io.footage import is_plain
 from exwarp_cli.io.frame_files import (
     FrameTemplate,
@@ -30,11 +31,10 @@ from exwarp_cli.io.frame_files import (
     write_picture,
 )
 from exwarp_cli.io.held import Held
-from exwarp_cli.io.key_file import KeyFile, key_file
+from exwarp_cli.io.key_file import KeyFile, key_file, opened_key
 from exwarp_cli.io.output import PREFIX, write_mask
 from exwarp_cli.io.sequence import EXR, OutputPattern, Sequence, output_pattern
 from exwarp_cli.io.stills import STILLS, require_writer
-from exwarp_cli.io.template import Plane, PlaneKey
 from exwarp_cli.io.video import VideoLook, VideoWriter, require_container, to_display
 from exwarp_cli.pipeline.scheduling import AsyncWriter, record_time
 from exwarp_cli.pipeline.verifying import FRAME, HOLES, Sums, sum_of
@@ -399,10 +399,10 @@ class FrameWriter(Held):
 
     def _copy(self, number: int, source: Path) -> None:
         """Copy a key frame's file; its checksum is that of what the source gives."""
-        file = key_file(source, self._key_rate)
-        file.write(self._frame_path(number))
-        if self._wants_sums:
-            self.sums[FRAME, number] = sum_of(file.pieces())
+        with opened_key(source, self._key_rate) as file:
+            file.write(self._frame_path(number))
+            if self._wants_sums:
+                self.sums[FRAME, number] = sum_of(file.pieces())
 
     def _put(self, kind: str, number: int, write: Callable[[], list[Buffer]]) -> None:
         """Write a file; its checksum is that of what is in memory."""

@@ -17,7 +17,7 @@ from exwarp_cli.io.channels import ChannelRef, Layout, Role
 from exwarp_cli.io.cryptomatte import Cryptomatte
 from exwarp_cli.io.cryptomatte_manifest import Manifest
 from exwarp_cli.io.depth import DepthKind
-from exwarp_cli.io.exr import ExrReader, Part
+from exwarp_cli.io.exr.parts import Part
 from exwarp_cli.io.footage import facts_of
 from exwarp_cli.io.producers import UNKNOWN
 from exwarp_cli.io.shot import MAIN, Shot, spelled
@@ -191,9 +191,9 @@ def _look(shot: Shot) -> tuple[tuple[Part, ...], dict[str, str]]:
     types: dict[str, str] = {}
     parts: tuple[Part, ...] = ()
     for aov, path in shot.files(shot.first).items():
-        with ExrReader(path) as file:
-            channels = shot.channels(file.parts, aov)
-            parts = parts or file.parts
+        header = shot.headers.read(path)
+        channels = shot.channels(header.parts, aov)
+        parts = parts or header.parts
         types |= {spelled(ChannelRef(aov, name)): c.pixel_type for name, c in channels.items()}
     return parts, types
 

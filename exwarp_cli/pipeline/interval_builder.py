@@ -23,6 +23,7 @@ from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.pipeline.choosing import Chosen
 from exwarp_cli.pipeline.interval_inputs import HistoryFrame, IntervalInputs
 from exwarp_cli.pipeline.key_frames import slots_back_to, without_surface
+from exwarp_cli.runtime.frame_pool import IN_MEMORY, ScratchFrames
 from exwarp_cli.synthesis.geometry import settle_motion
 from exwarp_cli.synthesis.history import Past
 from exwarp_cli.synthesis.holds import around_holds
@@ -91,6 +92,8 @@ class IntervalBuilder:
         Whether key frames come with estimated motion, which is settled as it is.
     bare
         Whether only motion and depth of key frames' settled geometry are used.
+    scratch
+        Where large settled frames lie when a network may extrapolate.
     """
 
     def __init__(
@@ -100,12 +103,14 @@ class IntervalBuilder:
         interpolator: Interpolator | None = None,
         estimated: bool = False,
         bare: bool = False,
+        scratch: ScratchFrames = IN_MEMORY,
     ) -> None:
         self._display = display
         self._network = network
         self._interpolator = interpolator
         self._estimated = estimated
         self._bare = bare
+        self._scratch = scratch
         self._moving = MovingObjects()
         self._frames: dict[tuple[int, Basis], KeyFrame] = {}
         self._instants: dict[tuple[Slot, Basis], GBuffer] = {}
@@ -156,7 +161,9 @@ class IntervalBuilder:
         key = self._frame(inputs.key, inputs.frame, basis)
         if inputs.lacks_history:  # without its surface, none that follows has a use for it
             self._without_surface = self._frames.pop((inputs.key, basis))
-        slots = tuple(settle_motion(gbuffer.on(basis[0])) for gbuffer in inputs.slots)
+        slots = tuple(
+            self._scratch.store(settle_motion(gbuffer.on(basis[0]))) for gbuffer in inputs.slots
+        )
         past = self._led_back(inputs, key, basis)
         self._release(inputs.key, slots, basis)
         if not (self._estimated or inputs.held or slots):
@@ -172,6 +179,7 @@ class IntervalBuilder:
             estimated=self._estimated,
             keeps=bool(inputs.truth.frames),
             held=inputs.held,
+            scratch=self._scratch,
         )
 
     def _frame(self, index: int, frame: KeyFrame, basis: Basis) -> KeyFrame:
@@ -182,7 +190,8 @@ class IntervalBuilder:
             if placed.gbuffer is not None:
                 settled = settle_motion(placed.gbuffer)
                 placed = replace(placed, gbuffer=settled.bare() if self._bare else settled)
-            self._frames[index, basis] = placed
+            self._frames[index, basis] = self._scratch.store(placed)
+            self._scratch.page_out()
         return self._frames[index, basis]
 
     def _led_back(self, inputs: IntervalInputs, key: KeyFrame, basis: Basis) -> tuple[Past, ...]:
@@ -190,7 +199,7 @@ class IntervalBuilder:
         newer = key
         for index, older in zip(range(inputs.key - 1, -1, -1), inputs.history, strict=False):
             if (index, basis) not in self._past:
-                motion = self._motion(index, older, newer, basis)
+                motion = self._scratch.store(self._motion(index, older, newer, basis))
                 self._past[index, basis] = Past(self._frame(index, older.frame, basis), motion)
             steps.append(self._past[index, basis])
             newer = steps[-1].frame

@@ -39,6 +39,7 @@ from exwarp_cli.pipeline.without_vectors import (
     usual_method,
     usual_note,
 )
+from exwarp_cli.runtime.frame_pool import LARGE_PIXELS, ScratchFrames
 
 if TYPE_CHECKING:
     from exwarp_cli.domain.outcome import Outcome
@@ -213,6 +214,10 @@ def open_job(settings: UpsampleSettings) -> Job:
     sources = open_sources(settings.source, motion_needed, pictures=True)
     source = sources[0]
     method = named or find_method(usual_method(source, settings))
+    if method.extrapolates:
+        scratch = ScratchFrames(LARGE_PIXELS)
+        sources = tuple(replace(each, scratch=scratch) for each in sources)
+        source = sources[0]
     network = find_network(settings, method)
     interpolator = find_interpolator(settings, method)
     policy = find_policy(settings, method)

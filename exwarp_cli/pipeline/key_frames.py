@@ -100,7 +100,7 @@ class KeyFrameStore:
                 if self.unreadable.tolerant:
                     for read in self._companions:
                         read(key)
-            self._frames[key] = frame
+            self._frames[key] = self.source.scratch.store(frame)
         return self._frames[key]
 
     def get_in_shot(self, key: int, before: bool = False) -> KeyFrame:
@@ -137,7 +137,8 @@ class KeyFrameStore:
             When a file cannot be read.
         """
         if key not in self._complete:
-            self._complete[key] = self._read_complete(key) if frame is None else self._add(frame)
+            complete = self._read_complete(key) if frame is None else self._add(frame)
+            self._complete[key] = self.source.scratch.store(complete)
         return self._complete[key]
 
     def get_slot(self, slot: Slot) -> GBuffer:
@@ -147,7 +148,8 @@ class KeyFrameStore:
         assert source.slots is not None and number is not None
         roles = (*GEOMETRY, *SURFACE) if self._keeps_slots else GEOMETRY
         with self.reading(slot):
-            gbuffer = read_raw(source.slots, number, roles, objects=True).settle(source.convention)
+            raw = read_raw(source.slots, number, roles, objects=True)
+        gbuffer = source.scratch.store(raw.settle(source.convention))
         if self._keeps_slots:
             self._slots[slot] = without_surface(gbuffer)
         if self._keeps_shapes and slot.index in (0, FACTOR - 1):

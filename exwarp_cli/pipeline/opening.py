@@ -18,11 +18,10 @@ from exwarp_cli.io.channels import Role
 from exwarp_cli.io.clip import is_clip
 from exwarp_cli.io.cryptomatte import Cryptomatte, find_cryptomattes
 from exwarp_cli.io.cryptomatte_manifest import Manifest, dynamic_objects, read_manifest
-from exwarp_cli.io.exr import ExrReader
 from exwarp_cli.io.footage import find_plain, is_plain, own_rate, shot_of
 from exwarp_cli.io.frames import read_raw, require_seen
 from exwarp_cli.io.id_reading import IdReading
-from exwarp_cli.io.output import frame_rate, read_headers
+from exwarp_cli.io.output import frame_rate
 from exwarp_cli.io.shot import Shot, open_shot, open_views, renamed
 from exwarp_cli.io.views import ALL
 from exwarp_cli.pipeline.depth_kind import with_depth_measured, with_world_positions
@@ -146,7 +145,7 @@ def rate_of(keys: Shot, given: Fraction | None) -> tuple[Fraction, str]:
     own = own_rate(keys.sequence)
     if own is not None:
         return own, "file"
-    rate = None if is_plain(keys.sequence) else _rate_in(keys.sequence.files[keys.first])
+    rate = None if is_plain(keys.sequence) else _rate_in(keys)
     step = number_step(keys.sequence.numbers)
     return (DEFAULT_FPS / step, "assumed") if rate is None else (rate / step, "header")
 
@@ -165,9 +164,10 @@ def step_note(numbers: Sequence[int], fps: Fraction, fps_source: str) -> str | N
     )
 
 
-def _rate_in(path: Path) -> Fraction | None:
-    """Return the rate that a file's headers have; None without."""
-    return next(filter(None, map(frame_rate, read_headers(path))), None)
+def _rate_in(keys: Shot) -> Fraction | None:
+    """Return the rate that the headers of the first frame have; None without."""
+    header = keys.headers.read(keys.sequence.files[keys.first])
+    return next(filter(None, map(frame_rate, header.attributes)), None)
 
 
 def read_ids(option: str | None, keys: Shot, slots: Shot | None) -> tuple[Shot, Shot | None]:
@@ -275,9 +275,9 @@ def _of_all_frames(shot: Shot) -> Iterator[tuple[Cryptomatte, Path]]:
 def _in_file(shot: Shot, path: Path) -> list[Cryptomatte]:
     """Return a shot's Cryptomatte as a file has it."""
     wanted = shot.cryptomattes[0]
-    with ExrReader(path) as file:
-        channels = {wanted.aov: renamed(shot.channels(file.parts, wanted.aov))}
-        found = find_cryptomattes(channels, {wanted.aov: file.headers})
+    header = shot.headers.read(path)
+    channels = {wanted.aov: renamed(shot.channels(header.parts, wanted.aov))}
+    found = find_cryptomattes(channels, {wanted.aov: header.texts})
     mine = [one for one in found if one.name == wanted.name]
     for one in mine:
         one.require_exact(str(path))

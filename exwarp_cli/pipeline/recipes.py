@@ -18,7 +18,7 @@ from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.footage import ClipSequence, digest_of, is_plain
 from exwarp_cli.io.frames import Shot
-from exwarp_cli.io.key_file import key_file
+from exwarp_cli.io.key_file import digests, key_file
 from exwarp_cli.io.output import file_digest
 from exwarp_cli.io.sequence import Sequence
 from exwarp_cli.pipeline.source import FrameOf, Source
@@ -162,10 +162,13 @@ class Recipes:
         """Return the digest of a key frame's file as it is written, from that of its source."""
         if path not in self._rewritten:
             file = key_file(path, self.key_rate)
-            self._rewritten[path] = file.digest() if file.head else digest
-            while len(self._rewritten) > DIGESTS:
-                self._rewritten.popitem(last=False)
+            self._keep_rewritten(path, file.digest() if file.head else digest)
         return self._rewritten[path]
+
+    def _keep_rewritten(self, path: Path, digest: str) -> None:
+        self._rewritten[path] = digest
+        while len(self._rewritten) > DIGESTS:
+            self._rewritten.popitem(last=False)
 
     def _place(self, slot: Slot) -> dict[str, Any]:
         """Say which slot it is, of how many."""
@@ -188,10 +191,23 @@ class Recipes:
         """Digest all files of one frame; kept for the interval that shares it."""
         token = (number, tuple(shot.files(number).items()))
         if token not in self._digests:
-            self._digests[token] = _digest_of(shot, number)
+            self._digests[token] = self._digest_of(shot, number)
             while len(self._digests) > DIGESTS:
                 self._digests.popitem(last=False)
         return self._digests[token]
+
+    def _digest_of(self, shot: Shot, number: int) -> str:
+        """Digest all files of one frame, and a key frame's file as it is written."""
+        if is_plain(shot.sequence):
+            return digest_of(shot.sequence, number)
+        found = {}
+        for aov, path in shot.files(number).items():
+            is_key = not aov and shot is self.source.keys
+            rate = self.key_rate if is_key else None
+            found[aov], written = digests(path, rate, None if aov else shot.headers)
+            if is_key and written is not None:
+                self._keep_rewritten(path, written)
+        return json.dumps(found, sort_keys=True)
 
 
 def key_recipe(keys: Shot, number: int, rate: Fraction | None = None) -> str:
@@ -221,10 +237,3 @@ def _seen_otherwise(source: Source) -> dict[str, Any]:
     if ids is not None:
         found["ids"] = ids.identity
     return found
-
-
-def _digest_of(shot: Shot, number: int) -> str:
-    if is_plain(shot.sequence):
-        return digest_of(shot.sequence, number)
-    digests = {aov: file_digest(path) for aov, path in shot.files(number).items()}
-    return json.dumps(digests, sort_keys=True)

@@ -161,7 +161,12 @@ class Run:
         bare = warps and not ExtraLayers(job.contents).any
         self._builder, *others = (
             IntervalBuilder(
-                source.keys.display, job.network, job.interpolator, source.estimated, bare
+                source.keys.display,
+                job.network,
+                job.interpolator,
+                source.estimated,
+                bare,
+                source.scratch,
             )
             for source in job.sources
         )

@@ -18,9 +18,9 @@ from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.errors import OutputError
 from exwarp_cli.io.authorship import KEY_FRAMES, REQUESTED_METHOD
 from exwarp_cli.io.decisions import decision_text, parse_decision
+from exwarp_cli.io.exr.template import Plane, PlaneKey, Template
 from exwarp_cli.io.frame_files import FrameTemplate, quantised
 from exwarp_cli.io.output import PREFIX, compression_of
-from exwarp_cli.io.template import Plane, PlaneKey, Template
 from exwarp_cli.pipeline.frame_writer import FrameWriter
 from exwarp_cli.pipeline.interval_builder import PreparedInterval
 from exwarp_cli.pipeline.interval_inputs import IntervalInputs

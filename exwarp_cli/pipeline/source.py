@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fractions import Fraction
 
 from exwarp_cli.domain.cuts import CutWish, parse_cuts
@@ -33,6 +33,7 @@ from exwarp_cli.pipeline.opening import (
     rate_of,
     read_ids,
 )
+from exwarp_cli.runtime.frame_pool import IN_MEMORY, ScratchFrames
 
 FrameOf = Callable[[Slot], int | None]
 
@@ -70,6 +71,8 @@ class Source:
         Whether motion is needed and there are no vectors, so that it is estimated from colour.
     unusable
         Why vectors that are there are not used, and motion is estimated instead; "" otherwise.
+    scratch
+        Where large key frames lie when a network may extrapolate.
     """
 
     keys: Shot
@@ -82,6 +85,7 @@ class Source:
     cuts: CutWish
     estimated: bool = False
     unusable: str = ""
+    scratch: ScratchFrames = field(default=IN_MEMORY, compare=False, repr=False)
 
     @property
     def output_fps(self) -> Fraction:

@@ -1,4 +1,4 @@
-"""A free list of buffers for the arrays of frames.
+"""A free list of buffers for the arrays of frames, and scratch files for large ones.
 
 Memory that is fresh from the system is cleared and mapped page by page at its first use. For
 frames of 1920x1080 that was a quarter of the processor time. Later frames have arrays of the same
@@ -7,11 +7,17 @@ sizes, so a buffer that is free serves the next array of its size.
 
 from __future__ import annotations
 
+import mmap
+import os
+import tempfile
 import threading
 import weakref
 from collections import defaultdict, deque
-from math import prod
-from typing import NamedTuple
+from collections.abc import Iterable
+from contextlib import suppress
+from dataclasses import fields, is_dataclass, replace
+from math import inf, prod
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +25,16 @@ import numpy.typing as npt
 MIN_BYTES = 1 << 20
 """Arrays below this size are left to numpy."""
 
+LARGE_PIXELS = 4 * 2**20
+"""Pixels of a frame above which its arrays lie in scratch files where a network extrapolates. Of
+3840x2160, what a slot is made from takes 5 GB."""
+
+T = TypeVar("T")
 Buffer = npt.NDArray[np.uint8]
+
+
+_PRIVATE = {"flags": mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS} if hasattr(mmap, "MAP_PRIVATE") else {}
+"""Pages that other processes do not share, as always on Windows: only these can be huge."""
 
 
 class _Lease:
@@ -76,7 +91,7 @@ class FramePool:
         with self._lock:
             self._collect()
             free = self._free[size]
-            buffer = free.pop().buffer if free else np.empty(size, np.uint8)
+            buffer = free.pop().buffer if free else _fresh(size)
         lease = _Lease(buffer, shape, dtype)
         weakref.finalize(lease, self._returned.append, buffer).atexit = False
         return np.asarray(lease)
@@ -111,5 +126,109 @@ class FramePool:
             self._free[buffer.nbytes].append(_Free(buffer, self._trims))
 
 
+def _fresh(size: int) -> Buffer:
+    """Map memory of the system, which has all of it again when the buffer is dropped.
+
+    Raises
+    ------
+    MemoryError
+        If the system has too little.
+    """
+    try:
+        pages = mmap.mmap(-1, size, **_PRIVATE)
+    except OSError as error:
+        raise MemoryError(f"{size} bytes") from error
+    if hasattr(mmap, "MADV_HUGEPAGE"):
+        with suppress(OSError):  # the system has none
+            pages.madvise(mmap.MADV_HUGEPAGE)
+    return np.frombuffer(pages, np.uint8)
+
+
 pool = FramePool()
 """The pool of this process."""
+
+
+class ScratchFrames:
+    """Copies of large arrays in files without a name, which leave memory until they are used.
+
+    The system removes a file when its last array is gone, or the process ends. The files lie in
+    the system's folder for temporary files.
+
+    Parameters
+    ----------
+    min_pixels
+        Arrays [H, W, ...] with more pixels are stored; the default stores none.
+    """
+
+    def __init__(self, min_pixels: float = inf) -> None:
+        self._min_pixels = min_pixels
+        self._mapped: weakref.WeakSet[mmap.mmap] = weakref.WeakSet()
+        self._lock = threading.Lock()
+
+    def store(self, value: T) -> T:
+        """Return an array, or a tuple or dataclass of such, with every large array in a file.
+
+        What is not large, or is there already, stays as it is. So does what the disk has no room
+        for, or where the system lacks what this needs.
+        """
+        stored: T = self._store(value)
+        return stored
+
+    def page_out(self) -> None:
+        """Have all stored arrays leave the process's memory; it reads again what it uses."""
+        with self._lock:
+            files = list(self._mapped)
+        for file in files:
+            file.madvise(mmap.MADV_DONTNEED)
+
+    def _store(self, value: Any) -> Any:
+        if isinstance(value, np.ndarray):
+            return self._store_array(value)
+        if type(value) is tuple:
+            parts = tuple(self._store(part) for part in value)
+            return value if _same(parts, value) else parts
+        if not is_dataclass(value) or isinstance(value, type):
+            return value
+        names = [field.name for field in fields(value) if field.init]
+        before = [getattr(value, name) for name in names]
+        after = [self._store(part) for part in before]
+        if _same(after, before):
+            return value
+        return replace(value, **dict(zip(names, after, strict=True)))
+
+    def _store_array(self, array: np.ndarray) -> np.ndarray:
+        if prod(array.shape[:2]) <= self._min_pixels or self._has(array):
+            return array
+        file = _map_file(array.nbytes)
+        if file is None:
+            return array
+        out = np.ndarray(array.shape, array.dtype, buffer=file)
+        out[...] = array
+        file.madvise(mmap.MADV_DONTNEED)
+        with self._lock:
+            self._mapped.add(file)
+        return out
+
+    def _has(self, array: np.ndarray) -> bool:
+        base: object = array
+        while isinstance(base, np.ndarray):
+            base = base.base
+        with self._lock:
+            return isinstance(base, mmap.mmap) and base in self._mapped
+
+
+def _same(parts: Iterable[object], others: Iterable[object]) -> bool:
+    return all(part is other for part, other in zip(parts, others, strict=True))
+
+
+def _map_file(size: int) -> mmap.mmap | None:
+    """Map a new file; None if the disk has no room, or the system lacks a call."""
+    if hasattr(mmap, "MADV_DONTNEED") and hasattr(os, "posix_fallocate"):
+        with suppress(OSError), tempfile.TemporaryFile(prefix="exwarp-") as file:
+            os.posix_fallocate(file.fileno(), 0, size)  # else a full disk would end the process
+            return mmap.mmap(file.fileno(), size)
+    return None
+
+
+IN_MEMORY = ScratchFrames()
+"""Stores nothing."""

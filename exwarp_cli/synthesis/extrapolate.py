@@ -12,7 +12,7 @@ from exwarp_cli.domain.frame import Bool, Float32, GBuffer, KeyFrame
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.kernels import _row_bands, planes
 from exwarp_cli.kernels._row_bands import Share, rows_of
-from exwarp_cli.runtime.frame_pool import pool
+from exwarp_cli.runtime.frame_pool import IN_MEMORY, ScratchFrames, pool
 from exwarp_cli.synthesis.geometry import SlotField
 from exwarp_cli.synthesis.history import LookBack, Past
 from exwarp_cli.synthesis.modulation import decode, demodulated, encode_in_place, modulation_of
@@ -76,6 +76,8 @@ class SlotInputs:
         Of its depth, where it is finite.
     time
         Of the slot in its key interval.
+    scratch
+        Where large arrays lie.
     """
 
     frames: tuple[Moved, Moved, Moved]
@@ -83,6 +85,7 @@ class SlotInputs:
     surface: GBuffer
     median: float
     time: float
+    scratch: ScratchFrames = IN_MEMORY
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -106,6 +109,7 @@ class SlotInputs:
             frames, self.filled, (*surface, *materials), defaults, np.float32(self.median),
             (top, left), made,
         )  # fmt: skip
+        self.scratch.page_out()  # before the network takes its memory
         _row_bands.run(_encode, (made.reshape(len(made), -1),), _row_bands.threads())
         ends = np.cumsum(list(INPUTS.values()))[:-1]
         warped, mask, features, history = np.split(made, ends)
@@ -176,6 +180,7 @@ def prepare(
     seen: LookBack,
     key: KeyFrame,
     past: Sequence[Past],
+    scratch: ScratchFrames = IN_MEMORY,
 ) -> Prepared:
     """Gather what the network needs for a slot.
 
@@ -187,30 +192,36 @@ def prepare(
         The slot's motion field to the key frame, and what is known of its surfaces.
     key, past
         F_k, and F_k-1 and F_k-2 as far as they are there. Those in other light are left out.
+    scratch
+        Where what is large waits for the network.
     """
-    modulation = _modulation(seen)
+    modulation = scratch.store(_modulation(seen))
     divided = modulation is not None
     # Its colours are in the modulation.
-    surface = seen.surface.without(*SMOOTH)
+    surface = scratch.store(seen.surface.without(*SMOOTH))
     pixels, depth, hole = moved(_shading(key, divided), back)
     filled = pool.empty(pixels.shape, np.float32)
     _row_bands.run(_copy, (pixels, filled), _row_bands.threads())
     fill_holes(filled, depth, hole)
-    history = [Moved(pixels, ~hole)]
-    sides = [Side(key.image.pixels, back.field, ~hole)]
+    history = [scratch.store(Moved(pixels, ~hole))]
+    sides = [Side(key.image.pixels, back.field, history[0].visible)]
     del pixels
+    scratch.page_out()
     for step, field, hidden in zip(past, seen.fields, seen.hidden, strict=False):
         pixels, unseen = sampled(_shading(step.frame, divided), field)
-        older = Moved(pixels, ~(unseen | hidden))
+        older = scratch.store(Moved(pixels, ~(unseen | hidden)))
         if _lit_alike(history[0], older):
             history.append(older)
             sides.append(Side(step.frame.image.pixels, field, older.visible))
         del pixels, older
+        scratch.page_out()
     history += [history[-1]] * (HISTORY - len(history))
     now, before, oldest = history
     median = _median(surface.depth)
-    inputs = SlotInputs((now, before, oldest), filled, surface, median, slot / FACTOR)
-    return Prepared(inputs, modulation, filled, Sources((sides[0],), tuple(sides[1:]), depth))
+    filled = scratch.store(filled)
+    inputs = SlotInputs((now, before, oldest), filled, surface, median, slot / FACTOR, scratch)
+    sources = scratch.store(Sources((sides[0],), tuple(sides[1:]), depth))
+    return Prepared(inputs, modulation, filled, sources)
 
 
 def _encode(made: Float32, share: Share) -> None:

@@ -13,7 +13,7 @@ from exwarp_cli.domain.frame import Bool, Float32, GBuffer, KeyFrame
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.kernels.follow import follow, follow_shown
 from exwarp_cli.kernels.surface import go_on
-from exwarp_cli.runtime.frame_pool import pool
+from exwarp_cli.runtime.frame_pool import IN_MEMORY, ScratchFrames, pool
 from exwarp_cli.synthesis.camera import Camera, Index, Scene, camera_by, place_still, scene_of
 from exwarp_cli.synthesis.geometry import SlotField, moved_on, stands_still, unmatched
 from exwarp_cli.synthesis.rounding import EXACT
@@ -96,10 +96,13 @@ class BetweenKeys:
         G-buffer of F_k with settled motion.
     past
         F_k-1 and F_k-2, as far as they are there.
+    scratch
+        Where large frames lie.
     """
 
     key: GBuffer
     past: Sequence[Past]
+    scratch: ScratchFrames = IN_MEMORY
 
     @cached_property
     def gone(self) -> tuple[Bool, ...]:
@@ -113,6 +116,7 @@ class BetweenKeys:
                 break
             found.append(step.gone(newer))
             newer = step.frame.gbuffer
+            self.scratch.page_out()
         return tuple(found)
 
     def camera_at(self, time: float) -> Camera | None:
@@ -230,17 +234,20 @@ def _reprojected(slot: int, back: SlotField, between: BetweenKeys) -> LookBack:
     for count, (step, gone) in enumerate(zip(between.past, between.gone, strict=False), start=1):
         older = step.frame.gbuffer
         assert older is not None
+        between.scratch.page_out()
         led, missed = pool.empty(moved.shape, np.float32), pool.empty(lost.shape, np.bool_)
         follow_shown(step.motion, stencil_of(newer), gone, moved, lost, led, missed)
         moved, lost = led, missed
         if older.has_motion:
             motion = _foretold(step, count + time, camera, count > 1)
+            between.scratch.page_out()
             foretold = moved_on(older, motion).field
             go_on(foretold, moved, lost)
             sources.append((older, foretold))
         fields.append(moved)
         hidden.append(lost)
         newer = older
+    between.scratch.page_out()
     surface, unknown = reprojected(sources)
     return LookBack(surface, tuple(fields), tuple(hidden), unknown)
 
@@ -278,6 +285,7 @@ def _rendered(
     newer, moved = between.key, pool.copy(back.field)
     fields, hidden = [], []
     for count, step in enumerate(between.past, start=1):
+        between.scratch.page_out()
         older = step.frame.gbuffer
         if older is None:
             break

@@ -11,6 +11,7 @@ from exwarp_cli.domain.frame import Bool, Float32, GBuffer, KeyFrame, Window, pl
 from exwarp_cli.domain.interpolator import Interpolator
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import LayoutError
+from exwarp_cli.runtime.frame_pool import IN_MEMORY, ScratchFrames, pool
 from exwarp_cli.synthesis.camera import Scene, scene_of
 from exwarp_cli.synthesis.extrapolate import Prepared, prepare
 from exwarp_cli.synthesis.geometry import (
@@ -61,6 +62,8 @@ class Interval:
         Whether what was worked out for slots is asked for again once they are made, to score them.
     held
         True if every slot shows the picture of the key frame, as the next key frame repeats it.
+    scratch
+        Where arrays lie that wait for a network.
     """
 
     key: KeyFrame
@@ -73,6 +76,7 @@ class Interval:
     estimated: bool = False
     keeps: bool = False
     held: bool = False
+    scratch: ScratchFrames = IN_MEMORY
     _back: dict[int, SlotField] = field(default_factory=dict, init=False)
     _forward: dict[int, SlotField] = field(default_factory=dict, init=False)
     _scenes: dict[int, Scene | None] = field(default_factory=dict, init=False)
@@ -147,7 +151,7 @@ class Interval:
         if slot not in self._looked:
             back, key = self.back(slot), self.key.gbuffer
             assert key is not None  # the motion came from it
-            between = self._between = self._between or BetweenKeys(key, self.past)
+            between = self._between = self._between or BetweenKeys(key, self.past, self.scratch)
             here = self._scene(slot) if self.slots else None
             self._looked[slot] = look_back(slot, back, self.slots, between, here)
         return self._looked[slot]
@@ -162,7 +166,7 @@ class Interval:
     def prepared(self, slot: int) -> Prepared:
         """What a network needs to extrapolate to a slot, 1 to 3."""
         seen = self.look_back(slot)
-        return prepare(slot, self.back(slot), seen, self.key, self.past)
+        return prepare(slot, self.back(slot), seen, self.key, self.past, self.scratch)
 
     def extrapolated(self, slot: int) -> Float32:
         """E's frame for a slot, 2 or 3: float32 [H, W, C], scene-linear; made once.
@@ -172,8 +176,12 @@ class Interval:
         assert self.extrapolator is not None
         if slot not in self._extrapolated:
             prepared = self.prepared(slot)
-            self._looked.pop(slot, None)  # before the network runs, which takes much memory
-            self._extrapolated[slot] = prepared.finish(self.extrapolator(prepared.inputs))
+            self._looked.pop(slot, None)
+            self._back = {index: self.scratch.store(field) for index, field in self._back.items()}
+            pool.clear()  # the network takes a gigabyte
+            answer = self.extrapolator(prepared.inputs)
+            self._extrapolated[slot] = self.scratch.store(prepared.finish(answer))
+            self.scratch.page_out()
         return self._extrapolated[slot]
 
     def forget(self, slot: int) -> None:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
+from exwarp_cli.pipeline import job
 from tests.blender_layers import Planes
 from tests.cli import shots
 from tests.cli.shots import FORWARD, KEYS, SMALL, VECTORS, changed_by, generated
@@ -66,6 +69,17 @@ class TestSameBytes:
         network = save(tmp_path / "n.onnx", convolution(channels, scale=2, exwarp__stride="2"))
         made = [make(str(n), "s3", "--threads", n, network=network) for n in (1, 2, 5)]
         assert shots.contents(made[0]) == shots.contents(made[1]) == shots.contents(made[2])
+
+    @pytest.mark.parametrize("setting", SETTINGS)
+    @pytest.mark.parametrize("method", ["s3", "exwarp"])
+    def test_where_frames_lie_changes_nothing(self, make, monkeypatch, method, setting):
+        """Large ones lie in scratch files; here these small ones do."""
+        usual = make("usual", method, setting=setting)
+        monkeypatch.setattr(job, "LARGE_PIXELS", 0)
+        filed = Mock(wraps=os.posix_fallocate)
+        monkeypatch.setattr(os, "posix_fallocate", filed)
+        assert shots.contents(make("stored", method, setting=setting)) == shots.contents(usual)
+        assert filed.called
 
     @pytest.mark.parametrize("setting", SETTINGS)
     @pytest.mark.parametrize("method", ["s1", "s2", "s3"])

@@ -11,7 +11,7 @@ import threading
 import pytest
 
 from exwarp_cli.errors import OutOfMemoryError
-from exwarp_cli.io import exr
+from exwarp_cli.io.exr import reader
 
 SENTENCE = "exwarp: error: the system lets this user start no more threads or processes; raise the"
 
@@ -59,6 +59,6 @@ def test_a_file_that_a_limit_keeps_closed_is_not_damaged(plain_shot, monkeypatch
     def refuse(path: str) -> None:
         raise RuntimeError(os.strerror(errno.EAGAIN))
 
-    monkeypatch.setattr(exr.oiio.ImageInput, "open", staticmethod(refuse))
-    with pytest.raises(OutOfMemoryError), exr.ExrReader(next(plain_shot.iterdir())):
-        pass
+    monkeypatch.setattr(reader.oiio.ImageInput, "open", staticmethod(refuse))
+    with pytest.raises(OutOfMemoryError):
+        reader.ExrFile(next(plain_shot.iterdir()), by_openimageio=True)

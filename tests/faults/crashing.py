@@ -14,15 +14,15 @@ import time
 from typing import Any
 
 from exwarp_cli import cli
-from exwarp_cli.io import exr
+from exwarp_cli.io.exr.reader import ExrFile
 
 
 def main() -> None:
     how, after = sys.argv[1:3]
     del sys.argv[1:3]
-    decode, counted = exr.ExrReader._decoded, itertools.count()
+    decode, counted = ExrFile._decode_here, itertools.count()
 
-    def failing(self: exr.ExrReader, wanted: Any) -> Any:
+    def failing(self: ExrFile, wanted: Any) -> Any:
         here = next(counted) >= int(after) if after.isdigit() else str(self.path).endswith(after)
         if here:
             if how != "hang":
@@ -32,7 +32,7 @@ def main() -> None:
             time.sleep(1000)
         return decode(self, wanted)
 
-    exr.ExrReader._decoded = failing  # type: ignore[method-assign]
+    ExrFile._decode_here = failing  # type: ignore[method-assign]
     cli.main()
 
 

@@ -14,7 +14,8 @@ import OpenImageIO as oiio
 
 from exwarp_cli.io.cryptomatte import Cryptomatte, find_cryptomattes
 from exwarp_cli.io.cryptomatte_manifest import id_of
-from exwarp_cli.io.exr import Channel, ExrReader
+from exwarp_cli.io.exr.parts import Channel
+from exwarp_cli.io.exr.reader import ExrFile
 from tests.unit.exr_files import Planes, write_parts, write_single
 
 SPELLINGS = {"lower": "rgba", "upper": "RGBA", "words": ("red", "green", "blue", "alpha")}
@@ -125,14 +126,14 @@ def headers_of(path: Path) -> list[dict[str, object]]:
 
 
 def found_in(path: Path, beside: str = "") -> tuple[Cryptomatte, ...]:
-    with ExrReader(path) as file:
+    with ExrFile(path) as file:
         channels: list[Channel] = [c for part in file.parts for c in part.channels]
     return find_cryptomattes({"": channels}, {"": headers_of(path)}, beside)
 
 
 def ranks_in(path: Path, cryptomatte: Cryptomatte) -> np.ndarray:
     """Return the pixels of ranks 0 and 1, float32 [H, W, 4]."""
-    with ExrReader(path) as file:
+    with ExrFile(path) as file:
         channels = {c.name: c for part in file.parts for c in part.channels}
         wanted = [channels[ref.name] for ref in cryptomatte.stencil]
         planes = file.read(wanted)

@@ -1,4 +1,4 @@
-"""Floats that are hard to round to halfs, and what `to_halfs` makes of them.
+"""Floats that are hard to round to halfs, and what `round_to_half` makes of them.
 
 ``python -m tests.unit.half_cases OUT.npz`` does so in whatever build the environment asks for.
 """
@@ -9,7 +9,7 @@ import sys
 
 import numpy as np
 
-from exwarp_cli.kernels.half import to_halfs
+from exwarp_cli.kernels.exr_filters import round_to_half
 
 HALF_MAX = 65504.0
 EDGES = np.array(
@@ -35,10 +35,10 @@ def some_bits(each: int = 4) -> np.ndarray:
     return np.concatenate([EDGES, every.reshape(-1)])
 
 
-def rounded(bits: np.ndarray, bounded: bool, channels: int = 1) -> np.ndarray:
-    """Return halfs [C, H, W], as bits, of floats' bits [H, W C]."""
-    out = np.full((channels, len(bits), bits.shape[1] // channels), 7, np.uint16)
-    to_halfs(bits, bounded, out)
+def rounded(bits: np.ndarray, bounded: bool) -> np.ndarray:
+    """Return halfs [H, W], as bits, of floats' bits."""
+    out = np.full(bits.shape, 7, np.uint16)
+    round_to_half(bits, bounded, out)
     return out
 
 

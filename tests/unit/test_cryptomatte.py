@@ -12,7 +12,7 @@ from exwarp_cli.io.channels import ChannelRef
 from exwarp_cli.io.cryptomatte import Kind, find_cryptomattes
 from exwarp_cli.io.cryptomatte_ids import identity, require_sound, surfaces
 from exwarp_cli.io.cryptomatte_manifest import dynamic_objects, id_of, read_manifest
-from exwarp_cli.io.exr import ExrReader
+from exwarp_cli.io.exr.reader import ExrFile
 from tests.unit.cryptomatte_files import (
     COMPRESSIONS,
     SPELLINGS,
@@ -113,7 +113,7 @@ class TestLayers:
         beauty = write_single(tmp_path / "beauty.exr", rgba(6, 8))
         channels, headers = {}, {}
         for aov, one in (("", beauty), ("crypto", path)):
-            with ExrReader(one) as file:
+            with ExrFile(one) as file:
                 channels[aov] = file.parts[0].channels
             headers[aov] = headers_of(one)
         (found,) = find_cryptomattes(channels, headers)

@@ -13,6 +13,7 @@ from hypothesis.extra import numpy as arrays
 from exwarp_cli.domain.extrapolator import INPUTS, NetworkInputs
 from exwarp_cli.domain.frame import Float32, GBuffer, KeyFrame, Window
 from exwarp_cli.errors import LayoutError
+from exwarp_cli.runtime.frame_pool import ScratchFrames
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.modulation import DARKEST, decode, encode, modulation_of
 from exwarp_cli.synthesis.warp import warp_alone
@@ -34,6 +35,15 @@ class Bright(Filled):
 @pytest.fixture(scope="module", params=SETTINGS)
 def interval(request, footage) -> Interval:
     return replace(footage.causal(K, request.param), extrapolator=Filled())
+
+
+@pytest.mark.parametrize("slot", [2, 3])
+def test_where_arrays_lie_changes_nothing(interval, slot):
+    """Those of large frames leave memory between steps; here these small ones do."""
+    scratch = ScratchFrames(0)
+    stored = scratch.store(replace(interval, scratch=scratch))
+    assert not np.shares_memory(stored.key.image.pixels, interval.key.image.pixels)
+    np.testing.assert_array_equal(stored.extrapolated(slot), interval.extrapolated(slot))
 
 
 @given(

@@ -1,13 +1,21 @@
-"""Buffers of frame arrays serve later arrays of the same size."""
+"""Buffers of frame arrays serve later arrays of the same size; large frames leave memory."""
 
 from __future__ import annotations
 
+import errno
+import os
+import re
+import sys
 import threading
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from exwarp_cli.runtime.frame_pool import MIN_BYTES, FramePool
+from exwarp_cli.runtime.frame_pool import IN_MEMORY, MIN_BYTES, FramePool, ScratchFrames
+
+linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="others do not tell")
 
 SHAPE = (600, 300, 4)
 BYTES = 4 * 600 * 300 * 4
@@ -112,3 +120,100 @@ def test_threads_never_share_a_buffer(pool):
     for thread in threads:
         thread.join()
     assert not wrong
+
+
+PIXELS = 600 * 300
+LARGE = np.arange(601 * 300 * 2, dtype=np.float32).reshape(601, 300, 2)
+SMALL = np.ones((600, 300, 4), np.float32)
+
+
+@dataclass(frozen=True)
+class Picture:
+    number: int
+    pixels: np.ndarray
+    planes: tuple[np.ndarray | None, ...] = ()
+
+
+@pytest.fixture
+def scratch() -> ScratchFrames:
+    return ScratchFrames(PIXELS)
+
+
+def resident(array: np.ndarray) -> int:
+    """Bytes of the mapping that an array begins in which are in this process's memory."""
+    place, inside = address(array), False
+    for line in Path("/proc/self/smaps").read_text().splitlines():
+        if re.match(r"[0-9a-f]+-[0-9a-f]+ ", line):
+            first, end = (int(edge, 16) for edge in line.split()[0].split("-"))
+            inside = first <= place < end
+        elif inside and line.startswith("Rss:"):
+            return 1024 * int(line.split()[1])
+    raise AssertionError("no such mapping")
+
+
+def mapped_files() -> int:
+    """Count the scratch files that this process has."""
+    return Path("/proc/self/maps").read_text().count("(deleted)")
+
+
+@linux
+def test_a_large_frame_leaves_memory_and_comes_back(scratch):
+    array = scratch.store(LARGE)
+    assert array is not LARGE and resident(array) == 0
+    np.testing.assert_array_equal(array, LARGE)
+    assert resident(array) >= array.nbytes
+    array[3, 5] = -1
+    scratch.page_out()
+    assert resident(array) == 0
+    assert (array[3, 5] == -1).all()
+
+
+def test_every_large_array_of_a_value_is_stored(scratch):
+    picture = Picture(7, LARGE, (None, SMALL, LARGE[..., 0]))
+    stored = scratch.store(picture)
+    assert stored.number == 7 and stored.planes[0] is None and stored.planes[1] is SMALL
+    assert not np.shares_memory(stored.pixels, LARGE)
+    assert not np.shares_memory(stored.planes[2], LARGE)
+    np.testing.assert_array_equal(stored.pixels, LARGE)
+    np.testing.assert_array_equal(stored.planes[2], LARGE[..., 0])
+
+
+def test_what_is_stored_is_not_stored_again(scratch):
+    stored = scratch.store(Picture(7, LARGE))
+    assert scratch.store(stored) is stored
+    view = stored.pixels[:, ::-1]
+    assert scratch.store(view) is view
+
+
+def test_what_has_no_large_array_stays_as_it_is(scratch):
+    picture = Picture(7, SMALL)
+    assert scratch.store(picture) is picture
+    assert IN_MEMORY.store(LARGE) is LARGE
+
+
+def test_on_a_full_disk_arrays_stay_in_memory(scratch, monkeypatch):
+    def full(*_: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "posix_fallocate", full, raising=False)
+    picture = Picture(7, LARGE)
+    assert scratch.store(picture) is picture
+
+
+@linux
+def test_a_file_goes_with_the_last_array_on_it(scratch):
+    before = mapped_files()
+    row = scratch.store(LARGE)[3]
+    assert mapped_files() == before + 1
+    scratch.page_out()
+    np.testing.assert_array_equal(row, LARGE[3])
+    del row
+    assert mapped_files() == before
+
+
+@linux
+def test_a_scratch_file_has_no_name(scratch, tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    array = scratch.store(LARGE)
+    np.testing.assert_array_equal(array, LARGE)
+    assert not list(tmp_path.iterdir())

@@ -13,7 +13,7 @@ import OpenImageIO as oiio
 import pytest
 
 from exwarp_cli.errors import DamagedFileError, InputError
-from exwarp_cli.io.header_text import MULTIPART, attributes_in
+from exwarp_cli.io.exr.header import MULTIPART, attributes_in
 from exwarp_cli.io.key_file import key_file
 from exwarp_cli.io.output import COMPRESSIONS, is_intact, seal
 

@@ -7,7 +7,8 @@ import pytest
 
 from exwarp_cli.errors import UsageError
 from exwarp_cli.io.channels import Layout, Role, detect
-from exwarp_cli.io.exr import Channel, ExrReader
+from exwarp_cli.io.exr.parts import Channel
+from exwarp_cli.io.exr.reader import ExrFile
 from exwarp_cli.io.layers import Kind, Layer, chosen, layers_of
 from exwarp_cli.io.views import channels_of
 from tests.unit.exr_files import plane, rgba, write_parts
@@ -177,7 +178,7 @@ class TestStructure:
             for name, planes in {"Combined": rgba(6, 8), "Object Index": {"X": ids}}.items()
         }
         path = write_parts(tmp_path / "a.exr", parts)
-        with ExrReader(path) as file:
+        with ExrFile(path) as file:
             channels = channels_of(file.parts, "right")
             layers = layers_of({"": channels}, detect({"": channels.values()}))
             read = file.read(layers[1].channels)

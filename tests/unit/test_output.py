@@ -16,15 +16,14 @@ from exwarp_cli.domain.frame import Image, Window
 from exwarp_cli.errors import DamagedFileError, OutputError, UsageError
 from exwarp_cli.io import output
 from exwarp_cli.io.channels import ChannelRef
-from exwarp_cli.io.exr import ExrReader
-from exwarp_cli.io.exr_encoding import Smaller
-from exwarp_cli.io.frames import read_image
-from exwarp_cli.io.template import (
+from exwarp_cli.io.exr.reader import ExrFile, read_headers
+from exwarp_cli.io.exr.template import (
     Plane,
     quantise,
-    read_headers,
     read_template,
 )
+from exwarp_cli.io.exr.writer import OpenExrCompression
+from exwarp_cli.io.frames import read_image
 from tests.unit.exr_files import box, plane, rgba, write_parts, write_single
 from tests.unit.written_frames import CARRIED, WINDOW, beauty, image, pixels, template
 
@@ -76,7 +75,7 @@ class TestTemplate:
         kept = template(tmp_path / "in.exr", dtype)
         assert [plane.dtype for plane in kept.colour] == [np.dtype(dtype)] * 4
         output.write_frame(tmp_path / "out.exr", image(), kept, {})
-        with ExrReader(tmp_path / "out.exr") as file:
+        with ExrFile(tmp_path / "out.exr") as file:
             types = {channel.pixel_type for channel in file.parts[0].channels}
         assert types == {"half" if dtype is np.float16 else "float"}
         found = read_image(tmp_path / "out.exr").pixels
@@ -112,7 +111,7 @@ class TestTemplate:
 
 class TestFrame:
     def test_windows_and_attributes(self, frame):
-        with ExrReader(frame) as file:
+        with ExrFile(frame) as file:
             assert file.parts[0].data_window == WINDOW
             assert file.parts[0].display_window == Window(0, 0, 16, 10)
         assert output.written_attributes(frame) == {
@@ -164,7 +163,7 @@ class TestFrame:
     def test_a_mask(self, tmp_path):
         mask = np.random.default_rng(0).random(WINDOW.shape) < 0.3
         output.write_mask(tmp_path / "m.exr", mask, (WINDOW, WINDOW), {output.RECIPE: "r"})
-        with ExrReader(tmp_path / "m.exr") as file:
+        with ExrFile(tmp_path / "m.exr") as file:
             (channel,) = file.parts[0].channels
             assert (channel.name, channel.pixel_type) == ("holes", "half")
             np.testing.assert_array_equal(file.read([channel])[channel], mask)
@@ -274,7 +273,7 @@ class TestSmallThings:
     def test_compressions_by_name(self):
         assert output.compression_of(None) is None
         assert output.compression_of("zip") == OpenEXR.ZIP_COMPRESSION
-        assert output.compression_of("zip:4") == Smaller(OpenEXR.ZIP_COMPRESSION)
+        assert output.compression_of("zip:4") == OpenExrCompression(OpenEXR.ZIP_COMPRESSION)
         with pytest.raises(UsageError, match=r"--compression lzma is not one of none, rle"):
             output.compression_of("lzma")
 

@@ -13,18 +13,17 @@ from exwarp_cli.domain.frame import Image, Window
 from exwarp_cli.errors import LayoutError
 from exwarp_cli.io import output
 from exwarp_cli.io.channels import Role, detect
-from exwarp_cli.io.exr import ExrReader
-from exwarp_cli.io.frames import read_image
-from exwarp_cli.io.layers import layers_of
-from exwarp_cli.io.template import (
+from exwarp_cli.io.exr.reader import ExrFile, read_headers
+from exwarp_cli.io.exr.template import (
     PIXEL_TYPES,
     Plane,
     PlaneKey,
     Template,
     ViewLayers,
-    read_headers,
     read_template,
 )
+from exwarp_cli.io.frames import read_image
+from exwarp_cli.io.layers import layers_of
 from exwarp_cli.io.views import channels_of
 from tests.unit.exr_files import box, plane, rgba, write_parts, write_single
 from tests.unit.written_frames import WINDOW, image, pixels
@@ -46,7 +45,7 @@ class TestParts:
 
     @staticmethod
     def wanted(source: Path, *views: str) -> tuple[ViewLayers, ...]:
-        with ExrReader(source) as file:
+        with ExrFile(source) as file:
             parts = file.parts
         found = []
         for view in views:
@@ -82,7 +81,7 @@ class TestParts:
         assert [h.get("owner") for h in headers] == ["left", None, None, "right", None, None]
         assert [output.RECIPE in h for h in headers] == [True] + [False] * 5
         assert {h["framesPerSecond"] for h in headers} == {Fraction(96)}
-        with ExrReader(out) as file:
+        with ExrFile(out) as file:
             assert [p.data_window for p in file.parts] == [WINDOW] * 3 + [right] * 3
             for part, wanted in zip(file.parts, kept.parts, strict=True):
                 for channel, target in zip(part.channels, wanted.planes, strict=True):
@@ -95,7 +94,7 @@ class TestParts:
     def test_one_view_of_them(self, source, tmp_path):
         kept = read_template(source, self.wanted(source, "right"))
         output.write_frame(tmp_path / "o.exr", image(), kept, {}, self.planes(kept, WINDOW))
-        with ExrReader(tmp_path / "o.exr") as file:
+        with ExrFile(tmp_path / "o.exr") as file:
             assert [part.view for part in file.parts] == ["right"] * 3
 
     def test_views_of_one_part_are_those_that_are_written(self, tmp_path):
@@ -104,7 +103,7 @@ class TestParts:
         for views in (("left",), ("right",), ("left", "right")):
             kept = read_template(source, self.wanted(source, *views))
             output.write_frame(tmp_path / "o.exr", image(), kept, {}, self.planes(kept, WINDOW))
-            with ExrReader(tmp_path / "o.exr") as file:
+            with ExrFile(tmp_path / "o.exr") as file:
                 (part,) = file.parts
                 assert part.views == views
                 assert len(part.channels) == 4 * len(views)
@@ -119,7 +118,7 @@ class TestParts:
         }
         bright = Image(np.full((*WINDOW.shape, 4), 1e5, np.float32), WINDOW, WINDOW)
         output.write_frame(tmp_path / "o.exr", bright, kept, {}, beside)
-        with ExrReader(tmp_path / "o.exr") as file:
+        with ExrFile(tmp_path / "o.exr") as file:
             found = {c.name: file.read([c])[c][0, 0] for p in file.parts for c in p.channels}
         assert found["rgba.R"] == 65504 and np.isinf(found["z.Z"]) and found["id.X"] == 100000
 

@@ -17,7 +17,7 @@ from PIL import ImageCms
 from exwarp_cli.domain.curves import FILM, LINEAR, SRGB
 from exwarp_cli.domain.frame import Image, Window
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, OutputError, UsageError
-from exwarp_cli.io.exr import ExrReader
+from exwarp_cli.io.exr.reader import ExrFile
 from exwarp_cli.io.still_seal import seal_still, still_facts
 from exwarp_cli.io.stills import (
     SEALED,
@@ -329,7 +329,7 @@ class TestBadFiles:
                 path.write_bytes(data[:size])
                 try:
                     if suffix == "exr":
-                        ExrReader(path)
+                        ExrFile(path)
                     else:
                         read_still(path)
                 except DamagedFileError as error:

@@ -8,7 +8,7 @@ from typing import Any
 
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.io.channels import Role
-from exwarp_cli.io.output import read_headers
+from exwarp_cli.io.exr.reader import read_headers
 from exwarp_cli.io.render_time import render_seconds
 from exwarp_cli.pipeline.announcing import other_extrapolator
 from exwarp_cli.pipeline.bench.opened import Opened

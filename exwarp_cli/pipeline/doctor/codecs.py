@@ -11,8 +11,8 @@ import OpenImageIO as oiio
 from exwarp_cli.domain.checkup import Check, failure, warning
 from exwarp_cli.domain.wording import counted, first_line
 from exwarp_cli.errors import UsageError
+from exwarp_cli.io.exr.writer import COMPRESSIONS
 from exwarp_cli.io.ffmpeg import FfmpegError
-from exwarp_cli.io.output import COMPRESSIONS
 from exwarp_cli.io.specimens import (
     LOSSLESS,
     exr_problem,

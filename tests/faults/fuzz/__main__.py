@@ -164,8 +164,7 @@ def _guided(try_one: Callable[[], None], batch: Batch, counted: Counter[str]) ->
     for module in pkgutil.iter_modules(kernels.__path__, f"{kernels.__name__}."):
         importlib.import_module(module.name)
     with atheris.instrument_imports(include=["exwarp_cli.io"]):
-        import exwarp_cli.io.exr
-        import exwarp_cli.io.exr_decoding
+        import exwarp_cli.io.exr.reader
         import exwarp_cli.io.shot  # noqa: F401
     fuzz: Callable[[bytes], object] = try_one.hypothesis.fuzz_one_input  # type: ignore[attr-defined]
 

@@ -10,8 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from exwarp_cli.kernels.depths import known_depths
-from exwarp_cli.kernels.exr_rises import from_halves, from_lines, from_planes, from_runs
+from exwarp_cli.kernels.exr_filters import predict, read_lines, read_predicted
 from tests.reference import exr as naive
+from tests.unit.half_cases import by_numpy, edges_rounded, rounded, some_bits
+from tests.unit.interpreted import same_when_interpreted
 
 SETTINGS = settings(derandomize=True, max_examples=60, deadline=None)
 SIZES = st.one_of(st.integers(1, 4), st.integers(1, 90))
@@ -40,30 +42,9 @@ def test_lines_and_halves(height, width, kinds, seed):
     planes, sizes = some(rng, kinds, (height, width)), [FULL[kind] for kind in kinds]
     places = rng.permutation(len(kinds)).tolist()
     data, expected = naive.lines(planes), naive.singles(planes)
-    for kernel, stored in ((from_lines, data), (from_halves, naive.halves(data))):
+    for kernel, stored in ((read_lines, data), (read_predicted, naive.halves(data))):
         out = decoded(kernel, stored, sizes, places, (height, width))
         np.testing.assert_array_equal(out[..., places], expected)
-
-
-@SETTINGS
-@given(SIZES, SIZES, KINDS, SEEDS)
-def test_planes(height, width, kinds, seed):
-    rng = np.random.default_rng(seed)
-    planes = some(rng, kinds, (height, width))
-    sizes = [{"f2": 2, "f4": 3, "u4": 4}[kind] for kind in kinds]
-    places = rng.permutation(len(kinds)).tolist()
-    out = decoded(from_planes, naive.planes24(planes), sizes, places, (height, width))
-    np.testing.assert_array_equal(out[..., places], naive.singles(planes, drop=True))
-
-
-@pytest.mark.parametrize("kind", ["f2", "f4", "u4"])
-@pytest.mark.parametrize("count", [1, 2, 3, 4, 5])
-def test_planes_of_one_kind(count, kind):
-    rng = np.random.default_rng(count)
-    planes = some(rng, [kind] * count, (5, 67))
-    sizes, places = [{"f2": 2, "f4": 3, "u4": 4}[kind]] * count, rng.permutation(count).tolist()
-    out = decoded(from_planes, naive.planes24(planes), sizes, places, (5, 67))
-    np.testing.assert_array_equal(out[..., places], naive.singles(planes, drop=True))
 
 
 @SETTINGS
@@ -74,42 +55,45 @@ def test_what_is_not_wanted_is_passed_over(height, width, kinds, seed):
     wanted = int(rng.integers(len(kinds)))
     places = [0 if k == wanted else -1 for k in range(len(kinds))]
     data, expected = naive.lines(planes), naive.singles(planes)[..., wanted]
-    stored = [(from_lines, data, sizes), (from_halves, naive.halves(data), sizes)]
-    if "f4" not in kinds:
-        stored.append((from_planes, naive.planes24(planes), sizes))
-    for kernel, taken, of in stored:
-        out = decoded(kernel, taken, of, places, (height, width))
+    for kernel, stored in ((read_lines, data), (read_predicted, naive.halves(data))):
+        out = decoded(kernel, stored, sizes, places, (height, width))
         np.testing.assert_array_equal(out[..., 0], expected)
 
 
 def test_every_half():
     halves = np.arange(2**16, dtype=np.uint16).view(np.float16).reshape(256, 256)
-    out = decoded(from_lines, halves.tobytes(), [2], [0], (256, 256))
+    out = decoded(read_lines, halves.tobytes(), [2], [0], (256, 256))
     np.testing.assert_array_equal(out[..., 0], naive.singles([halves])[..., 0])
     finite = np.isfinite(halves)
     values = out[..., 0].view(np.float32)
     np.testing.assert_array_equal(values[finite], halves[finite].astype(np.float32))
 
 
-class TestRuns:
-    @SETTINGS
-    @given(st.lists(st.tuples(st.integers(0, 255), st.integers(1, 300)), min_size=1, max_size=20))
-    def test_what_the_twin_made(self, pieces):
-        data = b"".join(bytes([value]) * count for value, count in pieces)
-        out = np.empty(len(data), np.uint8)
-        assert from_runs(np.frombuffer(naive.runs(data), np.uint8), out)
-        assert out.tobytes() == data
+class TestPredict:
+    @pytest.mark.parametrize(("size", "block"), [(2, 2), (2, 64), (96, 32), (100, 32), (34, 32)])
+    def test_blocks_are_filtered_as_the_twin_does(self, size, block):
+        lines = np.random.default_rng(0).integers(0, 256, size, np.uint8)
+        out = np.empty_like(lines)
+        predict(lines.view(np.uint16), block // 2, out)
+        blocks = (lines[start : start + block] for start in range(0, size, block))
+        assert out.tobytes() == b"".join(naive.halves(one.tobytes()) for one in blocks)
 
-    @pytest.mark.parametrize(
-        "packed",
-        [[], [3], [3, 7, 0], [4, 7], [2, 7], [253, 1, 2], [252, 1, 2, 3], [3, 7, 0, 1], [0, 1] * 5],
-        ids=str,
-    )
-    def test_not_just_so_many_bytes(self, packed):
-        """Four are expected; what lies behind them stays as it is."""
-        memory = np.full(8, 99, np.uint8)
-        assert not from_runs(np.array(packed, np.uint8), memory[:4])
-        assert (memory[4:] == 99).all()
+
+@pytest.mark.parametrize("bounded", [False, True])
+class TestRoundingToHalf:
+    def test_it_is_numpy_s(self, bounded):
+        bits = some_bits()[None]
+        np.testing.assert_array_equal(rounded(bits, bounded), by_numpy(bits, bounded))
+
+    def test_rows_without_nan(self, bounded):
+        bits = some_bits()
+        bits = bits[bits & 0x7FFFFFFF <= 0x7F800000][None]
+        np.testing.assert_array_equal(rounded(bits, bounded), by_numpy(bits, bounded))
+
+
+def test_rounding_to_half_interpreted(tmp_path):
+    found = edges_rounded()
+    same_when_interpreted("tests.unit.half_cases", tmp_path / "x.npz", found, "RuntimeWarning")
 
 
 @given(st.lists(st.floats(width=32), min_size=1, max_size=40), st.sampled_from([1e9, 5.0]))

@@ -2,28 +2,22 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import OpenEXR
 
 from exwarp_cli.domain.frame import Float32, Window, broken_pixels
 from exwarp_cli.errors import InputError, LayoutError
-from exwarp_cli.io.channel_rows import Channel as Written
-from exwarp_cli.io.channel_rows import Unrounded
 from exwarp_cli.io.channels import ChannelRef
-from exwarp_cli.io.exr import Channel, ExrReader, Part, damaged
-from exwarp_cli.io.header_text import in_utf8
+from exwarp_cli.io.exr.parts import Channel, Part
+from exwarp_cli.io.exr.reader import HeaderCache, damaged
+from exwarp_cli.io.exr.writer import OutputChannel, PendingHalf
 from exwarp_cli.io.layers import Kind, Layer
-from exwarp_cli.io.reading_retry import with_retries
 from exwarp_cli.io.render_time import render_seconds
 from exwarp_cli.io.views import channels_of, views_of
-from exwarp_cli.runtime.read_registry import being_read
 
 HALF_MAX = 65504.0
 
@@ -128,14 +122,14 @@ class PlaneTemplate:
     dtype: np.dtype[Any]
     bounded: bool
 
-    def channel(self, values: np.ndarray) -> Written:
+    def channel(self, values: np.ndarray) -> OutputChannel:
         """Return values [H, W] in the channel's type; floats for halfs are rounded later."""
         if self.dtype == np.float32 and values.dtype == np.float32 and self.bounded:
             return within_floats(np.ascontiguousarray(values))
         if self.dtype != np.float16 or values.dtype == np.float16:
             return np.ascontiguousarray(values, dtype=self.dtype)
         if values.dtype == np.float32:
-            return Unrounded(values, self.bounded)
+            return PendingHalf(values, self.bounded)
         if self.bounded:
             values = np.clip(values, -HALF_MAX, HALF_MAX)
         with np.errstate(over="ignore"):
@@ -186,7 +180,9 @@ class Template:
         return (plane for part in self.parts for plane in part.planes)
 
 
-def read_template(path: Path, wanted: tuple[ViewLayers, ...]) -> Template:
+def read_template(
+    path: Path, wanted: tuple[ViewLayers, ...], headers: HeaderCache | None = None
+) -> Template:
     """Read what a generated frame takes over.
 
     Parameters
@@ -197,6 +193,9 @@ def read_template(path: Path, wanted: tuple[ViewLayers, ...]) -> Template:
         What is written of each view, the one that leads first. A channel that several of them have
         in common is the first one's.
 
+    headers
+        Where the file's header may be kept; None to open the file.
+
     Raises
     ------
     DamagedFileError
@@ -204,9 +203,8 @@ def read_template(path: Path, wanted: tuple[ViewLayers, ...]) -> Template:
     LayoutError
         When a layer is gone.
     """
-    with ExrReader(path) as file:
-        parts = file.parts
-    headers = read_headers(path)
+    header = (headers or HeaderCache()).read(path)
+    parts, attributes = header.parts, header.attributes
     placed: dict[int, dict[int, PlaneTemplate]] = {}
     for layers in wanted:
         channels = channels_of(parts, layers.within)
@@ -219,7 +217,7 @@ def read_template(path: Path, wanted: tuple[ViewLayers, ...]) -> Template:
     views = [layers.within for layers in wanted]
     made = tuple(
         PartTemplate(
-            _header(headers[index], parts[index], _views(parts, index, views)),
+            _header(attributes[index], parts[index], _views(parts, index, views)),
             tuple(plane for _, plane in sorted(planes.items())),
             parts[index].data_window,
         )
@@ -227,7 +225,7 @@ def read_template(path: Path, wanted: tuple[ViewLayers, ...]) -> Template:
     )
     every = {plane.key: plane for part in made for plane in part.planes}
     colour = tuple(every[wanted[0].view, ref] for ref in wanted[0].colour)
-    return Template(made, colour, render_seconds(headers))
+    return Template(made, colour, render_seconds(attributes))
 
 
 def quantise(pixels: Float32, template: Template) -> Float32:
@@ -238,7 +236,7 @@ def quantise(pixels: Float32, template: Template) -> Float32:
     out = pixels.copy()
     for i, plane in enumerate(template.colour):
         if plane.dtype == np.float16:
-            out[..., i] = Unrounded(pixels[..., i], plane.bounded).rounded()
+            out[..., i] = PendingHalf(pixels[..., i], plane.bounded).rounded()
         elif plane.dtype == np.float32 and plane.bounded:
             out[..., i] = within_floats(pixels[..., i])
     return out
@@ -249,48 +247,6 @@ def within_floats(values: Float32) -> Float32:
     if not broken_pixels(values[..., None]).any():
         return values
     return np.nan_to_num(values)
-
-
-def read_headers(path: Path) -> list[dict[str, Any]]:
-    """Read the header of every part.
-
-    Text that is no UTF-8 keeps its bytes as lone surrogates. Left out is what has such a name, and
-    lists of such texts.
-
-    Raises
-    ------
-    DamagedFileError
-        When a header cannot be read.
-    UnreadableError
-        When the system does not let the file through.
-    """
-    return with_retries(path, partial(_read_headers, path))
-
-
-def _read_headers(path: Path) -> list[dict[str, Any]]:
-    """Read the header of every part, once."""
-    try:
-        with path.open("rb") as file:
-            file.read(1)  # OpenEXR prints what the system refuses
-        with being_read(path):
-            try:
-                return _headers(str(path))
-            except UnicodeDecodeError:
-                data, otherwise = in_utf8(path.read_bytes())
-                headers = _headers(io.BytesIO(data))
-    except (RuntimeError, ValueError, OSError, ArithmeticError) as error:  # a rate of 0/0 as well
-        raise damaged(path, str(error)) from error
-    for (part, name), text in otherwise.items():
-        if text is not None:
-            headers[part][name] = text
-        else:
-            headers[part].pop(name, None)
-    return headers
-
-
-def _headers(file: str | io.BytesIO) -> list[dict[str, Any]]:
-    with OpenEXR.File(file, header_only=True) as opened:
-        return [dict(part.header) for part in opened.parts]
 
 
 def _gone(path: Path, ref: ChannelRef, layers: ViewLayers) -> InputError:
@@ -329,7 +285,5 @@ def _views(parts: tuple[Part, ...], index: int, written: Iterable[str]) -> tuple
 
 
 def _writable(name: str, value: object) -> bool:
-    """Whether an attribute is no other frame's own, and OpenEXR can write back what it read."""
-    if name.startswith(PREFIX) or (name == "name" and not value):
-        return False
-    return not isinstance(value, OpenEXR.OpaqueAttribute)
+    """Whether an attribute is no other frame's own, and can be written."""
+    return not name.startswith(PREFIX) and (name != "name" or bool(value))

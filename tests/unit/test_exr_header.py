@@ -12,9 +12,9 @@ from exwarp_cli.domain.frame import Image, Window
 from exwarp_cli.errors import DamagedFileError
 from exwarp_cli.io import output
 from exwarp_cli.io.channels import ChannelRef
-from exwarp_cli.io.exr import ExrReader
-from exwarp_cli.io.header_text import as_it_was, attributes_in, in_utf8, plain
-from exwarp_cli.io.template import ViewLayers, read_headers, read_template
+from exwarp_cli.io.exr.header import attributes_in, in_utf8, replace_non_utf8, restore_non_utf8
+from exwarp_cli.io.exr.reader import ExrFile, read_headers
+from exwarp_cli.io.exr.template import ViewLayers, read_template
 from tests.unit.exr_files import header, rgba, write_parts, write_single
 
 MANIFEST = "cryptomatte/d593dd7/manifest"
@@ -68,8 +68,8 @@ class TestReading:
         with pytest.raises(UnicodeDecodeError):
             OpenEXR.File(str(path), header_only=True)
         (found,) = read_headers(path)
-        with ExrReader(path) as file:
-            assert found[MANIFEST] == file.headers[0][MANIFEST] == TEXT
+        with ExrFile(path) as file:
+            assert found[MANIFEST] == file.header.texts[0][MANIFEST] == TEXT
         assert {name: found[name] for name in GOOD} == GOOD
         assert found["compression"] == OpenEXR.ZIP_COMPRESSION
 
@@ -100,8 +100,8 @@ class TestReading:
     def test_what_is_utf8_stays(self, tmp_path):
         data = write_single(tmp_path / "a.exr", rgba(3, 4), **GOOD).read_bytes()
         assert in_utf8(data) == (data, {})
-        assert plain("Käthe") == "Käthe"
-        assert len(plain(TEXT).encode()) == len(RAW)
+        assert replace_non_utf8("Käthe") == "Käthe"
+        assert len(replace_non_utf8(TEXT).encode()) == len(RAW)
         names = [one.name.decode() for one in attributes_in(data)]
         assert sorted(names) == sorted({*read_headers(tmp_path / "a.exr")[0]})
         assert set(header(**GOOD)) <= set(names)
@@ -114,17 +114,17 @@ class TestWriting:
         assert read_headers(out)[0][MANIFEST] == TEXT
         assert output.recipe_of(out) == "abc"
         assert output.written_attributes(out)["recipe"] == "abc"
-        with ExrReader(out) as file:
-            assert file.headers[0][MANIFEST] == TEXT
+        with ExrFile(out) as file:
+            assert file.header.texts[0][MANIFEST] == TEXT
 
     def test_of_parts_each_gets_its_own(self, tmp_path):
         source = double(tmp_path / "a.exr")
-        with ExrReader(source) as file:
+        with ExrFile(source) as file:
             names = [part.channels[0].raw_name for part in file.parts]
         assert names[1] == "V.Dirt.X"
         data = source.read_bytes()
         headers = read_headers(source)
         passed, _ = in_utf8(data)
-        assert passed != data and as_it_was(passed, headers) == data
+        assert passed != data and restore_non_utf8(passed, headers) == data
         out = rewritten(source, tmp_path / "b.exr", ViewLayers("", "", refs("V.Combined.")))
         assert [h["note"] for h in read_headers(out)] == ["B\x01ume"]

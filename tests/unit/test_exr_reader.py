@@ -13,10 +13,9 @@ import pytest
 
 from exwarp_cli.domain.frame import Window
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, MissingFrameError
-from exwarp_cli.io import exr
-from exwarp_cli.io.exr import ExrReader
+from exwarp_cli.io.exr import reader
+from exwarp_cli.io.exr.reader import ExrFile, read_headers
 from exwarp_cli.io.frames import read_image, read_plane
-from exwarp_cli.io.output import read_headers
 from tests.unit.cryptomatte_files import Style, attributes_of, planes_of, write_cryptomatte
 from tests.unit.exr_files import (
     box,
@@ -31,7 +30,7 @@ from tests.unit.exr_files import (
 
 
 def read_all(path):
-    with ExrReader(path) as file:
+    with ExrFile(path) as file:
         channels = [channel for part in file.parts for channel in part.channels]
         planes = file.read(channels)
         return file.parts, {channel.name: planes[channel] for channel in channels}
@@ -140,10 +139,11 @@ def test_attributes_of_every_part(tmp_path):
         "rgba": (rgba(4, 5), {"shot:by": "Ada"}),
         "z": ({"Z": plane(4, 5, 1)}, {"shot:take": 3}),
     }
-    with ExrReader(write_parts(tmp_path / "a.exr", made)) as file:
-        first, second = file.headers
+    with ExrFile(write_parts(tmp_path / "a.exr", made)) as file:
+        first, second = file.header.attributes
     assert first["shot:by"] == "Ada" and "shot:by" not in second
-    assert second["shot:take"] == 3 and second["compression"] == "zip"
+    assert second["shot:take"] == 3 and second["compression"] == OpenEXR.ZIP_COMPRESSION
+    assert file.header.texts[0]["shot:by"] == "Ada" and file.header.texts[1]["compression"] == "zip"
 
 
 class TestPixels:
@@ -260,7 +260,7 @@ def test_what_is_read_in_bands_is_what_openimageio_reads_at_once(
     tmp_path, monkeypatch, compression, size
 ):
     """Taller than a band for two cores, and of a window that begins anywhere."""
-    monkeypatch.setattr(exr.cores, "count", lambda: 2)
+    monkeypatch.setattr(reader.cores, "count", lambda: 2)
     spec = oiio.ImageSpec(21, 2 * 2 * 256 + 37, 4, "half")
     spec.channelnames = ("R", "G", "B", "A")
     spec.tile_width = spec.tile_height = size
@@ -286,7 +286,7 @@ def one_sentence(error: InputError, path: object) -> bool:
 class TestBadFiles:
     def test_missing(self, tmp_path):
         with pytest.raises(MissingFrameError, match="does not exist") as caught:
-            ExrReader(tmp_path / "none.exr")
+            ExrFile(tmp_path / "none.exr")
         assert one_sentence(caught.value, tmp_path / "none.exr")
 
     @pytest.mark.skipif(sys.platform in ("win32", "darwin"), reason="names are Unicode there")
@@ -294,7 +294,7 @@ class TestBadFiles:
         path = tmp_path / os.fsdecode(b"\xff.exr")
         write_single(tmp_path / "a.exr", rgba(4, 4)).rename(path)
         with pytest.raises(InputError, match="not valid UTF-8; rename") as caught:
-            ExrReader(path)
+            ExrFile(path)
         assert one_sentence(caught.value, path)
 
     @pytest.mark.parametrize(
@@ -304,7 +304,7 @@ class TestBadFiles:
         path = tmp_path / "a.exr"
         path.write_bytes(content)
         with pytest.raises(DamagedFileError, match="truncated, damaged or not") as caught:
-            ExrReader(path)
+            ExrFile(path)
         assert one_sentence(caught.value, path)
 
     def test_another_format_under_the_name(self, tmp_path):
@@ -313,13 +313,13 @@ class TestBadFiles:
         assert image.write(str(source))
         path = source.rename(tmp_path / "a.exr")
         with pytest.raises(DamagedFileError, match="png") as caught:
-            ExrReader(path)
+            ExrFile(path)
         assert one_sentence(caught.value, path)
 
     def test_channels_of_different_sizes(self, tmp_path):
         path = write_subsampled(tmp_path / "a.exr")
         with pytest.raises(LayoutError, match=r"luminance and chroma .* write it as RGB") as caught:
-            ExrReader(path)
+            ExrFile(path)
         assert one_sentence(caught.value, path)
 
     def test_a_subsampled_channel_beside_colour_is_named(self, tmp_path):
@@ -327,14 +327,14 @@ class TestBadFiles:
         path = write_subsampled(tmp_path / "a.exr", channels)
         told = r"subsampled .* others: ao\.Y \(1 pixel in 2x2\); render .* full resolution"
         with pytest.raises(LayoutError, match=told) as caught:
-            ExrReader(path)
+            ExrFile(path)
         assert one_sentence(caught.value, path) and "luminance" not in str(caught.value)
 
     def test_deep_pixels(self, tmp_path):
         path = tmp_path / "a.exr"
         OpenEXR.File([deep_part(4, 5, "deep")]).write(str(path))
         with (
-            ExrReader(path) as file,
+            ExrFile(path) as file,
             pytest.raises(LayoutError, match=r"deep image.*--flatten") as caught,
         ):
             file.read(file.parts[0].channels)
@@ -344,7 +344,7 @@ class TestBadFiles:
         folder = tmp_path / "a.exr"
         folder.mkdir()
         with pytest.raises(InputError) as caught:
-            ExrReader(folder)
+            ExrFile(folder)
         assert one_sentence(caught.value, folder)
 
     @pytest.mark.parametrize("share", [0.02, 0.3, 0.6, 0.95])

@@ -1,0 +1,456 @@
+"""Decoding of ZIP and ZIPS: where a file's chunks lie, and the pixels of their scan-line blocks.
+
+Blocks are read, inflated and put into place side by side, of the wanted parts alone. Whatever is
+unusual or broken is left to OpenImageIO, which decides whether it can be read, and says why not.
+Pixels are the same, bit for bit.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from itertools import accumulate
+from threading import Lock, local
+from typing import BinaryIO
+
+import deflate
+import numpy as np
+import numpy.typing as npt
+
+from exwarp_cli.domain import cores
+from exwarp_cli.domain.frame import Window
+from exwarp_cli.io.exr.header import DEEP, LONG_NAMES, MULTIPART, TILED, RawHeader
+from exwarp_cli.io.exr.parts import FLOAT, HALF, UINT, Values, window_of
+from exwarp_cli.runtime.frame_pool import pool
+
+U8 = npt.NDArray[np.uint8]
+I64 = npt.NDArray[np.int64]
+ReadAt = Callable[[int, int], U8]
+"""Returns the bytes of a file from a position on, so many; fewer where it ends."""
+
+ZIPS, ZIP = 2, 3
+LINES = (1, 1, 1, 16, 32, 16, 32, 32, 32, 256)
+"""Scan lines of a chunk by the number of its compression, as in `header.COMPRESSION_NAMES`."""
+
+BYTES = {UINT: 4, HALF: 2, FLOAT: 4}
+
+MAX_RATIO = 1032
+"""Most bytes that DEFLATE makes of one. A small file gets no memory for a large image."""
+
+MAX_CHUNK = 2**31 - 1
+"""Most bytes of a chunk's pixels, as in OpenEXR."""
+
+MAX_TILE = 1 << 16
+"""Pixels across or down of a tile, at most; OpenImageIO has a limit, too."""
+
+RUN_BYTES = 1 << 21
+"""Bytes of pixels that a thread decodes at a time, or one block."""
+
+INPUT_PADDING = 64
+"""Bytes of any value that follow a block in memory."""
+# Near the end of its input libdeflate goes bit by bit and copies byte by byte. Of ids or a constant
+# channel so few bytes are left of a block that this was all of it: it took six times as long.
+
+REQUIRED = {
+    b"compression": (b"compression", 1),
+    b"dataWindow": (b"box2i", 16),
+    b"displayWindow": (b"box2i", 16),
+    b"lineOrder": (b"lineOrder", 1),
+    b"pixelAspectRatio": (b"float", 4),
+    b"screenWindowCenter": (b"v2f", 8),
+    b"screenWindowWidth": (b"float", 4),
+}
+"""Type and bytes of what every header has beside channels. Without one of them OpenEXR reads no
+pixels, or none of their compression."""
+
+_NOTHING, _NOWHERE = np.empty(0, np.uint8), np.empty(0, np.int64)
+
+
+@dataclass(frozen=True)
+class ChunkLayout:
+    """How a part of flat pixels is stored, by its header and its chunk offset table.
+
+    Attributes
+    ----------
+    number
+        By which its chunks name it; None in files of one part, whose chunks name none.
+    compression
+        Its number in the header.
+    window
+        The data window.
+    channels
+        Name and type of each, in the order in which they follow each other in a line.
+    tile
+        Width and height of its tiles; None where its chunks are scan lines.
+    starts, ends
+        int64 [N] of each chunk in the table's order: its beginning, and that of what follows.
+    """
+
+    number: int | None
+    compression: int
+    window: Window
+    channels: Sequence[tuple[bytes, int]]
+    tile: tuple[int, int] | None
+    starts: I64
+    ends: I64
+
+    @property
+    def is_decoded_here(self) -> bool:
+        """Whether its chunks are scan-line blocks of ZIP or ZIPS."""
+        return self.tile is None and self.compression in (ZIPS, ZIP)
+
+    @property
+    def count(self) -> int:
+        """How many chunks there should be."""
+        width, height = self.tile or (self.window.width, self.lines)
+        return -(-self.window.width // width) * -(-self.window.height // height)
+
+    @property
+    def lines(self) -> int:
+        """Lines of a block; the last one may have fewer."""
+        return LINES[self.compression]
+
+    @property
+    def sizes(self) -> tuple[int, ...]:
+        """Bytes of a pixel of each channel."""
+        return tuple(BYTES[kind] for _, kind in self.channels)
+
+
+def parse_layouts(header: RawHeader, read: ReadAt, size: int) -> list[ChunkLayout | None]:
+    """Return how the parts of a file of `size` bytes are stored.
+
+    None stands for a part of deep, subsampled or mipmapped pixels, and for one with anything that
+    is unusual or broken.
+
+    Raises
+    ------
+    ValueError
+        When headers or tables of chunks are broken.
+    """
+    several = header.is_multipart
+    known = MULTIPART | LONG_NAMES | (DEEP if several else TILED)
+    if header.flags & ~known != 2:
+        raise ValueError("the version is unknown")
+    values = header.by_part()
+    flat = [_flat(part, size, header.flags) for part in values]
+    counts = [0 if flat[0] is None else flat[0].count]
+    if several:
+        counts = [_chunk_count(part) for part in values]
+    at = len(header.data)
+    begin = at + 8 * sum(counts)
+    table = read(at, begin - at).view("<u8") if begin <= size else np.empty(0, "<u8")
+    if len(table) != sum(counts):
+        raise ValueError("the tables of chunks are cut off")
+    stops = np.append(np.sort(np.minimum(table, np.uint64(size))), np.uint64(size))
+    ends = stops[np.searchsorted(stops, table, "right").clip(max=len(table))]
+    layouts: list[ChunkLayout | None] = []
+    for number, (layout, last) in enumerate(zip(flat, accumulate(counts), strict=True)):
+        own = slice(last - counts[number], last)
+        valid = ((begin <= table[own]) & (table[own] < size)).all()
+        if layout is None or layout.count != counts[number] or not valid:
+            layouts.append(None)
+            continue
+        starts, own_ends = table[own].astype(np.int64), ends[own].astype(np.int64)
+        number_in_chunks = number if several else None
+        layouts.append(replace(layout, number=number_in_chunks, starts=starts, ends=own_ends))
+    return layouts
+
+
+def _flat(values: Values, size: int, flags: int) -> ChunkLayout | None:
+    """Read a part's header in a file of `size` bytes; None where it is not flat or not usual.
+
+    Where the chunks lie is left empty.
+    """
+    kind, tiles = values.get(b"type"), values.get(b"tiles")
+    names = {b"string": b"tiledimage" if tiles else b"scanlineimage"}
+    typed = kind is not None and names.get(kind[0]) == kind[1]
+    if not typed and (kind is not None or flags & MULTIPART):
+        return None
+    required = {name: values.get(name, (b"", b"")) for name in REQUIRED}
+    channels = _channels(values)
+    if {n: (of, len(v)) for n, (of, v) in required.items()} != REQUIRED or channels is None:
+        return None
+    compression, order = required[b"compression"][1][0], required[b"lineOrder"][1][0]
+    window, display = window_of(values, b"dataWindow"), window_of(values, b"displayWindow")
+    if compression >= len(LINES) or order > 1 or min(window.shape + display.shape) < 1:
+        return None
+    line = window.width * sum(BYTES[of] for _, of in channels)
+    if line * LINES[compression] > MAX_CHUNK or line * window.height > MAX_RATIO * size:
+        return None
+    tile = None
+    if tiles is not None:
+        if tiles[0] != b"tiledesc" or len(tiles[1]) != 9 or tiles[1][8]:
+            return None  # of several levels
+        tile = struct.unpack("<2I", tiles[1][:8])
+        if not 0 < min(tile) <= max(tile) <= MAX_TILE:
+            return None
+    if not flags & MULTIPART and bool(flags & TILED) != (tile is not None):
+        return None
+    return ChunkLayout(None, compression, window, channels, tile, _NOWHERE, _NOWHERE)
+
+
+def _channels(values: Values) -> tuple[tuple[bytes, int], ...] | None:
+    """Return name and type of each channel; None where one is subsampled, or they lie unsorted."""
+    kind, value = values.get(b"channels", (b"", b""))
+    channels: list[tuple[bytes, int]] = []
+    at = 0
+    while kind == b"chlist" and value[at : at + 1] not in (b"", b"\0"):
+        end = value.find(b"\0", at)
+        if end < 0 or end + 17 > len(value):
+            return None
+        of, horizontal, vertical = struct.unpack_from("<i4x2i", value, end + 1)
+        if of not in BYTES or (horizontal, vertical) != (1, 1):
+            return None
+        channels.append((value[at:end], of))
+        at = end + 17
+    names = [name for name, _ in channels]
+    complete = value[at:] == b"\0" and names == sorted(set(names))
+    return tuple(channels) if complete and channels else None
+
+
+def _chunk_count(values: Values) -> int:
+    """Return how many chunks a header of a multi-part file says that there are."""
+    kind, value = values.get(b"chunkCount", (b"", b""))
+    if kind != b"int" or len(value) != 4:
+        raise ValueError("no chunkCount")
+    count: int = struct.unpack("<i", value)[0]
+    if count < 0:
+        raise ValueError("chunkCount is below 0")
+    return count
+
+
+class FileBytes:
+    """Reads pieces of an open file at any position, from any thread.
+
+    Parameters
+    ----------
+    file
+        Unbuffered.
+    """
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+        self._lock, self._own = Lock(), local()
+
+    def read(self, start: int, size: int) -> U8:
+        """Read bytes; they stay until this thread reads the next ones."""
+        return self.read_padded(start, size)[:-INPUT_PADDING]
+
+    def read_padded(self, start: int, size: int) -> U8:
+        """Read bytes likewise, and append `INPUT_PADDING` bytes of any value."""
+        # Fresh memory for each run of blocks took as long as half of the reading.
+        out: U8 = getattr(self._own, "buffer", _NOTHING)
+        if len(out) < size + INPUT_PADDING:
+            out = self._own.buffer = np.zeros(size + INPUT_PADDING, np.uint8)
+        got = 0
+        while got < size:
+            if hasattr(os, "preadv"):
+                more = os.preadv(self._file.fileno(), [out[got:size].data], start + got)
+            else:  # Windows
+                with self._lock:
+                    self._file.seek(start + got)
+                    piece = self._file.read(size - got)
+                out[got : got + len(piece)] = np.frombuffer(piece, np.uint8)
+                more = len(piece)
+            if not more:
+                break
+            got += more
+        return out[: got + INPUT_PADDING]
+
+
+@dataclass(frozen=True)
+class ChannelRequest:
+    """Channels of one part that are decoded into one array.
+
+    Attributes
+    ----------
+    layout
+        Of the part.
+    names
+        Of channels that are all integers, or none.
+    integer
+        Whether they are integers.
+    """
+
+    layout: ChunkLayout
+    names: tuple[str, ...]
+    integer: bool
+
+
+@dataclass(frozen=True)
+class _Destination:
+    """Where the channels of a `ChannelRequest` go.
+
+    Attributes
+    ----------
+    columns
+        int64 [K, 2] as kernels want it.
+    out
+        Bits, uint32 [H, W, C].
+    """
+
+    columns: I64
+    out: np.ndarray
+
+
+def read_blocks(file: FileBytes, requests: Sequence[ChannelRequest]) -> list[np.ndarray | None]:
+    """Decode channels of parts whose layout `is_decoded_here`.
+
+    Returns
+    -------
+    list
+        Of each: float32 or uint32 [H, W, C]; None where OpenImageIO is to decide.
+    """
+    destinations = [_destination(request) for request in requests]
+    by_part: dict[int | None, tuple[ChunkLayout, list[_Destination]]] = {}
+    for request, destination in zip(requests, destinations, strict=True):
+        if destination is not None:
+            layout = request.layout
+            by_part.setdefault(layout.number, (layout, []))[1].append(destination)
+    broken = _decode(file, list(by_part.values()))
+    return [
+        None
+        if destination is None or request.layout.number in broken
+        else destination.out.view(np.uint32 if request.integer else np.float32)
+        for request, destination in zip(requests, destinations, strict=True)
+    ]
+
+
+def _destination(request: ChannelRequest) -> _Destination | None:
+    """Make room for channels; None where they are not as expected, or too many."""
+    layout = request.layout
+    kinds = dict(layout.channels)
+    names = [name.encode("utf-8", "surrogateescape") for name in request.names]
+    if not all(n in kinds and (kinds[n] == UINT) == request.integer for n in names):
+        return None
+    places = [names.index(name) if name in names else -1 for name, _ in layout.channels]
+    try:
+        out = pool.empty((*layout.window.shape, len(names)), np.uint32)
+    except MemoryError:
+        return None
+    return _Destination(np.array([layout.sizes, places], np.int64).T.copy(), out)
+
+
+def _decode(
+    file: FileBytes, parts: Sequence[tuple[ChunkLayout, list[_Destination]]]
+) -> set[int | None]:
+    """Fill destinations by part; return the numbers of parts that could not be decoded."""
+    runs = [
+        _BlockRun(file, layout, destinations, chunks)
+        for layout, destinations in parts
+        for chunks in _in_runs(layout)
+    ]
+    broken: set[int | None] = set()
+
+    def decode(run: _BlockRun) -> None:
+        with cores.working():
+            if run.layout.number not in broken and not run.decode():
+                broken.add(run.layout.number)
+
+    threads = min(cores.left(), len(runs))
+    if threads > 1:
+        # No thread can be started when the interpreter ends, or the system has no more.
+        with suppress(RuntimeError), ThreadPoolExecutor(threads, "exr") as pool:
+            # A pool of its own: starting one takes a thousandth of a frame's time.
+            done = pool.map(decode, runs)
+            with cores.waiting():
+                list(done)
+            return broken
+    for run in runs:
+        decode(run)
+    return broken
+
+
+def _in_runs(layout: ChunkLayout) -> Iterator[I64]:
+    """Yield the indices of blocks that are decoded at a time, as they follow each other on disk."""
+    order = np.argsort(layout.starts, kind="stable")
+    step = max(1, RUN_BYTES // (layout.lines * layout.window.width * sum(layout.sizes)))
+    for first in range(0, len(order), step):
+        yield order[first : first + step]
+
+
+@dataclass(frozen=True)
+class _BlockRun:
+    """Some blocks of a part, on their way into destinations."""
+
+    file: FileBytes
+    layout: ChunkLayout
+    destinations: Sequence[_Destination]
+    chunks: I64
+
+    def decode(self) -> bool:
+        """Decode all; False when one of them is not what it should be."""
+        try:
+            return all(self._block(int(i), data) for i, data in self._read())
+        except (OSError, MemoryError):
+            return False
+
+    @property
+    def _leader(self) -> struct.Struct:
+        """What stands before each block: the part's number, the first line, the bytes."""
+        return struct.Struct("<2i" if self.layout.number is None else "<3i")
+
+    def _read(self) -> Iterator[tuple[int, U8]]:
+        """Yield each block's index, and its bytes with padding.
+
+        Blocks that follow each other are read at once.
+        """
+        layout, leader = self.layout, self._leader.size
+        size = sum(layout.sizes) * layout.window.width
+        starts = layout.starts[self.chunks]
+        # In front of something else there may be a gap of any length.
+        ends = np.minimum(layout.ends[self.chunks], starts + leader + layout.lines * size)
+        breaks = np.flatnonzero(starts[1:] != ends[:-1]) + 1
+        for blocks in np.split(np.arange(len(starts)), breaks):
+            begin = int(starts[blocks[0]])
+            data = self.file.read_padded(begin, int(ends[blocks[-1]]) - begin)
+            data.flags.writeable = False  # kernels are compiled for arrays of one kind
+            for i in blocks:
+                yield self.chunks[i], data[starts[i] - begin : ends[i] - begin + INPUT_PADDING]
+
+    def _block(self, index: int, data: U8) -> bool:
+        """Decode one block with padding; False when it is not what it should be."""
+        layout, leader = self.layout, self._leader
+        if len(data) < leader.size + INPUT_PADDING:
+            return False
+        first = index * layout.lines
+        rows = min(layout.lines, layout.window.height - first)
+        *number, line, size = leader.unpack_from(data.data)
+        full = rows * layout.window.width * sum(layout.sizes)
+        packed = data[leader.size : leader.size + size + INPUT_PADDING]
+        named = not number or number[0] == layout.number
+        if not named or line != layout.window.y + first or not 0 < size <= full:
+            return False
+        return len(packed) == size + INPUT_PADDING and self._place(packed, first, rows, full)
+
+    def _place(self, packed: U8, first: int, rows: int, full: int) -> bool:
+        """Write the lines of a block of `full` bytes, from the first on, to where they go."""
+        from exwarp_cli.kernels import exr_filters  # numba: not for what reads no pixels
+
+        plain = len(packed) == full + INPUT_PADDING  # it did not become smaller
+        kernel = exr_filters.read_lines if plain else exr_filters.read_predicted
+        data = packed[:full] if plain else inflate(packed, full)
+        if data is None:
+            return False
+        for destination in self.destinations:
+            kernel(data, destination.columns, destination.out[first : first + rows])
+        return True
+
+
+def inflate(packed: U8, size: int) -> U8 | None:
+    """Inflate a padded zlib stream, uint8 [N]; None unless it is sound and of just `size` bytes."""
+    # libdeflate takes 0.6 of ISA-L's time. It ignores what follows the checksum.
+    try:
+        data: bytearray = deflate.zlib_decompress(packed, size)
+    except deflate.DeflateError:
+        return None
+    checksum = int.from_bytes(packed[-INPUT_PADDING - 4 : -INPUT_PADDING].tobytes(), "big")
+    if len(data) != size or deflate.adler32(data) != checksum:
+        return None
+    out = np.frombuffer(data, np.uint8)
+    out.flags.writeable = False
+    return out
