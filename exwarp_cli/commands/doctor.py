@@ -53,7 +53,7 @@ def _configuration(ctx: click.Context) -> Check:
     """Tell which options files and the environment set."""
     from exwarp_cli.commands.config.configured import configuration
     from exwarp_cli.domain.checkup import Check, failure, warning
-    from exwarp_cli.pipeline.doctor.environment import variables
+    from exwarp_cli.pipeline.doctor.examine import variables
 
     there, environment = configuration(ctx), variables()
     files = [f"{file.path} ({file.how})" for file in there.files]

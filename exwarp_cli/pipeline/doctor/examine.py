@@ -7,6 +7,7 @@ checks that need it fail, and the others go on.
 from __future__ import annotations
 
 import importlib
+import os
 import time
 from collections.abc import Callable
 
@@ -39,6 +40,10 @@ The cache comes last: only then it is known which kernels were in it.
 
 SELF_TEST = "self_test"
 
+PREFIXES = ("EXWARP_", "NUMBA_", "OMP_", "KMP_", "OPENIMAGEIO_", "ORT_")
+VARIABLES = ("CUDA_VISIBLE_DEVICES", "IMAGEIO_FFMPEG_EXE", "LD_LIBRARY_PATH", "TMPDIR")
+"""Variables of the environment that are shown, by the beginnings of their names and by name."""
+
 
 def examine(
     tell: Callable[[str], None],
@@ -62,49 +67,44 @@ def examine(
         Of every check, failed ones included.
     """
     checks, seconds = {}, {}
-    makers = {**(more or {}), **{name: _maker(place) for name, place in CHECKS.items()}}
+    makers: dict[str, str | Callable[[], Check]] = {**(more or {}), **CHECKS}
     if not self_test:
-        makers[SELF_TEST] = _skipped
+        makers[SELF_TEST] = lambda: Check("left out, as --skip-self-test asks", skipped=True)
     with telling_of_compilation(tell):
-        for name, make in makers.items():
+        for name, maker in makers.items():
             begin = time.perf_counter()
-            checks[name] = _made(make)
+            checks[name] = _check(maker)
             seconds[name] = time.perf_counter() - begin
             check_stop()
     return Checkup(__version__, checks, seconds)
 
 
-def _maker(place: str) -> Callable[[], Check]:
-    """Return what imports a check's module and makes the check."""
+def variables() -> dict[str, str]:
+    """Return the variables that change what ExWarp and its libraries do, by name."""
+    names = sorted(name for name in os.environ if name.startswith(PREFIXES) or name in VARIABLES)
+    return {name: os.environ[name] for name in names}
 
-    def make() -> Check:
-        module, _, function = place.partition(":")
+
+def _check(maker: str | Callable[[], Check]) -> Check:
+    """Make a check, whose module is imported for it; an error is its result."""
+    try:
+        if not isinstance(maker, str):
+            return maker()
+        module, _, function = maker.partition(":")
         check: Check = getattr(importlib.import_module(f"{__package__}.{module}"), function)()
         return check
-
-    return make
-
-
-def _made(make: Callable[[], Check]) -> Check:
-    """Make a check; what keeps it from being made is its result."""
-    try:
-        return make()
     except ExwarpError as error:
-        told = str(error)
+        text = str(error)
     except ImportError as error:
-        told = (
+        text = (
             f"a package is missing or broken ({first_line(error)}); mend what 'packages' tells, or "
             "install ExWarp again"
         )
     except OSError as error:
-        told = f"files cannot be written or read ({first_line(error)}); see 'temp folder'"
-    except Exception as error:  # a doctor must not fall ill of what it finds
-        told = (
+        text = f"files cannot be written or read ({first_line(error)}); see 'temp folder'"
+    except Exception as error:  # the other checks go on, whatever this one meets
+        text = (
             f"unexpected {type(error).__name__}: {first_line(error)}; install ExWarp and its "
             "packages again"
         )
-    return Check("cannot be checked", (failure(told),))
-
-
-def _skipped() -> Check:
-    return Check("left out, as --skip-self-test asks", skipped=True)
+    return Check("cannot be checked", (failure(text),))
