@@ -24,11 +24,17 @@ from exwarp_cli.domain.bounds import require_size
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.domain.settings import SourceSettings
 from exwarp_cli.errors import DamagedFileError, InputError
+from exwarp_cli.io.atomic import Held
 from exwarp_cli.io.clip_damage import ON_DAMAGE, intact_frames
-from exwarp_cli.io.clip_fields import first_interlaced, frame_info
-from exwarp_cli.io.clip_timing import Pacing, Packets, pace, read_packets
+from exwarp_cli.io.clip_timing import (
+    Pacing,
+    Packets,
+    first_interlaced,
+    frame_info,
+    pace,
+    read_packets,
+)
 from exwarp_cli.io.ffmpeg import EXACT, Drain, FfmpegError, told
-from exwarp_cli.io.held import Held
 from exwarp_cli.io.reading_retry import system_failure, with_retries
 from exwarp_cli.io.timecode import Timecode
 from exwarp_cli.io.video import (

@@ -22,13 +22,11 @@ from exwarp_cli.io.clip import CLIPS, Clip, ClipReader, is_clip, open_clip
 from exwarp_cli.io.exr.reader import display_window
 from exwarp_cli.io.exr.template import PartTemplate, PlaneTemplate, Template
 from exwarp_cli.io.exr.writer import COMPRESSIONS
-from exwarp_cli.io.frame_files import FrameTemplate, read_picture
 from exwarp_cli.io.frame_names import file_type, split_names
-from exwarp_cli.io.nonfinite import count_broken
-from exwarp_cli.io.output import file_digest
+from exwarp_cli.io.output import FrameTemplate, file_digest, read_picture
 from exwarp_cli.io.sequence import EXR, Sequence, find_sequence
 from exwarp_cli.io.shot import Shot
-from exwarp_cli.io.soundness import first_of
+from exwarp_cli.io.soundness import count_broken, first_of
 from exwarp_cli.io.stills import (
     STILLS,
     StillTemplate,

@@ -24,10 +24,10 @@ from exwarp_cli.errors import DamagedFileError, InputError, LayoutError
 from exwarp_cli.io.channels import ChannelRef, Role, detect, require
 from exwarp_cli.io.cryptomatte import find_cryptomattes
 from exwarp_cli.io.exr.reader import ExrFile
-from exwarp_cli.io.nonfinite import count_broken
 from exwarp_cli.io.shot import Shot as Shot
 from exwarp_cli.io.shot import open_shot as open_shot
 from exwarp_cli.io.shot import plain, renamed
+from exwarp_cli.io.soundness import count_broken
 from exwarp_cli.io.views import channels_of, choose, views_of
 from exwarp_cli.runtime.frame_pool import pool
 

@@ -54,7 +54,7 @@ from typing import Any, NoReturn
 
 from exwarp_cli.domain.interpolator import ENCODINGS
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError
-from exwarp_cli.io.whole_file import read_whole
+from exwarp_cli.io.model_files import read_whole
 
 SCHEMA = "exwarp.interpolator/1"
 

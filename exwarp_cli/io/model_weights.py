@@ -18,7 +18,7 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import NamedTuple
 
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError
-from exwarp_cli.io.whole_file import MOST_BYTES, read_whole
+from exwarp_cli.io.model_files import MOST_BYTES, read_whole
 from exwarp_cli.runtime.read_registry import being_read
 
 INSIDE: Mapping[str, Mapping[int, str]] = {

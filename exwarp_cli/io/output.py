@@ -13,11 +13,11 @@ from collections.abc import Iterable, Mapping
 from fractions import Fraction
 from functools import reduce
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
-from exwarp_cli.domain.frame import Bool, Image, Window, place
+from exwarp_cli.domain.frame import Bool, Float32, Image, Window, place
 from exwarp_cli.domain.frame_rates import parsed_rate
 from exwarp_cli.errors import OutputError, UsageError
 from exwarp_cli.io import checksum
@@ -37,7 +37,11 @@ from exwarp_cli.io.exr.writer import (
     encode,
     scanline_structure,
 )
+from exwarp_cli.io.frames import read_image
 from exwarp_cli.io.reading_retry import with_retries
+from exwarp_cli.io.sequence import EXR
+from exwarp_cli.io.still_seal import still_facts
+from exwarp_cli.io.stills import StillTemplate, quantise_still, read_still, write_still
 
 CHECKSUM = f"{PREFIX}{checksum.NAME}"
 RECIPE = f"{PREFIX}recipe"
@@ -276,3 +280,69 @@ def _checksum_at(data: Buffer) -> int | None:
     if found is None or found.end() + checksum.DIGITS > len(data):
         return None
     return found.end()
+
+
+FrameTemplate: TypeAlias = Template | StillTemplate
+"""What a generated frame takes over from its key frame's file."""
+
+
+def write_picture(
+    path: Path,
+    image: Image,
+    template: FrameTemplate,
+    attributes: Mapping[str, Any],
+    beside: Mapping[PlaneKey, Plane] | None = None,
+) -> list[Buffer]:
+    """Write a generated frame, whole or not at all; return its bytes, piece by piece.
+
+    Parameters
+    ----------
+    path
+        Target; its folder exists.
+    image
+        Scene-linear colour.
+    template
+        Of the format that the suffix tells.
+    attributes
+        As for :func:`exwarp_cli.io.output.write_frame`; stills keep those of ExWarp's own.
+    beside
+        Further channels; only for EXR.
+
+    Raises
+    ------
+    OutputError
+        When it cannot be written.
+    """
+    if isinstance(template, StillTemplate):
+        own = {k[len(PREFIX) :]: v for k, v in attributes.items() if k.startswith(PREFIX)}
+        return write_still(path, image, template, own)
+    return write_frame(path, image, template, attributes, beside)
+
+
+def read_picture(path: Path, view: str = "") -> Image:
+    """Read the colour of one file; see `read_image` and `read_still`."""
+    return read_image(path, view) if _is_exr(path) else read_still(path)[0]
+
+
+def recipe_in(path: Path) -> str | None:
+    """Return the recipe of an undamaged generated frame; None for anything else."""
+    if _is_exr(path):
+        return recipe_of(path)
+    recipe = facts_in(path).get("recipe")
+    return recipe if isinstance(recipe, str) else None
+
+
+def facts_in(path: Path) -> dict[str, Any]:
+    """Return what a generated frame says of itself; nothing for what says nothing."""
+    return written_attributes(path) if _is_exr(path) else still_facts(path) or {}
+
+
+def quantised(pixels: Float32, template: FrameTemplate) -> Float32:
+    """Round pixels to what the file will have, so that what is scored is what is kept."""
+    if isinstance(template, StillTemplate):
+        return quantise_still(pixels, template)
+    return quantise(pixels, template)
+
+
+def _is_exr(path: Path) -> bool:
+    return path.suffix.lower() in EXR

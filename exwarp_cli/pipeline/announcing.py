@@ -21,7 +21,7 @@ from exwarp_cli.io.channels import Role
 from exwarp_cli.io.clip import is_clip
 from exwarp_cli.io.cryptomatte_manifest import SHOWN, shown
 from exwarp_cli.io.footage import is_plain, lost_alpha, unevenness_of
-from exwarp_cli.io.layouts import alpha_left_out
+from exwarp_cli.io.shot import alpha_left_out
 from exwarp_cli.pipeline.contents import Content, files_apart
 from exwarp_cli.pipeline.finding import OtherRate
 from exwarp_cli.pipeline.frame_writer import frame_suffix

@@ -12,7 +12,7 @@ import numpy as np
 from exwarp_cli.domain.decision import CHOICES, NODES, PATHS, Decision, Plan
 from exwarp_cli.domain.frame import Window
 from exwarp_cli.domain.timeline import FACTOR
-from exwarp_cli.io.frame_files import quantised
+from exwarp_cli.io.output import quantised
 from exwarp_cli.pipeline.interval_inputs import IntervalInputs
 from exwarp_cli.pipeline.scheduling import record_time
 from exwarp_cli.synthesis.interval import Interval

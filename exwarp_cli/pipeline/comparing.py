@@ -9,7 +9,7 @@ from typing import Protocol
 
 from exwarp_cli.domain.frame import Bool, Float32
 from exwarp_cli.domain.results import Score
-from exwarp_cli.io.held import Held
+from exwarp_cli.io.atomic import Held
 from exwarp_cli.io.video import to_display
 from exwarp_cli.io.vmaf import EncodedVmaf, Vmaf
 from exwarp_cli.metrics import extranet

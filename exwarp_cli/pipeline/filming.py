@@ -7,9 +7,8 @@ from functools import partial
 
 from exwarp_cli.domain.frame import Image
 from exwarp_cli.domain.timeline import Slot
-from exwarp_cli.io.awaited import await_file
+from exwarp_cli.io.atomic import Held, await_file
 from exwarp_cli.io.footage import picture
-from exwarp_cli.io.held import Held
 from exwarp_cli.pipeline.job import Job
 from exwarp_cli.pipeline.run import make_writer
 from exwarp_cli.pipeline.scheduling import AsyncWriter

@@ -18,21 +18,21 @@ from exwarp_cli.domain.frame_rates import OutputRate
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import Slot, Timeline, ranges
 from exwarp_cli.errors import OutputError, OutputExistsError, UsageError
-from exwarp_cli.io.atomic import is_there, make_folder, output_error, remove_leftovers
+from exwarp_cli.io.atomic import Held, is_there, make_folder, output_error, remove_leftovers
 from exwarp_cli.io.clip import is_clip
 from exwarp_cli.io.exr.template import Plane, PlaneKey
 from exwarp_cli.io.exr.writer import Buffer
 from exwarp_cli.io.footage import is_plain
-from exwarp_cli.io.frame_files import (
+from exwarp_cli.io.key_file import KeyFile, key_file, opened_key
+from exwarp_cli.io.output import (
+    PREFIX,
     FrameTemplate,
     facts_in,
     read_picture,
     recipe_in,
+    write_mask,
     write_picture,
 )
-from exwarp_cli.io.held import Held
-from exwarp_cli.io.key_file import KeyFile, key_file, opened_key
-from exwarp_cli.io.output import PREFIX, write_mask
 from exwarp_cli.io.sequence import EXR, OutputPattern, Sequence, output_pattern
 from exwarp_cli.io.stills import STILLS, require_writer
 from exwarp_cli.io.video import VideoLook, VideoWriter, require_container, to_display

@@ -9,8 +9,8 @@ from exwarp_cli.domain.frame import Image, Window
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.errors import InputError, LayoutError
 from exwarp_cli.io.footage import picture
-from exwarp_cli.io.nonfinite import NonFinite, count_broken
 from exwarp_cli.io.sequence import Sequence
+from exwarp_cli.io.soundness import NonFinite, count_broken
 from exwarp_cli.pipeline.source import FrameOf, Source
 
 CHANNELS = "ground truth"

@@ -14,7 +14,7 @@ from exwarp_cli.domain.settings import PRESETS, MeasureSettings
 from exwarp_cli.domain.threshold import GENERATED
 from exwarp_cli.errors import InputError, UsageError
 from exwarp_cli.io.clip import is_clip
-from exwarp_cli.io.frame_files import facts_in
+from exwarp_cli.io.output import facts_in
 from exwarp_cli.io.sequence import Sequence
 from exwarp_cli.pipeline.comparing import ExtranetScores, Scorer, SequenceScores
 from exwarp_cli.pipeline.flow import Flow, open_flow

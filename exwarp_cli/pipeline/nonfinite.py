@@ -9,7 +9,7 @@ from exwarp_cli.domain.results import BrokenPixels
 from exwarp_cli.domain.timeline import Slot
 
 if TYPE_CHECKING:
-    from exwarp_cli.io.nonfinite import NonFinite
+    from exwarp_cli.io.soundness import NonFinite
     from exwarp_cli.pipeline.job import Job
     from exwarp_cli.pipeline.source import Source
 

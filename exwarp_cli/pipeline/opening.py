@@ -17,10 +17,10 @@ from exwarp_cli.io.channel_map import ChannelMap, read_channel_map
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.clip import is_clip
 from exwarp_cli.io.cryptomatte import Cryptomatte, find_cryptomattes
+from exwarp_cli.io.cryptomatte_ids import IdReading
 from exwarp_cli.io.cryptomatte_manifest import Manifest, dynamic_objects, read_manifest
 from exwarp_cli.io.footage import find_plain, is_plain, own_rate, shot_of
 from exwarp_cli.io.frames import read_raw, require_seen
-from exwarp_cli.io.id_reading import IdReading
 from exwarp_cli.io.output import frame_rate
 from exwarp_cli.io.shot import Shot, open_shot, open_views, renamed
 from exwarp_cli.io.views import ALL

@@ -18,7 +18,7 @@ from exwarp_cli.errors import InputError, OutputError
 from exwarp_cli.io.atomic import output_error
 from exwarp_cli.io.clip import open_clip
 from exwarp_cli.io.exr.writer import Buffer
-from exwarp_cli.io.frame_files import read_picture, recipe_in
+from exwarp_cli.io.output import read_picture, recipe_in
 from exwarp_cli.runtime.stop import check_stop
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from pathlib import Path
 import torch
 
 from exwarp_cli.errors import DamagedFileError, InputError
-from exwarp_cli.io.whole_file import read_whole
+from exwarp_cli.io.model_files import read_whole
 
 
 def read_tensors(path: Path, device: str, damaged: DamagedFileError) -> object:

@@ -25,7 +25,7 @@ from exwarp_cli.domain.decision import (
     walk,
 )
 from exwarp_cli.domain.features import Features
-from exwarp_cli.io.decisions import decision_text, parse_decision
+from exwarp_cli.pipeline.slot_renderer import decision_text, parse_decision
 from exwarp_cli.policy.state import PASSED
 from tests.reference import decisions as paper
 

@@ -9,7 +9,7 @@ from typing import Any
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.exr.reader import read_headers
-from exwarp_cli.io.render_time import render_seconds
+from exwarp_cli.io.exr.template import render_seconds
 from exwarp_cli.pipeline.announcing import other_extrapolator
 from exwarp_cli.pipeline.bench.opened import Opened
 from exwarp_cli.pipeline.scoring import SLOTS
