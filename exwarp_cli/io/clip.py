@@ -20,8 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from exwarp_cli.domain.bounds import require_size
-from exwarp_cli.domain.frame import Float32
+from exwarp_cli.domain.frame import Float32, require_size
 from exwarp_cli.domain.settings import SourceSettings
 from exwarp_cli.errors import DamagedFileError, InputError
 from exwarp_cli.io.atomic import Held
@@ -36,10 +35,10 @@ from exwarp_cli.io.clip_timing import (
 )
 from exwarp_cli.io.ffmpeg import EXACT, Drain, FfmpegError, told
 from exwarp_cli.io.reading_retry import system_failure, with_retries
-from exwarp_cli.io.timecode import Timecode
 from exwarp_cli.io.video import (
     MATRICES,
     Soundtrack,
+    Timecode,
     VideoColour,
     VideoLook,
     from_display,

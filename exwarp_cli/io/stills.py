@@ -9,6 +9,7 @@ run makes their frames again; the others keep nothing, so it refuses to replace 
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
@@ -19,16 +20,14 @@ from typing import Any
 import numpy as np
 import OpenImageIO as oiio
 
-from exwarp_cli.domain.bounds import require_size
 from exwarp_cli.domain.curves import FILM, LINEAR, SRGB, Curve
-from exwarp_cli.domain.frame import Float32, Image, Window
+from exwarp_cli.domain.frame import Float32, Image, Window, require_size
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, UsageError
 from exwarp_cli.io.atomic import atomic_path, output_error
 from exwarp_cli.io.exr.header import MAGIC, PNG
 from exwarp_cli.io.exr.writer import Buffer
 from exwarp_cli.io.reading_retry import with_retries
 from exwarp_cli.io.still_seal import seal_still, software
-from exwarp_cli.io.webp_exif import with_orientation
 from exwarp_cli.runtime.read_registry import being_read
 
 STILLS = (
@@ -408,3 +407,40 @@ def _type_of(dtype: np.dtype[Any]) -> Any:
     """Return OpenImageIO's name of a type."""
     names = {np.dtype(kind): base for base, kind in _DTYPES.items()}
     return names.get(dtype, oiio.FLOAT)
+
+
+UPRIGHT = 1
+"""The orientation of pixels that are shown as they are stored."""
+
+_HEADER = 12  # "RIFF", the size of the rest, "WEBP"
+_ALPHA, _EXIF = 0x10, 0x08  # flags of the chunk VP8X
+_TAG, _SHORT = 0x0112, 3
+
+
+def with_orientation(data: bytes, orientation: int) -> bytes:
+    """Add an EXIF orientation to a lossless WebP file without metadata.
+
+    https://developers.google.com/speed/webp/docs/container_specification
+
+    Parameters
+    ----------
+    data
+        The file: one chunk ``VP8L``, as encoders write it.
+    orientation
+        1 to 8 as in EXIF; with 1 the file stays as it is.
+    """
+    if orientation == UPRIGHT or data[_HEADER : _HEADER + 4] != b"VP8L":
+        return data
+    # A signature byte, then width - 1 and height - 1 in 14 bits each, then the bit for alpha.
+    (bits,) = struct.unpack_from("<I", data, _HEADER + 9)
+    width, height = bits & 0x3FFF, bits >> 14 & 0x3FFF
+    flags = _EXIF | (_ALPHA if bits >> 28 & 1 else 0)
+    extended = struct.pack("<I", flags) + width.to_bytes(3, "little") + height.to_bytes(3, "little")
+    # A TIFF header, and a directory of this one tag.
+    exif = struct.pack("<2sHIHHHIHHI", b"II", 42, 8, 1, _TAG, _SHORT, 1, orientation, 0, 0)
+    body = b"WEBP" + _chunk(b"VP8X", extended) + data[_HEADER:] + _chunk(b"EXIF", exif)
+    return b"RIFF" + struct.pack("<I", len(body)) + body
+
+
+def _chunk(name: bytes, content: bytes) -> bytes:
+    return name + struct.pack("<I", len(content)) + content + b"\0" * (len(content) % 2)

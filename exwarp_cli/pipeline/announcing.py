@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections import abc
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -12,11 +14,15 @@ from exwarp_cli.domain.frame_rates import NEAR
 from exwarp_cli.domain.results import (
     InputSummary,
     InterpolatorSummary,
+    LeftOut,
     NetworkSummary,
     PolicySummary,
+    RunSummary,
 )
 from exwarp_cli.domain.settings import UpsampleSettings
+from exwarp_cli.domain.timeline import Slot, Timeline, ranges
 from exwarp_cli.domain.wording import counted
+from exwarp_cli.errors import IncompleteError
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.clip import is_clip
 from exwarp_cli.io.cryptomatte_manifest import SHOWN, shown
@@ -26,6 +32,7 @@ from exwarp_cli.pipeline.contents import Content, files_apart
 from exwarp_cli.pipeline.finding import OtherRate
 from exwarp_cli.pipeline.frame_writer import frame_suffix
 from exwarp_cli.pipeline.opening import step_note
+from exwarp_cli.pipeline.progress import Progress
 from exwarp_cli.pipeline.without_vectors import video_look
 
 if TYPE_CHECKING:
@@ -334,3 +341,54 @@ def _dynamic(source: Source) -> tuple[str, ...] | None:
     """Return the names of what the user calls moving; None where nothing is said."""
     ids = (source.slots or source.keys).ids
     return None if ids is None or ids.dynamic is None else ids.dynamic.names
+
+
+def left_out(timeline: Timeline, key: int, slots: abc.Sequence[Slot], reason: str) -> LeftOut:
+    """Return what is recorded of an interval, by its index, that lacks some slots."""
+    frames = tuple(timeline.number(slot) for slot in slots)
+    return LeftOut(timeline.numbers[key], frames, reason)
+
+
+def unscored(timeline: Timeline, key: int, reasons: Mapping[int, str]) -> Iterator[LeftOut]:
+    """Yield what is recorded of an interval whose ground truth cannot be used, by slot."""
+    for slot, reason in sorted(reasons.items()):
+        number = timeline.number(Slot(key, slot))
+        yield LeftOut(timeline.numbers[key], (), reason, (number,))
+
+
+def tell_left_out(progress: Progress, one: LeftOut) -> None:
+    """Say at once what is left out, and why."""
+    what = f"left out {_named(one.frames)}" if one.frames else f"not scored {_named(one.scores)}"
+    progress.message(f"{what}: {one.reason}")
+
+
+def require_complete(run: RunSummary) -> None:
+    """Refuse to call a run complete that left something out.
+
+    Raises
+    ------
+    IncompleteError
+        When it did.
+    """
+    if not run.left_out:
+        return
+    missing = [one for one in run.left_out if one.frames]
+    many, frames = len(missing), [n for one in missing for n in one.frames]
+    scores = sorted({n for one in run.left_out for n in one.scores})
+    told, cause = [], []
+    if missing:
+        verb = "was" if many == 1 else "were"
+        whole = counted(len(run.selected), "key interval")
+        told.append(f"{many} of {whole} {verb} left out ({_named(frames)})")
+        cause.append("the input")
+    if scores:
+        told.append(f"{_named(scores)} {'was' if len(scores) == 1 else 'were'} not scored")
+        cause.append("the ground truth")
+    raise IncompleteError(
+        f"{', and '.join(told)}, see above or left_out in report.json; mend {' and '.join(cause)} "
+        "and run again with --skip-existing"
+    )
+
+
+def _named(frames: abc.Sequence[int]) -> str:
+    return f"frame{'s' if len(frames) != 1 else ''} {ranges(frames)}"

@@ -20,6 +20,7 @@ from exwarp_cli.io.frames import read_plane
 from exwarp_cli.io.sequence import Sequence, find_sequence
 from exwarp_cli.io.views import expand
 from exwarp_cli.pipeline.comparing import Pair, Scorer
+from exwarp_cli.pipeline.finding import truth_rate
 from exwarp_cli.pipeline.measuring import (
     Origin,
     origins_of,
@@ -29,7 +30,6 @@ from exwarp_cli.pipeline.measuring import (
     scorer,
 )
 from exwarp_cli.pipeline.progress import FrameListener, NoProgress, Progress
-from exwarp_cli.pipeline.truth_rate import truth_rate
 from exwarp_cli.runtime.stop import check_stop
 
 KEY = FrameKind.KEY.value

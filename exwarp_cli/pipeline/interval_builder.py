@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from exwarp_cli.domain.bounds import require_canvas
 from exwarp_cli.domain.decision import PATHS, Plan
 from exwarp_cli.domain.extrapolator import HISTORY, Extrapolator
 from exwarp_cli.domain.frame import (
@@ -17,6 +16,7 @@ from exwarp_cli.domain.frame import (
     KeyFrame,
     Window,
     broken_pixels,
+    require_canvas,
 )
 from exwarp_cli.domain.interpolator import Interpolator
 from exwarp_cli.domain.timeline import Slot
@@ -29,8 +29,7 @@ from exwarp_cli.synthesis.history import Past
 from exwarp_cli.synthesis.holds import around_holds
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.movers import chosen, moving, those
-from exwarp_cli.synthesis.span import span_motion
-from exwarp_cli.synthesis.trajectory import displacement
+from exwarp_cli.synthesis.trajectory import displacement, span_motion
 
 Ids = frozenset[int]
 Instant = tuple[Slot, GBuffer]

@@ -42,7 +42,7 @@ from exwarp_cli.pipeline.without_vectors import (
 from exwarp_cli.runtime.frame_pool import LARGE_PIXELS, ScratchFrames
 
 if TYPE_CHECKING:
-    from exwarp_cli.domain.outcome import Outcome
+    from exwarp_cli.domain.joining import Outcome
     from exwarp_cli.domain.settings import UpsampleSettings
     from exwarp_cli.domain.timeline import Slot
     from exwarp_cli.io.interpolator import OnnxInterpolator

@@ -13,9 +13,9 @@ from exwarp_cli.errors import InputError
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.footage import ClipSequence, is_plain, key_picture
 from exwarp_cli.io.frames import GEOMETRY, SURFACE, Shot, colour_window, read_raw
-from exwarp_cli.pipeline.estimating import Estimates
 from exwarp_cli.pipeline.shots import Shots, UnreadableFrames
 from exwarp_cli.pipeline.source import Source
+from exwarp_cli.pipeline.without_vectors import Estimates
 from exwarp_cli.synthesis.methods import Method
 
 

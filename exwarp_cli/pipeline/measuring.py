@@ -8,16 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from exwarp_cli.domain.maker import maker_of
-from exwarp_cli.domain.metric import METRICS
+from exwarp_cli.domain.metric import GENERATED, METRICS
 from exwarp_cli.domain.results import FrameKind
 from exwarp_cli.domain.settings import PRESETS, MeasureSettings
-from exwarp_cli.domain.threshold import GENERATED
 from exwarp_cli.errors import InputError, UsageError
 from exwarp_cli.io.clip import is_clip
 from exwarp_cli.io.output import facts_in
 from exwarp_cli.io.sequence import Sequence
-from exwarp_cli.pipeline.comparing import ExtranetScores, Scorer, SequenceScores
-from exwarp_cli.pipeline.flow import Flow, open_flow
+from exwarp_cli.pipeline.comparing import ExtranetScores, Flow, Scorer, SequenceScores, open_flow
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,6 @@ from exwarp_cli.io.frames import Shot, is_seen, read_raw
 from exwarp_cli.io.producers import PRESETS
 from exwarp_cli.pipeline.motion_option import motion_names, parse_motion
 from exwarp_cli.pipeline.shots import pair_beside_hold, pairs_within
-from exwarp_cli.pipeline.zero_vectors import zero_vectors_error
 from exwarp_cli.synthesis.calibration import calibrate, looks_like
 from exwarp_cli.synthesis.cuts import is_cut
 from exwarp_cli.synthesis.picture_motion import colour_moves, geometry_moves
@@ -348,3 +347,40 @@ def _vectors(shot: Shot, number: int) -> Float32:
     raw = read_raw(shot, number, (Role.MOTION,))
     assert raw.motion is not None
     return place(raw.motion, raw.gbuffer.window, shot.display, np.nan)
+
+
+SETTINGS = {
+    "Blender": "switch it off in Render Properties > Motion Blur, as Cycles writes no vectors with "
+    "it",
+    "Arnold": "Arnold writes vectors only with Motion Blur on: switch it on together with "
+    "Instantaneous Shutter",
+    "Redshift": "Redshift writes vectors only with Motion Blur on, and keeps the beauty sharp "
+    "meanwhile: switch it on",
+    "V-Ray": "switch it off in Render Settings > Motion Blur, and check that the Velocity element "
+    "is on",
+    "Karma": "switch it off in the Karma render settings > Rendering > Motion Blur",
+    "RenderMan": "switch it off in Render Settings > Motion Blur",
+}
+"""What to do by producer, as `io.producers` names them."""
+
+ANY = "switch it off in the renderer's settings"
+
+
+def zero_vectors_error(names: tuple[str, ...], frames: str, producer: str) -> MotionError:
+    """Return the error for vectors that are 0 while the picture moves.
+
+    Parameters
+    ----------
+    names
+        Of the motion channels.
+    frames
+        Numbers of the frames that were looked at.
+    producer
+        What wrote the files, as far as they tell.
+    """
+    advice = next((text for name, text in SETTINGS.items() if producer.startswith(name)), ANY)
+    return MotionError(
+        f"the motion channels {', '.join(names)} are 0 throughout in frames {frames}, while the "
+        f"picture moves: motion blur was on, or the pass is empty; {advice}, and render the motion "
+        "pass again; if nothing is meant to move, give --motion"
+    )

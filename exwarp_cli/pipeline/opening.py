@@ -8,7 +8,7 @@ from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
-from exwarp_cli.domain.bounds import allow
+from exwarp_cli.domain.frame import allow
 from exwarp_cli.domain.frame_rates import number_step, standard_rate
 from exwarp_cli.domain.settings import DEFAULT_FPS, SourceSettings
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, UsageError

@@ -9,7 +9,7 @@ from time import perf_counter
 from exwarp_cli import __version__
 from exwarp_cli.domain.cores import working
 from exwarp_cli.domain.frame import Image, Window
-from exwarp_cli.domain.outcome import Outcome
+from exwarp_cli.domain.joining import Outcome
 from exwarp_cli.domain.results import FrameKind, FrameRecord, LeftOut, RunSummary
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import Slot
@@ -18,9 +18,10 @@ from exwarp_cli.io.footage import picture
 from exwarp_cli.io.output import PREFIX
 from exwarp_cli.io.threads import use_threads
 from exwarp_cli.kernels import _row_bands
+from exwarp_cli.pipeline.announcing import left_out, tell_left_out, unscored
 from exwarp_cli.pipeline.choosing import Chooser, Chosen, always, by_policy, by_truth
-from exwarp_cli.pipeline.eta import kind_of, kinds_of
 from exwarp_cli.pipeline.finding import is_usual
+from exwarp_cli.pipeline.frame_sizes import remark
 from exwarp_cli.pipeline.frame_writer import FRAMES_BEHIND, FrameWriter
 from exwarp_cli.pipeline.interval_builder import IntervalBuilder, PreparedInterval, count_broken
 from exwarp_cli.pipeline.interval_inputs import (
@@ -31,11 +32,8 @@ from exwarp_cli.pipeline.interval_inputs import (
 )
 from exwarp_cli.pipeline.job import Job, open_job
 from exwarp_cli.pipeline.layers import ExtraLayers
-from exwarp_cli.pipeline.leaving_out import left_out, tell_left_out, unscored
-from exwarp_cli.pipeline.nonfinite import broken_pixels_of
-from exwarp_cli.pipeline.progress import FrameListener, NoProgress, Progress
+from exwarp_cli.pipeline.progress import FrameListener, NoProgress, Progress, kind_of, kinds_of
 from exwarp_cli.pipeline.recipes import key_recipe
-from exwarp_cli.pipeline.regions import remark
 from exwarp_cli.pipeline.scheduling import (
     Mode,
     ParallelSlots,
@@ -44,7 +42,7 @@ from exwarp_cli.pipeline.scheduling import (
     read_depth,
     record_time,
 )
-from exwarp_cli.pipeline.scoring import IntervalScores
+from exwarp_cli.pipeline.scoring import IntervalScores, broken_pixels_of
 from exwarp_cli.pipeline.slot_renderer import RenderedSlot, SlotRenderer, rate_attribute, rounded
 from exwarp_cli.pipeline.verifying import Sums, files_of, verify, verify_video
 from exwarp_cli.pipeline.without_vectors import BY_EXWARP, is_kept, note_of, video_look

@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 
 from exwarp_cli import __version__
-from exwarp_cli.domain.decision import Decision, Plan
-from exwarp_cli.domain.features import Features
+from exwarp_cli.domain.decision import Decision, Features, Plan
 from exwarp_cli.domain.frame import Bool, Image, place
 from exwarp_cli.domain.maker import maker_of, step_of
 from exwarp_cli.domain.results import FrameKind, FrameRecord

@@ -14,8 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.domain.decision import FIRST, NODES, PATHS, SLOTS
-from exwarp_cli.domain.features import FEATURES, Features
+from exwarp_cli.domain.decision import FEATURES, FIRST, NODES, PATHS, SLOTS, Features
 
 F64 = npt.NDArray[np.float64]
 

@@ -17,7 +17,7 @@ from exwarp_cli.pipeline.motion_option import motion_names, parse_motion
 from exwarp_cli.synthesis.geometry import settle_motion
 from exwarp_cli.synthesis.history import past_of
 from exwarp_cli.synthesis.interval import Interval
-from exwarp_cli.synthesis.span import span_motion
+from exwarp_cli.synthesis.trajectory import span_motion
 from exwarp_cli.training.variant import Variant, backwards, mirrored
 
 KEPT = 24

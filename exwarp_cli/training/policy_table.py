@@ -15,8 +15,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.domain.decision import NODES
-from exwarp_cli.domain.features import Features
+from exwarp_cli.domain.decision import NODES, Features
 from exwarp_cli.errors import DamagedFileError, InputError
 from exwarp_cli.io.atomic import atomic_write_bytes
 from exwarp_cli.io.policy_files import Array, pack, unpack

@@ -11,8 +11,8 @@ import pytest
 from click.testing import CliRunner
 
 from exwarp_cli.commands.compare import command
+from exwarp_cli.domain.metric import parse_threshold
 from exwarp_cli.domain.settings import MeasureSettings
-from exwarp_cli.domain.threshold import parse_threshold
 from exwarp_cli.errors import QualityError, UsageError
 from exwarp_cli.pipeline import measuring
 from exwarp_cli.pipeline.evaluate import Comparison, evaluate

@@ -20,11 +20,11 @@ from exwarp_cli.domain.decision import (
     SLOTS,
     WARP,
     Decision,
+    Features,
     Plan,
     path_of,
     walk,
 )
-from exwarp_cli.domain.features import Features
 from exwarp_cli.pipeline.slot_renderer import decision_text, parse_decision
 from exwarp_cli.policy.state import PASSED
 from tests.reference import decisions as paper

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from exwarp_cli.accel.quantised_mlp import QuantisedMlp, infer_reference
-from exwarp_cli.domain.decision import Decision, Plan
-from exwarp_cli.domain.features import Features
+from exwarp_cli.domain.decision import Decision, Features, Plan
 from exwarp_cli.policy.policies import LearnedPolicy
 from exwarp_cli.policy.state import PASSED, Surroundings
 from tests.reference.decisions import PATHS

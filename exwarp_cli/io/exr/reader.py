@@ -23,8 +23,7 @@ import numpy as np
 import OpenImageIO as oiio
 
 from exwarp_cli.domain import cores
-from exwarp_cli.domain.bounds import require_canvas, require_size
-from exwarp_cli.domain.frame import Window
+from exwarp_cli.domain.frame import Window, require_canvas, require_size
 from exwarp_cli.errors import (
     DamagedFileError,
     InputError,

@@ -13,7 +13,6 @@ import imageio_ffmpeg
 import numpy as np
 import OpenImageIO as oiio
 
-from exwarp_cli.domain.checkup import Check, failure, warning
 from exwarp_cli.domain.frame import Window
 from exwarp_cli.domain.wording import counted, first_line
 from exwarp_cli.errors import ExwarpError, UsageError
@@ -21,6 +20,7 @@ from exwarp_cli.io.exr.reader import ExrFile
 from exwarp_cli.io.exr.writer import COMPRESSIONS, encode_by_openexr, scanline_structure
 from exwarp_cli.io.ffmpeg import FfmpegError, told
 from exwarp_cli.io.stills import STILLS, require_writer
+from exwarp_cli.pipeline.doctor.examine import Check, failure, warning
 from exwarp_cli.runtime.stop import scratch_folder
 
 EXR_ERROR = 0.05

@@ -7,9 +7,9 @@ import sys
 from pathlib import Path
 
 import exwarp_cli
-from exwarp_cli.domain.checkup import Check, failure, warning
 from exwarp_cli.domain.wording import size_text
 from exwarp_cli.io.machine import look_at, memory, processors, temporary_folder
+from exwarp_cli.pipeline.doctor.examine import Check, failure, warning
 
 LEAST_MEMORY = 4 << 30
 """Bytes that frames of 1920x1080 take with the network that extrapolates; 3.7 GiB were measured."""

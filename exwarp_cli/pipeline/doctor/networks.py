@@ -11,7 +11,6 @@ import numpy as np
 from exwarp_cli.accel.fixed_point import I32
 from exwarp_cli.accel.kernel import MlpKernel
 from exwarp_cli.accel.quantised_mlp import infer_reference
-from exwarp_cli.domain.checkup import Check, failure, warning
 from exwarp_cli.domain.wording import counted, enumerated
 from exwarp_cli.errors import ExwarpError, InputError
 from exwarp_cli.io.models import (
@@ -25,6 +24,7 @@ from exwarp_cli.io.models import (
 )
 from exwarp_cli.io.policy_files import load_policy
 from exwarp_cli.pipeline.accelerator import sample_states
+from exwarp_cli.pipeline.doctor.examine import Check, failure, warning
 
 INTEGER_POLICY = "policy-int8.onnx"
 """The policy's integers in ONNX, for runtimes of others."""

@@ -16,7 +16,6 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.domain.checkup import Check, Remark, failure
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.domain.results import RunSummary
 from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
@@ -25,6 +24,7 @@ from exwarp_cli.domain.wording import counted, enumerated
 from exwarp_cli.errors import ExwarpError
 from exwarp_cli.pipeline.doctor.codecs import read_exr, write_exr
 from exwarp_cli.pipeline.doctor.compilation import cache_use
+from exwarp_cli.pipeline.doctor.examine import Check, Remark, failure
 from exwarp_cli.pipeline.progress import NoProgress
 from exwarp_cli.pipeline.run import upsample
 from exwarp_cli.runtime.stop import scratch_folder
