@@ -270,26 +270,22 @@ def unpack(data: bytes) -> dict[str, Array]:
         When it is damaged, none at all, or holds anything but arrays of a sane size.
     """
     try:
-        return _arrays(data)
+        arrays = {}
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            entries = archive.infolist()
+            for entry in entries:
+                if entry.file_size > MOST_BYTES:
+                    raise ValueError(f"{entry.filename} is too large")
+            if sum(entry.file_size for entry in entries) > MOST_OF_ALL:
+                raise ValueError("it is too large")
+            for entry in entries:
+                member = io.BytesIO(archive.read(entry))
+                array = np.lib.format.read_array(member, allow_pickle=False)
+                arrays[entry.filename.removesuffix(".npy")] = array
+        return arrays
     except _UNREADABLE as error:
         reason = (str(error) or type(error).__name__).splitlines()[0]
         raise ArchiveError(reason) from error
-
-
-def _arrays(data: bytes) -> dict[str, Array]:
-    arrays = {}
-    with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        entries = archive.infolist()
-        for entry in entries:
-            if entry.file_size > MOST_BYTES:
-                raise ValueError(f"{entry.filename} is too large")
-        if sum(entry.file_size for entry in entries) > MOST_OF_ALL:
-            raise ValueError("it is too large")
-        for entry in entries:
-            member = io.BytesIO(archive.read(entry))
-            array = np.lib.format.read_array(member, allow_pickle=False)
-            arrays[entry.filename.removesuffix(".npy")] = array
-    return arrays
 
 
 COLUMN = "inputs"

@@ -263,12 +263,22 @@ def export(
     """
     source = load_policy(policy)
     network, array = source.network, MacArray()
-    texts = {README: _about(array, network)}
+    texts = {README: ABOUT.format(cores=array.cores, macs=array.macs, inputs=network.sizes[0])}
     texts |= _parameters(array, network)
     texts |= _vectors(network, sample_states(network.sizes[0], vectors, seed))
     facts = {"policy": source.path.name, "sha256": source.checksum, "vectors": vectors}
+    document = {
+        "schema": FORMAT,
+        **facts,
+        "seed": seed,
+        "sizes": network.sizes,
+        "cores": array.cores,
+        "macs": array.macs,
+        "addresses": [_addresses(array, network, core) for core in range(array.cores)],
+        "files": list(texts),
+    }
     # Last, so that a folder with a manifest is complete.
-    texts[MANIFEST] = _manifest(array, network, {**facts, "seed": seed}, list(texts))
+    texts[MANIFEST] = json.dumps(document, indent=2) + "\n"
     taken = [name for name in texts if (folder / name).exists()]
     if taken and not overwrite:
         raise OutputExistsError(
@@ -278,10 +288,6 @@ def export(
     for name, text in texts.items():
         atomic_write_text(folder / name, text)
     return [folder / name for name in texts]
-
-
-def _about(array: MacArray, network: QuantisedMlp) -> str:
-    return ABOUT.format(cores=array.cores, macs=array.macs, inputs=network.sizes[0])
 
 
 def _parameters(array: MacArray, network: QuantisedMlp) -> dict[str, str]:
@@ -325,22 +331,6 @@ def _vectors(network: QuantisedMlp, states: I32) -> dict[str, str]:
     for k, activations in enumerate(found.activations):
         texts[f"vectors_layer{k}_activation.hex"] = _hex(activations)
     return texts
-
-
-def _manifest(
-    array: MacArray, network: QuantisedMlp, facts: dict[str, Any], names: list[str]
-) -> str:
-    """Write what a test bench needs to know besides the words."""
-    document = {
-        "schema": FORMAT,
-        **facts,
-        "sizes": network.sizes,
-        "cores": array.cores,
-        "macs": array.macs,
-        "addresses": [_addresses(array, network, core) for core in range(array.cores)],
-        "files": names,
-    }
-    return json.dumps(document, indent=2) + "\n"
 
 
 def _addresses(array: MacArray, network: QuantisedMlp, core: int) -> list[dict[str, int | None]]:

@@ -142,7 +142,10 @@ def evaluate(
     """
     measuring = measuring or MeasureSettings()
     require_consistent(measuring, holes)
-    truth, judged = (_frames(spec, measuring) for spec in (reference, test))
+    truth, judged = (
+        find_frames(expand(spec, measuring.view or None)[0], scan=measuring.scan)
+        for spec in (reference, test)
+    )
     masks = None if holes is None else find_sequence(holes)
     matched_by, paired, told = pair(truth, judged, measuring.view)
     pairs = _select(paired, frames)
@@ -343,11 +346,6 @@ def _require_scores(found: Comparison) -> None:
         raise InputError(
             f"nothing can be measured of {found.test.pattern}: {why}; choose other --metrics"
         )
-
-
-def _frames(spec: str, measuring: MeasureSettings) -> Sequence:
-    """Find a sequence of any kind, of a view where the name has a token for it."""
-    return find_frames(expand(spec, measuring.view or None)[0], scan=measuring.scan)
 
 
 def _shown(sequence: Sequence, number: int, view: str) -> Image:

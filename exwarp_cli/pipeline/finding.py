@@ -48,7 +48,23 @@ def find_network(settings: UpsampleSettings, method: Method) -> OnnxExtrapolator
     InputError, MissingExtraError
         When the network cannot be used.
     """
-    _refuse_network_options(settings, method)
+    # Refuse options of networks that the method does not run.
+    extrapolating = [m for m in METHODS.values() if m.extrapolates]
+    interpolating = [m for m in METHODS.values() if m.interpolates]
+    either = [m for m in METHODS.values() if m in extrapolating or m in interpolating]
+    other_device = settings.device != UpsampleSettings.device
+    rules = (
+        ("--extrapolator", settings.extrapolator is not None, "extrapolate", extrapolating),
+        ("--interpolator", settings.interpolator is not None, "interpolate so", interpolating),
+        ("--device", other_device, "run a network", either),
+    )
+    for option, given, what, users in rules:
+        if given and method not in users:
+            names = ", ".join(user.name for user in users)
+            raise UsageError(
+                f"{option} is for methods that {what}, and --method {method.name} does not; "
+                f"leave it out, or use {'one of ' if len(users) > 1 else ''}{names}"
+            )
     if not method.extrapolates:
         return None
     from exwarp_cli.io.models import load_extrapolator
@@ -77,26 +93,6 @@ def find_interpolator(settings: UpsampleSettings, method: Method) -> OnnxInterpo
     from exwarp_cli.io.interpolator import load_interpolator
 
     return load_interpolator(Path(settings.interpolator), settings.threads, settings.device)
-
-
-def _refuse_network_options(settings: UpsampleSettings, method: Method) -> None:
-    """Refuse options of networks that the method does not run."""
-    extrapolating = [m for m in METHODS.values() if m.extrapolates]
-    interpolating = [m for m in METHODS.values() if m.interpolates]
-    either = [m for m in METHODS.values() if m in extrapolating or m in interpolating]
-    other_device = settings.device != UpsampleSettings.device
-    rules = (
-        ("--extrapolator", settings.extrapolator is not None, "extrapolate", extrapolating),
-        ("--interpolator", settings.interpolator is not None, "interpolate so", interpolating),
-        ("--device", other_device, "run a network", either),
-    )
-    for option, given, what, users in rules:
-        if given and method not in users:
-            names = ", ".join(user.name for user in users)
-            raise UsageError(
-                f"{option} is for methods that {what}, and --method {method.name} does not; "
-                f"leave it out, or use {'one of ' if len(users) > 1 else ''}{names}"
-            )
 
 
 def find_policy(settings: UpsampleSettings, method: Method) -> PolicyFile | None:

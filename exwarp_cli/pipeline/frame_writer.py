@@ -126,24 +126,23 @@ class OutputPlan:
         if self.video is not None and is_there(self.video) and self.video.is_dir():
             raise output_error(self.video, IsADirectoryError(errno.EISDIR, ""))
         if not (settings.overwrite or settings.skip_existing):
-            self._check_existing(timeline, slots)
-
-    def _check_existing(self, timeline: Timeline, slots: list[Slot]) -> None:
-        for pattern in (self.frames, self.holes):
-            if pattern is None:
-                continue
-            numbers = [timeline.number(slot) for slot in slots]
-            there = [n for n in numbers if is_there(pattern.path(n))]
-            if there:
+            for pattern in (self.frames, self.holes):
+                if pattern is None:
+                    continue
+                numbers = [timeline.number(slot) for slot in slots]
+                there = [n for n in numbers if is_there(pattern.path(n))]
+                if there:
+                    raise OutputExistsError(
+                        f"{pattern.folder} has frame {ranges(there)} of {pattern.name} already; "
+                        "give --skip-existing to keep good ones, --overwrite to replace them, or "
+                        "another -o"
+                    )
+            if self.video is not None and is_there(self.video):
+                option = "--video" if self.frames is not None else "-o"
                 raise OutputExistsError(
-                    f"{pattern.folder} has frame {ranges(there)} of {pattern.name} already; give "
-                    "--skip-existing to keep good ones, --overwrite to replace them, or another -o"
+                    f"{self.video} exists already; give --overwrite to replace it, or another "
+                    f"{option}"
                 )
-        if self.video is not None and is_there(self.video):
-            option = "--video" if self.frames is not None else "-o"
-            raise OutputExistsError(
-                f"{self.video} exists already; give --overwrite to replace it, or another {option}"
-            )
 
 
 def frame_suffix(output: str, source: Sequence) -> str:

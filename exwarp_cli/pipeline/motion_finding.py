@@ -263,7 +263,17 @@ class _Measuring:
         """Read and reduce a frame; what was reduced before is kept."""
         key = number, by_colour
         if key not in self._frames:
-            self._frames[key] = _sampled(self._shot, number, by_colour)
+            # On the display window: data windows differ, and normalised vectors go by it. World
+            # positions tell points apart best, and alone; reading the rest takes most of the time.
+            by_position = Role.POSITION in self._shot.layout and not by_colour
+            seen = Role.POSITION if by_position else Role.COLOUR
+            raw = read_raw(self._shot, number, (Role.MOTION, Role.DEPTH, Role.STENCIL, seen))
+            assert raw.motion is not None
+            motion = place(raw.motion, raw.gbuffer.window, self._shot.display, np.nan)
+            colour = None if raw.image is None else raw.image.on(self._shot.display).pixels
+            self._frames[key] = sampled(
+                Instant(number, raw.gbuffer.on(self._shot.display), motion, colour)
+            )
         return self._frames[key]
 
     def _parted(self, index: int) -> bool:
@@ -328,18 +338,6 @@ def _is_sound(frame: Callable[[int], Sampled], number: int) -> bool:
     except InputError:
         return False
     return True
-
-
-def _sampled(shot: Shot, number: int, by_colour: bool) -> Sampled:
-    """Read a frame on the display window: data windows differ, and normalised vectors go by it."""
-    # World positions tell points apart best, and alone; reading the rest takes most of the time.
-    by_position = Role.POSITION in shot.layout and not by_colour
-    seen = Role.POSITION if by_position else Role.COLOUR
-    raw = read_raw(shot, number, (Role.MOTION, Role.DEPTH, Role.STENCIL, seen))
-    assert raw.motion is not None
-    motion = place(raw.motion, raw.gbuffer.window, shot.display, np.nan)
-    colour = None if raw.image is None else raw.image.on(shot.display).pixels
-    return sampled(Instant(number, raw.gbuffer.on(shot.display), motion, colour))
 
 
 def _vectors(shot: Shot, number: int) -> Float32:

@@ -17,7 +17,7 @@ import numpy as np
 from exwarp_cli.domain.frame import Float32, Window, broken_pixels
 from exwarp_cli.errors import InputError, LayoutError
 from exwarp_cli.io.channels import ChannelRef
-from exwarp_cli.io.exr.parts import Channel, Part
+from exwarp_cli.io.exr.parts import Part
 from exwarp_cli.io.exr.reader import HeaderCache, damaged
 from exwarp_cli.io.exr.writer import OutputChannel, PendingHalf
 from exwarp_cli.io.layers import Kind, Layer
@@ -216,7 +216,8 @@ def read_template(
             channel = channels.get(key[1].name)
             if channel is None:
                 raise _gone(path, key[1], layers)
-            plane = _plane(key, channel, bounded)
+            dtype = np.dtype(PIXEL_TYPES.get(channel.pixel_type, np.float32))
+            plane = PlaneTemplate(key, channel.raw_name, dtype, bounded)
             placed.setdefault(channel.part, {}).setdefault(channel.index, plane)
     views = [layers.within for layers in wanted]
     made = tuple(
@@ -261,11 +262,6 @@ def _gone(path: Path, ref: ChannelRef, layers: ViewLayers) -> InputError:
         f"{path} has no channel {ref.name!r}, which the sequence's first frame has; render all "
         "frames with the same passes, or leave that layer out of --layers"
     )
-
-
-def _plane(key: PlaneKey, channel: Channel, bounded: bool) -> PlaneTemplate:
-    dtype = np.dtype(PIXEL_TYPES.get(channel.pixel_type, np.float32))
-    return PlaneTemplate(key, channel.raw_name, dtype, bounded)
 
 
 def _header(header: Mapping[str, Any], part: Part, views: tuple[str, ...]) -> dict[str, Any]:
