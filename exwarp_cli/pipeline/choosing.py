@@ -30,7 +30,7 @@ from exwarp_cli.synthesis.methods import Judge, take
 
 if TYPE_CHECKING:
     from exwarp_cli.pipeline.observing import Observer
-    from exwarp_cli.policy.policies import LearnedPolicy
+    from exwarp_cli.policy.state import LearnedPolicy
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from exwarp_cli.domain.frame import Image, Window
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.errors import InputError, LayoutError
 from exwarp_cli.io.footage import is_plain, picture_size
-from exwarp_cli.pipeline.ground_truth import truth_of_another_size
+from exwarp_cli.pipeline.key_frames import truth_of_another_size
 
 if TYPE_CHECKING:
     from exwarp_cli.io.sequence import Sequence

@@ -19,8 +19,7 @@ from exwarp_cli.io.output import FrameTemplate
 from exwarp_cli.io.sequence import Sequence
 from exwarp_cli.pipeline.contents import Content, LayerFrames, LayerReader, template_of
 from exwarp_cli.pipeline.frame_sizes import Regions
-from exwarp_cli.pipeline.ground_truth import IntervalTruth, TruthReader
-from exwarp_cli.pipeline.key_frames import KeyFrameStore, reads_late
+from exwarp_cli.pipeline.key_frames import IntervalTruth, KeyFrameStore, TruthReader, reads_late
 from exwarp_cli.pipeline.recipes import Recipes
 from exwarp_cli.pipeline.scheduling import record_time
 from exwarp_cli.pipeline.shots import UnreadableFrames

@@ -456,7 +456,7 @@ def make_chooser(job: Job) -> Chooser | None:
         return always(method.path) if is_usual(source) else None
     if job.policy is not None:
         from exwarp_cli.pipeline.observing import Observer
-        from exwarp_cli.policy.policies import LearnedPolicy
+        from exwarp_cli.policy.state import LearnedPolicy
 
         observer = Observer(source.keys.display, source.setting)
         return by_policy(LearnedPolicy(job.policy.network), observer)

@@ -12,8 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from exwarp_cli.domain.motion import AxisMap
-from exwarp_cli.synthesis.evidence import COARSE, FITTED, Evidence, Key
-from exwarp_cli.synthesis.readings import FREE_STEP, nearby
+from exwarp_cli.synthesis.evidence import COARSE, FITTED, FREE_STEP, Evidence, Key, nearby
 
 TIE_FLOOR = 0.01
 """Errors that differ by less than this, of 6000 samples, are equal."""

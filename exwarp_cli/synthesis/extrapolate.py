@@ -14,9 +14,8 @@ from exwarp_cli.kernels import _row_bands, planes
 from exwarp_cli.kernels._row_bands import Share, rows_of
 from exwarp_cli.runtime.frame_pool import IN_MEMORY, ScratchFrames, pool
 from exwarp_cli.synthesis.geometry import SlotField
-from exwarp_cli.synthesis.history import LookBack, Past
+from exwarp_cli.synthesis.history import SMOOTH, LookBack, Past
 from exwarp_cli.synthesis.source_bounds import Side, Sources, hold_within
-from exwarp_cli.synthesis.surface import SMOOTH
 from exwarp_cli.synthesis.warp import fill_holes, moved, sampled
 
 UNKNOWN_DEPTH = 0.5

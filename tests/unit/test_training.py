@@ -23,19 +23,17 @@ from exwarp_cli.training.crops import Batch, Crops, varied
 from exwarp_cli.training.curve import COLUMNS, CURVE
 from exwarp_cli.training.extrapolator import (
     CHECKPOINT,
-    Training,
-    train_extrapolator,
-)
-from exwarp_cli.training.footage import Footage
-from exwarp_cli.training.losses import (
     FEW,
     HOLES,
     SQUARED,
     SQUARED_HOLES,
+    Training,
     decibels,
     loss_of,
     shown,
+    train_extrapolator,
 )
+from exwarp_cli.training.footage import Footage
 from exwarp_cli.training.networks import ARCHITECTURES, build
 from exwarp_cli.training.samples import (
     IN_HOLES,

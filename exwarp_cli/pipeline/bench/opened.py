@@ -26,8 +26,7 @@ from exwarp_cli.pipeline.interval_inputs import IntervalInputs, IntervalReader
 from exwarp_cli.pipeline.observing import Observer
 from exwarp_cli.pipeline.scoring import SLOTS
 from exwarp_cli.pipeline.source import open_source
-from exwarp_cli.policy.policies import LearnedPolicy
-from exwarp_cli.policy.state import Surroundings
+from exwarp_cli.policy.state import LearnedPolicy, Surroundings
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import Judge, Method
 
