@@ -194,3 +194,29 @@ def walk(choose: Callable[[str], str]) -> Iterator[tuple[str, str]]:
         choice = choose(node)
         yield node, choice
         node = NEXT.get((node, choice))
+
+
+SOFTSPLAT = "softsplat"
+"""Both key frames splatted to the slot and blended by depth and time."""
+
+BLEND = "blend"
+"""A cross-fade of both key frames."""
+
+KEY = "key"
+"""A renderer."""
+
+STEPS = {SOFTSPLAT: WARP, BLEND: WARP}
+"""The step of the work that a maker's time is booked on, where it has another name."""
+
+
+def step_of(maker: str) -> str:
+    """Name the step of the work that the time of a frame's maker is booked on."""
+    return STEPS.get(maker, maker)
+
+
+def maker_of(told: str | None, method: str | None) -> str | None:
+    """Return what made a frame, from what its header or its row in a table says.
+
+    ExWarp 0.1 wrote "warp" for frames of `softsplat` and `blend`.
+    """
+    return method if told == WARP and method in STEPS else told

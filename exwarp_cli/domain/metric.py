@@ -138,13 +138,6 @@ class Threshold:
 def parse_threshold(text: str, option: str) -> Threshold:
     """Read a limit such as ``psnr=35``, ``generated.psnr=30`` or ``holes.ssim=0.8``.
 
-    Parameters
-    ----------
-    text
-        What the user wrote.
-    option
-        "--fail-below" or "--fail-above".
-
     Raises
     ------
     UsageError

@@ -270,13 +270,7 @@ class Clip:
 
 
 class ClipReader(Held):
-    """Frames of a video by their index, cheaply as long as that grows; a context manager.
-
-    Parameters
-    ----------
-    clip
-        The video.
-    """
+    """Frames of a video by their index, cheaply as long as that grows; a context manager."""
 
     def __init__(self, clip: Clip) -> None:
         self._clip = clip

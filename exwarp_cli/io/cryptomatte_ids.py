@@ -125,13 +125,6 @@ def identity(bits: int, rounded: bool = False) -> int:
 def require_sound(ranks: Float32, where: str) -> None:
     """Refuse ids that a lossy step on their way has destroyed.
 
-    Parameters
-    ----------
-    ranks
-        As in :func:`surfaces`.
-    where
-        The file and layer, for the message.
-
     Raises
     ------
     DamagedFileError

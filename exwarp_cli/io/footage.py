@@ -44,13 +44,7 @@ SOUNDS = (".wav", ".mp3", ".m4a", ".aac", ".flac", ".ogg", ".opus", ".wma", ".ai
 
 
 class ClipFrames:
-    """Frames of a video by number, from 1; each thread that asks decodes for itself.
-
-    Parameters
-    ----------
-    clip
-        The video.
-    """
+    """Frames of a video by number, from 1; each thread that asks decodes for itself."""
 
     def __init__(self, clip: Clip) -> None:
         self.clip = clip
@@ -361,15 +355,7 @@ def facts_of(sequence: Sequence) -> dict[str, Any]:
 
 
 def lost_alpha(shot: Shot, suffix: str) -> str | None:
-    """Say that frames are written without the alpha of a video or of stills; None if they are not.
-
-    Parameters
-    ----------
-    shot
-        The input.
-    suffix
-        Of the frames that are written.
-    """
+    """Say that frames lose the alpha of a video or of stills; None if they do not."""
     has_alpha = is_plain(shot.sequence) and len(shot.layout.roles[Role.COLOUR]) > 3
     if not has_alpha or file_type(suffix) in EXR or has_room_for_alpha(file_type(suffix)):
         return None

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from exwarp_cli.domain import cores
+from exwarp_cli.domain.extrapolator import Curve
 from exwarp_cli.domain.frame import Float32
-from exwarp_cli.domain.interpolator import Curve
 from exwarp_cli.domain.timeline import MOST
 from exwarp_cli.errors import InputError, LayoutError, OutputExistsError
 from exwarp_cli.io.atomic import atomic_write_text
@@ -28,7 +28,7 @@ from exwarp_cli.io.interpolator_card import (
     parse_card,
     read_card,
 )
-from exwarp_cli.io.model_checks import written_shape
+from exwarp_cli.io.model_files import written_shape
 from exwarp_cli.io.models import OnnxNetwork, read_model
 
 MOST_SHOWN = 4.0
@@ -98,15 +98,7 @@ class Seen:
 
 
 class OnnxInterpolator(OnnxNetwork):
-    """An interpolation network that is ready to run.
-
-    Parameters
-    ----------
-    card
-        What it takes and gives.
-    path, data, threads, device
-        As for `OnnxNetwork`.
-    """
+    """An interpolation network that is ready to run."""
 
     def __init__(self, card: Card, path: Path, data: bytes, threads: int, device: str) -> None:
         super().__init__(path, data, threads, device)
@@ -125,7 +117,7 @@ class OnnxInterpolator(OnnxNetwork):
         ----------
         before, after
             float32 [H, W, 3 or 4], scene-linear, finite, of any size. The network sees colour by
-            `domain.interpolator.Curve`; alpha is blended by time.
+            `domain.extrapolator.Curve`; alpha is blended by time.
         time
             See `reaches`.
         """

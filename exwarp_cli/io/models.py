@@ -11,11 +11,20 @@ from typing import Any
 import numpy as np
 
 from exwarp_cli.domain import cores
-from exwarp_cli.domain.extrapolator import INPUTS, OUTPUT, TIME, Inputs, NetworkInputs
+from exwarp_cli.domain.extrapolator import (
+    INPUTS,
+    OUTPUT,
+    TIME,
+    Inputs,
+    NetworkInputs,
+    Span,
+    Tile,
+    cut,
+)
 from exwarp_cli.domain.frame import Float32
-from exwarp_cli.domain.tiles import Span, Tile, cut
 from exwarp_cli.errors import InputError, LayoutError, MissingExtraError, OutOfMemoryError
-from exwarp_cli.io.model_checks import (
+from exwarp_cli.io.model_files import CHECKSUMS as CHECKSUMS
+from exwarp_cli.io.model_files import (
     STRIDE_KEY,
     reason,
     require_interface,
@@ -24,7 +33,6 @@ from exwarp_cli.io.model_checks import (
     unusable,
     written_shape,
 )
-from exwarp_cli.io.model_files import CHECKSUMS as CHECKSUMS
 from exwarp_cli.io.model_files import read_model as read_model
 from exwarp_cli.io.model_files import shipped_folder as shipped_folder
 from exwarp_cli.io.model_weights import with_weights

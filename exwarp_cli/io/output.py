@@ -18,7 +18,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from exwarp_cli.domain.frame import Bool, Float32, Image, Window, place
-from exwarp_cli.domain.frame_rates import parsed_rate
+from exwarp_cli.domain.timeline import parsed_rate
 from exwarp_cli.errors import OutputError, UsageError
 from exwarp_cli.io import checksum
 from exwarp_cli.io.atomic import atomic_write_bytes

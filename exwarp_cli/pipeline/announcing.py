@@ -10,7 +10,6 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from exwarp_cli.domain.frame_rates import NEAR
 from exwarp_cli.domain.results import (
     InputSummary,
     InterpolatorSummary,
@@ -20,7 +19,7 @@ from exwarp_cli.domain.results import (
     RunSummary,
 )
 from exwarp_cli.domain.settings import UpsampleSettings
-from exwarp_cli.domain.timeline import Slot, Timeline, ranges
+from exwarp_cli.domain.timeline import NEAR, Slot, Timeline, ranges
 from exwarp_cli.domain.wording import counted
 from exwarp_cli.errors import IncompleteError
 from exwarp_cli.io.channels import Role
@@ -86,13 +85,6 @@ def other_extrapolator(policy: PolicyFile, network: OnnxExtrapolator) -> str | N
     """Say that a policy was trained for another network than the one that extrapolates.
 
     It learned by how much that network's frames are better than warps, so its choices may be wrong.
-
-    Parameters
-    ----------
-    policy
-        That decides.
-    network
-        That extrapolates.
 
     Returns
     -------

@@ -26,15 +26,7 @@ from exwarp_cli.synthesis.geometry import matched, reproject, settle_motion
 
 
 class Flow:
-    """Reads where the pixels of a frame come from; asked frame by frame, ascending.
-
-    Parameters
-    ----------
-    shot
-        Frames with vectors to the neighbouring frames.
-    convention
-        Of the vectors.
-    """
+    """Reads where the pixels of a frame come from; asked frame by frame, ascending."""
 
     def __init__(self, shot: Shot, convention: MotionConvention) -> None:
         self._shot = shot

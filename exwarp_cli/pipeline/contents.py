@@ -254,17 +254,7 @@ Planes = Mapping[ChannelRef, Plane]
 
 
 class LayerStore:
-    """Reads channels of frames; a frame stays at hand until it is dropped.
-
-    Parameters
-    ----------
-    shot
-        Whose frames.
-    layers
-        What is read of them.
-    more
-        Further channels.
-    """
+    """Reads channels of frames; a frame stays at hand until it is dropped."""
 
     def __init__(
         self, shot: Shot, layers: Collection[Layer], more: Iterable[ChannelRef] = ()

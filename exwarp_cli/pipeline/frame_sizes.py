@@ -179,15 +179,7 @@ def is_opaque(image: Image) -> bool:
 
 
 def remark(image: Image, region: bool) -> str | None:
-    """Return how a key frame's window is read, in a sentence; None where it speaks for itself.
-
-    Parameters
-    ----------
-    image
-        Its colour.
-    region
-        Whether slots after it keep the window.
-    """
+    """Return how a key frame's window is read, in a sentence; None where it speaks for itself."""
     window, display = image.data_window, image.display_window
     if window.covers(display):
         return None

@@ -14,9 +14,8 @@ import numpy as np
 
 from exwarp_cli.domain import cores
 from exwarp_cli.domain.frame import Bool, Float32, Image, Window
-from exwarp_cli.domain.frame_rates import OutputRate
 from exwarp_cli.domain.settings import UpsampleSettings
-from exwarp_cli.domain.timeline import Slot, Timeline, ranges
+from exwarp_cli.domain.timeline import OutputRate, Slot, Timeline, ranges
 from exwarp_cli.errors import OutputError, OutputExistsError, UsageError
 from exwarp_cli.io.atomic import Held, is_there, make_folder, output_error, remove_leftovers
 from exwarp_cli.io.clip import is_clip

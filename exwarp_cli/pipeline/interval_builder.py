@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from exwarp_cli.domain.decision import PATHS, Plan
-from exwarp_cli.domain.extrapolator import HISTORY, Extrapolator
+from exwarp_cli.domain.extrapolator import HISTORY, Extrapolator, Interpolator
 from exwarp_cli.domain.frame import (
     SURFACE_PARTS,
     Float32,
@@ -18,7 +18,6 @@ from exwarp_cli.domain.frame import (
     broken_pixels,
     require_canvas,
 )
-from exwarp_cli.domain.interpolator import Interpolator
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.pipeline.choosing import Chosen
 from exwarp_cli.pipeline.interval_inputs import HistoryFrame, IntervalInputs

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from exwarp_cli.domain.maker import maker_of
+from exwarp_cli.domain.decision import maker_of
 from exwarp_cli.domain.metric import GENERATED, METRICS
 from exwarp_cli.domain.results import FrameKind
 from exwarp_cli.domain.settings import PRESETS, MeasureSettings

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from exwarp_cli.domain.frame import Float32, place
-from exwarp_cli.domain.frame_rates import number_step
 from exwarp_cli.domain.motion import AxisMap, MotionConvention, MotionFinding
+from exwarp_cli.domain.timeline import number_step
 from exwarp_cli.errors import InputError, MotionError
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.frames import Shot, is_seen, read_raw

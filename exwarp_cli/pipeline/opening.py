@@ -9,8 +9,8 @@ from fractions import Fraction
 from pathlib import Path
 
 from exwarp_cli.domain.frame import allow
-from exwarp_cli.domain.frame_rates import number_step, standard_rate
 from exwarp_cli.domain.settings import DEFAULT_FPS, SourceSettings
+from exwarp_cli.domain.timeline import number_step, standard_rate
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, UsageError
 from exwarp_cli.io.aov_files import AovFile, parse_aovs
 from exwarp_cli.io.channel_map import ChannelMap, read_channel_map

@@ -13,9 +13,8 @@ from typing import Any
 import numpy as np
 
 from exwarp_cli import __version__
-from exwarp_cli.domain.decision import Decision, Features, Plan
+from exwarp_cli.domain.decision import Decision, Features, Plan, maker_of, step_of
 from exwarp_cli.domain.frame import Bool, Image, place
-from exwarp_cli.domain.maker import maker_of, step_of
 from exwarp_cli.domain.results import FrameKind, FrameRecord
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import Slot

@@ -8,10 +8,18 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 
 from exwarp_cli.domain.cuts import CutWish, parse_cuts
-from exwarp_cli.domain.frame_rates import OutputRate, compatible_rate, standard_rate
 from exwarp_cli.domain.motion import MotionConvention, MotionFinding
 from exwarp_cli.domain.settings import SourceSettings
-from exwarp_cli.domain.timeline import FACTOR, MOST, Slot, Timeline, ranges
+from exwarp_cli.domain.timeline import (
+    FACTOR,
+    MOST,
+    OutputRate,
+    Slot,
+    Timeline,
+    compatible_rate,
+    ranges,
+    standard_rate,
+)
 from exwarp_cli.errors import (
     InputError,
     LayoutError,

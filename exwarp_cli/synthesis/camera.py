@@ -125,15 +125,7 @@ def camera_after(scene: Scene, vectors: Float32, stencil: Int32 | None) -> Camer
 
 
 def camera_by(scene: Scene, motion_at: MotionAt, stencil: Int32 | None) -> Camera | None:
-    """Return a camera as `camera_after` does, by the motion of the points it looks at alone.
-
-    Parameters
-    ----------
-    scene, stencil
-        As there.
-    motion_at
-        Displacement to the other frame.
-    """
+    """Return a camera as `camera_after` does, by the motion of the points it looks at alone."""
     return _cameras(scene, (motion_at,), stencil)[0]
 
 

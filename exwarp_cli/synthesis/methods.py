@@ -7,10 +7,9 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from functools import partial
 
-from exwarp_cli.domain.decision import EXTRAPOLATE, HELD, HOLD, PATHS, WARP
+from exwarp_cli.domain.decision import BLEND, EXTRAPOLATE, HELD, HOLD, PATHS, SOFTSPLAT, WARP
+from exwarp_cli.domain.extrapolator import INTERPOLATE
 from exwarp_cli.domain.frame import Float32
-from exwarp_cli.domain.interpolator import INTERPOLATE
-from exwarp_cli.domain.maker import BLEND, SOFTSPLAT
 from exwarp_cli.domain.results import FrameKind
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.source_bounds import hold_in_range, hold_within, sources_between

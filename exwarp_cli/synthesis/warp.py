@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli.domain.curves import SRGB
+from exwarp_cli.domain.extrapolator import Interpolator
 from exwarp_cli.domain.frame import Bool, Float32, Int32, broken_pixels
-from exwarp_cli.domain.interpolator import Interpolator
 from exwarp_cli.kernels import blend, fill, gather
 from exwarp_cli.runtime.frame_pool import pool
 from exwarp_cli.synthesis.geometry import SlotField

@@ -18,7 +18,7 @@ from torch import Tensor, nn
 from exwarp_cli import __version__
 from exwarp_cli.domain.extrapolator import INPUTS, INTERFACE, OUTPUT, TIME
 from exwarp_cli.io.atomic import atomic_write_bytes
-from exwarp_cli.io.model_checks import INTERFACE_KEY, REQUIRED, STRIDE_KEY
+from exwarp_cli.io.model_files import INTERFACE_KEY, REQUIRED, STRIDE_KEY
 
 OPSET = 18
 """The exporter's own, so that nothing is converted; onnxruntime runs it since 1.14."""

@@ -6,9 +6,8 @@ from collections.abc import Callable, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
 
-from exwarp_cli.domain.dataset import TRAINING
 from exwarp_cli.errors import InputError, MissingFrameError
-from exwarp_cli.io.dataset import RenderedScene, find_scenes
+from exwarp_cli.io.dataset import TRAINING, RenderedScene, find_scenes
 
 EVERY = 12
 """One scene in so many is left out of training, to validate on."""

@@ -7,10 +7,9 @@ from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
-from exwarp_cli.domain.dataset import BENCHMARK
 from exwarp_cli.errors import InputError, UsageError
 from exwarp_cli.io.atomic import make_folder
-from exwarp_cli.io.dataset import RenderedScene, find_scenes
+from exwarp_cli.io.dataset import BENCHMARK, RenderedScene, find_scenes
 from exwarp_cli.io.machine import processors
 from exwarp_cli.io.models import shipped_folder
 from exwarp_cli.pipeline.bench.side_by_side import follow_parent, side_by_side

@@ -12,8 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from onnx import helper
 
-from exwarp_cli.domain.extrapolator import INPUTS, OUTPUT, NetworkInputs
-from exwarp_cli.domain.tiles import cut
+from exwarp_cli.domain.extrapolator import INPUTS, OUTPUT, NetworkInputs, cut
 from exwarp_cli.io import models
 from exwarp_cli.io.models import OnnxExtrapolator, load_extrapolator, reach_of
 from tests.unit.tiny_models import blur, convolution, filled_warp, inputs, model, save

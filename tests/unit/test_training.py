@@ -10,12 +10,11 @@ import numpy as np
 import pytest
 import torch
 
-from exwarp_cli.domain.dataset import SceneManifest
 from exwarp_cli.domain.extrapolator import TIME, NetworkInputs
 from exwarp_cli.domain.frame import Window
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import InputError, UsageError
-from exwarp_cli.io.dataset import RenderedScene, open_scene
+from exwarp_cli.io.dataset import RenderedScene, SceneManifest, open_scene
 from exwarp_cli.io.models import load_extrapolator
 from exwarp_cli.metrics.registry import score
 from exwarp_cli.training import crops as batches
