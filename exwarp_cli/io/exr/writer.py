@@ -34,7 +34,7 @@ import OpenEXR
 from isal import isal_zlib
 
 from exwarp_cli.domain.frame import Float32, Window
-from exwarp_cli.io.exr.header import attributes_in
+from exwarp_cli.io.exr.header import COMPRESSION_NAMES, attributes_in
 from exwarp_cli.kernels.exr_filters import predict, round_to_half
 from exwarp_cli.runtime.frame_pool import pool
 
@@ -43,15 +43,7 @@ U32 = npt.NDArray[np.uint32]
 
 COMPRESSIONS: dict[str, Any] = {
     "none": OpenEXR.NO_COMPRESSION,
-    "rle": OpenEXR.RLE_COMPRESSION,
-    "zips": OpenEXR.ZIPS_COMPRESSION,
-    "zip": OpenEXR.ZIP_COMPRESSION,
-    "piz": OpenEXR.PIZ_COMPRESSION,
-    "pxr24": OpenEXR.PXR24_COMPRESSION,
-    "b44": OpenEXR.B44_COMPRESSION,
-    "b44a": OpenEXR.B44A_COMPRESSION,
-    "dwaa": OpenEXR.DWAA_COMPRESSION,
-    "dwab": OpenEXR.DWAB_COMPRESSION,
+    **{name: getattr(OpenEXR, f"{name.upper()}_COMPRESSION") for name in COMPRESSION_NAMES[1:]},
 }
 """OpenEXR's constants, as headers have them, by name."""
 
