@@ -17,7 +17,7 @@ from exwarp_cli.farm.places import PURPOSES, Place, locate
 from exwarp_cli.io.aov_files import parse_aovs
 from exwarp_cli.io.channel_map import read_channel_map
 from exwarp_cli.io.clip import is_clip
-from exwarp_cli.pipeline.job import Job, open_job
+from exwarp_cli.pipeline.job import open_job
 
 ALONE = ("--isolated",)
 """What keeps a worker's environment, and files of settings there, from changing the job."""
@@ -258,7 +258,13 @@ def open_farm_job(
     # With the device of a worker, not of here.
     job = open_job(replace(settings, device=UpsampleSettings.device))
     try:
-        _require_network(settings, job)
+        # Refuse a device for a method that runs nothing on it.
+        runs = job.method.extrapolates or job.method.interpolates
+        if settings.device != UpsampleSettings.device and not runs:
+            raise UsageError(
+                f"--device {settings.device} is for methods that run a network, and --method "
+                f"{job.method.name} does not; leave it out"
+            )
         job.refuse()
         return FarmJob(
             tuple(_given((*options, *_mapped(settings)))),
@@ -289,13 +295,3 @@ def _mapped(settings: UpsampleSettings) -> Iterable[tuple[str, str, str]]:
     for aov in read_channel_map(Path(path)).aovs:
         if aov.role not in given:
             yield "aovs", "--aov", f"{aov.role.value}={aov.pattern}{aov.chosen}"
-
-
-def _require_network(settings: UpsampleSettings, job: Job) -> None:
-    """Refuse a device for a method that runs nothing on it."""
-    runs = job.method.extrapolates or job.method.interpolates
-    if settings.device != UpsampleSettings.device and not runs:
-        raise UsageError(
-            f"--device {settings.device} is for methods that run a network, and --method "
-            f"{job.method.name} does not; leave it out"
-        )

@@ -67,7 +67,10 @@ def find_tables(survey: Survey, tables: Path | None, output: Path, say: Say) -> 
         When there are none.
     """
     if not survey.data:
-        _refuse_vain(survey)
+        # Refuse options of a survey where nothing is surveyed.
+        given = {"--extrapolator": survey.model, "--cache": survey.cache, "--jobs": survey.jobs}
+        if vain := [option for option, value in given.items() if value is not None]:
+            raise UsageError(f"{vain[0]} is for measuring scenes; give --data too, or leave it out")
         folder = tables or shipped_folder() / TABLES
         found = [load_table(path) for path in sorted(folder.glob("*.npz"))]
         if not found:
@@ -82,13 +85,6 @@ def find_tables(survey: Survey, tables: Path | None, output: Path, say: Say) -> 
         save_table(path, table)
     # Read back, so that a training from the files gives the same network.
     return [load_table(path) for path in paths]
-
-
-def _refuse_vain(survey: Survey) -> None:
-    """Refuse options of a survey where nothing is surveyed."""
-    given = {"--extrapolator": survey.model, "--cache": survey.cache, "--jobs": survey.jobs}
-    if vain := [option for option, value in given.items() if value is not None]:
-        raise UsageError(f"{vain[0]} is for measuring scenes; give --data too, or leave it out")
 
 
 def build_tables(survey: Survey, say: Say) -> list[PolicyTable]:
