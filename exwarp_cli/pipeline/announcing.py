@@ -64,21 +64,55 @@ class Models:
         policy: PolicyFile | None,
     ) -> Models:
         """Summarise what was loaded."""
-        return cls(
-            None if network is None else _network_summary(network, source),
-            None if interpolator is None else _interpolator_summary(interpolator),
-            None if policy is None else _policy_summary(policy, source, network),
-        )
+        extrapolating = interpolating = None
+        if network is not None:
+            extrapolating = NetworkSummary(
+                str(network.path), network.checksum, network.device, not _missing_colours(source)
+            )
+        if interpolator is not None:
+            interpolating = InterpolatorSummary(
+                *(interpolator.name, str(interpolator.path), interpolator.checksum),
+                *(interpolator.card.checksum, interpolator.device),
+            )
+        decided = None if policy is None else _policy_summary(policy, source, network)
+        return cls(extrapolating, interpolating, decided)
 
 
 def announce_models(progress: Progress, models: Models, source: Source) -> None:
     """Say what makes frames and decides, and what it does not see of the input."""
-    if models.extrapolator is not None:
-        _announce_network(progress, models.extrapolator, source)
-    if models.interpolator is not None:
-        _announce_interpolator(progress, models.interpolator)
-    if models.policy is not None:
-        _announce_policy(progress, models.policy, _dynamic(source))
+    network, interpolator, policy = models.extrapolator, models.interpolator, models.policy
+    if network is not None:
+        progress.message(
+            f"extrapolation by {Path(network.file).name} (sha256 {network.sha256[:8]}) on "
+            f"{network.device}"
+        )
+        if missing := _missing_colours(source):
+            progress.message(
+                f"no {' and no '.join(missing)} colour: shading is extrapolated together with "
+                "surface colour"
+            )
+    if interpolator is not None:
+        progress.message(
+            f"interpolation by {interpolator.name}, {Path(interpolator.file).name} (sha256 "
+            f"{interpolator.sha256[:8]}) on {interpolator.device}, from colour alone"
+        )
+    if policy is None:
+        return
+    progress.message(
+        f"decisions by {Path(policy.file).name} (sha256 {policy.sha256[:8]}), 8-bit integers"
+    )
+    if policy.note is not None:
+        progress.message(policy.note)
+    if policy.objects_from == "motion":
+        progress.message("no object ids: what moves otherwise than the camera counts as an object")
+    if policy.objects_from == "cryptomatte" and _dynamic(source) is None:
+        progress.message(
+            "of the Cryptomatte's objects those count as moving that move otherwise than the camera"
+        )
+    if policy.missing:
+        progress.message(
+            f"the policy sees 0 for {', '.join(policy.missing)}, as the AOVs for it are missing"
+        )
 
 
 def other_extrapolator(policy: PolicyFile, network: OnnxExtrapolator) -> str | None:
@@ -130,58 +164,10 @@ def _policy_summary(
     )
 
 
-def _announce_policy(
-    progress: Progress, decided: PolicySummary, told: tuple[str, ...] | None
-) -> None:
-    progress.message(
-        f"decisions by {Path(decided.file).name} (sha256 {decided.sha256[:8]}), 8-bit integers"
-    )
-    if decided.note is not None:
-        progress.message(decided.note)
-    if decided.objects_from == "motion":
-        progress.message("no object ids: what moves otherwise than the camera counts as an object")
-    if decided.objects_from == "cryptomatte" and told is None:
-        progress.message(
-            "of the Cryptomatte's objects those count as moving that move otherwise than the camera"
-        )
-    if decided.missing:
-        progress.message(
-            f"the policy sees 0 for {', '.join(decided.missing)}, as the AOVs for it are missing"
-        )
-
-
-def _network_summary(network: OnnxExtrapolator, source: Source) -> NetworkSummary:
-    demodulated = not _missing_colours(source)
-    return NetworkSummary(str(network.path), network.checksum, network.device, demodulated)
-
-
-def _interpolator_summary(network: OnnxInterpolator) -> InterpolatorSummary:
-    told = (str(network.path), network.checksum, network.card.checksum, network.device)
-    return InterpolatorSummary(network.name, *told)
-
-
-def _announce_interpolator(progress: Progress, told: InterpolatorSummary) -> None:
-    progress.message(
-        f"interpolation by {told.name}, {Path(told.file).name} (sha256 {told.sha256[:8]}) on "
-        f"{told.device}, from colour alone"
-    )
-
-
 def _missing_colours(source: Source) -> list[str]:
     """Name the surface colours that shading would have to be divided by, and that are not there."""
     layout = (source.slots or source.keys).layout
     return [name for role, name in SURFACE_COLOURS.items() if role not in layout]
-
-
-def _announce_network(progress: Progress, told: NetworkSummary, source: Source) -> None:
-    progress.message(
-        f"extrapolation by {Path(told.file).name} (sha256 {told.sha256[:8]}) on {told.device}"
-    )
-    if missing := _missing_colours(source):
-        progress.message(
-            f"no {' and no '.join(missing)} colour: shading is extrapolated together with surface "
-            "colour"
-        )
 
 
 def announce(
@@ -192,16 +178,19 @@ def announce(
     keys: tuple[int, ...],
 ) -> None:
     """Say what was found and what is going to happen."""
-    count = len(source.timeline.numbers)
+    count, sequence = len(source.timeline.numbers), source.keys.sequence
+    geometry = f"G-buffers for {'every slot' if source.slots is not None else 'the key frames'}"
+    if source.estimated or is_plain(sequence):
+        geometry = "no AOVs" if is_plain(sequence) else "no motion vectors"
     progress.message(
-        f"{source.keys.sequence.pattern}: {counted(count, 'key frame')} at "
-        f"{float(source.fps):g} fps ({source.fps_source}), {_geometry(source)}"
+        f"{sequence.pattern}: {counted(count, 'key frame')} at "
+        f"{float(source.fps):g} fps ({source.fps_source}), {geometry}"
     )
     for note in (
-        source.keys.sequence.version_note,
+        sequence.version_note,
         step_note(source.timeline.numbers, source.fps, source.fps_source),
         _compatible_note(settings, source),
-        unevenness_of(source.keys.sequence),
+        unevenness_of(sequence),
         _lost_alpha(settings, source),
         alpha_left_out(source.keys.layout),
     ):
@@ -275,13 +264,6 @@ def _lost_alpha(settings: UpsampleSettings, source: Source) -> str | None:
     if is_clip(settings.output):
         return None
     return lost_alpha(source.keys, frame_suffix(settings.output, source.keys.sequence))
-
-
-def _geometry(source: Source) -> str:
-    """Say for which instants there is geometry."""
-    if source.estimated or is_plain(source.keys.sequence):
-        return "no AOVs" if is_plain(source.keys.sequence) else "no motion vectors"
-    return f"G-buffers for {'every slot' if source.slots is not None else 'the key frames'}"
 
 
 def announce_contents(progress: Progress, contents: tuple[Content, ...]) -> None:

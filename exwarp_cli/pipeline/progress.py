@@ -80,6 +80,7 @@ class Estimate:
         self._rest: Counter[str] = Counter()
         self._costs: dict[str, _Cost] = {}
         self._at_once = 1
+        self._told_at = self._last
         self.total = 0
         self.done = 0
 
@@ -98,7 +99,7 @@ class Estimate:
         self.total, self.done = total, 0
         self._rest = Counter({ANY: total} if kinds is None else kinds)
         self._costs, self._at_once = {}, at_once
-        self._last = self._clock()
+        self._last = self._told_at = self._clock()
 
     def advance(self, kind: str = ANY, made: bool = True) -> None:
         """Count one frame; what an earlier run wrote, or what is left out, took no work."""
@@ -146,39 +147,20 @@ class Estimate:
         """How many there are in all, in words."""
         return counted(self.total, "frame")
 
-    @property
-    def to_do(self) -> str:
-        """What there is to do, in words."""
-        return f"{self.frames} to do"
-
-    def state(self, frame: int, note: str | None) -> str:
-        """Say how far a run is, which frame was the last, and how long it takes yet."""
-        return f"{self.done}/{self.total}, {named(frame, note)}, {self.left}"
-
-
-class PacedEstimate(Estimate):
-    """An estimate that knows when a log wants its next line."""
-
-    def __init__(self, clock: Clock = time.monotonic) -> None:
-        super().__init__(clock)
-        self._told_at = -INTERVAL_S
-
-    def start(self, total: int, kinds: Mapping[str, int] | None = None, at_once: int = 1) -> None:
-        """Set the count and start the clock; the caller tells the count."""
-        super().start(total, kinds, at_once)
-        self._told_at = self._clock()
-
     def due(self) -> bool:
-        """Whether to tell of the last frame that was counted.
+        """Whether a log is to tell of the last frame that was counted.
 
         The first and the last one always are, others when `INTERVAL_S` has gone by.
         """
         now = self._clock()
-        ends = self.done in (1, self.total)
-        if not ends and now - self._told_at < INTERVAL_S:
+        if self.done not in (1, self.total) and now - self._told_at < INTERVAL_S:
             return False
         self._told_at = now
         return True
+
+    def state(self, frame: int, note: str | None) -> str:
+        """Say how far a run is, which frame was the last, and how long it takes yet."""
+        return f"{self.done}/{self.total}, {named(frame, note)}, {self.left}"
 
 
 def named(frame: int, note: str | None) -> str:
@@ -297,24 +279,27 @@ class PlainProgress(NoProgress):
 
     def __init__(self, stream: TextIO | None = None, clock: Clock = time.monotonic) -> None:
         super().__init__(stream)
-        self._estimate = PacedEstimate(clock)
+        self._estimate = Estimate(clock)
 
     def start(self, total: int, kinds: Mapping[str, int] | None = None, at_once: int = 1) -> None:
-        """Say how many frames there are to do."""
+        """Tell how many frames there are to do."""
         self._estimate.start(total, kinds, at_once)
-        self.message(self._estimate.to_do)
+        self._tell(f"{self._estimate.frames} to do")
 
     def advance(
         self, frame: int, note: str | None = None, kind: str = ANY, made: bool = True
     ) -> None:
-        """Print a line for the first and the last frame, and now and then between."""
-        estimate = self._estimate
-        estimate.advance(kind, made)
-        if estimate.due():
-            self.message(f"{estimate.percent:3d}% {estimate.state(frame, note)}")
+        """Tell of the first and the last frame, and now and then between."""
+        self._estimate.advance(kind, made)
+        if self._estimate.due():
+            self._tell(self._estimate.state(frame, note))
+
+    def _tell(self, status: str) -> None:
+        percent = f"{self._estimate.percent:3d}% " if self._estimate.done else ""
+        self.message(f"{percent}{status}")
 
 
-class OpenJdProgress(NoProgress):
+class OpenJdProgress(PlainProgress):
     """Lines of Open Job Description's sessions, for farms that run its jobs.
 
     ``openjd_progress: 25.0`` and ``openjd_status: 10/40, frame 1010, 1:20 left`` come together, as
@@ -326,23 +311,7 @@ class OpenJdProgress(NoProgress):
     """
 
     def __init__(self, stream: TextIO | None = None, clock: Clock = time.monotonic) -> None:
-        super().__init__(stream or sys.stdout)
-        self._estimate = PacedEstimate(clock)
-
-    def start(self, total: int, kinds: Mapping[str, int] | None = None, at_once: int = 1) -> None:
-        """Tell how many frames there are to do."""
-        self._estimate.start(total, kinds, at_once)
-        self._tell(self._estimate.to_do)
-
-    def advance(
-        self, frame: int, note: str | None = None, kind: str = ANY, made: bool = True
-    ) -> None:
-        """Tell of the first and the last frame, and now and then between."""
-        estimate = self._estimate
-        estimate.advance(kind, made)
-        if estimate.due():
-            ended = estimate.done == estimate.total
-            self._tell(f"{estimate.frames} done" if ended else estimate.state(frame, note))
+        super().__init__(stream or sys.stdout, clock)
 
     def fail(self, text: str, exit_code: int) -> None:
         """Tell why; the runner learns the exit code from the process itself."""
@@ -353,7 +322,10 @@ class OpenJdProgress(NoProgress):
         _print_line(self._stream, f"openjd_fail: {one_line(text) or f'exit code {exit_code}'}")
 
     def _tell(self, status: str) -> None:
-        _print_line(self._stream, f"openjd_progress: {self._estimate.tenths}")
+        estimate = self._estimate
+        if estimate.done and estimate.done == estimate.total:
+            status = f"{estimate.frames} done"
+        _print_line(self._stream, f"openjd_progress: {estimate.tenths}")
         _print_line(self._stream, f"openjd_status: {status}")
 
 
