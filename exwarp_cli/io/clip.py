@@ -24,12 +24,13 @@ from exwarp_cli.domain.frame import Float32, require_size
 from exwarp_cli.domain.settings import SourceSettings
 from exwarp_cli.errors import DamagedFileError, InputError
 from exwarp_cli.io.atomic import Held
-from exwarp_cli.io.clip_damage import ON_DAMAGE, intact_frames
 from exwarp_cli.io.clip_timing import (
+    ON_DAMAGE,
     Pacing,
     Packets,
     first_interlaced,
     frame_info,
+    intact_frames,
     pace,
     read_packets,
 )

@@ -19,16 +19,17 @@ from exwarp_cli.io.footage import close, find_frames, picture
 from exwarp_cli.io.frames import read_plane
 from exwarp_cli.io.sequence import Sequence, find_sequence
 from exwarp_cli.io.views import expand
-from exwarp_cli.pipeline.comparing import Pair, Scorer
-from exwarp_cli.pipeline.finding import truth_rate
-from exwarp_cli.pipeline.measuring import (
+from exwarp_cli.pipeline.comparing import (
     Origin,
+    Pair,
+    Scorer,
     origins_of,
     rendered_note,
     require_consistent,
     require_generated,
     scorer,
 )
+from exwarp_cli.pipeline.finding import truth_rate
 from exwarp_cli.pipeline.progress import FrameListener, NoProgress, Progress
 from exwarp_cli.runtime.stop import check_stop
 

@@ -19,9 +19,15 @@ from exwarp_cli.domain.results import FrameKind, FrameRecord
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.errors import OutputError
-from exwarp_cli.io.authorship import KEY_FRAMES, REQUESTED_METHOD
 from exwarp_cli.io.exr.template import Plane, PlaneKey, Template
-from exwarp_cli.io.output import PREFIX, FrameTemplate, compression_of, quantised
+from exwarp_cli.io.output import (
+    KEY_FRAMES,
+    PREFIX,
+    REQUESTED_METHOD,
+    FrameTemplate,
+    compression_of,
+    quantised,
+)
 from exwarp_cli.pipeline.frame_writer import FrameWriter
 from exwarp_cli.pipeline.interval_builder import PreparedInterval
 from exwarp_cli.pipeline.interval_inputs import IntervalInputs

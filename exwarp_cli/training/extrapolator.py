@@ -29,12 +29,10 @@ from exwarp_cli.pipeline.scheduling import prefetch
 from exwarp_cli.runtime.stop import check_stop
 from exwarp_cli.training.checkpoint import read_tensors
 from exwarp_cli.training.crops import Batch, Crops
-from exwarp_cli.training.curve import CURVE, add_row
 from exwarp_cli.training.export import export_extrapolator
 from exwarp_cli.training.networks import STRIDE, ExtrapolationNetwork, Gated, build
 from exwarp_cli.training.samples import CropSettings, crops_folder, is_whole, write_crops
-from exwarp_cli.training.selection import split
-from exwarp_cli.training.settings import TrainingSettings, require_sane
+from exwarp_cli.training.settings import CURVE, TrainingSettings, add_row, require_sane, split
 
 CHECKPOINT = "checkpoint.pt"
 SETTINGS = "settings.json"

@@ -89,11 +89,6 @@ class Footage:
         """
         return Interval(self.key(k), self.key(k + 1), self._slots(k, setting))
 
-    @property
-    def predictable(self) -> range:
-        """Indices k of the key frames whose slots were rendered: what causal methods need."""
-        return range(len(self._order) // FACTOR)
-
     def causal(self, k: int, setting: str) -> Interval:
         """Return key interval k for causal synthesis, with its past but without the next key frame.
 

@@ -19,7 +19,6 @@ from exwarp_cli.io.models import load_extrapolator
 from exwarp_cli.metrics.registry import score
 from exwarp_cli.training import crops as batches
 from exwarp_cli.training.crops import Batch, Crops, varied
-from exwarp_cli.training.curve import COLUMNS, CURVE
 from exwarp_cli.training.extrapolator import (
     CHECKPOINT,
     FEW,
@@ -45,8 +44,7 @@ from exwarp_cli.training.samples import (
     share,
     write_crops,
 )
-from exwarp_cli.training.selection import select, split
-from exwarp_cli.training.settings import TrainingSettings
+from exwarp_cli.training.settings import COLUMNS, CURVE, TrainingSettings, select, split
 from tests.unit.analytic_scene import INSTANTS, manifest, write_manifest, write_scene
 from tests.unit.network_inputs import example
 
