@@ -104,10 +104,6 @@ class DecisionPath:
     choices: dict[str, str]
     made_by: tuple[str, str, str]
 
-    def node_of(self, slot: int) -> str | None:
-        """Return the node that decided a slot, 1 to 3; None for slot 2 after d1 = E."""
-        return next((node for node in self.choices if SLOTS[node] == slot), None)
-
     @property
     def generated(self) -> int:
         """How many of the three frames are new."""

@@ -220,15 +220,10 @@ def marked(folder: Path) -> Iterator[Path]:
 
 
 def remove_leftovers(folder: Path) -> int:
-    """Delete the temporaries of dead runs from a folder.
+    """Delete the temporaries of dead runs from a folder; return how many.
 
     Never touches one of a living process: those of this machine go when their process is gone,
     those of other machines when nothing was written to them for `FOREIGN_AGE_S`.
-
-    Returns
-    -------
-    int
-        How many were deleted.
     """
     removed = 0
     try:

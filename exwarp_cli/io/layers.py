@@ -74,11 +74,6 @@ class Layer:
         """Last element of the name, without what the artist put before it."""
         return self.name.rsplit(".", 1)[-1]
 
-    @property
-    def whole_numbers(self) -> bool:
-        """Whether the values are read as uint32, as ids above 2^24 need it."""
-        return self.channels[0].pixel_type == "uint"
-
     def rendered_in(self, others: Iterable[Layer]) -> Layer | None:
         """Return the layer of a slot's own file that can be taken as it is, None without one.
 

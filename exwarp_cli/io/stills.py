@@ -3,8 +3,9 @@
 Codes are turned to scene-linear light and back by the curve that the file tells, else by that of
 sRGB for integers and none for floats. A generated frame has the format, depth, channels and
 metadata of its key frame. What it was made of stands in its attribute ``Software``, with a
-checksum (in PNG a second one is renewed with it), where the format has room for it. DPX and TGA keep only the program's name, so a resumed
-run makes their frames again; the others keep nothing, so it refuses to replace them.
+checksum (in PNG a second one is renewed with it), where the format has room for it. DPX and TGA
+keep only the program's name, so a resumed run makes their frames again; the others keep nothing, so
+it refuses to replace them.
 """
 
 from __future__ import annotations

@@ -78,7 +78,7 @@ def verify(
     view: str,
     shown: int,
 ) -> int:
-    """Read all files of a run again, from the disk, and compare them with what was made.
+    """Read all files of a run again, compare them with what was made, and return how many.
 
     Parameters
     ----------
@@ -90,11 +90,6 @@ def verify(
         Of frames of an earlier run, which is decoded; "" for the hero, and without views.
     shown
         How many frames a video has.
-
-    Returns
-    -------
-    int
-        How many files were read.
 
     Raises
     ------

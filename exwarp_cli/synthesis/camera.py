@@ -178,18 +178,6 @@ def _cameras(
     ]
 
 
-def rigid_motion(scene: Scene, vectors: Float32, stencil: Int32 | None) -> Float32 | None:
-    """Return the motion that static points and the sky have, by the camera of `camera_after`.
-
-    Returns
-    -------
-    float32 [H, W, 2] or None
-        NaN where unknown. None when no camera can be found.
-    """
-    camera = camera_after(scene, vectors, stencil)
-    return None if camera is None else seen_by(scene, camera)
-
-
 def seen_by(scene: Scene, camera: Camera) -> Float32:
     """Return the displacement of each pixel to another camera's frame, if its point stands still.
 

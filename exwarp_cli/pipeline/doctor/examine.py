@@ -176,7 +176,7 @@ def examine(
     self_test: bool = True,
     more: dict[str, Callable[[], Check]] | None = None,
 ) -> Checkup:
-    """Examine this machine and this installation.
+    """Examine this machine and this installation; failed checks are part of the result.
 
     Parameters
     ----------
@@ -186,11 +186,6 @@ def examine(
         Whether to upsample a shot.
     more
         Checks of the caller's, by name, that are made first.
-
-    Returns
-    -------
-    Checkup
-        Of every check, failed ones included.
     """
     checks, seconds = {}, {}
     makers: dict[str, str | Callable[[], Check]] = {**(more or {}), **CHECKS}
