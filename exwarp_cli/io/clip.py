@@ -20,20 +20,26 @@ from typing import Any
 
 import numpy as np
 
-from exwarp_cli.domain.bounds import require_size
-from exwarp_cli.domain.frame import Float32
+from exwarp_cli.domain.frame import Float32, require_size
 from exwarp_cli.domain.settings import SourceSettings
 from exwarp_cli.errors import DamagedFileError, InputError
-from exwarp_cli.io.clip_damage import ON_DAMAGE, intact_frames
-from exwarp_cli.io.clip_fields import first_interlaced, frame_info
-from exwarp_cli.io.clip_timing import Pacing, Packets, pace, read_packets
+from exwarp_cli.io.atomic import Held
+from exwarp_cli.io.clip_timing import (
+    ON_DAMAGE,
+    Pacing,
+    Packets,
+    first_interlaced,
+    frame_info,
+    intact_frames,
+    pace,
+    read_packets,
+)
 from exwarp_cli.io.ffmpeg import EXACT, Drain, FfmpegError, told
-from exwarp_cli.io.held import Held
 from exwarp_cli.io.reading_retry import system_failure, with_retries
-from exwarp_cli.io.timecode import Timecode
 from exwarp_cli.io.video import (
     MATRICES,
     Soundtrack,
+    Timecode,
     VideoColour,
     VideoLook,
     from_display,
@@ -265,13 +271,7 @@ class Clip:
 
 
 class ClipReader(Held):
-    """Frames of a video by their index, cheaply as long as that grows; a context manager.
-
-    Parameters
-    ----------
-    clip
-        The video.
-    """
+    """Frames of a video by their index, cheaply as long as that grows; a context manager."""
 
     def __init__(self, clip: Clip) -> None:
         self._clip = clip

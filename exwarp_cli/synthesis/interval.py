@@ -6,9 +6,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from exwarp_cli.domain.extrapolator import Extrapolator
+from exwarp_cli.domain.extrapolator import Extrapolator, Interpolator
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, KeyFrame, Window, place
-from exwarp_cli.domain.interpolator import Interpolator
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import LayoutError
 from exwarp_cli.runtime.frame_pool import IN_MEMORY, ScratchFrames, pool
