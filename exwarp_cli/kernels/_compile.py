@@ -32,15 +32,13 @@ from numba.misc.appdirs import AppDirs
 
 from exwarp_cli.kernels import _row_bands
 from exwarp_cli.kernels._row_bands import WHOLE
+from exwarp_cli.runtime.compilation import compilation
 
 Kernel = Callable[..., Any]
 
 COMMON: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 """Options of all kernels. `nogil`: files are read and written meanwhile. `fastmath` stays off, as
 NaN marks pixels without a value. No kernel is called from C."""
-
-TESTED = ("0.67", "0.68")
-"""Versions of numba with which `KernelCache` was tested; others keep kernels in their own cache."""
 
 SUFFIX = ".kernel"
 
@@ -62,11 +60,7 @@ def compiled(text: Kernel) -> Kernel:
     assert isinstance(text, types.FunctionType)
     kernel: Any = numba.njit(text, **COMMON)
     if kernel is not text:  # as it is with NUMBA_DISABLE_JIT
-        if is_tested():
-            kernel._cache = KernelCache(text)
-        else:
-            with suppress(RuntimeError):  # no folder can be written
-                kernel.enable_caching()
+        kernel._cache = KernelCache(text)
     function: Kernel = kernel
     return function
 
@@ -122,11 +116,6 @@ def inlined(text: Kernel) -> Kernel:
 part(_row_bands.turns)
 
 
-def is_tested() -> bool:
-    """True if :class:`KernelCache` was tested with this version of numba."""
-    return numba.__version__.rpartition(".")[0] in TESTED
-
-
 def processor() -> str:
     """Return LLVM's name of this processor."""
     return str(binding.get_host_cpu_name())
@@ -153,19 +142,20 @@ class KernelCache:
         # numba's cache refreshes the target here, which imports 200 modules: 0.13 s of each start.
         rtsys.initialize(target)
         name = self._name(signature, target.codegen())
-        if name is None:
-            return None
-        for folder in folders():
+        for folder in folders() if name else ():
             with suppress(Exception):  # a damaged file: the kernel is compiled again
-                content = (folder / name).read_bytes()
+                content = (folder / str(name)).read_bytes()
                 if content[:32] == hashlib.sha256(content[32:]).digest():
                     result = _rebuild(target, *pickle.loads(content[32:]))
-                    _note_use(folder / name)
+                    compilation.loaded += 1
+                    _note_use(folder / str(name))
                     return result
+        compilation.begin()
         return None
 
     def save_overload(self, signature: Any, result: Any) -> None:
         """Keep a build, if the disk has room for it."""
+        compilation.end()
         folder, name = writable_folder(), self._name(signature, result.codegen)
         if folder is None or name is None or result.library.has_dynamic_globals:
             return

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from exwarp_cli import kernels
-from exwarp_cli.kernels import _compile
 from exwarp_cli.kernels._row_bands import set_threads
 from tests.unit import kernel_calls as calls
 from tests.unit import kernel_cases as cases
@@ -78,7 +77,3 @@ def test_compiled_and_interpreted_agree(tmp_path):
         *("tests.unit.all_kernel_cases", tmp_path / "found.npz", run_all(serial=True)),
         "RuntimeWarning",
     )
-
-
-def test_without_a_writable_cache_kernels_still_compile(unwritable_cache):
-    assert _compile.serial(lambda value: value + 1)(2) == 3

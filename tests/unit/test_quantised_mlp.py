@@ -21,7 +21,6 @@ from exwarp_cli.accel.quantised_mlp import (
     infer_reference,
 )
 from exwarp_cli.accel.simulation import simulate
-from exwarp_cli.kernels import _compile
 from tests.reference.mlp import infer, infer_many
 from tests.unit.interpreted import same_when_interpreted
 from tests.unit.mlp_cases import edges, network, parts, run_all, states
@@ -228,7 +227,3 @@ def test_the_specification_does_without_numba():
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert result.stdout == "[]\n", result.stderr
-
-
-def test_without_a_writable_cache_kernels_still_compile(unwritable_cache):
-    assert _compile.compiled(lambda value: value + 1)(2) == 3

@@ -14,7 +14,6 @@ from exwarp_cli import __version__
 from exwarp_cli.domain.checkup import Check, Checkup, failure
 from exwarp_cli.domain.wording import first_line
 from exwarp_cli.errors import ExwarpError
-from exwarp_cli.pipeline.doctor.compilation import telling_of_compilation
 from exwarp_cli.runtime.stop import check_stop
 
 CHECKS = {
@@ -40,17 +39,11 @@ The cache comes last: only then it is known which kernels were in it.
 SELF_TEST = "self_test"
 
 
-def examine(
-    tell: Callable[[str], None],
-    self_test: bool = True,
-    more: dict[str, Callable[[], Check]] | None = None,
-) -> Checkup:
+def examine(self_test: bool = True, more: dict[str, Callable[[], Check]] | None = None) -> Checkup:
     """Examine this machine and this installation.
 
     Parameters
     ----------
-    tell
-        Told in one line of what takes long.
     self_test
         Whether to upsample a shot.
     more
@@ -65,12 +58,11 @@ def examine(
     makers = {**(more or {}), **{name: _maker(place) for name, place in CHECKS.items()}}
     if not self_test:
         makers[SELF_TEST] = _skipped
-    with telling_of_compilation(tell):
-        for name, make in makers.items():
-            begin = time.perf_counter()
-            checks[name] = _made(make)
-            seconds[name] = time.perf_counter() - begin
-            check_stop()
+    for name, make in makers.items():
+        begin = time.perf_counter()
+        checks[name] = _made(make)
+        seconds[name] = time.perf_counter() - begin
+        check_stop()
     return Checkup(__version__, checks, seconds)
 
 
