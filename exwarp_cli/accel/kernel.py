@@ -56,7 +56,7 @@ def add_columns(weights: I8, activations: I32, sums: I32) -> None:
 def run(
     weights: I8, constants: I32, sizes: I64, state: I32, room: I32
 ) -> tuple[np.int32, np.int32]:
-    """Run one inference; see `decide_text` for the arrays, `room` is for activations and sums."""
+    """Run one inference; see `decide_one` for the arrays, `room` is for activations and sums."""
     row, at = sizes[0], np.int64(0)
     activations = room[0]
     for j in range(row):
@@ -79,7 +79,8 @@ def run(
     return room[1, 0], room[1, 1]
 
 
-def decide_text(
+@compiled
+def decide_one(
     weights: I8, constants: I32, sizes: I64, state: I32, width: int
 ) -> tuple[np.int32, np.int32]:
     """Run the network on one state.
@@ -108,7 +109,8 @@ def decide_text(
     return outputs
 
 
-def decide_all_text(
+@compiled
+def decide_all(
     weights: I8, constants: I32, sizes: I64, states: I32, width: int, outputs: I32
 ) -> None:
     """Run the network on states int32 [N, n]; write outputs int32 [N, 2]."""
@@ -116,10 +118,6 @@ def decide_all_text(
     for k in range(states.shape[0]):
         warp, other = run(weights, constants, sizes, states[k], room)
         outputs[k, 0], outputs[k, 1] = warp, other
-
-
-decide_one = compiled(decide_text)
-decide_all = compiled(decide_all_text)
 
 
 class MlpKernel:

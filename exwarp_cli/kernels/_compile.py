@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import functools
 import hashlib
-import inspect
 import os
 import pickle
 import stat
@@ -31,7 +30,6 @@ from numba.extending import register_jitable
 from numba.misc.appdirs import AppDirs
 
 from exwarp_cli.kernels import _row_bands
-from exwarp_cli.kernels._row_bands import WHOLE
 from exwarp_cli.runtime.compilation import compilation
 
 Kernel = Callable[..., Any]
@@ -65,10 +63,6 @@ def compiled(text: Kernel) -> Kernel:
     return function
 
 
-build = functools.cache(compiled)
-"""Do as :func:`compiled`, once for each text."""
-
-
 def parallel(text: Kernel) -> Kernel:
     """Compile a function for as many threads as :func:`_row_bands.threads` returns.
 
@@ -76,25 +70,13 @@ def parallel(text: Kernel) -> Kernel:
     ----------
     text
         Takes a share as its last argument, and loops over that share's :func:`_row_bands.turns`.
+        Callers leave the share out.
     """
-    kernel = build(text)
+    kernel = compiled(text)
 
     @functools.wraps(text)
     def run(*arguments: object) -> None:
         _row_bands.run(kernel, arguments, _row_bands.threads())
-
-    return run
-
-
-def serial(text: Kernel) -> Kernel:
-    """Compile a function for one thread."""
-    kernel = build(text)
-    if "share" not in inspect.signature(text).parameters:
-        return kernel
-
-    @functools.wraps(text)
-    def run(*arguments: object) -> None:
-        kernel(*arguments, WHOLE)
 
     return run
 

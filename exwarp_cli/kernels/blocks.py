@@ -7,8 +7,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.kernels._compile import parallel, part, serial
-from exwarp_cli.kernels._row_bands import WHOLE, Share, turns
+from exwarp_cli.kernels._compile import parallel, part
+from exwarp_cli.kernels._row_bands import Share, turns
 
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
@@ -65,7 +65,7 @@ def add_rows(motion: F32, shown: B8, size: int, sums: F64, whole: B8) -> None:
     Parameters
     ----------
     motion, shown, size
-        As of `block_means_text`, of these rows.
+        As of `block_means`, of these rows.
     sums
         float64 [8 N], written: x and y of each block, where its four are whole.
     whole
@@ -104,7 +104,8 @@ def mean_of(motion: F32, shown: B8, mean: F64) -> None:
     mean[1] = sum_y / count if count > 0 else np.nan
 
 
-def block_means_text(motion: F32, shown: B8, size: int, out: F64, share: Share = WHOLE) -> None:
+@parallel
+def block_means(motion: F32, shown: B8, size: int, out: F64, share: Share) -> None:
     """Write the mean motion of each block.
 
     Parameters
@@ -136,7 +137,3 @@ def block_means_text(motion: F32, shown: B8, size: int, out: F64, share: Share =
                 left, right = block * size, min((block + 1) * size, width)
                 pixels = motion[top:bottom, left:right]
                 mean_of(pixels, shown[top:bottom, left:right], out[block_row, block])
-
-
-block_means = parallel(block_means_text)
-block_means_serial = serial(block_means_text)

@@ -17,7 +17,7 @@ from exwarp_cli.domain.wording import counted, size_text
 from exwarp_cli.io.machine import Folder, cached_files, look_at
 from exwarp_cli.kernels import _compile, _row_bands
 from exwarp_cli.kernels._compile import SUFFIX
-from exwarp_cli.kernels.gather import gather_bilinear, gather_bilinear_serial
+from exwarp_cli.kernels.gather import gather_bilinear
 from exwarp_cli.runtime.compilation import compilation
 
 FOLDER_VARIABLE = "NUMBA_CACHE_DIR"
@@ -163,4 +163,12 @@ def _cache_remarks(folders: list[Folder], lacking: bool) -> Iterator[Remark]:
             )
 
 
-_WAYS = {"all threads": gather_bilinear, "one thread": gather_bilinear_serial}
+def _by_one_thread(*arguments: object) -> None:
+    _row_bands.set_threads(1)
+    try:
+        gather_bilinear(*arguments)
+    finally:
+        _row_bands.set_threads(None)
+
+
+_WAYS = {"all threads": gather_bilinear, "one thread": _by_one_thread}
