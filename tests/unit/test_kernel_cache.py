@@ -240,15 +240,17 @@ class TestUnused:
 def test_the_accelerator_has_its_builds_there_too(folder):
     def use() -> tuple[int, int]:
         kernel: Any = _compile.compiled(
-            getattr(accelerator.decide_one, "py_func", accelerator.decide_one)
+            getattr(accelerator.decide_all, "py_func", accelerator.decide_all)
         )
         arrays = np.zeros(4, np.int8), np.zeros((3, 3), np.int32), np.array([1, 2], np.int64)
-        assert kernel(*arrays, np.ones(1, np.int32), 4) == (0, 0)
+        outputs = np.ones((1, 2), np.int32)
+        kernel(*arrays, np.ones((1, 1), np.int32), 4, outputs)
+        assert outputs.tolist() == [[0, 0]]
         stats = kernel.stats
         return sum(stats.cache_hits.values()), sum(stats.cache_misses.values())
 
     assert use() == (0, 1)
-    assert [path.name[:18] for path in folder.iterdir()] == ["kernel.decide_one-"]
+    assert [path.name[:18] for path in folder.iterdir()] == ["kernel.decide_all-"]
     assert use() == (1, 0)
 
 
