@@ -32,7 +32,7 @@ DEMO := build/demo
 # Blender's module wants Python 3.11 and an environment of its own.
 BLENDER ?= .blender
 BLENDER_PYTHON ?= python3.11
-SCENES ?= lab tropical village town slum variety
+SCENES ?= slum town lab tropical village variety
 OPTIONS ?=
 BENCHES ?=
 DATA ?= $(HOME)/.cache/exwarp/scenes

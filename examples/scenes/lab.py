@@ -17,6 +17,7 @@ from stage import motion
 from stage.blender import bpy, mathutils
 from stage.looks import Nodes
 from stage.options import main
+from stage.quality import Quality
 from stage.shooting import Script
 
 Euler, Vector = mathutils.Euler, mathutils.Vector
@@ -81,7 +82,8 @@ SCENE = Script(
     "A robotics laboratory with a polished floor: robot arm, rover, gyroscope, swinging lamp.",
     build,
     seed=4,
-    pace=2.6,
+    pace=3.0,
+    clean=Quality(32, 6, light_tree=False, clamp=2.0),
 )
 
 if __name__ == "__main__":

@@ -20,6 +20,7 @@ from stage import looks, motion
 from stage.blender import mathutils
 from stage.meshes import MeshBuilder
 from stage.options import main
+from stage.quality import Quality
 from stage.shooting import Script
 
 Matrix, Vector = mathutils.Matrix, mathutils.Vector
@@ -299,7 +300,8 @@ SCENE = Script(
     "A hurried walk through narrow alleys full of clutter, washing and cables, in late sun.",
     build,
     seed=17,
-    pace=3.6,
+    pace=6.7,
+    clean=Quality(32, 8),
 )
 
 if __name__ == "__main__":

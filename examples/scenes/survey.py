@@ -3,10 +3,11 @@
     python examples/scenes/survey.py                    # every benchmark scene that is rendered
     python examples/scenes/survey.py lab town --data DIR
     python examples/scenes/survey.py --training         # all training shots together
+    python examples/scenes/survey.py --floor            # the noise floor alone, even of a part
 
 Prints a table and writes `statistics.json` and `STATISTICS.md` beside this script, and for each
 scene `NAME.jpg`, instants at equal distances. Scenes that are not named keep what was measured of
-them before.
+them before. The noise floor also goes into the scene's manifest.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from typing import Any
 
 import numpy as np
 import OpenImageIO as oiio
+from stage import manifest as stage_manifest
 from stage.manifest import default_data
 from survey_table import EDGES, lines
 
@@ -56,6 +58,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if options.training:
             table["training"] = measure_training(find_scenes(options.data, TRAINING))
             _save(table, options.out)
+        elif options.floor:
+            for scene in find_scenes(options.data, BENCHMARK, options.scenes):
+                print(f"{scene.name}: noise floor {_write_floor(scene)} dB")
+            return
         else:
             for scene in find_scenes(options.data, BENCHMARK, options.scenes):
                 scene.require_complete()
@@ -76,6 +82,7 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     add("--data", type=Path, default=default_data(), help="folder of all scenes (%(default)s)")
     add("--out", type=Path, default=HERE, help="folder for what is written (%(default)s)")
     add("--training", action="store_true", help="count the training shots instead")
+    add("--floor", action="store_true", help="measure the noise floor alone, of what is rendered")
     return parser.parse_args(arguments)
 
 
@@ -90,12 +97,14 @@ def measure(scene: RenderedScene) -> dict[str, Any]:
         "width": manifest.width,
         "height": manifest.height,
         "samples": manifest.samples,
+        "seeds": _seeds(scene),
+        "denoiser": manifest.denoiser,
         "seed": manifest.seed,
         "instants": manifest.instants.count,
         "seconds_per_instant": _seconds(scene, manifest.instants),
         "megabytes": _megabytes(scene),
         "dynamic_objects": len(manifest.dynamic),
-        "noise_floor_psnr_db": _noise_floor(scene),
+        "noise_floor_psnr_db": _write_floor(scene),
         **_motion(Footage(scene)),
         "holes": {setting: _holes(runs[setting]["s6"]) for setting in SETTINGS},
         "quality": {
@@ -135,9 +144,25 @@ def _noise_floor(scene: RenderedScene) -> float | None:
     found = []
     for path in sorted((scene.folder / "floor").glob(f"{scene.name}.*.exr")):
         number = int(path.suffixes[0][1:])
-        rendered = read_image(scene.path(scene.manifest.instants, number)).pixels
+        instant = scene.path(scene.manifest.instants, number)
+        if not instant.is_file():
+            continue
+        rendered = read_image(instant).pixels
         found.append(score(rendered, read_image(path).pixels, None)[0].psnr_db)
     return round(float(np.mean(found)), 2) if found else None
+
+
+def _write_floor(scene: RenderedScene) -> float | None:
+    """Measure the noise floor and add it to the scene's manifest."""
+    floor = _noise_floor(scene)
+    stage_manifest.write_floor(scene.folder, floor)
+    return floor
+
+
+def _seeds(scene: RenderedScene) -> int:
+    """Renders whose mean each frame is."""
+    content = json.loads((scene.folder / stage_manifest.NAME).read_text(encoding="utf-8"))
+    return int(content.get("seeds", 1))
 
 
 def _motion(footage: Footage) -> dict[str, float]:

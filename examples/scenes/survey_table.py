@@ -15,8 +15,8 @@ def lines(table: dict[str, Any]) -> list[str]:
     lines = ["# The rendered scenes in figures", "", "Written by `survey.py`.", ""]
     lines += [
         "| scene | motion per key interval, px: median (calmest-fastest) | p95 (fastest) "
-        "| moving | objects | sky | s a frame | MB | noise floor, dB |",
-        "|---|---|---|---|---|---|---|---|---|",
+        "| moving | objects | sky | instants | samples | s a frame | MB | noise floor, dB |",
+        "|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     for name, row in scenes.items():
         floor = row["noise_floor_psnr_db"]
@@ -25,9 +25,15 @@ def lines(table: dict[str, Any]) -> list[str]:
             f"{row['motion_median_px_fastest']:.1f}) | {row['motion_p95_px']:.1f} "
             f"({row['motion_p95_px_fastest']:.1f}) | {row['moving_share']:.0%} "
             f"| {row['dynamic_objects']} | {row['sky_share']:.0%} "
+            f"| {row['instants']} | {row['samples']} x {row.get('seeds', 1)} "
             f"| {row['seconds_per_instant']:.2f} | {row['megabytes']} "
             f"| {'' if floor is None else f'{floor:.1f}'} |"
         )
+    lines += [
+        "",
+        "Samples are those of a pixel in each render, times the renders with other noise, each "
+        "denoised, whose mean a frame is. Seconds are the renderer's own, of all renders together.",
+    ]
     lines += ["", "Share of the frame that the warp from the last key frame cannot see:", ""]
     bins = [f"{100 * low:g}-{100 * high:g} %" for low, high in pairwise(EDGES)]
     lines.append(f"| scene | G-buffers | slot 1 | 2 | 3 | least | most | {' | '.join(bins)} |")

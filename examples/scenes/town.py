@@ -12,6 +12,7 @@ import random
 from stage import looks, motion
 from stage.blender import mathutils
 from stage.options import main
+from stage.quality import Quality
 from stage.shooting import Script
 from town_houses import Materials, Row, palette, rows, tower
 from town_people import Crowd, pigeons
@@ -151,7 +152,9 @@ SCENE = Script(
     "A town's main street with tram, traffic and people, and a whip around a corner.",
     build,
     seed=41,
-    pace=3.4,
+    pace=5.1,
+    clean=Quality(32, 3),
+    span=(61, 181),
 )
 
 if __name__ == "__main__":

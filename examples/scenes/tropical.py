@@ -16,6 +16,7 @@ from stage import looks, motion
 from stage.blender import bpy, mathutils
 from stage.meshes import MeshBuilder
 from stage.options import main
+from stage.quality import Quality
 from stage.shooting import Script
 
 Vector = mathutils.Vector
@@ -338,7 +339,8 @@ SCENE = Script(
     "A dash through leaves in a strong wind along a beach.",
     build,
     seed=11,
-    pace=3.4,
+    pace=5.7,
+    clean=Quality(32, 4),
 )
 
 if __name__ == "__main__":

@@ -17,6 +17,7 @@ from stage import looks, motion
 from stage.blender import bpy, mathutils
 from stage.meshes import MeshBuilder, lettering
 from stage.options import main
+from stage.quality import Quality
 from stage.shooting import Script
 from village_land import WATER
 
@@ -233,7 +234,8 @@ SCENE = Script(
     "An old village at a pond: still, full of fine texture, a gentle camera.",
     build,
     seed=7,
-    pace=3.0,
+    pace=4.3,
+    clean=Quality(32, 3),
 )
 
 if __name__ == "__main__":

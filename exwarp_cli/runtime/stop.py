@@ -103,18 +103,12 @@ def graceful_stop(last_words: Callable[[int], str], is_last: bool = False) -> It
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    receiver, sender = socket.socketpair()
-    sender.setblocking(False)
-    watcher = threading.Thread(target=_watch, args=(receiver, last_words), daemon=True)
-    watcher.start()
-    # Python runs a handler between two steps of the main thread, which may be in a library for
-    # minutes. What C writes to this descriptor reaches the other thread at once.
-    usual_wakeup = signal.set_wakeup_fd(sender.fileno(), warn_on_full_buffer=False)
     usual = {signal.SIGTERM: signal.signal(signal.SIGTERM, _ask)}
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         usual[signal.SIGINT] = signal.signal(signal.SIGINT, _ask)
     try:
-        yield
+        with _watched(last_words):
+            yield
     except Exception as error:
         if _number:
             raise StopRequested(_number) from error
@@ -122,9 +116,6 @@ def graceful_stop(last_words: Callable[[int], str], is_last: bool = False) -> It
     finally:
         for number, handler in usual.items():
             signal.signal(number, signal.SIG_IGN if is_last else handler or signal.SIG_DFL)
-        signal.set_wakeup_fd(usual_wakeup)
-        sender.close()  # ends the thread
-        watcher.join()
         _number = 0
 
 
@@ -147,6 +138,32 @@ def blocked(*numbers: int) -> Iterator[None]:
 def _ask(number: int, _frame: FrameType | None = None) -> None:
     global _number
     _number = _number or number
+
+
+@contextmanager
+def _watched(last_words: Callable[[int], str]) -> Iterator[None]:
+    """Have another thread act on signals in the block.
+
+    Python runs a handler between two steps of the main thread, which may be in a library for
+    minutes. What C writes to the wakeup descriptor reaches the other thread at once.
+    """
+    receiver, sender = socket.socketpair()
+    sender.setblocking(False)
+    watcher = threading.Thread(target=_watch, args=(receiver, last_words), daemon=True)
+    try:
+        watcher.start()
+    except RuntimeError:  # no more threads: what needs one says so, and the flag is still set
+        receiver.close()
+        sender.close()
+        yield
+        return
+    usual = signal.set_wakeup_fd(sender.fileno(), warn_on_full_buffer=False)
+    try:
+        yield
+    finally:
+        signal.set_wakeup_fd(usual)
+        sender.close()  # ends the thread
+        watcher.join()
 
 
 def _watch(receiver: socket.socket, last_words: Callable[[int], str]) -> None:

@@ -119,29 +119,57 @@ def test_exwarp_takes_the_files_as_they_are(data, tmp_path):
 
 @pytest.mark.parametrize("name", SCENES)
 def test_a_benchmark_scene_renders(script, tmp_path, name):
-    done = script(name, "--data", tmp_path, "--frames", "1-2,121,241", *SIZE)
+    first = 61 if name == "town" else 1
+    frames = {first, first + 1, first + 60, first + 120}
+    wanted = ",".join(map(str, sorted(frames)))
+    done = script(name, "--data", tmp_path, "--frames", wanted, *SIZE, "--renders", 2)
     assert done.returncode == 0, done.stderr
     scene = open_scene(tmp_path / name)
-    told = scene.manifest
-    assert told.role == BENCHMARK and told.instants.count == 241 and told.keys.count == 61
-    assert set(told.instants.numbers) - set(scene.missing(told.instants)) == {1, 2, 121, 241}
-    assert set(told.keys.numbers) - set(scene.missing(told.keys)) == {1, 31, 61}
-    for number in (1, 121, 241):
+    manifest = scene.manifest
+    assert manifest.role == BENCHMARK
+    assert manifest.instants.count == 121 and manifest.keys.count == 31
+    assert set(manifest.instants.numbers) - set(scene.missing(manifest.instants)) == frames
+    keys = {manifest.keys.first + step for step in (0, 15, 30)}
+    assert set(manifest.keys.numbers) - set(scene.missing(manifest.keys)) == keys
+    for number in frames - {first + 1}:
         again = read_image(scene.folder / "floor" / f"{name}.{number:04d}.exr")
-        rendered = read_image(scene.path(told.instants, number))
+        rendered = read_image(scene.path(manifest.instants, number))
         assert 12 < score(rendered.pixels, again.pixels, None)[0].psnr_db < 60
     seen: set[int] = set()
-    for number in (1, 121, 241):
+    for number in frames - {first + 1}:
         raw = read_raw(scene.instants, number)
         assert np.isfinite(raw.image.pixels).all()
         assert 0.02 < raw.image.pixels[..., :3].mean() < 1.5
         seen |= set(np.unique(raw.gbuffer.stencil)) - {0, -1}
-    assert seen and seen <= set(told.dynamic)
+    assert seen and seen <= set(manifest.dynamic)
+
+
+def test_more_renders_of_a_frame_leave_less_noise(script, tmp_path):
+    floors = []
+    for seeds in (1, 8):
+        data = tmp_path / str(seeds)
+        done = script("village", "--data", data, "--frames", "1", *SIZE, "--renders", seeds)
+        assert done.returncode == 0, done.stderr
+        frames = [data / "village" / kind / "village.0001.exr" for kind in ("instants", "floor")]
+        one, other = (read_image(path).pixels for path in frames)
+        floors.append(score(one, other, None)[0].psnr_db)
+    assert floors[1] > floors[0] + 5
+    refused = script("village", "--data", data, "--frames", "1", *SIZE)
+    assert refused.returncode == 1 and "holds another rendering (" in refused.stderr
+
+
+def test_a_hurried_rendering_lies_in_a_folder_of_its_own(script, tmp_path):
+    quick = ("--look", "hurried", "--frames", "1,241", "--what", "instants")
+    done = script("lab", "--data", tmp_path, *quick, *SIZE)
+    assert done.returncode == 0, done.stderr
+    manifest = open_scene(tmp_path / "hurried" / "lab").manifest
+    assert manifest.instants.count == 241 and manifest.denoiser == "OpenImageDenoise"
+    assert not (tmp_path / "lab").exists()
 
 
 def test_bad_options_are_one_sentence(script, tmp_path):
-    beyond = script("lab", "--data", tmp_path, "--frames", "240-250", *SIZE)
-    assert beyond.returncode == 1 and "frames 1 to 241, not 242" in beyond.stderr
+    beyond = script("lab", "--data", tmp_path, "--frames", "120-125", *SIZE)
+    assert beyond.returncode == 1 and "frames 1 to 121, not 122" in beyond.stderr
     assert list(tmp_path.iterdir()) == []
     for option, value in (("--resolution", "4k"), ("--frames", "x"), ("--samples", "0")):
         wrong = script("lab", "--data", tmp_path, option, value)

@@ -102,13 +102,13 @@ class TestStructure:
 
     def test_all_views_digest_their_files_once(self, single, upsample, monkeypatch, tmp_path):
         seen: list[Path] = []
-        true = recipes.file_digest
+        true = recipes.digests
 
-        def file_digest(path: Path) -> str:
+        def digests(path: Path, *options: object) -> tuple[str, str | None]:
             seen.append(path)
-            return true(path)
+            return true(path, *options)
 
-        monkeypatch.setattr(recipes, "file_digest", file_digest)
+        monkeypatch.setattr(recipes, "digests", digests)
         upsample(single, tmp_path / "out", "-m", "softsplat", "--view", "all")
         assert sorted(seen) == sorted(single.iterdir())
 

@@ -84,7 +84,7 @@ class TestCrash:
     def test_a_decoder_crashes(self, keys, rendered, undisturbed, tmp_path, how):
         out = tmp_path / "out"
         # So many decodes measure vectors and depth, and make the first frames.
-        outcome = failing(how, 14, "upsample", keys, "-o", out, *PLAIN)
+        outcome = failing(how, 18, "upsample", keys, "-o", out, *PLAIN)
         outcome.judge(INPUT)
         assert how in outcome.told[0] and "--skip-existing" in outcome.told[0]
         assert f"{keys}/shot.000" in outcome.told[0]

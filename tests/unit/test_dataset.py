@@ -131,6 +131,7 @@ def described(writer, **changes):
         "scene": "lab",
         "role": "benchmark",
         "about": "Räume.",
+        "first": 1,
         "instants": 241,
         "fps": 120,
         "key_fps": 30,
@@ -138,7 +139,9 @@ def described(writer, **changes):
         "height": 240,
         "renderer": "Blender",
         "samples": 16,
+        "seeds": 1,
         "denoiser": "OpenImageDenoise",
+        "sampling": "",
         "seed": 3,
         "motion": writer.BLENDER_MOTION,
         "key_step": 4,
@@ -165,6 +168,31 @@ def test_key_frames_may_be_written_for_every_instant(writer, tmp_path):
     told = open_scene(tmp_path).manifest
     assert told.keys.numbers == range(1, 14) and told.keys.step == 1
     assert [i for i in range(20) if told.has_key(i)] == list(range(13))
+
+
+def test_a_piece_from_the_middle_keeps_its_numbers(writer, tmp_path):
+    writer.write(tmp_path, described(writer, first=61, instants=121))
+    frames = open_scene(tmp_path).manifest
+    assert frames.instants.numbers == range(61, 182) and frames.keys.numbers == range(16, 47)
+
+
+def test_a_measured_noise_floor_does_not_tell_renderings_apart(writer, tmp_path):
+    writer.write(tmp_path, described(writer))
+    writer.write_floor(tmp_path, 38.5)
+    assert json.loads((tmp_path / "manifest.json").read_text())["noise_floor_psnr_db"] == 38.5
+    assert writer.differences(tmp_path, described(writer)) == []
+    assert open_scene(tmp_path).manifest.scene == "lab"
+    writer.write_floor(tmp_path, None)
+    assert "noise_floor_psnr_db" not in (tmp_path / "manifest.json").read_text()
+
+
+def test_a_manifest_without_seeds_is_of_single_renders(writer, tmp_path):
+    writer.write(tmp_path, described(writer))
+    content = json.loads((tmp_path / "manifest.json").read_text())
+    del content["seeds"], content["sampling"]
+    (tmp_path / "manifest.json").write_text(json.dumps(content))
+    assert writer.differences(tmp_path, described(writer)) == []
+    assert writer.differences(tmp_path, described(writer, seeds=8)) == ["seeds is 1, not 8"]
 
 
 def test_the_scripts_do_not_mix_renderings(writer, tmp_path):

@@ -11,6 +11,8 @@ from pathlib import Path
 NAME = "manifest.json"
 SCHEMA = "exwarp.scene/1"
 INSTANTS_PER_KEY = 4
+FLOOR = "noise_floor_psnr_db"
+"""Key of what is measured on the finished frames; it does not tell renderings apart."""
 
 BLENDER_MOTION = "previous=X,-Y next=-Z,W"
 """Blender's Vector pass: previous minus current in X and Y, current minus next in Z and W, in
@@ -29,8 +31,8 @@ class Manifest:
         "benchmark" scenes are judged on; "training" shots never are.
     about : str
         One sentence.
-    instants : int
-        How many, 1/fps apart.
+    first, instants : int
+        Number of the first instant, and how many there are, 1/fps apart.
     fps, key_fps : int
         Rates of instants and of key frames.
     width, height : int
@@ -38,9 +40,13 @@ class Manifest:
     renderer : str
         Name, version and engine.
     samples : int
-        Per pixel.
+        Per pixel of each render.
+    seeds : int
+        Renders with other noise, each denoised, whose mean a frame is.
     denoiser : str
         Name, or "" for none.
+    sampling : str
+        What differs from the quick way of sampling, or "".
     seed : int
         Of the scene and of the noise.
     motion : str
@@ -54,6 +60,7 @@ class Manifest:
     scene: str
     role: str
     about: str
+    first: int
     instants: int
     fps: int
     key_fps: int
@@ -61,7 +68,9 @@ class Manifest:
     height: int
     renderer: str
     samples: int
+    seeds: int
     denoiser: str
+    sampling: str
     seed: int
     motion: str
     key_step: int
@@ -72,21 +81,21 @@ class Manifest:
         """How many instants were also rendered as key frames."""
         return (self.instants - 1) // self.key_step + 1
 
-    def as_json(self) -> str:
-        """Write it down, with the sequences named."""
-        content = {"schema": SCHEMA} | asdict(self)
+    def content(self) -> dict[str, object]:
+        """Return what the file says, with the sequences named."""
+        content: dict[str, object] = {"schema": SCHEMA} | asdict(self)
         content["instants"] = {
             "pattern": f"instants/{self.scene}.####.exr",
-            "first": 1,
+            "first": content.pop("first"),
             "count": self.instants,
         }
         content["keys"] = {
             "pattern": f"keys/{self.scene}.####.exr",
-            "first": 1,
+            "first": (self.first - 1) // self.key_step + 1,
             "count": self.keys,
             "step": content.pop("key_step"),
         }
-        return json.dumps(content, indent=2, ensure_ascii=False) + "\n"
+        return content
 
 
 def default_data() -> Path:
@@ -114,8 +123,9 @@ def differences(folder: Path, manifest: Manifest, but: Collection[str] = ()) -> 
         there = json.loads(path.read_text(encoding="utf-8"))
     except ValueError:
         return ["it is no JSON"]
-    wanted = json.loads(manifest.as_json())
-    keys = sorted((wanted.keys() | there.keys()) - set(but))
+    wanted = manifest.content()
+    there = {"seeds": 1, "sampling": ""} | there  # as in older manifests
+    keys = sorted((wanted.keys() | there.keys()) - {FLOOR, *but})
     return [
         f"{key} is {there.get(key)!r}, not {wanted.get(key)!r}"
         for key in keys
@@ -125,6 +135,20 @@ def differences(folder: Path, manifest: Manifest, but: Collection[str] = ()) -> 
 
 def write(folder: Path, manifest: Manifest) -> None:
     """Write a folder's manifest, whole or not at all."""
+    _write(folder, manifest.content())
+
+
+def write_floor(folder: Path, psnr_db: float | None) -> None:
+    """Add the measured noise floor to a folder's manifest; None takes it out."""
+    content = json.loads((folder / NAME).read_text(encoding="utf-8"))
+    content.pop(FLOOR, None)
+    if psnr_db is not None:
+        content[FLOOR] = psnr_db
+    _write(folder, content)
+
+
+def _write(folder: Path, content: dict[str, object]) -> None:
     part = folder / f".{NAME}.part"
-    part.write_text(manifest.as_json(), encoding="utf-8")
+    text = json.dumps(content, indent=2, ensure_ascii=False) + "\n"
+    part.write_text(text, encoding="utf-8")
     part.replace(folder / NAME)

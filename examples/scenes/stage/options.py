@@ -14,7 +14,7 @@ RESOLUTIONS = {
     "720p": (1280, 720),
     "1080p": (1920, 1080),
 }
-SAMPLES = 16
+LOOKS = ("clean", "hurried")
 
 
 def main(script: Script) -> None:
@@ -36,7 +36,15 @@ def options(parser: argparse.ArgumentParser) -> None:
         default=RESOLUTIONS["240p"],
         help=f"{', '.join(RESOLUTIONS)} or WIDTHxHEIGHT (240p)",
     )
-    add("--samples", type=count, default=SAMPLES, help="per pixel (%(default)s)")
+    add(
+        "--look",
+        choices=LOOKS,
+        default=LOOKS[0],
+        help="how a scene to be judged on is rendered: with hardly any noise, or as a hurried "
+        "artist delivers it, into the folder 'hurried' (%(default)s)",
+    )
+    add("--samples", type=count, metavar="N", help="per pixel of each render (the look's)")
+    add("--renders", type=count, metavar="N", help="whose mean a frame is (the look's)")
     add("--frames", type=ranges, default=frozenset(), help="instants, as in 1-49,97 (all)")
     add("--what", choices=(*KINDS, "all"), default="all")
     add(
@@ -53,10 +61,12 @@ def order(chosen: argparse.Namespace) -> Order:
     return Order(
         chosen.data.expanduser().resolve(),
         chosen.resolution,
-        chosen.samples,
-        chosen.frames,
-        frozenset(what),
-        chosen.key_step,
+        samples=chosen.samples,
+        seeds=chosen.renders,
+        hurried=chosen.look == "hurried",
+        frames=chosen.frames,
+        what=frozenset(what),
+        key_step=chosen.key_step,
     )
 
 

@@ -3,8 +3,9 @@
 A scene's folder gets `manifest.json`, `instants/NAME.####.exr` (colour and all G-buffers, vectors
 over 1/120 s) and `keys/NAME.####.exr` (every fourth instant again, or every one in shots to train
 with, vectors over 1/30 s). Benchmark scenes also get `floor/NAME.####.exr`: three instants with
-other noise, to tell from how many dB on scores mean nothing. Frames that are there and whole are
-kept, so that a run that was stopped goes on where it was.
+other noise, to tell from how many dB on scores mean nothing. Instants and key frames are
+rendered in turns, `BLOCK` instants at a time, so that the first intervals can be used early. Frames
+that are there and whole are kept, so that a run that was stopped goes on where it was.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -22,17 +23,24 @@ from stage import files, manifest, render
 from stage.blender import bpy
 from stage.manifest import INSTANTS_PER_KEY, Manifest
 from stage.motion import FPS
+from stage.quality import HURRIED, MOST_SEEDS, Quality
 
 BYTES_PER_PIXEL = 26.0
 """Of a written frame; measured 21 to 29, more where there are leaves."""
 
-KEY_SHARE = 0.35
-"""Time that a key frame's vectors take, in times of an instant."""
+KEY_SAMPLES = 6
+"""Time that a key frame's vectors take, in times of a sample of an instant."""
 
 KINDS = ("instants", "floor", "keys")
 
+BLOCK = 24
+"""Instants that are rendered before the key frames among them."""
+
 OTHER_NOISE = 500_000
 """What is added to the seed of the noise for the noise floor."""
+
+NEXT_NOISE = 10_000
+"""What is added to the seed of the noise for each further render of a frame."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +57,7 @@ class Script:
         Builds the scene, for instants 0 to `last`, in an empty Blender file; takes (seed, last)
         and returns what each object id is.
     instants : int
-        How many.
+        How many the animation has.
     seed : int
         Of the scene's small random differences, and of the noise.
     role : str
@@ -60,6 +68,10 @@ class Script:
     key_step : int
         How far apart the instants are that are also rendered as key frames: 1 lets a key frame
         begin anywhere.
+    clean : Quality or None
+        With which the noise floor is at least 38 dB; None where there is only `HURRIED`.
+    span : tuple of int
+        First and last number of the instants that are rendered clean.
     """
 
     name: str
@@ -70,6 +82,8 @@ class Script:
     role: str = "benchmark"
     pace: float = 3.0
     key_step: int = INSTANTS_PER_KEY
+    clean: Quality | None = None
+    span: tuple[int, int] = (1, 121)
 
 
 @dataclass(frozen=True)
@@ -82,8 +96,11 @@ class Order:
         Folder of all scenes.
     size : tuple of int
         Width and height.
-    samples : int
-        Per pixel.
+    samples, seeds : int or None
+        In place of the look's; see `Quality`.
+    hurried : bool
+        Whether a scene that is judged on is rendered as a hurried artist delivers it, in full
+        length, into the folder "hurried".
     frames : frozenset of int
         Numbers of the instants that are wanted, from 1; empty for all.
     what : frozenset of str
@@ -94,10 +111,86 @@ class Order:
 
     data: Path
     size: tuple[int, int]
-    samples: int
+    samples: int | None = None
+    seeds: int | None = None
+    hurried: bool = False
     frames: frozenset[int] = frozenset()
     what: frozenset[str] = frozenset(KINDS)
     key_step: int | None = None
+
+
+@dataclass(frozen=True)
+class Job:
+    """A script and an order put together.
+
+    Attributes
+    ----------
+    script : Script
+        What is rendered, with the order's key step.
+    order : Order
+        What was asked for.
+    quality : Quality
+        How clean each frame gets.
+    folder : Path
+        The scene's.
+    numbers : range
+        Numbers of all instants that the folder is to hold.
+    """
+
+    script: Script
+    order: Order
+    quality: Quality
+    folder: Path
+    numbers: range
+
+    @classmethod
+    def plan(cls, script: Script, order: Order) -> Job:
+        """Choose quality, folder and span for an order."""
+        script = replace(script, key_step=order.key_step or script.key_step)
+        folder, (first, last) = order.data, (1, script.instants)
+        look = HURRIED
+        if script.clean is not None and order.hurried:
+            folder = folder / "hurried"
+        elif script.clean is not None:
+            look, (first, last) = script.clean, script.span
+        chosen = replace(look, samples=order.samples or look.samples)
+        chosen = replace(chosen, seeds=order.seeds or look.seeds)
+        if chosen.seeds > MOST_SEEDS:
+            sys.exit(f"--renders: at most {MOST_SEEDS} renders of a frame, not {chosen.seeds}.")
+        return cls(script, order, chosen, folder / script.name, range(first, last + 1))
+
+    def describe(self, dynamic: dict[int, str]) -> Manifest:
+        """Write down what the folder holds; `dynamic` is what each object id is."""
+        script, order = self.script, self.order
+        return Manifest(
+            scene=script.name,
+            role=script.role,
+            about=script.about,
+            first=self.numbers[0],
+            instants=len(self.numbers),
+            fps=FPS,
+            key_fps=FPS // INSTANTS_PER_KEY,
+            width=order.size[0],
+            height=order.size[1],
+            renderer=f"Blender {bpy.app.version_string} Cycles",
+            samples=self.quality.samples,
+            seeds=self.quality.seeds,
+            denoiser=self.quality.denoiser,
+            sampling=self.quality.sampling,
+            seed=script.seed,
+            motion=manifest.BLENDER_MOTION,
+            key_step=script.key_step,
+            dynamic={str(index): dynamic[index] for index in sorted(dynamic)},
+        )
+
+    def path(self, what: str, instant: int) -> Path:
+        """Path of a file; `instant` counts from 0."""
+        number = instant // self.script.key_step if what == "keys" else instant
+        return self.folder / what / f"{self.script.name}.{number + 1:04d}.exr"
+
+    def is_whole(self, what: str, instant: int) -> bool:
+        """Return True if a file is there and undamaged."""
+        return files.is_whole(self.path(what, instant), self.order.size)
 
 
 def shoot(script: Script, order: Order) -> None:
@@ -108,123 +201,114 @@ def shoot(script: Script, order: Order) -> None:
     SystemExit
         With one sentence, when the folder holds another rendering, or the disk is too small.
     """
-    script = replace(script, key_step=order.key_step or script.key_step)
-    folder = order.data / script.name
-    _refuse_other(folder, _describe(script, order, {}), but=("dynamic",))
-    wanted = _wanted(script, order)
-    missing = _missing(script, order, folder, wanted)
+    job = Job.plan(script, order)
+    _refuse_other(job.folder, job.describe({}), but=("dynamic",))
+    wanted = _wanted(job)
+    missing = _missing(job, wanted)
     if not missing:
-        if not (folder / manifest.NAME).is_file():
-            manifest.write(folder, _describe(script, order, _build(script, order)))
-        say(f"{script.name}: all {len(wanted)} files are there and whole, in {folder}")
+        if not (job.folder / manifest.NAME).is_file():
+            manifest.write(job.folder, job.describe(_build(job)))
+        say(f"{script.name}: all {len(wanted)} files are there and whole, in {job.folder}")
         return
-    _say_plan(script, order, folder, wanted, missing)
-    progress = _Progress(script.name, missing)
-    for what, product in render.products(order.samples, INSTANTS_PER_KEY).items():
-        instants = [instant for kind, instant in missing if kind == what]
-        if not instants:
-            continue
-        # Anew for each kind: Blender 5.0 crashed, or wrote wrong vectors, when passes changed on
-        # data kept from frame to frame.
-        description = _describe(script, order, _build(script, order))
-        _refuse_other(folder, description)
-        manifest.write(folder, description)
-        (folder / what).mkdir(exist_ok=True)
-        render.configure(product, FPS)
-        for instant in instants:
-            _make(script, folder, what, instant, product)
-            progress.step(what, instant)
+    _say_plan(job, wanted, missing)
+    progress = _Progress(
+        script.name, missing, KEY_SAMPLES / (job.quality.samples * job.quality.seeds)
+    )
+    for part in _blocks(job, missing):
+        for what, product in render.products(job.quality.samples, INSTANTS_PER_KEY).items():
+            if instants := [instant for kind, instant in part if kind == what]:
+                _shoot_kind(job, what, product, instants, progress)
     progress.end()
 
 
-def _build(script: Script, order: Order) -> dict[int, str]:
+def _shoot_kind(
+    job: Job, what: str, product: render.Product, instants: list[int], progress: _Progress
+) -> None:
+    """Render files of one kind.
+
+    The scene is built anew for it: Blender 5.0 crashed, or wrote wrong vectors, when passes changed
+    on data kept from frame to frame.
+    """
+    description = job.describe(_build(job))
+    _refuse_other(job.folder, description)
+    manifest.write(job.folder, description)
+    (job.folder / what).mkdir(exist_ok=True)
+    render.configure(product, FPS)
+    for instant in instants:
+        _make(job, what, instant, product)
+        progress.step(what, instant)
+
+
+def _build(job: Job) -> dict[int, str]:
     """Build the scene in an empty file and return what its object ids are."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    dynamic = script.build(script.seed, script.instants - 1)
-    render.settle(order.size)
+    dynamic = job.script.build(job.script.seed, job.script.instants - 1)
+    render.settle(job.order.size, job.quality)
     return dynamic
 
 
-def _wanted(script: Script, order: Order) -> list[tuple[str, int]]:
-    """List (kind, instant from 0) of all that the order asks for, in the order of rendering."""
-    numbers = order.frames or frozenset(range(1, script.instants + 1))
-    if beyond := sorted(number for number in numbers if number > script.instants):
-        sys.exit(f"--frames: {script.name} has frames 1 to {script.instants}, not {beyond[0]}.")
+def _wanted(job: Job) -> list[tuple[str, int]]:
+    """List (kind, instant from 0) of all that the order asks for."""
+    numbers, script = job.order.frames or frozenset(job.numbers), job.script
+    if beyond := sorted(number for number in numbers if number not in job.numbers):
+        first, last = job.numbers[0], job.numbers[-1]
+        sys.exit(f"--frames: {script.name} has frames {first} to {last}, not {beyond[0]}.")
     instants = sorted(number - 1 for number in numbers)
     keys = [instant for instant in instants if instant % script.key_step == 0]
-    floor = {0, script.instants // 2, script.instants - 1} if script.role == "benchmark" else set()
+    ends = (job.numbers[0], job.numbers[len(job.numbers) // 2], job.numbers[-1])
+    floor = {number - 1 for number in ends} if script.role == "benchmark" else set()
     of = {"instants": instants, "floor": sorted(floor.intersection(instants)), "keys": keys}
-    return [(what, instant) for what in KINDS if what in order.what for instant in of[what]]
+    return [(what, instant) for what in KINDS if what in job.order.what for instant in of[what]]
 
 
-def _path(script: Script, folder: Path, what: str, instant: int) -> Path:
-    number = instant // script.key_step if what == "keys" else instant
-    return folder / what / f"{script.name}.{number + 1:04d}.exr"
-
-
-def _missing(
-    script: Script, order: Order, folder: Path, wanted: list[tuple[str, int]]
-) -> list[tuple[str, int]]:
+def _missing(job: Job, wanted: list[tuple[str, int]]) -> list[tuple[str, int]]:
     """List what is not there, or damaged; a key frame also needs its instant."""
-    missing = [
-        (what, instant)
-        for what, instant in wanted
-        if not files.is_whole(_path(script, folder, what, instant), order.size)
-    ]
+    missing = [one for one in wanted if not job.is_whole(*one)]
     sources = [("instants", instant) for what, instant in missing if what == "keys"]
     unasked = [source for source in sources if source not in wanted]
-    return missing + [
-        source
-        for source in unasked
-        if not files.is_whole(_path(script, folder, *source), order.size)
-    ]
+    return missing + [source for source in unasked if not job.is_whole(*source)]
+
+
+def _blocks(job: Job, missing: Iterable[tuple[str, int]]) -> list[list[tuple[str, int]]]:
+    """Split files into blocks, each of which ends with the instant of a key frame."""
+    blocks: dict[int, list[tuple[str, int]]] = {}
+    for what, instant in missing:
+        gone = instant + 1 - job.numbers[0]
+        blocks.setdefault(max(gone - 1, 0) // BLOCK, []).append((what, instant))
+    return [blocks[number] for number in sorted(blocks)]
 
 
 def _say_plan(
-    script: Script,
-    order: Order,
-    folder: Path,
-    wanted: Collection[tuple[str, int]],
-    missing: Collection[tuple[str, int]],
+    job: Job, wanted: Collection[tuple[str, int]], missing: Collection[tuple[str, int]]
 ) -> None:
     """Say how much there is to do, how long that takes and how large it gets."""
-    width, height = order.size
-    share = sum(KEY_SHARE if what == "keys" else 1.0 for what, _ in missing)
-    cores = os.cpu_count() or 1
-    seconds = share * script.pace * width * height / 1e6 * order.samples / cores
-    size = len(missing) * BYTES_PER_PIXEL * width * height
+    width, height = job.order.size
+    pixels, quality = width * height, job.quality
+    keys = sum(what == "keys" for what, _ in missing)
+    # A key frame's vectors are rendered once, with few samples.
+    samples = (len(missing) - keys) * quality.total + keys * KEY_SAMPLES
+    cores = _cores()
+    seconds = samples * job.script.pace * pixels / 1e6 / cores
+    size = len(missing) * BYTES_PER_PIXEL * pixels
+    times = f" {quality.seeds} times" if quality.seeds > 1 else ""
     say(
-        f"{script.name}: {len(missing)} of {len(wanted)} files to render at {width}x{height} with "
-        f"{order.samples} samples, about {_span(seconds)} on {cores} cores and "
-        f"{_amount(size)}, to {folder}"
+        f"{job.script.name}: {len(missing)} of {len(wanted)} files to render at {width}x{height} "
+        f"with {quality.samples} samples{times}, about {_span(seconds)} on {cores} cores and "
+        f"{_amount(size)}, to {job.folder}"
     )
-    folder.mkdir(parents=True, exist_ok=True)
-    free = shutil.disk_usage(folder).free
+    job.folder.mkdir(parents=True, exist_ok=True)
+    free = shutil.disk_usage(job.folder).free
     if size > free:
         sys.exit(
-            f"{folder} has room for {_amount(free)}; name another folder with --data, "
+            f"{job.folder} has room for {_amount(free)}; name another folder with --data, "
             "or less with --frames or --resolution."
         )
 
 
-def _describe(script: Script, order: Order, dynamic: dict[int, str]) -> Manifest:
-    return Manifest(
-        scene=script.name,
-        role=script.role,
-        about=script.about,
-        instants=script.instants,
-        fps=FPS,
-        key_fps=FPS // INSTANTS_PER_KEY,
-        width=order.size[0],
-        height=order.size[1],
-        renderer=f"Blender {bpy.app.version_string} Cycles",
-        samples=order.samples,
-        denoiser="OpenImageDenoise",
-        seed=script.seed,
-        motion=manifest.BLENDER_MOTION,
-        key_step=script.key_step,
-        dynamic={str(index): dynamic[index] for index in sorted(dynamic)},
-    )
+def _cores() -> int:
+    """Return how many cores this process may use."""
+    allowed = getattr(os, "sched_getaffinity", None)
+    return len(allowed(0)) if allowed else os.cpu_count() or 1
 
 
 def _refuse_other(folder: Path, description: Manifest, but: Collection[str] = ()) -> None:
@@ -236,24 +320,31 @@ def _refuse_other(folder: Path, description: Manifest, but: Collection[str] = ()
         )
 
 
-def _make(script: Script, folder: Path, what: str, instant: int, product: render.Product) -> None:
+def _make(job: Job, what: str, instant: int, product: render.Product) -> None:
     """Render one file. A key frame is its instant with vectors that span a key interval."""
-    target, noise = _path(script, folder, what, instant), script.seed * 1000
-    if what != "keys":
-        other = OTHER_NOISE if what == "floor" else 0
-        render.render(instant, product, target, noise + other)
-        return
+    target, noise = job.path(what, instant), job.script.seed * 1000
     with tempfile.TemporaryDirectory(dir=target.parent, prefix=".part-") as apart:
-        vectors = Path(apart, "vectors.exr")
-        render.render(instant, product, vectors, noise)
-        files.join_key(_path(script, folder, "instants", instant), vectors, target)
+        if what == "keys":
+            vectors = Path(apart, "vectors.exr")
+            render.render(instant, product, vectors, noise)
+            files.join_key(job.path("instants", instant), vectors, target)
+            return
+        if what == "floor":
+            noise += OTHER_NOISE
+        sources = [Path(apart, f"{number}.exr") for number in range(job.quality.seeds)]
+        for number, source in enumerate(sources):
+            render.render(instant, product, source, noise + number * NEXT_NOISE)
+        if len(sources) > 1:
+            files.join_mean(sources, target)
+        else:
+            sources[0].replace(target)
 
 
 class _Progress:
     """Says after each frame how many are done and how long the rest takes."""
 
-    def __init__(self, name: str, missing: Collection[tuple[str, int]]) -> None:
-        self._name = name
+    def __init__(self, name: str, missing: Collection[tuple[str, int]], key_share: float) -> None:
+        self._name, self._key_share = name, key_share
         self._left = dict.fromkeys(KINDS, 0)
         for what, _ in missing:
             self._left[what] += 1
@@ -276,7 +367,7 @@ class _Progress:
     def _rest(self) -> float:
         pace = {kind: self._mean(kind) for kind in self._spent}
         pace["floor"] = pace["floor"] or pace["instants"]
-        pace["keys"] = pace["keys"] or KEY_SHARE * pace["instants"]
+        pace["keys"] = pace["keys"] or self._key_share * pace["instants"]
         return sum(pace[kind] * self._left[kind] for kind in pace)
 
     def _mean(self, kind: str) -> float:

@@ -1,0 +1,58 @@
+"""How clean a scene is rendered; this module does without Blender."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Quality:
+    """What decides how much noise is left in a frame.
+
+    Attributes
+    ----------
+    samples : int
+        Per pixel of each render.
+    seeds : int
+        Renders of a frame, each with its own noise and denoised. Their mean is the frame.
+    accurate : bool
+        Whether the denoiser cleans its guides, albedo and normals, at full quality first. Measured
+        in slum at 16 samples: 0.2 dB less noise for 1.5 core-s.
+    light_tree : bool
+        Whether lights are sampled by their share. Measured at equal samples: 1.4 dB less noise in
+        slum and 0.8 dB in town for a tenth of the time; lab is slower by a third for 0.4 dB.
+    clamp : float
+        Bound of a sample's direct light, 0 for none. Bright lamps are noisy at their edges and in
+        glossy things. A bound of 2 takes 1.4 dB off in lab, and the display shows nothing above 1.
+    """
+
+    samples: int
+    seeds: int
+    accurate: bool = True
+    light_tree: bool = True
+    clamp: float = 0.0
+
+    @property
+    def total(self) -> int:
+        """Samples of all renders of a frame."""
+        return self.samples * self.seeds
+
+    @property
+    def denoiser(self) -> str:
+        """Name of the denoiser, and how it is set up where that is not the quick way."""
+        return "OpenImageDenoise" + (", accurate albedo and normal guides" if self.accurate else "")
+
+    @property
+    def sampling(self) -> str:
+        """What differs from the quick way of sampling, or ""."""
+        parts = ["light tree"] if self.light_tree else []
+        if self.clamp:
+            parts.append(f"direct light clamped at {self.clamp:g}")
+        return ", ".join(parts)
+
+
+HURRIED = Quality(samples=16, seeds=1, accurate=False, light_tree=False)
+"""As a hurried artist delivers; also the setting of training shots."""
+
+MOST_SEEDS = 48
+"""So many renders of a frame have noise that no other render of the scene has."""
