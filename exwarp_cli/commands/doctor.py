@@ -34,12 +34,9 @@ def command(ctx: click.Context, verbose: bool, skip_self_test: bool, as_json: bo
     """
     from exwarp_cli.errors import InstallationError
     from exwarp_cli.pipeline.doctor.examine import examine
-    from exwarp_cli.pipeline.progress import NoProgress
     from exwarp_cli.report.doctor import failures, heading, rows, verdict
 
-    found = examine(
-        NoProgress().message, not skip_self_test, {"configuration": lambda: _configuration(ctx)}
-    )
+    found = examine(not skip_self_test, {"configuration": lambda: _configuration(ctx)})
     if as_json:
         # Not by `print_json`, which needs numpy, and that may be what is broken.
         click.echo(json.dumps(found.as_dict(), indent=2))

@@ -26,6 +26,7 @@ from exwarp_cli.errors import (
     UsageError,
     known_error,
 )
+from exwarp_cli.runtime.compilation import compilation
 
 if TYPE_CHECKING:
     from rich.progress import Progress as RichProgress
@@ -478,7 +479,8 @@ def reporting(kind: str = "auto", *, results_on_stdout: bool = False) -> Iterato
     """
     progress = make_progress(kind, results_on_stdout=results_on_stdout)
     try:
-        yield progress
+        with compilation.messages_to(progress.message):
+            yield progress
     except Exception as error:
         progress.fail(*_reason(error))
         raise

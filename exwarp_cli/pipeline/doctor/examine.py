@@ -17,7 +17,6 @@ from typing import Any
 from exwarp_cli import __version__
 from exwarp_cli.domain.wording import first_line
 from exwarp_cli.errors import ExwarpError
-from exwarp_cli.pipeline.doctor.compilation import telling_of_compilation
 from exwarp_cli.runtime.stop import check_stop
 
 SCHEMA = "exwarp.doctor/1"
@@ -171,17 +170,11 @@ VARIABLES = ("CUDA_VISIBLE_DEVICES", "IMAGEIO_FFMPEG_EXE", "LD_LIBRARY_PATH", "T
 """Variables of the environment that are shown, by the beginnings of their names and by name."""
 
 
-def examine(
-    tell: Callable[[str], None],
-    self_test: bool = True,
-    more: dict[str, Callable[[], Check]] | None = None,
-) -> Checkup:
+def examine(self_test: bool = True, more: dict[str, Callable[[], Check]] | None = None) -> Checkup:
     """Examine this machine and this installation; failed checks are part of the result.
 
     Parameters
     ----------
-    tell
-        Told in one line of what takes long.
     self_test
         Whether to upsample a shot.
     more
@@ -191,12 +184,11 @@ def examine(
     makers: dict[str, str | Callable[[], Check]] = {**(more or {}), **CHECKS}
     if not self_test:
         makers[SELF_TEST] = lambda: Check("left out, as --skip-self-test asks", skipped=True)
-    with telling_of_compilation(tell):
-        for name, maker in makers.items():
-            begin = time.perf_counter()
-            checks[name] = _check(maker)
-            seconds[name] = time.perf_counter() - begin
-            check_stop()
+    for name, maker in makers.items():
+        begin = time.perf_counter()
+        checks[name] = _check(maker)
+        seconds[name] = time.perf_counter() - begin
+        check_stop()
     return Checkup(__version__, checks, seconds)
 
 

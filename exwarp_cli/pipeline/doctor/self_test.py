@@ -23,10 +23,10 @@ from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.domain.wording import counted, enumerated
 from exwarp_cli.errors import ExwarpError
 from exwarp_cli.pipeline.doctor.codecs import read_exr, write_exr
-from exwarp_cli.pipeline.doctor.compilation import cache_use
 from exwarp_cli.pipeline.doctor.examine import Check, Remark, failure
 from exwarp_cli.pipeline.progress import NoProgress
 from exwarp_cli.pipeline.run import upsample
+from exwarp_cli.runtime.compilation import compilation
 from exwarp_cli.runtime.stop import scratch_folder
 
 HEIGHT, WIDTH, KEYS = 48, 80, 3
@@ -65,7 +65,7 @@ class Trial(NamedTuple):
 
 def check_self_test() -> Check:
     """Upsample the shot by three methods, and in chunks."""
-    begin, compiled = time.perf_counter(), cache_use()[1]
+    begin, compiled = time.perf_counter(), compilation.compiled
     with scratch_folder() as folder:
         write_shot(folder / "keys")
         trials = {
@@ -74,7 +74,7 @@ def check_self_test() -> Check:
             "exwarp": _trial(lambda: _whole(folder, "exwarp", CONVENTION)),
             "chunks": _trial(lambda: _chunks(folder, "exwarp")),
         }
-    seconds, compiled = time.perf_counter() - begin, cache_use()[1] - compiled
+    seconds, compiled = time.perf_counter() - begin, compilation.compiled - compiled
     remarks = tuple(_remark(name, t.problem) for name, t in trials.items() if t.problem is not None)
     good = [name for name, trial in trials.items() if trial.problem is None]
     facts = {

@@ -1,7 +1,7 @@
-"""Several neighbouring values at once.
+"""An intrinsic that mixes four pixels by vector instructions; `mix_four` is its plain text.
 
 The compiler's loops take several pixels at once, but never the channels of one: it unrolls such
-short loops before it looks for vectors, and Numba leaves LLVM's search in straight code out.
+short loops before it looks for vectors, and numba leaves LLVM's search in straight code out.
 """
 
 from __future__ import annotations
@@ -16,15 +16,12 @@ from numba.core import types
 from numba.extending import intrinsic, overload
 
 F32 = npt.NDArray[np.float32]
-F64 = npt.NDArray[np.float64]
 I32 = npt.NDArray[np.int32]
-B8 = npt.NDArray[np.bool_]
-U64 = np.uint64
 
 INDEX = ir.IntType(32)
 
-LANES, FLAGS = 4, 8
-"""How many values or pixels, and how many flags, are taken at once."""
+LANES = 4
+"""Values of a pixel, and pixels, that are taken at once."""
 
 
 def mix_four(
@@ -71,17 +68,6 @@ def mix_four(
         for k in range(LANES):
             strange |= int(not np.isfinite(value[k])) << (LANES * (j - first) + k)
     return strange
-
-
-def any_of_eight(flags: B8, first: int) -> bool:
-    """Return whether any of eight flags of bool [N] is set, from the first one on."""
-    return bool(flags[first : first + FLAGS].any())
-
-
-def add_four(weight: np.float64, pixels: F32, at: U64, sums: F64, place: U64) -> None:
-    """Add four weighted values, float32 [N] from `at` on, to sums, float64 [M] from `place` on."""
-    seen = pixels[int(at) : int(at) + LANES].astype(np.float64)
-    sums[int(place) : int(place) + LANES] += weight * seen
 
 
 def data_of(context: Any, builder: Any, kind: Any, array: Any) -> Any:
@@ -170,50 +156,3 @@ def _compiled_mix_four(
         return _mix_four(pixels, right, below, places, weights, first, out)  # type: ignore[call-arg]
 
     return mix
-
-
-@intrinsic
-def _any_of_eight(_: Any, flags: Any, first: Any) -> Any:
-    """The same by one whole number."""
-
-    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        data = data_of(context, builder, signature.args[0], values[0])
-        eight = ir.IntType(8 * FLAGS)
-        whole = builder.bitcast(builder.gep(data, [values[1]]), eight.as_pointer())
-        return builder.icmp_unsigned("!=", builder.load(whole, align=1), ir.Constant(eight, 0))
-
-    return types.boolean(flags, first), generate
-
-
-@overload(any_of_eight, strict=False)
-def _compiled_any_of_eight(flags: Any, first: Any) -> Any:
-    def found(flags, first):  # type: ignore[no-untyped-def]
-        return _any_of_eight(flags, first)  # type: ignore[call-arg]
-
-    return found
-
-
-@intrinsic
-def _add_four(_: Any, weight: Any, pixels: Any, at: Any, sums: Any, place: Any) -> Any:
-    """The same in LLVM's instructions for vectors."""
-
-    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        data, target = (data_of(context, builder, signature.args[k], values[k]) for k in (1, 3))
-        seen = builder.load(_from(builder, data, values[2]), align=4)
-        seen = builder.fpext(seen, ir.VectorType(ir.DoubleType(), LANES))
-        weight = ir.Constant(ir.VectorType(ir.DoubleType(), 1), ir.Undefined)
-        weight = builder.insert_element(weight, values[0], ir.Constant(INDEX, 0))
-        target = _from(builder, target, values[4])
-        added = builder.fmul(_spread(builder, weight, [0]), seen)
-        builder.store(builder.fadd(builder.load(target, align=8), added), target, align=8)
-        return context.get_dummy_value()
-
-    return types.void(weight, pixels, at, sums, place), generate
-
-
-@overload(add_four, strict=False)
-def _compiled_add_four(weight: Any, pixels: Any, at: Any, sums: Any, place: Any) -> Any:
-    def add(weight, pixels, at, sums, place):  # type: ignore[no-untyped-def]
-        _add_four(weight, pixels, at, sums, place)  # type: ignore[call-arg]
-
-    return add

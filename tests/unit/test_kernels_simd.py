@@ -6,24 +6,14 @@ import numba
 import numpy as np
 import pytest
 
-from exwarp_cli.kernels import lanes
+from exwarp_cli.kernels import _simd
 
 WIDTH, HEIGHT, COUNT = 7, 5, 8
 
 
 @numba.njit(error_model="numpy")
 def mixed(pixels, steps, places, weights, first, out):
-    return lanes.mix_four(pixels, steps, places, weights, first, out)
-
-
-@numba.njit(error_model="numpy")
-def any_of_eight(flags, first):
-    return lanes.any_of_eight(flags, first)
-
-
-@numba.njit(error_model="numpy")
-def added(weight, pixels, at, sums, place):
-    lanes.add_four(weight, pixels, at, sums, place)
+    return _simd.mix_four(pixels, steps, places, weights, first, out)
 
 
 class TestMixFour:
@@ -44,7 +34,7 @@ class TestMixFour:
     def test_equals_the_text(self, channels):
         given = self.four(channels)
         out, expected = (np.full(COUNT * channels + 4, 7, np.float32) for _ in range(2))
-        assert mixed(*given, out) == lanes.mix_four(*given, expected) == 0
+        assert mixed(*given, out) == _simd.mix_four(*given, expected) == 0
         assert out.tobytes() == expected.tobytes()
         end = 8 * channels + (4 - channels)
         assert (out[: 4 * channels] == 7).all() and (out[end:] == 7).all()
@@ -67,21 +57,3 @@ class TestMixFour:
         places[4 + number] = 60
         pixels[63] = bad
         assert mixed(pixels, steps, places, weights, first, np.empty(4 * COUNT, np.float32)) != 0
-
-
-@pytest.mark.parametrize("first", [0, 1, 5, 9])
-def test_any_of_eight_sees_each_of_them_and_no_other(first):
-    for number in range(20):
-        flags = np.arange(20) == number
-        expected = first <= number < first + 8
-        assert any_of_eight(flags, first) is expected
-        assert lanes.any_of_eight(flags, first) is expected
-
-
-def test_add_four_equals_the_text():
-    pixels = np.random.default_rng(3).normal(size=9).astype(np.float32)
-    sums, expected = np.arange(8.0), np.arange(8.0)
-    for target, add in ((sums, added), (expected, lanes.add_four)):
-        add(np.float64(0.3), pixels, np.uint64(2), target, np.uint64(3))
-    assert sums.tobytes() == expected.tobytes()
-    assert (sums[:3] == [0, 1, 2]).all() and sums[7] == 7 and (sums[3:7] != [3, 4, 5, 6]).all()
