@@ -1,4 +1,4 @@
-"""The package uses the public interfaces of its dependencies, but for two named modules."""
+"""The package uses the public interfaces of its dependencies, but for one named module."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from pathlib import Path
 import exwarp_cli
 
 PACKAGE = Path(exwarp_cli.__file__).parent
-EXEMPT = (PACKAGE / "kernels" / "_compile.py", PACKAGE / "kernels" / "_simd.py")
-"""The modules that may use numba's and llvmlite's insides."""
+EXEMPT = (PACKAGE / "kernels" / "_compile.py",)
+"""The module that may use numba's and llvmlite's insides."""
 
 INSIDES = ("numba.core", "numba.extending", "llvmlite")
 DOCUMENTED = {"os._exit"}
