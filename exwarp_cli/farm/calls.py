@@ -17,7 +17,6 @@ from exwarp_cli.farm.places import PURPOSES, Place, locate
 from exwarp_cli.io.aov_files import parse_aovs
 from exwarp_cli.io.channel_map import read_channel_map
 from exwarp_cli.io.clip import is_clip
-from exwarp_cli.pipeline.job import open_job
 
 ALONE = ("--isolated",)
 """What keeps a worker's environment, and files of settings there, from changing the job."""
@@ -256,6 +255,8 @@ def open_farm_job(
             "the frames in -o, and the video with --video"
         )
     # With the device of a worker, not of here.
+    from exwarp_cli.pipeline.job import open_job  # imports all of the pipeline: not for --help
+
     job = open_job(replace(settings, device=UpsampleSettings.device))
     try:
         # Refuse a device for a method that runs nothing on it.

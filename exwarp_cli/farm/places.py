@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from enum import Enum
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.errors import InputError
@@ -15,7 +15,9 @@ from exwarp_cli.io.aov_files import parse_aovs
 from exwarp_cli.io.clip import is_clip
 from exwarp_cli.io.frame_names import NamePattern
 from exwarp_cli.io.model_weights import files_of
-from exwarp_cli.pipeline.job import Job
+
+if TYPE_CHECKING:
+    from exwarp_cli.pipeline.job import Job
 
 
 class Flow(Enum):

@@ -22,7 +22,7 @@ from torch import Tensor, nn
 from exwarp_cli.domain import cores
 from exwarp_cli.errors import DamagedFileError, LayoutError, UsageError
 from exwarp_cli.io.atomic import atomic_path, atomic_write_text, make_folder
-from exwarp_cli.io.dataset import RenderedScene
+from exwarp_cli.io.dataset import RenderedScene, split
 from exwarp_cli.io.output import file_digest
 from exwarp_cli.io.threads import use_threads
 from exwarp_cli.pipeline.scheduling import prefetch
@@ -32,7 +32,7 @@ from exwarp_cli.training.crops import Batch, Crops
 from exwarp_cli.training.export import export_extrapolator
 from exwarp_cli.training.networks import STRIDE, ExtrapolationNetwork, Gated, build
 from exwarp_cli.training.samples import CropSettings, crops_folder, is_whole, write_crops
-from exwarp_cli.training.settings import CURVE, TrainingSettings, add_row, require_sane, split
+from exwarp_cli.training.settings import CURVE, TrainingSettings, add_row, require_sane
 
 CHECKPOINT = "checkpoint.pt"
 SETTINGS = "settings.json"

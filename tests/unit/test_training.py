@@ -14,7 +14,7 @@ from exwarp_cli.domain.extrapolator import TIME, NetworkInputs
 from exwarp_cli.domain.frame import Window
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import InputError, UsageError
-from exwarp_cli.io.dataset import RenderedScene, SceneManifest, open_scene
+from exwarp_cli.io.dataset import RenderedScene, SceneManifest, open_scene, select, split
 from exwarp_cli.io.models import load_extrapolator
 from exwarp_cli.metrics.registry import score
 from exwarp_cli.training import crops as batches
@@ -44,7 +44,7 @@ from exwarp_cli.training.samples import (
     share,
     write_crops,
 )
-from exwarp_cli.training.settings import COLUMNS, CURVE, TrainingSettings, select, split
+from exwarp_cli.training.settings import COLUMNS, CURVE, TrainingSettings
 from tests.unit.analytic_scene import INSTANTS, manifest, write_manifest, write_scene
 from tests.unit.network_inputs import example
 

@@ -6,11 +6,13 @@ import re
 import struct
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-
-import OpenImageIO as oiio
+from typing import TYPE_CHECKING
 
 from exwarp_cli.domain.frame import Window
 from exwarp_cli.io.exr.header import decode
+
+if TYPE_CHECKING:
+    import OpenImageIO as oiio
 
 UINT, HALF, FLOAT = 0, 1, 2
 PIXEL_TYPES = {UINT: "uint", HALF: "half", FLOAT: "float"}
