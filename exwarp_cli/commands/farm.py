@@ -15,7 +15,7 @@ from exwarp_cli.commands.group import HelpfulGroup
 from exwarp_cli.commands.json_option import json_option, print_json
 from exwarp_cli.commands.printing import show
 from exwarp_cli.domain.metric import METRICS
-from exwarp_cli.farm.calls import DEFAULT_SIZE
+from exwarp_cli.farm.chunks import DEFAULT_SIZE
 
 if TYPE_CHECKING:
     from exwarp_cli.farm.calls import CommandLines, FarmJob

@@ -71,7 +71,8 @@ def extrapolator(
 
     require_train()
     from exwarp_cli.training.extrapolator import train_extrapolator
-    from exwarp_cli.training.settings import CURVE, last_row, select
+    from exwarp_cli.training.selection import select
+    from exwarp_cli.training.settings import CURVE, last_row
 
     chosen = select(data, scenes, exclude, _say)
     settings = TrainingSettings(**options)  # type: ignore[arg-type]

@@ -6,13 +6,12 @@ import shlex
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
-from itertools import pairwise
 from pathlib import Path
 
 from exwarp_cli.domain.line import misleads, printable
 from exwarp_cli.domain.settings import UpsampleSettings
-from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.errors import UsageError
+from exwarp_cli.farm.chunks import frames_text, split
 from exwarp_cli.farm.places import PURPOSES, Place, locate
 from exwarp_cli.io.aov_files import parse_aovs
 from exwarp_cli.io.channel_map import read_channel_map
@@ -130,39 +129,6 @@ class FarmJob:
 
     def _without(self, parameters: Iterable[str]) -> list[Word]:
         return [w for g in self.given if g.parameter not in parameters for w in g.words]
-
-
-DEFAULT_SIZE = 10
-"""Key frames of a chunk where nobody chooses: starting ExWarp takes about as long as one of 2K."""
-
-
-def split(numbers: Sequence[int], size: int) -> tuple[tuple[int, ...], ...]:
-    """Cut key frames into chunks.
-
-    Parameters
-    ----------
-    numbers
-        Key frames, ascending: their input numbers, or anything else that stands for them.
-    size
-        Key frames of a chunk, at least 1; the last may have fewer.
-    """
-    return tuple(tuple(numbers[i : i + size]) for i in range(0, len(numbers), size))
-
-
-def frames_text(numbers: Sequence[int]) -> str:
-    """Write key frames as ``--frames`` and Open Job Description take them.
-
-    Both read ``1001-1010``, ``10-30:4``, ``-8-4:4``, ``1,2,9`` and ``7`` as the same numbers.
-    """
-    return ranges(list(numbers)).replace("x", ":")
-
-
-def is_dense(numbers: Sequence[int]) -> bool:
-    """Whether key frames are numbered in steps of one, gaps aside.
-
-    Of others, such as 10, 14, 18, a range without a step holds a single one.
-    """
-    return len(numbers) < 2 or any(b - a == 1 for a, b in pairwise(numbers))
 
 
 @dataclass(frozen=True)

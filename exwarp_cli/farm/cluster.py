@@ -25,7 +25,7 @@ from exwarp_cli.domain.settings import ClusterSettings
 from exwarp_cli.domain.timeline import Slot, ranges
 from exwarp_cli.domain.wording import counted
 from exwarp_cli.errors import UsageError
-from exwarp_cli.farm.calls import DEFAULT_SIZE, split
+from exwarp_cli.farm.chunks import DEFAULT_SIZE, split
 from exwarp_cli.farm.cluster_client import connected, require_cluster, threads_each
 from exwarp_cli.farm.places import absolute, inputs_of
 from exwarp_cli.io.atomic import Held, await_file, marked, remove_leftovers

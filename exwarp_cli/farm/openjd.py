@@ -23,7 +23,8 @@ from exwarp_cli import __version__
 from exwarp_cli.domain.line import misleads
 from exwarp_cli.domain.wording import counted
 from exwarp_cli.errors import OutputExistsError, UsageError
-from exwarp_cli.farm.calls import Blank, FarmJob, Word, frames_text, is_dense, split
+from exwarp_cli.farm.calls import Blank, FarmJob, Word
+from exwarp_cli.farm.chunks import frames_text, is_dense, split
 from exwarp_cli.farm.job_parameters import BRACES, LONGEST, JobParameters
 from exwarp_cli.farm.places import Place
 from exwarp_cli.io.atomic import atomic_write_text, is_there, make_folder

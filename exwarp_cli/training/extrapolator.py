@@ -32,7 +32,8 @@ from exwarp_cli.training.crops import Batch, Crops
 from exwarp_cli.training.export import export_extrapolator
 from exwarp_cli.training.networks import STRIDE, ExtrapolationNetwork, Gated, build
 from exwarp_cli.training.samples import CropSettings, crops_folder, is_whole, write_crops
-from exwarp_cli.training.settings import CURVE, TrainingSettings, add_row, require_sane, split
+from exwarp_cli.training.selection import split
+from exwarp_cli.training.settings import CURVE, TrainingSettings, add_row, require_sane
 
 CHECKPOINT = "checkpoint.pt"
 SETTINGS = "settings.json"

@@ -44,7 +44,8 @@ from exwarp_cli.training.samples import (
     share,
     write_crops,
 )
-from exwarp_cli.training.settings import COLUMNS, CURVE, TrainingSettings, select, split
+from exwarp_cli.training.selection import select, split
+from exwarp_cli.training.settings import COLUMNS, CURVE, TrainingSettings
 from tests.unit.analytic_scene import INSTANTS, manifest, write_manifest, write_scene
 from tests.unit.network_inputs import example
 
