@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from exwarp_cli.domain.settings import MOST_PIXELS
 from exwarp_cli.errors import LayoutError
 
 Float32 = npt.NDArray[np.float32]
@@ -297,9 +298,6 @@ def place(array: np.ndarray, window: Window, canvas: Window, fill: float = 0.0) 
         ]
     return out
 
-
-MOST_PIXELS = 2**28
-"""Pixels of a frame that are read unless more is allowed: 16384x16384."""
 
 _most = MOST_PIXELS
 

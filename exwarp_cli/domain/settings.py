@@ -6,9 +6,11 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 from exwarp_cli.domain.cuts import AUTO
-from exwarp_cli.domain.frame import MOST_PIXELS
 from exwarp_cli.domain.metric import DEFAULT_METRICS, METRICS, Threshold
 from exwarp_cli.errors import UsageError
+
+MOST_PIXELS = 2**28
+"""Pixels of a frame that are read unless more is allowed: 16384x16384."""
 
 
 @dataclass(frozen=True)

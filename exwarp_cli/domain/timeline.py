@@ -10,8 +10,6 @@ from fractions import Fraction
 from itertools import pairwise
 from typing import Any
 
-import numpy as np
-
 from exwarp_cli.errors import MissingFrameError, UsageError
 
 FACTOR = 4
@@ -275,7 +273,7 @@ def parsed_rate(value: Any) -> Fraction | None:
 
     None for what is no positive number of a possible size; see :func:`standard_rate`.
     """
-    if isinstance(value, np.ndarray) and value.size == 1:  # how OpenEXR's bindings have a double
+    if getattr(value, "size", 0) == 1:  # how OpenEXR's bindings have a double: an array
         value = value.item()
     if isinstance(value, bool) or not isinstance(value, (int, float, str, Fraction)):
         return None
