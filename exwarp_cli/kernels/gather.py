@@ -102,7 +102,7 @@ def clear(out: F32, place: int, channels: int) -> None:
         out[U64(place) + U64(c)] = np.float32(0.0)
 
 
-@part
+@inlined
 def sample(
     pixels: F32, shape: tuple[int, int, int], x: np.float32, y: np.float32, out: F32, place: int
 ) -> bool:
@@ -143,7 +143,9 @@ def gather_bilinear(image: F32, field: F32, out: F32, hole: B8, share: Share) ->
     pixels, channels = np.ascontiguousarray(image).reshape(-1), image.shape[2]
     for i in turns(out.shape[0], share):
         line, target = np.ascontiguousarray(field[i]).reshape(-1), out[i].reshape(-1)
+        unseen = hole[i]
         for j in range(out.shape[1]):
-            x = np.float32(j) + line[2 * j]
-            y = np.float32(i) + line[2 * j + 1]
-            hole[i, j] = not sample(pixels, image.shape, x, y, target, channels * j)
+            # Unsigned indices need no test for counting from the end.
+            x = np.float32(j) + line[U64(2 * j)]
+            y = np.float32(i) + line[U64(2 * j + 1)]
+            unseen[U64(j)] = not sample(pixels, image.shape, x, y, target, channels * j)
