@@ -249,7 +249,7 @@ def run(args: list[str], is_last: bool = False) -> int:
 def _message(text: str) -> None:
     """Print a line; a stream that fails is no reason to end the work."""
     with suppress(OSError, OutputError):
-        click.echo(f"exwarp: {text}", err=True)
+        _say(text)
 
 
 def _failed(error: BaseException, args: list[str], origins: Mapping[str, str]) -> int:

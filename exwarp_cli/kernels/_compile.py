@@ -90,7 +90,7 @@ def part(text: Kernel) -> Kernel:
 
 def inlined(text: Kernel) -> Kernel:
     """Do as :func:`part`, and compile the function into every place that calls it."""
-    # Without force such functions stay calls: a gather took 3.2 times cv2.remap instead of 1.7.
+    # Without force such functions stay calls: a gather of 1920x1080 took 35 ms instead of 25.
     function: Kernel = register_jitable(**COMMON, forceinline=True)(text)
     return function
 

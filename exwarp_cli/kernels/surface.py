@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from exwarp_cli.kernels._compile import inlined, parallel, part
 from exwarp_cli.kernels._row_bands import Share, turns
-from exwarp_cli.kernels.gather import FURTHEST, sample_border
+from exwarp_cli.kernels.gather import FURTHEST, clear, sample_border
 
 F32 = npt.NDArray[np.float32]
 B8 = npt.NDArray[np.bool_]
@@ -41,8 +41,7 @@ def sample_colour(
     if abs(x) < FURTHEST and abs(y) < FURTHEST:
         shown = sample_border(colour, shape, x, y, out, place)
     if not shown:
-        for c in range(3):
-            out[place + c] = np.float32(0)
+        clear(out, place, shape[2])
 
 
 @inlined
