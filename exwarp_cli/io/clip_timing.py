@@ -409,6 +409,12 @@ ON_DAMAGE = (
 )
 """Input options that make ffmpeg decode on over damage and print each frame that it decodes."""
 
+IN_ORDER = ("-thread_type", "slice")
+"""Input options that make ffmpeg decode one frame after the other.
+
+Frames that are decoded at once may be handed out before damage in them is noticed.
+"""
+
 _B_FRAME = "3"
 _CORRUPT = "corrupt decoded frame"  # printed before the line of its frame, by the same thread
 _DECODED = re.compile(

@@ -571,6 +571,12 @@ class TestDamage:
             assert np.array_equal(reader.read(after), whole[after])
             with pytest.raises(DamagedFileError, match=f"frame {lost[0] + 1} of 60"):
                 reader.read(lost[0])
+        for index in lost:  # read first, it is no less damaged
+            with (
+                ClipReader(clip) as reader,
+                pytest.raises(DamagedFileError, match=f"frame {index + 1} of 60"),
+            ):
+                reader.read(index)
 
 
 class TestBadFiles:
