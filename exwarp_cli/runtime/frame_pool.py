@@ -101,8 +101,6 @@ class FramePool:
         with self._lock:
             self._collect()
             buffer = self._take(size)
-            if buffer is None:
-                self._drop(size)
         if buffer is None:
             buffer = _fresh(size)
         lease = _Lease(buffer, shape, dtype)

@@ -85,14 +85,6 @@ def test_what_every_interval_uses_stays(pool):
     assert pool.free_bytes == BYTES
 
 
-def test_a_buffer_of_another_size_makes_room_for_a_new_one(pool):
-    pool.empty(SHAPE, np.float32)
-    held = pool.empty((2, *SHAPE), np.float32)
-    assert pool.free_bytes == 0
-    del held
-    assert pool.free_bytes == 2 * BYTES
-
-
 def test_free_buffers_are_bounded():
     pool = FramePool(max_free=3 * BYTES)
     held = [pool.empty(SHAPE, np.float32) for _ in range(5)]
