@@ -32,6 +32,7 @@ from exwarp_cli.errors import (
 )
 from exwarp_cli.io.standard_streams import prepare_streams
 from exwarp_cli.io.supervision import HANDED_ON, End, part, parts
+from exwarp_cli.runtime.compilation import compilation
 from exwarp_cli.runtime.stop import StopRequested, graceful_stop
 
 if TYPE_CHECKING:
@@ -235,11 +236,20 @@ def run(args: list[str], is_last: bool = False) -> int:
     """
     origins: dict[str, str] = {}  # of options that files and the environment set, by name
     try:
-        with graceful_stop(partial(_last_words, args), is_last):
+        with (
+            graceful_stop(partial(_last_words, args), is_last),
+            compilation.messages_to(_message),
+        ):
             result = exwarp.main(args, prog_name="exwarp", standalone_mode=False, obj=origins)
         return result if isinstance(result, int) else 0
     except (Exception, KeyboardInterrupt, StopRequested) as error:
         return _failed(error, args, origins)
+
+
+def _message(text: str) -> None:
+    """Print a line; a stream that fails is no reason to end the work."""
+    with suppress(OSError, OutputError):
+        _say(text)
 
 
 def _failed(error: BaseException, args: list[str], origins: Mapping[str, str]) -> int:

@@ -27,12 +27,11 @@ from stage import manifest as stage_manifest
 from stage.manifest import default_data
 from survey_table import EDGES, lines
 
-from exwarp_cli.domain.dataset import BENCHMARK, TRAINING, FrameSet
 from exwarp_cli.domain.results import FrameRecord
 from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import ExwarpError, InputError
-from exwarp_cli.io.dataset import RenderedScene, find_scenes
+from exwarp_cli.io.dataset import BENCHMARK, TRAINING, FrameSet, RenderedScene, find_scenes
 from exwarp_cli.io.frames import read_image
 from exwarp_cli.io.output import read_headers
 from exwarp_cli.io.video import to_display

@@ -56,7 +56,7 @@ def add_columns(weights: I8, activations: I32, sums: I32) -> None:
 def run(
     weights: I8, constants: I32, sizes: I64, state: I32, room: I32
 ) -> tuple[np.int32, np.int32]:
-    """Run one inference; see `decide_text` for the arrays, `room` is for activations and sums."""
+    """Run one inference; see `decide_all` for the arrays, `room` is for activations and sums."""
     row, at = sizes[0], np.int64(0)
     activations = room[0]
     for j in range(row):
@@ -79,10 +79,11 @@ def run(
     return room[1, 0], room[1, 1]
 
 
-def decide_text(
-    weights: I8, constants: I32, sizes: I64, state: I32, width: int
-) -> tuple[np.int32, np.int32]:
-    """Run the network on one state.
+@compiled
+def decide_all(
+    weights: I8, constants: I32, sizes: I64, states: I32, width: int, outputs: I32
+) -> None:
+    """Run the network on every state.
 
     Parameters
     ----------
@@ -93,33 +94,17 @@ def decide_text(
         neurons; 0 where there are none.
     sizes
         int64 [layers + 1].
-    state
-        int32 [n] in Q16.16.
+    states
+        int32 [N, n] in Q16.16.
     width
         The largest size, as a multiple of `COLUMNS`.
-
-    Returns
-    -------
-    The two outputs.
+    outputs
+        int32 [N, 2], written.
     """
-    outputs: tuple[np.int32, np.int32] = run(
-        weights, constants, sizes, state, np.zeros((2, width), np.int32)
-    )
-    return outputs
-
-
-def decide_all_text(
-    weights: I8, constants: I32, sizes: I64, states: I32, width: int, outputs: I32
-) -> None:
-    """Run the network on states int32 [N, n]; write outputs int32 [N, 2]."""
     room = np.zeros((2, width), np.int32)
     for k in range(states.shape[0]):
         warp, other = run(weights, constants, sizes, states[k], room)
         outputs[k, 0], outputs[k, 1] = warp, other
-
-
-decide_one = compiled(decide_text)
-decide_all = compiled(decide_all_text)
 
 
 class MlpKernel:
@@ -159,8 +144,8 @@ class MlpKernel:
         """
         if state.dtype != np.int32 or state.shape != self._shape:
             raise ValueError(f"a state is int32 {self._shape}, not {state.dtype} {state.shape}")
-        warp, other = decide_one(*self._packed, state, self._width)
-        return (int(warp), int(other)), int(other > warp)  # numpy's own where nothing is compiled
+        outputs, choices = self.decide_many(state[None])
+        return (int(outputs[0, 0]), int(outputs[0, 1])), int(choices[0])
 
     def decide_many(self, states: I32) -> tuple[I32, I8]:
         """Run many inferences: of states int32 [N, n], return outputs [N, 2] and choices [N].

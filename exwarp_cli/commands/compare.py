@@ -13,10 +13,9 @@ from exwarp_cli.commands.metrics_option import metrics_option
 from exwarp_cli.commands.printing import show
 from exwarp_cli.commands.progress_option import HELP, progress_option
 from exwarp_cli.commands.source_options import max_pixels_option, scan_option
-from exwarp_cli.domain.bounds import allow
-from exwarp_cli.domain.metric import METRICS
+from exwarp_cli.domain.frame import allow
+from exwarp_cli.domain.metric import METRICS, Threshold, parse_threshold
 from exwarp_cli.domain.settings import PRESETS, MeasureSettings
-from exwarp_cli.domain.threshold import Threshold, parse_threshold
 from exwarp_cli.domain.wording import counted
 
 if TYPE_CHECKING:

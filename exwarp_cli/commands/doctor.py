@@ -12,7 +12,7 @@ import click
 from exwarp_cli.commands.json_option import json_option
 
 if TYPE_CHECKING:
-    from exwarp_cli.domain.checkup import Check
+    from exwarp_cli.pipeline.doctor.examine import Check
     from exwarp_cli.report.doctor import Row
 
 
@@ -34,12 +34,9 @@ def command(ctx: click.Context, verbose: bool, skip_self_test: bool, as_json: bo
     """
     from exwarp_cli.errors import InstallationError
     from exwarp_cli.pipeline.doctor.examine import examine
-    from exwarp_cli.pipeline.progress import NoProgress
     from exwarp_cli.report.doctor import failures, heading, rows, verdict
 
-    found = examine(
-        NoProgress().message, not skip_self_test, {"configuration": lambda: _configuration(ctx)}
-    )
+    found = examine(not skip_self_test, {"configuration": lambda: _configuration(ctx)})
     if as_json:
         # Not by `print_json`, which needs numpy, and that may be what is broken.
         click.echo(json.dumps(found.as_dict(), indent=2))
@@ -52,8 +49,7 @@ def command(ctx: click.Context, verbose: bool, skip_self_test: bool, as_json: bo
 def _configuration(ctx: click.Context) -> Check:
     """Tell which options files and the environment set."""
     from exwarp_cli.commands.config.configured import configuration
-    from exwarp_cli.domain.checkup import Check, failure, warning
-    from exwarp_cli.pipeline.doctor.environment import variables
+    from exwarp_cli.pipeline.doctor.examine import Check, failure, variables, warning
 
     there, environment = configuration(ctx), variables()
     files = [f"{file.path} ({file.how})" for file in there.files]

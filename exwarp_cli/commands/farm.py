@@ -15,11 +15,10 @@ from exwarp_cli.commands.group import HelpfulGroup
 from exwarp_cli.commands.json_option import json_option, print_json
 from exwarp_cli.commands.printing import show
 from exwarp_cli.domain.metric import METRICS
-from exwarp_cli.farm.chunks import DEFAULT_SIZE
+from exwarp_cli.farm.calls import DEFAULT_SIZE
 
 if TYPE_CHECKING:
-    from exwarp_cli.farm.calls import FarmJob
-    from exwarp_cli.farm.command_lines import CommandLines
+    from exwarp_cli.farm.calls import CommandLines, FarmJob
     from exwarp_cli.farm.openjd import JobTemplate
 
 HERE_ALONE = frozenset(
@@ -124,8 +123,7 @@ def openjd(
     Save the template in the current folder, 'exwarp farm openjd … > template.yaml': files below it
     are named relative to the template. Others have to be named at submission; what to add is said.
     """
-    from exwarp_cli.farm.bundle import write_bundle, yaml_text
-    from exwarp_cli.farm.openjd import Workers, job_template
+    from exwarp_cli.farm.openjd import Workers, job_template, write_bundle, yaml_text
 
     job = _open(options, chunk_size, title)
     gpus = int(options["device"] == "cuda")
@@ -152,7 +150,7 @@ def commands(chunk_size: int, program: str, as_json: bool, **options: Any) -> No
     and again; paths in them are absolute. With --report or --video, what to run when all are done
     is said on stderr.
     """
-    from exwarp_cli.farm.command_lines import command_lines, shell_line
+    from exwarp_cli.farm.calls import command_lines, shell_line
 
     lines = command_lines(_open(options, chunk_size, None), program)
     if as_json:
@@ -168,7 +166,7 @@ def commands(chunk_size: int, program: str, as_json: bool, **options: Any) -> No
 
 def _open(options: Mapping[str, Any], chunk_size: int, title: str | None) -> FarmJob:
     """Look at everything now that the chunks will need."""
-    from exwarp_cli.farm.opening import open_farm_job
+    from exwarp_cli.farm.calls import open_farm_job
 
     settings = upsample.settings_of(options)
     if options["report_folder"] is not None and not settings.overwrite:

@@ -110,7 +110,7 @@ def _print(found: Inspection) -> None:
 
 def _findings(found: Inspection, data: Mapping[str, Any]) -> Iterator[str]:
     """Yield what is left out or absent, and how motion and depth are read."""
-    from exwarp_cli.io.layouts import alpha_left_out
+    from exwarp_cli.io.shot import alpha_left_out
     from exwarp_cli.pipeline.inspect import missing_roles
 
     layout = found.shot.layout

@@ -103,8 +103,8 @@ def export(
 
     README.txt and manifest.json there say which core reads what, and where it lies.
     """
-    from exwarp_cli.pipeline.hardware_export import MANIFEST
-    from exwarp_cli.pipeline.hardware_export import export as write
+    from exwarp_cli.pipeline.accelerator import MANIFEST
+    from exwarp_cli.pipeline.accelerator import export as write
 
     files = write(folder, policy, vectors=vectors, seed=seed, overwrite=overwrite)
     if as_json:

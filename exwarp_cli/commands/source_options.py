@@ -7,8 +7,7 @@ from typing import Any, TypeVar
 
 import click
 
-from exwarp_cli.domain.bounds import MOST_PIXELS
-from exwarp_cli.domain.settings import SCANS, SourceSettings
+from exwarp_cli.domain.settings import MOST_PIXELS, SCANS, SourceSettings
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 

@@ -18,8 +18,7 @@ from click.types import StringParamType
 
 from exwarp_cli.commands.option_names import long_name, names_paths
 from exwarp_cli.domain.bench import SYSTEMS
-from exwarp_cli.domain.metric import ALL, BY_OPTION, METRICS
-from exwarp_cli.domain.threshold import SCOPES
+from exwarp_cli.domain.metric import ALL, BY_OPTION, METRICS, SCOPES
 
 METHODS = (
     "exwarp", "s1", "s2", "s3", "s4", "s5", "s6", "oracle", "oracle-return", "softsplat", "onnx",

@@ -70,9 +70,9 @@ def extrapolator(
     from exwarp_cli.training.extra import require_train
 
     require_train()
-    from exwarp_cli.training.curve import CURVE, last_row
+    from exwarp_cli.io.dataset import select
     from exwarp_cli.training.extrapolator import train_extrapolator
-    from exwarp_cli.training.selection import select
+    from exwarp_cli.training.settings import CURVE, last_row
 
     chosen = select(data, scenes, exclude, _say)
     settings = TrainingSettings(**options)  # type: ignore[arg-type]

@@ -298,7 +298,7 @@ def _run(job: Job, where: ClusterSettings, place: Path | None, told: Progress) -
 def _require_complete(summary: RunSummary) -> None:
     """Fail where something was left out, now that all else is done and said."""
     if summary.left_out:
-        from exwarp_cli.pipeline.leaving_out import require_complete
+        from exwarp_cli.pipeline.announcing import require_complete
 
         require_complete(summary)
 

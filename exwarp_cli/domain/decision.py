@@ -1,11 +1,61 @@
-"""The decision tree of a key interval: nodes d1 to d5 and paths S1 to S6 (paper, section IV-B)."""
+"""The decision tree (paper, section IV-B): nodes d1 to d5, paths S1 to S6, and their features."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
-from exwarp_cli.domain.features import Features
+FEATURES = ("N_d", "EMD_Wn", "EMD_Wp", "Var_x", "Var_y", "R")
+"""Names of the features, in the order of `Features.values`."""
+
+
+@dataclass(frozen=True)
+class Features:
+    """The features of one instant, per slot: a quarter of a key interval. All finite, 0 or more.
+
+    Attributes
+    ----------
+    objects
+        N_d, number of connected dynamic objects.
+    emd_normal
+        EMD_Wn, earth mover's distance of the world normals from those of the instant before; mean
+        of x, y and z. 0 to 2.
+    emd_position
+        EMD_Wp, the same of the world positions, scene units.
+    var_x, var_y
+        Variance of the motion vectors' components, square pixels.
+    width, height
+        Of what was rendered, pixels.
+    distance
+        Median distance from the camera of what is seen, scene units; 0 when unknown.
+    """
+
+    objects: int
+    emd_normal: float
+    emd_position: float
+    var_x: float
+    var_y: float
+    width: int
+    height: int
+    distance: float
+
+    @property
+    def resolution(self) -> int:
+        """R, rendered pixels."""
+        return self.width * self.height
+
+    @property
+    def values(self) -> tuple[float, float, float, float, float, float]:
+        """The six features in the order of FEATURES."""
+        return (
+            self.objects,
+            self.emd_normal,
+            self.emd_position,
+            self.var_x,
+            self.var_y,
+            self.resolution,
+        )
+
 
 WARP = "warp"
 EXTRAPOLATE = "extrapolate"
@@ -53,10 +103,6 @@ class DecisionPath:
 
     choices: dict[str, str]
     made_by: tuple[str, str, str]
-
-    def node_of(self, slot: int) -> str | None:
-        """Return the node that decided a slot, 1 to 3; None for slot 2 after d1 = E."""
-        return next((node for node in self.choices if SLOTS[node] == slot), None)
 
     @property
     def generated(self) -> int:
@@ -144,3 +190,29 @@ def walk(choose: Callable[[str], str]) -> Iterator[tuple[str, str]]:
         choice = choose(node)
         yield node, choice
         node = NEXT.get((node, choice))
+
+
+SOFTSPLAT = "softsplat"
+"""Both key frames splatted to the slot and blended by depth and time."""
+
+BLEND = "blend"
+"""A cross-fade of both key frames."""
+
+KEY = "key"
+"""A renderer."""
+
+STEPS = {SOFTSPLAT: WARP, BLEND: WARP}
+"""The step of the work that a maker's time is booked on, where it has another name."""
+
+
+def step_of(maker: str) -> str:
+    """Name the step of the work that the time of a frame's maker is booked on."""
+    return STEPS.get(maker, maker)
+
+
+def maker_of(told: str | None, method: str | None) -> str | None:
+    """Return what made a frame, from what its header or its row in a table says.
+
+    ExWarp 0.1 wrote "warp" for frames of `softsplat` and `blend`.
+    """
+    return method if told == WARP and method in STEPS else told

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+
+from exwarp_cli.domain.settings import MOST_PIXELS
+from exwarp_cli.errors import LayoutError
 
 Float32 = npt.NDArray[np.float32]
 Int32 = npt.NDArray[np.int32]
@@ -293,3 +297,42 @@ def place(array: np.ndarray, window: Window, canvas: Window, fill: float = 0.0) 
             y0 - ay : y1 - ay + 1, x0 - ax : x1 - ax + 1
         ]
     return out
+
+
+_most = MOST_PIXELS
+
+
+def allow(pixels: int) -> None:
+    """Set how many pixels a frame may have."""
+    global _most
+    _most = pixels
+
+
+def require_size(path: Path, height: int, width: int) -> None:
+    """Refuse a frame that says it is larger than allowed.
+
+    Raises
+    ------
+    LayoutError
+        When it does.
+    """
+    if height * width > _most:
+        raise LayoutError(
+            f"{path} says that it is {width}x{height} pixels, more than --max-pixels {_most}; "
+            "render or copy it again if it is not, or allow more"
+        )
+
+
+def require_canvas(what: object, canvas: Window) -> None:
+    """Refuse windows that lie so far apart that no frame may be as large as what holds them all.
+
+    Raises
+    ------
+    LayoutError
+        When they do.
+    """
+    if canvas.pixels > _most:
+        raise LayoutError(
+            f"the data and display windows of {what} lie in {canvas.width}x{canvas.height} pixels, "
+            f"more than --max-pixels {_most}; correct them, or allow more"
+        )

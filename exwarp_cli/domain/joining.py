@@ -10,9 +10,11 @@ from typing import Any
 
 from exwarp_cli.domain.cuts import Cut
 from exwarp_cli.domain.results import (
+    BrokenPixels,
     FrameRecord,
     InputSummary,
     InterpolatorSummary,
+    LeftOut,
     NetworkSummary,
     PolicySummary,
     RunSummary,
@@ -239,3 +241,33 @@ def _frames(parts: Sequence[_Part]) -> tuple[FrameRecord, ...]:
                 "them out"
             )
     return tuple(frame for frame, _ in found)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What was made; attributes as in `RunSummary`."""
+
+    frames: tuple[FrameRecord, ...] = ()
+    cuts: tuple[Cut, ...] | None = None
+    left_out: tuple[LeftOut, ...] = ()
+    files: tuple[WrittenFile, ...] = ()
+    verified: int | None = None
+    nonfinite: tuple[BrokenPixels, ...] = ()
+
+    @property
+    def shown(self) -> int:
+        """How many frames a video of them has."""
+        return len(self.frames) + sum(len(one.frames) for one in self.left_out)
+
+    @classmethod
+    def joined(cls, parts: Sequence[Outcome]) -> Outcome:
+        """Join those of chunks, in their order."""
+        counts = [part.verified for part in parts if part.verified is not None]
+        return cls(
+            tuple(frame for part in parts for frame in part.frames),
+            join_cuts(part.cuts for part in parts),
+            tuple(one for part in parts for one in part.left_out),
+            tuple(file for part in parts for file in part.files),
+            sum(counts) if counts else None,
+            tuple(one for part in parts for one in part.nonfinite),
+        )

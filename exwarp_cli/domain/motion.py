@@ -13,9 +13,6 @@ MIDDLE, ABOUT = 0.5, 0.01
 """What stands for no motion in vectors that were clamped to 0 … 1, and how far from it 8 bits may
 put it: 127 / 255, 128 / 255."""
 
-MANY = 1 << 16
-"""Vectors from which on several threads read them: of fewer, waking these takes longer."""
-
 
 @dataclass(frozen=True)
 class AxisMap:
@@ -89,9 +86,7 @@ class AxisMap:
         out: Float32 = pool.empty((*raw.shape[:-1], 2), np.float32)
         rows = np.ascontiguousarray(raw, np.float32).reshape(-1, raw.shape[-1])
         scales = np.float32(self.x_scale), np.float32(self.y_scale)
-        few = len(rows) < MANY
-        scale = vectors.scale_vectors_serial if few else vectors.scale_vectors
-        scale(rows, (self.x_channel, self.y_channel), scales, out.reshape(-1, 2))
+        vectors.scale_vectors(rows, (self.x_channel, self.y_channel), scales, out.reshape(-1, 2))
         return out
 
     def write(self, displacement: Float32, raw: Float32) -> Float32:

@@ -8,9 +8,8 @@ from fractions import Fraction
 
 from exwarp_cli import __version__
 from exwarp_cli.domain.cuts import Cut
-from exwarp_cli.domain.decision import HELD, HOLD, Decision
-from exwarp_cli.domain.interpolator import INTERPOLATE
-from exwarp_cli.domain.maker import BLEND
+from exwarp_cli.domain.decision import BLEND, HELD, HOLD, Decision
+from exwarp_cli.domain.extrapolator import INTERPOLATE
 from exwarp_cli.domain.metric import METRICS
 from exwarp_cli.domain.timeline import FACTOR
 

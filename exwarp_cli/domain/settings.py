@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from fractions import Fraction
 
-from exwarp_cli.domain.bounds import MOST_PIXELS
 from exwarp_cli.domain.cuts import AUTO
-from exwarp_cli.domain.metric import DEFAULT_METRICS, METRICS
-from exwarp_cli.domain.threshold import Threshold
+from exwarp_cli.domain.metric import DEFAULT_METRICS, METRICS, Threshold
 from exwarp_cli.errors import UsageError
+
+MOST_PIXELS = 2**28
+"""Pixels of a frame that are read unless more is allowed: 16384x16384."""
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from distributed import CancelledError, KilledWorker
 
 from exwarp_cli.errors import ClusterError
 from exwarp_cli.farm.cluster_work import Chunk, Done, Needs, unfit, work
-from exwarp_cli.pipeline.eta import ANY, kind_of
+from exwarp_cli.pipeline.progress import ANY, kind_of
 from exwarp_cli.runtime.stop import check_stop, note_progress
 
 POLL_S = 0.5

@@ -18,14 +18,12 @@ from typing import Any, Protocol
 from distributed import get_worker
 
 from exwarp_cli import __version__
-from exwarp_cli.domain.outcome import Outcome
+from exwarp_cli.domain.joining import Outcome
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.errors import OutputError
-from exwarp_cli.io.atomic import make_folder
-from exwarp_cli.io.awaited import LOOK_S, shows
-from exwarp_cli.pipeline.eta import ANY
+from exwarp_cli.io.atomic import LOOK_S, make_folder, shows
 from exwarp_cli.pipeline.job import Job, open_job
-from exwarp_cli.pipeline.progress import FrameListener
+from exwarp_cli.pipeline.progress import ANY, FrameListener
 from exwarp_cli.pipeline.run import write_intervals
 
 MARK_S = 2.0

@@ -67,22 +67,21 @@ class JobParameters:
     def of_place(self, place: Place) -> str:
         """Return a place as a format string, whose path and pattern are parameters."""
         if place not in self._names:
-            self._names[place] = self._define(place)
+            group = _GROUPS[place.purpose.flow]
+            name = f"{place.name}{'File' if place.is_file else 'Folder'}"
+            reference = self._path(name, place.path, place.is_file, place, place.label)
+            for what, path in place.beside.items():
+                self._path(
+                    f"{place.name}{what}", path, True, place, f"{place.label}: {what.lower()}"
+                )
+            rest = place.rest
+            if place.pattern:
+                pattern, name = f"{place.pattern}{place.after}", f"{place.name}Pattern"
+                rest = "/" + self.add(name, "STRING", pattern, f"{place.label}: names", group=group)
+            else:
+                rest = self.of_text(rest)
+            self._names[place] = f"{place.before}{reference}{rest}"
         return self._names[place]
-
-    def _define(self, place: Place) -> str:
-        group = _GROUPS[place.purpose.flow]
-        name = f"{place.name}{'File' if place.is_file else 'Folder'}"
-        reference = self._path(name, place.path, place.is_file, place, place.label)
-        for what, path in place.beside.items():
-            self._path(f"{place.name}{what}", path, True, place, f"{place.label}: {what.lower()}")
-        rest = place.rest
-        if place.pattern:
-            pattern, name = f"{place.pattern}{place.after}", f"{place.name}Pattern"
-            rest = "/" + self.add(name, "STRING", pattern, f"{place.label}: names", group=group)
-        else:
-            rest = self.of_text(rest)
-        return f"{place.before}{reference}{rest}"
 
     def _path(self, name: str, path: Path, is_file: bool, place: Place, label: str) -> str:
         flow = place.purpose.flow

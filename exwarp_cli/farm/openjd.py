@@ -1,6 +1,7 @@
 """Job templates of Open Job Description, ``jobtemplate-2023-09``.
 
-A template is plain data here; `exwarp_cli.farm.bundle` writes it. Its steps::
+A template is plain data, written as text or as the bundle that AWS Deadline Cloud submits. Its
+steps::
 
     Upsample    a task a chunk
     Report      joins the chunks' reports, when all are done
@@ -10,18 +11,22 @@ A template is plain data here; `exwarp_cli.farm.bundle` writes it. Its steps::
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import yaml
+
 from exwarp_cli import __version__
+from exwarp_cli.domain.line import misleads
 from exwarp_cli.domain.wording import counted
-from exwarp_cli.errors import UsageError
-from exwarp_cli.farm.calls import Blank, FarmJob, Word
-from exwarp_cli.farm.chunks import frames_text, is_dense, split
+from exwarp_cli.errors import OutputExistsError, UsageError
+from exwarp_cli.farm.calls import Blank, FarmJob, Word, frames_text, is_dense, split
 from exwarp_cli.farm.job_parameters import BRACES, LONGEST, JobParameters
 from exwarp_cli.farm.places import Place
+from exwarp_cli.io.atomic import atomic_write_text, is_there, make_folder
 
 SPECIFICATION = "jobtemplate-2023-09"
 CHUNKING = "TASK_CHUNKING"
@@ -238,3 +243,57 @@ def _description(job: FarmJob, size: int) -> str:
     frames = counted(len(job.numbers), "key frame")
     chunks = counted(len(split(job.numbers, size)), "chunk")
     return f"{frames} upsampled in {chunks}, as ExWarp {__version__} wrote it."
+
+
+TEMPLATE_FILE = "template.yaml"
+VALUES_FILE = "parameter_values.yaml"
+
+_PLAIN = re.compile(r"(--)?[A-Za-z][A-Za-z0-9_-]*")
+
+
+class _Dumper(yaml.SafeDumper):
+    """Quotes all strings but bare words: readers of YAML 1.2 see numbers in ``1e3`` and ``0o7``."""
+
+    def ignore_aliases(self, data: object) -> bool:
+        """Write out what occurs twice."""
+        return True
+
+
+def _represent_text(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
+    style = None if _PLAIN.fullmatch(text) else '"'
+    return dumper.represent_scalar("tag:yaml.org,2002:str", text, style=style)
+
+
+_Dumper.add_representer(str, _represent_text)
+
+
+def yaml_text(document: dict[str, Any]) -> str:
+    """Write a document as YAML that every version reads alike."""
+    text = _yaml(document, as_it_is=True)
+    # Of what no editor shows, such as marks that turn the direction of a line, escapes do.
+    return _yaml(document, as_it_is=False) if misleads(text.replace("\n", "")) else text
+
+
+def _yaml(document: dict[str, Any], as_it_is: bool) -> str:
+    return yaml.dump(document, Dumper=_Dumper, sort_keys=False, allow_unicode=as_it_is, width=100)
+
+
+def write_bundle(folder: Path, template: JobTemplate) -> None:
+    """Write a job bundle: a folder with the template and the values of its parameters.
+
+    Raises
+    ------
+    OutputExistsError
+        When there is a bundle already.
+    OutputError
+        When it cannot be written.
+    """
+    for name in (TEMPLATE_FILE, VALUES_FILE):
+        if is_there(folder / name):
+            raise OutputExistsError(
+                f"{folder} has a {name} already; remove it, or name another folder with --bundle"
+            )
+    make_folder(folder)
+    values = [{"name": name, "value": value} for name, value in template.values.items()]
+    atomic_write_text(folder / VALUES_FILE, yaml_text({"parameterValues": values}))
+    atomic_write_text(folder / TEMPLATE_FILE, yaml_text(template.document))

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, fields, replace
 from enum import Enum
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
+from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.errors import InputError
 from exwarp_cli.io.aov_files import parse_aovs
 from exwarp_cli.io.clip import is_clip
 from exwarp_cli.io.frame_names import NamePattern
 from exwarp_cli.io.model_weights import files_of
+
+if TYPE_CHECKING:
+    from exwarp_cli.pipeline.job import Job
 
 
 class Flow(Enum):
@@ -206,3 +211,61 @@ def _is_text(text: str) -> bool:
     except UnicodeEncodeError:
         return False
     return True
+
+
+def absolute(settings: UpsampleSettings) -> UpsampleSettings:
+    """Return settings whose paths do not depend on the folder in which a process runs."""
+    source = replace(settings.source, **_placed_in(settings.source))
+    return replace(settings, source=source, **_placed_in(settings))
+
+
+def inputs_of(job: Job) -> tuple[tuple[str, int], ...]:
+    """Return files that a job reads, enough to tell whether a machine sees all, and their sizes.
+
+    Of sequences these are the first and the last frame: mounted is mounted. Networks that come with
+    ExWarp are each machine's own.
+    """
+    return tuple((str(path.absolute()), path.stat().st_size) for path in dict.fromkeys(_files(job)))
+
+
+def _files(job: Job) -> Iterator[Path]:
+    keys, slots = job.source.keys, job.source.slots
+    for shot in (keys,) if slots is None else (keys, slots):
+        numbers = shot.sequence.numbers
+        for number in (numbers[0], numbers[-1]):
+            # Where frames may be left out, those that are missing are listed, too.
+            paths = shot.files(number).values()
+            yield from (path for path in paths if not shot.keep_going or path.exists())
+    if job.truth is not None:
+        files = job.truth[0].files
+        yield from (files[min(files)], files[max(files)])
+    for name, purpose in PURPOSES.items():
+        if purpose.form is Form.FILE and purpose.flow is Flow.READ:
+            owner = job.settings if hasattr(job.settings, name) else job.settings.source
+            named = getattr(owner, name)
+            if named is not None:
+                yield Path(named)
+
+
+def _placed_in(settings: UpsampleSettings | SourceSettings) -> dict[str, Any]:
+    """Return the options of these settings that name files, each beginning at the root."""
+    given = {f.name: getattr(settings, f.name) for f in fields(settings) if f.name in PURPOSES}
+    return {
+        name: tuple(map(_absolute_aov, value))
+        if PURPOSES[name].form is Form.AOV
+        else _placed(value)
+        for name, value in given.items()
+        if value is not None
+    }
+
+
+def _placed(text: str) -> str:
+    """Let a path or pattern begin at the root; a slash at its end stays, as it says something."""
+    # Not by `Path`, which drops that slash; and `..` stays, as links could lead elsewhere.
+    return text if Path(text).is_absolute() else f"{Path.cwd()}/{text}"
+
+
+def _absolute_aov(text: str) -> str:
+    """Place the pattern in ``ROLE=PATTERN[:CHANNELS]``."""
+    role, equals, rest = text.partition("=")
+    return f"{role}{equals}{_placed(rest)}"

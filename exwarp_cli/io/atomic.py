@@ -1,4 +1,7 @@
-"""Files that are absent or whole: written beside their place, then renamed into it."""
+"""Files that are absent or complete: written beside their place, then renamed into it.
+
+`await_file` waits for those of other machines; `Held` keeps what is open for a ``with`` block.
+"""
 
 from __future__ import annotations
 
@@ -11,15 +14,16 @@ import socket
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from pathlib import Path
-from typing import BinaryIO
+from types import TracebackType
+from typing import BinaryIO, Self
 
 from exwarp_cli.domain.cores import waiting
 from exwarp_cli.errors import InputError, OutputError
 from exwarp_cli.io.reading_retry import probe, with_retries
-from exwarp_cli.runtime.stop import cleaned_up
+from exwarp_cli.runtime.stop import check_stop, cleaned_up
 
 MARK = ".exwarp-tmp"
 """Ending of every temporary name; no image or video reader takes it for one of its own."""
@@ -216,15 +220,10 @@ def marked(folder: Path) -> Iterator[Path]:
 
 
 def remove_leftovers(folder: Path) -> int:
-    """Delete the temporaries of dead runs from a folder.
+    """Delete the temporaries of dead runs from a folder; return how many.
 
     Never touches one of a living process: those of this machine go when their process is gone,
     those of other machines when nothing was written to them for `FOREIGN_AGE_S`.
-
-    Returns
-    -------
-    int
-        How many were deleted.
     """
     removed = 0
     try:
@@ -312,3 +311,54 @@ def _has_ended(pid: int) -> bool:
     pending = re.findall(r"^(?:SigPnd|ShdPnd):\s*([0-9a-f]+)$", told, re.MULTILINE)
     killed = any(int(mask, 16) & _KILL for mask in pending)
     return killed or status[0] in (b"Z", b"X") or bool(int(status[6]) & _EXITING)
+
+
+class Held:
+    """A context manager that closes what `_open` opened, in whatever way its block ends."""
+
+    _stack: ExitStack
+
+    def __enter__(self) -> Self:
+        with ExitStack() as stack:
+            self._open(stack)
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._stack.__exit__(kind, error, trace)
+
+    def _open(self, stack: ExitStack) -> None:
+        """Enter what is to be closed into the stack; what fails here leaves nothing open."""
+        raise NotImplementedError
+
+
+SHOWS_S = 20.0
+"""Seconds that a new file may take to show on another machine's view of a network share."""
+
+LOOK_S = 0.1
+
+
+def await_file(path: Path, patience: float = SHOWS_S) -> None:
+    """Wait until a file shows, but not for ever: who reads it says that it is missing."""
+    deadline = time.monotonic() + patience
+    while not shows(path) and time.monotonic() < deadline:
+        check_stop()
+        time.sleep(LOOK_S)
+
+
+def shows(path: Path) -> bool:
+    """Whether a file shows by now.
+
+    Shares keep in mind that a file was not there when somebody looked, NFS for half a minute; it is
+    the opening of the folder that makes them ask again.
+    """
+    if path.exists():
+        return True
+    with suppress(OSError), os.scandir(path.parent) as entries:
+        next(entries, None)
+    return path.exists()

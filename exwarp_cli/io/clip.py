@@ -20,20 +20,27 @@ from typing import Any
 
 import numpy as np
 
-from exwarp_cli.domain.bounds import require_size
-from exwarp_cli.domain.frame import Float32
+from exwarp_cli.domain.frame import Float32, require_size
 from exwarp_cli.domain.settings import SourceSettings
 from exwarp_cli.errors import DamagedFileError, InputError
-from exwarp_cli.io.clip_damage import ON_DAMAGE, intact_frames
-from exwarp_cli.io.clip_fields import first_interlaced, frame_info
-from exwarp_cli.io.clip_timing import Pacing, Packets, pace, read_packets
+from exwarp_cli.io.atomic import Held
+from exwarp_cli.io.clip_timing import (
+    IN_ORDER,
+    ON_DAMAGE,
+    Pacing,
+    Packets,
+    first_interlaced,
+    frame_info,
+    intact_frames,
+    pace,
+    read_packets,
+)
 from exwarp_cli.io.ffmpeg import EXACT, Drain, FfmpegError, told
-from exwarp_cli.io.held import Held
 from exwarp_cli.io.reading_retry import system_failure, with_retries
-from exwarp_cli.io.timecode import Timecode
 from exwarp_cli.io.video import (
     MATRICES,
     Soundtrack,
+    Timecode,
     VideoColour,
     VideoLook,
     from_display,
@@ -166,6 +173,11 @@ class Clip:
         except FfmpegError as error:
             raise damaged_clip(self.path, str(error)) from error
 
+    def begins_group(self, index: int) -> bool:
+        """True if a frame is the first that is decoded after a seek, or of the file."""
+        first = (self._packets.cut(self.pacing.shown[index]) or 0) - self._deinterlaced
+        return first <= 0 or self._key_before(first) == first
+
     def intact_frames(self, start: int = 0) -> Iterator[Float32 | None]:
         """Decode the frames from one on, over damage.
 
@@ -180,7 +192,8 @@ class Clip:
         begin = self._key_before((self._packets.cut(shown[0]) or 0) - self._deinterlaced) or 0
         seek = ["-ss", f"{float(self._packets.time(begin)):.6f}"] if begin else []
         options = [
-            *(*ON_DAMAGE, *seek, *self._decoder, "-i", f"file:{self.path}", "-map", "0:V:0"),
+            *(*ON_DAMAGE, *seek, *IN_ORDER, *self._decoder, "-i", f"file:{self.path}"),
+            *("-map", "0:V:0"),
             *("-vf", f"{self._fields}{self._conversion(name)}", "-fps_mode", "passthrough"),
             *("-f", "rawvideo", "-pix_fmt", name, "-"),
         ]
@@ -238,7 +251,8 @@ class Clip:
         else:
             cut = f"trim=start_frame={first}"
         return [
-            *("-xerror", *begin, *self._decoder, "-i", f"file:{self.path}", "-map", "0:V:0"),
+            *("-xerror", *begin, *IN_ORDER, *self._decoder, "-i", f"file:{self.path}"),
+            *("-map", "0:V:0"),
             *("-vf", f"{self._fields}{cut},{self._conversion(pixels)}", "-fps_mode", "passthrough"),
             *("-f", "rawvideo", "-pix_fmt", pixels, "-"),
         ]
@@ -265,13 +279,7 @@ class Clip:
 
 
 class ClipReader(Held):
-    """Frames of a video by their index, cheaply as long as that grows; a context manager.
-
-    Parameters
-    ----------
-    clip
-        The video.
-    """
+    """Frames of a video by their index, cheaply as long as that grows; a context manager."""
 
     def __init__(self, clip: Clip) -> None:
         self._clip = clip
@@ -326,7 +334,9 @@ class ClipReader(Held):
         if self._frames is None or index < self._next:
             self._rest()
             clip = self._clip
-            frames = clip.intact_frames(index) if self._is_damaged else clip.frames(index)
+            # Inside a group of pictures, ffmpeg hands out frames before it stops at earlier damage.
+            is_checked = self._is_damaged or not clip.begins_group(index)
+            frames = clip.intact_frames(index) if is_checked else clip.frames(index)
             self._frames, self._next = frames, index
         for frame in self._frames:
             self._next += 1

@@ -136,7 +136,7 @@ def find_cryptomattes(
         told = _told(headers.get(aov, ()))
         for family in _families(aov, members):
             entry = _entry(family.name, told)
-            if entry is not None or _usual(family.name):
+            if entry is not None or any(word in _last(family.name) for word in _USUAL):
                 found.append(family.cryptomatte(entry or {}, headers.get(aov, ())))
     parent = _parents(beside)
 
@@ -159,10 +159,6 @@ def _words(name: str) -> list[str]:
 def _last(name: str) -> str:
     """Return the words of a name's last element, as one."""
     return "".join(_words(name.rsplit(".", 1)[-1]))
-
-
-def _usual(name: str) -> bool:
-    return any(word in _last(name) for word in _USUAL)
 
 
 def _kind(name: str) -> Kind:

@@ -2,12 +2,14 @@
 
 An id is a pattern of bits that happens to lie in a float. Arithmetic on it, a comparison included,
 could change it or take two for one (zeros of two signs), so ids are only ever looked at as unsigned
-integers.
+integers, and never pass :func:`exwarp_cli.io.frames.clean_stencil`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +17,10 @@ import numpy.typing as npt
 from exwarp_cli.domain.frame import Float32, Int32
 from exwarp_cli.errors import DamagedFileError
 from exwarp_cli.kernels import ranked
+
+if TYPE_CHECKING:
+    from exwarp_cli.io.cryptomatte import Cryptomatte
+    from exwarp_cli.io.cryptomatte_manifest import Dynamic
 
 LEAD = np.float32(0.1)
 """By how much the share of the prevailing surface must exceed every other one's.
@@ -119,13 +125,6 @@ def identity(bits: int, rounded: bool = False) -> int:
 def require_sound(ranks: Float32, where: str) -> None:
     """Refuse ids that a lossy step on their way has destroyed.
 
-    Parameters
-    ----------
-    ranks
-        As in :func:`surfaces`.
-    where
-        The file and layer, for the message.
-
     Raises
     ------
     DamagedFileError
@@ -151,3 +150,57 @@ def _both(ranks: Float32) -> tuple[npt.NDArray[np.uint32], Float32]:
         raise ValueError(f"ranks are float32 [H, W, 4], not {ranks.dtype} {ranks.shape}")
     whole = np.ascontiguousarray(ranks)
     return whole.view(np.uint32), whole
+
+
+@dataclass(frozen=True)
+class IdReading:
+    """How a shot's ids are read.
+
+    Attributes
+    ----------
+    cryptomatte
+        Where they are.
+    rounded
+        Whether some of the ids that they are compared with were rounded; see
+        :func:`exwarp_cli.io.cryptomatte_ids.surfaces`.
+    dynamic
+        What moves, as the user names it; None where nothing says so.
+    """
+
+    cryptomatte: Cryptomatte
+    rounded: bool = False
+    dynamic: Dynamic | None = None
+
+    @property
+    def identity(self) -> list[Any]:
+        """What frames depend on, beside the pixels, as plain data."""
+        moving = None if self.dynamic is None else list(self.dynamic.ids)
+        return [self.cryptomatte.aov, self.cryptomatte.name, self.rounded, moving]
+
+    def read(
+        self, ranks: Float32, depth: Float32 | None, where: object
+    ) -> tuple[Int32 | None, Int32 | None]:
+        """Return a frame's `GBuffer.stencil` and `GBuffer.objects`: one of them, None the other.
+
+        Parameters
+        ----------
+        ranks
+            float32 [H, W, 4]: id, share, id, share.
+        depth
+            float32 [H, W], +inf background; None where there is none.
+        where
+            The file, for messages.
+
+        Raises
+        ------
+        DamagedFileError
+            When the ids were destroyed on their way.
+        """
+        require_sound(ranks, f"{where}, layer {self.cryptomatte.name!r},")
+        if self.dynamic is None:
+            ids = surfaces(ranks, self.rounded)
+        else:
+            ids = dynamic_stencil(ranks, self.dynamic.ids, self.rounded)
+        if depth is not None:
+            ids = by_depth(ids, depth)
+        return (None, ids) if self.dynamic is None else (ids, None)

@@ -11,17 +11,106 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from exwarp_cli.domain.dataset import ROLES, FrameSet, SceneManifest
 from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, MissingFrameError
 from exwarp_cli.io.frame_names import NamePattern
 from exwarp_cli.io.frames import Shot, open_shot
+
+BENCHMARK, TRAINING = "benchmark", "training"
+ROLES = (BENCHMARK, TRAINING)
+
+
+@dataclass(frozen=True)
+class FrameSet:
+    """Numbered frames of one rate.
+
+    Attributes
+    ----------
+    pattern
+        Path relative to the scene's folder, with ``#`` for digits.
+    first, count
+        Number of the first frame, and how many there are; numbered in steps of one.
+    step
+        How far apart they are, in instants.
+    """
+
+    pattern: str
+    first: int
+    count: int
+    step: int = 1
+
+    @property
+    def numbers(self) -> range:
+        """All frame numbers."""
+        return range(self.first, self.first + self.count)
+
+
+@dataclass(frozen=True)
+class SceneManifest:
+    """What one folder of a data set holds.
+
+    Attributes
+    ----------
+    scene
+        Name, unique in a data set.
+    role
+        "benchmark" (judged on, and only ever trained on when another one is judged) or
+        "training" (never judged on).
+    about
+        One sentence.
+    width, height
+        Pixels.
+    fps, key_fps
+        Rate of the instants, and of the key frames.
+    instants
+        Colour and G-buffers of every instant; motion vectors reach to the neighbouring instants.
+    keys
+        Every `keys.step`-th instant again, as a key frame: motion vectors reach over 1/`key_fps`.
+    renderer
+        Program, version and engine.
+    samples, denoiser
+        Per pixel; and the denoiser's name, or "".
+    seed
+        Of the scene and of the noise.
+    motion
+        What the motion channels mean, in the notation of ``--motion``.
+    dynamic
+        What the object ids stand for; 0, all that stands still, is not listed.
+    """
+
+    scene: str
+    role: str
+    about: str
+    width: int
+    height: int
+    fps: int
+    key_fps: int
+    instants: FrameSet
+    keys: FrameSet
+    renderer: str
+    samples: int
+    denoiser: str
+    seed: int
+    motion: str
+    dynamic: Mapping[int, str]
+
+    @property
+    def size(self) -> str:
+        """Width and height as text, "427x240"."""
+        return f"{self.width}x{self.height}"
+
+    def has_key(self, index: int) -> bool:
+        """Whether an instant, counted from 0, was also rendered as a key frame."""
+        whole, beyond = divmod(index, self.keys.step)
+        return beyond == 0 and 0 <= whole < self.keys.count
+
 
 MANIFEST = "manifest.json"
 SCHEMA = "exwarp.scene/1"
@@ -240,3 +329,64 @@ def _of(content: dict[str, Any], name: str, kind: type) -> Any:
     if not isinstance(value, kind) or isinstance(value, bool):
         raise ValueError(f"{name} {value!r}")
     return value
+
+
+EVERY = 12
+"""One scene in so many is left out of training, to validate on."""
+
+
+def select(
+    data: Path, wanted: Sequence[str], unwanted: Sequence[str], say: Callable[[str], None]
+) -> list[RenderedScene]:
+    """Return a folder's scenes by name.
+
+    Parameters
+    ----------
+    data
+        Folder of rendered scenes.
+    wanted
+        Glob patterns of names; empty for all whose role is training.
+    unwanted
+        Glob patterns of names to leave out.
+    say
+        Told of scenes that are left out because they are not rendered to the end.
+
+    Raises
+    ------
+    InputError
+        When none is left.
+    """
+    found = []
+    for scene in find_scenes(data):
+        name = scene.name
+        asked = _matches(name, wanted) if wanted else scene.manifest.role == TRAINING
+        if not asked or _matches(name, unwanted):
+            continue
+        try:
+            scene.require_complete()
+        except MissingFrameError:
+            say(f"{name} is not rendered to the end and left out")
+            continue
+        found.append(scene)
+    if not found:
+        raise InputError(
+            f"{data} has no scene to learn from; render some with examples/scenes/variety.py, or "
+            "choose others with --scenes"
+        )
+    return found
+
+
+def _matches(name: str, patterns: Sequence[str]) -> bool:
+    return any(fnmatchcase(name, pattern) for pattern in patterns)
+
+
+def split(scenes: Sequence[RenderedScene]) -> tuple[list[RenderedScene], list[RenderedScene]]:
+    """Return scenes to train on and to validate on: every twelfth by name, at least one."""
+    ordered = sorted(scenes, key=lambda s: s.name)
+    if len(ordered) < 2:
+        raise InputError(
+            f"there is {len(ordered)} scene to train on, and one more is needed to validate on; "
+            "render more with examples/scenes/variety.py"
+        )
+    held = ordered[EVERY // 2 :: EVERY] or ordered[-1:]
+    return [s for s in ordered if s not in held], held

@@ -20,7 +20,7 @@ import numpy as np
 
 from exwarp_cli.domain import cores
 from exwarp_cli.domain.frame import UInt8
-from exwarp_cli.io.held import Held
+from exwarp_cli.io.atomic import Held
 from exwarp_cli.runtime.stop import check_stop, cleaned_up
 
 RAW = "-f rawvideo -pix_fmt rgb24"

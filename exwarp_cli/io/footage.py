@@ -22,13 +22,11 @@ from exwarp_cli.io.clip import CLIPS, Clip, ClipReader, is_clip, open_clip
 from exwarp_cli.io.exr.reader import display_window
 from exwarp_cli.io.exr.template import PartTemplate, PlaneTemplate, Template
 from exwarp_cli.io.exr.writer import COMPRESSIONS
-from exwarp_cli.io.frame_files import FrameTemplate, read_picture
 from exwarp_cli.io.frame_names import file_type, split_names
-from exwarp_cli.io.nonfinite import count_broken
-from exwarp_cli.io.output import file_digest
+from exwarp_cli.io.output import FrameTemplate, file_digest, read_picture
 from exwarp_cli.io.sequence import EXR, Sequence, find_sequence
 from exwarp_cli.io.shot import Shot
-from exwarp_cli.io.soundness import first_of
+from exwarp_cli.io.soundness import count_broken, first_of
 from exwarp_cli.io.stills import (
     STILLS,
     StillTemplate,
@@ -46,13 +44,7 @@ SOUNDS = (".wav", ".mp3", ".m4a", ".aac", ".flac", ".ogg", ".opus", ".wma", ".ai
 
 
 class ClipFrames:
-    """Frames of a video by number, from 1; each thread that asks decodes for itself.
-
-    Parameters
-    ----------
-    clip
-        The video.
-    """
+    """Frames of a video by number, from 1; each thread that asks decodes for itself."""
 
     def __init__(self, clip: Clip) -> None:
         self.clip = clip
@@ -363,15 +355,7 @@ def facts_of(sequence: Sequence) -> dict[str, Any]:
 
 
 def lost_alpha(shot: Shot, suffix: str) -> str | None:
-    """Say that frames are written without the alpha of a video or of stills; None if they are not.
-
-    Parameters
-    ----------
-    shot
-        The input.
-    suffix
-        Of the frames that are written.
-    """
+    """Say that frames lose the alpha of a video or of stills; None if they do not."""
     has_alpha = is_plain(shot.sequence) and len(shot.layout.roles[Role.COLOUR]) > 3
     if not has_alpha or file_type(suffix) in EXR or has_room_for_alpha(file_type(suffix)):
         return None

@@ -24,10 +24,10 @@ from exwarp_cli.errors import DamagedFileError, InputError, LayoutError
 from exwarp_cli.io.channels import ChannelRef, Role, detect, require
 from exwarp_cli.io.cryptomatte import find_cryptomattes
 from exwarp_cli.io.exr.reader import ExrFile
-from exwarp_cli.io.nonfinite import count_broken
 from exwarp_cli.io.shot import Shot as Shot
 from exwarp_cli.io.shot import open_shot as open_shot
 from exwarp_cli.io.shot import plain, renamed
+from exwarp_cli.io.soundness import count_broken
 from exwarp_cli.io.views import channels_of, choose, views_of
 from exwarp_cli.runtime.frame_pool import pool
 
@@ -329,16 +329,12 @@ def joined(planes: list[np.ndarray]) -> Float32:
     return np.stack(planes, axis=-1)
 
 
-def clean_depth(depth: Float32, normal: Float32 | None) -> Float32:
+def cleaned(depth: Float32, normal: Float32 | None) -> tuple[Float32, bool]:
     """Return depth with every way of writing background made +inf.
 
     Background is written as 0, 1e10, infinity or NaN; Unreal marks it by the normal (-1, -1, -1).
+    The second value tells whether there are normals, all of them finite.
     """
-    return cleaned(depth, normal)[0]
-
-
-def cleaned(depth: Float32, normal: Float32 | None) -> tuple[Float32, bool]:
-    """Do as `clean_depth`, and tell whether there are normals, all of them finite."""
     from exwarp_cli.kernels import depths  # numba: not for what only lists channels
 
     out: Float32 = pool.empty(depth.shape, np.float32)

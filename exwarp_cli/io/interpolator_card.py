@@ -36,7 +36,7 @@ is the model's file name without its suffix, and ``padding`` is to a multiple of
 ``range``
     What black and white are for the network: [0, 1], [-1, 1], [0, 255].
 ``encoding``
-    What the network was trained on: ``srgb``, ``linear`` or ``log``, see `domain.interpolator`.
+    What the network was trained on: ``srgb``, ``linear`` or ``log``, see `domain.extrapolator`.
 ``padding``
     ``multiple``: what height and width have to be multiples of; ``mode``: what is added, ``edge``,
     ``reflect`` or ``zero`` (black); ``place``: at the right and bottom (``end``) or on all sides
@@ -52,9 +52,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
-from exwarp_cli.domain.interpolator import ENCODINGS
+from exwarp_cli.domain.extrapolator import ENCODINGS
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError
-from exwarp_cli.io.whole_file import read_whole
+from exwarp_cli.io.model_files import read_whole
 
 SCHEMA = "exwarp.interpolator/1"
 

@@ -17,7 +17,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import BinaryIO
 
-from exwarp_cli.domain.frame_rates import parsed_rate
+from exwarp_cli.domain.timeline import parsed_rate
 from exwarp_cli.errors import InputError
 from exwarp_cli.io import checksum
 from exwarp_cli.io.atomic import PIECE, atomic_copy, atomic_path

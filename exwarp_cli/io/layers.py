@@ -74,11 +74,6 @@ class Layer:
         """Last element of the name, without what the artist put before it."""
         return self.name.rsplit(".", 1)[-1]
 
-    @property
-    def whole_numbers(self) -> bool:
-        """Whether the values are read as uint32, as ids above 2^24 need it."""
-        return self.channels[0].pixel_type == "uint"
-
     def rendered_in(self, others: Iterable[Layer]) -> Layer | None:
         """Return the layer of a slot's own file that can be taken as it is, None without one.
 
@@ -267,7 +262,7 @@ def _kind(
     role = next((role for role in roles if role is not None), None)
     if role is not None:
         return _BY_ROLE.get(role, Kind.COLOUR)
-    leaf = _plain(name.rsplit(".", 1)[-1])
+    leaf = re.sub(r"[^a-z0-9]", "", name.rsplit(".", 1)[-1].lower())
     named = next((kind for kind, names in _NAMES if names.fullmatch(leaf)), None)
     if any(channel.pixel_type == "uint" for channel in channels):
         return named if named is Kind.CRYPTOMATTE else Kind.ID
@@ -277,10 +272,6 @@ def _kind(
     # A vector of unknown meaning: a mixture of two directions may be none of both.
     vector = len(components) > 1 and not components & (_FAMILIES["RGBA"] | _ALPHA)
     return Kind.DATA if vector else Kind.COLOUR
-
-
-def _plain(name: str) -> str:
-    return re.sub(r"[^a-z0-9]", "", name.lower())
 
 
 def _is_crypto(name: str, cryptomattes: Collection[str]) -> bool:

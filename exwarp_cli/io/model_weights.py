@@ -14,11 +14,12 @@ The bytes of the model are Protocol Buffers, of which only the nesting is read::
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import NamedTuple
 
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError
-from exwarp_cli.io.whole_file import MOST_BYTES, read_whole
+from exwarp_cli.io.model_files import MOST_BYTES, read_whole
 from exwarp_cli.runtime.read_registry import being_read
 
 INSIDE: Mapping[str, Mapping[int, str]] = {
@@ -52,24 +53,12 @@ Chunks = list[memoryview]
 
 
 class Field(NamedTuple):
-    """A field of a message.
-
-    Attributes
-    ----------
-    number, kind
-        As its tag has them.
-    value
-        Of a varint; 0 of all others.
-    content
-        Of what has a length; nothing of all others.
-    whole
-        The field with its tag.
-    """
+    """A field of a message, as it stands there; `whole` begins with its tag."""
 
     number: int
     kind: int
-    value: int
-    content: memoryview
+    value: int  # of a varint; 0 of all others
+    content: memoryview  # of what has a length; nothing of all others
     whole: memoryview
 
 
@@ -203,18 +192,14 @@ class _Weights:
         if location and not leads_out and "\0" not in location:
             # Model and weights may both be links into one folder, as download caches have them.
             homes = {self._path.parent.resolve(), self._path.resolve().parent}
-            if any(self._resolved(location).is_relative_to(home) for home in homes):
-                return self._path.parent / location
+            place = self._path.parent / location
+            with suppress(OSError, RuntimeError):  # links that lead to each other
+                if any(place.resolve().is_relative_to(home) for home in homes):
+                    return place
         raise LayoutError(
             f"{self._path} keeps weights in {location[:200]!r}, and only files in the folder of a "
             "model are read; put them there, or save the model with its weights inside"
         )
-
-    def _resolved(self, location: str) -> Path:
-        try:
-            return (self._path.parent / location).resolve()
-        except (OSError, RuntimeError):  # links that lead to each other
-            return Path("/")
 
 
 def _fields(message: memoryview) -> Iterator[Field]:

@@ -3,6 +3,10 @@
 A generated frame carries its own checksum, see `io.checksum`. So any damage shows without decoding,
 whatever the compression; and an attribute that digests sources and settings shows whether the frame
 is the one that this run would write.
+
+A checksum that holds proves that a file is ExWarp's, byte for byte. Where it does not hold, the
+pixels decide: a file that decodes was edited, a file that does not was damaged. Formats without
+room for a checksum have the program's name at most, which edits in other programs replace.
 """
 
 from __future__ import annotations
@@ -10,19 +14,21 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from enum import Enum
 from fractions import Fraction
 from functools import reduce
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
-from exwarp_cli.domain.frame import Bool, Image, Window, place
-from exwarp_cli.domain.frame_rates import parsed_rate
-from exwarp_cli.errors import OutputError, UsageError
+from exwarp_cli.domain.frame import Bool, Float32, Image, Window, place
+from exwarp_cli.domain.timeline import parsed_rate
+from exwarp_cli.errors import DamagedFileError, InputError, OutputError, UsageError
 from exwarp_cli.io import checksum
 from exwarp_cli.io.atomic import atomic_write_bytes
-from exwarp_cli.io.exr.header import replace_non_utf8, restore_non_utf8
+from exwarp_cli.io.exr.header import MAGIC, replace_non_utf8, restore_non_utf8
 from exwarp_cli.io.exr.reader import damaged, read_headers
 from exwarp_cli.io.exr.template import PREFIX as PREFIX
 from exwarp_cli.io.exr.template import PartTemplate, Plane, PlaneKey, Template
@@ -37,7 +43,20 @@ from exwarp_cli.io.exr.writer import (
     encode,
     scanline_structure,
 )
+from exwarp_cli.io.frames import read_image
 from exwarp_cli.io.reading_retry import with_retries
+from exwarp_cli.io.sequence import EXR
+from exwarp_cli.io.soundness import require_sound
+from exwarp_cli.io.stills import (
+    SEALED,
+    StillTemplate,
+    facts_in_bytes,
+    has_seal,
+    quantise_still,
+    read_still,
+    still_facts,
+    write_still,
+)
 
 CHECKSUM = f"{PREFIX}{checksum.NAME}"
 RECIPE = f"{PREFIX}recipe"
@@ -276,3 +295,172 @@ def _checksum_at(data: Buffer) -> int | None:
     if found is None or found.end() + checksum.DIGITS > len(data):
         return None
     return found.end()
+
+
+FrameTemplate: TypeAlias = Template | StillTemplate
+"""What a generated frame takes over from its key frame's file."""
+
+
+def write_picture(
+    path: Path,
+    image: Image,
+    template: FrameTemplate,
+    attributes: Mapping[str, Any],
+    beside: Mapping[PlaneKey, Plane] | None = None,
+) -> list[Buffer]:
+    """Write a generated frame, whole or not at all; return its bytes, piece by piece.
+
+    Parameters
+    ----------
+    path
+        Target; its folder exists.
+    image
+        Scene-linear colour.
+    template
+        Of the format that the suffix tells.
+    attributes
+        As for :func:`exwarp_cli.io.output.write_frame`; stills keep those of ExWarp's own.
+    beside
+        Further channels; only for EXR.
+
+    Raises
+    ------
+    OutputError
+        When it cannot be written.
+    """
+    if isinstance(template, StillTemplate):
+        own = {k[len(PREFIX) :]: v for k, v in attributes.items() if k.startswith(PREFIX)}
+        return write_still(path, image, template, own)
+    return write_frame(path, image, template, attributes, beside)
+
+
+def read_picture(path: Path, view: str = "") -> Image:
+    """Read the colour of one file; see `read_image` and `read_still`."""
+    return read_image(path, view) if _is_exr(path) else read_still(path)[0]
+
+
+def recipe_in(path: Path) -> str | None:
+    """Return the recipe of an undamaged generated frame; None for anything else."""
+    if _is_exr(path):
+        return recipe_of(path)
+    recipe = facts_in(path).get("recipe")
+    return recipe if isinstance(recipe, str) else None
+
+
+def facts_in(path: Path) -> dict[str, Any]:
+    """Return what a generated frame says of itself; nothing for what says nothing."""
+    return written_attributes(path) if _is_exr(path) else still_facts(path) or {}
+
+
+def quantised(pixels: Float32, template: FrameTemplate) -> Float32:
+    """Round pixels to what the file will have, so that what is scored is what is kept."""
+    if isinstance(template, StillTemplate):
+        return quantise_still(pixels, template)
+    return quantise(pixels, template)
+
+
+def _is_exr(path: Path) -> bool:
+    return path.suffix.lower() in EXR
+
+
+KEY_FRAMES = "keyFrames"
+"""Attribute of generated frames: number and digest of the key frames on both sides."""
+
+REQUESTED_METHOD = "requestedMethod"
+"""Attribute of generated frames: the run's method, which a single frame's may differ from."""
+
+FACTS = ("kind", "method", REQUESTED_METHOD, KEY_FRAMES)
+
+_NAME = re.compile(rb"ExWarp \d")
+_NAMED_WITHIN = 4096
+"""Bytes from both ends in which a format keeps the program's name."""
+
+
+class State(Enum):
+    """What a file's bytes say of who wrote them."""
+
+    INTACT = "intact"
+    """ExWarp wrote it, byte for byte; or so says its name in a format without checksums."""
+
+    DAMAGED = "damaged"
+    """ExWarp wrote it, and its pixels do not decode; or it is empty."""
+
+    EDITED = "edited"
+    """ExWarp wrote it, and another program changed it since."""
+
+    FOREIGN = "foreign"
+    """Nothing in it is ExWarp's."""
+
+
+@dataclass(frozen=True)
+class Authorship:
+    """Whose work a file is.
+
+    Attributes
+    ----------
+    state
+        What its bytes say.
+    facts
+        Those of `FACTS` that it says of itself, without the prefix.
+    """
+
+    state: State
+    facts: Mapping[str, Any] = field(default_factory=dict)
+
+
+def authorship_of(path: Path) -> Authorship | None:
+    """Return whose work a file is; None if there is no file.
+
+    Raises
+    ------
+    UnreadableError
+        When the system does not let the file through.
+    """
+    try:
+        data = with_retries(path, path.read_bytes)
+    except IsADirectoryError:
+        return Authorship(State.FOREIGN)
+    except OSError:  # there is none, or the path is wrong, which is reported when it is written
+        return None
+    if not data.strip(b"\0"):
+        # After a power cut files are empty, or have their length and no content.
+        return Authorship(State.DAMAGED)
+    if path.suffix.lower() in EXR:
+        return _of_exr(path, data)
+    return _of_still(path, data)
+
+
+def _of_exr(path: Path, data: bytes) -> Authorship:
+    if not data.startswith(MAGIC):
+        return Authorship(State.FOREIGN)
+    texts = {name: read_text(data, f"{PREFIX}{name}") for name in FACTS}
+    facts = {name: text for name, text in texts.items() if text is not None}
+    if is_intact(data):
+        return Authorship(State.INTACT, facts)
+    if not facts and read_text(data, CHECKSUM) is None:
+        return Authorship(State.FOREIGN)
+    try:
+        require_sound((path,))
+    except DamagedFileError:
+        return Authorship(State.DAMAGED, facts)
+    except InputError:  # deep or subsampled: never ExWarp's
+        return Authorship(State.EDITED, facts)
+    return Authorship(State.EDITED, facts)
+
+
+def _of_still(path: Path, data: bytes) -> Authorship:
+    if path.suffix.lower() not in SEALED:
+        ends = data[:_NAMED_WITHIN] + data[-_NAMED_WITHIN:]
+        return Authorship(State.INTACT if _NAME.search(ends) else State.FOREIGN)
+    facts = facts_in_bytes(data)
+    if facts is not None:
+        return Authorship(State.INTACT, facts)
+    if not has_seal(data):
+        return Authorship(State.FOREIGN)
+    try:
+        read_still(path)
+    except DamagedFileError:
+        return Authorship(State.DAMAGED)
+    except InputError:  # other channels, or EXR under that name
+        return Authorship(State.EDITED)
+    return Authorship(State.EDITED)

@@ -15,9 +15,14 @@ give the same bytes on every machine.
 
 from __future__ import annotations
 
+import csv
 import hashlib
+import io
 import json
-from collections.abc import Mapping, Sequence
+import struct
+import zipfile
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,8 +31,7 @@ import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli.accel.quantised_mlp import QuantisedLayer, QuantisedMlp, Requantisation
-from exwarp_cli.errors import DamagedFileError, LayoutError
-from exwarp_cli.io.archives import ArchiveError, Array, pack, unpack
+from exwarp_cli.errors import DamagedFileError, InputError, LayoutError
 from exwarp_cli.io.atomic import atomic_write_bytes
 from exwarp_cli.io.models import read_model
 
@@ -221,3 +225,164 @@ def _unfit(place: Path, reason: str) -> LayoutError:
         f"{place} is no policy that ExWarp can run: {reason}; check the path, or train the policy "
         "again"
     )
+
+
+Array = npt.NDArray[Any]
+
+MOST_BYTES = 1 << 26
+"""Of one array."""
+
+MOST_OF_ALL = 1 << 28
+"""Bytes of all arrays of an archive: each may claim much in little."""
+
+_UNREADABLE = (
+    *(zipfile.BadZipFile, zlib.error, ValueError, OSError, EOFError, MemoryError, struct.error),
+    *(NotImplementedError, RuntimeError, KeyError, SyntaxError, OverflowError, TypeError),
+)
+"""What zipfile and numpy raise on bytes that are no such archive."""
+
+
+class ArchiveError(ValueError):
+    """Bytes that are no archive of arrays; its reader names the file."""
+
+
+def pack(arrays: Mapping[str, Array], compressed: bool = False) -> bytes:
+    """Pack arrays; nothing of the clock or the machine gets in, uncompressed nothing of zlib."""
+    whole = io.BytesIO()
+    method = zipfile.ZIP_DEFLATED if compressed else zipfile.ZIP_STORED
+    with zipfile.ZipFile(whole, "w") as archive:
+        for name, array in arrays.items():
+            entry = zipfile.ZipInfo(f"{name}.npy", (1980, 1, 1, 0, 0, 0))
+            entry.create_system, entry.external_attr = 3, 0o644 << 16
+            data = io.BytesIO()
+            plain = np.ascontiguousarray(array, array.dtype.newbyteorder("<"))
+            np.lib.format.write_array(data, plain, (1, 0), allow_pickle=False)
+            archive.writestr(entry, data.getvalue(), method)
+    return whole.getvalue()
+
+
+def unpack(data: bytes) -> dict[str, Array]:
+    """Unpack an archive by its arrays' names.
+
+    Raises
+    ------
+    ArchiveError
+        When it is damaged, none at all, or holds anything but arrays of a sane size.
+    """
+    try:
+        arrays = {}
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            entries = archive.infolist()
+            for entry in entries:
+                if entry.file_size > MOST_BYTES:
+                    raise ValueError(f"{entry.filename} is too large")
+            if sum(entry.file_size for entry in entries) > MOST_OF_ALL:
+                raise ValueError("it is too large")
+            for entry in entries:
+                member = io.BytesIO(archive.read(entry))
+                array = np.lib.format.read_array(member, allow_pickle=False)
+                arrays[entry.filename.removesuffix(".npy")] = array
+        return arrays
+    except _UNREADABLE as error:
+        reason = (str(error) or type(error).__name__).splitlines()[0]
+        raise ArchiveError(reason) from error
+
+
+COLUMN = "inputs"
+"""Column of the states: Q16.16 integers with spaces between."""
+
+IDENTITY = ("frame", "key", "slot", "node")
+"""Columns that tell which decision a row is of, where they are there."""
+
+_INT32 = np.iinfo(np.int32)
+
+
+@dataclass(frozen=True)
+class StateRow:
+    """A row with a state.
+
+    Attributes
+    ----------
+    row
+        Number of the row, from 1; the header does not count.
+    line
+        Of the file, from 1.
+    identity
+        What the columns of `IDENTITY` hold, by their names.
+    state
+        int32 [n] in Q16.16.
+    """
+
+    row: int
+    line: int
+    identity: dict[str, str]
+    state: npt.NDArray[np.int32]
+
+
+def read_states(path: Path, size: int) -> tuple[StateRow, ...]:
+    """Read the rows of a CSV file that hold a state; rows whose cell is empty are left out.
+
+    Parameters
+    ----------
+    path
+        As ``exwarp upsample --report`` and ``exwarp features`` write it: UTF-8, with a header.
+    size
+        Numbers in a state.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be read.
+    LayoutError
+        When there is no column `COLUMN`, no state, or a cell holds something else.
+    """
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            rows = tuple(_rows(path, csv.DictReader(file), size))
+    except OSError as error:
+        raise InputError(
+            f"cannot read {path}: {error.strerror}; check the path and its rights"
+        ) from error
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise DamagedFileError(
+            f"{path} is no CSV file in UTF-8 ({error}); give a table with a column '{COLUMN}'"
+        ) from error
+    if not rows:
+        raise LayoutError(
+            f"{path} has no row with '{COLUMN}'; give one of a run with a learned policy"
+        )
+    return rows
+
+
+def _rows(path: Path, table: csv.DictReader[str], size: int) -> Iterator[StateRow]:
+    columns = table.fieldnames or []
+    if COLUMN not in columns:
+        raise LayoutError(
+            f"{path} has no column '{COLUMN}'; give a table of exwarp features, or frames.csv of a "
+            "run with a learned policy"
+        )
+    for number, cells in enumerate(table, 1):
+        text: Any = cells[COLUMN]
+        if text and text.strip():
+            state = _state(f"{path}, line {table.line_num}", text, size)
+            identity = {name: cells[name] or "" for name in IDENTITY if name in columns}
+            yield StateRow(number, table.line_num, identity, state)
+
+
+def _state(where: str, text: str, size: int) -> npt.NDArray[np.int32]:
+    """Read one cell."""
+    words = text.split()
+    if len(words) != size:
+        raise LayoutError(
+            f"{where}: '{COLUMN}' holds {len(words)} numbers, and the policy takes {size}; give "
+            "the row as it was written"
+        )
+    for word in words:
+        # Not int() alone, which also takes 1_000 and digits of other scripts, and any length.
+        plain = len(word) <= 11 and word.isascii() and word.lstrip("-").isdigit()
+        if not plain or word.count("-") > 1 or not _INT32.min <= int(word) <= _INT32.max:
+            raise LayoutError(
+                f"{where}: {word[:20]!r} in '{COLUMN}' is no 32-bit integer; give Q16.16 numbers, "
+                "65536 for 1"
+            )
+    return np.array([int(word) for word in words], np.int32)

@@ -1,4 +1,7 @@
-"""Opening a shot: finding its sequences, and recognising its channels in the first frame."""
+"""Opening a shot: finding its sequences, and recognising its channels in the first frame.
+
+A channel map corrects what was recognised, and AOVs of several files come together.
+"""
 
 from __future__ import annotations
 
@@ -10,21 +13,18 @@ from typing import Any
 from exwarp_cli.domain.frame import Window
 from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.errors import LayoutError, MissingFrameError
-from exwarp_cli.io.aov_files import AovFile, recognise
+from exwarp_cli.io.aov_files import AovFile, named, recognise
 from exwarp_cli.io.channel_map import ChannelMap
 from exwarp_cli.io.channels import ChannelRef, Layout, Role, detect
 from exwarp_cli.io.cryptomatte import Cryptomatte, find_cryptomattes
+from exwarp_cli.io.cryptomatte_ids import IdReading
 from exwarp_cli.io.depth import DepthReading
 from exwarp_cli.io.depth import named as depth_named
 from exwarp_cli.io.exr.parts import Channel, Part
 from exwarp_cli.io.exr.reader import HeaderCache
-from exwarp_cli.io.id_reading import IdReading
-from exwarp_cli.io.layouts import corrected, merged, moved
-from exwarp_cli.io.layouts import spelled as spelled
-from exwarp_cli.io.nonfinite import NonFinite
 from exwarp_cli.io.sequence import Sequence, find_sequence
 from exwarp_cli.io.shot_files import Looks, ShotFiles, find_files, look
-from exwarp_cli.io.soundness import first_of, require_sound
+from exwarp_cli.io.soundness import NonFinite, first_of, require_sound
 from exwarp_cli.io.views import ALL, channels_of, choose, expand, views_of
 
 MAIN = "main"
@@ -395,3 +395,66 @@ def _by_hand(shot: Shot, own: Layout) -> dict[str, Any]:
     if shot.depth != _depth(shot, None):
         found["depth_kind"] = shot.depth.kind.value
     return found
+
+
+def corrected(
+    layout: Layout, channels: Mapping[str, Mapping[str, Channel]], told: ChannelMap
+) -> Layout:
+    """Put a channel map's roles in place of those that were recognised."""
+    known = {
+        spelled(ChannelRef(aov, name)): ChannelRef(aov, name)
+        for aov, members in channels.items()
+        for name in members
+    }
+    roles = dict(layout.roles)
+    for role, names in told.channels.items():
+        roles.pop(role, None)
+        option = told.option(f"channels.{role.value}")
+        refs = tuple(known[named(name, known, option, "the shot")] for name in names)
+        if refs:
+            roles[role] = refs
+    same = roles.get(Role.MOTION) == layout.roles.get(Role.MOTION)
+    producer = told.producer or layout.producer
+    guess = layout.guess if same else None
+    alphas = () if Role.COLOUR in told.channels else layout.alphas
+    return replace(layout, roles=_ordered(roles), guess=guess, producer=producer, alphas=alphas)
+
+
+def moved(layout: Layout, names: Mapping[str, str]) -> Layout:
+    """Return a layout with other names of AOVs."""
+    roles = {
+        role: tuple(replace(ref, aov=names.get(ref.aov, ref.aov)) for ref in refs)
+        for role, refs in layout.roles.items()
+    }
+    alphas = tuple(replace(ref, aov=names.get(ref.aov, ref.aov)) for ref in layout.alphas)
+    return replace(layout, roles=roles, alphas=alphas)
+
+
+def merged(layout: Layout, more: Layout) -> Layout:
+    """Add the roles of another layout, and what it says of motion if that is among them."""
+    roles = _ordered({**layout.roles, **more.roles})
+    guess = more.guess if Role.MOTION in more else layout.guess
+    ours = Role.MOTION in more and more.guess is not None
+    producer = (more if ours else layout).producer
+    alphas = more.alphas if Role.COLOUR in more else layout.alphas
+    return replace(layout, roles=roles, guess=guess, producer=producer, alphas=alphas)
+
+
+def alpha_left_out(layout: Layout) -> str | None:
+    """Say that a colour has no alpha as several channels may be it; None where that is not so."""
+    if not layout.alphas:
+        return None
+    names = ", ".join(spelled(ref) for ref in layout.alphas)
+    return (
+        f"alpha is left out, as {names} may each be it; name one as the fourth of channels.colour "
+        "in a channel map"
+    )
+
+
+def spelled(ref: ChannelRef) -> str:
+    """Return a channel's name as users see it, and channel maps have it: with its AOV."""
+    return f"{ref.aov}:{ref.name}" if ref.aov else ref.name
+
+
+def _ordered(roles: Mapping[Role, tuple[ChannelRef, ...]]) -> dict[Role, tuple[ChannelRef, ...]]:
+    return {role: roles[role] for role in Role if role in roles}

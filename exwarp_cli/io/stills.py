@@ -3,12 +3,16 @@
 Codes are turned to scene-linear light and back by the curve that the file tells, else by that of
 sRGB for integers and none for floats. A generated frame has the format, depth, channels and
 metadata of its key frame. What it was made of stands in its attribute ``Software``, with a
-checksum, where the format has room for it. DPX and TGA keep only the program's name, so a resumed
-run makes their frames again; the others keep nothing, so it refuses to replace them.
+checksum (in PNG a second one is renewed with it), where the format has room for it. DPX and TGA
+keep only the program's name, so a resumed run makes their frames again; the others keep nothing, so
+it refuses to replace them.
 """
 
 from __future__ import annotations
 
+import json
+import struct
+import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
@@ -19,16 +23,15 @@ from typing import Any
 import numpy as np
 import OpenImageIO as oiio
 
-from exwarp_cli.domain.bounds import require_size
+from exwarp_cli import __version__
 from exwarp_cli.domain.curves import FILM, LINEAR, SRGB, Curve
-from exwarp_cli.domain.frame import Float32, Image, Window
+from exwarp_cli.domain.frame import Float32, Image, Window, require_size
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, UsageError
+from exwarp_cli.io import checksum
 from exwarp_cli.io.atomic import atomic_path, output_error
 from exwarp_cli.io.exr.header import MAGIC, PNG
 from exwarp_cli.io.exr.writer import Buffer
 from exwarp_cli.io.reading_retry import with_retries
-from exwarp_cli.io.still_seal import seal_still, software
-from exwarp_cli.io.webp_exif import with_orientation
 from exwarp_cli.runtime.read_registry import being_read
 
 STILLS = (
@@ -408,3 +411,132 @@ def _type_of(dtype: np.dtype[Any]) -> Any:
     """Return OpenImageIO's name of a type."""
     names = {np.dtype(kind): base for base, kind in _DTYPES.items()}
     return names.get(dtype, oiio.FLOAT)
+
+
+UPRIGHT = 1
+"""The orientation of pixels that are shown as they are stored."""
+
+_HEADER = 12  # "RIFF", the size of the rest, "WEBP"
+_ALPHA, _EXIF = 0x10, 0x08  # flags of the chunk VP8X
+_TAG, _SHORT = 0x0112, 3
+
+
+def with_orientation(data: bytes, orientation: int) -> bytes:
+    """Add an EXIF orientation to a lossless WebP file without metadata.
+
+    https://developers.google.com/speed/webp/docs/container_specification
+
+    Parameters
+    ----------
+    data
+        The file: one chunk ``VP8L``, as encoders write it.
+    orientation
+        1 to 8 as in EXIF; with 1 the file stays as it is.
+    """
+    if orientation == UPRIGHT or data[_HEADER : _HEADER + 4] != b"VP8L":
+        return data
+    # A signature byte, then width - 1 and height - 1 in 14 bits each, then the bit for alpha.
+    (bits,) = struct.unpack_from("<I", data, _HEADER + 9)
+    width, height = bits & 0x3FFF, bits >> 14 & 0x3FFF
+    flags = _EXIF | (_ALPHA if bits >> 28 & 1 else 0)
+    extended = struct.pack("<I", flags) + width.to_bytes(3, "little") + height.to_bytes(3, "little")
+    # A TIFF header, and a directory of this one tag.
+    exif = struct.pack("<2sHIHHHIHHI", b"II", 42, 8, 1, _TAG, _SHORT, 1, orientation, 0, 0)
+    body = b"WEBP" + _chunk(b"VP8X", extended) + data[_HEADER:] + _chunk(b"EXIF", exif)
+    return b"RIFF" + struct.pack("<I", len(body)) + body
+
+
+def _chunk(name: bytes, content: bytes) -> bytes:
+    return name + struct.pack("<I", len(content)) + content + b"\0" * (len(content) % 2)
+
+
+_MARK = f"exwarp:{checksum.NAME}=".encode()
+_ZEROS = checksum.ZEROS.encode()
+_PNG = b"\x89PNG\r\n\x1a\n"
+
+
+def software(attributes: Mapping[str, Any] | None) -> str:
+    """Return the text that says what a frame was made of, with room for the checksum.
+
+    None is for formats that cut such texts off: they get the program's name alone.
+    """
+    if attributes is None:
+        return f"ExWarp {__version__}"
+    facts = json.dumps(dict(attributes), sort_keys=True, ensure_ascii=True)
+    return f"ExWarp {__version__} {_MARK.decode()}{_ZEROS.decode()} {facts}"
+
+
+def seal_still(data: bytes) -> bytes:
+    """Put the checksum into an encoded file; as it is where the format dropped the text."""
+    blank = _with_digits(data, _ZEROS)
+    if blank is None:
+        return data
+    sealed = _with_digits(blank, checksum.digits_of([blank]).encode())
+    assert sealed is not None
+    return sealed
+
+
+def still_facts(path: Path) -> dict[str, Any] | None:
+    """Return what an undamaged generated image was made of; None for anything else.
+
+    Raises
+    ------
+    UnreadableError
+        When the system does not let the file through.
+    InputError
+        When the file is there and cannot be read.
+    """
+    try:
+        data = with_retries(path, path.read_bytes)
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        raise InputError(
+            f"cannot read {path}: {error.strerror or error}; check the path and its rights"
+        ) from error
+    return facts_in_bytes(data)
+
+
+def has_seal(data: bytes) -> bool:
+    """Whether a file has a place for the checksum, whatever stands there."""
+    return _MARK in data
+
+
+def facts_in_bytes(data: bytes) -> dict[str, Any] | None:
+    """Return what an undamaged generated image was made of, from its file's bytes."""
+    blank, at = _with_digits(data, _ZEROS), data.find(_MARK) + len(_MARK)
+    end = at + checksum.DIGITS
+    if blank is None or checksum.digits_of([blank]).encode() != data[at:end]:
+        return None
+    text = data[end:].decode("latin-1").lstrip()
+    try:
+        facts, _ = json.JSONDecoder().raw_decode(text)
+    except ValueError:
+        return None
+    return facts if isinstance(facts, dict) else None
+
+
+def _with_digits(data: bytes, digits: bytes) -> bytes | None:
+    """Return the file with other digits for its checksum; None where it has no place for them."""
+    at = data.find(_MARK)
+    if at < 0 or at + len(_MARK) + checksum.DIGITS > len(data):
+        return None
+    at += len(_MARK)
+    changed = bytearray(data)
+    changed[at : at + checksum.DIGITS] = digits
+    if data.startswith(_PNG):
+        _renew_chunk(changed, at)
+    return bytes(changed)
+
+
+def _renew_chunk(data: bytearray, inside: int) -> None:
+    """Write the CRC of the PNG chunk that an offset lies in anew."""
+    begin = len(_PNG)
+    while begin + 12 <= len(data):
+        size = int.from_bytes(data[begin : begin + 4], "big")
+        end = begin + 8 + size
+        if begin <= inside < end <= len(data) - 4:
+            crc = zlib.crc32(data[begin + 4 : end])
+            data[end : end + 4] = crc.to_bytes(4, "big")
+            return
+        begin = end + 4

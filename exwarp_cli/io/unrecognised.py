@@ -50,11 +50,6 @@ def unrecognised(shot: Shot) -> tuple[ChannelRef, ...]:
 def likely_vectors(refs: Iterable[ChannelRef]) -> tuple[tuple[ChannelRef, ...], ...]:
     """Return the layers that may hold motion vectors, the likeliest first, by name alone.
 
-    Parameters
-    ----------
-    refs
-        Channels without a role.
-
     Returns
     -------
     tuple
@@ -115,13 +110,6 @@ def _vectors_beside(shot: Shot) -> list[str]:
 
 def no_vectors(shot: Shot, estimable: bool = True) -> str:
     """Return the message that a shot has no usable vectors: its unknown channels, and what to do.
-
-    Parameters
-    ----------
-    shot
-        The shot.
-    estimable
-        Whether the command can estimate motion instead.
 
     Raises
     ------

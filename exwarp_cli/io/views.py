@@ -192,11 +192,6 @@ def _filled(spec: str, text: str) -> str:
     return _TOKEN.sub(lambda token: text if token[0] == "%V" else text[0], spec)
 
 
-def _element(channel: Channel) -> str:
-    """Return the element of a channel's name that may be a view: the one before the last."""
-    return channel.raw_name.rpartition(".")[0].rpartition(".")[2]
-
-
 def _place(channel: Channel, part: Part, views: tuple[str, ...]) -> tuple[str, str, Channel]:
     """Return a channel's view, or "", and its name without it."""
     owner, name, _ = _place_before_last(channel, part, views)
@@ -210,7 +205,7 @@ def _place_before_last(
     channel: Channel, part: Part, views: tuple[str, ...]
 ) -> tuple[str, str, Channel]:
     """Do as `_place` where the view stands before the last element, as OpenEXR has it."""
-    element = _element(channel)
+    element = channel.raw_name.rpartition(".")[0].rpartition(".")[2]
     if element in views and part.view in ("", element):
         layer, _, component = channel.name.rpartition(".")
         above = layer.rpartition(".")[0]

@@ -18,8 +18,8 @@ import numpy as np
 
 from exwarp_cli.domain.frame import UInt8
 from exwarp_cli.errors import InputError, LayoutError
+from exwarp_cli.io.atomic import Held
 from exwarp_cli.io.ffmpeg import RAW_INPUT, TO_VIDEO, Feed, FfmpegError, even
-from exwarp_cli.io.held import Held
 from exwarp_cli.runtime.stop import scratch_folder
 
 LEAST = 17

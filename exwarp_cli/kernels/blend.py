@@ -7,8 +7,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.kernels._compile import inlined, parallel, part, serial
-from exwarp_cli.kernels._row_bands import WHOLE, Share, turns
+from exwarp_cli.kernels._compile import inlined, parallel, part
+from exwarp_cli.kernels._row_bands import Share, turns
 
 F32 = npt.NDArray[np.float32]
 B8 = npt.NDArray[np.bool_]
@@ -50,7 +50,7 @@ def write_shares(
     before, after
         Depth float32 [W], hole and fringe bool [W] of the row.
     time
-        As in :func:`blend_text`.
+        As in :func:`blend`.
     share
         float32 [W], written; 0 in holes.
     depth, hole
@@ -113,14 +113,15 @@ def blend_row(before: F32, after: F32, share: F32, out: F32) -> None:
         whole[k] = mixed[k]
 
 
-def blend_text(
+@parallel
+def blend(
     before: Side,
     after: Side,
     time: np.float32,
     out: F32,
     depth: F32,
     hole: B8,
-    share: Share = WHOLE,
+    share: Share,
 ) -> None:
     """Blend what two key frames show at a slot.
 
@@ -149,7 +150,3 @@ def blend_text(
         second = after[1][i], after[2][i], after[3][i]
         write_shares(first, second, time, later, depth[i], hole[i])
         blend_row(before[0][i], after[0][i], later, out[i])
-
-
-blend = parallel(blend_text)
-blend_serial = serial(blend_text)

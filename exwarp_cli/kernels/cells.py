@@ -7,7 +7,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.kernels._compile import serial
+from exwarp_cli.kernels._compile import compiled
 
 F32 = npt.NDArray[np.float32]
 Index = npt.NDArray[np.int64]
@@ -16,7 +16,7 @@ RED, GREEN, BLUE = np.float32(0.2126), np.float32(0.7152), np.float32(0.0722)
 BRIGHTEST = np.float32(1e4)
 
 
-@serial
+@compiled
 def mean_roots(
     pixels: F32, channels: int, rows: Index, columns: Index, points: int, out: F32
 ) -> None:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.kernels._compile import serial
+from exwarp_cli.kernels._compile import compiled
 
 F32 = npt.NDArray[np.float32]
 
 
-@serial
+@compiled
 def known_depths(depth: F32, far: np.float32, out: F32) -> None:
     """Write distances [N] that are above 0 and below `far`, +inf for all others and NaN."""
     infinite = np.float32(np.inf)
@@ -19,7 +19,7 @@ def known_depths(depth: F32, far: np.float32, out: F32) -> None:
         out[n] = value if np.float32(0) < value < far else infinite
 
 
-@serial
+@compiled
 def known_unmarked(depth: F32, normals: F32, far: np.float32, out: F32) -> bool:
     """Do as `known_depths`, and write +inf where the normal is (-1, -1, -1), normals [3 N].
 

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.kernels._compile import Kernel, parallel, part, serial
-from exwarp_cli.kernels._row_bands import WHOLE, Share, turns
+from exwarp_cli.kernels._compile import parallel, part
+from exwarp_cli.kernels._row_bands import Share, turns
 
 F32 = npt.NDArray[np.float32]
 I32 = npt.NDArray[np.int32]
@@ -74,7 +74,8 @@ def find_band(depth: F32, stencil: I32, rows: tuple[int, int], edge: B8) -> None
             mark_ids(low_id, high_id, edge[i])
 
 
-def find_edges_text(depth: F32, stencil: I32, edge: B8, share: Share = WHOLE) -> None:
+@parallel
+def find_edges(depth: F32, stencil: I32, edge: B8, share: Share) -> None:
     """Mark pixels with another surface among their eight neighbours.
 
     Parameters
@@ -154,7 +155,8 @@ def write_sources(i: int, line: F32, shape: tuple[int, int], source: I32) -> Non
         source[j] = row * width + column if lies else height * width
 
 
-def mark_rims_text(depth: F32, rims: B8, share: Share = WHOLE) -> None:
+@parallel
+def _mark_rims(depth: F32, rims: B8, share: Share) -> None:
     """Mark the pixels with a clearly nearer surface among their four neighbours.
 
     Parameters
@@ -169,7 +171,8 @@ def mark_rims_text(depth: F32, rims: B8, share: Share = WHOLE) -> None:
         mark_rim_of(depth, i, rims[i * width : (i + 1) * width])
 
 
-def mark_ghosts_text(field: F32, near: F32, rims: B8, fringe: B8, share: Share = WHOLE) -> None:
+@parallel
+def _mark_ghosts(field: F32, near: F32, rims: B8, fringe: B8, share: Share) -> None:
     """Mark the pixels that show a rim without being one.
 
     Parameters
@@ -177,7 +180,7 @@ def mark_ghosts_text(field: F32, near: F32, rims: B8, fringe: B8, share: Share =
     field, near, fringe
         As for :func:`find_fringe`.
     rims
-        bool [H W + 1], from :func:`mark_rims_text`; the last is where there is no source.
+        bool [H W + 1], from :func:`_mark_rims`; the last is where there is no source.
     """
     height, width = near.shape
     source = np.empty(width, np.int32)
@@ -211,28 +214,7 @@ def find_fringe(field: F32, near: F32, depth: F32, fringe: B8) -> None:
     All rims and sources at once, in loops without branches: 0.5 times cv2.remap. Looking at the
     neighbours of each target pixel's source took 2.4.
     """
-    _find_fringe(field, near, depth, fringe, (_mark_rims, _mark_ghosts))
-
-
-def find_fringe_serial(field: F32, near: F32, depth: F32, fringe: B8) -> None:
-    """Do as :func:`find_fringe` by one thread."""
-    _find_fringe(field, near, depth, fringe, (_mark_rims_serial, _mark_ghosts_serial))
-
-
-def _find_fringe(
-    field: F32, near: F32, depth: F32, fringe: B8, kernels: tuple[Kernel, Kernel]
-) -> None:
-    """Run both kernels, between which all threads wait for each other."""
-    mark_rims, mark_ghosts = kernels
     rims = np.empty(depth.size + 1, np.bool_)
     rims[-1] = False
-    mark_rims(depth, rims)
-    mark_ghosts(field, near, rims, fringe)
-
-
-find_edges = parallel(find_edges_text)
-find_edges_serial = serial(find_edges_text)
-_mark_rims = parallel(mark_rims_text)
-_mark_rims_serial = serial(mark_rims_text)
-_mark_ghosts = parallel(mark_ghosts_text)
-_mark_ghosts_serial = serial(mark_ghosts_text)
+    _mark_rims(depth, rims)  # whole, before any of them is looked up
+    _mark_ghosts(field, near, rims, fringe)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.kernels._compile import inlined, part, serial
+from exwarp_cli.kernels._compile import compiled, inlined, part
 
 U8 = npt.NDArray[np.uint8]
 U16 = npt.NDArray[np.uint16]
@@ -28,7 +28,7 @@ def delta_encode(values: U16, previous: U16, shift: np.uint16, out: U8) -> None:
         out[i] = np.uint8(rise + np.uint16(128))
 
 
-@serial
+@compiled
 def predict(lines: U16, block: int, out: U8) -> None:
     """Filter scan-line blocks before they are deflated.
 
@@ -73,7 +73,7 @@ def scatter(line: U32, row: U32, place: int) -> None:
         row[x, place] = line[x]
 
 
-@serial
+@compiled
 def read_lines(data: U8, columns: I64, out: U32) -> None:
     """Read a block that is stored uncompressed: in each line a channel after the other.
 
@@ -156,7 +156,7 @@ def decode_line(even: U8, odd: U8, start: np.uint64, line: U32) -> np.uint64:
     return np.uint64(value & np.uint64(0x000000FF000000FF))
 
 
-@serial
+@compiled
 def read_predicted(data: U8, columns: I64, out: U32) -> None:
     """Read an inflated block, which `predict` filtered; parameters as for `read_lines`.
 
@@ -210,7 +210,7 @@ def nan_to_half(bits: np.uint32) -> np.uint16:
     return np.uint16(sign | np.uint32(0x7C00) | kept | np.uint32(kept == 0))
 
 
-@serial
+@compiled
 def round_to_half(pixels: U32, bounded: bool, out: U16) -> None:
     """Round floats to halfs, in a tenth of the time that numpy takes.
 

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.kernels._compile import inlined, parallel, serial
-from exwarp_cli.kernels._row_bands import WHOLE, Share, turns
+from exwarp_cli.kernels._compile import inlined, parallel
+from exwarp_cli.kernels._row_bands import Share, turns
 
 F32 = npt.NDArray[np.float32]
 B8 = npt.NDArray[np.bool_]
@@ -38,7 +38,7 @@ def raise_pixel(
     channels
         C.
     clear, sign
-        As in :func:`raise_bounds_text`.
+        As in :func:`raise_bounds`.
     bound
         float32 [h w C], changed from `at` on.
     """
@@ -56,14 +56,15 @@ def raise_pixel(
                 bound[place] = value if more else bound[place]
 
 
-def raise_bounds_text(
+@parallel
+def raise_bounds(
     pixels: F32,
     field: F32,
     wanted: B8,
     clear: bool,
     sign: np.float32,
     bound: F32,
-    share: Share = WHOLE,
+    share: Share,
 ) -> None:
     """Raise bounds to the greatest of `sign` times a frame's values around a motion field's ends.
 
@@ -107,13 +108,8 @@ def raise_bounds_text(
                     raise_pixel(flat, area, channels, clear, sign, made, at)
 
 
-raise_bounds = parallel(raise_bounds_text)
-raise_bounds_serial = serial(raise_bounds_text)
-
-
-def hold_text(
-    bound: F32, wanted: B8, sign: np.float32, channels: int, frame: F32, share: Share = WHOLE
-) -> None:
+@parallel
+def hold(bound: F32, wanted: B8, sign: np.float32, channels: int, frame: F32, share: Share) -> None:
     """Hold a frame below upper bounds, or above lower ones.
 
     Parameters
@@ -137,7 +133,3 @@ def hold_text(
                     most = bound[i, j, c] if bound[i, j, c] > -np.inf else np.float32(0)
                     if sign * frame[i, j, c] > most:
                         frame[i, j, c] = sign * most + np.float32(0)  # no negative zero
-
-
-hold = parallel(hold_text)
-hold_serial = serial(hold_text)

@@ -7,9 +7,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.kernels._compile import parallel, part, serial
-from exwarp_cli.kernels._row_bands import WHOLE, Share, turns
-from exwarp_cli.kernels.lanes import LANES, add_four
+from exwarp_cli.kernels._compile import parallel, part
+from exwarp_cli.kernels._row_bands import Share, turns
 
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
@@ -38,7 +37,8 @@ def count_row(hole: B8, bits: I32) -> tuple[np.int32, np.int32]:
     return count, most
 
 
-def count_holes_text(hole: B8, bits: I32, counts: I32, furthest: I32, share: Share = WHOLE) -> None:
+@parallel
+def count_holes(hole: B8, bits: I32, counts: I32, furthest: I32, share: Share) -> None:
     """Count each row's holes, and find how far the surfaces reach that it shows.
 
     Parameters
@@ -67,7 +67,8 @@ def list_row(hole: B8, room: I32) -> None:
         place += np.int64(hole[j])
 
 
-def list_holes_text(hole: B8, first: I32, column: I32, share: Share = WHOLE) -> None:
+@parallel
+def list_holes(hole: B8, first: I32, column: I32, share: Share) -> None:
     """List the holes' columns.
 
     Parameters
@@ -115,7 +116,7 @@ def answer_row(asked: I16, hole: B8, dx: int, reach: int, own: I16) -> None:
 
 @part
 def look_across(way: int, hole: B8, first: I32, column: I32, reach: int, steps: I16) -> None:
-    """Write one way of :func:`look_text` that leads to another row.
+    """Write one way of :func:`look` that leads to another row.
 
     The sweep goes against the way, so pixels ask those that have been visited before.
     """
@@ -132,7 +133,7 @@ def look_across(way: int, hole: B8, first: I32, column: I32, reach: int, steps: 
 
 @part
 def look_along(dx: int, width: int, first: I32, column: I32, reach: int, steps: I16) -> None:
-    """Write one way of :func:`look_text` that stays in the row."""
+    """Write one way of :func:`look` that stays in the row."""
     for i in range(first.size - 1):
         visited, answer = -2, 0
         for n in range(first[i + 1] - first[i]):
@@ -143,9 +144,8 @@ def look_along(dx: int, width: int, first: I32, column: I32, reach: int, steps: 
             visited, answer = int(column[k]), (step + 1 if 0 < step < reach else 0)
 
 
-def look_text(
-    hole: B8, first: I32, column: I32, reach: int, steps: I16, share: Share = WHOLE
-) -> None:
+@parallel
+def look(hole: B8, first: I32, column: I32, reach: int, steps: I16, share: Share) -> None:
     """Find the first visible pixel that a hole sees in each of eight ways.
 
     Parameters
@@ -153,7 +153,7 @@ def look_text(
     hole
         bool [H, W].
     first, column
-        The holes, from :func:`list_holes_text`.
+        The holes, from :func:`list_holes`.
     reach
         How many steps to look, 1 to 32,766.
     steps
@@ -233,23 +233,13 @@ def add_seen(
     pixels
         float32 [H W C].
     sums
-        float64 [N L], changed; L is C, or 4 where C is 3.
+        float64 [N C], changed.
     totals
         float64 [N], changed.
     """
     at, stride, channels = row
     for n in range(totals.size):
         totals[n] += weights[n]
-    if channels == 3 or channels == 4:
-        safe = pixels.size - LANES
-        for n in range(weights.size):
-            p = (at + columns[n] + np.int64(steps[n]) * stride) * channels
-            if weights[n] != 0 and p <= safe:
-                add_four(weights[n], pixels, np.uint64(p), sums, np.uint64(LANES * n))
-            elif weights[n] != 0:  # the frame's last pixel
-                for c in range(channels):
-                    sums[LANES * n + c] += weights[n] * np.float64(pixels[p + c])
-        return
     for n in range(weights.size):
         if weights[n] != 0:
             p = (at + columns[n] + np.int64(steps[n]) * stride) * channels
@@ -260,11 +250,10 @@ def add_seen(
 @part
 def write_means(at: int, channels: int, columns: I32, sums: F64, totals: F64, pixels: F32) -> None:
     """Write the weighted means to a row's holes, 0 where they see nothing."""
-    lanes = LANES if channels == 3 else channels
     for n in range(columns.size):
         p = (at + columns[n]) * channels
         for c in range(channels):
-            mean = sums[n * lanes + c] / totals[n]
+            mean = sums[n * channels + c] / totals[n]
             pixels[p + c] = np.float32(mean) if totals[n] > 0 else np.float32(0)
 
 
@@ -285,8 +274,7 @@ def fill_row(
     columns, count = column[begin:end], end - begin
     far, weights = np.empty((len(WAYS), count), np.float32), np.empty(count, np.float64)
     wanted, known = np.zeros(count, np.float64), np.empty(count, np.bool_)
-    lanes = LANES if channels == 3 else channels
-    sums, totals = np.zeros(count * lanes, np.float64), np.zeros(count, np.float64)
+    sums, totals = np.zeros(count * channels, np.float64), np.zeros(count, np.float64)
     for way in range(len(WAYS)):
         stride = WAYS[way][0] * width + WAYS[way][1]
         write_depths(at, stride, depth, columns, cap, steps[way][begin:end], far[way], wanted)
@@ -300,14 +288,15 @@ def fill_row(
     write_means(at, channels, columns, sums, totals, pixels)
 
 
-def fill_text(
+@parallel
+def fill(
     image: F32,
     depth: F32,
     first: I32,
     column: I32,
     cap: np.float32,
     steps: I16,
-    share: Share = WHOLE,
+    share: Share,
 ) -> None:
     """Fill holes from the visible pixels around them.
 
@@ -319,11 +308,11 @@ def fill_text(
         float32 [H, W], of the visible surface, +inf background. In holes: of the surface that
         ought to be there, NaN where that is not known.
     first, column
-        The holes, from :func:`list_holes_text`.
+        The holes, from :func:`list_holes`.
     cap
         Depth at which everything further counts as equally far, scene units.
     steps
-        int16 [8, N], from :func:`look_text`.
+        int16 [8, N], from :func:`look`.
 
     Notes
     -----
@@ -341,13 +330,3 @@ def fill_text(
         if first[i] < first[i + 1]:
             holes = (np.int64(first[i]), np.int64(first[i + 1]))
             fill_row(i * width, (width, channels), flat, holes, column, cap, steps, pixels)
-
-
-count_holes = parallel(count_holes_text)
-count_holes_serial = serial(count_holes_text)
-list_holes = parallel(list_holes_text)
-list_holes_serial = serial(list_holes_text)
-look = parallel(look_text)
-look_serial = serial(look_text)
-fill = parallel(fill_text)
-fill_serial = serial(fill_text)

@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli.kernels import flip_filters as filters
-from exwarp_cli.kernels._compile import inlined, parallel, part, serial
-from exwarp_cli.kernels._row_bands import WHOLE, Share, turns
+from exwarp_cli.kernels._compile import inlined, parallel, part
+from exwarp_cli.kernels._row_bands import Share, turns
 from exwarp_cli.kernels.flip_colour import TO_XYZ, to_linear, to_xyz
 from exwarp_cli.kernels.flip_powers import power
 
@@ -100,7 +100,8 @@ def _perceive_row(planes: F32, row: int, seen: F32) -> None:
     _length(parts[6], parts[7], seen[4, row])
 
 
-def perceive_text(planes: F32, seen: F32, share: Share = WHOLE) -> None:
+@parallel
+def perceive(planes: F32, seen: F32, share: Share) -> None:
     """Write what a viewer sees of an image (sections 4.1.1, 4.1.2 and 4.2.1).
 
     Parameters
@@ -157,7 +158,8 @@ def _differ_row(reference: F32, test: F32, row: int, error: F32) -> None:
         out[i] = max(out[i], min(found, _ONE))
 
 
-def differ_text(reference: F32, test: F32, error: F32, share: Share = WHOLE) -> None:
+@parallel
+def differ(reference: F32, test: F32, error: F32, share: Share) -> None:
     """Raise an error map to the error of a pair of images (sections 4.1.3, 4.2.2 and 4.3).
 
     Parameters
@@ -169,9 +171,3 @@ def differ_text(reference: F32, test: F32, error: F32, share: Share = WHOLE) -> 
     """
     for row in turns(error.shape[0], share):
         _differ_row(reference, test, row, error)
-
-
-perceive = parallel(perceive_text)
-perceive_serial = serial(perceive_text)
-differ = parallel(differ_text)
-differ_serial = serial(differ_text)

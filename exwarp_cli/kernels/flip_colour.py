@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.kernels._compile import inlined, parallel, part, serial
-from exwarp_cli.kernels._row_bands import WHOLE, Share, turns
+from exwarp_cli.kernels._compile import inlined, parallel, part
+from exwarp_cli.kernels._row_bands import Share, turns
 from exwarp_cli.kernels.flip_powers import power
 
 F32 = npt.NDArray[np.float32]
@@ -131,7 +131,8 @@ def _tone_row(image: F32, gain: np.float32, row: int, planes: F32) -> None:
     _oppose(lines[0], lines[1], lines[2], row, planes)
 
 
-def decode_text(image: F32, planes: F32, share: Share = WHOLE) -> None:
+@parallel
+def decode(image: F32, planes: F32, share: Share) -> None:
     """Write the opponent colours of a display-encoded image.
 
     Parameters
@@ -145,7 +146,8 @@ def decode_text(image: F32, planes: F32, share: Share = WHOLE) -> None:
         _decode_row(image, row, planes)
 
 
-def expose_text(image: F32, gain: np.float32, planes: F32, share: Share = WHOLE) -> None:
+@parallel
+def expose(image: F32, gain: np.float32, planes: F32, share: Share) -> None:
     """Write the opponent colours of a scene-linear image as it is shown at an exposure.
 
     Parameters
@@ -159,9 +161,3 @@ def expose_text(image: F32, gain: np.float32, planes: F32, share: Share = WHOLE)
     """
     for row in turns(image.shape[0], share):
         _tone_row(image, gain, row, planes)
-
-
-decode = parallel(decode_text)
-decode_serial = serial(decode_text)
-expose = parallel(expose_text)
-expose_serial = serial(expose_text)

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.kernels._compile import inlined, parallel, part, serial
-from exwarp_cli.kernels._row_bands import WHOLE, Share, turns
+from exwarp_cli.kernels._compile import inlined, parallel, part
+from exwarp_cli.kernels._row_bands import Share, turns
 from exwarp_cli.kernels.holes import DEPTH_TOLERANCE, Steps, same_depth
 from exwarp_cli.kernels.surface import end_of
 
@@ -193,7 +193,7 @@ def step_at(
     Parameters
     ----------
     step, shown
-        As for :func:`follow_text`; ids, depths and their steps.
+        As for :func:`follow`; ids, depths and their steps.
     point
         What is known of it.
     place, hope
@@ -206,7 +206,8 @@ def step_at(
     return found
 
 
-def follow_text(
+@parallel
+def follow(
     step: F32,
     stencils: tuple[I32, I32],
     depths: tuple[F32, F32],
@@ -214,7 +215,7 @@ def follow_text(
     close: np.float32,
     expected: F32,
     moved: F32,
-    share: Share = WHOLE,
+    share: Share,
 ) -> None:
     """Move points on by one step: moved(x) += step(x + moved(x)).
 
@@ -267,11 +268,8 @@ def follow_text(
             moved[i, j, 1] += step_y
 
 
-follow = parallel(follow_text)
-follow_serial = serial(follow_text)
-
-
-def follow_shown_text(
+@parallel
+def follow_shown(
     step: F32,
     stencil: I32,
     gone: B8,
@@ -279,9 +277,9 @@ def follow_shown_text(
     lost: B8,
     led: F32,
     missed: B8,
-    share: Share = WHOLE,
+    share: Share,
 ) -> None:
-    """Move points on by one step as :func:`follow_text` does, as what the instant shows there.
+    """Move points on by one step as :func:`follow` does, as what the instant shows there.
 
     Parameters
     ----------
@@ -311,7 +309,3 @@ def follow_shown_text(
             point = ident, np.float32(np.nan)
             step_x, step_y = step_at(step, shown, point, place, nowhere)
             led[i, j, 0], led[i, j, 1] = mx + step_x, my + step_y
-
-
-follow_shown = parallel(follow_shown_text)
-follow_shown_serial = serial(follow_shown_text)

@@ -1,9 +1,4 @@
-"""Backward sampling of an image along a motion field.
-
-Some pixels of a row are worked off at a time, in passes: places and weights in a loop without
-branches, then the mixing of all, four at once, whether they have a source or not, then the few that
-lie at the border or nowhere, again.
-"""
+"""Backward sampling of an image along a motion field."""
 
 from __future__ import annotations
 
@@ -12,22 +7,12 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.kernels._compile import inlined, parallel, part, serial
-from exwarp_cli.kernels._row_bands import WHOLE, Share, turns
-from exwarp_cli.kernels.lanes import FLAGS, LANES, any_of_eight, mix_four
+from exwarp_cli.kernels._compile import inlined, parallel, part
+from exwarp_cli.kernels._row_bands import Share, turns
 
 F32 = npt.NDArray[np.float32]
-I32 = npt.NDArray[np.int32]
 B8 = npt.NDArray[np.bool_]
 U64 = np.uint64
-
-Work = tuple[I32, F32]
-"""Room for SPAN pixels: where each begins in the image, and two weights of each."""
-
-RGB, RGBA = 3, 4
-
-SPAN = 256
-"""Pixels of a row that are worked off at a time: what is known of them stays in the cache."""
 
 FURTHEST = np.float32(1e7)
 """Pixels from the frame's corner beyond which nothing is sampled."""
@@ -78,95 +63,6 @@ def mix(
 
 
 @part
-def write_places(
-    corner: tuple[int, int], line: F32, shape: tuple[int, int, int], work: Work, hole: B8
-) -> tuple[np.int32, bool]:
-    """Write where the pixels of a span come from, for those with four neighbours in the image.
-
-    Parameters
-    ----------
-    corner
-        Row and column of the first.
-    line
-        float32 [2 w], x and y by turns: the motion field.
-    shape
-        H, W, C of the image.
-    work
-        Written: places and weights for :func:`~exwarp_cli.kernels.lanes.mix_four`; those of other
-        pixels are 0.
-    hole
-        bool [w], written: not (0 <= x < W - 1 and 0 <= y < H - 1).
-
-    Returns
-    -------
-    tuple
-        The greatest of the places, and whether there are other pixels.
-    """
-    places, weights = work
-    width, channels = np.int32(shape[1]), np.int32(shape[2])
-    end_x, end_y = np.float32(shape[1] - 1), np.float32(shape[0] - 1)
-    furthest, outside = np.int32(0), False
-    for j in range(hole.size):
-        x = np.float32(np.int32(corner[1] + j)) + line[2 * j]
-        y = np.float32(corner[0]) + line[2 * j + 1]
-        lies = (x >= 0) & (y >= 0) & (x < end_x) & (y < end_y)
-        x, y = x if lies else np.float32(0), y if lies else np.float32(0)
-        left, top = np.int32(x), np.int32(y)  # rounds down
-        weights[2 * j], weights[2 * j + 1] = x - np.float32(left), y - np.float32(top)
-        place = np.int32((top * width + left) * channels)
-        places[j] = place
-        furthest = max(furthest, place)
-        hole[j] = not lies
-        outside |= not lies
-    return furthest, outside
-
-
-@part
-def mix_span(
-    pixels: F32, shape: tuple[int, int, int], furthest: np.int32, work: Work, out: F32, hole: B8
-) -> bool:
-    """Mix the pixels of a span, and mark those with a value that is not finite.
-
-    Parameters
-    ----------
-    pixels, shape
-        float32 [H W C], and H, W, C.
-    furthest, work
-        From :func:`write_places`.
-    out
-        float32 [N], from the span to the end of its row, written; maybe one value after the span,
-        too.
-    hole
-        bool [w], changed.
-
-    Returns
-    -------
-    bool
-        Whether any is marked.
-    """
-    places, weights = work
-    channels, marked = shape[2], False
-    below, fours = shape[1] * channels, 0
-    last = int(furthest) + below + channels
-    if RGB <= channels <= RGBA and last + LANES <= pixels.size:
-        fours = min(hole.size, (out.size - LANES) // channels + 1) // LANES * LANES
-    for j in range(0, fours, LANES):
-        strange = mix_four(pixels, (channels, below), places, weights, j, out)
-        if strange:
-            marked = True
-            for k in range(LANES):
-                hole[j + k] |= (strange >> (LANES * k)) & ((1 << channels) - 1) != 0
-    for j in range(fours, hole.size):
-        fx, fy = weights[2 * j], weights[2 * j + 1]
-        # A sample of weight 0 must not spread its NaN: whole-pixel motion copies exactly.
-        at = U64(places[j]), U64(0 if fx == 0 else channels), U64(0 if fy == 0 else below)
-        finite = mix(pixels, at, fx, fy, channels, out, channels * j)
-        hole[j] |= not finite
-        marked |= not finite
-    return marked
-
-
-@part
 def sample_border(
     pixels: F32, shape: tuple[int, int, int], x: np.float32, y: np.float32, out: F32, place: int
 ) -> bool:
@@ -206,58 +102,28 @@ def clear(out: F32, place: int, channels: int) -> None:
         out[U64(place) + U64(c)] = np.float32(0.0)
 
 
-@part
-def settle_rest(
-    corner: tuple[int, int],
-    line: F32,
-    pixels: F32,
-    shape: tuple[int, int, int],
-    out: F32,
-    hole: B8,
-) -> None:
-    """Write the pixels of a span anew that are marked, and take the mark from the border's.
-
-    Parameters as in :func:`write_places` and :func:`mix_span`.
-    """
-    channels = shape[2]
-    end_x, end_y = np.float32(shape[1] - 1), np.float32(shape[0] - 1)
-    for start in range(0, hole.size, FLAGS):
-        end = min(start + FLAGS, hole.size)
-        if start + FLAGS <= end and not any_of_eight(hole, start):
-            continue
-        for j in range(start, end):
-            if hole[j]:
-                x = np.float32(corner[1] + j) + line[2 * j]
-                y = np.float32(corner[0]) + line[2 * j + 1]
-                inside = (x >= 0) & (y >= 0) & (x < end_x) & (y < end_y)
-                if not inside and abs(x) < FURTHEST and abs(y) < FURTHEST:
-                    hole[j] = not show_border(pixels, shape, x, y, out, j * channels)
-                else:
-                    clear(out, j * channels, channels)
+@inlined
+def sample(
+    pixels: F32, shape: tuple[int, int, int], x: np.float32, y: np.float32, out: F32, place: int
+) -> bool:
+    """Write what lies at (x, y), 0 where nothing does, and return whether something finite does."""
+    height, width, channels = shape
+    if (x >= 0) & (y >= 0) & (x < np.float32(width - 1)) & (y < np.float32(height - 1)):
+        left, top = np.int32(x), np.int32(y)  # rounds down
+        fx, fy = x - np.float32(left), y - np.float32(top)
+        first = U64((top * np.int32(width) + left) * np.int32(channels))
+        # A sample of weight 0 must not spread its NaN: whole-pixel motion copies exactly.
+        at = first, U64(0 if fx == 0 else channels), U64(0 if fy == 0 else width * channels)
+        if mix(pixels, at, fx, fy, channels, out, place):
+            return True
+    elif abs(x) < FURTHEST and abs(y) < FURTHEST:
+        return bool(show_border(pixels, shape, x, y, out, place))
+    clear(out, place, channels)
+    return False
 
 
-@part
-def gather_span(
-    corner: tuple[int, int],
-    line: F32,
-    pixels: F32,
-    shape: tuple[int, int, int],
-    work: Work,
-    out: F32,
-    hole: B8,
-) -> None:
-    """Sample some pixels of a row, the first at `corner`, its row and column.
-
-    `line` is float32 [2 w], `pixels` [H W C], `work` room for SPAN pixels; `out` as for
-    :func:`mix_span`.
-    """
-    furthest, outside = write_places(corner, line, shape, work, hole)
-    marked = mix_span(pixels, shape, furthest, work, out, hole)
-    if outside or marked:
-        settle_rest(corner, line, pixels, shape, out, hole)
-
-
-def gather_bilinear_text(image: F32, field: F32, out: F32, hole: B8, share: Share = WHOLE) -> None:
+@parallel
+def gather_bilinear(image: F32, field: F32, out: F32, hole: B8, share: Share) -> None:
     """Sample `image` bilinearly at x + field(x) and mark what cannot be sampled.
 
     Parameters
@@ -275,14 +141,11 @@ def gather_bilinear_text(image: F32, field: F32, out: F32, hole: B8, share: Shar
         value among the samples.
     """
     pixels, channels = np.ascontiguousarray(image).reshape(-1), image.shape[2]
-    work = np.empty(SPAN, np.int32), np.empty(2 * SPAN, np.float32)
     for i in turns(out.shape[0], share):
         line, target = np.ascontiguousarray(field[i]).reshape(-1), out[i].reshape(-1)
-        for start in range(0, out.shape[1], SPAN):
-            end = min(start + SPAN, out.shape[1])
-            some, made = line[2 * start : 2 * end], target[start * channels :]
-            gather_span((i, start), some, pixels, image.shape, work, made, hole[i, start:end])
-
-
-gather_bilinear = parallel(gather_bilinear_text)
-gather_bilinear_serial = serial(gather_bilinear_text)
+        unseen = hole[i]
+        for j in range(out.shape[1]):
+            # Unsigned indices need no test for counting from the end.
+            x = np.float32(j) + line[U64(2 * j)]
+            y = np.float32(i) + line[U64(2 * j + 1)]
+            unseen[U64(j)] = not sample(pixels, image.shape, x, y, target, channels * j)

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.kernels._compile import inlined, parallel, serial
-from exwarp_cli.kernels._row_bands import WHOLE, Share, turns
+from exwarp_cli.kernels._compile import inlined, parallel
+from exwarp_cli.kernels._row_bands import Share, turns
 
 F32 = npt.NDArray[np.float32]
 I32 = npt.NDArray[np.int32]
@@ -128,7 +128,8 @@ def other_surface(
     return bool(beyond_footprint(here, i, j, apart(here, i, j, there, y, x), rounded))
 
 
-def mark_text(
+@parallel
+def mark(
     field: F32,
     depths: tuple[F32, F32],
     stencils: tuple[I32, I32],
@@ -136,7 +137,7 @@ def mark_text(
     normals: tuple[F32, F32],
     limits: Limits,
     hole: B8,
-    share: Share = WHOLE,
+    share: Share,
 ) -> None:
     """Mark pixels whose source along a motion field is not the same surface point.
 
@@ -193,7 +194,3 @@ def mark_text(
                 if not same_depth(a, b, DEPTH_TOLERANCE, (linear, inverse)):
                     continue
             hole[i, j] = False
-
-
-mark = parallel(mark_text)
-mark_serial = serial(mark_text)

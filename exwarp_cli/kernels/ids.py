@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.kernels._compile import serial
+from exwarp_cli.kernels._compile import compiled
 
 F32 = npt.NDArray[np.float32]
 I32 = npt.NDArray[np.int32]
@@ -15,7 +15,7 @@ MIXED = np.float32(0.02)
 """A fraction from which an id is a mixture of two."""
 
 
-@serial
+@compiled
 def whole_ids(ids: F32, out: I32) -> None:
     """Round ids to whole numbers, within int32; -1 where a fraction or NaN tells of mixed ones.
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.kernels._compile import inlined, part, serial
+from exwarp_cli.kernels._compile import compiled, inlined, part
 
 I32 = npt.NDArray[np.int32]
 I64 = npt.NDArray[np.int64]
@@ -140,7 +140,7 @@ def write_runs(runs: Runs, count: int, parent: I32, line: I32) -> None:
     write_run(np.int32(0), line[done:])
 
 
-@serial
+@compiled
 def label(stencil: I32, labels: I32) -> int:
     """Label the connected pixels of equal id.
 
@@ -188,7 +188,7 @@ def label(stencil: I32, labels: I32) -> int:
     return total
 
 
-@serial
+@compiled
 def measure_areas(stencil: I32, areas: I64) -> int:
     """Count the pixels of each component; of runs those of two rows are kept.
 

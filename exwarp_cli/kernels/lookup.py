@@ -7,13 +7,13 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.kernels._compile import serial
+from exwarp_cli.kernels._compile import compiled
 
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
 
 
-@serial
+@compiled
 def look_up(image: F32, target: F64, found: F64) -> None:
     """Sample an image bilinearly at scattered places.
 
@@ -44,7 +44,7 @@ def look_up(image: F32, target: F64, found: F64) -> None:
             found[n, c] = upper * (1 - fy) + lower * fy
 
 
-@serial
+@compiled
 def count_misses(found: F64, wanted: F64, tolerance: F64, losses: F64) -> None:
     """Write how far values are from those wanted, from 0 to 1.
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.kernels._compile import parallel, part, serial
-from exwarp_cli.kernels._row_bands import WHOLE, Share, turns
+from exwarp_cli.kernels._compile import parallel, part
+from exwarp_cli.kernels._row_bands import Share, turns
 
 F32 = npt.NDArray[np.float32]
 B8 = npt.NDArray[np.bool_]
@@ -52,7 +52,7 @@ def copy_between(values: F32, shown: B8, low: float, high: float, out: F32) -> N
 
 @part
 def pick_some(values: F32, shown: B8, low: float, high: float, out: F32, told: I64) -> None:
-    """Do as `pick_between_text` with a band's values [N]; `out` has N + 1, `told` 3."""
+    """Do as `pick_between` with a band's values [N]; `out` has N + 1, `told` 3."""
     total, below, count = 0, 0, 0
     for begin in range(0, values.size, SPAN):
         some, mask = values[begin : begin + SPAN], shown[begin : begin + SPAN]
@@ -63,14 +63,15 @@ def pick_some(values: F32, shown: B8, low: float, high: float, out: F32, told: I
     told[0], told[1], told[2] = total, below, count
 
 
-def pick_between_text(
+@parallel
+def pick_between(
     values: F32,
     shown: B8,
     low: np.float32,
     high: np.float32,
     out: F32,
     told: I64,
-    share: Share = WHOLE,
+    share: Share,
 ) -> None:
     """Copy values above 0 that lie from `low` to `high`, by bands.
 
@@ -93,10 +94,6 @@ def pick_between_text(
     for band in turns(out.shape[0], share):
         some = slice(min(band * step, values.size), min((band + 1) * step, values.size))
         pick_some(values[some], shown[some], low, high, out[band], told[band])
-
-
-pick_between = parallel(pick_between_text)
-pick_between_serial = serial(pick_between_text)
 
 
 def positive(values: F32, shown: B8) -> np.float32:

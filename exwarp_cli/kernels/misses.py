@@ -7,13 +7,13 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.kernels._compile import serial
+from exwarp_cli.kernels._compile import compiled
 
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
 
 
-@serial
+@compiled
 def count_misses_of(
     xy: F64, shifts: F32, image: F32, wanted: F64, tolerance: F64, place: int, losses: F64
 ) -> None:

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.kernels._compile import inlined, parallel, part, serial
-from exwarp_cli.kernels._row_bands import WHOLE, Share, turns
+from exwarp_cli.kernels._compile import inlined, parallel, part
+from exwarp_cli.kernels._row_bands import Share, turns
 from exwarp_cli.kernels.blend import FRINGE_WEIGHT
 from exwarp_cli.kernels.fill import WAYS
 from exwarp_cli.kernels.gather import clamp
@@ -75,7 +75,8 @@ def seen_at(i: int, j: int, side: Side) -> tuple[int, np.float32]:
     return pixel, trust if pixel >= 0 else np.float32(0)
 
 
-def choose_text(
+@parallel
+def choose(
     before: Side,
     after: Side,
     time: np.float32,
@@ -83,7 +84,7 @@ def choose_text(
     later: B8,
     depth: F32,
     hole: B8,
-    share: Share = WHOLE,
+    share: Share,
 ) -> None:
     """Choose the pixel that shows what a slot's pixel shows, in one of two key frames.
 
@@ -167,7 +168,8 @@ def neighbour(
     return y, x
 
 
-def adopt_text(
+@parallel
+def adopt(
     pixel: I32,
     later: B8,
     depth: F32,
@@ -175,14 +177,14 @@ def adopt_text(
     column: I32,
     cap: np.float32,
     steps: I16,
-    share: Share = WHOLE,
+    share: Share,
 ) -> None:
     """Give holes the source of the visible pixel around them that they belong to.
 
     Parameters
     ----------
     pixel, later
-        From :func:`choose_text`, changed in holes; a pixel that sees nothing around it gets the
+        From :func:`choose`, changed in holes; a pixel that sees nothing around it gets the
         pixel of the key frame before at its own place.
     depth
         From there, too.
@@ -206,7 +208,8 @@ def adopt_text(
                 later[i, j] = later[y, x]
 
 
-def sample_surface_text(image: F32, depth: F32, field: F32, out: F32, share: Share = WHOLE) -> None:
+@parallel
+def sample_surface(image: F32, depth: F32, field: F32, out: F32, share: Share) -> None:
     """Sample along a field bilinearly, out of one surface only.
 
     Parameters
@@ -246,11 +249,3 @@ def sample_surface_text(image: F32, depth: F32, field: F32, out: F32, share: Sha
                     out[i, j, c] += weight * image[q, p, c]
             for c in range(channels):
                 out[i, j, c] /= total
-
-
-choose = parallel(choose_text)
-choose_serial = serial(choose_text)
-adopt = parallel(adopt_text)
-adopt_serial = serial(adopt_text)
-sample_surface = parallel(sample_surface_text)
-sample_surface_serial = serial(sample_surface_text)

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.kernels._compile import parallel, part, serial
-from exwarp_cli.kernels._row_bands import WHOLE, Share, turns
+from exwarp_cli.kernels._compile import parallel, part
+from exwarp_cli.kernels._row_bands import Share, turns
 from exwarp_cli.kernels.reach import write_reach
 
 F32 = npt.NDArray[np.float32]
@@ -16,7 +16,7 @@ F32 = npt.NDArray[np.float32]
 
 @part
 def write_parabola(before: F32, after: F32, time: np.float32, out: F32) -> None:
-    """Write displacements [N] of a row; see `parabola_text`."""
+    """Write displacements [N] of a row; see `parabola`."""
     half, square = np.float32(0.5) * time, np.float32(0.5) * time * time
     for k in range(out.size):
         p, n = before[k], after[k]
@@ -25,9 +25,8 @@ def write_parabola(before: F32, after: F32, time: np.float32, out: F32) -> None:
         out[k] = time * n if math.isnan(p) else alone
 
 
-def parabola_text(
-    before: F32, after: F32, time: np.float32, out: F32, reach: F32, share: Share = WHOLE
-) -> None:
+@parallel
+def parabola(before: F32, after: F32, time: np.float32, out: F32, reach: F32, share: Share) -> None:
     """Write t (n - p) / 2 + t² (n + p) / 2 for p = `before` and n = `after`.
 
     Parameters
@@ -42,7 +41,7 @@ def parabola_text(
     out
         float32 [H, W, 2], written; NaN where both are unknown.
     reach
-        Written as by :func:`~exwarp_cli.kernels.reach.row_reach_text`, row by row, which finds each
+        Written as by :func:`~exwarp_cli.kernels.reach.row_reach`, row by row, which finds each
         in the processor's cache; [0, 0, 2] where nobody asks.
     """
     for i in turns(after.shape[0], share):
@@ -50,7 +49,3 @@ def parabola_text(
         write_parabola(before[i].reshape(-1), after[i].reshape(-1), time, line)
         if reach.shape[0] > 0:
             write_reach(i, line, reach[i])
-
-
-parabola = parallel(parabola_text)
-parabola_serial = serial(parabola_text)

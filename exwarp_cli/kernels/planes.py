@@ -7,8 +7,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.kernels._compile import inlined, parallel, part, serial
-from exwarp_cli.kernels._row_bands import WHOLE, Share, turns
+from exwarp_cli.kernels._compile import inlined, parallel, part
+from exwarp_cli.kernels._row_bands import Share, turns
 from exwarp_cli.kernels.gather import clamp
 
 F32 = npt.NDArray[np.float32]
@@ -71,33 +71,21 @@ def repeat_ends(columns: Columns, y: int, out: F32) -> None:
             line[x] = line[end - 1]
 
 
-@inlined
-def take_three(pixels: F32, channels: int, one: F32, two: F32, three: F32) -> None:
-    """Write the first three channels of pixels [N C] to lines [N]."""
-    for n in range(one.size):
-        first = np.uint64(channels) * np.uint64(n)
-        one[n] = pixels[first]
-        two[n] = pixels[first + np.uint64(1)]
-        three[n] = pixels[first + np.uint64(2)]
-
-
 @part
 def write_colour(
     pixels: F32, at: int, channels: int, columns: Columns, out: F32, place: Place
 ) -> None:
-    """Write three lines of colour from a row of `pixels` [H W C] that begins at pixel `at`.
-
-    With a number of channels that the compiler knows it takes a fraction of the time.
-    """
+    """Write three lines of colour from a row of `pixels` [H W C] that begins at pixel `at`."""
     begin, end, start = columns
     plane, y = place
     some = slice(begin, end)
     one, two, three = out[plane, y][some], out[plane + 1, y][some], out[plane + 2, y][some]
     row = pixels[(at + start) * channels : (at + start + end - begin) * channels]
-    if channels == 3:
-        take_three(row, 3, one, two, three)
-    else:
-        take_three(row, channels, one, two, three)
+    for n in range(one.size):
+        first = np.uint64(channels) * np.uint64(n)
+        one[n] = row[first]
+        two[n] = row[first + np.uint64(1)]
+        three[n] = row[first + np.uint64(2)]
 
 
 @part
@@ -175,7 +163,7 @@ def spread_row(
     median: np.float32,
     out: F32,
 ) -> None:
-    """Write a row of a slot's planes as `spread_text` does; `rows` are that of the frame, and it.
+    """Write a row of a slot's planes as `spread` does; `rows` are that of the frame, and it.
 
     `pixels` are those of the three frames there, and the filled ones; `shown` what the frames show,
     `known` depth and normal, then roughness and metallic.
@@ -198,7 +186,8 @@ def spread_row(
     repeat_ends(columns, y, out)
 
 
-def spread_text(
+@parallel
+def spread(
     frames: tuple[Frame, Frame, Frame],
     filled: F32,
     surface: tuple[F32, F32, F32, F32],
@@ -206,7 +195,7 @@ def spread_text(
     median: np.float32,
     corner: tuple[int, int],
     out: F32,
-    share: Share = WHOLE,
+    share: Share,
 ) -> None:
     """Write a part of a slot's planes, colour still linear.
 
@@ -240,11 +229,8 @@ def spread_text(
         spread_row((i, y), columns, pixels, shown, (shape, materials), defaults, median, out)
 
 
-spread = parallel(spread_text)
-spread_serial = serial(spread_text)
-
-
-def join_text(colour: F32, modulation: F32, filled: F32, out: F32, share: Share = WHOLE) -> None:
+@parallel
+def join(colour: F32, modulation: F32, filled: F32, out: F32, share: Share) -> None:
     """Write a network's answer as a frame.
 
     Parameters
@@ -270,10 +256,6 @@ def join_text(colour: F32, modulation: F32, filled: F32, out: F32, share: Share 
                 out[i, j, c] = filled[i, j, c]
 
 
-join = parallel(join_text)
-join_serial = serial(join_text)
-
-
 @inlined
 def surface_colour(
     diffuse: np.float32, glossy: np.float32, bounds: tuple[float, float]
@@ -283,13 +265,14 @@ def surface_colour(
     return colour
 
 
-def demodulate_text(
+@parallel
+def demodulate(
     pixels: F32,
     albedo: F32,
     specular: F32,
     bounds: tuple[float, float],
     out: F32,
-    share: Share = WHOLE,
+    share: Share,
 ) -> None:
     """Divide a frame's colour by its surface colour; further channels are copied.
 
@@ -308,27 +291,9 @@ def demodulate_text(
     for i in turns(height, share):
         diffuse, glossy = albedo[i].reshape(-1), specular[i].reshape(-1)
         given, made = pixels[i].reshape(-1), out[i].reshape(-1)
-        if channels == 3:  # as numbers that the compiler knows they take a sixth of the time
-            for k in range(made.size):
-                made[k] = given[k] / surface_colour(diffuse[k], glossy[k], bounds)
-            continue
-        if channels == 4:
-            for j in range(width):
-                r = surface_colour(diffuse[3 * j], glossy[3 * j], bounds)
-                g = surface_colour(diffuse[3 * j + 1], glossy[3 * j + 1], bounds)
-                b = surface_colour(diffuse[3 * j + 2], glossy[3 * j + 2], bounds)
-                made[4 * j] = given[4 * j] / r
-                made[4 * j + 1] = given[4 * j + 1] / g
-                made[4 * j + 2] = given[4 * j + 2] / b
-                made[4 * j + 3] = given[4 * j + 3]
-            continue
         for j in range(width):
             for c in range(3):
                 colour = surface_colour(diffuse[3 * j + c], glossy[3 * j + c], bounds)
                 made[channels * j + c] = given[channels * j + c] / colour
             for k in range(channels * j + 3, channels * (j + 1)):
                 made[k] = given[k]
-
-
-demodulate = parallel(demodulate_text)
-demodulate_serial = serial(demodulate_text)

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.kernels._compile import inlined, parallel, serial
-from exwarp_cli.kernels._row_bands import WHOLE, Share, turns
+from exwarp_cli.kernels._compile import inlined, parallel
+from exwarp_cli.kernels._row_bands import Share, turns
 
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
@@ -42,7 +42,7 @@ def displaced(
 ) -> tuple[np.float32, np.float32]:
     """Return the displacement of pixel (i, j), if its point stands still; NaN where it is unseen.
 
-    Parameters as for :func:`rigid_text`.
+    Parameters as for :func:`rigid`.
     """
     x, y = np.float64(j), np.float64(i)
     if math.isinf(depth[i, j]):
@@ -62,7 +62,8 @@ def displaced(
     return away_x, away_y
 
 
-def rigid_text(
+@parallel
+def rigid(
     position: F32,
     depth: F32,
     camera: F64,
@@ -70,7 +71,7 @@ def rigid_text(
     still: B8,
     kept: bool,
     out: F32,
-    share: Share = WHOLE,
+    share: Share,
 ) -> None:
     """Write the displacement of pixels to another camera's frame, if their points stand still.
 
@@ -104,11 +105,8 @@ def rigid_text(
                 out[i, j, 0], out[i, j, 1] = x, y
 
 
-rigid = parallel(rigid_text)
-rigid_serial = serial(rigid_text)
-
-
-def standing_text(
+@parallel
+def standing(
     position: F32,
     depth: F32,
     camera: F64,
@@ -116,14 +114,14 @@ def standing_text(
     step: F32,
     tolerance: np.float32,
     out: B8,
-    share: Share = WHOLE,
+    share: Share,
 ) -> None:
     """Find the pixels that move as points do which stand still.
 
     Parameters
     ----------
     position, depth, camera, at_infinity
-        As for :func:`rigid_text`.
+        As for :func:`rigid`.
     step
         float32 [H, W, 2], pixels: motion to the other camera's frame; NaN where unknown.
     tolerance
@@ -138,7 +136,3 @@ def standing_text(
             near_x = np.float32(abs(np.float32(step[i, j, 0] - x))) <= tolerance
             near_y = np.float32(abs(np.float32(step[i, j, 1] - y))) <= tolerance
             out[i, j] = near_x and near_y
-
-
-standing = parallel(standing_text)
-standing_serial = serial(standing_text)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.kernels._compile import inlined, serial
+from exwarp_cli.kernels._compile import compiled, inlined
 from exwarp_cli.kernels.edges import SAME_DEPTH
 
 F32 = npt.NDArray[np.float32]
@@ -77,7 +77,7 @@ def is_among(ident: np.int32, ids: I32) -> bool:
     return bool(low < ids.size and ids[low] == ident)
 
 
-@serial
+@compiled
 def write_surfaces(bits: U32, shares: F32, lead: np.float32, rounded: bool, out: I32) -> None:
     """Write the id of the surface that each pixel shows.
 
@@ -102,7 +102,7 @@ def write_surfaces(bits: U32, shares: F32, lead: np.float32, rounded: bool, out:
             out[i, j] = prevailing(first, second, share, other, lead)
 
 
-@serial
+@compiled
 def write_moving(
     bits: U32, shares: F32, lead: np.float32, rounded: bool, moving: I32, out: I32
 ) -> None:
@@ -165,7 +165,7 @@ def nearest_in_depth(ids: I32, depth: F32, i: int, j: int) -> np.int32:
     return np.int32(found)
 
 
-@serial
+@compiled
 def write_by_depth(ids: I32, depth: F32, out: I32) -> None:
     """Give pixels the id of the surface that their depth is of.
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.kernels._compile import parallel, part, serial
-from exwarp_cli.kernels._row_bands import WHOLE, Share, turns
+from exwarp_cli.kernels._compile import parallel, part
+from exwarp_cli.kernels._row_bands import Share, turns
 from exwarp_cli.kernels.patches import FARTHEST
 
 F32 = npt.NDArray[np.float32]
@@ -17,7 +17,7 @@ times as many pixels as there are, where things move by up to 60 pixels."""
 
 
 def reach_shape(shape: tuple[int, ...]) -> tuple[int, int, int]:
-    """Return the shape of what :func:`row_reach_text` writes for a frame [H, W]."""
+    """Return the shape of what :func:`row_reach` writes for a frame [H, W]."""
     return shape[0], -(-shape[1] // SPAN) + 1, 2
 
 
@@ -50,13 +50,14 @@ def write_reach(i: int, line: F32, reach: F32) -> None:
     reach[spans, 0], reach[spans, 1] = low - FARTHEST, high + FARTHEST
 
 
-def row_reach_text(displacement: F32, reach: F32, share: Share = WHOLE) -> None:
+@parallel
+def row_reach(displacement: F32, reach: F32, share: Share) -> None:
     """Find which target rows each source row touches.
 
     Parameters
     ----------
     displacement
-        As in :func:`exwarp_cli.kernels.splat.splat_text`.
+        As in :func:`exwarp_cli.kernels.splat.splat`.
     reach
         float32 [H, S + 1, 2], written: the least and the greatest row, for each SPAN pixels and for
         the whole row; the greatest is less where nothing is known.
@@ -65,7 +66,3 @@ def row_reach_text(displacement: F32, reach: F32, share: Share = WHOLE) -> None:
     moves = np.ascontiguousarray(displacement).reshape(height, 2 * width)
     for i in turns(height, share):
         write_reach(i, moves[i], reach[i])
-
-
-row_reach = parallel(row_reach_text)
-row_reach_serial = serial(row_reach_text)

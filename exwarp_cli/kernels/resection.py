@@ -11,13 +11,13 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.kernels._compile import serial
+from exwarp_cli.kernels._compile import compiled
 
 F64 = npt.NDArray[np.float64]
 B8 = npt.NDArray[np.bool_]
 
 
-@serial
+@compiled
 def write_equations(points: F64, pixels: F64, weights: F64, scaled: F64, rows: F64) -> int:
     """Write the weighted equations of the direct linear transform; return of how many points.
 
@@ -55,7 +55,7 @@ def write_equations(points: F64, pixels: F64, weights: F64, scaled: F64, rows: F
     return count
 
 
-@serial
+@compiled
 def write_errors(image: F64, pixels: F64, errors: F64) -> None:
     """Write how far points are projected from where they are seen.
 
@@ -77,7 +77,7 @@ def write_errors(image: F64, pixels: F64, errors: F64) -> None:
             errors[n] = away if away < np.inf else np.inf
 
 
-@serial
+@compiled
 def mark_inliers(errors: F64, limit: float, inliers: B8) -> tuple[int, bool]:
     """Mark errors up to a limit; return how many there are, and whether the same were before."""
     count, same = 0, True
@@ -89,7 +89,7 @@ def mark_inliers(errors: F64, limit: float, inliers: B8) -> tuple[int, bool]:
     return count, same
 
 
-@serial
+@compiled
 def write_weights(errors: F64, inliers: B8, depths: F64, unit: float, weights: F64) -> None:
     """Write the weights of the next round.
 

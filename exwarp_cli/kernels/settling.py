@@ -8,8 +8,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.kernels._compile import inlined, parallel, part, serial
-from exwarp_cli.kernels._row_bands import WHOLE, Share, turns
+from exwarp_cli.kernels._compile import inlined, parallel, part
+from exwarp_cli.kernels._row_bands import Share, turns
 from exwarp_cli.kernels.edges import ROWS_PER_BAND, SAME_DEPTH
 from exwarp_cli.kernels.project import away_from, seen_from
 
@@ -223,13 +223,14 @@ def settle_band(
             settle_edges(i, vectors[way], rigid, surfaces, cameras[way], tolerance, out[way][i])
 
 
-def settle_text(
+@parallel
+def settle(
     vectors: tuple[F32, F32],
     surfaces: Surfaces,
     cameras: F64,
     tolerance: np.float32,
     out: tuple[F32, F32],
-    share: Share = WHOLE,
+    share: Share,
 ) -> None:
     """Give every pixel its own surface's motion, to the frames before and after.
 
@@ -240,7 +241,7 @@ def settle_text(
         where unusable. [0, 0] where there are none.
     surfaces
         Positions, depth, stencil and edges: float32 [H, 3 W] in the world, or [0, 0], then depth
-        places the points; the others as :func:`exwarp_cli.kernels.edges.find_edges_text` has them.
+        places the points; the others as :func:`exwarp_cli.kernels.edges.find_edges` has them.
     cameras
         float64 [2, 2, 3, 4], for each of both frames. The first takes points (X, Y, Z, 1) to it, or
         without positions (x, y, 1, 1/depth); the second, whose last column is 1, takes background
@@ -254,7 +255,7 @@ def settle_text(
     Notes
     -----
     What stands still moves as the cameras have it, as in
-    :func:`exwarp_cli.kernels.project.rigid_text`, bit for bit. Background follows them. Inside a
+    :func:`exwarp_cli.kernels.project.rigid`, bit for bit. Background follows them. Inside a
     surface the rendered vector holds; at its edge the nearest unmixed pixel of the same surface
     decides whether it is static (then the cameras' motion, which is exact at the pixel's centre) or
     moves (then that pixel's vector). Where a surface is all edge, thin structures, it counts as
@@ -268,7 +269,3 @@ def settle_text(
         begin = band * ROWS_PER_BAND
         rows = begin, min(begin + ROWS_PER_BAND, height)
         settle_band(rows, vectors, surfaces, cameras, tolerance, out)
-
-
-settle = parallel(settle_text)
-settle_serial = serial(settle_text)

@@ -12,8 +12,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.kernels._compile import inlined, parallel, part, serial
-from exwarp_cli.kernels._row_bands import WHOLE, Share, turns
+from exwarp_cli.kernels._compile import inlined, parallel, part
+from exwarp_cli.kernels._row_bands import Share, turns
 from exwarp_cli.kernels.patches import (
     NOTHING,
     Landings,
@@ -123,7 +123,7 @@ def splat_span(
 def next_run(reach: F32, first: int, rows: tuple[int, int]) -> tuple[int, int]:
     """Return the next spans, from `first` on, that touch the target rows; two equal ones if none.
 
-    `reach` is float32 [S + 1, 2], that of a source row from `row_reach_text`.
+    `reach` is float32 [S + 1, 2], that of a source row from `row_reach`.
     """
     spans = reach.shape[0] - 1
     begin = first
@@ -200,9 +200,8 @@ def splat_band(
             begin, end = next_run(reach[i], end, rows)
 
 
-def splat_text(
-    displacement: F32, depth: F32, reach: F32, field: F32, near: F32, share: Share = WHOLE
-) -> None:
+@parallel
+def splat(displacement: F32, depth: F32, reach: F32, field: F32, near: F32, share: Share) -> None:
     """Splat displacements forward with a depth test.
 
     Parameters
@@ -213,7 +212,7 @@ def splat_text(
     depth
         float32 [H, W], smaller is nearer; +inf for background, which everything hides.
     reach
-        float32 [H, S + 1, 2], from :func:`~exwarp_cli.kernels.reach.row_reach_text`.
+        float32 [H, S + 1, 2], from :func:`~exwarp_cli.kernels.reach.row_reach`.
     field
         float32 [H, W, 2], written: from a target pixel to its source; NaN where nothing lands.
     near
@@ -235,7 +234,3 @@ def splat_text(
         for k in range(depths.size):
             depths[k] = np.float32(np.nan)
         splat_band(moves, depth, reach, (begin, end), places, depths)
-
-
-splat = parallel(splat_text)
-splat_serial = serial(splat_text)

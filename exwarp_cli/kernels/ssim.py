@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.kernels._compile import parallel, part, serial
-from exwarp_cli.kernels._row_bands import WHOLE, Share, turns
+from exwarp_cli.kernels._compile import parallel, part
+from exwarp_cli.kernels._row_bands import Share, turns
 
 F32 = npt.NDArray[np.float32]
 F64 = npt.NDArray[np.float64]
@@ -36,7 +36,7 @@ def _gaussian() -> tuple[float, ...]:
 W0, W1, W2, W3, W4, W5 = _gaussian()
 
 
-def ssim_map(reference: F32, test: F32, threads: bool = True) -> F32:
+def ssim_map(reference: F32, test: F32) -> F32:
     """Structural similarity of every pixel and channel.
 
     The same numbers as scikit-image's ``structural_similarity`` with ``gaussian_weights=True,
@@ -48,8 +48,6 @@ def ssim_map(reference: F32, test: F32, threads: bool = True) -> F32:
     ----------
     reference, test
         float32 [H, W, C], display-encoded, 0 to 255, finite, of one shape.
-    threads
-        Whether to use numba's threads; the values are the same bit for bit.
 
     Returns
     -------
@@ -60,10 +58,9 @@ def ssim_map(reference: F32, test: F32, threads: bool = True) -> F32:
     height, width, channels = reference.shape
     lines = (height, width * channels)
     out = np.empty(lines, dtype=np.float32)
-    fill = _fill_parallel if threads else _fill_serial
     x = np.ascontiguousarray(reference).reshape(lines)
     y = np.ascontiguousarray(test).reshape(lines)
-    fill(x, y, channels, out)
+    _fill(x, y, channels, out)
     return out.reshape(height, width, channels)
 
 
@@ -163,11 +160,8 @@ def _band(x: F32, y: F32, channels: int, out: F32, first: int) -> None:
         _similarity(means[0], means[1], means[2], means[3], out[row])
 
 
-def _fill_text(x: F32, y: F32, channels: int, out: F32, share: Share = WHOLE) -> None:
+@parallel
+def _fill(x: F32, y: F32, channels: int, out: F32, share: Share) -> None:
     """Fill the map, or the bands of rows of a share of it."""
     for band in turns((x.shape[0] + _BAND - 1) // _BAND, share):
         _band(x, y, channels, out, band * _BAND)
-
-
-_fill_parallel = parallel(_fill_text)
-_fill_serial = serial(_fill_text)

@@ -7,9 +7,9 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.kernels._compile import inlined, parallel, part, serial
-from exwarp_cli.kernels._row_bands import WHOLE, Share, turns
-from exwarp_cli.kernels.gather import FURTHEST, sample_border
+from exwarp_cli.kernels._compile import inlined, parallel, part
+from exwarp_cli.kernels._row_bands import Share, turns
+from exwarp_cli.kernels.gather import FURTHEST, clear, sample_border
 
 F32 = npt.NDArray[np.float32]
 B8 = npt.NDArray[np.bool_]
@@ -36,13 +36,12 @@ def end_of(
 def sample_colour(
     colour: F32, shape: tuple[int, int, int], x: np.float32, y: np.float32, out: F32, place: int
 ) -> None:
-    """Write a colour from `place` on, as `exwarp_cli.kernels.gather.gather_bilinear_text` does."""
+    """Write a colour from `place` on, as `exwarp_cli.kernels.gather.gather_bilinear` does."""
     shown = False
     if abs(x) < FURTHEST and abs(y) < FURTHEST:
         shown = sample_border(colour, shape, x, y, out, place)
     if not shown:
-        for c in range(3):
-            out[place + c] = np.float32(0)
+        clear(out, place, shape[2])
 
 
 @inlined
@@ -82,7 +81,8 @@ def blank(made: Parts, colours: Colours, i: int, j: int, place: int) -> None:
         metallic[row, column] = np.float32(0)
 
 
-def take_over_text(
+@parallel
+def take_over(
     field: F32,
     here: Parts,
     colours: Colours,
@@ -90,7 +90,7 @@ def take_over_text(
     made_colours: Colours,
     unknown: B8,
     blanks: bool,
-    share: Share = WHOLE,
+    share: Share,
 ) -> None:
     """Take over a frame's surfaces where a slot's are not known yet.
 
@@ -132,11 +132,8 @@ def take_over_text(
                 sample_colour(colours[1], shape, x, y, made_colours[1], place)
 
 
-take_over = parallel(take_over_text)
-take_over_serial = serial(take_over_text)
-
-
-def go_on_text(foretold: F32, moved: F32, lost: B8, share: Share = WHOLE) -> None:
+@parallel
+def go_on(foretold: F32, moved: F32, lost: B8, share: Share) -> None:
     """Give points that are not known where they come from the place that is foretold.
 
     Parameters
@@ -154,7 +151,3 @@ def go_on_text(foretold: F32, moved: F32, lost: B8, share: Share = WHOLE) -> Non
             if math.isnan(moved[i, j, 0]) and not math.isnan(foretold[i, j, 0]):
                 moved[i, j, 0], moved[i, j, 1] = foretold[i, j, 0], foretold[i, j, 1]
                 lost[i, j] = False
-
-
-go_on = parallel(go_on_text)
-go_on_serial = serial(go_on_text)

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.kernels._compile import parallel, part, serial
-from exwarp_cli.kernels._row_bands import WHOLE, Share, turns
+from exwarp_cli.kernels._compile import parallel, part
+from exwarp_cli.kernels._row_bands import Share, turns
 
 F32 = npt.NDArray[np.float32]
 
@@ -41,12 +41,13 @@ def scale_some(
         out[n, 1] = y if known else np.float32(np.nan)
 
 
-def scale_vectors_text(
+@parallel
+def scale_vectors(
     raw: F32,
     channels: tuple[int, int],
     scales: tuple[np.float32, np.float32],
     out: F32,
-    share: Share = WHOLE,
+    share: Share,
 ) -> None:
     """Write two channels times their scales.
 
@@ -61,7 +62,3 @@ def scale_vectors_text(
     """
     mine = turns(out.shape[0], share)
     scale_some(raw[mine.start : mine.stop], channels, scales, out[mine.start : mine.stop])
-
-
-scale_vectors = parallel(scale_vectors_text)
-scale_vectors_serial = serial(scale_vectors_text)

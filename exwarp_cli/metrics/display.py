@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Callable
+from dataclasses import dataclass
 
-from exwarp_cli.domain.frame import Float32, UInt8
+import numpy as np
+import numpy.typing as npt
+
+from exwarp_cli.domain.frame import Bool, Float32, UInt8
 
 PEAK = 255.0
 """Largest display value: the metrics' constants are those of 8-bit images."""
@@ -41,3 +45,33 @@ def rounded(pixels: Float32) -> UInt8:
     """Encode as `encode` does, and round half up to the 8-bit steps of a PNG: uint8 [H, W, 3]."""
     steps: UInt8 = np.floor(encode(pixels) + np.float32(0.5)).astype(np.uint8)
     return steps
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A metric's map for one pair of images.
+
+    Attributes
+    ----------
+    per_pixel
+        float [H, W], finite: what is averaged.
+    margin
+        Pixels left out at every edge when all pixels are averaged; a mask's pixels all count.
+    finish
+        Turns the average into the metric's value.
+    """
+
+    per_pixel: npt.NDArray[np.floating]
+    margin: int = 0
+    finish: Callable[[float], float] = float
+
+    def overall(self) -> float:
+        """Value over all pixels."""
+        height, width = self.per_pixel.shape
+        m = self.margin
+        inner = self.per_pixel[m : height - m, m : width - m]
+        return self.finish(float(inner.mean(dtype=np.float64)))
+
+    def within(self, mask: Bool) -> float:
+        """Value over the pixels where `mask`, bool [H, W], is true; at least one must be."""
+        return self.finish(float(self.per_pixel[mask].mean(dtype=np.float64)))

@@ -12,7 +12,7 @@ import numpy as np
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.kernels.flip import SEEN, differ, perceive
 from exwarp_cli.kernels.flip_colour import PLANES, decode
-from exwarp_cli.metrics.measured import Measured
+from exwarp_cli.metrics.display import Measured
 
 
 def seen(planes: Float32) -> Float32:

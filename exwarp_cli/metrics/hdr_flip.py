@@ -14,8 +14,8 @@ import numpy as np
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.kernels.flip import differ
 from exwarp_cli.kernels.flip_colour import PLANES, SATURATED, expose
+from exwarp_cli.metrics.display import Measured
 from exwarp_cli.metrics.flip import seen
-from exwarp_cli.metrics.measured import Measured
 
 BRIGHTEST = 65504.0
 """What counts as the brightest value: the largest half float, as EXR colour mostly is."""

@@ -7,8 +7,7 @@ import math
 import numpy as np
 
 from exwarp_cli.domain.frame import Float32
-from exwarp_cli.metrics.display import PEAK
-from exwarp_cli.metrics.measured import Measured
+from exwarp_cli.metrics.display import PEAK, Measured
 
 CAP_DB = 100.0
 """What equal images get in place of infinity, and the most that any pair gets."""

@@ -8,8 +8,7 @@ from exwarp_cli.domain.frame import Bool, Float32
 from exwarp_cli.domain.metric import DEFAULT_METRICS
 from exwarp_cli.domain.results import Score
 from exwarp_cli.metrics import flip, hdr_flip, psnr, ssim
-from exwarp_cli.metrics.display import encode
-from exwarp_cli.metrics.measured import Measured
+from exwarp_cli.metrics.display import Measured, encode
 
 Metric = Callable[[Float32, Float32], Measured]
 

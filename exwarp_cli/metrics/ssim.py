@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.kernels.ssim import RADIUS, ssim_map
-from exwarp_cli.metrics.measured import Measured
+from exwarp_cli.metrics.display import Measured
 
 
 def measure(reference: Float32, test: Float32) -> Measured:

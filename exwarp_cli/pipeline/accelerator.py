@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from exwarp_cli.accel.fixed_point import I32, ONE
 from exwarp_cli.accel.kernel import MlpKernel
@@ -18,9 +22,9 @@ from exwarp_cli.accel.quantised_mlp import (
     QuantisedMlp,
     infer_reference,
 )
-from exwarp_cli.errors import UsageError
-from exwarp_cli.io.policy_files import load_policy
-from exwarp_cli.io.states import StateRow, read_states
+from exwarp_cli.errors import OutputExistsError, UsageError
+from exwarp_cli.io.atomic import atomic_write_text, make_folder
+from exwarp_cli.io.policy_files import StateRow, load_policy, read_states
 
 _CLOCK = re.compile(r"([0-9.]+(?:e[+-]?[0-9]+)?)\s*([kmg]?)(?:hz)?", re.IGNORECASE)
 _BYTES = re.compile(r"([0-9]+)\s*([kmg]?)i?b?", re.IGNORECASE)
@@ -191,3 +195,169 @@ def _chosen(table: Path, rows: tuple[StateRow, ...], number: int | None) -> tupl
             f"{rows[0].row} to {rows[-1].row}"
         )
     return found
+
+
+FORMAT = "exwarp.policy-hex/1"
+MANIFEST = "manifest.json"
+README = "README.txt"
+
+Integers = npt.NDArray[np.integer[Any]]
+
+ABOUT = """\
+ExWarp's predictor for a Verilog test bench. Read every .hex file with $readmemh: one word a line,
+hexadecimal, two's complement. manifest.json holds the sizes, and where each layer begins.
+
+Machine: {cores} cores with {macs} MAC units each. Inputs and neurons are dealt in turn: number i
+belongs to core i % {cores} and is its number i / {cores}, rounded down.
+
+core<c>_weights.hex     {macs} weights of 8 bits a word, in the order in which core c reads them:
+                        layer after layer, neuron after neuron, ceil(fan-in / {macs}) words a
+                        neuron. The first weight is in the lowest 8 bits, that is, at the end of
+                        the line. A neuron's last word is filled up with zeros. Word k of a core's
+                        neuron t in a layer is at weights_at + t * words + k.
+core<c>_bias.hex        32 bits a neuron, at bias_at + t.
+core<c>_multiplier.hex  32 bits a neuron of the hidden layers, at scale_at + t; never negative.
+core<c>_shift.hex       8 bits, at the same places.
+input_multiplier.hex    32 bits an input, in the order of the inputs.
+input_shift.hex         8 bits an input.
+
+vectors_input.hex       {inputs} words of 32 bits a vector: Q16.16.
+vectors_input_q.hex     {inputs} words of 8 bits a vector: after the input stage.
+vectors_layer<k>_accumulator.hex  32 bits a neuron, vector after vector, biases included.
+vectors_layer<k>_activation.hex   8 bits a neuron of the hidden layers, after requantisation.
+vectors_output.hex      3 words of 32 bits a vector: output 0 (warp), output 1 (extrapolate), and
+                        the decision, 0 or 1; a tie is 0.
+
+Arithmetic: an input or a hidden neuron becomes floor((value * multiplier + half) / 2^shift),
+clamped to 0 ... 127, where half is 2^(shift - 1), or 0 for shift 0; 64 bits hold it. An accumulator
+is the bias plus the sum of weight times activation, and fits 32 bits in any order of adding.
+"""
+
+
+def export(
+    folder: Path, policy: Path | None, *, vectors: int, seed: int, overwrite: bool
+) -> list[Path]:
+    """Write a policy's parameters and test vectors as hex files.
+
+    Parameters
+    ----------
+    folder
+        Where to; it is made where there is none.
+    policy
+        File of the policy; None for the one that comes with ExWarp.
+    vectors, seed
+        How many test vectors, and of which random numbers.
+    overwrite
+        Whether files of these names may be there.
+
+    Returns
+    -------
+    The files.
+
+    Raises
+    ------
+    InputError
+        When the policy cannot be used.
+    OutputExistsError, OutputError
+        When files are there, or cannot be written.
+    """
+    source = load_policy(policy)
+    network, array = source.network, MacArray()
+    texts = {README: ABOUT.format(cores=array.cores, macs=array.macs, inputs=network.sizes[0])}
+    texts |= _parameters(array, network)
+    texts |= _vectors(network, sample_states(network.sizes[0], vectors, seed))
+    facts = {"policy": source.path.name, "sha256": source.checksum, "vectors": vectors}
+    document = {
+        "schema": FORMAT,
+        **facts,
+        "seed": seed,
+        "sizes": network.sizes,
+        "cores": array.cores,
+        "macs": array.macs,
+        "addresses": [_addresses(array, network, core) for core in range(array.cores)],
+        "files": list(texts),
+    }
+    # Last, so that a folder with a manifest is complete.
+    texts[MANIFEST] = json.dumps(document, indent=2) + "\n"
+    taken = [name for name in texts if (folder / name).exists()]
+    if taken and not overwrite:
+        raise OutputExistsError(
+            f"{folder / taken[0]} exists; choose another folder, or add --overwrite"
+        )
+    make_folder(folder)
+    for name, text in texts.items():
+        atomic_write_text(folder / name, text)
+    return [folder / name for name in texts]
+
+
+def _parameters(array: MacArray, network: QuantisedMlp) -> dict[str, str]:
+    """Return the hex files of the network by name."""
+    texts = {
+        "input_multiplier.hex": _hex(network.inputs.multipliers),
+        "input_shift.hex": _hex(network.inputs.shifts),
+    }
+    scales = [layer.requantisation for layer in network.layers]
+    known = [scale for scale in scales if scale is not None]
+    for core in range(array.cores):
+        own = slice(core, None, array.cores)
+        texts[f"core{core}_weights.hex"] = _lines(_weight_words(array, network, core))
+        texts[f"core{core}_bias.hex"] = "".join(_hex(la.biases[own]) for la in network.layers)
+        texts[f"core{core}_multiplier.hex"] = "".join(_hex(s.multipliers[own]) for s in known)
+        texts[f"core{core}_shift.hex"] = "".join(_hex(s.shifts[own]) for s in known)
+    return texts
+
+
+def _weight_words(array: MacArray, network: QuantisedMlp, core: int) -> Iterator[str]:
+    """Yield a core's words of weights, the first weight in the lowest bits."""
+    for layer in network.layers:
+        own = layer.weights[core :: array.cores]
+        filled = np.pad(own, ((0, 0), (0, -layer.fan_in % array.macs)))
+        for word in filled.reshape(-1, array.macs):
+            yield word[::-1].tobytes().hex()
+
+
+def _vectors(network: QuantisedMlp, states: I32) -> dict[str, str]:
+    """Return the hex files of the test vectors by name."""
+    found: Inference = infer_reference(network, states)
+    texts = {
+        "vectors_input.hex": _hex(states),
+        "vectors_input_q.hex": _hex(found.inputs),
+        "vectors_output.hex": _hex(
+            np.column_stack([found.outputs, found.choices.astype(np.int32)])
+        ),
+    }
+    for k, sums in enumerate(found.accumulators):
+        texts[f"vectors_layer{k}_accumulator.hex"] = _hex(sums)
+    for k, activations in enumerate(found.activations):
+        texts[f"vectors_layer{k}_activation.hex"] = _hex(activations)
+    return texts
+
+
+def _addresses(array: MacArray, network: QuantisedMlp, core: int) -> list[dict[str, int | None]]:
+    """Return where each layer begins in a core's files."""
+    weights_at = bias_at = 0
+    places: list[dict[str, int | None]] = []
+    for layer in network.layers:
+        neurons, words = array.share(layer.neurons, core), array.words(layer.fan_in)
+        places.append(
+            {
+                "neurons": neurons,
+                "words": words,
+                "weights_at": weights_at,
+                "bias_at": bias_at,
+                "scale_at": None if layer.requantisation is None else bias_at,
+            }
+        )
+        weights_at, bias_at = weights_at + neurons * words, bias_at + neurons
+    return places
+
+
+def _hex(values: Integers) -> str:
+    """Write a word a line, with the digits of the type, two's complement."""
+    bits = 8 * values.dtype.itemsize
+    mask = (1 << bits) - 1
+    return _lines(f"{value & mask:0{bits // 4}x}" for value in values.ravel().tolist())
+
+
+def _lines(words: Iterable[str]) -> str:
+    return "".join(f"{word}\n" for word in words)

@@ -3,29 +3,35 @@
 from __future__ import annotations
 
 import math
+from collections import abc
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from exwarp_cli.domain.frame_rates import NEAR
 from exwarp_cli.domain.results import (
     InputSummary,
     InterpolatorSummary,
+    LeftOut,
     NetworkSummary,
     PolicySummary,
+    RunSummary,
 )
 from exwarp_cli.domain.settings import UpsampleSettings
+from exwarp_cli.domain.timeline import NEAR, Slot, Timeline, ranges
 from exwarp_cli.domain.wording import counted
+from exwarp_cli.errors import IncompleteError
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.clip import is_clip
 from exwarp_cli.io.cryptomatte_manifest import SHOWN, shown
 from exwarp_cli.io.footage import is_plain, lost_alpha, unevenness_of
-from exwarp_cli.io.layouts import alpha_left_out
+from exwarp_cli.io.shot import alpha_left_out
 from exwarp_cli.pipeline.contents import Content, files_apart
 from exwarp_cli.pipeline.finding import OtherRate
 from exwarp_cli.pipeline.frame_writer import frame_suffix
 from exwarp_cli.pipeline.opening import step_note
+from exwarp_cli.pipeline.progress import Progress
 from exwarp_cli.pipeline.without_vectors import video_look
 
 if TYPE_CHECKING:
@@ -33,7 +39,6 @@ if TYPE_CHECKING:
     from exwarp_cli.io.models import OnnxExtrapolator
     from exwarp_cli.io.policy_files import PolicyFile
     from exwarp_cli.io.sequence import Sequence
-    from exwarp_cli.pipeline.late_network import LateNetwork
     from exwarp_cli.pipeline.progress import Progress
     from exwarp_cli.pipeline.source import FrameOf, Source
     from exwarp_cli.synthesis.methods import Method
@@ -54,39 +59,66 @@ class Models:
     def of(
         cls,
         source: Source,
-        network: OnnxExtrapolator | LateNetwork | None,
+        network: OnnxExtrapolator | None,
         interpolator: OnnxInterpolator | None,
         policy: PolicyFile | None,
     ) -> Models:
         """Summarise what was loaded."""
-        return cls(
-            None if network is None else _network_summary(network, source),
-            None if interpolator is None else _interpolator_summary(interpolator),
-            None if policy is None else _policy_summary(policy, source, network),
-        )
+        extrapolating = interpolating = None
+        if network is not None:
+            extrapolating = NetworkSummary(
+                str(network.path), network.checksum, network.device, not _missing_colours(source)
+            )
+        if interpolator is not None:
+            interpolating = InterpolatorSummary(
+                *(interpolator.name, str(interpolator.path), interpolator.checksum),
+                *(interpolator.card.checksum, interpolator.device),
+            )
+        decided = None if policy is None else _policy_summary(policy, source, network)
+        return cls(extrapolating, interpolating, decided)
 
 
 def announce_models(progress: Progress, models: Models, source: Source) -> None:
     """Say what makes frames and decides, and what it does not see of the input."""
-    if models.extrapolator is not None:
-        _announce_network(progress, models.extrapolator, source)
-    if models.interpolator is not None:
-        _announce_interpolator(progress, models.interpolator)
-    if models.policy is not None:
-        _announce_policy(progress, models.policy, _dynamic(source))
+    network, interpolator, policy = models.extrapolator, models.interpolator, models.policy
+    if network is not None:
+        progress.message(
+            f"extrapolation by {Path(network.file).name} (sha256 {network.sha256[:8]}) on "
+            f"{network.device}"
+        )
+        if missing := _missing_colours(source):
+            progress.message(
+                f"no {' and no '.join(missing)} colour: shading is extrapolated together with "
+                "surface colour"
+            )
+    if interpolator is not None:
+        progress.message(
+            f"interpolation by {interpolator.name}, {Path(interpolator.file).name} (sha256 "
+            f"{interpolator.sha256[:8]}) on {interpolator.device}, from colour alone"
+        )
+    if policy is None:
+        return
+    progress.message(
+        f"decisions by {Path(policy.file).name} (sha256 {policy.sha256[:8]}), 8-bit integers"
+    )
+    if policy.note is not None:
+        progress.message(policy.note)
+    if policy.objects_from == "motion":
+        progress.message("no object ids: what moves otherwise than the camera counts as an object")
+    if policy.objects_from == "cryptomatte" and _dynamic(source) is None:
+        progress.message(
+            "of the Cryptomatte's objects those count as moving that move otherwise than the camera"
+        )
+    if policy.missing:
+        progress.message(
+            f"the policy sees 0 for {', '.join(policy.missing)}, as the AOVs for it are missing"
+        )
 
 
-def other_extrapolator(policy: PolicyFile, network: OnnxExtrapolator | LateNetwork) -> str | None:
+def other_extrapolator(policy: PolicyFile, network: OnnxExtrapolator) -> str | None:
     """Say that a policy was trained for another network than the one that extrapolates.
 
     It learned by how much that network's frames are better than warps, so its choices may be wrong.
-
-    Parameters
-    ----------
-    policy
-        That decides.
-    network
-        That extrapolates.
 
     Returns
     -------
@@ -105,7 +137,7 @@ def other_extrapolator(policy: PolicyFile, network: OnnxExtrapolator | LateNetwo
 
 
 def _policy_summary(
-    policy: PolicyFile, source: Source, network: OnnxExtrapolator | LateNetwork | None
+    policy: PolicyFile, source: Source, network: OnnxExtrapolator | None
 ) -> PolicySummary:
     """Say what the policy sees of the input."""
     shot = source.slots or source.keys
@@ -132,58 +164,10 @@ def _policy_summary(
     )
 
 
-def _announce_policy(
-    progress: Progress, decided: PolicySummary, told: tuple[str, ...] | None
-) -> None:
-    progress.message(
-        f"decisions by {Path(decided.file).name} (sha256 {decided.sha256[:8]}), 8-bit integers"
-    )
-    if decided.note is not None:
-        progress.message(decided.note)
-    if decided.objects_from == "motion":
-        progress.message("no object ids: what moves otherwise than the camera counts as an object")
-    if decided.objects_from == "cryptomatte" and told is None:
-        progress.message(
-            "of the Cryptomatte's objects those count as moving that move otherwise than the camera"
-        )
-    if decided.missing:
-        progress.message(
-            f"the policy sees 0 for {', '.join(decided.missing)}, as the AOVs for it are missing"
-        )
-
-
-def _network_summary(network: OnnxExtrapolator | LateNetwork, source: Source) -> NetworkSummary:
-    demodulated = not _missing_colours(source)
-    return NetworkSummary(str(network.path), network.checksum, network.device, demodulated)
-
-
-def _interpolator_summary(network: OnnxInterpolator) -> InterpolatorSummary:
-    told = (str(network.path), network.checksum, network.card.checksum, network.device)
-    return InterpolatorSummary(network.name, *told)
-
-
-def _announce_interpolator(progress: Progress, told: InterpolatorSummary) -> None:
-    progress.message(
-        f"interpolation by {told.name}, {Path(told.file).name} (sha256 {told.sha256[:8]}) on "
-        f"{told.device}, from colour alone"
-    )
-
-
 def _missing_colours(source: Source) -> list[str]:
     """Name the surface colours that shading would have to be divided by, and that are not there."""
     layout = (source.slots or source.keys).layout
     return [name for role, name in SURFACE_COLOURS.items() if role not in layout]
-
-
-def _announce_network(progress: Progress, told: NetworkSummary, source: Source) -> None:
-    progress.message(
-        f"extrapolation by {Path(told.file).name} (sha256 {told.sha256[:8]}) on {told.device}"
-    )
-    if missing := _missing_colours(source):
-        progress.message(
-            f"no {' and no '.join(missing)} colour: shading is extrapolated together with surface "
-            "colour"
-        )
 
 
 def announce(
@@ -194,16 +178,19 @@ def announce(
     keys: tuple[int, ...],
 ) -> None:
     """Say what was found and what is going to happen."""
-    count = len(source.timeline.numbers)
+    count, sequence = len(source.timeline.numbers), source.keys.sequence
+    geometry = f"G-buffers for {'every slot' if source.slots is not None else 'the key frames'}"
+    if source.estimated or is_plain(sequence):
+        geometry = "no AOVs" if is_plain(sequence) else "no motion vectors"
     progress.message(
-        f"{source.keys.sequence.pattern}: {counted(count, 'key frame')} at "
-        f"{float(source.fps):g} fps ({source.fps_source}), {_geometry(source)}"
+        f"{sequence.pattern}: {counted(count, 'key frame')} at "
+        f"{float(source.fps):g} fps ({source.fps_source}), {geometry}"
     )
     for note in (
-        source.keys.sequence.version_note,
+        sequence.version_note,
         step_note(source.timeline.numbers, source.fps, source.fps_source),
         _compatible_note(settings, source),
-        unevenness_of(source.keys.sequence),
+        unevenness_of(sequence),
         _lost_alpha(settings, source),
         alpha_left_out(source.keys.layout),
     ):
@@ -279,13 +266,6 @@ def _lost_alpha(settings: UpsampleSettings, source: Source) -> str | None:
     return lost_alpha(source.keys, frame_suffix(settings.output, source.keys.sequence))
 
 
-def _geometry(source: Source) -> str:
-    """Say for which instants there is geometry."""
-    if source.estimated or is_plain(source.keys.sequence):
-        return "no AOVs" if is_plain(source.keys.sequence) else "no motion vectors"
-    return f"G-buffers for {'every slot' if source.slots is not None else 'the key frames'}"
-
-
 def announce_contents(progress: Progress, contents: tuple[Content, ...]) -> None:
     """Say what generated frames hold beside the beauty."""
     leader = contents[0]
@@ -335,3 +315,54 @@ def _dynamic(source: Source) -> tuple[str, ...] | None:
     """Return the names of what the user calls moving; None where nothing is said."""
     ids = (source.slots or source.keys).ids
     return None if ids is None or ids.dynamic is None else ids.dynamic.names
+
+
+def left_out(timeline: Timeline, key: int, slots: abc.Sequence[Slot], reason: str) -> LeftOut:
+    """Return what is recorded of an interval, by its index, that lacks some slots."""
+    frames = tuple(timeline.number(slot) for slot in slots)
+    return LeftOut(timeline.numbers[key], frames, reason)
+
+
+def unscored(timeline: Timeline, key: int, reasons: Mapping[int, str]) -> Iterator[LeftOut]:
+    """Yield what is recorded of an interval whose ground truth cannot be used, by slot."""
+    for slot, reason in sorted(reasons.items()):
+        number = timeline.number(Slot(key, slot))
+        yield LeftOut(timeline.numbers[key], (), reason, (number,))
+
+
+def tell_left_out(progress: Progress, one: LeftOut) -> None:
+    """Say at once what is left out, and why."""
+    what = f"left out {_named(one.frames)}" if one.frames else f"not scored {_named(one.scores)}"
+    progress.message(f"{what}: {one.reason}")
+
+
+def require_complete(run: RunSummary) -> None:
+    """Refuse to call a run complete that left something out.
+
+    Raises
+    ------
+    IncompleteError
+        When it did.
+    """
+    if not run.left_out:
+        return
+    missing = [one for one in run.left_out if one.frames]
+    many, frames = len(missing), [n for one in missing for n in one.frames]
+    scores = sorted({n for one in run.left_out for n in one.scores})
+    told, cause = [], []
+    if missing:
+        verb = "was" if many == 1 else "were"
+        whole = counted(len(run.selected), "key interval")
+        told.append(f"{many} of {whole} {verb} left out ({_named(frames)})")
+        cause.append("the input")
+    if scores:
+        told.append(f"{_named(scores)} {'was' if len(scores) == 1 else 'were'} not scored")
+        cause.append("the ground truth")
+    raise IncompleteError(
+        f"{', and '.join(told)}, see above or left_out in report.json; mend {' and '.join(cause)} "
+        "and run again with --skip-existing"
+    )
+
+
+def _named(frames: abc.Sequence[int]) -> str:
+    return f"frame{'s' if len(frames) != 1 else ''} {ranges(frames)}"

@@ -2,25 +2,35 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 
-from exwarp_cli.domain.decision import CHOICES, NODES, PATHS, Decision, Plan
-from exwarp_cli.domain.frame import Window
+from exwarp_cli.domain.decision import (
+    CHOICES,
+    EXTRAPOLATE,
+    NODES,
+    PATHS,
+    SLOTS,
+    WARP,
+    Decision,
+    Plan,
+)
+from exwarp_cli.domain.frame import Float32, Window, place
 from exwarp_cli.domain.timeline import FACTOR
-from exwarp_cli.io.frame_files import quantised
+from exwarp_cli.io.output import quantised
 from exwarp_cli.pipeline.interval_inputs import IntervalInputs
+from exwarp_cli.pipeline.scheduling import record_time
 from exwarp_cli.synthesis.interval import Interval
-from exwarp_cli.synthesis.methods import Judge
+from exwarp_cli.synthesis.methods import Judge, take
 
 if TYPE_CHECKING:
     from exwarp_cli.pipeline.observing import Observer
-    from exwarp_cli.policy.policies import LearnedPolicy
+    from exwarp_cli.policy.state import LearnedPolicy
 
 
 @dataclass(frozen=True)
@@ -52,12 +62,12 @@ def by_policy(policy: LearnedPolicy, observer: Observer) -> Chooser:
     """Return who asks the learned policy."""
 
     def choose(inputs: IntervalInputs, interval: Interval) -> Chosen:
-        begin = time.perf_counter()
-        surroundings = observer.of(inputs, interval)
-        seen = time.perf_counter()
-        plan = policy.plan(surroundings)
-        end = time.perf_counter()
-        return Chosen(plan, {"features": 1e3 * (seen - begin), "decide": 1e3 * (end - seen)})
+        timing_ms: dict[str, float] = {}
+        with record_time(timing_ms, "features"):
+            surroundings = observer.of(inputs, interval)
+        with record_time(timing_ms, "decide"):
+            plan = policy.plan(surroundings)
+        return Chosen(plan, timing_ms)
 
     return choose
 
@@ -67,7 +77,6 @@ def by_truth(judge: Judge, display: Window) -> Chooser:
 
     Where a slot has no ground truth nothing can be told, and the interval is warped.
     """
-    from exwarp_cli.pipeline.oracle import outcomes_of
     from exwarp_cli.policy import outcomes
 
     by_psnr = judge is Judge.PSNR
@@ -76,23 +85,77 @@ def by_truth(judge: Judge, display: Window) -> Chooser:
     def choose(inputs: IntervalInputs, interval: Interval) -> Chosen:
         if set(inputs.truth.frames) != set(range(1, FACTOR)):
             return Chosen(Plan.fixed("S6"))
-        begin = time.perf_counter()
-        truth = {slot: image.on(display).pixels for slot, image in inputs.truth.frames.items()}
-        found = outcomes_of(
-            interval, truth, display, partial(quantised, template=inputs.metadata.template)
-        )
-        path = tuple(PATHS)[int(best(found))]
-        told = found[..., 0] if by_psnr else outcomes.rewards(found)
-        decisions = tuple(
-            Decision(node, choice, outputs=_pair(told[NODES.index(node)]))
-            for node, choice in PATHS[path].choices.items()
-        )
-        return Chosen(Plan(path, decisions), {"decide": 1e3 * (time.perf_counter() - begin)})
+        timing_ms: dict[str, float] = {}
+        with record_time(timing_ms, "decide"):
+            truth = {slot: image.on(display).pixels for slot, image in inputs.truth.frames.items()}
+            as_written = partial(quantised, template=inputs.metadata.template)
+            scores = outcomes_of(interval, truth, display, as_written)
+            path = tuple(PATHS)[int(best(scores))]
+            outputs = scores[..., 0] if by_psnr else outcomes.rewards(scores)
+            decisions = tuple(
+                Decision(node, choice, outputs=_pair(outputs[NODES.index(node)]))
+                for node, choice in PATHS[path].choices.items()
+            )
+        return Chosen(Plan(path, decisions), timing_ms)
 
     return choose
 
 
-def _pair(told: np.ndarray) -> tuple[float, float]:
-    """Return what was told of the two choices."""
-    warp, extrapolate = (float(told[CHOICES.index(choice)]) for choice in CHOICES)
+def _pair(outputs: np.ndarray) -> tuple[float, float]:
+    """Return the outputs for the two choices."""
+    warp, extrapolate = (float(outputs[CHOICES.index(choice)]) for choice in CHOICES)
     return warp, extrapolate
+
+
+SAME = {("d4", WARP): ("d3", WARP), ("d5", EXTRAPOLATE): ("d4", EXTRAPOLATE)}
+"""Choices that show the same frame as one of an earlier node: W(P2) after E(F), and E(P1)."""
+
+
+def outcomes_of(
+    interval: Interval,
+    truth: Mapping[int, Float32],
+    display: Window | None = None,
+    as_written: Callable[[Float32], Float32] | None = None,
+) -> npt.NDArray[np.float64]:
+    """Make the frames of all choices of a key interval and measure them.
+
+    Parameters
+    ----------
+    interval
+        With its network.
+    truth
+        Ground truth of slots 1 to 3, float32 [H, W, 3] or more, scene-linear.
+    display
+        The window of the truth; None for the interval's own.
+    as_written
+        Rounds pixels to what a file keeps of them; None to measure them as they are made.
+
+    Returns
+    -------
+    float64 [5, 2, 2]
+        As `exwarp_cli.policy.outcomes` has it.
+    """
+    from exwarp_cli.metrics.display import encode  # numba: only an oracle measures while it decides
+    from exwarp_cli.metrics.registry import METRICS
+    from exwarp_cli.policy.outcomes import METRICS as JUDGED
+
+    canvas = interval.key.image.data_window
+    encoded = {slot: encode(pixels) for slot, pixels in truth.items()}
+    found: dict[tuple[str, str], list[float]] = {}
+    for node in NODES:
+        for choice in CHOICES:
+            if (node, choice) in SAME:
+                found[node, choice] = found[SAME[node, choice]]
+                continue
+            slot = SLOTS[node]
+            pixels = take(_path_through(node, choice), interval, slot).pixels
+            if as_written is not None:
+                pixels = as_written(pixels)
+            made = encode(place(pixels, canvas, display or canvas))
+            found[node, choice] = [METRICS[name](encoded[slot], made).overall() for name in JUDGED]
+    return np.array([[found[node, choice] for choice in CHOICES] for node in NODES])
+
+
+def _path_through(node: str, choice: str) -> str:
+    """Return a path that takes this choice at this node."""
+    return next(name for name, path in PATHS.items() if path.choices.get(node) == choice)

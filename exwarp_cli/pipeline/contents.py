@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+
+import numpy as np
 
 from exwarp_cli.domain.motion import MotionConvention
 from exwarp_cli.io.channels import ChannelRef, Role
 from exwarp_cli.io.cryptomatte import find_cryptomattes
 from exwarp_cli.io.exr.template import Plane, ViewLayers, read_template
 from exwarp_cli.io.footage import is_plain, plain_template
-from exwarp_cli.io.frame_files import FrameTemplate
-from exwarp_cli.io.layer_store import LayerStore, Planes
+from exwarp_cli.io.frames import read_planes
 from exwarp_cli.io.layers import ALL, BEAUTY, Kind, Layer, chosen, layers_of
+from exwarp_cli.io.output import FrameTemplate
 from exwarp_cli.io.shot import Shot, renamed
+from exwarp_cli.io.soundness import count_broken
 from exwarp_cli.pipeline.frame_writer import frame_suffix
 from exwarp_cli.pipeline.source import Source
 
@@ -244,3 +247,68 @@ def _layers_of(shot: Shot, main: bool) -> tuple[Layer, ...]:
         known = find_cryptomattes({aov: renamed(files[aov])}, {aov: header.texts})
         cryptomattes |= {found.name for found in known}
     return layers_of(files, shot.layout, cryptomattes)
+
+
+Planes = Mapping[ChannelRef, Plane]
+"""Channels of one frame, each in the file's own type and on its own window."""
+
+
+class LayerStore:
+    """Reads channels of frames; a frame stays at hand until it is dropped."""
+
+    def __init__(
+        self, shot: Shot, layers: Collection[Layer], more: Iterable[ChannelRef] = ()
+    ) -> None:
+        self._shot = shot
+        groups: dict[tuple[str, int], dict[ChannelRef, bool]] = {}
+        for layer in layers:
+            for ref, channel in zip(layer.refs, layer.channels, strict=True):
+                half = channel.pixel_type == "half"
+                groups.setdefault((ref.aov, channel.part), {})[ref] = half
+        known = {ref for group in groups.values() for ref in group}
+        for ref in more:
+            if ref not in known:
+                groups.setdefault((ref.aov, -1), {})[ref] = False
+        self._groups = tuple(groups.values())
+        self._layers = tuple(layers)
+        self._frames: dict[int, Planes] = {}
+
+    def frame(self, number: int) -> Planes:
+        """Return the channels of a frame.
+
+        Raises
+        ------
+        InputError
+            When a file is missing, damaged, of another size, or lacks a channel.
+        """
+        if number not in self._frames:
+            found: dict[ChannelRef, Plane] = {}
+            # Part by part: what is decoded as float32 takes half the memory once it is half again.
+            for group in self._groups:
+                planes, windows = read_planes(self._shot, number, list(group))
+                for ref, half in group.items():
+                    found[ref] = Plane(_kept(planes[ref], half), windows[ref])
+            self._frames[number] = found
+            self._shot.nonfinite.note(number, dict(self._broken(found)))
+        return self._frames[number]
+
+    def _broken(self, found: Planes) -> Iterator[tuple[str, int]]:
+        """Count the pixels of layers that are not finite; those of a role have its name."""
+        roles = {refs: role for role, refs in self._shot.layout.roles.items()}
+        for layer in self._layers:
+            role = roles.get(layer.refs)
+            counted = Role.DEPTH if layer.kind is Kind.DEPTH else role
+            count = count_broken((found[ref].values for ref in layer.refs), counted)
+            yield layer.name if role is None else role.value, count
+
+    def keep(self, numbers: Iterable[int]) -> None:
+        """Drop all other frames."""
+        self._frames = {n: self._frames[n] for n in numbers if n in self._frames}
+
+
+def _kept(values: np.ndarray, half: bool) -> np.ndarray:
+    """Return a plane of its own, so that the part that it was decoded with can be freed."""
+    if half and values.dtype == np.float32:
+        with np.errstate(over="ignore"):  # another frame may hold the channel as float
+            return values.astype(np.float16)
+    return np.ascontiguousarray(values)

@@ -10,7 +10,7 @@ from enum import Enum
 from pathlib import Path
 
 from exwarp_cli.domain.cuts import Cut
-from exwarp_cli.domain.outcome import Outcome
+from exwarp_cli.domain.joining import Outcome
 from exwarp_cli.domain.results import RunSummary
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.io.atomic import is_there, output_error

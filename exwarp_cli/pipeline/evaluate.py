@@ -19,17 +19,18 @@ from exwarp_cli.io.footage import close, find_frames, picture
 from exwarp_cli.io.frames import read_plane
 from exwarp_cli.io.sequence import Sequence, find_sequence
 from exwarp_cli.io.views import expand
-from exwarp_cli.pipeline.comparing import Pair, Scorer
-from exwarp_cli.pipeline.measuring import (
+from exwarp_cli.pipeline.comparing import (
     Origin,
+    Pair,
+    Scorer,
     origins_of,
     rendered_note,
     require_consistent,
     require_generated,
     scorer,
 )
+from exwarp_cli.pipeline.finding import truth_rate
 from exwarp_cli.pipeline.progress import FrameListener, NoProgress, Progress
-from exwarp_cli.pipeline.truth_rate import truth_rate
 from exwarp_cli.runtime.stop import check_stop
 
 KEY = FrameKind.KEY.value
@@ -142,7 +143,10 @@ def evaluate(
     """
     measuring = measuring or MeasureSettings()
     require_consistent(measuring, holes)
-    truth, judged = (_frames(spec, measuring) for spec in (reference, test))
+    truth, judged = (
+        find_frames(expand(spec, measuring.view or None)[0], scan=measuring.scan)
+        for spec in (reference, test)
+    )
     masks = None if holes is None else find_sequence(holes)
     matched_by, paired, told = pair(truth, judged, measuring.view)
     pairs = _select(paired, frames)
@@ -343,11 +347,6 @@ def _require_scores(found: Comparison) -> None:
         raise InputError(
             f"nothing can be measured of {found.test.pattern}: {why}; choose other --metrics"
         )
-
-
-def _frames(spec: str, measuring: MeasureSettings) -> Sequence:
-    """Find a sequence of any kind, of a view where the name has a token for it."""
-    return find_frames(expand(spec, measuring.view or None)[0], scan=measuring.scan)
 
 
 def _shown(sequence: Sequence, number: int, view: str) -> Image:

@@ -3,27 +3,32 @@
 from __future__ import annotations
 
 import math
+from collections import abc
+from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from exwarp_cli.domain.frame import Image, UInt8
 from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR, Slot, Timeline
 from exwarp_cli.errors import InputError, LayoutError, UsageError
 from exwarp_cli.io.footage import find_frames, picture, picture_size
 from exwarp_cli.io.sequence import Sequence
 from exwarp_cli.io.soundness import first_of
+from exwarp_cli.io.video import to_display
 from exwarp_cli.io.views import expand
 from exwarp_cli.pipeline.source import FrameOf, Source, align
-from exwarp_cli.pipeline.truth_rate import truth_rate
 from exwarp_cli.synthesis.methods import METHODS, Judge, Method
 
 if TYPE_CHECKING:
     from exwarp_cli.io.interpolator import OnnxInterpolator
     from exwarp_cli.io.models import OnnxExtrapolator
     from exwarp_cli.io.policy_files import PolicyFile
-    from exwarp_cli.pipeline.late_network import LateNetwork
 
 
 def find_method(name: str) -> Method:
@@ -33,13 +38,8 @@ def find_method(name: str) -> Method:
     return METHODS[name]
 
 
-def find_network(
-    settings: UpsampleSettings, method: Method
-) -> OnnxExtrapolator | LateNetwork | None:
-    """Find the network that a method needs; None for methods that do not extrapolate.
-
-    It is loaded, unless it is the one that comes with ExWarp, and a policy is going to decide
-    whether it is asked for.
+def find_network(settings: UpsampleSettings, method: Method) -> OnnxExtrapolator | None:
+    """Load the network that a method needs; None for methods that do not extrapolate.
 
     Raises
     ------
@@ -48,14 +48,25 @@ def find_network(
     InputError, MissingExtraError
         When the network cannot be used.
     """
-    _refuse_network_options(settings, method)
+    # Refuse options of networks that the method does not run.
+    extrapolating = [m for m in METHODS.values() if m.extrapolates]
+    interpolating = [m for m in METHODS.values() if m.interpolates]
+    either = [m for m in METHODS.values() if m in extrapolating or m in interpolating]
+    other_device = settings.device != UpsampleSettings.device
+    rules = (
+        ("--extrapolator", settings.extrapolator is not None, "extrapolate", extrapolating),
+        ("--interpolator", settings.interpolator is not None, "interpolate so", interpolating),
+        ("--device", other_device, "run a network", either),
+    )
+    for option, given, what, users in rules:
+        if given and method not in users:
+            names = ", ".join(user.name for user in users)
+            raise UsageError(
+                f"{option} is for methods that {what}, and --method {method.name} does not; "
+                f"leave it out, or use {'one of ' if len(users) > 1 else ''}{names}"
+            )
     if not method.extrapolates:
         return None
-    shipped = settings.extrapolator is None and settings.device == UpsampleSettings.device
-    if shipped and method.judge is Judge.POLICY:
-        from exwarp_cli.pipeline.late_network import LateNetwork
-
-        return LateNetwork(settings.threads)
     from exwarp_cli.io.models import load_extrapolator
 
     path = None if settings.extrapolator is None else Path(settings.extrapolator)
@@ -82,26 +93,6 @@ def find_interpolator(settings: UpsampleSettings, method: Method) -> OnnxInterpo
     from exwarp_cli.io.interpolator import load_interpolator
 
     return load_interpolator(Path(settings.interpolator), settings.threads, settings.device)
-
-
-def _refuse_network_options(settings: UpsampleSettings, method: Method) -> None:
-    """Refuse options of networks that the method does not run."""
-    extrapolating = [m for m in METHODS.values() if m.extrapolates]
-    interpolating = [m for m in METHODS.values() if m.interpolates]
-    either = [m for m in METHODS.values() if m in extrapolating or m in interpolating]
-    other_device = settings.device != UpsampleSettings.device
-    rules = (
-        ("--extrapolator", settings.extrapolator is not None, "extrapolate", extrapolating),
-        ("--interpolator", settings.interpolator is not None, "interpolate so", interpolating),
-        ("--device", other_device, "run a network", either),
-    )
-    for option, given, what, users in rules:
-        if given and method not in users:
-            names = ", ".join(user.name for user in users)
-            raise UsageError(
-                f"{option} is for methods that {what}, and --method {method.name} does not; "
-                f"leave it out, or use {'one of ' if len(users) > 1 else ''}{names}"
-            )
 
 
 def find_policy(settings: UpsampleSettings, method: Method) -> PolicyFile | None:
@@ -269,3 +260,85 @@ def _at_its_rate(source: Source, sequence: Sequence, frame_of: FrameOf) -> Frame
             f"frame's instant; give a sequence at {float(source.output_fps):g} fps"
         )
     return found
+
+
+MOST = 8
+"""Largest numerator and denominator of a rate."""
+
+USUAL = tuple(Fraction(a, b) for a, b in ((2, 1), (3, 1), (4, 1), (1, 2), (1, 3), (1, 4)))
+"""Rates that are tried where the length fits none."""
+
+ANCHORS = 3
+"""Frames of the output that are compared, at most."""
+
+CLEAR = 0.75
+"""Share of the error at one frame per frame below which another rate is certain. Where nothing
+moves, or noise is all that differs, it is not reached."""
+
+Read = Callable[[int], Image]
+"""Gives the frame at a position from 0; raises InputError where it cannot be read."""
+
+
+def truth_rate(
+    outputs: abc.Sequence[int], count: int, truth: int, of_output: Read, of_truth: Read
+) -> Fraction:
+    """Return how many frames a true sequence has per frame of the output; 1 unless it is certain.
+
+    Both begin at the same instant. A length that fits is believed without looking.
+
+    Parameters
+    ----------
+    outputs
+        Positions of output frames that are rendered, ascending, from 0: their truth is the same
+        picture. Also others will do, if less surely.
+    count
+        Length of the output, with frames past the last key frame.
+    truth
+        Length of the true sequence.
+    of_output, of_truth
+        Read a frame of either.
+    """
+    last = outputs[-1] if outputs else 0
+    if last < truth <= count:
+        return Fraction(1)
+    output = cache(lambda place: _shown(of_output(place)))
+
+    def remaining(rate: Fraction) -> float:
+        """Return the error at a rate as a share of that at one frame per frame."""
+        places = _anchors(outputs, rate, truth)
+        known = sum(_difference(output(p), _shown(of_truth(p))) for p in places)
+        if not known:
+            return math.inf
+        return sum(_difference(output(p), _shown(of_truth(int(p * rate)))) for p in places) / known
+
+    try:
+        share, rate = min((remaining(r), r) for r in _fitting(last, count, truth) or USUAL)
+    except (InputError, ValueError):  # it is said when the frame's turn comes
+        return Fraction(1)
+    return rate if share < CLEAR else Fraction(1)
+
+
+def _fitting(last: int, count: int, truth: int) -> tuple[Fraction, ...]:
+    """Return the rates at which a true sequence of a length ends where the output does."""
+    rates = {Fraction(a, b) for a in range(1, MOST + 1) for b in range(1, MOST + 1)}
+    return tuple(
+        rate for rate in sorted(rates - {1}) if last * rate + 1 <= truth <= math.ceil(count * rate)
+    )
+
+
+def _anchors(outputs: abc.Sequence[int], rate: Fraction, truth: int) -> list[int]:
+    """Choose frames, far apart, that have a truth at one frame per frame and at another rate."""
+    able = [
+        p for p in outputs if p and p < truth and p * rate < truth and (p * rate).denominator == 1
+    ]
+    return sorted(
+        {able[round(i * (len(able) - 1) / (ANCHORS - 1))] for i in range(ANCHORS)} if able else ()
+    )
+
+
+def _shown(image: Image) -> UInt8:
+    return to_display(image.on(image.display_window).pixels)
+
+
+def _difference(one: UInt8, other: UInt8) -> float:
+    return float(np.abs(one.astype(np.int16) - other).mean())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import time
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -15,29 +14,28 @@ import numpy as np
 
 from exwarp_cli.domain import cores
 from exwarp_cli.domain.frame import Bool, Float32, Image, Window
-from exwarp_cli.domain.frame_rates import OutputRate
 from exwarp_cli.domain.settings import UpsampleSettings
-from exwarp_cli.domain.timeline import Slot, Timeline, ranges
+from exwarp_cli.domain.timeline import OutputRate, Slot, Timeline, ranges
 from exwarp_cli.errors import OutputError, OutputExistsError, UsageError
-from exwarp_cli.io.atomic import is_there, make_folder, output_error, remove_leftovers
+from exwarp_cli.io.atomic import Held, is_there, make_folder, output_error, remove_leftovers
 from exwarp_cli.io.clip import is_clip
 from exwarp_cli.io.exr.template import Plane, PlaneKey
 from exwarp_cli.io.exr.writer import Buffer
 from exwarp_cli.io.footage import is_plain
-from exwarp_cli.io.frame_files import (
+from exwarp_cli.io.key_file import KeyFile, key_file, opened_key
+from exwarp_cli.io.output import (
+    PREFIX,
     FrameTemplate,
     facts_in,
     read_picture,
     recipe_in,
+    write_mask,
     write_picture,
 )
-from exwarp_cli.io.held import Held
-from exwarp_cli.io.key_file import KeyFile, key_file, opened_key
-from exwarp_cli.io.output import PREFIX, write_mask
 from exwarp_cli.io.sequence import EXR, OutputPattern, Sequence, output_pattern
 from exwarp_cli.io.stills import STILLS, require_writer
 from exwarp_cli.io.video import VideoLook, VideoWriter, require_container, to_display
-from exwarp_cli.pipeline.scheduling import AsyncWriter
+from exwarp_cli.pipeline.scheduling import AsyncWriter, record_time
 from exwarp_cli.pipeline.verifying import FRAME, HOLES, Sums, sum_of
 
 FRAMES_BEHIND = 4
@@ -105,10 +103,10 @@ class OutputPlan:
     @property
     def folders(self) -> tuple[Path, ...]:
         """The folders in which files are written."""
-        found = [pattern.folder for pattern in (self.frames, self.holes) if pattern is not None]
+        folders = [pattern.folder for pattern in (self.frames, self.holes) if pattern is not None]
         if self.video is not None:
-            found.append(self.video.parent)
-        return tuple(dict.fromkeys(found))
+            folders.append(self.video.parent)
+        return tuple(dict.fromkeys(folders))
 
     def check_conflicts(
         self, settings: UpsampleSettings, timeline: Timeline, slots: list[Slot]
@@ -127,24 +125,23 @@ class OutputPlan:
         if self.video is not None and is_there(self.video) and self.video.is_dir():
             raise output_error(self.video, IsADirectoryError(errno.EISDIR, ""))
         if not (settings.overwrite or settings.skip_existing):
-            self._check_existing(timeline, slots)
-
-    def _check_existing(self, timeline: Timeline, slots: list[Slot]) -> None:
-        for pattern in (self.frames, self.holes):
-            if pattern is None:
-                continue
-            numbers = [timeline.number(slot) for slot in slots]
-            there = [n for n in numbers if is_there(pattern.path(n))]
-            if there:
+            for pattern in (self.frames, self.holes):
+                if pattern is None:
+                    continue
+                numbers = [timeline.number(slot) for slot in slots]
+                there = [n for n in numbers if is_there(pattern.path(n))]
+                if there:
+                    raise OutputExistsError(
+                        f"{pattern.folder} has frame {ranges(there)} of {pattern.name} already; "
+                        "give --skip-existing to keep good ones, --overwrite to replace them, or "
+                        "another -o"
+                    )
+            if self.video is not None and is_there(self.video):
+                option = "--video" if self.frames is not None else "-o"
                 raise OutputExistsError(
-                    f"{pattern.folder} has frame {ranges(there)} of {pattern.name} already; give "
-                    "--skip-existing to keep good ones, --overwrite to replace them, or another -o"
+                    f"{self.video} exists already; give --overwrite to replace it, or another "
+                    f"{option}"
                 )
-        if self.video is not None and is_there(self.video):
-            option = "--video" if self.frames is not None else "-o"
-            raise OutputExistsError(
-                f"{self.video} exists already; give --overwrite to replace it, or another {option}"
-            )
 
 
 def frame_suffix(output: str, source: Sequence) -> str:
@@ -157,15 +154,15 @@ def frame_suffix(output: str, source: Sequence) -> str:
 def _frames(settings: UpsampleSettings, source: Sequence) -> OutputPattern:
     """Read where frames go: those of EXR as EXR, others as EXR or stills of any kind."""
     plain = is_plain(source)
-    found = output_pattern(settings.output, source, (*STILLS, *EXR) if plain else EXR)
-    if found.type in STILLS:
-        require_writer(found.path(0))
+    pattern = output_pattern(settings.output, source, (*STILLS, *EXR) if plain else EXR)
+    if pattern.type in STILLS:
+        require_writer(pattern.path(0))
         if settings.compression is not None:
             raise UsageError(
-                f"--compression is for EXR, and frames are written as {found.type}; leave it "
+                f"--compression is for EXR, and frames are written as {pattern.type}; leave it "
                 "out, or name a pattern such as out.####.exr"
             )
-    return found
+    return pattern
 
 
 def key_is_there(target: Path, source: KeyFile) -> bool:
@@ -412,9 +409,8 @@ class FrameWriter(Held):
             self.sums[kind, number] = sum_of(pieces)
 
     def _timed(self, number: int, write: Callable[[], None]) -> None:
-        begin = time.perf_counter()
-        write()
-        self.write_ms[number] = 1e3 * (time.perf_counter() - begin)
+        with record_time(self.write_ms, number):
+            write()
 
 
 def _run(write: Callable[[], None]) -> None:

@@ -25,8 +25,14 @@ from exwarp_cli.pipeline.depth_kind import with_depth_ordered
 from exwarp_cli.pipeline.frame_sizes import require_one_size
 from exwarp_cli.pipeline.motion_finding import find_motion
 from exwarp_cli.pipeline.motion_option import motion_names
-from exwarp_cli.pipeline.object_ids import looked_into, read_ids
-from exwarp_cli.pipeline.opening import open_keys, open_plain, rate_of, step_note
+from exwarp_cli.pipeline.opening import (
+    looked_into,
+    open_keys,
+    open_plain,
+    rate_of,
+    read_ids,
+    step_note,
+)
 
 
 @dataclass(frozen=True)

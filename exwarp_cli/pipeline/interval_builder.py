@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from exwarp_cli.domain.bounds import require_canvas
 from exwarp_cli.domain.decision import PATHS, Plan
-from exwarp_cli.domain.extrapolator import HISTORY, Extrapolator
+from exwarp_cli.domain.extrapolator import HISTORY, Extrapolator, Interpolator
 from exwarp_cli.domain.frame import (
     SURFACE_PARTS,
     Float32,
@@ -17,8 +16,8 @@ from exwarp_cli.domain.frame import (
     KeyFrame,
     Window,
     broken_pixels,
+    require_canvas,
 )
-from exwarp_cli.domain.interpolator import Interpolator
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.pipeline.choosing import Chosen
 from exwarp_cli.pipeline.interval_inputs import HistoryFrame, IntervalInputs
@@ -29,8 +28,7 @@ from exwarp_cli.synthesis.history import Past
 from exwarp_cli.synthesis.holds import around_holds
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.movers import chosen, moving, those
-from exwarp_cli.synthesis.span import span_motion
-from exwarp_cli.synthesis.trajectory import displacement
+from exwarp_cli.synthesis.trajectory import displacement, span_motion
 
 Ids = frozenset[int]
 Instant = tuple[Slot, GBuffer]
@@ -86,10 +84,8 @@ class IntervalBuilder:
     ----------
     display
         The display window of all frames.
-    network
-        For methods that extrapolate.
-    interpolator
-        For methods that have a network interpolate.
+    network, interpolator
+        For methods that extrapolate, and that interpolate by a network.
     estimated
         Whether key frames come with estimated motion, which is settled as it is.
     bare
@@ -134,14 +130,9 @@ class IntervalBuilder:
         return self._settled(with_stencils(inputs, ids), (canvas, ids))
 
     def add_history(self, interval: Interval, inputs: IntervalInputs) -> Interval:
-        """Return an interval with what only extrapolation needs.
+        """Return an interval with the history and surface that it was built without.
 
-        Parameters
-        ----------
-        interval
-            Of the key setting, as it was built without; no slot is rendered yet.
-        inputs
-            What it was built of, with history and surface.
+        It is of the key setting, and no slot is rendered yet.
         """
         frame, settled = inputs.frame, interval.key.gbuffer
         if frame is None or frame.gbuffer is None or settled is None:
@@ -198,7 +189,6 @@ class IntervalBuilder:
                 settled = settle_motion(placed.gbuffer)
                 placed = replace(placed, gbuffer=settled.bare() if self._bare else settled)
             self._frames[index, basis] = self._scratch.store(placed)
-            self._scratch.page_out()
         return self._frames[index, basis]
 
     def _led_back(self, inputs: IntervalInputs, key: KeyFrame, basis: Basis) -> tuple[Past, ...]:
@@ -270,17 +260,7 @@ class MovingObjects:
     def find(self, inputs: IntervalInputs, canvas: Window) -> Ids | None:
         """Return the ids of what moves between any two instants of an interval.
 
-        Parameters
-        ----------
-        inputs
-            As read.
-        canvas
-            The window that the interval is built on.
-
-        Returns
-        -------
-        frozenset or None
-            None where there are no ids of what is shown.
+        None where there are no ids of what is shown. `canvas` is what the interval is built on.
         """
         instants = list(_instants(inputs))
         if all(gbuffer.objects is None for _, gbuffer in instants):
@@ -299,12 +279,7 @@ class MovingObjects:
 def with_stencils(inputs: IntervalInputs, ids: Ids | None) -> IntervalInputs:
     """Return an interval whose G-buffers have the objects of some ids as their stencil.
 
-    Parameters
-    ----------
-    inputs
-        As read.
-    ids
-        As of `MovingObjects`; with None it stays as it is.
+    With None, as `MovingObjects.find` returns it, the interval stays as it is.
     """
     if ids is None:
         return inputs

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -16,13 +15,13 @@ from exwarp_cli.domain.results import InterpolatorSummary, NetworkSummary
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR, Slot
 from exwarp_cli.errors import InputError
-from exwarp_cli.io.frame_files import FrameTemplate
+from exwarp_cli.io.output import FrameTemplate
 from exwarp_cli.io.sequence import Sequence
 from exwarp_cli.pipeline.contents import Content, LayerFrames, LayerReader, template_of
-from exwarp_cli.pipeline.ground_truth import IntervalTruth, TruthReader
-from exwarp_cli.pipeline.key_frames import KeyFrameStore, reads_late
+from exwarp_cli.pipeline.frame_sizes import Regions
+from exwarp_cli.pipeline.key_frames import IntervalTruth, KeyFrameStore, TruthReader, reads_late
 from exwarp_cli.pipeline.recipes import Recipes
-from exwarp_cli.pipeline.regions import Regions
+from exwarp_cli.pipeline.scheduling import record_time
 from exwarp_cli.pipeline.shots import UnreadableFrames
 from exwarp_cli.pipeline.source import FrameOf, Source
 from exwarp_cli.policy.state import KEYS_BACK
@@ -31,6 +30,10 @@ from exwarp_cli.synthesis.methods import Judge, Method
 
 Needed = Callable[[int, dict[int, str]], bool]
 """Called with an interval's index and recipes; False leaves the rest unread."""
+
+
+Dependencies = tuple[NetworkSummary | None, str | None, InterpolatorSummary | None]
+"""The network that extrapolates, the policy's checksum, the network that interpolates."""
 
 
 @dataclass(frozen=True)
@@ -207,8 +210,8 @@ class IntervalReader:
         Of the run.
     truth
         Ground truth and its frame for a slot; None without.
-    network, policy, interpolator
-        What frames depend on beside their input; see `Recipes`.
+    depends_on
+        What frames depend on beside their input.
     contents
         What frames hold: of this view first, then of others in the same files; () for the beauty.
     leader
@@ -221,11 +224,7 @@ class IntervalReader:
         method: Method,
         settings: UpsampleSettings,
         truth: tuple[Sequence, FrameOf] | None = None,
-        depends_on: tuple[NetworkSummary | None, str | None, InterpolatorSummary | None] = (
-            None,
-            None,
-            None,
-        ),
+        depends_on: Dependencies = (None, None, None),
         contents: tuple[Content, ...] = (),
         leader: IntervalReader | None = None,
     ) -> None:
@@ -275,15 +274,19 @@ class IntervalReader:
         InputError
             When a file cannot be used.
         """
-        begin = time.perf_counter()
+        timing_ms: dict[str, float] = {}
+        with record_time(timing_ms, "read"):
+            inputs = self._read(key, needed)
+        return replace(inputs, read_ms=timing_ms["read"])
+
+    def _read(self, key: int, needed: Needed) -> IntervalInputs:
         source, store, shots = self._source, self.store, self.shots
         lookahead = self._looks_ahead(key)
         recipes = self.recipes(key)
         template = template_of(self._contents, self._output, source.timeline.numbers[key])
         if not needed(key, recipes):
             self.release(key)
-            elapsed = 1e3 * (time.perf_counter() - begin)
-            return IntervalInputs(key, FrameMetadata(template, recipes), read_ms=elapsed)
+            return IntervalInputs(key, FrameMetadata(template, recipes))
         frame = store.get_in_shot(key)
         following = store.get_in_shot(key + 1, before=True) if lookahead else None
         region = self._regions.is_region(
@@ -316,7 +319,6 @@ class IntervalReader:
             layers,
             older,
             times=tuple(float(source.timeline.time(s)) for s in source.timeline.between(key)),
-            read_ms=1e3 * (time.perf_counter() - begin),
             followed=store.is_followed(key),
             region=region,
             held=self._held(key),
@@ -343,12 +345,12 @@ class IntervalReader:
 
     def read_key(self, key: int) -> IntervalInputs:
         """Read what a key frame is passed through by, and no more of its interval."""
-        begin = time.perf_counter()
-        frame = replace(self.store.get(key), gbuffer=None)
-        number = self._source.timeline.numbers[key]
-        metadata = FrameMetadata(template_of(self._contents, self._output, number))
-        elapsed = 1e3 * (time.perf_counter() - begin)
-        return IntervalInputs(key, metadata, frame, read_ms=elapsed)
+        timing_ms: dict[str, float] = {}
+        with record_time(timing_ms, "read"):
+            frame = replace(self.store.get(key), gbuffer=None)
+            number = self._source.timeline.numbers[key]
+            metadata = FrameMetadata(template_of(self._contents, self._output, number))
+        return IntervalInputs(key, metadata, frame, read_ms=timing_ms["read"])
 
     def read_observed(self, key: int) -> tuple[tuple[PolicyObservation, ...], tuple[GBuffer, ...]]:
         """Read what features of an interval come from: its instants, and its slots' G-buffers."""
@@ -468,12 +470,7 @@ class IntervalReader:
 class ViewsReader:
     """Reads an interval of every view: the other views' are in `IntervalInputs.views`.
 
-    Parameters
-    ----------
-    leader
-        Of the view that decides, where its cuts are found too.
-    others
-        Of the other views, which were made with that leader.
+    The other views' readers were made with that leader.
     """
 
     def __init__(self, leader: IntervalReader, others: tuple[IntervalReader, ...] = ()) -> None:

@@ -42,14 +42,13 @@ from exwarp_cli.pipeline.without_vectors import (
 from exwarp_cli.runtime.frame_pool import LARGE_PIXELS, ScratchFrames
 
 if TYPE_CHECKING:
-    from exwarp_cli.domain.outcome import Outcome
+    from exwarp_cli.domain.joining import Outcome
     from exwarp_cli.domain.settings import UpsampleSettings
     from exwarp_cli.domain.timeline import Slot
     from exwarp_cli.io.interpolator import OnnxInterpolator
     from exwarp_cli.io.models import OnnxExtrapolator
     from exwarp_cli.io.policy_files import PolicyFile
     from exwarp_cli.io.sequence import Sequence
-    from exwarp_cli.pipeline.late_network import LateNetwork
     from exwarp_cli.pipeline.progress import Progress
     from exwarp_cli.pipeline.source import FrameOf, Source
     from exwarp_cli.synthesis.methods import Method
@@ -86,7 +85,7 @@ class Job:
     settings: UpsampleSettings
     method: Method
     sources: tuple[Source, ...]
-    network: OnnxExtrapolator | LateNetwork | None
+    network: OnnxExtrapolator | None
     interpolator: OnnxInterpolator | None
     policy: PolicyFile | None
     models: Models

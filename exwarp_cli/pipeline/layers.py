@@ -11,9 +11,8 @@ import numpy as np
 from exwarp_cli.domain.frame import Float32, Window, outside, place
 from exwarp_cli.io.channels import ChannelRef
 from exwarp_cli.io.exr.template import Plane, PlaneKey, Template
-from exwarp_cli.io.layer_store import Planes
 from exwarp_cli.io.layers import Kind, Layer
-from exwarp_cli.pipeline.contents import POINTS, Content, LayerFrames
+from exwarp_cli.pipeline.contents import POINTS, Content, LayerFrames, Planes
 from exwarp_cli.pipeline.interval_builder import IntervalBuilder
 from exwarp_cli.pipeline.interval_inputs import IntervalInputs
 from exwarp_cli.synthesis.interval import Interval

@@ -10,15 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from exwarp_cli.domain.frame import Float32, place
-from exwarp_cli.domain.frame_rates import number_step
 from exwarp_cli.domain.motion import AxisMap, MotionConvention, MotionFinding
+from exwarp_cli.domain.timeline import number_step
 from exwarp_cli.errors import InputError, MotionError
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.frames import Shot, is_seen, read_raw
 from exwarp_cli.io.producers import PRESETS
 from exwarp_cli.pipeline.motion_option import motion_names, parse_motion
 from exwarp_cli.pipeline.shots import pair_beside_hold, pairs_within
-from exwarp_cli.pipeline.zero_vectors import zero_vectors_error
 from exwarp_cli.synthesis.calibration import calibrate, looks_like
 from exwarp_cli.synthesis.cuts import is_cut
 from exwarp_cli.synthesis.picture_motion import colour_moves, geometry_moves
@@ -264,7 +263,17 @@ class _Measuring:
         """Read and reduce a frame; what was reduced before is kept."""
         key = number, by_colour
         if key not in self._frames:
-            self._frames[key] = _sampled(self._shot, number, by_colour)
+            # On the display window: data windows differ, and normalised vectors go by it. World
+            # positions tell points apart best, and alone; reading the rest takes most of the time.
+            by_position = Role.POSITION in self._shot.layout and not by_colour
+            seen = Role.POSITION if by_position else Role.COLOUR
+            raw = read_raw(self._shot, number, (Role.MOTION, Role.DEPTH, Role.STENCIL, seen))
+            assert raw.motion is not None
+            motion = place(raw.motion, raw.gbuffer.window, self._shot.display, np.nan)
+            colour = None if raw.image is None else raw.image.on(self._shot.display).pixels
+            self._frames[key] = sampled(
+                Instant(number, raw.gbuffer.on(self._shot.display), motion, colour)
+            )
         return self._frames[key]
 
     def _parted(self, index: int) -> bool:
@@ -331,20 +340,45 @@ def _is_sound(frame: Callable[[int], Sampled], number: int) -> bool:
     return True
 
 
-def _sampled(shot: Shot, number: int, by_colour: bool) -> Sampled:
-    """Read a frame on the display window: data windows differ, and normalised vectors go by it."""
-    # World positions tell points apart best, and alone; reading the rest takes most of the time.
-    by_position = Role.POSITION in shot.layout and not by_colour
-    seen = Role.POSITION if by_position else Role.COLOUR
-    raw = read_raw(shot, number, (Role.MOTION, Role.DEPTH, Role.STENCIL, seen))
-    assert raw.motion is not None
-    motion = place(raw.motion, raw.gbuffer.window, shot.display, np.nan)
-    colour = None if raw.image is None else raw.image.on(shot.display).pixels
-    return sampled(Instant(number, raw.gbuffer.on(shot.display), motion, colour))
-
-
 def _vectors(shot: Shot, number: int) -> Float32:
     """Read a frame's motion channels on the display window."""
     raw = read_raw(shot, number, (Role.MOTION,))
     assert raw.motion is not None
     return place(raw.motion, raw.gbuffer.window, shot.display, np.nan)
+
+
+SETTINGS = {
+    "Blender": "switch it off in Render Properties > Motion Blur, as Cycles writes no vectors with "
+    "it",
+    "Arnold": "Arnold writes vectors only with Motion Blur on: switch it on together with "
+    "Instantaneous Shutter",
+    "Redshift": "Redshift writes vectors only with Motion Blur on, and keeps the beauty sharp "
+    "meanwhile: switch it on",
+    "V-Ray": "switch it off in Render Settings > Motion Blur, and check that the Velocity element "
+    "is on",
+    "Karma": "switch it off in the Karma render settings > Rendering > Motion Blur",
+    "RenderMan": "switch it off in Render Settings > Motion Blur",
+}
+"""What to do by producer, as `io.producers` names them."""
+
+ANY = "switch it off in the renderer's settings"
+
+
+def zero_vectors_error(names: tuple[str, ...], frames: str, producer: str) -> MotionError:
+    """Return the error for vectors that are 0 while the picture moves.
+
+    Parameters
+    ----------
+    names
+        Of the motion channels.
+    frames
+        Numbers of the frames that were looked at.
+    producer
+        What wrote the files, as far as they tell.
+    """
+    advice = next((text for name, text in SETTINGS.items() if producer.startswith(name)), ANY)
+    return MotionError(
+        f"the motion channels {', '.join(names)} are 0 throughout in frames {frames}, while the "
+        f"picture moves: motion blur was on, or the pass is empty; {advice}, and render the motion "
+        "pass again; if nothing is meant to move, give --motion"
+    )

@@ -19,15 +19,15 @@ from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.domain.wording import counted
 from exwarp_cli.errors import OutputExistsError
 from exwarp_cli.io.atomic import is_there
-from exwarp_cli.io.authorship import (
+from exwarp_cli.io.key_file import written_forms
+from exwarp_cli.io.output import (
     KEY_FRAMES,
     REQUESTED_METHOD,
     Authorship,
     State,
     authorship_of,
+    file_digest,
 )
-from exwarp_cli.io.key_file import written_forms
-from exwarp_cli.io.output import file_digest
 from exwarp_cli.io.video import video_note
 from exwarp_cli.pipeline.frame_writer import OutputPlan, key_is_there
 from exwarp_cli.pipeline.source import Source

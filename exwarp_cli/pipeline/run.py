@@ -9,7 +9,7 @@ from time import perf_counter
 from exwarp_cli import __version__
 from exwarp_cli.domain.cores import working
 from exwarp_cli.domain.frame import Image, Window
-from exwarp_cli.domain.outcome import Outcome
+from exwarp_cli.domain.joining import Outcome
 from exwarp_cli.domain.results import FrameKind, FrameRecord, LeftOut, RunSummary
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import Slot
@@ -18,9 +18,10 @@ from exwarp_cli.io.footage import picture
 from exwarp_cli.io.output import PREFIX
 from exwarp_cli.io.threads import use_threads
 from exwarp_cli.kernels import _row_bands
+from exwarp_cli.pipeline.announcing import left_out, tell_left_out, unscored
 from exwarp_cli.pipeline.choosing import Chooser, Chosen, always, by_policy, by_truth
-from exwarp_cli.pipeline.eta import kind_of, kinds_of
 from exwarp_cli.pipeline.finding import is_usual
+from exwarp_cli.pipeline.frame_sizes import remark
 from exwarp_cli.pipeline.frame_writer import FRAMES_BEHIND, FrameWriter
 from exwarp_cli.pipeline.interval_builder import IntervalBuilder, PreparedInterval, count_broken
 from exwarp_cli.pipeline.interval_inputs import (
@@ -31,11 +32,8 @@ from exwarp_cli.pipeline.interval_inputs import (
 )
 from exwarp_cli.pipeline.job import Job, open_job
 from exwarp_cli.pipeline.layers import ExtraLayers
-from exwarp_cli.pipeline.leaving_out import left_out, tell_left_out, unscored
-from exwarp_cli.pipeline.nonfinite import broken_pixels_of
-from exwarp_cli.pipeline.progress import FrameListener, NoProgress, Progress
+from exwarp_cli.pipeline.progress import FrameListener, NoProgress, Progress, kind_of, kinds_of
 from exwarp_cli.pipeline.recipes import key_recipe
-from exwarp_cli.pipeline.regions import remark
 from exwarp_cli.pipeline.scheduling import (
     Mode,
     ParallelSlots,
@@ -44,7 +42,7 @@ from exwarp_cli.pipeline.scheduling import (
     read_depth,
     record_time,
 )
-from exwarp_cli.pipeline.scoring import IntervalScores
+from exwarp_cli.pipeline.scoring import IntervalScores, broken_pixels_of
 from exwarp_cli.pipeline.slot_renderer import RenderedSlot, SlotRenderer, rate_attribute, rounded
 from exwarp_cli.pipeline.verifying import Sums, files_of, verify, verify_video
 from exwarp_cli.pipeline.without_vectors import BY_EXWARP, is_kept, note_of, video_look
@@ -65,21 +63,7 @@ def upsample(
     progress: Progress | None = None,
     listener: FrameListener | None = None,
 ) -> RunSummary:
-    """Write the slots of the selected key frames.
-
-    Parameters
-    ----------
-    settings
-        What to do.
-    progress
-        Told of every frame; None for silence.
-    listener
-        Shown the frames that it asks for; None without.
-
-    Returns
-    -------
-    RunSummary
-        What was written and how good it is.
+    """Write the slots of the selected key frames; return what was written and how good it is.
 
     Raises
     ------
@@ -108,19 +92,8 @@ def run_job(job: Job, progress: Progress, listener: FrameListener | None = None)
 def write_intervals(job: Job, progress: Progress, listener: FrameListener | None = None) -> Outcome:
     """Do the work of a job whose folders are there, in this thread.
 
-    Parameters
-    ----------
-    job
-        What is done.
-    progress
-        Told of every frame; started and finished by the caller.
-    listener
-        Shown frames; it has heard already which will come.
-
-    Returns
-    -------
-    Outcome
-        Without frames for a video alone that was there as this run would make it.
+    The caller starts and finishes `progress`, and has planned `listener`. The outcome has no frames
+    for a video alone that was there as this run would make it.
 
     Raises
     ------
@@ -129,7 +102,6 @@ def write_intervals(job: Job, progress: Progress, listener: FrameListener | None
     """
     settings = job.settings
     use_threads(settings.threads)
-    pool.clear()  # of what vectors were measured in
     reader = make_reader(job)
     note = ""
     if job.targets.frames is None:
@@ -146,28 +118,13 @@ def write_intervals(job: Job, progress: Progress, listener: FrameListener | None
             tuple(run.left_out),
             nonfinite=broken_pixels_of(job, reader.truth.nonfinite),
         )
-        return checked(outcome, job, run.writer.sums)
+        return _verified(outcome, job, run.writer.sums)
     finally:
         job.close()
 
 
-def checked(outcome: Outcome, job: Job, sums: Sums) -> Outcome:
-    """Add checksums of the files to an outcome, and read these back, where that is asked.
-
-    Parameters
-    ----------
-    outcome
-        Of the job.
-    job
-        Of a run, or of a part of one.
-    sums
-        What is known of its files.
-
-    Raises
-    ------
-    OutputError
-        When files cannot be read, or are not as they were made.
-    """
+def _verified(outcome: Outcome, job: Job, sums: Sums) -> Outcome:
+    """Add checksums of the files to an outcome, and read these back, where that is asked."""
     settings = job.settings
     if not (job.sums and outcome.frames):
         return outcome
@@ -183,16 +140,7 @@ def checked(outcome: Outcome, job: Job, sums: Sums) -> Outcome:
 class Run:
     """One run: reads, renders, writes and records interval by interval.
 
-    Parameters
-    ----------
-    job
-        What is done.
-    reader
-        Reads the intervals.
-    note
-        What a video that is written alone says of itself.
-    progress, listener
-        As of `write_intervals`.
+    `note` is what a video that is written alone says of itself.
     """
 
     def __init__(
@@ -507,7 +455,7 @@ def make_chooser(job: Job) -> Chooser | None:
         return always(method.path) if is_usual(source) else None
     if job.policy is not None:
         from exwarp_cli.pipeline.observing import Observer
-        from exwarp_cli.policy.policies import LearnedPolicy
+        from exwarp_cli.policy.state import LearnedPolicy
 
         observer = Observer(source.keys.display, source.setting)
         return by_policy(LearnedPolicy(job.policy.network), observer)

@@ -76,7 +76,7 @@ def read_depth(pixels: int) -> int:
 
 
 @contextmanager
-def record_time(timing_ms: dict[str, float], step: str, count: int = 1) -> Iterator[None]:
+def record_time(timing_ms: dict[S, float], step: S, count: int = 1) -> Iterator[None]:
     """Add the milliseconds that the block takes to a step, as the share of each of `count`."""
     begin = time.perf_counter()
     yield

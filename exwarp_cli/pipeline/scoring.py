@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import takewhile
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from exwarp_cli.domain.frame import Bool, Float32, UInt8, Window, place
-from exwarp_cli.domain.results import Score
+from exwarp_cli.domain.results import BrokenPixels, Score
 from exwarp_cli.domain.settings import UpsampleSettings
-from exwarp_cli.domain.timeline import FACTOR
+from exwarp_cli.domain.timeline import FACTOR, Slot
 from exwarp_cli.errors import UsageError
 from exwarp_cli.io.video import to_display
 from exwarp_cli.io.vmaf import require_size, vmaf
 from exwarp_cli.metrics.flicker import Transition, error, flicker, landing, transition
 from exwarp_cli.synthesis.interval import Interval
+
+if TYPE_CHECKING:
+    from exwarp_cli.io.soundness import NonFinite
+    from exwarp_cli.pipeline.job import Job
+    from exwarp_cli.pipeline.source import Source
 
 Scores = tuple[Score, Score | None]
 """Over all pixels, and in holes."""
@@ -229,3 +235,39 @@ class IntervalScores:
         video = list(takewhile(pairs.__contains__, range(self._count + 2)))
         values = vmaf((pairs[slot][0] for slot in video), (pairs[slot][1] for slot in video))
         return {slot: v for slot, v in zip(video, values, strict=True) if slot in self._shown}
+
+
+def broken_pixels_of(job: Job, truth: NonFinite) -> tuple[BrokenPixels, ...]:
+    """Return what was found in the selected key frames, and in what the slots after them have.
+
+    Frames around that were read as well are told of by the chunks that they belong to.
+
+    Parameters
+    ----------
+    job
+        All of whose frames were read.
+    truth
+        What was found in ground truth, by output frame.
+    """
+    return tuple(
+        one
+        for key in job.keys
+        for source in job.sources
+        for one in _in_interval(source, key, truth if source is job.source else None)
+    )
+
+
+def _in_interval(source: Source, key: int, truth: NonFinite | None) -> Iterator[BrokenPixels]:
+    """Yield what was found in one view of a key interval."""
+    timeline, view = source.timeline, source.keys.view
+    number = timeline.numbers[key]
+    for channels, pixels in source.keys.nonfinite.of(number):
+        yield BrokenPixels(number, 0, view, channels, pixels)
+    for slot in (Slot(key, 0), *timeline.between(key)):
+        instant = None if source.slots is None else source.slot_number(slot)
+        if instant is not None and source.slots is not None:
+            for channels, pixels in source.slots.nonfinite.of(instant):
+                yield BrokenPixels(number, slot.index, view, channels, pixels)
+        if truth is not None:
+            for channels, pixels in truth.of(timeline.number(slot)):
+                yield BrokenPixels(number, slot.index, view, channels, pixels)

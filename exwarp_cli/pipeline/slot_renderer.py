@@ -1,26 +1,33 @@
-"""Rendering the frame of a slot: from its interval to the writer, and what is recorded of it."""
+"""Rendering the frame of a slot: from its interval to the writer, and what is recorded of it.
+
+A decision is text in the header of the frame that it led to, so that a later run reads it.
+"""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from exwarp_cli import __version__
-from exwarp_cli.domain.decision import Plan
+from exwarp_cli.domain.decision import Decision, Features, Plan, maker_of, step_of
 from exwarp_cli.domain.frame import Bool, Image, place
-from exwarp_cli.domain.maker import maker_of, step_of
 from exwarp_cli.domain.results import FrameKind, FrameRecord
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.errors import OutputError
-from exwarp_cli.io.authorship import KEY_FRAMES, REQUESTED_METHOD
-from exwarp_cli.io.decisions import decision_text, parse_decision
 from exwarp_cli.io.exr.template import Plane, PlaneKey, Template
-from exwarp_cli.io.frame_files import FrameTemplate, quantised
-from exwarp_cli.io.output import PREFIX, compression_of
+from exwarp_cli.io.output import (
+    KEY_FRAMES,
+    PREFIX,
+    REQUESTED_METHOD,
+    FrameTemplate,
+    compression_of,
+    quantised,
+)
 from exwarp_cli.pipeline.frame_writer import FrameWriter
 from exwarp_cli.pipeline.interval_builder import PreparedInterval
 from exwarp_cli.pipeline.interval_inputs import IntervalInputs
@@ -54,17 +61,7 @@ class RenderedSlot:
 
 
 class SlotRenderer:
-    """Renders the frames of slots; in several threads, where only the beauty is written.
-
-    Parameters
-    ----------
-    settings, source, method
-        Of the run.
-    writer
-        Where frames go.
-    layers
-        What is written beside the beauty.
-    """
+    """Renders the frames of slots; in several threads, where only the beauty is written."""
 
     def __init__(
         self,
@@ -247,3 +244,31 @@ def rate_attribute(source: Source) -> dict[str, Any]:
 def rounded(image: Image, template: FrameTemplate) -> Image:
     """Return a frame as its file has it."""
     return replace(image, pixels=quantised(image.pixels, template))
+
+
+def decision_text(decision: Decision) -> str:
+    """Write a decision as JSON on one line."""
+    found: dict[str, Any] = {"node": decision.node, "choice": decision.choice}
+    if decision.outputs is not None:
+        found["outputs"] = decision.outputs
+    if decision.features is not None:
+        found["features"] = astuple(decision.features)
+    if decision.inputs:
+        found["inputs"] = decision.inputs
+    return json.dumps(found, separators=(",", ":"))
+
+
+def parse_decision(text: str | None) -> Decision | None:
+    """Read what `decision_text` wrote; None for nothing."""
+    if text is None:
+        return None
+    found = json.loads(text)
+    warp, extrapolate = found.get("outputs", (None, None))
+    features = found.get("features")
+    return Decision(
+        found["node"],
+        found["choice"],
+        None if features is None else Features(*features),
+        tuple(found.get("inputs", ())),
+        None if warp is None else (warp, extrapolate),
+    )

@@ -8,10 +8,18 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 
 from exwarp_cli.domain.cuts import CutWish, parse_cuts
-from exwarp_cli.domain.frame_rates import OutputRate, compatible_rate, standard_rate
 from exwarp_cli.domain.motion import MotionConvention, MotionFinding
 from exwarp_cli.domain.settings import SourceSettings
-from exwarp_cli.domain.timeline import FACTOR, MOST, Slot, Timeline, ranges
+from exwarp_cli.domain.timeline import (
+    FACTOR,
+    MOST,
+    OutputRate,
+    Slot,
+    Timeline,
+    compatible_rate,
+    ranges,
+    standard_rate,
+)
 from exwarp_cli.errors import (
     InputError,
     LayoutError,
@@ -25,8 +33,14 @@ from exwarp_cli.io.sequence import Sequence
 from exwarp_cli.io.unrecognised import is_colour_alone, no_vectors
 from exwarp_cli.pipeline.depth_kind import read_alike, with_depth_ordered
 from exwarp_cli.pipeline.motion_finding import KeyColours, find_motion
-from exwarp_cli.pipeline.object_ids import read_ids
-from exwarp_cli.pipeline.opening import each_view, open_keys, open_plain, open_slots, rate_of
+from exwarp_cli.pipeline.opening import (
+    each_view,
+    open_keys,
+    open_plain,
+    open_slots,
+    rate_of,
+    read_ids,
+)
 from exwarp_cli.runtime.frame_pool import IN_MEMORY, ScratchFrames
 
 FrameOf = Callable[[Slot], int | None]

@@ -18,7 +18,7 @@ from exwarp_cli.errors import InputError, OutputError
 from exwarp_cli.io.atomic import output_error
 from exwarp_cli.io.clip import open_clip
 from exwarp_cli.io.exr.writer import Buffer
-from exwarp_cli.io.frame_files import read_picture, recipe_in
+from exwarp_cli.io.output import read_picture, recipe_in
 from exwarp_cli.runtime.stop import check_stop
 
 if TYPE_CHECKING:
@@ -78,7 +78,7 @@ def verify(
     view: str,
     shown: int,
 ) -> int:
-    """Read all files of a run again, from the disk, and compare them with what was made.
+    """Read all files of a run again, compare them with what was made, and return how many.
 
     Parameters
     ----------
@@ -90,11 +90,6 @@ def verify(
         Of frames of an earlier run, which is decoded; "" for the hero, and without views.
     shown
         How many frames a video has.
-
-    Returns
-    -------
-    int
-        How many files were read.
 
     Raises
     ------

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from exwarp_cli.domain.features import Features
+from exwarp_cli.domain.decision import Features
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, Int32
 from exwarp_cli.kernels import blocks, emd, labelling, medians
 

@@ -14,8 +14,22 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.domain.decision import FIRST, NODES, PATHS, SLOTS
-from exwarp_cli.domain.features import FEATURES, Features
+from exwarp_cli.accel.fixed_point import to_fixed
+from exwarp_cli.accel.kernel import MlpKernel
+from exwarp_cli.accel.quantised_mlp import QuantisedMlp
+from exwarp_cli.domain.decision import (
+    CHOICES,
+    FEATURES,
+    FIRST,
+    NODES,
+    PATHS,
+    SLOTS,
+    Decision,
+    Features,
+    Plan,
+    path_of,
+    walk,
+)
 
 F64 = npt.NDArray[np.float64]
 
@@ -119,3 +133,38 @@ def scaled(features: Features) -> F64:
         "R": features.resolution / 1e6,
     }
     return np.array([SCALES[name](relative[name]) for name in FEATURES])
+
+
+class LearnedPolicy:
+    """The predictor as the accelerator runs it: integers from the state's inputs to the decision.
+
+    Parameters
+    ----------
+    network
+        Takes the 44 inputs of `exwarp_cli.policy.state`.
+    """
+
+    def __init__(self, network: QuantisedMlp) -> None:
+        self._kernel = MlpKernel(network)
+
+    def plan(self, surroundings: Surroundings) -> Plan:
+        """Decide all slots of a key interval; the larger output wins, a tie goes to warping."""
+        decisions: list[Decision] = []
+
+        def choose(node: str) -> str:
+            state = surroundings.inputs(node)
+            fixed = to_fixed(state)
+            outputs, chosen = self._kernel.decide(fixed)
+            choice = CHOICES[chosen]
+            decisions.append(
+                Decision(
+                    node,
+                    choice,
+                    surroundings.now[SLOTS[node] - 1],
+                    tuple(int(value) for value in fixed),
+                    outputs,
+                )
+            )
+            return choice
+
+        return Plan(path_of(dict(walk(choose))), tuple(decisions))

@@ -7,8 +7,7 @@ import io
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from exwarp_cli.domain.decision import Decision
-from exwarp_cli.domain.features import FEATURES
+from exwarp_cli.domain.decision import FEATURES, Decision
 from exwarp_cli.domain.results import FrameRecord, Score
 from exwarp_cli.report.quality import values_of
 from exwarp_cli.report.summary import finite, steps_of

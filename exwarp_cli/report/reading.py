@@ -15,9 +15,7 @@ from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 from exwarp_cli import __version__
 from exwarp_cli.domain.cuts import Cut
-from exwarp_cli.domain.decision import Decision
-from exwarp_cli.domain.features import Features
-from exwarp_cli.domain.maker import maker_of
+from exwarp_cli.domain.decision import Decision, Features, maker_of
 from exwarp_cli.domain.results import (
     BrokenPixels,
     FrameKind,

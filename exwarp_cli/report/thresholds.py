@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from exwarp_cli.domain.threshold import GENERATED, Threshold
+from exwarp_cli.domain.metric import GENERATED, Threshold
 from exwarp_cli.errors import QualityError, UsageError
 from exwarp_cli.pipeline.evaluate import Comparison
 from exwarp_cli.report.quality import quality

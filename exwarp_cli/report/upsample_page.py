@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from exwarp_cli.domain.decision import HOLD, NODES
-from exwarp_cli.domain.features import FEATURES
-from exwarp_cli.domain.maker import KEY
+from exwarp_cli.domain.decision import FEATURES, HOLD, KEY, NODES
 from exwarp_cli.domain.results import FrameKind, FrameRecord, RunSummary
 from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.domain.wording import counted

@@ -12,7 +12,7 @@ import os
 import tempfile
 import threading
 import weakref
-from collections import defaultdict, deque
+from collections import deque
 from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import fields, is_dataclass, replace
@@ -24,6 +24,9 @@ import numpy.typing as npt
 
 MIN_BYTES = 1 << 20
 """Arrays below this size are left to numpy."""
+
+MAX_FREE_BYTES = 256 << 20
+"""Free buffers that a pool keeps at most; about those of a slot at 1920x1080."""
 
 LARGE_PIXELS = 4 * 2**20
 """Pixels of a frame above which its arrays lie in scratch files where a network extrapolates. Of
@@ -58,10 +61,17 @@ class _Free(NamedTuple):
 
 
 class FramePool:
-    """Buffers of frame arrays by their size in bytes. Every method may be called in any thread."""
+    """A free list of buffers. Every method may be called in any thread.
 
-    def __init__(self) -> None:
-        self._free: defaultdict[int, list[_Free]] = defaultdict(list)
+    Parameters
+    ----------
+    max_free
+        Bytes of free buffers; beyond, those that are free for longest are dropped.
+    """
+
+    def __init__(self, max_free: int = MAX_FREE_BYTES) -> None:
+        self._max_free = max_free
+        self._free: list[_Free] = []
         self._trims = 0
         self._lock = threading.Lock()
         # A finalizer may run while its thread has the lock, so it only appends; that needs none.
@@ -72,7 +82,7 @@ class FramePool:
         """Bytes that no array uses."""
         with self._lock:
             self._collect()
-            return sum(size * len(free) for size, free in self._free.items())
+            return sum(free.buffer.nbytes for free in self._free)
 
     def empty(self, shape: tuple[int, ...], dtype: npt.DTypeLike) -> np.ndarray:
         """Return a C-contiguous array of arbitrary values.
@@ -90,8 +100,9 @@ class FramePool:
             return np.empty(shape, dtype)
         with self._lock:
             self._collect()
-            free = self._free[size]
-            buffer = free.pop().buffer if free else _fresh(size)
+            buffer = self._take(size)
+        if buffer is None:
+            buffer = _fresh(size)
         lease = _Lease(buffer, shape, dtype)
         weakref.finalize(lease, self._returned.append, buffer).atexit = False
         return np.asarray(lease)
@@ -106,15 +117,11 @@ class FramePool:
         """Drop the buffers that are free since before the last call; call once per key interval."""
         with self._lock:
             self._collect()
-            kept = {
-                size: [one for one in free if one.since == self._trims]
-                for size, free in self._free.items()
-            }
-            self._free = defaultdict(list, {size: free for size, free in kept.items() if free})
+            self._free = [free for free in self._free if free.since == self._trims]
             self._trims += 1
 
     def clear(self) -> None:
-        """Drop all free buffers; call where arrays of other sizes follow."""
+        """Drop all free buffers; call before something else needs much memory."""
         with self._lock:
             self._collect()
             self._free.clear()
@@ -123,7 +130,20 @@ class FramePool:
         """Take over what finalizers returned."""
         while self._returned:
             buffer = self._returned.popleft()
-            self._free[buffer.nbytes].append(_Free(buffer, self._trims))
+            self._free.append(_Free(buffer, self._trims))
+        self._drop(sum(free.buffer.nbytes for free in self._free) - self._max_free)
+
+    def _drop(self, size: int) -> None:
+        """Drop so many bytes, or all, beginning with the buffers that are free for longest."""
+        while size > 0 and self._free:
+            size -= self._free.pop(0).buffer.nbytes
+
+    def _take(self, size: int) -> Buffer | None:
+        """Take the buffer of a size that was used last; None if none is free."""
+        for index in range(len(self._free) - 1, -1, -1):
+            if self._free[index].buffer.nbytes == size:
+                return self._free.pop(index).buffer
+        return None
 
 
 def _fresh(size: int) -> Buffer:
@@ -203,6 +223,7 @@ class ScratchFrames:
         if file is None:
             return array
         out = np.ndarray(array.shape, array.dtype, buffer=file)
+        self.page_out()  # else what is read seldom counts at every peak
         out[...] = array
         file.madvise(mmap.MADV_DONTNEED)
         with self._lock:

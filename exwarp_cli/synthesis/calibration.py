@@ -19,23 +19,21 @@ from exwarp_cli.domain.frame import Bool
 from exwarp_cli.domain.motion import AxisMap, MotionConvention, MotionFinding
 from exwarp_cli.errors import MotionError
 from exwarp_cli.kernels._row_bands import threads
-from exwarp_cli.synthesis.directions import (
-    CLEARLY_WORSE,
-    TIE_FLOOR,
-    Ranked,
-    alike,
-    fitted_together,
-    mean_error,
-    together,
-)
 from exwarp_cli.synthesis.evidence import (
     AROUND,
     CLEAR_FLOOR,
     CLEARLY_BETTER,
+    CLEARLY_WORSE,
+    TIE_FLOOR,
     Evidence,
     Key,
+    Ranked,
+    alike,
     channel_pairs,
+    fitted_together,
     gathered,
+    mean_error,
+    together,
 )
 from exwarp_cli.synthesis.sampling import Interval, Sampled
 

@@ -125,15 +125,7 @@ def camera_after(scene: Scene, vectors: Float32, stencil: Int32 | None) -> Camer
 
 
 def camera_by(scene: Scene, motion_at: MotionAt, stencil: Int32 | None) -> Camera | None:
-    """Return a camera as `camera_after` does, by the motion of the points it looks at alone.
-
-    Parameters
-    ----------
-    scene, stencil
-        As there.
-    motion_at
-        Displacement to the other frame.
-    """
+    """Return a camera as `camera_after` does, by the motion of the points it looks at alone."""
     return _cameras(scene, (motion_at,), stencil)[0]
 
 
@@ -184,18 +176,6 @@ def _cameras(
         else fit(points, pixels + motion_at(index), movers=stencil is None)
         for motion_at in motions
     ]
-
-
-def rigid_motion(scene: Scene, vectors: Float32, stencil: Int32 | None) -> Float32 | None:
-    """Return the motion that static points and the sky have, by the camera of `camera_after`.
-
-    Returns
-    -------
-    float32 [H, W, 2] or None
-        NaN where unknown. None when no camera can be found.
-    """
-    camera = camera_after(scene, vectors, stencil)
-    return None if camera is None else seen_by(scene, camera)
 
 
 def seen_by(scene: Scene, camera: Camera) -> Float32:

@@ -118,15 +118,7 @@ def _flat(array: Float32) -> Float32:
 
 
 def stands_still(gbuffer: GBuffer, scene: Scene | None) -> Bool | None:
-    """bool [H, W]: pixels that move as the camera's motion has it; None where no camera tells.
-
-    Parameters
-    ----------
-    gbuffer
-        With settled motion.
-    scene
-        Its points.
-    """
+    """bool [H, W]: pixels that move as the camera's motion has it; None where no camera tells."""
     step = gbuffer.to_next if gbuffer.to_next is not None else gbuffer.to_previous
     if step is None or scene is None:
         return None

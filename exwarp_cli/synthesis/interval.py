@@ -6,9 +6,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from exwarp_cli.domain.extrapolator import Extrapolator
+from exwarp_cli.domain.extrapolator import Extrapolator, Interpolator
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, KeyFrame, Window, place
-from exwarp_cli.domain.interpolator import Interpolator
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import LayoutError
 from exwarp_cli.runtime.frame_pool import IN_MEMORY, ScratchFrames, pool
@@ -153,7 +152,8 @@ class Interval:
             assert key is not None  # the motion came from it
             between = self._between = self._between or BetweenKeys(key, self.past, self.scratch)
             here = self._scene(slot) if self.slots else None
-            self._looked[slot] = look_back(slot, back, self.slots, between, here)
+            seen = look_back(slot, back, self.slots, between, here)
+            self._looked[slot] = self.scratch.store(seen)
         return self._looked[slot]
 
     def _scene(self, slot: int) -> Scene | None:
@@ -175,13 +175,12 @@ class Interval:
         """
         assert self.extrapolator is not None
         if slot not in self._extrapolated:
+            self._back[slot] = self.scratch.store(self.back(slot))
             prepared = self.prepared(slot)
             self._looked.pop(slot, None)
-            self._back = {index: self.scratch.store(field) for index, field in self._back.items()}
             pool.clear()  # the network takes a gigabyte
             answer = self.extrapolator(prepared.inputs)
             self._extrapolated[slot] = self.scratch.store(prepared.finish(answer))
-            self.scratch.page_out()
         return self._extrapolated[slot]
 
     def forget(self, slot: int) -> None:

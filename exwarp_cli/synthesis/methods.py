@@ -7,21 +7,22 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from functools import partial
 
-from exwarp_cli.domain.decision import EXTRAPOLATE, HELD, HOLD, PATHS, WARP
+from exwarp_cli.domain.decision import BLEND, EXTRAPOLATE, HELD, HOLD, PATHS, SOFTSPLAT, WARP
+from exwarp_cli.domain.extrapolator import INTERPOLATE
 from exwarp_cli.domain.frame import Float32
-from exwarp_cli.domain.interpolator import INTERPOLATE
-from exwarp_cli.domain.maker import BLEND, SOFTSPLAT
 from exwarp_cli.domain.results import FrameKind
-from exwarp_cli.synthesis.interpolate import (
+from exwarp_cli.synthesis.interval import Interval
+from exwarp_cli.synthesis.source_bounds import hold_in_range, hold_within, sources_between
+from exwarp_cli.synthesis.warp import (
     as_light,
     as_shown,
     between,
     blend_by_depth,
     cross_fade,
+    repair,
+    warp,
+    warp_alone,
 )
-from exwarp_cli.synthesis.interval import Interval
-from exwarp_cli.synthesis.source_bounds import hold_in_range, hold_within, sources_between
-from exwarp_cli.synthesis.warp import repair, warp, warp_alone
 
 
 @dataclass(frozen=True)

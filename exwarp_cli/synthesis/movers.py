@@ -108,13 +108,7 @@ def of_moving(objects: Int32, moves: Bool) -> Int32:
 
 
 def those(objects: Int32, moves: Bool) -> frozenset[int]:
-    """Return the ids of the objects at least `SHARE` of whose pixels move.
-
-    Parameters
-    ----------
-    objects, moves
-        As in :func:`of_moving`.
-    """
+    """Return the ids of the objects at least `SHARE` of whose pixels move."""
     values, sizes, starts = _runs(objects)
     if not values.size:
         return frozenset()
@@ -127,13 +121,6 @@ def those(objects: Int32, moves: Bool) -> frozenset[int]:
 
 def chosen(objects: Int32, ids: Collection[int]) -> Int32:
     """Return a stencil of some objects.
-
-    Parameters
-    ----------
-    objects
-        As in :func:`of_moving`.
-    ids
-        Of the objects that move.
 
     Returns
     -------

@@ -11,6 +11,7 @@ from exwarp_cli.kernels import parabola
 from exwarp_cli.kernels import reach as rows
 from exwarp_cli.kernels.follow import CLOSE, follow
 from exwarp_cli.runtime.frame_pool import pool
+from exwarp_cli.synthesis.camera import scene_of, seen_by
 from exwarp_cli.synthesis.rounding import EXACT, coarser, depth_step
 
 
@@ -111,3 +112,29 @@ def followed(start: GBuffer, others: Sequence[GBuffer], way: int) -> Float32:
         follow(step, ids, depths, steps, close, after - before, moved)
         before = after
     return moved
+
+
+def span_motion(steps: Sequence[GBuffer], way: int) -> Float32:
+    """Return the motion from the first of successive instants to the last.
+
+    Parameters
+    ----------
+    steps
+        At least two, in the order in which the motion runs, with settled motion to the instant
+        that comes next; the last needs none.
+    way
+        1 if that is forward in time, -1 if back.
+
+    Returns
+    -------
+    float32 [H, W, 2]
+        Pixels. What stands still follows the recovered cameras, what moves is followed from
+        instant to instant.
+    """
+    start, *others = steps[:-1]
+    moved = followed(start, others, way)
+    here, there = scene_of(start), scene_of(steps[-1])
+    if here is None or there is None or there.camera is None or start.stencil is None:
+        return moved
+    still = start.stencil == 0
+    return np.where(still[..., None], seen_by(here, there.camera), moved)

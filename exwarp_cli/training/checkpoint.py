@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+from io import BytesIO
 from pathlib import Path
 
 import torch
@@ -9,14 +11,15 @@ from torch import Tensor
 
 from exwarp_cli.errors import (
     DamagedFileError,
+    InputError,
     LayoutError,
     OutputExistsError,
     UsageError,
 )
 from exwarp_cli.io.atomic import make_folder
+from exwarp_cli.io.model_files import read_whole
 from exwarp_cli.training.export import export_extrapolator
 from exwarp_cli.training.extranet import STRIDE, ExtraNet, ExtraNetAdapter
-from exwarp_cli.training.tensors import read_tensors
 
 WRAPPED = "module."
 """Before every name where the network was trained on several devices."""
@@ -108,3 +111,37 @@ def _check(path: Path, given: dict[str, Tensor], wanted: dict[str, Tensor]) -> N
 
 def _is_finite(tensor: Tensor) -> bool:
     return bool(torch.isfinite(tensor).all())
+
+
+def read_tensors(path: Path, device: str, damaged: DamagedFileError) -> object:
+    """Read what a file holds: only tensors and plain values, nothing that could run code.
+
+    Parameters
+    ----------
+    path
+        As torch.save wrote it.
+    device
+        Where the tensors go.
+    damaged
+        What is raised for a file that holds anything else, or nothing that can be read.
+
+    Raises
+    ------
+    InputError
+        When there is no such file, or it cannot be opened.
+    DamagedFileError
+        As given.
+    """
+    try:
+        data = read_whole(path)
+    except OSError as error:
+        raise InputError(
+            f"cannot read {path}: {error.strerror or error}; check the path and its rights"
+        ) from error
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # old checkpoints warn of torch's own past
+            content: object = torch.load(BytesIO(data), map_location=device, weights_only=True)
+    except Exception as error:  # damaged pickles and archives end in exceptions of every kind
+        raise damaged from error
+    return content

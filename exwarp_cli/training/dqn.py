@@ -16,8 +16,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
-from exwarp_cli.domain.decision import CHOICES, NEXT, NODES
-from exwarp_cli.domain.features import FEATURES
+from exwarp_cli.domain.decision import CHOICES, FEATURES, NEXT, NODES
 from exwarp_cli.policy.outcomes import rewards
 from exwarp_cli.policy.state import INPUTS, STATES
 from exwarp_cli.runtime.stop import check_stop

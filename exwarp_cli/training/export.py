@@ -18,7 +18,7 @@ from torch import Tensor, nn
 from exwarp_cli import __version__
 from exwarp_cli.domain.extrapolator import INPUTS, INTERFACE, OUTPUT, TIME
 from exwarp_cli.io.atomic import atomic_write_bytes
-from exwarp_cli.io.model_checks import INTERFACE_KEY, REQUIRED, STRIDE_KEY
+from exwarp_cli.io.model_files import INTERFACE_KEY, REQUIRED, STRIDE_KEY
 
 OPSET = 18
 """The exporter's own, so that nothing is converted; onnxruntime runs it since 1.14."""
@@ -61,19 +61,6 @@ def export_extrapolator(module: nn.Module, path: Path, *, stride: int, about: st
         When the file cannot be written.
     """
     module = deepcopy(module).cpu().eval()
-    example = _example(module, stride)
-    with _quiet(), torch.no_grad():
-        _check_answer(module(**example), example)
-        model = _trace(module, example, stride)
-    _tidy(model)
-    facts = {INTERFACE_KEY: INTERFACE, STRIDE_KEY: str(stride), ABOUT: about}
-    onnx.helper.set_model_props(model, facts)
-    onnx.checker.check_model(model)
-    atomic_write_bytes(path, model.SerializeToString(deterministic=True))
-
-
-def _example(module: nn.Module, stride: int) -> dict[str, Tensor]:
-    """Return inputs for the names in forward's signature, in its order."""
     rows = max(2, -(-EXAMPLE // stride))
     size = (rows * stride, (rows + 1) * stride)
     shapes = {name: (1, channels, *size) for name, channels in INPUTS.items()} | {TIME: (1,)}
@@ -83,7 +70,15 @@ def _example(module: nn.Module, stride: int) -> dict[str, Tensor]:
             f"forward takes {', '.join(wanted)}; it must take {' and '.join(REQUIRED)}, and may "
             f"take others out of {', '.join(shapes)}"
         )
-    return {name: torch.full(shapes[name], 0.5) for name in wanted}
+    example = {name: torch.full(shapes[name], 0.5) for name in wanted}
+    with _quiet(), torch.no_grad():
+        _check_answer(module(**example), example)
+        model = _trace(module, example, stride)
+    _tidy(model)
+    facts = {INTERFACE_KEY: INTERFACE, STRIDE_KEY: str(stride), ABOUT: about}
+    onnx.helper.set_model_props(model, facts)
+    onnx.checker.check_model(model)
+    atomic_write_bytes(path, model.SerializeToString(deterministic=True))
 
 
 def _check_answer(answer: Tensor, example: dict[str, Tensor]) -> None:

@@ -1,11 +1,15 @@
-"""Training an extrapolation network: resumable, seeded, with its validation curve in a file."""
+"""Training an extrapolation network: resumable, seeded, with its validation curve in a file.
+
+Losses are those of ExtraNet, section 4.4. A larger network may begin as what a smaller one has
+learnt (Net2Net, Chen et al. 2016).
+"""
 
 from __future__ import annotations
 
 import json
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -13,25 +17,22 @@ from typing import Any
 
 import numpy as np
 import torch
+from torch import Tensor, nn
 
 from exwarp_cli.domain import cores
 from exwarp_cli.errors import DamagedFileError, LayoutError, UsageError
 from exwarp_cli.io.atomic import atomic_path, atomic_write_text, make_folder
-from exwarp_cli.io.dataset import RenderedScene
+from exwarp_cli.io.dataset import RenderedScene, split
 from exwarp_cli.io.output import file_digest
 from exwarp_cli.io.threads import use_threads
 from exwarp_cli.pipeline.scheduling import prefetch
 from exwarp_cli.runtime.stop import check_stop
+from exwarp_cli.training.checkpoint import read_tensors
 from exwarp_cli.training.crops import Batch, Crops
-from exwarp_cli.training.curve import CURVE, add_row
 from exwarp_cli.training.export import export_extrapolator
-from exwarp_cli.training.growth import grown
-from exwarp_cli.training.losses import decibels, loss_of
-from exwarp_cli.training.networks import STRIDE, ExtrapolationNetwork, build
+from exwarp_cli.training.networks import STRIDE, ExtrapolationNetwork, Gated, build
 from exwarp_cli.training.samples import CropSettings, crops_folder, is_whole, write_crops
-from exwarp_cli.training.selection import split
-from exwarp_cli.training.settings import TrainingSettings, require_sane
-from exwarp_cli.training.tensors import read_tensors
+from exwarp_cli.training.settings import CURVE, TrainingSettings, add_row, require_sane
 
 CHECKPOINT = "checkpoint.pt"
 SETTINGS = "settings.json"
@@ -290,7 +291,9 @@ def _fast_halves(device: str) -> bool:
     """Whether 16-bit floats are faster: with AVX-512 BF16 a step takes two thirds of the time."""
     if device == "cuda":
         return bool(torch.cuda.is_bf16_supported())
-    return bool(torch.cpu._is_avx512_bf16_supported())
+    # torch.cpu.get_capabilities tells it too, but is younger than the oldest torch that is allowed.
+    processors = Path("/proc/cpuinfo")
+    return processors.is_file() and "avx512_bf16" in processors.read_text(encoding="utf-8")
 
 
 def _prepare(
@@ -312,3 +315,126 @@ def _ahead(crops: Crops, first: int, settings: TrainingSettings, device: str) ->
         return crops.drawn(step, settings.batch, settings.patch, settings.seed, device)
 
     return prefetch((partial(draw, step) for step in range(first, settings.steps)), 1)
+
+
+HARDEST = 0.1
+"""Share of the pixels that count once more."""
+
+FEW = 0.005
+"""Share of holes below which they count for less: a few pixels tell little."""
+
+HOLES = 2.0
+"""Weight of the error in holes."""
+
+SQUARED = 0.15
+SQUARED_HOLES = 0.6
+"""Weights of the squared error: as a share overall, as the share's logarithm in holes."""
+
+DOUBT = 0.01
+"""What is added to a picture's error before it is divided by: about the renders' own noise."""
+
+KNEE = 1.0
+SLOPE = 0.45
+"""Above 1 brightness counts by its logarithm, with the slope that the sRGB curve ends on."""
+
+
+def shown(linear: Tensor) -> Tensor:
+    """Return linear colour as the eye sees it: the sRGB curve, going on above white."""
+    low = linear.clamp(0, KNEE)
+    power = 1.055 * low.clamp_min(1e-6) ** (1 / 2.4) - 0.055
+    curve = torch.where(low <= 0.0031308, 12.92 * low, power)
+    return curve + SLOPE * torch.log(linear.clamp_min(KNEE)) + linear.clamp_max(0)
+
+
+def loss_of(made: Tensor, truth: Tensor, plain: Tensor, mask: Tensor) -> Tensor:
+    """Return L1 + L1 over holes + L1 over the hardest tenth, all of colour as it is shown.
+
+    To ExtraNet's three terms comes the squared error as a share of the filled warp's: that is what
+    PSNR counts. In holes, where much is possible, it is the share's logarithm, which is the gain in
+    decibels; L1 alone wants the median there, whose squared error is larger than the mean's.
+
+    Parameters
+    ----------
+    made, truth
+        Linear [N, 3, H, W].
+    plain
+        The filled warp, linear [N, 3, H, W]. Each picture weighs by the inverse of its error: a
+        decibel is worth the same on a picture that is nearly right as on one that is not.
+    mask
+        [N, 1, H, W], 0 in holes.
+    """
+    wanted = shown(truth)
+    error = (shown(made) - wanted).abs().mean(1).flatten(1)
+    hole = 1 - mask.flatten(1)
+    in_holes = (error * hole).sum(1) / (hole.sum(1) + FEW * hole.shape[1])
+    hardest = error.topk(int(HARDEST * error.shape[1]), dim=1).values.mean(1)
+    worth = 1 / ((shown(plain) - wanted).abs().mean((1, 2, 3)) + DOUBT)
+    total = (error.mean(1) + HOLES * in_holes + hardest) * worth
+    squares = [(shown(x) - wanted).square().mean(1).flatten(1) for x in (made, plain)]
+    shares = squares[0].mean(1) / (squares[1].mean(1) + DOUBT**2)
+    few = FEW * hole.shape[1] * DOUBT
+    found, before = ((square * hole).sum(1) + few for square in squares)
+    gained = SQUARED * shares + SQUARED_HOLES * torch.log(found / before)
+    return total.sum() / worth.sum() + gained.mean()
+
+
+def decibels(made: Tensor, truth: Tensor, where: Tensor | None = None) -> Tensor:
+    """Return PSNR in sRGB of each picture [N]; over `where` [N, 1, H, W] only, NaN if empty."""
+    squared = (shown(made.clamp(0, 1)) - shown(truth.clamp(0, 1))).square().mean(1, keepdim=True)
+    if where is None:
+        where = torch.ones_like(squared)
+    total = (squared * where).sum((1, 2, 3)) / where.sum((1, 2, 3))
+    return -10 * torch.log10(total.clamp_min(1e-10))
+
+
+def grown(kept: Mapping[str, Tensor], network: nn.Module) -> dict[str, Tensor]:
+    """Return weights with which a network answers as the one whose weights were kept does.
+
+    Channels that it has in addition begin at random, and nothing of what was kept listens to them.
+
+    Parameters
+    ----------
+    kept
+        Weights of a network of the same layers, each of as many channels or fewer.
+    network
+        Whose weights are to be replaced; it is left as it is.
+
+    Raises
+    ------
+    KeyError
+        When the layers are others.
+    ValueError
+        When a layer that was kept has more channels, or answers with others.
+    """
+    made = {name: tensor.clone() for name, tensor in network.state_dict().items()}
+    if made.keys() != kept.keys():
+        raise KeyError(f"layers {sorted(made.keys() ^ kept.keys())} are in one network only")
+    gated = {name for name, module in network.named_modules() if isinstance(module, Gated)}
+    for name, new in made.items():
+        old = kept[name].to(new.device)
+        if old.shape == new.shape:
+            new.copy_(old)
+        else:
+            _put(old, new, gated=name.rsplit(".", 2)[0] in gated, name=name)
+    return made
+
+
+def _put(old: Tensor, new: Tensor, gated: bool, name: str) -> None:
+    """Put a layer's weights into those of a wider one."""
+    if old.ndim != new.ndim or any(a > b for a, b in zip(old.shape, new.shape, strict=True)):
+        raise ValueError(f"{name} is {tuple(old.shape)}, which {tuple(new.shape)} cannot hold")
+    if old.shape[0] != new.shape[0] and not gated:
+        raise ValueError(f"{name} answers with {old.shape[0]} channels, not {new.shape[0]}")
+    outs = torch.arange(old.shape[0])
+    if gated:
+        outs[-1] = new.shape[0] - 1  # the gate
+    if old.ndim == 1:
+        new[outs] = old
+        return
+    ins = torch.arange(old.shape[1])
+    if ".up." in name:
+        # What comes from below, then what was kept on the way down: as much as is answered.
+        skipped = old.shape[0] - 1
+        ins[-skipped:] += (new.shape[1] - (new.shape[0] - 1)) - (old.shape[1] - skipped)
+    new[outs] = 0
+    new[outs[:, None], ins[None]] = old

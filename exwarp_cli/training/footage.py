@@ -20,7 +20,7 @@ from exwarp_cli.pipeline.motion_option import motion_names, parse_motion
 from exwarp_cli.synthesis.geometry import settle_motion
 from exwarp_cli.synthesis.history import past_of
 from exwarp_cli.synthesis.interval import Interval
-from exwarp_cli.synthesis.span import span_motion
+from exwarp_cli.synthesis.trajectory import span_motion
 from exwarp_cli.training.looks import PLAIN, Look, delivered, meant
 from exwarp_cli.training.variant import Variant, backwards, mirrored
 
@@ -97,11 +97,6 @@ class Footage:
             "key", or "slot" for G-buffers of the slots.
         """
         return Interval(self.key(k), self.key(k + 1), self._slots(k, setting))
-
-    @property
-    def predictable(self) -> range:
-        """Indices k of the key frames whose slots were rendered: what causal methods need."""
-        return range(len(self._order) // FACTOR)
 
     def causal(self, k: int, setting: str) -> Interval:
         """Return key interval k for causal synthesis, with its past but without the next key frame.

@@ -165,7 +165,13 @@ class ExtrapolationNetwork(nn.Module):
                 Gated(size + GIVEN, size), nn.Conv2d(size, made, 3, padding=1)
             )
         last = self.net.last if self.detail is None else self.detail[1]
-        _begin_with_the_warp(last, made, count > 0)
+        # Let the last layer answer with hardly more than the filled warp before any training.
+        assert isinstance(last, nn.Conv2d) and last.bias is not None
+        with torch.no_grad():
+            last.weight.mul_(0.03)
+            last.bias.zero_()
+            if count > 0:
+                last.bias.view(made, -1)[0] = CERTAIN
 
     def forward(
         self, warped: Tensor, mask: Tensor, features: Tensor, history: Tensor, time: Tensor
@@ -226,16 +232,6 @@ class ExtrapolationNetwork(nn.Module):
         for index in range(a.flow):
             out.append(_moved(filled, flow[:, 2 * index : 2 * index + 2]))
         return out + [side[:, :3] for side in sides]
-
-
-def _begin_with_the_warp(last: nn.Module, made: int, weighed: bool) -> None:
-    """Let the last layer answer with hardly more than the filled warp before any training."""
-    assert isinstance(last, nn.Conv2d) and last.bias is not None
-    with torch.no_grad():
-        last.weight.mul_(0.03)
-        last.bias.zero_()
-        if weighed:
-            last.bias.view(made, -1)[0] = CERTAIN
 
 
 def _neighbours(frame: Tensor, radius: int) -> list[Tensor]:

@@ -3,12 +3,18 @@
 Written to the output folder: ``policy.npz`` (integers and floats, what ``exwarp upsample`` runs),
 ``policy.onnx`` and ``policy-int8.onnx``, ``policy-without-SCENE.npz`` for each scene,
 ``policy.json`` with every score, and the files' checksums.
+
+The integers are the accelerator's (paper, section IV-C2): weights int8 with a scale for each
+neuron, symmetric; biases int32 in the scale of the sums. Inputs lie in 0 … 1 by definition, so
+theirs is 1/127; activations are scaled by the largest value that calibration states bring forth,
+and saturate there. The last layer has one scale, as its two sums are compared.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -17,14 +23,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.accel.fixed_point import to_fixed
+from exwarp_cli.accel.fixed_point import MOST_ACTIVATION, MOST_SHIFT, ONE, to_fixed
 from exwarp_cli.accel.kernel import MlpKernel
-from exwarp_cli.accel.quantised_mlp import QuantisedMlp
+from exwarp_cli.accel.quantised_mlp import QuantisedLayer, QuantisedMlp, Requantisation
 from exwarp_cli.domain.decision import NODES, PATHS
 from exwarp_cli.errors import DamagedFileError, InputError
 from exwarp_cli.io.atomic import atomic_write_text, make_folder
 from exwarp_cli.io.models import CHECKSUMS
 from exwarp_cli.io.policy_files import SHIPPED_POLICY, left_out, save_network
+from exwarp_cli.policy.outcomes import rewards
 from exwarp_cli.policy.state import INPUTS, STATE_VERSION
 from exwarp_cli.training.dqn import train, values
 from exwarp_cli.training.policy_onnx import export_float, export_integer
@@ -38,8 +45,6 @@ from exwarp_cli.training.policy_scores import (
     taken,
 )
 from exwarp_cli.training.policy_table import PolicyTable
-from exwarp_cli.training.quantisation import quantise
-from exwarp_cli.training.regression import predicted, regress
 from exwarp_cli.training.settings import PolicySettings
 
 F64 = npt.NDArray[np.float64]
@@ -246,3 +251,86 @@ def _line(part: dict[str, Any]) -> str:
         f"return {own.reward:.3f}, PSNR {own.psnr_db:.3f} dB; best fixed path {best.psnr_db:.3f}, "
         f"oracle {oracle.psnr_db:.3f}; int8 agrees on {part['agreement']:.2%}"
     )
+
+
+RIDGE = 1e-2
+"""Weight of the squared coefficients beside the mean squared error, in units of the inputs."""
+
+
+def regress(tables: Sequence[PolicyTable]) -> F64:
+    """Fit the reward of both choices at each node to the states of some scenes.
+
+    Returns
+    -------
+    float64 [5, 45, 2]
+        Coefficients of the 44 inputs and of a constant, by node and choice.
+    """
+    states = np.concatenate([table.states for table in tables])
+    gains = np.concatenate([rewards(table.outcomes) for table in tables])
+    weights = np.concatenate([np.full(len(table), 1 / len(table)) for table in tables])
+    out = []
+    for node in range(len(NODES)):
+        x = np.concatenate([states[:, node], np.ones((len(states), 1))], axis=1)
+        scaled = x * weights[:, None] / weights.sum()
+        out.append(
+            np.linalg.solve(scaled.T @ x + RIDGE * np.eye(x.shape[1]), scaled.T @ gains[:, node])
+        )
+    return np.array(out)
+
+
+def predicted(coefficients: F64, table: PolicyTable) -> F64:
+    """Return the expected reward of both choices at every node, float64 [N, 5, 2]."""
+    states = table.states
+    x = np.concatenate([states, np.ones((*states.shape[:2], 1))], axis=2)
+    return np.asarray(np.einsum("nki,kic->nkc", x, coefficients))
+
+
+MULTIPLIER_BITS = 31
+
+MOST_BIAS = 2.0**30
+"""Weights are scaled so that no bias is larger, which leaves the sums as much again."""
+
+
+def quantise(weights: Sequence[F64], biases: Sequence[F64], states: F64) -> QuantisedMlp:
+    """Return a network in integers.
+
+    Parameters
+    ----------
+    weights, biases
+        Of every layer, float64 [out, in] and [out].
+    states
+        float64 [N, in], 0 to 1: what activations are calibrated on.
+    """
+    unit = 1 / MOST_ACTIVATION
+    inputs = factors(np.full(states.shape[1], MOST_ACTIVATION / ONE))
+    layers: list[QuantisedLayer] = []
+    activations = states
+    for number, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
+        last = number == len(weights) - 1
+        largest = np.abs(weight).max(axis=1) / MOST_ACTIVATION
+        scale = np.maximum(np.maximum(largest, np.abs(bias) / (MOST_BIAS * unit)), 1e-14)
+        if last:
+            scale = np.full(bias.shape, scale.max())
+        whole = np.rint(weight / scale[:, None]).astype(np.int8)
+        offset = np.rint(bias / (scale * unit)).astype(np.int32)
+        activations = activations @ weight.T + bias
+        if last:
+            layers.append(QuantisedLayer(whole, offset))
+            break
+        activations = np.maximum(activations, 0)
+        following = max(float(activations.max()), 1e-12) / MOST_ACTIVATION
+        layers.append(QuantisedLayer(whole, offset, factors(scale * unit / following)))
+        unit = following
+    return QuantisedMlp(inputs, tuple(layers))
+
+
+def factors(ratios: F64) -> Requantisation:
+    """Return positive ratios as int32 multipliers and shifts, to 30 bits where they fit."""
+    multipliers, shifts = np.empty(ratios.shape, np.int32), np.empty(ratios.shape, np.uint8)
+    for i, ratio in enumerate(ratios):
+        _, exponent = math.frexp(float(ratio))
+        shift = min(max(MULTIPLIER_BITS - exponent, 0), MOST_SHIFT)
+        multiplier = round(float(ratio) * 2.0**shift)
+        multipliers[i] = min(max(multiplier, 1), 2**MULTIPLIER_BITS - 1)
+        shifts[i] = shift
+    return Requantisation(multipliers, shifts)

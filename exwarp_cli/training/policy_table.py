@@ -15,11 +15,10 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.domain.decision import NODES
-from exwarp_cli.domain.features import Features
+from exwarp_cli.domain.decision import NODES, Features
 from exwarp_cli.errors import DamagedFileError, InputError
-from exwarp_cli.io.archives import Array, pack, unpack
 from exwarp_cli.io.atomic import atomic_write_bytes
+from exwarp_cli.io.policy_files import Array, pack, unpack
 from exwarp_cli.policy.state import INPUTS, KEYS_BACK, Surroundings
 from exwarp_cli.training.measuring import Measured, View
 
@@ -145,7 +144,17 @@ def load_table(path: Path) -> PolicyTable:
             kept["outcomes"].astype(np.float64),
             about["network"],
         )
-        _require_whole(table)
+        # Refuse a table whose arrays do not fit together; raises ValueError.
+        count = len(table.group)
+        if not count:
+            raise ValueError("it has no key interval")
+        for found, shape in ((table.features, (3, 8)), (table.outcomes, (len(NODES), 2, 2))):
+            if found.shape != (count, *shape):
+                raise ValueError(f"an array is {found.shape}, not {(count, *shape)}")
+            if not np.isfinite(found).all():
+                raise ValueError("a number is not finite")
+        if table.group.min() < 0 or table.group.max() >= len(table.groups):
+            raise ValueError("a group has no name")
     except FileNotFoundError as error:
         raise InputError(f"there is no policy table {path}; check the path") from error
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
@@ -154,20 +163,6 @@ def load_table(path: Path) -> PolicyTable:
             f"{path} is no policy table that can be read ({reason}); make it again with --data"
         ) from error
     return table
-
-
-def _require_whole(table: PolicyTable) -> None:
-    """Refuse a table whose arrays do not fit together; raises ValueError."""
-    count = len(table.group)
-    if not count:
-        raise ValueError("it has no key interval")
-    for found, shape in ((table.features, (3, 8)), (table.outcomes, (len(NODES), 2, 2))):
-        if found.shape != (count, *shape):
-            raise ValueError(f"an array is {found.shape}, not {(count, *shape)}")
-        if not np.isfinite(found).all():
-            raise ValueError("a number is not finite")
-    if table.group.min() < 0 or table.group.max() >= len(table.groups):
-        raise ValueError("a group has no name")
 
 
 def _features(fields: F64) -> Features:

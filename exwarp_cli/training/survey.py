@@ -7,10 +7,9 @@ from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
-from exwarp_cli.domain.dataset import BENCHMARK
 from exwarp_cli.errors import InputError, UsageError
 from exwarp_cli.io.atomic import make_folder
-from exwarp_cli.io.dataset import RenderedScene, find_scenes
+from exwarp_cli.io.dataset import BENCHMARK, RenderedScene, find_scenes
 from exwarp_cli.io.machine import processors
 from exwarp_cli.io.models import shipped_folder
 from exwarp_cli.pipeline.bench.side_by_side import follow_parent, side_by_side
@@ -68,7 +67,10 @@ def find_tables(survey: Survey, tables: Path | None, output: Path, say: Say) -> 
         When there are none.
     """
     if not survey.data:
-        _refuse_vain(survey)
+        # Refuse options of a survey where nothing is surveyed.
+        given = {"--extrapolator": survey.model, "--cache": survey.cache, "--jobs": survey.jobs}
+        if vain := [option for option, value in given.items() if value is not None]:
+            raise UsageError(f"{vain[0]} is for measuring scenes; give --data too, or leave it out")
         folder = tables or shipped_folder() / TABLES
         found = [load_table(path) for path in sorted(folder.glob("*.npz"))]
         if not found:
@@ -83,13 +85,6 @@ def find_tables(survey: Survey, tables: Path | None, output: Path, say: Say) -> 
         save_table(path, table)
     # Read back, so that a training from the files gives the same network.
     return [load_table(path) for path in paths]
-
-
-def _refuse_vain(survey: Survey) -> None:
-    """Refuse options of a survey where nothing is surveyed."""
-    given = {"--extrapolator": survey.model, "--cache": survey.cache, "--jobs": survey.jobs}
-    if vain := [option for option, value in given.items() if value is not None]:
-        raise UsageError(f"{vain[0]} is for measuring scenes; give --data too, or leave it out")
 
 
 def build_tables(survey: Survey, say: Say) -> list[PolicyTable]:

@@ -28,17 +28,17 @@ OWN = ""
 """The compression of the example, PXR24."""
 
 GOALS = {
-    ("s6", HD, OWN): 700.0,
-    ("softsplat", HD, OWN): 700.0,
-    ("s6", HD, "piz"): 700.0,
-    ("softsplat", HD, "piz"): 700.0,
-    ("s6", HD, "dwaa"): 700.0,
-    ("softsplat", HD, "dwaa"): 700.0,
+    ("s6", HD, OWN): 1000.0,
+    ("softsplat", HD, OWN): 1000.0,
+    ("s6", HD, "piz"): 1000.0,
+    ("softsplat", HD, "piz"): 1000.0,
+    ("s6", HD, "dwaa"): 1000.0,
+    ("softsplat", HD, "dwaa"): 1000.0,
     ("s3", HD, OWN): 2000.0,
     ("exwarp", HD, OWN): 2000.0,
-    ("s6", UHD, OWN): 2000.0,
-    ("softsplat", UHD, OWN): 2000.0,
-    ("s3", UHD, OWN): 2000.0,
+    ("s6", UHD, OWN): 2500.0,
+    ("softsplat", UHD, OWN): 2500.0,
+    ("s3", UHD, OWN): 2500.0,
 }
 """MB by method, lines of the frame and compression; s3 has two of three new frames extrapolated,
 and so has exwarp, which reads ahead meanwhile."""

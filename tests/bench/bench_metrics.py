@@ -57,7 +57,6 @@ def _ssim(reference: Float32, test: Float32) -> dict[str, tuple[Work, Work]]:
 
     return {
         "ssim_map": (lambda: ssim_map(reference, test), peer),
-        "ssim_map, one thread": (lambda: ssim_map(reference, test, threads=False), peer),
     }
 
 

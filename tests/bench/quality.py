@@ -20,7 +20,7 @@ from PIL import Image
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR
-from exwarp_cli.io.frame_files import read_picture
+from exwarp_cli.io.output import read_picture
 from exwarp_cli.io.sequence import find_sequence
 from exwarp_cli.metrics.registry import METRICS, score
 from exwarp_cli.pipeline.run import upsample

@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from exwarp_cli.domain.dataset import BENCHMARK, TRAINING
 from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.io.channels import Role
-from exwarp_cli.io.dataset import find_scenes, open_scene
+from exwarp_cli.io.dataset import BENCHMARK, TRAINING, find_scenes, open_scene
 from exwarp_cli.io.frames import read_image, read_raw
 from exwarp_cli.metrics.registry import score
 from exwarp_cli.pipeline.run import upsample

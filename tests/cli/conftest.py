@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from exwarp_cli import cli
+from exwarp_cli.runtime.compilation import COMPILED, COMPILING
 from exwarp_cli.synthesis import optical_flow
 from tests.cli import shots
 from tests.cli.shots import FORWARD, KEYS, SMALL, VECTORS
@@ -41,6 +42,12 @@ class Result:
 Command = Callable[..., Result]
 
 
+def without_compilation(text: str) -> str:
+    """Drop the lines about compilation, which depend on what the disk cache holds."""
+    starts = (f"exwarp: {COMPILING}", f"exwarp: {COMPILED}")
+    return "".join(line for line in text.splitlines(keepends=True) if not line.startswith(starts))
+
+
 @pytest.fixture
 def exwarp(capfd, monkeypatch) -> Command:
     """Run a command line; what libraries print past Python counts as well."""
@@ -50,7 +57,7 @@ def exwarp(capfd, monkeypatch) -> Command:
         capfd.readouterr()
         code = cli.run([str(argument) for argument in arguments])
         out, err = capfd.readouterr()
-        return Result(code, out, err)
+        return Result(code, out, without_compilation(err))
 
     return run
 

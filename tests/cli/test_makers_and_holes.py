@@ -11,7 +11,7 @@ import OpenEXR
 import pytest
 
 from exwarp_cli import cli
-from exwarp_cli.domain.maker import maker_of
+from exwarp_cli.domain.decision import maker_of
 from tests.cli.shots import FORWARD
 from tests.unit import tiny_interpolators
 

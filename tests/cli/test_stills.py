@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from exwarp_cli.io.still_seal import still_facts
+from exwarp_cli.io.stills import still_facts
 from tests.cli import pictures, shots
 from tests.cli.pictures import codes_of, frame, psnr, stills, write_still
 from tests.cli.shots import changed_by, colour_of, contents, names, read

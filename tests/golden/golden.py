@@ -66,7 +66,7 @@ UNSTABLE = re.compile(r"report\.html$|^out/(bench\.\w+|\w*(fps|time)\.csv|parts/
 """Files of which only the name is recorded, as they are full of measured times."""
 
 MASKS = (
-    (r"(?m)^exwarp: (compiling|kernels are being compiled).*\n?", ""),
+    (r"(?m)^exwarp: (compiling|compiled|kernels are being compiled).*\n?", ""),
     (r"(?m)^render time saved.*$", "render time saved ~"),
     (r"(?<![\w:/.>~])/(?:[^\s\"'`,:;<>|/]+/)*(?=[^\s\"'`,:;<>|/]+)", "/~/"),  # absolute folders
     (r"\b\d+:\d\d left", "~ left"),

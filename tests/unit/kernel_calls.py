@@ -29,6 +29,7 @@ from exwarp_cli.kernels import (
     splat,
     vectors,
 )
+from exwarp_cli.kernels._row_bands import set_threads
 
 Arrays = tuple[np.ndarray, ...]
 Pair = tuple[np.ndarray, np.ndarray]
@@ -41,7 +42,16 @@ NO_VECTORS = np.zeros((0, 0, 3), np.float32)
 
 
 def build(module: object, name: str, serial: bool) -> object:
-    return getattr(module, f"{name}_serial" if serial else name)
+    kernel = getattr(module, name)
+
+    def by_one_thread(*arguments: object) -> None:
+        set_threads(1)
+        try:
+            kernel(*arguments)
+        finally:
+            set_threads(None)
+
+    return by_one_thread if serial else kernel
 
 
 def gathered(image: np.ndarray, field: np.ndarray, serial: bool = False) -> Arrays:

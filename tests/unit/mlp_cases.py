@@ -10,9 +10,7 @@ import sys
 
 import numpy as np
 
-from exwarp_cli.accel.array_kernel import infer_as_array
 from exwarp_cli.accel.kernel import MlpKernel
-from exwarp_cli.accel.mac_array import MacArray
 from exwarp_cli.accel.quantised_mlp import (
     PAPER_SIZES,
     QuantisedLayer,
@@ -102,7 +100,6 @@ def run_all() -> dict[str, np.ndarray]:
         assert {type(output) for both in one for output in both} == {int}  # JSON takes no others
         found[f"{name} one"] = np.array(one)
         found[f"{name} many"] = kernel.decide_many(given)[0]
-        found[f"{name} array"] = infer_as_array(MacArray(), made, given)[0]
     return found
 
 

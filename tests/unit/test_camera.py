@@ -11,10 +11,11 @@ from exwarp_cli.domain.frame import GBuffer, Window
 from exwarp_cli.synthesis.camera import (
     MIN_SAMPLES,
     Camera,
+    camera_after,
     fit,
     pixels_at,
-    rigid_motion,
     scene_of,
+    seen_by,
 )
 from tests.unit.scenes import SKY, View, town
 
@@ -140,9 +141,9 @@ def rigid(seen: View, gbuffer: GBuffer, time: float, use_ids: bool = True) -> np
     scene = scene_of(gbuffer)
     assert scene is not None
     stencil = gbuffer.stencil if use_ids else None
-    motion = rigid_motion(scene, seen.motion_to(time, sky=False), stencil)
-    assert motion is not None
-    return motion
+    camera = camera_after(scene, seen.motion_to(time, sky=False), stencil)
+    assert camera is not None
+    return seen_by(scene, camera)
 
 
 def expected(seen: View, time: float) -> np.ndarray:
@@ -210,14 +211,14 @@ class TestRigidMotion:
         scene = scene_of(seen.gbuffer())
         assert scene is not None
         noise = np.random.default_rng(0).normal(0, 8, (*scene.depth.shape, 2)).astype(np.float32)
-        assert rigid_motion(scene, noise, None) is None
+        assert camera_after(scene, noise, None) is None
 
     def test_unknown_vectors_imply_no_camera(self):
         seen = view()
         scene = scene_of(seen.gbuffer())
         assert scene is not None
         unknown = np.full((*scene.depth.shape, 2), np.nan, np.float32)
-        assert rigid_motion(scene, unknown, None) is None
+        assert camera_after(scene, unknown, None) is None
 
 
 class TestScene:

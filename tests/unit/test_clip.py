@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from exwarp_cli.errors import DamagedFileError, InputError
-from exwarp_cli.io import clip_fields
+from exwarp_cli.io import clip_timing
 from exwarp_cli.io.clip import ClipReader, is_clip, open_clip
 from exwarp_cli.io.clip_timing import (
     UNKNOWN_TIMES,
@@ -571,6 +571,12 @@ class TestDamage:
             assert np.array_equal(reader.read(after), whole[after])
             with pytest.raises(DamagedFileError, match=f"frame {lost[0] + 1} of 60"):
                 reader.read(lost[0])
+        for index in lost:  # read first, it is no less damaged
+            with (
+                ClipReader(clip) as reader,
+                pytest.raises(DamagedFileError, match=f"frame {index + 1} of 60"),
+            ):
+                reader.read(index)
 
 
 class TestBadFiles:
@@ -669,7 +675,7 @@ class TestFields:
     @pytest.mark.parametrize(("name", "group"), [("long.ts", 6), ("long.mov", 1)])
     def test_late_in_a_long_video_are_refused(self, tmp_path, monkeypatch, name, group):
         """Only key frames are looked at; where all are, the first ones and some later ones."""
-        monkeypatch.setattr(clip_fields, "EVERY_FRAME", 5)
+        monkeypatch.setattr(clip_timing, "EVERY_FRAME", 5)
         still = ("-f", "lavfi", "-i", self.BARS.replace("r=50", "r=25"), "-frames:v", 12)
         ffmpeg(*still, "-c:v", "mpeg2video", "-g", group, tmp_path / "p.mov")
         path = tmp_path / name

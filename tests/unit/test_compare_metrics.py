@@ -9,9 +9,8 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from exwarp_cli.domain.metric import METRICS, parse_metrics
+from exwarp_cli.domain.metric import METRICS, Threshold, parse_metrics, parse_threshold
 from exwarp_cli.domain.settings import MeasureSettings
-from exwarp_cli.domain.threshold import Threshold, parse_threshold
 from exwarp_cli.errors import InputError, QualityError, UsageError
 from exwarp_cli.io.video import to_display
 from exwarp_cli.io.vmaf import EncodedVmaf, vmaf

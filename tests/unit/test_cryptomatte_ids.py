@@ -11,6 +11,7 @@ from exwarp_cli.errors import DamagedFileError
 from exwarp_cli.io.cryptomatte import Cryptomatte, Kind
 from exwarp_cli.io.cryptomatte_ids import (
     LEAD,
+    IdReading,
     by_depth,
     dynamic_stencil,
     identity,
@@ -18,7 +19,6 @@ from exwarp_cli.io.cryptomatte_ids import (
     surfaces,
 )
 from exwarp_cli.io.cryptomatte_manifest import Dynamic, id_of
-from exwarp_cli.io.id_reading import IdReading
 from exwarp_cli.kernels.edges import SAME_DEPTH
 from tests.reference import ranked as reference
 from tests.unit.interpreted import same_when_interpreted

@@ -9,9 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from exwarp_cli.domain.dataset import BENCHMARK, TRAINING
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, MissingFrameError
-from exwarp_cli.io.dataset import find_scenes, open_scene
+from exwarp_cli.io.dataset import BENCHMARK, TRAINING, find_scenes, open_scene
 from tests.unit.analytic_scene import manifest, write_manifest, write_scene
 
 SCRIPTS = Path(__file__).parents[2] / "examples" / "scenes"

@@ -22,9 +22,9 @@ from exwarp_cli.training.dqn import (
     train,
     values,
 )
+from exwarp_cli.training.policy import predicted, regress
 from exwarp_cli.training.policy_scores import taken
 from exwarp_cli.training.policy_table import PolicyTable
-from exwarp_cli.training.regression import predicted, regress
 from exwarp_cli.training.settings import PolicySettings
 from tests.unit.policy_tables import tempting
 

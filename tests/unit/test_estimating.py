@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from exwarp_cli.domain.frame import Image, KeyFrame, Window
-from exwarp_cli.pipeline import estimating
-from exwarp_cli.pipeline.estimating import Estimates
+from exwarp_cli.pipeline import without_vectors
+from exwarp_cli.pipeline.without_vectors import Estimates
 from exwarp_cli.synthesis.optical_flow import Flow
 
 DISPLAY = Window(0, 0, 8, 6)
@@ -22,7 +22,7 @@ def seen(monkeypatch) -> list[tuple[float, float]]:
         pairs.append((float(before.max()), float(after.max())))
         return _told(before), _told(after)
 
-    monkeypatch.setattr(estimating, "estimate", estimate)
+    monkeypatch.setattr(without_vectors, "estimate", estimate)
     return pairs
 
 

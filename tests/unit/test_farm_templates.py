@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 from openjd.model import create_job, decode_job_template, preprocess_job_parameters
 
 from exwarp_cli.errors import InputError, OutputExistsError, UsageError
-from exwarp_cli.farm.bundle import write_bundle, yaml_text
 from exwarp_cli.farm.calls import FarmJob, Given
-from exwarp_cli.farm.openjd import JobTemplate, Workers, job_template
+from exwarp_cli.farm.openjd import JobTemplate, Workers, job_template, write_bundle, yaml_text
 from exwarp_cli.farm.places import Place, locate
 from tests.unit.tiny_models import convolution
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from exwarp_cli.domain.features import FEATURES, Features
+from exwarp_cli.domain.decision import FEATURES, Features
 from exwarp_cli.domain.frame import GBuffer, Window
 from exwarp_cli.policy.features import BLOCK, MIN_PIXELS, count_objects, observe
 from tests.reference.features import features

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from exwarp_cli.io.frames import read_image
-from exwarp_cli.kernels._compile import serial
+from exwarp_cli.kernels._compile import compiled
 from exwarp_cli.kernels.flip_powers import power
 from exwarp_cli.metrics import flip, hdr_flip
 from exwarp_cli.metrics.display import encode
@@ -139,7 +139,7 @@ def test_values_outside_are_clipped_and_alpha_is_left_out() -> None:
     np.testing.assert_array_equal(flip.measure(reference, wide).per_pixel, expected)
 
 
-@serial
+@compiled
 def raised(bases: np.ndarray, exponent: np.float32, out: np.ndarray) -> None:
     for i in range(bases.size):
         out[i] = power(bases[i], exponent)

@@ -85,6 +85,13 @@ def test_what_every_interval_uses_stays(pool):
     assert pool.free_bytes == BYTES
 
 
+def test_free_buffers_are_bounded():
+    pool = FramePool(max_free=3 * BYTES)
+    held = [pool.empty(SHAPE, np.float32) for _ in range(5)]
+    del held
+    assert pool.free_bytes == 3 * BYTES
+
+
 def test_clearing_frees_all_but_what_is_in_use(pool):
     held = pool.empty(SHAPE, np.float32)
     pool.empty(SHAPE, np.float32)

@@ -12,8 +12,8 @@ from exwarp_cli.io.channel_map import ChannelMap
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.frames import (
     MAX_BROKEN,
-    clean_depth,
     clean_stencil,
+    cleaned,
     joined,
     open_shot,
     read_raw,
@@ -27,7 +27,7 @@ class TestCleanDepth:
     @pytest.mark.parametrize("background", [0, -1, 1e10, 1e9, np.inf, -np.inf, np.nan, 65504e5])
     def test_every_way_of_writing_background(self, background):
         depth = np.array([[2.5, background], [1e-6, 9.9e8]], np.float32)
-        found = clean_depth(depth, None)
+        found, _ = cleaned(depth, None)
         np.testing.assert_array_equal(found, np.array([[2.5, INF], [1e-6, 9.9e8]], np.float32))
         assert found.dtype == np.float32
 
@@ -35,7 +35,7 @@ class TestCleanDepth:
         normal = np.zeros((1, 3, 3), np.float32)
         normal[0, 1] = -1
         normal[0, 2] = (-1, 0, 0)
-        found = clean_depth(np.full((1, 3), 4, np.float32), normal)
+        found, _ = cleaned(np.full((1, 3), 4, np.float32), normal)
         assert found.tolist() == [[4, INF, 4]]
 
 

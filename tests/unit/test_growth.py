@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from exwarp_cli.training.growth import grown
+from exwarp_cli.training.extrapolator import grown
 from exwarp_cli.training.networks import build
 from tests.unit.network_inputs import example
 

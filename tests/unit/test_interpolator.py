@@ -11,8 +11,8 @@ import onnx
 import pytest
 from onnx import TensorProto
 
+from exwarp_cli.domain.extrapolator import Curve
 from exwarp_cli.domain.frame import Float32
-from exwarp_cli.domain.interpolator import Curve
 from exwarp_cli.io.interpolator import OnnxInterpolator, load_interpolator
 from tests.unit.tiny_interpolators import (
     CARDS,

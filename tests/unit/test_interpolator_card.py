@@ -13,9 +13,8 @@ import pytest
 from onnx import TensorProto
 
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, OutputExistsError
-from exwarp_cli.io.interpolator import begin_card, load_interpolator
+from exwarp_cli.io.interpolator import SHAPES, begin_card, load_interpolator
 from exwarp_cli.io.interpolator_card import SCHEMA, parse_card
-from exwarp_cli.io.interpolator_nodes import SHAPES
 from tests.unit.tiny_interpolators import (
     CARDS,
     PAIR,

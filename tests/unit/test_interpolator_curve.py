@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from exwarp_cli.domain.interpolator import ENCODINGS, LOWEST_WHITE, Curve
+from exwarp_cli.domain.extrapolator import ENCODINGS, LOWEST_WHITE, Curve
 from exwarp_cli.metrics.display import PEAK, encode
 from tests.reference import curve as reference
 

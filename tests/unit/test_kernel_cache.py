@@ -22,17 +22,17 @@ ROOT = Path(__file__).parents[2]
 SCRIPT = """
 import numpy as np
 from exwarp_cli.accel import kernel as accelerator
-from exwarp_cli.kernels import _compile, parabola
+from exwarp_cli.kernels import _row_bands, parabola
+from exwarp_cli.runtime.compilation import compilation
 out, reach = np.zeros((4, 5, 2), np.float32), np.zeros((0, 0, 2), np.float32)
-build = _compile.build(parabola.parabola_text)
-for kernel in (parabola.parabola_serial, parabola.parabola):
-    kernel(out + 1, out + 2, np.float32(0.5), out, reach)
-    print(sum(build.stats.cache_misses.values()), float(out[0, 0, 0]))
+for threads in (1, None):
+    _row_bands.set_threads(threads)
+    parabola.parabola(out + 1, out + 2, np.float32(0.5), out, reach)
+    print(compilation.compiled, float(out[0, 0, 0]))
 states, outputs = np.ones((5, 1), np.int32), np.ones((5, 2), np.int32)
 weights, constants = np.zeros(4, np.int8), np.zeros((3, 3), np.int32)
-kernel = accelerator.decide_all
-kernel(weights, constants, np.array([1, 2], np.int64), states, 4, outputs)
-print(sum(kernel.stats.cache_misses.values()), int(outputs.sum()))
+accelerator.decide_all(weights, constants, np.array([1, 2], np.int64), states, 4, outputs)
+print(compilation.compiled, int(outputs.sum()))
 """
 
 
@@ -51,7 +51,7 @@ def places(monkeypatch, *paths: Path) -> tuple[Path, ...]:
 
 def run() -> tuple[int, int]:
     """Compile or load a kernel, see that it works; how often it was loaded and compiled."""
-    kernel: Any = _compile.compiled(parabola.parabola_text)
+    kernel: Any = _compile.compiled(parabola.parabola.__wrapped__)
     out, reach = np.zeros((4, 5, 2), np.float32), np.zeros((0, 0, 2), np.float32)
     kernel(out + 1, out + 2, np.float32(0.5), out, reach, WHOLE)
     assert (out == 0.5 * 0.5 * (2 - 1) + 0.5 * 0.25 * (2 + 1)).all()
@@ -148,7 +148,7 @@ def test_processes_that_compile_at_once_share_a_folder(tmp_path):
         )
 
     racing = [start() for _ in range(2)]
-    assert [process.communicate()[0] for process in racing] == ["1 0.625\n1 0.78125\n1 0\n"] * 2
+    assert [process.communicate()[0] for process in racing] == ["1 0.625\n1 0.78125\n2 0\n"] * 2
     assert [process.returncode for process in racing] == [0, 0]
     assert {path.suffix for path in (tmp_path / "exwarp").iterdir()} == {_compile.SUFFIX}
     assert start().communicate()[0] == "0 0.625\n0 0.78125\n0 0\n"
@@ -158,7 +158,7 @@ class TestNames:
     """A file's name says all that its content depends on."""
 
     def test_the_processor(self, folder, monkeypatch):
-        codegen = type(_compile.compiled(parabola.parabola_text).targetctx.codegen())
+        codegen = type(_compile.compiled(parabola.parabola.__wrapped__).targetctx.codegen())
         run()
         monkeypatch.setattr(codegen, "magic_tuple", lambda self: ("another", "cpu", ""))
         assert run() == (0, 1)
@@ -176,7 +176,7 @@ class TestNames:
 
     def test_the_types_of_arguments(self, folder):
         run()
-        kernel: Any = _compile.compiled(parabola.parabola_text)
+        kernel: Any = _compile.compiled(parabola.parabola.__wrapped__)
         out, reach = np.zeros((4, 5, 2)), np.zeros((0, 0, 2), np.float32)
         kernel(out + 1, out + 2, np.float32(0.5), out, reach, WHOLE)
         assert len(list(folder.iterdir())) == 2
@@ -239,14 +239,18 @@ class TestUnused:
 
 def test_the_accelerator_has_its_builds_there_too(folder):
     def use() -> tuple[int, int]:
-        kernel: Any = _compile.compiled(accelerator.decide_text)
+        kernel: Any = _compile.compiled(
+            getattr(accelerator.decide_all, "py_func", accelerator.decide_all)
+        )
         arrays = np.zeros(4, np.int8), np.zeros((3, 3), np.int32), np.array([1, 2], np.int64)
-        assert kernel(*arrays, np.ones(1, np.int32), 4) == (0, 0)
+        outputs = np.ones((1, 2), np.int32)
+        kernel(*arrays, np.ones((1, 1), np.int32), 4, outputs)
+        assert outputs.tolist() == [[0, 0]]
         stats = kernel.stats
         return sum(stats.cache_hits.values()), sum(stats.cache_misses.values())
 
     assert use() == (0, 1)
-    assert [path.name[:19] for path in folder.iterdir()] == ["kernel.decide_text-"]
+    assert [path.name[:18] for path in folder.iterdir()] == ["kernel.decide_all-"]
     assert use() == (1, 0)
 
 

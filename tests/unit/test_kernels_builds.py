@@ -5,13 +5,12 @@ from __future__ import annotations
 import importlib
 import pkgutil
 from pathlib import Path
+from types import FunctionType
 
 import numpy as np
 import pytest
 
 from exwarp_cli import kernels
-from exwarp_cli.kernels import _compile
-from exwarp_cli.kernels._row_bands import set_threads
 from tests.unit import kernel_calls as calls
 from tests.unit import kernel_cases as cases
 from tests.unit.all_kernel_cases import CASES, run_all
@@ -20,30 +19,29 @@ from tests.unit.interpreted import same_when_interpreted
 ROOT = Path(__file__).parents[2]
 
 
-def test_every_pair_of_builds_has_a_case():
+def test_every_kernel_with_threads_has_a_case():
     modules = [
         importlib.import_module(f"exwarp_cli.kernels.{module.name}")
         for module in pkgutil.iter_modules(kernels.__path__)
     ]
-    pairs = {
-        name.removesuffix("_serial")
+    kernels_with_threads = {
+        name
         for module in modules
-        for name in vars(module)
-        if name.endswith("_serial") and not name.startswith("_")
+        for name, value in vars(module).items()
+        if not name.startswith("_")
+        and isinstance(value, FunctionType)
+        and hasattr(value, "__wrapped__")
+        and value.__module__ == module.__name__
     }
-    assert pairs == set(CASES)
+    # It runs two kernels of its own.
+    assert kernels_with_threads | {"find_fringe"} == set(CASES)
 
 
 @pytest.mark.parametrize("name", CASES)
 def test_serial_and_parallel_agree_bit_for_bit(name):
-    try:
-        for threads in (1, None):
-            set_threads(threads)
-            for serial, parallel in zip(CASES[name](True), CASES[name](False), strict=True):
-                assert serial.tobytes() == parallel.tobytes()
-                assert serial.dtype == parallel.dtype
-    finally:
-        set_threads(None)
+    for serial, parallel in zip(CASES[name](True), CASES[name](False), strict=True):
+        assert serial.tobytes() == parallel.tobytes()
+        assert serial.dtype == parallel.dtype
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -78,7 +76,3 @@ def test_compiled_and_interpreted_agree(tmp_path):
         *("tests.unit.all_kernel_cases", tmp_path / "found.npz", run_all(serial=True)),
         "RuntimeWarning",
     )
-
-
-def test_without_a_writable_cache_kernels_still_compile(unwritable_cache):
-    assert _compile.serial(lambda value: value + 1)(2) == 3

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from exwarp_cli.kernels.gather import gather_bilinear_serial
+from exwarp_cli.kernels.gather import gather_bilinear
 from tests.reference import gather as naive
 from tests.unit.kernel_calls import gathered
 
@@ -118,7 +118,7 @@ class TestGather:
         out, hole = around[channels:-channels].reshape(image.shape), np.ones((6, 41), np.bool_)
         for rows in (slice(3, 6), slice(0, 3)):  # the lower ones first
             moved = field[rows] + np.float32([0, rows.start])
-            gather_bilinear_serial(image, moved, out[rows], hole[rows])
+            gather_bilinear(image, moved, out[rows], hole[rows])
         assert out.tobytes() == expected.tobytes()
         assert (around[:channels] == 7).all() and (around[-channels:] == 7).all()
 

@@ -184,7 +184,7 @@ class TestStructure:
             read = file.read(layers[1].channels)
         assert [layer.leaf for layer in layers] == ["Combined", "Object Index"]
         assert [layer.channels[0].part for layer in layers] == [2, 3]
-        assert [layer.whole_numbers for layer in layers] == [False, True]
+        assert [layer.channels[0].pixel_type for layer in layers] == ["half", "uint"]
         assert (read[layers[1].channels[0]] == 2**24 + 1).all()
 
 

@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from exwarp_cli.accel.array_kernel import infer_as_array
 from exwarp_cli.accel.mac_array import MacArray, schedule
 from exwarp_cli.accel.quantised_mlp import PAPER_SIZES, QuantisedMlp, infer_reference
 from exwarp_cli.accel.simulation import Simulation, simulate
@@ -92,15 +91,6 @@ class TestAnyMachine:
         made = network(seed, sizes)
         for state in states(2, seed, sizes[0]):
             agrees(array, made, state)
-
-    @settings(max_examples=50)
-    @given(ARRAYS, SIZES, st.integers(0, 10**6))
-    def test_the_fast_form_is_the_simulation(self, array, sizes, seed):
-        made, many = network(seed, sizes), states(3, seed, sizes[0])
-        outputs, choices = infer_as_array(array, made, many)
-        for state, both, choice in zip(many, outputs, choices, strict=True):
-            found = simulate(array, made, state)
-            assert (found.outputs.tolist(), found.choice) == (both.tolist(), choice)
 
     @settings(max_examples=100)
     @given(ARRAYS, SIZES)

@@ -13,10 +13,9 @@ from exwarp_cli.domain.results import FrameKind
 from exwarp_cli.errors import LayoutError
 from exwarp_cli.pipeline.without_vectors import USUAL
 from exwarp_cli.synthesis.geometry import settle_motion
-from exwarp_cli.synthesis.interpolate import blend_by_depth
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import METHODS, Judge, Predicted
-from exwarp_cli.synthesis.warp import Warped, fill_holes, repair
+from exwarp_cli.synthesis.warp import Warped, blend_by_depth, fill_holes, repair
 from tests.unit.scenes import View, town
 
 SLOTS = (1, 2, 3)

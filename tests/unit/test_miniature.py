@@ -10,9 +10,8 @@ import numpy as np
 import OpenImageIO as oiio
 import pytest
 
-from exwarp_cli.domain.dataset import TRAINING
 from exwarp_cli.io.channels import Role
-from exwarp_cli.io.dataset import find_scenes
+from exwarp_cli.io.dataset import TRAINING, find_scenes
 from exwarp_cli.io.frames import read_raw
 from exwarp_cli.pipeline.motion_finding import find_motion
 from exwarp_cli.pipeline.motion_option import motion_names, parse_motion

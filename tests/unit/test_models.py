@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,6 +14,7 @@ import pytest
 from onnx import TensorProto, helper
 
 from exwarp_cli.domain.extrapolator import INPUTS, INTERFACE, OUTPUT, TIME, NetworkInputs
+from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.errors import (
     DamagedFileError,
     InputError,
@@ -21,8 +23,10 @@ from exwarp_cli.errors import (
     OutOfMemoryError,
 )
 from exwarp_cli.io import model_files, models
-from exwarp_cli.io.model_checks import STRIDE_KEY
+from exwarp_cli.io.model_files import STRIDE_KEY
 from exwarp_cli.io.models import CHECKSUMS, CUDA, SHIPPED, load_extrapolator, shipped_folder
+from exwarp_cli.pipeline.finding import find_network
+from exwarp_cli.synthesis.methods import METHODS
 from tests.unit import tiny_models
 from tests.unit.tiny_models import convolution, filled_warp, inputs, model, picture, save
 
@@ -287,6 +291,12 @@ class TestShipped:
         (folder / name).unlink()
         with pytest.raises(InputError, match="is missing or has no checksum"):
             load_extrapolator(None, 1, "cpu")
+
+    def test_without_onnxruntime_it_is_refused_before_the_run(self, folder, monkeypatch):
+        monkeypatch.setitem(sys.modules, "onnxruntime", None)
+        settings = UpsampleSettings(SourceSettings("."), ".", threads=1)
+        with pytest.raises(MissingExtraError, match="pip install onnxruntime"):
+            find_network(settings, METHODS["exwarp"])
 
     def test_where_it_lies(self, tmp_path, monkeypatch):
         """In the package where a wheel put it, else beside the package, as in a clone."""

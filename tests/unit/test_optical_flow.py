@@ -12,7 +12,6 @@ from exwarp_cli.domain.frame import Image, KeyFrame, Window
 from exwarp_cli.errors import MissingExtraError
 from exwarp_cli.synthesis import optical_flow
 from exwarp_cli.synthesis.geometry import reproject
-from exwarp_cli.synthesis.interpolate import blend_by_depth
 from exwarp_cli.synthesis.optical_flow import (
     _better,
     estimate,
@@ -23,7 +22,7 @@ from exwarp_cli.synthesis.optical_flow import (
     shown_colour,
 )
 from exwarp_cli.synthesis.trajectory import displacement
-from exwarp_cli.synthesis.warp import warp
+from exwarp_cli.synthesis.warp import blend_by_depth, warp
 
 
 def texture(height: int, width: int, seed: int = 0) -> np.ndarray:

@@ -12,11 +12,11 @@ from exwarp_cli.domain.decision import EXTRAPOLATE, HOLD, NODES, PATHS, WARP
 from exwarp_cli.domain.extrapolator import NetworkInputs
 from exwarp_cli.domain.frame import Float32, KeyFrame
 from exwarp_cli.domain.results import FrameKind
+from exwarp_cli.synthesis.extrapolate import encode
 from exwarp_cli.synthesis.geometry import settle_motion
 from exwarp_cli.synthesis.history import past_of
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import METHODS, Predicted
-from exwarp_cli.synthesis.modulation import encode
 from tests.unit.scenes import town
 
 SLOTS = (1, 2, 3)

@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 
 from exwarp_cli.accel.quantised_mlp import QuantisedMlp, infer_reference
-from exwarp_cli.domain.decision import Decision, Plan
-from exwarp_cli.domain.features import Features
-from exwarp_cli.policy.policies import LearnedPolicy
-from exwarp_cli.policy.state import PASSED, Surroundings
+from exwarp_cli.domain.decision import Decision, Features, Plan
+from exwarp_cli.policy.state import PASSED, LearnedPolicy, Surroundings
 from tests.reference.decisions import PATHS
 from tests.unit.mlp_cases import network
 from tests.unit.tiny_policies import always, layer, taking

@@ -13,7 +13,7 @@ import pytest
 
 from exwarp_cli.accel.quantised_mlp import QuantisedMlp
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, OutputError
-from exwarp_cli.io import archives, model_files
+from exwarp_cli.io import model_files, policy_files
 from exwarp_cli.io.models import CHECKSUMS
 from exwarp_cli.io.policy_files import (
     FORMAT,
@@ -63,7 +63,7 @@ class TestWritten:
             np.testing.assert_array_equal(b, biases)
 
     def test_the_same_bytes_every_time(self, saved, tmp_path, monkeypatch):
-        monkeypatch.setattr(archives.zipfile.time, "localtime", lambda *_: (2031,) * 9)
+        monkeypatch.setattr(policy_files.zipfile.time, "localtime", lambda *_: (2031,) * 9)
         again = tmp_path / "again.npz"
         save_network(again, network(4, SIZES), {"scenes": ["lab"], "seed": 7})
         assert again.read_bytes() == saved.read_bytes()
@@ -145,22 +145,22 @@ class TestRefused:
 
     def test_much_in_little(self, saved):
         """Zeros that deflate to a thousandth; they are not inflated to be judged."""
-        bomb = {"weights0": np.zeros(archives.MOST_BYTES, np.int8)}
-        saved.write_bytes(archives.pack(bomb, compressed=True))
+        bomb = {"weights0": np.zeros(policy_files.MOST_BYTES, np.int8)}
+        saved.write_bytes(policy_files.pack(bomb, compressed=True))
         assert saved.stat().st_size < 1e6
         with pytest.raises(DamagedFileError, match="damaged or no policy file"):
             load_policy(saved)
-        with pytest.raises(archives.ArchiveError, match=r"weights0\.npy is too large"):
-            archives.unpack(saved.read_bytes())
+        with pytest.raises(policy_files.ArchiveError, match=r"weights0\.npy is too large"):
+            policy_files.unpack(saved.read_bytes())
 
     def test_a_little_more_and_more(self, saved, monkeypatch):
         """Arrays of which each alone is small enough."""
-        monkeypatch.setattr(archives, "MOST_OF_ALL", 1 << 20)
+        monkeypatch.setattr(policy_files, "MOST_OF_ALL", 1 << 20)
         bomb = {f"x{k}": np.zeros((1 << 18) - 1000, np.int8) for k in range(4)}
-        assert len(archives.unpack(archives.pack(bomb, compressed=True))) == 4
-        saved.write_bytes(archives.pack(bomb | {"y": np.zeros(500)}, compressed=True))
-        with pytest.raises(archives.ArchiveError, match="it is too large"):
-            archives.unpack(saved.read_bytes())
+        assert len(policy_files.unpack(policy_files.pack(bomb, compressed=True))) == 4
+        saved.write_bytes(policy_files.pack(bomb | {"y": np.zeros(500)}, compressed=True))
+        with pytest.raises(policy_files.ArchiveError, match="it is too large"):
+            policy_files.unpack(saved.read_bytes())
 
     def test_a_header_that_claims_the_world(self, saved):
         huge = io.BytesIO()

@@ -9,16 +9,16 @@ import pytest
 
 from exwarp_cli.domain.decision import NODES
 from exwarp_cli.policy.outcomes import PENALTIES, rewards
-from exwarp_cli.training import regression
+from exwarp_cli.training import policy
+from exwarp_cli.training.policy import predicted, regress
 from exwarp_cli.training.policy_table import PolicyTable
-from exwarp_cli.training.regression import predicted, regress
 from tests.unit.policy_tables import random_table
 
 
 @pytest.fixture
 def unhindered(monkeypatch):
     """Coefficients cost next to nothing."""
-    monkeypatch.setattr(regression, "RIDGE", 1e-10)
+    monkeypatch.setattr(policy, "RIDGE", 1e-10)
 
 
 def linear(table: PolicyTable, seed: int = 0) -> PolicyTable:
@@ -53,8 +53,8 @@ def test_each_node_has_coefficients_of_its_own(unhindered):
 def test_the_ridge_draws_coefficients_towards_0(monkeypatch):
     known = linear(random_table(300, 1))
     sizes = []
-    for ridge in (1e-6, regression.RIDGE, 1e4):
-        monkeypatch.setattr(regression, "RIDGE", ridge)
+    for ridge in (1e-6, policy.RIDGE, 1e4):
+        monkeypatch.setattr(policy, "RIDGE", ridge)
         sizes.append(float(np.square(regress([known])).sum()))
     assert sizes[0] > sizes[1] > 100 * sizes[2]
 

@@ -10,8 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from exwarp_cli.domain.decision import NODES
-from exwarp_cli.domain.features import Features
+from exwarp_cli.domain.decision import NODES, Features
 from exwarp_cli.errors import DamagedFileError, InputError, UsageError
 from exwarp_cli.policy.state import PASSED, SCALES, Surroundings
 from exwarp_cli.training.measuring import VIEWS, Measured

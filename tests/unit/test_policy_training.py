@@ -27,14 +27,15 @@ from exwarp_cli.training.policy import (
     SCHEMA,
     learn,
     parts_of,
+    predicted,
+    quantise,
+    regress,
     train_policy,
 )
 from exwarp_cli.training.policy_card import COLUMNS, card
 from exwarp_cli.training.policy_onnx import STATE
 from exwarp_cli.training.policy_scores import fixed, oracles, score_paths, score_random, taken
 from exwarp_cli.training.policy_table import PolicyTable
-from exwarp_cli.training.quantisation import quantise
-from exwarp_cli.training.regression import predicted, regress
 from exwarp_cli.training.settings import PolicySettings, require_sane_policy
 from tests.unit.policy_tables import NETWORK, random_table, tempting
 

@@ -10,15 +10,17 @@ import pytest
 
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.errors import MissingFrameError, UsageError
-from exwarp_cli.pipeline.eta import INTERVAL_S, Estimate, kinds_of
 from exwarp_cli.pipeline.progress import (
+    INTERVAL_S,
     KINDS,
     REPORTERS,
     BarProgress,
+    Estimate,
     JsonProgress,
     NoProgress,
     OpenJdProgress,
     PlainProgress,
+    kinds_of,
     make_progress,
     reporting,
 )

@@ -11,7 +11,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from exwarp_cli.accel.array_kernel import infer_as_array
 from exwarp_cli.accel.kernel import MlpKernel
 from exwarp_cli.accel.mac_array import MacArray
 from exwarp_cli.accel.quantised_mlp import (
@@ -21,7 +20,6 @@ from exwarp_cli.accel.quantised_mlp import (
     infer_reference,
 )
 from exwarp_cli.accel.simulation import simulate
-from exwarp_cli.kernels import _compile
 from tests.reference.mlp import infer, infer_many
 from tests.unit.interpreted import same_when_interpreted
 from tests.unit.mlp_cases import edges, network, parts, run_all, states
@@ -31,16 +29,13 @@ SIZES = st.lists(st.integers(1, 40), min_size=1, max_size=4).map(lambda sizes: (
 
 
 def same_everywhere(made: QuantisedMlp, given: np.ndarray) -> None:
-    """The vectorised twin, both kernels and the MAC array agree on all outputs and choices."""
+    """The vectorised twin, and the kernel agree on all outputs and choices."""
     outputs = infer_many(parts(made), given)
     choices = outputs[:, 1] > outputs[:, 0]
-    for name, (found, chosen) in {
-        "kernel": MlpKernel(made).decide_many(given),
-        "array": infer_as_array(MacArray(), made, given),
-    }.items():
-        assert found.dtype == np.int32 and chosen.dtype == np.int8
-        np.testing.assert_array_equal(found, outputs, err_msg=name)
-        np.testing.assert_array_equal(chosen, choices, err_msg=name)
+    found, chosen = MlpKernel(made).decide_many(given)
+    assert found.dtype == np.int32 and chosen.dtype == np.int8
+    np.testing.assert_array_equal(found, outputs)
+    np.testing.assert_array_equal(chosen, choices)
 
 
 class TestSameBits:
@@ -118,7 +113,6 @@ class TestDefinition:
             assert infer_reference(made, state).choices == choice
             assert MlpKernel(made).decide(state) == (tuple(biases), choice)
             assert MlpKernel(made).decide_many(state[None])[1].tolist() == [choice]
-            assert infer_as_array(MacArray(), made, state[None])[1].tolist() == [choice]
             assert simulate(MacArray(), made, state).choice == choice
 
     def test_the_input_stage_saturates(self):
@@ -140,8 +134,7 @@ class TestDefinition:
         full = np.full(fan_in, 127, np.int32)
         assert infer_reference(made, full).outputs.tolist() == [2**31 - 1, 1 - 2**31]
         assert MlpKernel(made).decide(full) == ((2**31 - 1, 1 - 2**31), 0)
-        outputs, _ = infer_as_array(MacArray(), made, full[None])
-        assert outputs.tolist() == [[2**31 - 1, 1 - 2**31]]
+        assert simulate(MacArray(), made, full).outputs.tolist() == [2**31 - 1, 1 - 2**31]
 
     def test_parameters_cannot_be_changed_afterwards(self):
         weights = np.ones((2, 3), np.int8)
@@ -210,7 +203,7 @@ class TestRefusals:
                 lambda given: infer_reference(made, given),
                 lambda given: MlpKernel(made).decide(given),
                 lambda given: MlpKernel(made).decide_many(given[None]),
-                lambda given: infer_as_array(MacArray(), made, given[None]),
+                lambda given: simulate(MacArray(), made, given),
             ):
                 with pytest.raises(ValueError, match="int32"):
                     refuse(state)
@@ -228,7 +221,3 @@ def test_the_specification_does_without_numba():
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert result.stdout == "[]\n", result.stderr
-
-
-def test_without_a_writable_cache_kernels_still_compile(unwritable_cache):
-    assert _compile.compiled(lambda value: value + 1)(2) == 3

@@ -11,8 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from exwarp_cli.domain.decision import Decision
-from exwarp_cli.domain.features import Features
+from exwarp_cli.domain.decision import Decision, Features
 from exwarp_cli.domain.results import Score
 from exwarp_cli.errors import OutputError
 from exwarp_cli.report.folder import write_report

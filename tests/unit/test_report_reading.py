@@ -16,8 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from exwarp_cli.domain.cuts import Cut
-from exwarp_cli.domain.decision import CHOICES, NODES, PATHS, Decision
-from exwarp_cli.domain.features import Features
+from exwarp_cli.domain.decision import CHOICES, NODES, PATHS, Decision, Features
 from exwarp_cli.domain.results import (
     BrokenPixels,
     FrameKind,

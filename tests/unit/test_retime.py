@@ -15,8 +15,7 @@ from exwarp_cli.domain.results import FrameKind
 from exwarp_cli.synthesis.geometry import depth_of, settle_motion
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import METHODS, Predicted
-from exwarp_cli.synthesis.retime import Course, Manner, Retiming, passage, retiming
-from exwarp_cli.synthesis.sources import in_place
+from exwarp_cli.synthesis.retime import Course, Manner, Retiming, in_place, passage, retiming
 from tests.unit.scenes import SKY, View, town
 
 SLOTS = (1, 2, 3)

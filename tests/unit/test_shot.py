@@ -13,11 +13,10 @@ from exwarp_cli.errors import LayoutError, MissingFrameError
 from exwarp_cli.io.aov_files import parse_aovs
 from exwarp_cli.io.channel_map import ChannelMap
 from exwarp_cli.io.channels import Role
-from exwarp_cli.io.cryptomatte_ids import identity
+from exwarp_cli.io.cryptomatte_ids import IdReading, identity
 from exwarp_cli.io.cryptomatte_manifest import id_of
 from exwarp_cli.io.depth import DepthKind
 from exwarp_cli.io.frames import read_image, read_raw
-from exwarp_cli.io.id_reading import IdReading
 from exwarp_cli.io.shot import open_shot, open_views
 from tests.stereo_layouts import LAYOUTS
 from tests.stereo_shots import arguments, eyes_at, write_stereo

@@ -13,11 +13,10 @@ from hypothesis import strategies as st
 from exwarp_cli.domain.extrapolator import Inputs
 from exwarp_cli.domain.frame import Float32, KeyFrame
 from exwarp_cli.synthesis.geometry import SlotField
-from exwarp_cli.synthesis.interpolate import blend_by_depth
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import METHODS
 from exwarp_cli.synthesis.source_bounds import hold_within, sources_between
-from exwarp_cli.synthesis.warp import moved, warp, warp_alone
+from exwarp_cli.synthesis.warp import blend_by_depth, moved, warp, warp_alone
 from tests.reference import extremes as naive
 
 K = 3

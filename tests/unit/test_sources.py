@@ -7,8 +7,8 @@ import pytest
 
 from exwarp_cli.domain.frame import broken_pixels
 from exwarp_cli.io.channels import Role
-from exwarp_cli.io.nonfinite import count_broken
-from exwarp_cli.synthesis.sources import Sources, in_place
+from exwarp_cli.io.soundness import count_broken
+from exwarp_cli.synthesis.retime import Sources, in_place
 
 SHAPE = (5, 7)
 BROKEN = (np.nan, np.inf, -np.inf)

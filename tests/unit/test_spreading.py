@@ -10,7 +10,7 @@ from exwarp_cli.domain.settings import ClusterSettings, SourceSettings, Upsample
 from exwarp_cli.errors import OutputError, UsageError
 from exwarp_cli.farm.cluster import chunks_of
 from exwarp_cli.farm.cluster_client import threads_each
-from exwarp_cli.farm.shared_paths import absolute
+from exwarp_cli.farm.places import absolute
 from exwarp_cli.io.atomic import MARK, marked
 from exwarp_cli.pipeline.dry_run import require_writable
 

@@ -10,8 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from exwarp_cli.domain.decision import NODES
-from exwarp_cli.domain.features import FEATURES, Features
+from exwarp_cli.domain.decision import FEATURES, NODES, Features
 from exwarp_cli.policy.state import (
     INPUTS,
     KEYS_BACK,

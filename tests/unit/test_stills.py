@@ -18,12 +18,13 @@ from exwarp_cli.domain.curves import FILM, LINEAR, SRGB
 from exwarp_cli.domain.frame import Image, Window
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, OutputError, UsageError
 from exwarp_cli.io.exr.reader import ExrFile
-from exwarp_cli.io.still_seal import seal_still, still_facts
 from exwarp_cli.io.stills import (
     SEALED,
     quantise_still,
     read_still,
     read_still_template,
+    seal_still,
+    still_facts,
     still_size,
     write_still,
 )

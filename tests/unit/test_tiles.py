@@ -12,11 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from onnx import helper
 
-from exwarp_cli.domain.extrapolator import INPUTS, OUTPUT, NetworkInputs
-from exwarp_cli.domain.tiles import cut
-from exwarp_cli.io import models, reach
-from exwarp_cli.io.models import OnnxExtrapolator, load_extrapolator
-from exwarp_cli.io.reach import reach_of
+from exwarp_cli.domain.extrapolator import INPUTS, OUTPUT, NetworkInputs, cut
+from exwarp_cli.io import models
+from exwarp_cli.io.models import OnnxExtrapolator, load_extrapolator, reach_of
 from tests.unit.tiny_models import blur, convolution, filled_warp, inputs, model, save
 
 STRIDE = 8
@@ -89,7 +87,7 @@ class TestReach:
         assert reach_of(lambda p: _shifted(p, by), STRIDE) == found
 
     def test_a_larger_picture_is_tried_where_the_first_is_too_small(self):
-        first = reach.SIDES[0]
+        first = models.SIDES[0]
         assert reach_of(lambda p: _shifted(p, first * 3 // 4), STRIDE) is not None
 
     @pytest.mark.parametrize("run", [_normalised, _placed, _swallowing])

@@ -10,32 +10,28 @@ import numpy as np
 import pytest
 import torch
 
-from exwarp_cli.domain.dataset import SceneManifest
 from exwarp_cli.domain.extrapolator import TIME, NetworkInputs
 from exwarp_cli.domain.frame import Window
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import InputError, UsageError
-from exwarp_cli.io.dataset import RenderedScene, open_scene
+from exwarp_cli.io.dataset import RenderedScene, SceneManifest, open_scene, select, split
 from exwarp_cli.io.models import load_extrapolator
 from exwarp_cli.metrics.registry import score
 from exwarp_cli.training import crops as batches
 from exwarp_cli.training.crops import Batch, Crops, varied
-from exwarp_cli.training.curve import COLUMNS, CURVE
 from exwarp_cli.training.extrapolator import (
     CHECKPOINT,
-    Training,
-    train_extrapolator,
-)
-from exwarp_cli.training.footage import Footage
-from exwarp_cli.training.losses import (
     FEW,
     HOLES,
     SQUARED,
     SQUARED_HOLES,
+    Training,
     decibels,
     loss_of,
     shown,
+    train_extrapolator,
 )
+from exwarp_cli.training.footage import Footage
 from exwarp_cli.training.networks import ARCHITECTURES, build
 from exwarp_cli.training.samples import (
     IN_HOLES,
@@ -48,8 +44,7 @@ from exwarp_cli.training.samples import (
     share,
     write_crops,
 )
-from exwarp_cli.training.selection import select, split
-from exwarp_cli.training.settings import TrainingSettings
+from exwarp_cli.training.settings import COLUMNS, CURVE, TrainingSettings
 from tests.unit.analytic_scene import INSTANTS, manifest, write_manifest, write_scene
 from tests.unit.network_inputs import example
 
@@ -239,11 +234,11 @@ def encoded(linear: torch.Tensor) -> torch.Tensor:
 
 
 def test_coding_is_that_of_synthesis():
-    from exwarp_cli.synthesis import modulation
+    from exwarp_cli.synthesis import extrapolate
 
     linear = np.linspace(-3, 60, 100, dtype=np.float32)
     coded = batches.encode(torch.from_numpy(linear))
-    np.testing.assert_allclose(coded.numpy(), modulation.encode(linear), rtol=1e-6)
+    np.testing.assert_allclose(coded.numpy(), extrapolate.encode(linear), rtol=1e-6)
     np.testing.assert_allclose(batches.decode(coded).numpy(), linear, rtol=1e-5, atol=1e-6)
 
 

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from exwarp_cli.errors import OutputError, UsageError
-from exwarp_cli.io.timecode import Timecode
 from exwarp_cli.io.video import (
     Soundtrack,
+    Timecode,
     VideoColour,
     VideoLook,
     VideoWriter,

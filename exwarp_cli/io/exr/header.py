@@ -208,9 +208,9 @@ class RawHeader:
         for attribute in self.attributes:
             text, value = headers[attribute.part], self.value(attribute)
             if attribute.kind == b"string" and (value := value.partition(b"\0")[0]):
-                text[_decode(attribute.name)] = _decode(value)
+                text[decode(attribute.name)] = decode(value)
             elif attribute.kind == b"compression" and value and value[0] < len(COMPRESSION_NAMES):
-                text[_decode(attribute.name)] = COMPRESSION_NAMES[value[0]]
+                text[decode(attribute.name)] = COMPRESSION_NAMES[value[0]]
         return headers
 
     @cached_property
@@ -279,7 +279,7 @@ def in_utf8(data: bytes) -> tuple[bytes, dict[tuple[int, str], str | None]]:
     out = bytearray(data)
     changed: dict[tuple[int, str], str | None] = {}
     for attribute in attributes_in(data):
-        name, value = _decode(attribute.name), _decode(data[attribute.begin : attribute.end])
+        name, value = decode(attribute.name), decode(data[attribute.begin : attribute.end])
         lossy = attribute.kind in _TEXTS and replace_non_utf8(value) != value
         if lossy:
             out[attribute.begin : attribute.end] = replace_non_utf8(value).encode()
@@ -325,5 +325,26 @@ def restore_non_utf8(
     return bytes(out)
 
 
-def _decode(raw: bytes) -> str:
+def channels_in(value: bytes) -> Iterator[tuple[bytes, int, tuple[int, int]]]:
+    """Yield name, pixel type, and steps across and down of each channel of a list.
+
+    Raises
+    ------
+    ValueError
+        When the list is cut off, or bytes follow it.
+    """
+    at = 0
+    while value[at : at + 1] not in (b"", b"\0"):
+        end = value.index(b"\0", at)
+        if end + 17 > len(value):
+            break
+        kind, across, down = struct.unpack_from("<i4x2i", value, end + 1)
+        yield value[at:end], kind, (across, down)
+        at = end + 17
+    if value[at:] != b"\0":
+        raise ValueError("the list of channels has no end")
+
+
+def decode(raw: bytes) -> str:
+    """Return text, in which bytes that are no UTF-8 are lone surrogates."""
     return raw.decode("utf-8", "surrogateescape")

@@ -6,10 +6,13 @@ import re
 import struct
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-
-import OpenImageIO as oiio
+from typing import TYPE_CHECKING
 
 from exwarp_cli.domain.frame import Window
+from exwarp_cli.io.exr.header import decode
+
+if TYPE_CHECKING:
+    import OpenImageIO as oiio
 
 UINT, HALF, FLOAT = 0, 1, 2
 PIXEL_TYPES = {UINT: "uint", HALF: "half", FLOAT: "float"}
@@ -148,7 +151,7 @@ def part_from_header(
         raise ValueError("an attribute has a wrong size")
     lists = {n: _text_list(values, n) for n, (kind, _) in values.items() if kind == b"stringvector"}
     name = name if multipart else ""
-    listed = ((_decode(raw), PIXEL_TYPES[kind]) for raw, kind in in_openimageio_order(channels))
+    listed = ((decode(raw), PIXEL_TYPES[kind]) for raw, kind in in_openimageio_order(channels))
     return Part(
         index,
         name,
@@ -255,8 +258,8 @@ def _text(values: Values, name: bytes) -> str:
     """Return an attribute that is a string; "" without."""
     kind, value = values.get(name, (b"string", b""))
     if kind != b"string" or b"\0" in value:
-        raise ValueError(f"{_decode(name)} is no plain text")
-    return _decode(value)
+        raise ValueError(f"{decode(name)} is no plain text")
+    return decode(value)
 
 
 def _text_list(values: Values, name: bytes) -> tuple[str, ...]:
@@ -267,9 +270,5 @@ def _text_list(values: Values, name: bytes) -> tuple[str, ...]:
         texts.append(value[at + 4 : at + 4 + size])
         at += 4 + size
     if at != len(value) or b"" in texts or any(b"\0" in text for text in texts):
-        raise ValueError(f"{_decode(name)} is no plain list")
-    return tuple(_decode(text) for text in texts)
-
-
-def _decode(raw: bytes) -> str:
-    return raw.decode("utf-8", "surrogateescape")
+        raise ValueError(f"{decode(name)} is no plain list")
+    return tuple(decode(text) for text in texts)

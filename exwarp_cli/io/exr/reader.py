@@ -9,7 +9,6 @@ bindings print and drop the part.
 from __future__ import annotations
 
 import os
-import struct
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
@@ -23,8 +22,7 @@ import numpy as np
 import OpenImageIO as oiio
 
 from exwarp_cli.domain import cores
-from exwarp_cli.domain.bounds import require_canvas, require_size
-from exwarp_cli.domain.frame import Window
+from exwarp_cli.domain.frame import Window, require_canvas, require_size
 from exwarp_cli.errors import (
     DamagedFileError,
     InputError,
@@ -37,6 +35,7 @@ from exwarp_cli.io.exr.header import (
     MAGIC,
     SIGNATURE_BYTES,
     RawHeader,
+    channels_in,
     kind_of,
 )
 from exwarp_cli.io.exr.parts import (
@@ -523,19 +522,14 @@ def _subsampled(path: Path) -> LayoutError:
 def _fewer_pixels(path: Path) -> dict[str, tuple[int, int]]:
     """Return the channels that lack pixels, with the steps across and down of those they have."""
     names: dict[str, tuple[int, int]] = {}
-    with suppress(OSError, ValueError, struct.error):
+    with suppress(OSError, ValueError):
         with path.open("rb", buffering=0) as file:
             raw = RawHeader.read(file, path.stat().st_size)
         for attribute in raw.attributes:
-            if attribute.kind != b"chlist":
-                continue
-            value, at = raw.value(attribute), 0
-            while at < len(value) - 1:
-                end = value.index(b"\0", at)
-                steps = struct.unpack_from("<2i", value, end + 9)
-                if steps != (1, 1):
-                    names[value[at:end].decode("utf-8", "replace")] = steps
-                at = end + 17
+            if attribute.kind == b"chlist":
+                for name, _, steps in channels_in(raw.value(attribute)):
+                    if steps != (1, 1):
+                        names[name.decode("utf-8", "replace")] = steps
     return names
 
 

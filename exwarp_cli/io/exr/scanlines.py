@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from exwarp_cli.domain import cores
 from exwarp_cli.domain.frame import Window
-from exwarp_cli.io.exr.header import DEEP, LONG_NAMES, MULTIPART, TILED, RawHeader
+from exwarp_cli.io.exr.header import DEEP, LONG_NAMES, MULTIPART, TILED, RawHeader, channels_in
 from exwarp_cli.io.exr.parts import FLOAT, HALF, UINT, Values, window_of
 from exwarp_cli.runtime.frame_pool import pool
 
@@ -196,20 +196,15 @@ def _flat(values: Values, size: int, flags: int) -> ChunkLayout | None:
 def _channels(values: Values) -> tuple[tuple[bytes, int], ...] | None:
     """Return name and type of each channel; None where one is subsampled, or they lie unsorted."""
     kind, value = values.get(b"channels", (b"", b""))
-    channels: list[tuple[bytes, int]] = []
-    at = 0
-    while kind == b"chlist" and value[at : at + 1] not in (b"", b"\0"):
-        end = value.find(b"\0", at)
-        if end < 0 or end + 17 > len(value):
-            return None
-        of, horizontal, vertical = struct.unpack_from("<i4x2i", value, end + 1)
-        if of not in BYTES or (horizontal, vertical) != (1, 1):
-            return None
-        channels.append((value[at:end], of))
-        at = end + 17
-    names = [name for name, _ in channels]
-    complete = value[at:] == b"\0" and names == sorted(set(names))
-    return tuple(channels) if complete and channels else None
+    try:
+        channels = tuple(channels_in(value))
+    except ValueError:
+        return None
+    names = [name for name, _, _ in channels]
+    flat = all(of in BYTES and steps == (1, 1) for _, of, steps in channels)
+    if kind != b"chlist" or not channels or not flat or names != sorted(set(names)):
+        return None
+    return tuple((name, of) for name, of, _ in channels)
 
 
 def _chunk_count(values: Values) -> int:

@@ -1,7 +1,12 @@
-"""What a generated frame takes over from its key frame's file: parts, channels, types, headers."""
+"""What a generated frame takes over from its key frame's file: parts, channels, types, headers.
+
+The header may say how long the frame took to render, too: `render_seconds`.
+"""
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,11 +17,10 @@ import numpy as np
 from exwarp_cli.domain.frame import Float32, Window, broken_pixels
 from exwarp_cli.errors import InputError, LayoutError
 from exwarp_cli.io.channels import ChannelRef
-from exwarp_cli.io.exr.parts import Channel, Part
+from exwarp_cli.io.exr.parts import Part
 from exwarp_cli.io.exr.reader import HeaderCache, damaged
 from exwarp_cli.io.exr.writer import OutputChannel, PendingHalf
 from exwarp_cli.io.layers import Kind, Layer
-from exwarp_cli.io.render_time import render_seconds
 from exwarp_cli.io.views import channels_of, views_of
 
 HALF_MAX = 65504.0
@@ -212,7 +216,8 @@ def read_template(
             channel = channels.get(key[1].name)
             if channel is None:
                 raise _gone(path, key[1], layers)
-            plane = _plane(key, channel, bounded)
+            dtype = np.dtype(PIXEL_TYPES.get(channel.pixel_type, np.float32))
+            plane = PlaneTemplate(key, channel.raw_name, dtype, bounded)
             placed.setdefault(channel.part, {}).setdefault(channel.index, plane)
     views = [layers.within for layers in wanted]
     made = tuple(
@@ -259,11 +264,6 @@ def _gone(path: Path, ref: ChannelRef, layers: ViewLayers) -> InputError:
     )
 
 
-def _plane(key: PlaneKey, channel: Channel, bounded: bool) -> PlaneTemplate:
-    dtype = np.dtype(PIXEL_TYPES.get(channel.pixel_type, np.float32))
-    return PlaneTemplate(key, channel.raw_name, dtype, bounded)
-
-
 def _header(header: Mapping[str, Any], part: Part, views: tuple[str, ...]) -> dict[str, Any]:
     """Return the attributes that go over; of the views of one part those that are written."""
     kept = {k: v for k, v in header.items() if k not in _NOT_CARRIED and _writable(k, v)}
@@ -287,3 +287,54 @@ def _views(parts: tuple[Part, ...], index: int, written: Iterable[str]) -> tuple
 def _writable(name: str, value: object) -> bool:
     """Whether an attribute is no other frame's own, and can be written."""
     return not name.startswith(PREFIX) and (name != "name" or bool(value))
+
+
+BLENDER, VRAY = "RenderTime", "vrayInfo/rendertime"
+
+_LAYER = re.compile(r"cycles\..*\.render_time", re.DOTALL)
+_CLOCK = re.compile(r"(?:(?:(\d+):)?(\d+):)?(\d+(?:\.\d+)?)")
+_UNITS = re.compile(r"(?:(\d+)h)?\s*(?:(\d+)m)?\s*(\d+(?:\.\d+)?)s")
+
+
+def render_seconds(headers: Iterable[Mapping[str, Any]]) -> tuple[float, str] | None:
+    """Return how many seconds a frame took to render, and the attribute that tells it.
+
+    Parameters
+    ----------
+    headers
+        Of every part of the frame's file. Parts repeat the attributes of the whole frame, so the
+        first that has one counts.
+
+    Returns
+    -------
+    float and str, or None
+        None where no attribute tells, or none is above 0.
+    """
+    listed = list(headers)
+    for name in (BLENDER, VRAY):
+        for header in listed:
+            seconds = parse_duration(header.get(name))
+            if seconds:
+                return seconds, name
+    layers: dict[str, float] = {}
+    for header in listed:
+        for name, value in header.items():
+            if _LAYER.fullmatch(name) and (seconds := parse_duration(value)):
+                layers.setdefault(name, seconds)
+    if not layers:
+        return None
+    return sum(layers.values()), "cycles.*.render_time"
+
+
+def parse_duration(value: object) -> float | None:
+    """Read ``01:02:03.45``, ``02:03.45``, ``0h 28m 39.3s`` or a number of seconds; else None."""
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return float(value) if math.isfinite(value) and value >= 0 else None
+    if not isinstance(value, str):
+        return None
+    text = value.strip()
+    match = _CLOCK.fullmatch(text) or _UNITS.fullmatch(text)
+    if match is None:
+        return None
+    hours, minutes, seconds = match.groups()
+    return 3600.0 * int(hours or 0) + 60.0 * int(minutes or 0) + float(seconds)

@@ -34,7 +34,7 @@ import OpenEXR
 from isal import isal_zlib
 
 from exwarp_cli.domain.frame import Float32, Window
-from exwarp_cli.io.exr.header import Attribute, attributes_in
+from exwarp_cli.io.exr.header import COMPRESSION_NAMES, attributes_in
 from exwarp_cli.kernels.exr_filters import predict, round_to_half
 from exwarp_cli.runtime.frame_pool import pool
 
@@ -43,15 +43,7 @@ U32 = npt.NDArray[np.uint32]
 
 COMPRESSIONS: dict[str, Any] = {
     "none": OpenEXR.NO_COMPRESSION,
-    "rle": OpenEXR.RLE_COMPRESSION,
-    "zips": OpenEXR.ZIPS_COMPRESSION,
-    "zip": OpenEXR.ZIP_COMPRESSION,
-    "piz": OpenEXR.PIZ_COMPRESSION,
-    "pxr24": OpenEXR.PXR24_COMPRESSION,
-    "b44": OpenEXR.B44_COMPRESSION,
-    "b44a": OpenEXR.B44A_COMPRESSION,
-    "dwaa": OpenEXR.DWAA_COMPRESSION,
-    "dwab": OpenEXR.DWAB_COMPRESSION,
+    **{name: getattr(OpenEXR, f"{name.upper()}_COMPRESSION") for name in COMPRESSION_NAMES[1:]},
 }
 """OpenEXR's constants, as headers have them, by name."""
 
@@ -207,7 +199,12 @@ def _head(parts: Sequence[OutputPart], counts: Sequence[int]) -> bytearray:
     plain = encode_by_openexr([_one_pixel(header, planes) for header, planes in parts])
     out, attributes = bytearray(plain), list(attributes_in(plain))
     for attribute in attributes:
-        _patch(out, attribute, parts[attribute.part][0], counts[attribute.part])
+        # Put the data window and the number of chunks into a header of one pixel.
+        if attribute.name == b"dataWindow":
+            window = np.asarray(parts[attribute.part][0]["dataWindow"], "<i4")
+            out[attribute.begin : attribute.end] = window.tobytes()
+        elif attribute.name == b"chunkCount":
+            out[attribute.begin : attribute.end] = struct.pack("<i", counts[attribute.part])
     return out[: attributes[-1].end + min(len(parts), 2)]
 
 
@@ -215,15 +212,6 @@ def _one_pixel(header: Header, planes: Mapping[str, OutputChannel]) -> OutputPar
     first = np.asarray(header["dataWindow"][0], np.int32)
     pixels = {name: np.zeros((1, 1), plane.dtype) for name, plane in planes.items()}
     return {**header, "dataWindow": (first, first.copy())}, pixels
-
-
-def _patch(out: bytearray, attribute: Attribute, header: Header, chunks: int) -> None:
-    """Put the data window and the number of chunks into a header of one pixel."""
-    if attribute.name == b"dataWindow":
-        window = np.asarray(header["dataWindow"], "<i4")
-        out[attribute.begin : attribute.end] = window.tobytes()
-    elif attribute.name == b"chunkCount":
-        out[attribute.begin : attribute.end] = struct.pack("<i", chunks)
 
 
 def _blocks(

@@ -13,9 +13,9 @@ from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR, Slot
 from exwarp_cli.errors import MissingFrameError, UsageError
 from exwarp_cli.io.footage import digest_of, picture
-from exwarp_cli.io.frame_files import quantised
 from exwarp_cli.io.interpolator import OnnxInterpolator, load_interpolator
 from exwarp_cli.io.models import OnnxExtrapolator, load_extrapolator
+from exwarp_cli.io.output import quantised
 from exwarp_cli.io.policy_files import load_policy
 from exwarp_cli.io.vmaf import require_size
 from exwarp_cli.pipeline.bench.pictures import Pictures
@@ -26,8 +26,7 @@ from exwarp_cli.pipeline.interval_inputs import IntervalInputs, IntervalReader
 from exwarp_cli.pipeline.observing import Observer
 from exwarp_cli.pipeline.scoring import SLOTS
 from exwarp_cli.pipeline.source import open_source
-from exwarp_cli.policy.policies import LearnedPolicy
-from exwarp_cli.policy.state import Surroundings
+from exwarp_cli.policy.state import LearnedPolicy, Surroundings
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import Judge, Method
 

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from exwarp_cli.domain.bench import SYSTEMS, BenchSettings
-from exwarp_cli.domain.dataset import BENCHMARK
 from exwarp_cli.domain.settings import SourceSettings
 from exwarp_cli.errors import InputError, LayoutError, MissingFrameError, UsageError
-from exwarp_cli.io.dataset import RenderedScene, find_scenes
+from exwarp_cli.io.dataset import BENCHMARK, RenderedScene, find_scenes
 from exwarp_cli.io.models import shipped_folder
 from exwarp_cli.io.policy_files import left_out
 from exwarp_cli.io.sequence import find_sequence

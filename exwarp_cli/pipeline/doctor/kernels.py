@@ -12,13 +12,13 @@ from typing import Any
 import numba
 import numpy as np
 
-from exwarp_cli.domain.checkup import Check, Remark, failure, warning
 from exwarp_cli.domain.wording import counted, size_text
 from exwarp_cli.io.machine import Folder, cached_files, look_at
 from exwarp_cli.kernels import _compile, _row_bands
 from exwarp_cli.kernels._compile import SUFFIX
-from exwarp_cli.kernels.gather import gather_bilinear, gather_bilinear_serial
-from exwarp_cli.pipeline.doctor.compilation import cache_folders, cache_use
+from exwarp_cli.kernels.gather import gather_bilinear
+from exwarp_cli.pipeline.doctor.examine import Check, Remark, failure, warning
+from exwarp_cli.runtime.compilation import compilation
 
 FOLDER_VARIABLE = "NUMBA_CACHE_DIR"
 """Names where compiled kernels go, before numba looks for a folder itself."""
@@ -85,11 +85,8 @@ def check_cache() -> Check:
         facts = {"folders": [], "kernels": 0, "bytes": 0, "warm": False, "compiled": misses}
         return Check("none", (warning(text),), facts)
     paths = [*read, *(folder.path for folder in folders)]
-    ours, indices, others = (
-        [cached_files(path, suffix) for path in paths] for suffix in (SUFFIX, ".nbi", ".nbc")
-    )
-    kernels = sum(count for count, _ in (*ours, *indices))
-    size = sum(taken for _, taken in (*ours, *indices, *others))
+    files = [cached_files(path, SUFFIX) for path in paths]
+    kernels, size = sum(count for count, _ in files), sum(taken for _, taken in files)
     facts = {
         "folders": [{"path": str(path), "place": place_of(path)} for path in paths],
         "writable": bool(folders) and all(folder.problem is None for folder in folders),
@@ -107,10 +104,19 @@ def check_cache() -> Check:
     return Check(found, tuple(_cache_remarks(folders, lacking)), facts, tuple(map(str, paths)))
 
 
+def cache_folders() -> list[Path]:
+    """Return the folder of new builds; none where no folder can be written."""
+    folder = _compile.writable_folder()
+    return [] if folder is None else [folder]
+
+
+def cache_use() -> tuple[int, int]:
+    """Return how many kernels this process loaded from the cache, and how many it compiled."""
+    return compilation.loaded, compilation.compiled
+
+
 def only_read() -> list[Path]:
     """Return the folders whose builds are taken though nothing can be written there."""
-    if not _compile.is_tested():
-        return []
     found = [path for path in _compile.folders() if path != _compile.writable_folder()]
     return [path for path in found if cached_files(path, SUFFIX)[0]]
 
@@ -157,4 +163,12 @@ def _cache_remarks(folders: list[Folder], lacking: bool) -> Iterator[Remark]:
             )
 
 
-_WAYS = {"all threads": gather_bilinear, "one thread": gather_bilinear_serial}
+def _by_one_thread(*arguments: object) -> None:
+    _row_bands.set_threads(1)
+    try:
+        gather_bilinear(*arguments)
+    finally:
+        _row_bands.set_threads(None)
+
+
+_WAYS = {"all threads": gather_bilinear, "one thread": _by_one_thread}

@@ -7,9 +7,9 @@ import sys
 from pathlib import Path
 
 import exwarp_cli
-from exwarp_cli.domain.checkup import Check, failure, warning
 from exwarp_cli.domain.wording import size_text
-from exwarp_cli.io.machine import Memory, Processors, look_at, memory, processors, temporary_folder
+from exwarp_cli.io.machine import look_at, memory, processors, temporary_folder
+from exwarp_cli.pipeline.doctor.examine import Check, failure, warning
 
 LEAST_MEMORY = 4 << 30
 """Bytes that frames of 1920x1080 take with the network that extrapolates; 3.7 GiB were measured."""
@@ -44,15 +44,24 @@ def check_machine() -> Check:
         "cpus": {"there": cpus.there, "allowed": cpus.allowed, "quota": cpus.quota},
         "memory": {"there": room.there, "available": room.available, "limit": room.limit},
     }
+    sizes = {"in the machine": room.there, "free": room.available, "by limit": room.limit}
+    known = [f"{size_text(value)} {what}" for what, value in sizes.items() if value is not None]
     lines = (
         f"{facts['package']}, run by {facts['executable']}",
         f"{facts['implementation']} {facts['python']}, {facts['platform']}",
         f"CPUs: {cpus.there} in the machine, {cpus.allowed} by affinity, "
         + ("no quota" if cpus.quota is None else f"{cpus.quota:g} by quota of the control group")
         + f"; {cpus.usable} are used without --threads",
-        _memory_line(room),
+        f"memory: {', '.join(known) or 'the system does not tell'}",
     )
-    return Check(_found(cpus, room), tuple(remarks), facts, lines)
+    share = "" if cpus.usable == cpus.there else f" of {cpus.there}"
+    found = f"{cpus.usable}{share} CPU{'' if cpus.usable == 1 else 's'}"
+    most = room.there if room.limit is None else room.limit
+    if most is not None and room.available is None:
+        found += f", {size_text(most)} of memory"
+    elif most is not None and room.available is not None:
+        found += f", {size_text(room.available)} of {size_text(most)} memory free"
+    return Check(found, tuple(remarks), facts, lines)
 
 
 def check_temporary() -> Check:
@@ -71,20 +80,3 @@ def check_temporary() -> Check:
         text = f"the disk of {path} is nearly full; make room, or name another folder in TMPDIR"
         return Check(found, (warning(text),), facts)
     return Check(found, (), facts)
-
-
-def _found(cpus: Processors, room: Memory) -> str:
-    of = "" if cpus.usable == cpus.there else f" of {cpus.there}"
-    told = f"{cpus.usable}{of} CPU{'' if cpus.usable == 1 else 's'}"
-    most = room.there if room.limit is None else room.limit
-    if most is None:
-        return told
-    if room.available is None:
-        return f"{told}, {size_text(most)} of memory"
-    return f"{told}, {size_text(room.available)} of {size_text(most)} memory free"
-
-
-def _memory_line(room: Memory) -> str:
-    told = {"in the machine": room.there, "free": room.available, "by limit": room.limit}
-    known = [f"{size_text(value)} {what}" for what, value in told.items() if value is not None]
-    return f"memory: {', '.join(known) or 'the system does not tell'}"

@@ -2,17 +2,32 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
+from pathlib import Path
+
 import numpy as np
 
+from exwarp_cli.accel.fixed_point import I32
 from exwarp_cli.accel.kernel import MlpKernel
 from exwarp_cli.accel.quantised_mlp import infer_reference
-from exwarp_cli.domain.checkup import Check, Remark, failure, warning
 from exwarp_cli.domain.wording import counted, enumerated
-from exwarp_cli.errors import ExwarpError
-from exwarp_cli.io.models import CUDA, load_extrapolator, providers, runtime_version, shipped_folder
+from exwarp_cli.errors import ExwarpError, InputError
+from exwarp_cli.io.models import (
+    CHECKSUMS,
+    CUDA,
+    OnnxNetwork,
+    load_extrapolator,
+    providers,
+    runtime_version,
+    shipped_folder,
+)
 from exwarp_cli.io.policy_files import load_policy
-from exwarp_cli.io.shipped import IntegerPolicy, judge_shipped
 from exwarp_cli.pipeline.accelerator import sample_states
+from exwarp_cli.pipeline.doctor.examine import Check, failure, warning
+
+INTEGER_POLICY = "policy-int8.onnx"
+"""The policy's integers in ONNX, for runtimes of others."""
 
 STATES = 96
 """Made-up states that are decided: of any size, and at which bits carry."""
@@ -44,7 +59,12 @@ def check_network() -> Check:
     offered = providers()
     devices = ["cpu", *(["cuda"] if CUDA in offered else [])]
     problems = {device: _problem_on(device) for device in devices}
-    remarks = tuple(_remark_on(device, said) for device, said in problems.items() if said)
+    remarks = tuple(
+        # There is still the CPU where CUDA does not start.
+        failure(said) if device == "cpu" else warning(said)
+        for device, said in problems.items()
+        if said
+    )
     good = [device.upper() for device, said in problems.items() if said is None]
     facts = {
         "onnxruntime": runtime_version(),
@@ -109,6 +129,56 @@ def _problem_on(device: str) -> str | None:
     return None
 
 
-def _remark_on(device: str, said: str) -> Remark:
-    """A network that does not run on the CPU is a failure; elsewhere there is still the CPU."""
-    return failure(said) if device == "cpu" else warning(said)
+def judge_shipped() -> dict[str, str | None]:
+    """Compare every shipped model with its checksum.
+
+    Returns
+    -------
+    dict
+        By file name what is wrong with it ("missing", "not the one that came with ExWarp" …); None
+        where nothing is.
+
+    Raises
+    ------
+    InputError
+        When there is no list of checksums.
+    """
+    folder = shipped_folder()
+    try:
+        expected = json.loads((folder / CHECKSUMS).read_bytes())
+        names = sorted(expected)
+    except (OSError, ValueError, TypeError) as error:
+        raise InputError(
+            f"the models that come with ExWarp, or their checksums, are missing in {folder}; "
+            "install ExWarp again"
+        ) from error
+    return {name: _problem(folder / name, expected[name]) for name in names}
+
+
+class IntegerPolicy(OnnxNetwork):
+    """The shipped policy as onnxruntime computes it."""
+
+    def __init__(self) -> None:
+        path = shipped_folder() / INTEGER_POLICY
+        try:
+            data = path.read_bytes()
+        except OSError as error:
+            raise InputError(f"cannot read {path}; install ExWarp again") from error
+        super().__init__(path, data, 1, "cpu")
+
+    def decide_many(self, states: I32) -> I32:
+        """Return the outputs [N, 2] for states int32 [N, n] in Q16.16."""
+        (given,), (asked,) = self.inputs, self.outputs
+        out = self._answer(asked, {given: states}, states.shape, 1, "install ExWarp again")
+        return np.asarray(out, np.int32)
+
+
+def _problem(path: Path, expected: object) -> str | None:
+    try:
+        with path.open("rb") as file:
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
+    except FileNotFoundError:
+        return "missing"
+    except OSError as error:
+        return f"not to be read ({error.strerror})"
+    return None if digest == expected else "not the one that came with ExWarp"

@@ -14,8 +14,8 @@ from importlib.metadata import Distribution, PackageNotFoundError, distribution,
 from packaging.requirements import Requirement
 
 from exwarp_cli import __version__
-from exwarp_cli.domain.checkup import Check, Remark, failure, warning
 from exwarp_cli.domain.wording import enumerated, first_line
+from exwarp_cli.pipeline.doctor.examine import Check, Remark, failure, warning
 
 DISTRIBUTION = "exwarp"
 

@@ -8,24 +8,25 @@ from __future__ import annotations
 
 import io
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.domain.checkup import Check, Remark, failure
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.domain.results import RunSummary
 from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.domain.wording import counted, enumerated
 from exwarp_cli.errors import ExwarpError
-from exwarp_cli.io.specimens import differing, read_exr, write_exr
-from exwarp_cli.pipeline.doctor.compilation import cache_use
+from exwarp_cli.pipeline.doctor.codecs import read_exr, write_exr
+from exwarp_cli.pipeline.doctor.examine import Check, Remark, failure
 from exwarp_cli.pipeline.progress import NoProgress
 from exwarp_cli.pipeline.run import upsample
+from exwarp_cli.runtime.compilation import compilation
 from exwarp_cli.runtime.stop import scratch_folder
 
 HEIGHT, WIDTH, KEYS = 48, 80, 3
@@ -54,19 +55,8 @@ ADVICE = (
 Planes = dict[str, np.ndarray]
 
 
-@dataclass(frozen=True)
-class Trial:
-    """One run of the pipeline.
-
-    Attributes
-    ----------
-    problem
-        What is wrong with what it made; None where nothing is.
-    seconds
-        How long it took.
-    frames
-        How many it wrote.
-    """
+class Trial(NamedTuple):
+    """One run of the pipeline: what is wrong with its frames, if anything."""
 
     problem: str | None
     seconds: float
@@ -75,13 +65,16 @@ class Trial:
 
 def check_self_test() -> Check:
     """Upsample the shot by three methods, and in chunks."""
-    begin, compiled = time.perf_counter(), cache_use()[1]
+    begin, compiled = time.perf_counter(), compilation.compiled
     with scratch_folder() as folder:
         write_shot(folder / "keys")
-        trials = {"s6": _trial(folder, "s6", None)}
-        trials |= {m: _trial(folder, m, CONVENTION) for m in ("softsplat", "exwarp")}
-        trials["chunks"] = _chunks(folder, "exwarp")
-    seconds, compiled = time.perf_counter() - begin, cache_use()[1] - compiled
+        trials = {
+            "s6": _trial(lambda: _whole(folder, "s6", None)),
+            "softsplat": _trial(lambda: _whole(folder, "softsplat", CONVENTION)),
+            "exwarp": _trial(lambda: _whole(folder, "exwarp", CONVENTION)),
+            "chunks": _trial(lambda: _chunks(folder, "exwarp")),
+        }
+    seconds, compiled = time.perf_counter() - begin, compilation.compiled - compiled
     remarks = tuple(_remark(name, t.problem) for name, t in trials.items() if t.problem is not None)
     good = [name for name, trial in trials.items() if trial.problem is None]
     facts = {
@@ -146,29 +139,40 @@ def _surface(slot: int) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64
     return x - RIGHT * slot, y - DOWN * slot
 
 
-def _trial(folder: Path, method: str, motion: str | None) -> Trial:
-    """Upsample the whole shot and judge every frame; without a convention measure it."""
+def _trial(run: Callable[[], tuple[str | None, int]]) -> Trial:
+    """Time a run; what it cannot do is its problem."""
     begin = time.perf_counter()
     try:
-        summary = _upsample(folder, method, method, motion)
-        problem = _wrong_motion(summary) or _wrong_frames(folder, method)
+        problem, frames = run()
     except ExwarpError as error:
-        return Trial(str(error), time.perf_counter() - begin, 0)
-    return Trial(problem, time.perf_counter() - begin, len(summary.frames))
-
-
-def _chunks(folder: Path, method: str) -> Trial:
-    """Upsample the shot in two pieces, which must equal the whole that is there already."""
-    begin, frames = time.perf_counter(), 0
-    try:
-        for number, piece in enumerate(("1", f"2-{KEYS}")):
-            frames += len(_upsample(folder, f"chunk{number}", method, CONVENTION, piece).frames)
-        pieces = [folder / f"chunk{number}" for number in range(2)]
-        differ = differing(folder / method, pieces)
-    except ExwarpError as error:
-        return Trial(str(error), time.perf_counter() - begin, frames)
-    problem = f"{enumerated(differ)} differ from those of the whole" if differ else None
+        problem, frames = str(error), 0
     return Trial(problem, time.perf_counter() - begin, frames)
+
+
+def _whole(folder: Path, method: str, motion: str | None) -> tuple[str | None, int]:
+    """Upsample the whole shot and judge every frame; without a convention measure it."""
+    summary = _upsample(folder, method, method, motion)
+    evidence = summary.input.motion_evidence or ""
+    if evidence.startswith(CONVENTION):
+        return _wrong_frames(folder, method), len(summary.frames)
+    read = f"the vectors were read as {evidence or 'nothing'!r}, and they are {CONVENTION!r}"
+    return read, len(summary.frames)
+
+
+def _chunks(folder: Path, method: str) -> tuple[str | None, int]:
+    """Upsample the shot in two pieces, which must equal the whole that is there already."""
+    found: dict[str, bytes] = {}
+    for number, piece in enumerate(("1", f"2-{KEYS}")):
+        _upsample(folder, f"chunk{number}", method, CONVENTION, piece)
+        found |= _contents(folder / f"chunk{number}")
+    expected = _contents(folder / method)
+    names = sorted(found.keys() | expected.keys())
+    differ = [name for name in names if found.get(name) != expected.get(name)]
+    return f"{enumerated(differ)} differ from those of the whole" if differ else None, len(found)
+
+
+def _contents(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
 def _upsample(
@@ -177,14 +181,6 @@ def _upsample(
     source = SourceSettings(str(folder / "keys"), motion=motion)
     settings = UpsampleSettings(source, str(folder / output), method=method, threads=1)
     return upsample(replace(settings, frames=frames), NoProgress(io.StringIO()))
-
-
-def _wrong_motion(summary: RunSummary) -> str | None:
-    """Say what is wrong with how the vectors were read."""
-    evidence = summary.input.motion_evidence or ""
-    if evidence.startswith(CONVENTION):
-        return None
-    return f"the vectors were read as {evidence or 'nothing'!r}, and they are {CONVENTION!r}"
 
 
 def _wrong_frames(folder: Path, method: str) -> str | None:

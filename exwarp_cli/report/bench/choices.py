@@ -7,8 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from exwarp_cli.domain.bench import CHOOSERS
-from exwarp_cli.domain.decision import HOLD
-from exwarp_cli.domain.features import FEATURES
+from exwarp_cli.domain.decision import FEATURES, HOLD
 from exwarp_cli.pipeline.bench.work import Measured
 from exwarp_cli.report.bench import paper
 from exwarp_cli.report.bench.naming import Document, identify

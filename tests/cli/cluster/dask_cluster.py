@@ -11,7 +11,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from exwarp_cli.io.held import Held
+from exwarp_cli.io.atomic import Held
 
 
 class DaskCluster(Held):

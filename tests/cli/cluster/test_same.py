@@ -13,7 +13,7 @@ import psutil
 import pytest
 
 from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
-from exwarp_cli.pipeline.filming import Film
+from exwarp_cli.farm.cluster import Film
 from exwarp_cli.pipeline.job import open_job
 from tests.cli import shots
 from tests.cli.cluster.results import KEYS, agree

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from exwarp_cli.errors import MissingExtraError, UsageError
-from exwarp_cli.io import model_files, models, shipped, specimens
+from exwarp_cli.io import model_files, models
 from exwarp_cli.io.machine import Folder, Memory, Processors
 from exwarp_cli.pipeline.doctor import codecs, machine, networks
-from tests.cli.doctor.judging import failed, healthy, remarks, warned
+from tests.cli.doctor.judging import failed, healthy, warned
 
 
 class TestMachine:
@@ -55,7 +55,7 @@ class TestModels:
         for path in models.shipped_folder().glob("*.*"):
             if path.suffix in (".onnx", ".npz", ".json"):
                 shutil.copy(path, copy)
-        for module in (models, model_files, shipped, networks):
+        for module in (models, model_files, networks):
             monkeypatch.setattr(module, "shipped_folder", lambda: copy)
         return copy
 
@@ -113,62 +113,38 @@ class TestModels:
 
 class TestCodecs:
     def test_a_compression_that_cannot_be_written(self, examined, monkeypatch):
-        monkeypatch.setitem(specimens.COMPRESSIONS, "dwab", "nonsense")
+        monkeypatch.setitem(codecs.COMPRESSIONS, "dwab", "nonsense")
         found = examined("exr")
         failed(found, "exr", "EXR with dwab does not work")
         told = found[1]["checks"]["exr"]["facts"]["compressions"]
         assert [name for name, good in told.items() if not good] == ["dwab"]
 
-    @pytest.mark.parametrize(
-        ("name", "channel", "change", "breaks"),
-        [
-            ("R", "R", 2**-10, {"none", "rle", "zips", "zip", "piz", "pxr24"}),
-            ("Z", "Z", 2**-10, {"none", "rle", "zips", "zip", "piz"}),
-            ("all", "R", 0.5, set(specimens.COMPRESSIONS)),
-        ],
-    )
-    def test_pixels_that_come_back_changed(
-        self, examined, monkeypatch, name, channel, change, breaks
-    ):
-        real = specimens.read_exr
+    def test_pixels_that_come_back_changed(self, examined, monkeypatch):
+        real = codecs.read_exr
 
         def read(path: Path) -> dict[str, np.ndarray]:
             found = real(path)
-            found[channel] = found[channel].copy()
-            found[channel][3, 4] += change
+            found["R"] = found["R"].copy()
+            found["R"][3, 4] += 0.5
             return found
 
-        monkeypatch.setattr(specimens, "read_exr", read)
+        monkeypatch.setattr(codecs, "read_exr", read)
         found = examined("exr")
-        failed(found, "exr", "come back")
-        told = found[1]["checks"]["exr"]["facts"]["compressions"]
-        assert {name for name, good in told.items() if not good} == breaks
+        failed(found, "exr", "come back changed")
+        assert not any(found[1]["checks"]["exr"]["facts"]["compressions"].values())
 
     def test_stills_without_a_writer(self, examined, monkeypatch):
-        real = specimens.require_writer
+        real = codecs.require_writer
 
         def without(path: Path) -> Any:
             if path.suffix == ".webp":
                 raise UsageError("no")
             return real(path)
 
-        monkeypatch.setattr(specimens, "require_writer", without)
+        monkeypatch.setattr(codecs, "require_writer", without)
         found = examined("stills")
         warned(found, "stills", "no writer of .webp", "use EXR")
         assert ".webp" not in found[1]["checks"]["stills"]["facts"]["written"]
-
-    def test_stills_that_come_back_changed(self, examined, monkeypatch):
-        real = specimens.write_still
-
-        def darker(path: Path, image: Any, *rest: Any) -> None:
-            if path.suffix in (".png", ".jpg"):
-                image.pixels[:] *= np.float32(0.9)
-            real(path, image, *rest)
-
-        monkeypatch.setattr(specimens, "write_still", darker)
-        monkeypatch.setattr(specimens, "from_display", lambda shown: shown / np.float32(255))
-        found = examined("stills")
-        assert "its pixels come back changed" in remarks(found[1], "stills")
 
     def test_a_missing_encoder(self, examined, monkeypatch):
         real = codecs.ffmpeg_has
@@ -184,11 +160,7 @@ class TestCodecs:
         monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", str(tmp_path / "ffmpeg"))
         failed(examined("video"), "video", "does not start", "IMAGEIO_FFMPEG_EXE")
 
-    def test_an_ffmpeg_that_fails_to_encode(self, examined, monkeypatch):
-        monkeypatch.setattr("exwarp_cli.io.video.QUALITY_CRF", "nonsense")
-        failed(examined("video"), "video", "video does not work", "cannot write the video")
-
     def test_what_the_lists_of_ffmpeg_hold(self):
-        assert {"libx264", "aac"} <= specimens.ffmpeg_has("encoders")
-        assert {"scale", "libvmaf"} <= specimens.ffmpeg_has("filters")
-        assert "nonsense" not in specimens.ffmpeg_has("filters")
+        assert {"libx264", "aac"} <= codecs.ffmpeg_has("encoders")
+        assert {"scale", "libvmaf"} <= codecs.ffmpeg_has("filters")
+        assert "nonsense" not in codecs.ffmpeg_has("filters")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ import pytest
 
 from exwarp_cli.errors import UsageError
 from exwarp_cli.io.machine import Folder
-from exwarp_cli.pipeline.doctor import compilation, kernels, self_test
+from exwarp_cli.pipeline.doctor import kernels, self_test
 from exwarp_cli.synthesis import warp
 from tests.cli.doctor.judging import failed, healthy, warned
 
@@ -85,8 +84,8 @@ class TestKernels:
     def test_what_came_from_the_cache_is_counted(self, examined, monkeypatch):
         _, document = examined("kernels", "kernel_cache")
         facts = document["checks"]["kernel_cache"]["facts"]
-        assert facts["loaded"] + facts["compiled"] >= 2
-        assert facts["kernels"] >= 2 and facts["bytes"] > 1000
+        assert facts["loaded"] + facts["compiled"] >= 1
+        assert facts["kernels"] >= 1 and facts["bytes"] > 1000
         monkeypatch.setattr(kernels, "cache_use", lambda: (5, 3))
         _, document = examined("kernel_cache")
         told = document["checks"]["kernel_cache"]
@@ -95,21 +94,6 @@ class TestKernels:
         monkeypatch.setattr(kernels, "cache_use", lambda: (0, 3))
         _, document = examined("kernel_cache")
         assert document["checks"]["kernel_cache"]["found"].startswith("cold until now;")
-
-    def test_whoever_waits_for_compilation_is_told_once(self, monkeypatch):
-        told: list[str] = []
-        misses = iter(range(1000))
-        monkeypatch.setattr(compilation, "cache_use", lambda: (0, next(misses)))
-        with compilation.telling_of_compilation(told.append, after=0.01):
-            time.sleep(0.3)
-        assert told == [compilation.COMPILING]
-
-    def test_nobody_is_told_where_nothing_is_compiled(self, monkeypatch):
-        told: list[str] = []
-        monkeypatch.setattr(compilation, "cache_use", lambda: (9, 4))
-        with compilation.telling_of_compilation(told.append, after=0.01):
-            time.sleep(0.1)
-        assert told == []
 
 
 class TestSelfTest:

@@ -60,7 +60,7 @@ class TestPackages:
     def test_a_version_out_of_range(self, examined, versions):
         versions(numba="0.1")
         found = examined("packages", "extras")
-        failed(found, "packages", "numba is 0.1", ">=0.60", "pip install 'numba>=0.60'")
+        failed(found, "packages", "numba is 0.1", "<0.69,>=0.67", "'numba<0.69,>=0.67'")
         assert found[1]["failed"] == ["packages"]
 
     def test_a_version_that_is_excluded(self, examined, versions):
