@@ -16,7 +16,7 @@ from exwarp_cli.runtime.frame_pool import IN_MEMORY, ScratchFrames, pool
 from exwarp_cli.synthesis.geometry import SlotField
 from exwarp_cli.synthesis.history import SMOOTH, LookBack, Past
 from exwarp_cli.synthesis.source_bounds import Side, Sources, hold_within
-from exwarp_cli.synthesis.warp import fill_holes, moved, sampled
+from exwarp_cli.synthesis.warp import as_light, as_shown, fill_holes, moved, resampled
 
 UNKNOWN_DEPTH = 0.5
 UNKNOWN_ROUGHNESS = 0.5
@@ -197,7 +197,8 @@ def prepare(
     divided = modulation is not None
     # Its colours are in the modulation.
     surface = seen.surface.without(*SMOOTH)
-    pixels, depth, hole = moved(_shading(key, divided), back)
+    pixels, depth, hole = moved(as_shown(_shading(key, divided)), back)
+    pixels = as_light(pixels)
     filled = pool.empty(pixels.shape, np.float32)
     _row_bands.run(_copy, (pixels, filled), _row_bands.threads())
     fill_holes(filled, depth, hole)
@@ -205,7 +206,8 @@ def prepare(
     sides = [Side(key.image.pixels, back.field, history[0].visible)]
     del pixels
     for step, field, hidden in zip(past, seen.fields, seen.hidden, strict=False):
-        pixels, unseen = sampled(_shading(step.frame, divided), field)
+        pixels, unseen = resampled(as_shown(_shading(step.frame, divided)), field)
+        pixels = as_light(pixels)
         older = scratch.store(Moved(pixels, ~(unseen | hidden)))
         if _lit_alike(history[0], older):
             history.append(older)

@@ -182,16 +182,11 @@ def _softsplat(interval: Interval, slot: int) -> Predicted:
     """Warp both key frames to the slot and blend them by depth and time."""
     if interval.following is None:
         return _causal(interval, slot)
-    frames = (interval.key.image.pixels, interval.following.image.pixels)
-    if interval.estimated:
-        frames = (as_shown(frames[0]), as_shown(frames[1]))
-    before = warp(frames[0], interval.back(slot))
+    before = warp(as_shown(interval.key.image.pixels), interval.back(slot))
     interval.forget(slot)  # one field of two, in several threads
-    after = warp(frames[1], interval.forward(slot))
+    after = warp(as_shown(interval.following.image.pixels), interval.forward(slot))
     interval.forget(slot)
-    pixels = blend_by_depth(before, after, interval.time(slot))
-    if interval.estimated:
-        pixels = as_light(pixels)
+    pixels = as_light(blend_by_depth(before, after, interval.time(slot)))
     sources = (interval.key.number, interval.following.number)
     return Predicted(pixels, FrameKind.GENERATED, SOFTSPLAT, sources, SOFTSPLAT)
 

@@ -25,6 +25,8 @@ from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import Predicted
 from exwarp_cli.synthesis.trajectory import displacement
 from exwarp_cli.synthesis.warp import (
+    as_light,
+    as_shown,
     blend_by_depth,
     cross_fade,
     look_around,
@@ -326,8 +328,8 @@ class Retiming:
             if self.forward is None:
                 return warp_alone(before, self.back)
             assert after is not None
-            sides = warp(before, self.back), warp(after, self.forward)
-            return blend_by_depth(*sides, self.time)
+            sides = warp(as_shown(before), self.back), warp(as_shown(after), self.forward)
+            return as_light(blend_by_depth(*sides, self.time))
         if self.manner is Manner.REPEAT:
             return repair(before)
         assert after is not None

@@ -15,7 +15,7 @@ from exwarp_cli.domain.frame import Bool, Float32
 from exwarp_cli.kernels import extremes, fill
 from exwarp_cli.runtime.frame_pool import pool
 from exwarp_cli.synthesis.geometry import SlotField
-from exwarp_cli.synthesis.warp import Around, look_around, moved
+from exwarp_cli.synthesis.warp import Around, look_around, sampled
 
 CLEAR = 2.0**-25
 """Largest alpha that counts as 0: half floats round it to 0."""
@@ -78,7 +78,7 @@ def sources_between(
         Motion fields from the slot to them.
     """
     sides = tuple(
-        Side(pixels, field.field, ~moved(pixels, field)[2])
+        Side(pixels, field.field, ~(sampled(pixels, field.field)[1] | field.hole))
         for pixels, field in zip(frames, fields, strict=True)
     )
     return Sources(sides, (), np.fmin(fields[0].depth, fields[1].depth))

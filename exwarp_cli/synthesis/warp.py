@@ -8,15 +8,24 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.domain.curves import SRGB
 from exwarp_cli.domain.extrapolator import Interpolator
 from exwarp_cli.domain.frame import Bool, Float32, Int32, broken_pixels
-from exwarp_cli.kernels import blend, fill, gather
+from exwarp_cli.kernels import blend, fill, gather, resample, shown
 from exwarp_cli.runtime.frame_pool import pool
 from exwarp_cli.synthesis.geometry import SlotField
 
 FILL_REACH = 0.25
 """How far to look for background, as a share of the frame's longer side."""
+
+LANCZOS = resample.lanczos_weights()
+"""Weights of the kernel that colour is sampled by.
+
+Colour is sampled, filled and blended as a display shows it, not in linear light. PSNR in dB,
+SSIM and sharpness (mean gradient over truth's) of 24 frames of the scene market by `softsplat`:
+bilinear in linear light 26.98, .927, .88; Lanczos-3 in linear light 27.42, .938, 1.00; in log
+light 27.58; as shown 27.67, and blended as shown 27.73, .940, 1.00. Catmull-Rom in log light has
+27.53 and .97, Lanczos-4 what Lanczos-3 has.
+"""
 
 BEYOND = 2.0
 """The sky counts as this many times as far as the furthest surface when holes are filled."""
@@ -29,7 +38,7 @@ class Warped:
     Attributes
     ----------
     pixels
-        float32 [H, W, C], scene-linear; 0 or the frame's edge colour in holes.
+        float32 [H, W, C], as shown; 0 or the frame's edge colour in holes.
     depth
         float32 [H, W] of the surface shown.
     hole
@@ -44,33 +53,57 @@ class Warped:
     fringe: Bool
 
 
-def warp(pixels: Float32, source: SlotField) -> Warped:
-    """Sample colour once, bilinearly, along a motion field, and find holes and outlines.
+def warp(codes: Float32, source: SlotField) -> Warped:
+    """Sample colour once along a motion field, and find holes and outlines.
 
     Parameters
     ----------
-    pixels
-        float32 [H, W, C], scene-linear.
+    codes
+        float32 [H, W, C], from `as_shown`.
     source
         Where the slot's pixels come from.
     """
-    return Warped(*moved(pixels, source), source.fringe)
+    return Warped(*moved(codes, source), source.fringe)
 
 
 def warp_alone(pixels: Float32, source: SlotField) -> Float32:
-    """Return a frame warped as by `warp`, its holes filled as by `fill_holes`."""
-    return fill_holes(*moved(pixels, source))
+    """Return a frame, scene-linear, warped and its holes filled as by `fill_holes`."""
+    return as_light(fill_holes(*moved(as_shown(pixels), source)))
 
 
-def moved(pixels: Float32, source: SlotField) -> tuple[Float32, Float32, Bool]:
+def moved(codes: Float32, source: SlotField) -> tuple[Float32, Float32, Bool]:
     """Return pixels, depth and holes of a warped frame, as `Warped` has them."""
-    out, unseen = sampled(pixels, source.field)
+    out, unseen = resampled(codes, source.field)
     np.logical_or(unseen, source.hole, out=unseen)
     return out, source.depth, unseen
 
 
+def resampled(codes: Float32, field: Float32) -> tuple[Float32, Bool]:
+    """Return colour that lies at the end of a motion field, by Lanczos-3.
+
+    Parameters
+    ----------
+    codes
+        float32 [H, W, C], from `as_shown`.
+    field
+        float32 [H, W, 2], pixels; NaN where there is no end.
+
+    Returns
+    -------
+    out
+        float32 [H, W, C], each channel within the range of the 3x3 pixels around; 0 where nothing
+        finite lies there, the edge's colour outside the frame.
+    unseen
+        bool [H, W]: both of these.
+    """
+    out: Float32 = pool.empty(codes.shape, np.float32)
+    unseen: Bool = pool.empty(codes.shape[:2], np.bool_)
+    resample.resample(codes, field, LANCZOS, out, unseen)
+    return out, unseen
+
+
 def sampled(pixels: Float32, field: Float32) -> tuple[Float32, Bool]:
-    """Return what lies at the end of a motion field, bilinearly.
+    """Return what lies at the end of a motion field, bilinearly; for data, not for colour.
 
     Parameters
     ----------
@@ -208,19 +241,19 @@ def cross_fade(before: Float32, after: Float32, time: float) -> Float32:
 
 
 def as_shown(pixels: Float32) -> Float32:
-    """Return scene-linear colour [H, W, 3 or 4] by the sRGB curve, alpha as it is.
+    """Return scene-linear colour [H, W, 3 or more] by the sRGB curve, alpha as it is.
 
-    Two key frames along estimated motion seldom show quite the same: half of each looks right where
-    it is half of what is seen, worth 0.25 dB. The curve goes on below 0 and above 1.
+    The curve goes on below 0 and above 1.
     """
-    with np.errstate(over="ignore", invalid="ignore"):
-        return np.concatenate([SRGB.to_code(pixels[..., :3]), pixels[..., 3:]], axis=-1)
+    out: Float32 = pool.empty(pixels.shape, np.float32)
+    shown.show(pixels, out)
+    return out
 
 
-def as_light(pixels: Float32) -> Float32:
-    """Invert `as_shown`."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        return np.concatenate([SRGB.to_linear(pixels[..., :3]), pixels[..., 3:]], axis=-1)
+def as_light(codes: Float32) -> Float32:
+    """Invert `as_shown`, in place."""
+    shown.light(codes, codes)
+    return codes
 
 
 def between(before: Float32, after: Float32, time: float, network: Interpolator) -> Float32:

@@ -1,0 +1,168 @@
+"""Sampling of an image along a motion field by Lanczos-3, held to the pixels around.
+
+Lanczos: Duchon, "Lanczos Filtering in One and Two Dimensions", J. Appl. Meteorology 18, 1979. The
+bound keeps overshoot at edges out, which would be light or darkness that was never rendered.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from exwarp_cli.kernels._compile import inlined, parallel, part
+from exwarp_cli.kernels._row_bands import Share, turns
+from exwarp_cli.kernels.gather import clamp, sample
+
+F32 = npt.NDArray[np.float32]
+B8 = npt.NDArray[np.bool_]
+U64 = np.uint64
+
+RADIUS = 3
+TAPS = 2 * RADIUS
+
+PHASES = 1024
+"""Steps of a pixel that have weights; a place is off by half a step at most."""
+
+
+def lanczos_weights() -> F32:
+    """Return the weights of the taps for each phase, float32 [PHASES + 1, TAPS]; rows sum to 1.
+
+    Tap RADIUS - 1 is the pixel at or before the place. At phases 0 and PHASES one weight is 1.
+    """
+    offset = np.arange(1 - RADIUS, RADIUS + 1)[None] - np.arange(PHASES + 1)[:, None] / PHASES
+    weights = np.sinc(offset) * np.sinc(offset / RADIUS)
+    weights /= weights.sum(axis=1, keepdims=True)
+    weights[[0, -1]] = 0
+    weights[0, RADIUS - 1] = weights[-1, RADIUS] = 1
+    return weights.astype(np.float32)
+
+
+@inlined
+def held(value: np.float32, low: np.float32, high: np.float32) -> np.float32:
+    """Return a value within bounds."""
+    return min(max(value, low), high)
+
+
+@inlined
+def inner_place(first: int, size: int) -> bool:
+    """True if all taps from `first` on are inside an axis."""
+    return (first >= 0) & (first + TAPS <= size)
+
+
+@part
+def sample_inside(
+    pixels: F32, width: int, channels: int, at: tuple[int, int], weights: tuple[F32, F32], out: F32
+) -> bool:
+    """Write the weighted sum of TAPS x TAPS pixels, held to the 3x3 about the nearest.
+
+    Parameters
+    ----------
+    pixels
+        float32 [H W C].
+    width, channels
+        W and C.
+    at
+        Where in `pixels` the first tap is, and which of the taps the upper left of the 3x3 is,
+        counted along a row of TAPS.
+    weights
+        float32 [TAPS] across and down.
+    out
+        float32 [C], written.
+
+    Returns
+    -------
+    bool
+        True if all taps are finite.
+    """
+    first, corner = at
+    across, down = weights
+    pitch = width * channels
+    row, column = corner // TAPS, corner % TAPS
+    check = np.float32(0)
+    for c in range(channels):
+        start = first + c
+        value = np.float32(0)
+        for p in range(TAPS):
+            line = np.float32(0)
+            for q in range(TAPS):
+                line += across[q] * pixels[U64(start + p * pitch + q * channels)]
+            value += down[p] * line
+        check += value * np.float32(0)  # NaN from infinity and NaN on
+        middle = U64(start + (row + 1) * pitch + (column + 1) * channels)
+        low = high = pixels[middle]
+        for p in range(3):
+            for q in range(3):
+                near = pixels[U64(start + (row + p) * pitch + (column + q) * channels)]
+                low, high = min(low, near), max(high, near)
+        out[c] = held(value, low, high)
+    return bool(check == 0)
+
+
+@part
+def copy_patch(pixels: F32, shape: tuple[int, int, int], at: tuple[int, int], patch: F32) -> None:
+    """Copy the taps of a place to float32 [TAPS TAPS C]; those outside have the edge's colour."""
+    height, width, channels = shape
+    left, top = at
+    for p in range(TAPS):
+        y = clamp(top + p, 0, height - 1)
+        for q in range(TAPS):
+            x = clamp(left + q, 0, width - 1)
+            for c in range(channels):
+                patch[(p * TAPS + q) * channels + c] = pixels[(y * width + x) * channels + c]
+
+
+@parallel
+def resample(image: F32, field: F32, table: F32, out: F32, hole: B8, share: Share) -> None:
+    """Sample `image` at x + field(x) by Lanczos-3 and mark what cannot be sampled.
+
+    Parameters
+    ----------
+    image
+        float32 [H, W, C], of less than 2^31 values. A display's curve suits it best: see
+        :func:`exwarp_cli.synthesis.warp.as_shown`.
+    field
+        float32 [h, w, 2], pixels, +x right, +y down, from a pixel of `out` to its source; NaN where
+        there is none.
+    table
+        From :func:`lanczos_weights`.
+    out
+        float32 [h, w, C], written: within the range of the 3x3 pixels about the nearest to the
+        source; 0 where there is no source, the edge's colour where it lies outside the image. Where
+        not all taps are finite, bilinear.
+    hole
+        bool [h, w], written: no source, a source outside the image's pixel areas, or a non-finite
+        value among the samples.
+    """
+    height, width, channels = image.shape
+    pixels = np.ascontiguousarray(image).reshape(-1)
+    patch = np.empty(TAPS * TAPS * channels, np.float32)
+    for i in turns(out.shape[0], share):
+        line, target = np.ascontiguousarray(field[i]).reshape(-1), out[i].reshape(-1)
+        unseen = hole[i]
+        for j in range(out.shape[1]):
+            x = np.float32(j) + line[U64(2 * j)]
+            y = np.float32(i) + line[U64(2 * j + 1)]
+            place = channels * j
+            near = x >= -0.5 and y >= -0.5 and x <= width - 0.5 and y <= height - 0.5
+            if near:
+                left, top = math.floor(x), math.floor(y)
+                across = table[round((x - left) * PHASES)]
+                down = table[round((y - top) * PHASES)]
+                first = left - RADIUS + 1, top - RADIUS + 1
+                corner = (math.floor(y + 0.5) - 1 - first[1]) * TAPS
+                corner += math.floor(x + 0.5) - 1 - first[0]
+                whole = target[place : place + channels]
+                if inner_place(first[0], width) and inner_place(first[1], height):
+                    start = (first[1] * width + first[0]) * channels
+                    at = start, corner
+                    finite = sample_inside(pixels, width, channels, at, (across, down), whole)
+                else:
+                    copy_patch(pixels, image.shape, first, patch)
+                    at = 0, corner
+                    finite = sample_inside(patch, TAPS, channels, at, (across, down), whole)
+                if finite:
+                    unseen[j] = False
+                    continue
+            unseen[j] = not sample(pixels, image.shape, x, y, target, place)
