@@ -12,15 +12,12 @@ from exwarp_cli.domain.extrapolator import INTERPOLATE
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.domain.results import FrameKind
 from exwarp_cli.synthesis.interval import Interval
+from exwarp_cli.synthesis.look_ahead import LookAhead
 from exwarp_cli.synthesis.source_bounds import hold_in_range, hold_within, sources_between
 from exwarp_cli.synthesis.warp import (
-    as_light,
-    as_shown,
     between,
-    blend_by_depth,
     cross_fade,
     repair,
-    warp,
     warp_alone,
 )
 
@@ -179,14 +176,13 @@ def _blend(interval: Interval, slot: int) -> Predicted:
 
 
 def _softsplat(interval: Interval, slot: int) -> Predicted:
-    """Warp both key frames to the slot and blend them by depth and time."""
+    """Warp both key frames to the slot and mix them."""
     if interval.following is None:
         return _causal(interval, slot)
-    before = warp(as_shown(interval.key.image.pixels), interval.back(slot))
-    interval.forget(slot)  # one field of two, in several threads
-    after = warp(as_shown(interval.following.image.pixels), interval.forward(slot))
+    frames = (interval.key.image.pixels, interval.following.image.pixels)
+    ways = LookAhead(interval.back(slot), interval.forward(slot), interval.time(slot))
     interval.forget(slot)
-    pixels = as_light(blend_by_depth(before, after, interval.time(slot)))
+    pixels, _ = ways.beauty(*frames)
     sources = (interval.key.number, interval.following.number)
     return Predicted(pixels, FrameKind.GENERATED, SOFTSPLAT, sources, SOFTSPLAT)
 

@@ -124,14 +124,45 @@ def estimate(before: Float32, after: Float32) -> tuple[Flow, Flow]:
     exposure = _exposure(light)
     shown = [shown_colour(pixels * exposure) for pixels in light]
     height, width = before.shape[:2]
-    margin = max(LEAST - height, 0), max(LEAST - width, 0)
-    wide = [np.pad(p, ((0, margin[0]), (0, margin[1]), (0, 0)), mode="edge") for p in shown]
-    there, back = _both_ways(wide[0], wide[1])
+    there, back = _both_ways(_widened(shown[0]), _widened(shown[1]))
     flows = [np.ascontiguousarray(flow[:height, :width]) for flow in (there, back)]
     return (
         Flow(flows[0], _mismatch(shown[0], shown[1], flows[0])),
         Flow(flows[1], _mismatch(shown[1], shown[0], flows[1])),
     )
+
+
+def flow_between(first: Float32, second: Float32) -> Float32:
+    """Estimate the motion between two pictures that show nearly the same.
+
+    Parameters
+    ----------
+    first, second
+        float32 [H, W, 3 or more], finite, as shown; what a display cannot show is clipped, and
+        channels past the third are left out.
+
+    Returns
+    -------
+    float32 [H, W, 2]
+        Pixels, from the first picture to the second: half the difference of both directions. The
+        exchange and the median of `estimate` gained 0.01 dB here, for twice the time.
+    """
+    height, width = first.shape[:2]
+    greys = [_grey(_widened(codes[..., :3].clip(0, 1))) for codes in (first, second)]
+    finest = finest_level(*greys[0].shape)
+    with ThreadPoolExecutor(min(2, threads())) as pool:  # OpenCV needs no interpreter's lock
+        ways = [
+            pool.submit(_search, here, there, None, finest, None)
+            for here, there in (greys, greys[::-1])
+        ]
+        there, back = (way.result()[:height, :width] for way in ways)
+    return (there - back) / np.float32(2)
+
+
+def box_mean(values: Float32, side: int) -> Float32:
+    """Return the mean of float32 [H, W] over a square around each pixel."""
+    mean: Float32 = _cv2().blur(values, (side, side))
+    return mean
 
 
 def moving(frame: KeyFrame, to_previous: Flow | None, to_next: Flow | None) -> KeyFrame:
@@ -203,6 +234,13 @@ def shown_colour(linear: Float32) -> Float32:
     """Return scene-linear colour, float32 [H, W, C], as a display shows it: sRGB curve, 0 to 1."""
     clipped = np.nan_to_num(linear, nan=0.0, posinf=1.0, neginf=0.0).clip(0.0, 1.0)
     return SRGB.to_code(clipped)
+
+
+def _widened(shown: Float32) -> Float32:
+    """Return a picture [H, W, C] that is large enough to be searched; its edges are repeated."""
+    height, width = shown.shape[:2]
+    margin = max(LEAST - height, 0), max(LEAST - width, 0)
+    return np.pad(shown, ((0, margin[0]), (0, margin[1]), (0, 0)), mode="edge")
 
 
 def _both_ways(before: Float32, after: Float32) -> tuple[Float32, Float32]:

@@ -22,18 +22,10 @@ from exwarp_cli.kernels import nearest
 from exwarp_cli.synthesis.camera import scene_of
 from exwarp_cli.synthesis.geometry import SlotField, depth_of, stands_still, unmatched
 from exwarp_cli.synthesis.interval import Interval
+from exwarp_cli.synthesis.look_ahead import LookAhead
 from exwarp_cli.synthesis.methods import Predicted
 from exwarp_cli.synthesis.trajectory import displacement
-from exwarp_cli.synthesis.warp import (
-    as_light,
-    as_shown,
-    blend_by_depth,
-    cross_fade,
-    look_around,
-    repair,
-    warp,
-    warp_alone,
-)
+from exwarp_cli.synthesis.warp import cross_fade, look_around, repair, warp_alone
 
 FROM_KEY = np.float32(0)
 """Time at which the key frame before has all the weight."""
@@ -307,6 +299,8 @@ class Retiming:
         Where values come from that are not mixed.
     back, forward
         From the slot to the key frames before and after it, as far as they are used.
+    frames
+        Beauty of both key frames, float32 [H, W, C], where both are used: it tells how light moves.
     """
 
     manner: Manner
@@ -314,6 +308,13 @@ class Retiming:
     sources: Sources
     back: SlotField | None = None
     forward: SlotField | None = None
+    frames: tuple[Float32, Float32] | None = None
+
+    @cached_property
+    def _ahead(self) -> LookAhead:
+        """How the key frames on both sides make the beauty."""
+        assert self.back is not None and self.forward is not None and self.frames is not None
+        return LookAhead(self.back, self.forward, self.time).beauty(*self.frames)[1]
 
     def colour(self, before: Float32, after: Float32 | None = None) -> Float32:
         """Make a layer of values that may be mixed, exactly as the beauty is made.
@@ -328,8 +329,7 @@ class Retiming:
             if self.forward is None:
                 return warp_alone(before, self.back)
             assert after is not None
-            sides = warp(as_shown(before), self.back), warp(as_shown(after), self.forward)
-            return as_light(blend_by_depth(*sides, self.time))
+            return self._ahead.layer(before, after)
         if self.manner is Manner.REPEAT:
             return repair(before)
         assert after is not None
@@ -435,7 +435,9 @@ def retiming(interval: Interval, slot: int, shown: Predicted) -> Retiming:
     forward = interval.forward(slot)
     assert following.gbuffer is not None
     depths = depth_of(key), depth_of(following.gbuffer)
-    return Retiming(Manner.BLEND, time, moved_between(back, forward, depths, time), back, forward)
+    sources = moved_between(back, forward, depths, time)
+    frames = interval.key.image.pixels, following.image.pixels
+    return Retiming(Manner.BLEND, time, sources, back, forward, frames)
 
 
 def _depth(gbuffer: GBuffer | None) -> Float32 | None:
