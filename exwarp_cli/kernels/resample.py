@@ -22,6 +22,9 @@ U64 = np.uint64
 RADIUS = 3
 TAPS = 2 * RADIUS
 
+RGBA = 4
+"""Channels of a frame with alpha, which is the last."""
+
 PHASES = 1024
 """Steps of a pixel that have weights; a place is off by half a step at most."""
 
@@ -101,6 +104,22 @@ def sample_inside(
 
 
 @part
+def taps_at(
+    x: np.float32, y: np.float32, table: F32
+) -> tuple[tuple[int, int], int, tuple[F32, F32]]:
+    """Return the column and row of the first tap, the corner of the 3x3, and weights, of a place.
+
+    See :func:`sample_inside` for the corner and the weights.
+    """
+    left, top = math.floor(x), math.floor(y)
+    across = table[round((x - np.float32(left)) * np.float32(PHASES))]
+    down = table[round((y - np.float32(top)) * np.float32(PHASES))]
+    row, column = math.floor(y + 0.5) - top, math.floor(x + 0.5) - left
+    corner = (row + RADIUS - 2) * TAPS + column + RADIUS - 2
+    return (left - RADIUS + 1, top - RADIUS + 1), corner, (across, down)
+
+
+@part
 def copy_patch(pixels: F32, shape: tuple[int, int, int], at: tuple[int, int], patch: F32) -> None:
     """Copy the taps of a place to float32 [TAPS TAPS C]; those outside have the edge's colour."""
     height, width, channels = shape
@@ -111,6 +130,108 @@ def copy_patch(pixels: F32, shape: tuple[int, int, int], at: tuple[int, int], pa
             x = clamp(left + q, 0, width - 1)
             for c in range(channels):
                 patch[(p * TAPS + q) * channels + c] = pixels[(y * width + x) * channels + c]
+
+
+@part
+def limit_inside(
+    pixels: F32,
+    width: int,
+    channels: int,
+    at: tuple[int, int],
+    weights: tuple[F32, F32],
+    smooth: F32,
+    sharp: F32,
+) -> np.float32:
+    """Write the unbounded sum of TAPS x TAPS pixels, and return how much of it stays in bounds.
+
+    Parameters
+    ----------
+    pixels, width, channels, at, weights
+        As for :func:`sample_inside`.
+    smooth
+        float32 [C], the bilinear sample, which is always in bounds.
+    sharp
+        float32 [C], written.
+
+    Returns
+    -------
+    float
+        The largest part from 0 to 1 of the way from `smooth` to `sharp` on which all channels stay
+        within the 3x3 about the nearest pixel; 0 if a tap is not finite.
+    """
+    first, corner = at
+    across, down = weights
+    pitch = width * channels
+    row, column = corner // TAPS, corner % TAPS
+    check, limit = np.float32(0), np.float32(1)
+    for c in range(channels):
+        start = first + c
+        value = np.float32(0)
+        for p in range(TAPS):
+            line = np.float32(0)
+            for q in range(TAPS):
+                line += across[q] * pixels[U64(start + p * pitch + q * channels)]
+            value += down[p] * line
+        check += value * np.float32(0)
+        middle = U64(start + (row + 1) * pitch + (column + 1) * channels)
+        low = high = pixels[middle]
+        for p in range(3):
+            for q in range(3):
+                near = pixels[U64(start + (row + p) * pitch + (column + q) * channels)]
+                low, high = min(low, near), max(high, near)
+        sharp[c] = value
+        bound = held(value, low, high)
+        if bound != value:
+            part_of = (bound - smooth[c]) / (value - smooth[c])
+            limit = min(limit, max(part_of, np.float32(0)))
+    return limit if check == 0 else np.float32(0)
+
+
+@parallel
+def resample_alike(
+    image: F32, field: F32, table: F32, limit: F32, leads: bool, out: F32, hole: B8, share: Share
+) -> None:
+    """Sample `image` as `resample` does, but linearly: sums of layers stay sums.
+
+    Parameters
+    ----------
+    image, field, table, out, hole
+        As for :func:`resample`, but scene-linear. Only what leads is held to the 3x3 pixels.
+    limit
+        float32 [h, w], 0 bilinear to 1 Lanczos-3: written if `leads`, so that no channel leaves the
+        3x3 pixels; else read.
+    leads
+        True for the beauty, False for the layers that follow it.
+    """
+    height, width, channels = image.shape
+    pixels = np.ascontiguousarray(image).reshape(-1)
+    patch, sharp = np.empty(TAPS * TAPS * channels, np.float32), np.empty(channels, np.float32)
+    for i in turns(out.shape[0], share):
+        line, target = np.ascontiguousarray(field[i]).reshape(-1), out[i].reshape(-1)
+        for j in range(out.shape[1]):
+            x = np.float32(j) + line[U64(2 * j)]
+            y = np.float32(i) + line[U64(2 * j + 1)]
+            hole[i, j] = not sample(pixels, image.shape, x, y, target, channels * j)
+            if hole[i, j]:
+                if leads:
+                    limit[i, j] = 0
+                continue
+            first, corner, weights = taps_at(x, y, table)
+            smooth = target[channels * j : channels * (j + 1)]
+            if inner_place(first[0], width) and inner_place(first[1], height):
+                at = (first[1] * width + first[0]) * channels, corner
+                within = limit_inside(pixels, width, channels, at, weights, smooth, sharp)
+            else:
+                copy_patch(pixels, image.shape, first, patch)
+                within = limit_inside(patch, TAPS, channels, (0, corner), weights, smooth, sharp)
+            if leads:
+                clear = channels == RGBA and (
+                    smooth[RGBA - 1] + within * (sharp[RGBA - 1] - smooth[RGBA - 1]) <= 0
+                )
+                limit[i, j] = np.float32(0) if clear else within
+            if limit[i, j] > 0:
+                for c in range(channels):
+                    smooth[c] += limit[i, j] * (sharp[c] - smooth[c])
 
 
 @parallel
@@ -147,22 +268,18 @@ def resample(image: F32, field: F32, table: F32, out: F32, hole: B8, share: Shar
             place = channels * j
             near = x >= -0.5 and y >= -0.5 and x <= width - 0.5 and y <= height - 0.5
             if near:
-                left, top = math.floor(x), math.floor(y)
-                across = table[round((x - left) * PHASES)]
-                down = table[round((y - top) * PHASES)]
-                first = left - RADIUS + 1, top - RADIUS + 1
-                corner = (math.floor(y + 0.5) - 1 - first[1]) * TAPS
-                corner += math.floor(x + 0.5) - 1 - first[0]
+                first, corner, weights = taps_at(x, y, table)
                 whole = target[place : place + channels]
                 if inner_place(first[0], width) and inner_place(first[1], height):
                     start = (first[1] * width + first[0]) * channels
                     at = start, corner
-                    finite = sample_inside(pixels, width, channels, at, (across, down), whole)
+                    finite = sample_inside(pixels, width, channels, at, weights, whole)
                 else:
                     copy_patch(pixels, image.shape, first, patch)
-                    at = 0, corner
-                    finite = sample_inside(patch, TAPS, channels, at, (across, down), whole)
-                if finite:
+                    finite = sample_inside(patch, TAPS, channels, (0, corner), weights, whole)
+                # Colour must not be where the bound has made alpha 0.
+                clear = channels == RGBA and whole[RGBA - 1] <= 0
+                if finite and not clear:
                     unseen[j] = False
                     continue
             unseen[j] = not sample(pixels, image.shape, x, y, target, place)

@@ -92,6 +92,8 @@ class IntervalBuilder:
         Whether only motion and depth of key frames' settled geometry are used.
     scratch
         Where large settled frames lie when a network may extrapolate.
+    linear
+        Whether colour is moved in linear light, as layers that add up to it go along.
     """
 
     def __init__(
@@ -102,7 +104,9 @@ class IntervalBuilder:
         estimated: bool = False,
         bare: bool = False,
         scratch: ScratchFrames = IN_MEMORY,
+        linear: bool = False,
     ) -> None:
+        self._linear = linear
         self._display = display
         self._network = network
         self._interpolator = interpolator
@@ -178,6 +182,7 @@ class IntervalBuilder:
             keeps=bool(inputs.truth.frames),
             held=inputs.held,
             scratch=self._scratch,
+            linear=self._linear,
         )
 
     def _frame(self, index: int, frame: KeyFrame, basis: Basis) -> KeyFrame:

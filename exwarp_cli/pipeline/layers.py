@@ -51,6 +51,11 @@ class ExtraLayers:
         """Whether motion vectors are written."""
         return any(la.kind is Kind.MOTION for content in self._contents for la in content.beside)
 
+    @property
+    def moves_light(self) -> bool:
+        """Whether layers of colour are written, which may add up to the beauty."""
+        return any(la.kind is Kind.COLOUR for content in self._contents for la in content.beside)
+
     def begin(self, inputs: IntervalInputs, interval: Interval | None) -> None:
         """Turn to an interval; None where nothing of it has to be made, and to let the last go."""
         self._views = ()

@@ -125,7 +125,7 @@ class Recipes:
             "fps": f"{source.fps}{'' if source.written_fps else ' assumed'}",
             "files": files,
         }
-        common |= _seen_otherwise(source)
+        common |= _seen_otherwise(source, self.method)
         if self.layers:
             common["layers"] = list(self.layers)
         if cuts:
@@ -219,10 +219,10 @@ def key_recipe(keys: Shot, number: int, rate: Fraction | None = None) -> str:
     return hashlib.sha256(json.dumps(found, sort_keys=True).encode()).hexdigest()
 
 
-def _seen_otherwise(source: Source) -> dict[str, Any]:
-    """Return in what an input is read otherwise than its own channels say."""
+def _seen_otherwise(source: Source, method: Method) -> dict[str, Any]:
+    """Return what is known of an input beside what its own channels say."""
     found: dict[str, Any] = {}
-    if source.estimated:
+    if source.estimated or method.finds_flow:
         found["flow"] = flow_identity()
     if source.keys.by_hand:
         found["read"] = source.keys.by_hand

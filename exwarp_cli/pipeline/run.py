@@ -156,6 +156,7 @@ class Run:
         display = job.source.keys.display
         warps = job.source.slots is None and not job.method.extrapolates
         bare = warps and not ExtraLayers(job.contents).any
+        moves_light = ExtraLayers(job.contents).moves_light
         self._builder, *others = (
             IntervalBuilder(
                 source.keys.display,
@@ -164,6 +165,7 @@ class Run:
                 source.estimated,
                 bare,
                 source.scratch,
+                moves_light,
             )
             for source in job.sources
         )

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from exwarp_cli.domain.frame import GBuffer, KeyFrame, Window, place, require_canvas
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR, Slot
-from exwarp_cli.errors import LayoutError, MissingExtraError, UsageError
+from exwarp_cli.errors import LayoutError, UsageError
 from exwarp_cli.io.footage import is_plain, look_of, own_rate
 from exwarp_cli.io.layers import BEAUTY
 from exwarp_cli.io.video import VideoLook, video_note
@@ -21,7 +21,7 @@ from exwarp_cli.pipeline.recipes import Recipes, key_recipe
 from exwarp_cli.pipeline.source import Source
 from exwarp_cli.synthesis.holds import stands_one_way
 from exwarp_cli.synthesis.methods import Method
-from exwarp_cli.synthesis.optical_flow import Flow, estimate, moving, require_video
+from exwarp_cli.synthesis.optical_flow import Flow, estimate, moving
 
 if TYPE_CHECKING:
     from exwarp_cli.pipeline.frame_writer import OutputPlan
@@ -59,11 +59,9 @@ def require_able(source: Source, method: Method, settings: UpsampleSettings) -> 
     Raises
     ------
     LayoutError
-        When the method wants vectors or surfaces, or OpenCV is missing and EXR could have vectors.
+        When the method wants vectors or surfaces.
     UsageError
         When layers of a video or of stills are asked for.
-    MissingExtraError
-        When OpenCV is missing.
     """
     pattern, plain = source.keys.sequence.pattern, is_plain(source.keys.sequence)
     if plain and settings.layers != BEAUTY:
@@ -78,15 +76,6 @@ def require_able(source: Source, method: Method, settings: UpsampleSettings) -> 
             f"--method {method.name} goes by depth, normals and materials, and {pattern} has "
             "colour alone; use --method softsplat or s6"
         )
-    try:
-        require_video()
-    except MissingExtraError as error:
-        if plain:
-            raise
-        raise LayoutError(
-            f'{told}, install what estimates it instead (pip install "exwarp[video]"), or use '
-            "--method hold or blend"
-        ) from error
 
 
 def video_look(source: Source, keys: tuple[int, ...], note: str = "") -> VideoLook:

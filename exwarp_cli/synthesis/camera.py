@@ -18,8 +18,8 @@ import numpy.typing as npt
 
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, Int32
 from exwarp_cli.kernels import project
-from exwarp_cli.synthesis.resection import MIN_SAMPLES, fit
 from exwarp_cli.synthesis.resection import Camera as Camera
+from exwarp_cli.synthesis.resection import fit
 
 Index = npt.NDArray[np.intp]
 F64 = npt.NDArray[np.float64]
@@ -93,14 +93,14 @@ def scene_of(gbuffer: GBuffer) -> Scene | None:
 def sample(depth: Float32, stencil: Int32 | None = None) -> npt.NDArray[np.intp]:
     """Return flat indices of about MAX_SAMPLES pixels that show surfaces, always the same ones.
 
-    Static ones where ids are known and there are enough. A regular grid, some times finer than
-    needed, is looked at, as looking at every pixel takes longer than the fit.
+    Static ones where ids are known, none where these are too few: what moves by itself tells no
+    camera. A regular grid, some times finer than needed, is looked at, as looking at every pixel
+    takes longer than the fit.
     """
     grid = np.arange(0, depth.size, max(1, depth.size // (GRID * MAX_SAMPLES)))
     index = grid[np.isfinite(depth.ravel()[grid])]
     if stencil is not None:
-        static = index[stencil.ravel()[index] == 0]
-        index = static if len(static) >= MIN_SAMPLES else index
+        index = index[stencil.ravel()[index] == 0]
     return index[:: max(1, len(index) // MAX_SAMPLES)]
 
 

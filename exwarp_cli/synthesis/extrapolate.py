@@ -16,7 +16,7 @@ from exwarp_cli.runtime.frame_pool import IN_MEMORY, ScratchFrames, pool
 from exwarp_cli.synthesis.geometry import SlotField
 from exwarp_cli.synthesis.history import SMOOTH, LookBack, Past
 from exwarp_cli.synthesis.source_bounds import Side, Sources, hold_within
-from exwarp_cli.synthesis.warp import as_light, as_shown, fill_holes, moved, resampled
+from exwarp_cli.synthesis.warp import Mover, fill_holes
 
 UNKNOWN_DEPTH = 0.5
 UNKNOWN_ROUGHNESS = 0.5
@@ -197,18 +197,18 @@ def prepare(
     divided = modulation is not None
     # Its colours are in the modulation.
     surface = seen.surface.without(*SMOOTH)
-    pixels, depth, hole = moved(as_shown(_shading(key, divided)), back)
-    pixels = as_light(pixels)
+    mover = Mover(back)
+    pixels, hole = mover.move(mover.codes(_shading(key, divided)))
     filled = pool.empty(pixels.shape, np.float32)
     _row_bands.run(_copy, (pixels, filled), _row_bands.threads())
-    fill_holes(filled, depth, hole)
-    history = [scratch.store(Moved(pixels, ~hole))]
+    filled = mover.light(fill_holes(filled, back.depth, hole))
+    history = [scratch.store(Moved(mover.light(pixels), ~hole))]
     sides = [Side(key.image.pixels, back.field, history[0].visible)]
     del pixels
     for step, field, hidden in zip(past, seen.fields, seen.hidden, strict=False):
-        pixels, unseen = resampled(as_shown(_shading(step.frame, divided)), field)
-        pixels = as_light(pixels)
-        older = scratch.store(Moved(pixels, ~(unseen | hidden)))
+        mover = Mover(SlotField(field, back.depth, hidden))
+        pixels, unseen = mover.move(mover.codes(_shading(step.frame, divided)))
+        older = scratch.store(Moved(mover.light(pixels), ~unseen))
         if _lit_alike(history[0], older):
             history.append(older)
             sides.append(Side(step.frame.image.pixels, field, older.visible))
@@ -219,7 +219,7 @@ def prepare(
     median = _median(surface.depth)
     filled = scratch.store(filled)
     inputs = SlotInputs((now, before, oldest), filled, surface, median, slot / FACTOR, scratch)
-    sources = scratch.store(Sources((sides[0],), tuple(sides[1:]), depth))
+    sources = scratch.store(Sources((sides[0],), tuple(sides[1:]), back.depth))
     return Prepared(inputs, modulation, filled, sources)
 
 

@@ -63,6 +63,8 @@ class Interval:
         True if every slot shows the picture of the key frame, as the next key frame repeats it.
     scratch
         Where arrays lie that wait for a network.
+    linear
+        Whether colour is moved and mixed in linear light, as layers that add up to it go along.
     """
 
     key: KeyFrame
@@ -76,6 +78,7 @@ class Interval:
     keeps: bool = False
     held: bool = False
     scratch: ScratchFrames = IN_MEMORY
+    linear: bool = False
     _back: dict[int, SlotField] = field(default_factory=dict, init=False)
     _forward: dict[int, SlotField] = field(default_factory=dict, init=False)
     _scenes: dict[int, Scene | None] = field(default_factory=dict, init=False)

@@ -15,10 +15,10 @@ from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.look_ahead import LookAhead
 from exwarp_cli.synthesis.source_bounds import hold_in_range, hold_within, sources_between
 from exwarp_cli.synthesis.warp import (
+    Mover,
     between,
     cross_fade,
     repair,
-    warp_alone,
 )
 
 
@@ -102,6 +102,11 @@ class Method:
         return self.path is not None or self.judge is not None
 
     @property
+    def finds_flow(self) -> bool:
+        """Whether it searches for motion of light, beside the rendered motion of surfaces."""
+        return self.lookahead and self.needs_motion
+
+    @property
     def needs_truth(self) -> bool:
         """Whether ground truth decides."""
         return self.judge in (Judge.PSNR, Judge.RETURN)
@@ -140,7 +145,7 @@ def take(path: str, interval: Interval, slot: int) -> Predicted:
     if maker == EXTRAPOLATE:
         pixels, sources = interval.extrapolated(slot), _seen(interval)
     elif slot == 3 and made_by[1] == EXTRAPOLATE:
-        pixels = warp_alone(interval.extrapolated(2), interval.step_back(3))
+        pixels = Mover(interval.step_back(3), interval.linear).warp_alone(interval.extrapolated(2))
         sources = _seen(interval)
     else:
         return replace(_warp(interval, slot), method=name)
@@ -151,7 +156,7 @@ def _warp(interval: Interval, slot: int) -> Predicted:
     """Warp the key frame: the paper's path S6."""
     if interval.estimated and not interval.has_motion:
         return _hold(interval, slot)  # nothing comes before it by which motion could be estimated
-    pixels = warp_alone(interval.key.image.pixels, interval.back(slot))
+    pixels = Mover(interval.back(slot), interval.linear).warp_alone(interval.key.image.pixels)
     return Predicted(pixels, FrameKind.GENERATED, "s6", (interval.key.number,), WARP)
 
 
@@ -180,9 +185,9 @@ def _softsplat(interval: Interval, slot: int) -> Predicted:
     if interval.following is None:
         return _causal(interval, slot)
     frames = (interval.key.image.pixels, interval.following.image.pixels)
-    ways = LookAhead(interval.back(slot), interval.forward(slot), interval.time(slot))
+    fields = interval.back(slot), interval.forward(slot)
     interval.forget(slot)
-    pixels, _ = ways.beauty(*frames)
+    pixels = LookAhead(*fields, interval.time(slot), interval.linear).make(*frames)
     sources = (interval.key.number, interval.following.number)
     return Predicted(pixels, FrameKind.GENERATED, SOFTSPLAT, sources, SOFTSPLAT)
 

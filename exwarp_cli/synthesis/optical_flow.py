@@ -27,7 +27,6 @@ import numpy as np
 
 from exwarp_cli.domain.curves import SRGB
 from exwarp_cli.domain.frame import Float32, GBuffer, KeyFrame, UInt8, Window
-from exwarp_cli.errors import MissingExtraError
 from exwarp_cli.kernels._row_bands import threads
 from exwarp_cli.synthesis.geometry import moved_on
 from exwarp_cli.synthesis.warp import repair, sampled
@@ -83,17 +82,6 @@ class Flow:
     mismatch: Float32
 
 
-def require_video() -> None:
-    """Raise MissingExtraError where the extra `video` is not installed."""
-    try:
-        _cv2()
-    except ImportError as error:
-        raise MissingExtraError(
-            "motion vectors are missing and would have to be estimated, which needs "
-            "opencv-python-headless, of the extra 'video'; pip install \"exwarp[video]\""
-        ) from error
-
-
 def flow_identity() -> str:
     """Name what estimates motion, as far as what it finds depends on it."""
     return f"DIS by OpenCV {_cv2().__version__}"
@@ -113,13 +101,7 @@ def estimate(before: Float32, after: Float32) -> tuple[Flow, Flow]:
     -------
     tuple of Flow
         From `before` to `after`, on the pixels of `before`; and the other way.
-
-    Raises
-    ------
-    MissingExtraError
-        When OpenCV is not installed.
     """
-    require_video()
     light = [repair(pixels[..., :3]) for pixels in (before, after)]
     exposure = _exposure(light)
     shown = [shown_colour(pixels * exposure) for pixels in light]

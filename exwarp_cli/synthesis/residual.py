@@ -7,14 +7,12 @@ two warped pictures is searched as optical flow, and followed as far as it makes
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from exwarp_cli.domain.frame import Bool, Float32
 from exwarp_cli.synthesis.geometry import SlotField
 from exwarp_cli.synthesis.optical_flow import box_mean, flow_between
-from exwarp_cli.synthesis.warp import Warped, moved, sampled
+from exwarp_cli.synthesis.warp import Warped, as_shown, sampled
 
 SIDE = 5
 """Side of the square, pixels, over which two pictures are compared; 9 gained nothing."""
@@ -26,47 +24,42 @@ LEAST = np.float32(1 / 255)
 """Least disagreement that anything is divided by: a step of 8 bits."""
 
 
-@dataclass(frozen=True)
-class Residual:
-    """How light moves against the surfaces at a slot.
-
-    Attributes
-    ----------
-    flow
-        float32 [H, W, 2], pixels: from the picture of the key frame before, warped to the slot, to
-        that of the one after.
-    weight
-        float32 [H, W], 0 to 1: how much of the slot's picture is that along the flow.
-    """
-
-    flow: Float32
-    weight: Float32
-
-
-def flow_of(before: Warped, after: Warped) -> Float32:
-    """Return the flow between two warped key frames, float32 [H, W, 2], see `Residual`."""
-    return flow_between(_seen(before, after), _seen(after, before))
-
-
-def along(codes: Float32, field: SlotField, plain: Warped, flow: Float32) -> Warped:
-    """Warp a key frame so that its light moves along a flow, too.
+def flow_of(before: Warped, after: Warped, linear: bool) -> Float32:
+    """Return how light moves against the surfaces at a slot.
 
     Parameters
     ----------
-    codes
-        float32 [H, W, C], from `as_shown`.
-    field
-        From the slot to the key frame.
+    before, after
+        The key frames, warped to the slot.
+    linear
+        Whether their colour is scene-linear, and not as shown.
+
+    Returns
+    -------
+    float32 [H, W, 2]
+        Pixels, from the picture of `before` to that of `after`.
+    """
+    seen = _seen(before, after), _seen(after, before)
+    return flow_between(*(map(as_shown, seen) if linear else seen))
+
+
+def along(plain: Warped, source: SlotField, flow: Float32) -> SlotField:
+    """Return the motion field of a slot whose light moves along a flow, too.
+
+    Parameters
+    ----------
     plain
-        The key frame warped without the flow.
+        A key frame warped without the flow.
+    source
+        From the slot to the key frame.
     flow
         float32 [H, W, 2], pixels: from the slot's picture to that of `plain`.
     """
-    motion, _ = sampled(field.field, flow)
+    motion, _ = sampled(source.field, flow)
     motion += flow
     hidden, _ = sampled(plain.hole.astype(np.float32)[..., None], flow)
     hole: Bool = plain.hole | (hidden[..., 0] > 0)
-    return Warped(*moved(codes, SlotField(motion, plain.depth, hole)), plain.fringe)
+    return SlotField(motion, source.depth, hole)
 
 
 def agreement(plain: tuple[Warped, Warped], shifted: tuple[Warped, Warped]) -> Float32:

@@ -25,7 +25,7 @@ from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.look_ahead import LookAhead
 from exwarp_cli.synthesis.methods import Predicted
 from exwarp_cli.synthesis.trajectory import displacement
-from exwarp_cli.synthesis.warp import cross_fade, look_around, repair, warp_alone
+from exwarp_cli.synthesis.warp import Mover, cross_fade, look_around, repair
 
 FROM_KEY = np.float32(0)
 """Time at which the key frame before has all the weight."""
@@ -300,7 +300,9 @@ class Retiming:
     back, forward
         From the slot to the key frames before and after it, as far as they are used.
     frames
-        Beauty of both key frames, float32 [H, W, C], where both are used: it tells how light moves.
+        Beauty of the key frames that are used, float32 [H, W, C]: layers go as it goes.
+    linear
+        As for `Mover`.
     """
 
     manner: Manner
@@ -308,13 +310,24 @@ class Retiming:
     sources: Sources
     back: SlotField | None = None
     forward: SlotField | None = None
-    frames: tuple[Float32, Float32] | None = None
+    frames: tuple[Float32, ...] = ()
+    linear: bool = False
 
     @cached_property
-    def _ahead(self) -> LookAhead:
-        """How the key frames on both sides make the beauty."""
-        assert self.back is not None and self.forward is not None and self.frames is not None
-        return LookAhead(self.back, self.forward, self.time).beauty(*self.frames)[1]
+    def _mover(self) -> Mover:
+        """What moves the key frame, and has moved its beauty."""
+        assert self.back is not None
+        mover = Mover(self.back, self.linear)
+        mover.move(mover.codes(self.frames[0]))
+        return mover
+
+    @cached_property
+    def _look_ahead(self) -> LookAhead:
+        """What mixes both key frames, and has mixed their beauty."""
+        assert self.back is not None and self.forward is not None
+        mixer = LookAhead(self.back, self.forward, self.time, self.linear)
+        mixer.make(*self.frames)
+        return mixer
 
     def colour(self, before: Float32, after: Float32 | None = None) -> Float32:
         """Make a layer of values that may be mixed, exactly as the beauty is made.
@@ -327,9 +340,9 @@ class Retiming:
         """
         if self.back is not None:
             if self.forward is None:
-                return warp_alone(before, self.back)
+                return self._mover.warp_alone(before)
             assert after is not None
-            return self._ahead.layer(before, after)
+            return self._look_ahead.make(before, after)
         if self.manner is Manner.REPEAT:
             return repair(before)
         assert after is not None
@@ -431,13 +444,14 @@ def retiming(interval: Interval, slot: int, shown: Predicted) -> Retiming:
     assert key is not None
     back = interval.back(slot)
     if path is not None or following is None:
-        return Retiming(Manner.WARP, time, moved_from(back, depth_of(key)), back)
+        sources, frames = moved_from(back, depth_of(key)), (interval.key.image.pixels,)
+        return Retiming(Manner.WARP, time, sources, back, None, frames, interval.linear)
     forward = interval.forward(slot)
     assert following.gbuffer is not None
     depths = depth_of(key), depth_of(following.gbuffer)
     sources = moved_between(back, forward, depths, time)
-    frames = interval.key.image.pixels, following.image.pixels
-    return Retiming(Manner.BLEND, time, sources, back, forward, frames)
+    both = interval.key.image.pixels, following.image.pixels
+    return Retiming(Manner.BLEND, time, sources, back, forward, both, interval.linear)
 
 
 def _depth(gbuffer: GBuffer | None) -> Float32 | None:

@@ -53,53 +53,69 @@ class Warped:
     fringe: Bool
 
 
-def warp(codes: Float32, source: SlotField) -> Warped:
-    """Sample colour once along a motion field, and find holes and outlines.
+class Mover:
+    """Moves colour along one motion field, that of the beauty first and of its layers after it.
 
     Parameters
     ----------
-    codes
-        float32 [H, W, C], from `as_shown`.
     source
         Where the slot's pixels come from.
+    linear
+        Whether colour stays scene-linear, so that layers which add up to the beauty still do. It is
+        0.2 dB worse than colour as shown.
     """
-    return Warped(*moved(codes, source), source.fringe)
 
+    def __init__(self, source: SlotField, linear: bool = False) -> None:
+        self.source = source
+        self._linear = linear
+        self._limit: Float32 | None = None
 
-def warp_alone(pixels: Float32, source: SlotField) -> Float32:
-    """Return a frame, scene-linear, warped and its holes filled as by `fill_holes`."""
-    return as_light(fill_holes(*moved(as_shown(pixels), source)))
+    def codes(self, pixels: Float32) -> Float32:
+        """Return scene-linear colour as it is moved."""
+        return pixels if self._linear else as_shown(pixels)
 
+    def light(self, codes: Float32) -> Float32:
+        """Invert `codes`, in place."""
+        return codes if self._linear else as_light(codes)
 
-def moved(codes: Float32, source: SlotField) -> tuple[Float32, Float32, Bool]:
-    """Return pixels, depth and holes of a warped frame, as `Warped` has them."""
-    out, unseen = resampled(codes, source.field)
-    np.logical_or(unseen, source.hole, out=unseen)
-    return out, source.depth, unseen
+    def move(self, codes: Float32) -> tuple[Float32, Bool]:
+        """Return moved colour by Lanczos-3.
 
+        Parameters
+        ----------
+        codes
+            float32 [H, W, C], from `codes`.
 
-def resampled(codes: Float32, field: Float32) -> tuple[Float32, Bool]:
-    """Return colour that lies at the end of a motion field, by Lanczos-3.
+        Returns
+        -------
+        float32 [H, W, C]
+            Each channel of the beauty is within the range of the 3x3 pixels around; 0 where nothing
+            finite lies there, the edge's colour outside the frame.
+        bool [H, W]
+            Both of these, and where the source shows another surface.
+        """
+        out: Float32 = pool.empty(codes.shape, np.float32)
+        unseen: Bool = pool.empty(codes.shape[:2], np.bool_)
+        field = self.source.field
+        if self._linear:
+            leads = self._limit is None
+            if self._limit is None:
+                self._limit = pool.empty(codes.shape[:2], np.float32)
+            resample.resample_alike(codes, field, LANCZOS, self._limit, leads, out, unseen)
+        else:
+            resample.resample(codes, field, LANCZOS, out, unseen)
+        np.logical_or(unseen, self.source.hole, out=unseen)
+        return out, unseen
 
-    Parameters
-    ----------
-    codes
-        float32 [H, W, C], from `as_shown`.
-    field
-        float32 [H, W, 2], pixels; NaN where there is no end.
+    def warp(self, codes: Float32) -> Warped:
+        """Return moved colour with what is known of it."""
+        out, hole = self.move(codes)
+        return Warped(out, self.source.depth, hole, self.source.fringe)
 
-    Returns
-    -------
-    out
-        float32 [H, W, C], each channel within the range of the 3x3 pixels around; 0 where nothing
-        finite lies there, the edge's colour outside the frame.
-    unseen
-        bool [H, W]: both of these.
-    """
-    out: Float32 = pool.empty(codes.shape, np.float32)
-    unseen: Bool = pool.empty(codes.shape[:2], np.bool_)
-    resample.resample(codes, field, LANCZOS, out, unseen)
-    return out, unseen
+    def warp_alone(self, pixels: Float32) -> Float32:
+        """Return a frame, scene-linear, moved and its holes filled as by `fill_holes`."""
+        out, hole = self.move(self.codes(pixels))
+        return self.light(fill_holes(out, self.source.depth, hole))
 
 
 def sampled(pixels: Float32, field: Float32) -> tuple[Float32, Bool]:

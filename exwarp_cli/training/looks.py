@@ -142,7 +142,8 @@ def meant(image: Image, look: Look) -> Image:
     colour = image.pixels[..., :3]
     if look.tones == "tone-mapped":
         light = np.maximum(colour, 0)
-        colour = (light * (1 + light / np.float32(WHITE**2)) / (1 + light)).clip(0, 1)
+        with np.errstate(invalid="ignore"):  # infinity becomes NaN, which is no target either
+            colour = (light * (1 + light / np.float32(WHITE**2)) / (1 + light)).clip(0, 1)
     elif look.tones == "8-bit":
         colour = colour.clip(0, 1)
     if look.sharpened:

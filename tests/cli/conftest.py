@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import builtins
-import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,6 @@ import pytest
 
 from exwarp_cli import cli
 from exwarp_cli.runtime.compilation import COMPILED, COMPILING
-from exwarp_cli.synthesis import optical_flow
 from tests.cli import shots
 from tests.cli.shots import FORWARD, KEYS, SMALL, VECTORS
 from tests.unit.tiny_models import convolution, save
@@ -120,15 +118,6 @@ def make(upsample, shot, network, tmp_path) -> Callable[..., Path]:
         return out
 
     return run
-
-
-@pytest.fixture
-def without_opencv(monkeypatch) -> Iterator[None]:
-    """Hide OpenCV, as where the extra `video` is not installed."""
-    optical_flow._cv2.cache_clear()
-    monkeypatch.setitem(sys.modules, "cv2", None)
-    yield
-    optical_flow._cv2.cache_clear()
 
 
 @pytest.fixture

@@ -188,13 +188,6 @@ class TestSequences:
 
 
 class TestMotion:
-    @pytest.mark.parametrize("method", ["s6", "softsplat"])
-    def test_none(self, exwarp, tmp_path, method, without_opencv):
-        shots.sequence(tmp_path / "keys", shots.colour_only, street=TINY)
-        result = exwarp("upsample", tmp_path / "keys", "-o", tmp_path / "out", "-m", method)
-        result.refused(3, "no motion vectors", "exwarp[video]", "hold or blend")
-        assert not (tmp_path / "out").exists()
-
     def garbage(self, folder: Path) -> Path:
         """Write vectors that have nothing to do with the picture."""
         chance = np.random.default_rng(3)

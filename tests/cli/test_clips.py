@@ -362,10 +362,6 @@ class TestRefusals:
         exwarp("upsample", source, "-o", tmp_path / "other.mp4").refused(6, "another -o")
         assert source.read_bytes() == was
 
-    def test_without_opencv(self, exwarp, keys, tmp_path, without_opencv):
-        exwarp("upsample", keys, "-o", tmp_path / "out").refused(7, 'pip install "exwarp[video]"')
-        assert names(tmp_path) == []
-
     def test_a_clip_that_ends_early_leaves_no_video(self, exwarp, tmp_path):
         source = clip(tmp_path / "pan.mkv", panned(12), sound=False)
         data = source.read_bytes()
@@ -378,7 +374,7 @@ class TestRefusals:
             assert 4 <= len(shown(tmp_path / "out.mp4")) < 48
 
 
-def test_a_method_without_motion_needs_no_opencv(upsample, keys, tmp_path, without_opencv):
+def test_a_cross_fade_needs_no_motion(upsample, keys, tmp_path):
     upsample(keys, tmp_path / "out.mp4", "-m", "blend")
     found = shown(tmp_path / "out.mp4")
     faded = frame(1) / 2 + frame(2) / 2

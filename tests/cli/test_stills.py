@@ -68,7 +68,7 @@ class TestPng:
         made = changed_by(lambda: upsample(copy, out, "--skip-existing"), out)
         assert made == set(range(6, 9)) | set(range(10, 17))
 
-    def test_a_cross_fade_needs_no_opencv(self, upsample, keys, tmp_path, without_opencv):
+    def test_a_cross_fade_needs_no_motion(self, upsample, keys, tmp_path):
         upsample(keys, tmp_path / "out", "-m", "blend")
         faded = frame(1) / 2 + frame(2) / 2
         assert psnr(faded, codes_of(tmp_path / "out" / "pan.0007.png")) > 30
@@ -148,10 +148,6 @@ class TestRefusals:
         out = tmp_path / "map.toml"
         exwarp("inspect", keys, "--write-channel-map", out).refused(2, "has colour alone")
 
-    def test_without_opencv(self, exwarp, keys, tmp_path, without_opencv):
-        exwarp("upsample", keys, "-o", tmp_path / "out").refused(7, 'pip install "exwarp[video]"')
-        assert not (tmp_path / "out").exists()
-
 
 class TestBeautyAlone:
     """EXR without vectors."""
@@ -211,11 +207,6 @@ class TestBeautyAlone:
         keys = self.panned(tmp_path / "keys")
         result = exwarp("upsample", keys, "-o", tmp_path / "out", "-m", method)
         result.refused(3, "no motion vectors", "--method softsplat, for which it is estimated")
-
-    def test_without_opencv(self, exwarp, tmp_path, without_opencv):
-        keys = self.panned(tmp_path / "keys")
-        result = exwarp("upsample", keys, "-o", tmp_path / "out")
-        result.refused(3, "render the motion pass", "exwarp[video]", "hold or blend")
 
     def test_half_of_a_vector_is_no_leave_to_estimate(self, exwarp, tmp_path):
         def frame_with_half(path: Path, street: shots.Street, time: float) -> None:

@@ -25,7 +25,9 @@ from exwarp_cli.kernels import (
     parabola,
     project,
     reach,
+    resample,
     settling,
+    shown,
     splat,
     vectors,
 )
@@ -60,6 +62,38 @@ def gathered(image: np.ndarray, field: np.ndarray, serial: bool = False) -> Arra
     hole = np.zeros(shape, np.bool_)
     build(gather, "gather_bilinear", serial)(image, field, out, hole)
     return out, hole
+
+
+def resampled(image: np.ndarray, field: np.ndarray, serial: bool = False) -> Arrays:
+    out = np.full((*field.shape[:2], image.shape[2]), np.nan, np.float32)
+    hole = np.zeros(field.shape[:2], np.bool_)
+    table = resample.lanczos_weights()
+    build(resample, "resample", serial)(image, field, table, out, hole)
+    return out, hole
+
+
+def resampled_alike(
+    image: np.ndarray, field: np.ndarray, limit: np.ndarray | None = None, serial: bool = False
+) -> Arrays:
+    out = np.full((*field.shape[:2], image.shape[2]), np.nan, np.float32)
+    hole = np.zeros(field.shape[:2], np.bool_)
+    leads = limit is None
+    limit = np.full(field.shape[:2], np.nan, np.float32) if limit is None else limit
+    table = resample.lanczos_weights()
+    build(resample, "resample_alike", serial)(image, field, table, limit, leads, out, hole)
+    return out, hole, limit
+
+
+def as_shown(pixels: np.ndarray, serial: bool = False) -> Arrays:
+    out = np.full_like(pixels, np.nan)
+    build(shown, "show", serial)(pixels, out)
+    return (out,)
+
+
+def as_light(codes: np.ndarray, serial: bool = False) -> Arrays:
+    out = np.full_like(codes, np.nan)
+    build(shown, "light", serial)(codes, out)
+    return (out,)
 
 
 def followed(

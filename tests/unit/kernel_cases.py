@@ -190,6 +190,10 @@ def scattered(seed: int) -> np.ndarray:
 
 CASES: dict[str, Callable[[bool], calls.Arrays]] = {
     "gather_bilinear": lambda serial: calls.gathered(image(1), field(1), serial),
+    "resample": lambda serial: calls.resampled(image(1), field(1), serial),
+    "resample_alike": lambda serial: calls.resampled_alike(image(1), field(1), None, serial),
+    "show": lambda serial: calls.as_shown(image(1), serial),
+    "light": lambda serial: calls.as_light(image(1), serial),
     "follow": follow,
     "row_reach": lambda serial: calls.reached(field(2), serial),
     "splat": lambda serial: calls.splatted(field(2), depth(2), serial),

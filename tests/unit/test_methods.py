@@ -151,7 +151,11 @@ class TestValues:
         bright = [with_pixels(key(i), key(i).image.pixels * scale) for i in (0, 1)]
         found = predict(name, Interval(*bright), 2).pixels
         plain = predict(name, interval(), 2).pixels
-        np.testing.assert_array_equal(found, plain * scale)
+        if name in ("s6", "softsplat"):  # which mix colour as shown, where the curve bends
+            apart = np.abs(found / scale - plain)
+            assert np.median(apart) < 1e-6 and np.quantile(apart, 0.99) < 0.02
+        else:
+            np.testing.assert_array_equal(found, plain * scale)
 
     @pytest.mark.parametrize("name", ALONE)
     def test_without_alpha(self, name):
@@ -170,8 +174,9 @@ class TestValues:
         found = predict(name, Interval(with_pixels(key(0), pixels), key(1)), 1).pixels
         assert np.isfinite(found).all()
         clean = predict(name, interval(), 1).pixels
-        changed = np.argwhere((found != clean).any(axis=-1))
-        assert 0 < len(changed) <= 12
+        changed = np.abs(found - clean).max(axis=-1)
+        # Where a tap of Lanczos-3 would be broken, colour is bilinear.
+        assert 0 < (changed > 1e-3).sum() <= (98 if name in ("s6", "softsplat") else 12)
         assert np.abs(found - clean).max() < 0.5
 
 

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import sys
-
 import numpy as np
 import pytest
 
 from exwarp_cli.domain.curves import SRGB
 from exwarp_cli.domain.frame import Image, KeyFrame, Window
-from exwarp_cli.errors import MissingExtraError
 from exwarp_cli.synthesis import optical_flow
 from exwarp_cli.synthesis.geometry import reproject
+from exwarp_cli.synthesis.look_ahead import LookAhead
 from exwarp_cli.synthesis.optical_flow import (
     _better,
     estimate,
@@ -22,7 +20,6 @@ from exwarp_cli.synthesis.optical_flow import (
     shown_colour,
 )
 from exwarp_cli.synthesis.trajectory import displacement
-from exwarp_cli.synthesis.warp import blend_by_depth, warp
 
 
 def texture(height: int, width: int, seed: int = 0) -> np.ndarray:
@@ -139,11 +136,8 @@ class TestInverted:
 
 def blended(before: KeyFrame, after: KeyFrame, time: float) -> np.ndarray:
     assert before.gbuffer is not None and after.gbuffer is not None
-    shown = [
-        warp(before.image.pixels, reproject(before.gbuffer, time)),
-        warp(after.image.pixels, reproject(after.gbuffer, time - 1)),
-    ]
-    return blend_by_depth(shown[0], shown[1], time)
+    fields = reproject(before.gbuffer, time), reproject(after.gbuffer, time - 1)
+    return LookAhead(*fields, time).make(before.image.pixels, after.image.pixels)
 
 
 class TestMoving:
@@ -221,14 +215,3 @@ class TestExposure:
         assert np.array_equal(optical_flow._exposure([before, after]), np.float32(1))
         lit = estimate(before, after)[0].motion
         assert np.abs(lit - plain)[16:, 16:].mean() < 0.1
-
-
-class TestMissingExtra:
-    def test_one_sentence_says_what_to_install(self, monkeypatch):
-        optical_flow._cv2.cache_clear()
-        monkeypatch.setitem(sys.modules, "cv2", None)
-        with pytest.raises(MissingExtraError, match=r'pip install "exwarp\[video\]"'):
-            estimate(*shifted(0, 0))
-        monkeypatch.undo()
-        optical_flow._cv2.cache_clear()
-        optical_flow.require_video()

@@ -52,7 +52,7 @@ def key(index: int) -> KeyFrame:
     frame = town().view(float(index)).key(1001 + index)
     assert frame.gbuffer is not None
     pixels = frame.image.pixels.copy()
-    pixels[::2, ::2], pixels[1::2, 1::2] = 0, 20
+    pixels[::2, ::2], pixels[1::2, 1::2] = 9, 12
     image = replace(frame.image, pixels=pixels)
     return replace(frame, image=image, gbuffer=settle_motion(frame.gbuffer))
 

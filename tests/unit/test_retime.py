@@ -42,7 +42,7 @@ def geometry(frame: KeyFrame) -> GBuffer:
 
 
 def interval(lookahead: bool) -> Interval:
-    return Interval(key(0), key(1) if lookahead else None)
+    return Interval(key(0), key(1) if lookahead else None, linear=True)
 
 
 def retimed(name: str, slot: int) -> tuple[Retiming, Predicted]:

@@ -22,7 +22,7 @@ from exwarp_cli.synthesis.rounding import (
     relative_step,
 )
 from exwarp_cli.synthesis.trajectory import followed
-from exwarp_cli.synthesis.warp import warp_alone
+from exwarp_cli.synthesis.warp import Mover
 from tests.cli import street
 from tests.cli.street import Street
 
@@ -140,7 +140,7 @@ def test_composed_motion_is_no_worse_than_plain_composition(kind, deep):
     for i, (found, expected) in enumerate(zip(own, plain, strict=True), start=1):
         truth = encode(STREET.colour(KEY_TIME + i / 4).astype(np.float32))
         scores = [
-            METRICS["psnr_db"](truth, encode(warp_alone(colour.copy(), source))).overall()
+            METRICS["psnr_db"](truth, encode(Mover(source).warp_alone(colour))).overall()
             for source in (found, expected)
         ]
         assert scores[0] > scores[1] - 0.3

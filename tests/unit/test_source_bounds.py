@@ -16,7 +16,7 @@ from exwarp_cli.synthesis.geometry import SlotField
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import METHODS
 from exwarp_cli.synthesis.source_bounds import hold_within, sources_between
-from exwarp_cli.synthesis.warp import blend_by_depth, moved, warp, warp_alone
+from exwarp_cli.synthesis.warp import Mover, blend_by_depth
 from tests.reference import extremes as naive
 
 K = 3
@@ -75,7 +75,7 @@ def changed(interval: Interval, change: Change) -> Interval:
 def key_bounds(interval: Interval, slot: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Where the key frame shows a slot, and its least and greatest around there, by loops."""
     back, pixels = interval.back(slot), interval.key.image.pixels
-    seen = ~moved(pixels, back)[2]
+    seen = ~Mover(back).move(pixels)[1]
     return seen, *naive.bounds(pixels, back.field, seen)
 
 
@@ -237,7 +237,7 @@ class TestInterpolation:
             (between.following, between.forward(slot)),
         ):
             pixels = frame.image.pixels
-            seen = ~moved(pixels, field)[2]
+            seen = ~Mover(field).move(pixels)[1]
             views.append(seen)
             ends.append(naive.bounds(pixels, field.field, seen))
         least = np.fmin(ends[0][0], ends[1][0])
@@ -299,9 +299,14 @@ def random_side(seed: int, spread: float) -> tuple[Float32, SlotField]:
 @given(st.integers(0, 2**32 - 1), st.floats(0, 4), st.sampled_from([0.25, 0.5, 0.75]))
 def test_what_is_warped_and_blended_lies_within_the_bounds_by_itself(seed, spread, time):
     (first, back), (second, forward) = random_side(seed, spread), random_side(seed + 1, spread)
-    warped = warp_alone(first, back)
-    blended = blend_by_depth(warp(first, back), warp(second, forward), time)
-    seen = ~moved(first, back)[2]
+    movers = Mover(back), Mover(forward)
+    warped = movers[0].warp_alone(first)
+    sides = [
+        mover.warp(mover.codes(pixels))
+        for mover, pixels in zip(movers, (first, second), strict=True)
+    ]
+    blended = movers[0].light(blend_by_depth(*sides, time))
+    seen = ~movers[0].move(first)[1]
     least, greatest = naive.bounds(first, back.field, seen)
     room = 1e-5 * np.abs(first).max()
     assert (warped >= least - room)[seen].all() and (warped <= greatest + room)[seen].all()

@@ -23,7 +23,7 @@ from exwarp_cli.runtime.stop import check_stop
 from exwarp_cli.synthesis.geometry import unmatched
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import METHODS
-from exwarp_cli.synthesis.warp import warp_alone
+from exwarp_cli.synthesis.warp import Mover
 
 EXTRAPOLATED = (2, 3)
 """Slots that E is there for."""
@@ -121,7 +121,7 @@ def _steps(interval: Interval) -> dict[str, float]:
         holes, _ = timed(
             lambda: [unmatched(fresh.slots[s - 1], key, backs[s].field, s) for s in SLOTS]
         )
-    moved, _ = timed(lambda: [warp_alone(interval.key.image.pixels, backs[s]) for s in SLOTS])
+    moved, _ = timed(lambda: [Mover(backs[s]).warp_alone(interval.key.image.pixels) for s in SLOTS])
     found = {"warp": (fields + moved - (holes or 0.0)) / count}
     if holes is not None:
         found["holes"] = holes / count

@@ -39,10 +39,6 @@ STAND_INS = {
 }
 """Packages that bring the same modules, version for version."""
 
-TRIED_EXTRAS = ("opencv-python-headless",)
-"""Packages of extras that are imported, as they want libraries of the system; PyTorch, which does
-not, takes seconds."""
-
 _LIBRARY = re.compile(r"\blib[\w.+-]+\.(?:so|dylib)[.\d]*")
 
 
@@ -197,13 +193,8 @@ def _extra_remarks(name: str, packages: list[Package]) -> Iterator[Remark]:
     if not any(package.installed for package in packages):
         return
     for package in packages:
-        tried = _tried(package) if package.name.lower() in _tried_names() else package
-        if not tried.is_good:
-            yield warning(f"{_advice(tried)} (the extra {name} needs it)")
-
-
-def _tried_names() -> set[str]:
-    return {each for name in TRIED_EXTRAS for each in (name, *STAND_INS.get(name, ()))}
+        if not package.is_good:  # not imported, as PyTorch takes seconds
+            yield warning(f"{_advice(package)} (the extra {name} needs it)")
 
 
 def _advice(package: Package) -> str:

@@ -107,13 +107,13 @@ class TestSelfTest:
 
     def test_wrong_pixels(self, examined, monkeypatch):
         """The smallest step of a half float, in one pixel of each warp, is found."""
-        real = warp.gather.gather_bilinear
+        real = warp.resample.resample
 
-        def wrong(image: Any, field: Any, out: Any, hole: Any) -> None:
-            real(image, field, out, hole)
+        def wrong(image: Any, field: Any, table: Any, out: Any, hole: Any) -> None:
+            real(image, field, table, out, hole)
             out[24, 40] *= np.float32(1 + 2**-9)
 
-        monkeypatch.setattr(warp.gather, "gather_bilinear", wrong)
+        monkeypatch.setattr(warp.resample, "resample", wrong)
         found = examined("self_test")
         failed(found, "self_test", "upsampling by s6 goes wrong", "9 frames of 12", "shot.0002.exr")
         assert found[1]["checks"]["self_test"]["facts"]["runs"]["chunks"]["ok"]
