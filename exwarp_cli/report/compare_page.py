@@ -116,7 +116,7 @@ def _limits(verdicts: list[dict[str, Any]]) -> Table | None:
     for one in verdicts:
         metric = BY_FIELD[one["metric"]]
         value = metric_text(metric, one["value"])
-        limit = f"fails {one['fails']} {one['limit']:g}"
+        limit = f"fails {one['fails']} {'±' if metric.signed else ''}{one['limit']:g}"
         rows.append([one["name"], value, limit, "passed" if one["passed"] else "failed"])
     return Table("Limits", ("", "value", "limit", ""), rows)
 
