@@ -45,15 +45,21 @@ def lines(table: dict[str, Any]) -> list[str]:
             cells += [str(count) for count in holes["histogram"].values()]
             lines.append(f"| {name} | {setting} | {' | '.join(cells)} |")
     lines += ["", "The columns to the right count frames. Quality of the new frames:", ""]
-    lines += ["| scene | G-buffers | method | PSNR dB | SSIM | FLIP |", "|---|---|---|---|---|---|"]
+    lines += ["| scene | G-buffers | method | PSNR dB | SSIM | FLIP | pulse % |", "|---" * 7 + "|"]
     for name, row in scenes.items():
         for setting, methods in row["quality"].items():
             for method, score in methods.items():
                 lines.append(
                     f"| {name} | {setting} | {method} | {score['psnr_db']:.2f} "
-                    f"| {score['ssim']:.3f} | {score['flip']:.3f} |"
+                    f"| {score['ssim']:.3f} | {score['flip']:.3f} | {_pulse(score)} |"
                 )
     return lines + (_training_lines(table["training"]) if "training" in table else [])
+
+
+def _pulse(score: dict[str, Any]) -> str:
+    """Write the pulse; surveys of earlier versions have none."""
+    value = score.get("pulse")
+    return "" if value is None else f"{value:+.1f}"
 
 
 def _training_lines(row: dict[str, Any]) -> list[str]:

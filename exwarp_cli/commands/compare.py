@@ -66,7 +66,8 @@ def _limits(
     metavar="NAME=VALUE",
     multiple=True,
     callback=_limits,
-    help="The same for flip, hdr-flip and flicker, of which less is better.",
+    help="The same for flip, hdr-flip and flicker, of which less is better, and for the magnitude "
+    "of pulse: generated.pulse=5.",
 )
 @json_option
 @progress_option(f"{HELP} Default: a bar on a terminal, nothing elsewhere.", default=None)
@@ -92,7 +93,7 @@ def command(
     EXR or other stills. Frames are matched by number where one sequence has all numbers of the
     other, else by order, and by the instant where their pictures show different rates. Compared is
     the display window, sRGB-encoded and clipped to [0, 1]; for HDR-FLIP as it is. Flicker follows
-    A's own motion vectors.
+    A's own motion vectors. Pulse is by how many per cent B's mean gradient is above A's.
     """
     from exwarp_cli.pipeline.evaluate import evaluate
     from exwarp_cli.pipeline.progress import reporting

@@ -19,7 +19,7 @@ def metrics_option(command: Command) -> Command:
         metavar="LIST",
         callback=_read,
         help=f"What is measured, with commas between, out of {', '.join(BY_OPTION)}; or {ALL}. "
-        "Default: psnr,ssim,flip.",
+        "Default: psnr,ssim,flip,pulse.",
     )(command)
 
 

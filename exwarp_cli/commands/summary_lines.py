@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from exwarp_cli.domain.metric import METRICS
+from exwarp_cli.domain.metric import BY_OPTION, KEY_FRAMES, METRICS
 from exwarp_cli.domain.wording import counted
 
 
@@ -48,6 +48,9 @@ def summary_lines(
     compared = bool(quality["frames"]) if scored is None else scored
     if compared and frames["written"] > frames["key"]:
         lines.append(f"against ground truth{_scores(quality)}")
+    pulse = document["pulse"]
+    if pulse is not None and pulse["against"] == KEY_FRAMES:
+        lines.append(_pulse(pulse))
     lines.extend(_lines_of_lists(document, ("left_out", "nonfinite")))
     if document["verified"] is not None:
         lines.append(f"{counted(document['verified'], 'file')} read back, all as written")
@@ -81,6 +84,14 @@ def _scores(quality: dict[str, Any]) -> str:
         if quality[metric.field] is not None
     )
     return f" ({quality['frames']} frames): {', '.join(values)}"
+
+
+def _pulse(found: dict[str, Any]) -> str:
+    """Say how sharp new frames are beside their key frames."""
+    metric = BY_OPTION["pulse"]
+    mean, worst = (metric.with_unit(found[name]) for name in ("mean", "worst"))
+    frames = counted(found["frames"], "frame")
+    return f"pulse against {found['against']} ({frames}): {mean}, at worst {worst}"
 
 
 def _saved(found: dict[str, Any]) -> str:

@@ -26,6 +26,8 @@ class Metric:
         Whether it says how alike two images are, not how far apart.
     in_holes
         Whether it is defined over a part of a frame.
+    signed
+        Whether values go both ways from 0, which is best: limits and ranks take the magnitude.
     """
 
     field: str
@@ -34,6 +36,7 @@ class Metric:
     digits: int
     more_is_better: bool
     in_holes: bool = True
+    signed: bool = False
 
     @property
     def name(self) -> str:
@@ -42,7 +45,12 @@ class Metric:
 
     def text(self, value: float) -> str:
         """Write a value for people, without the unit."""
-        return format(value, f".{self.digits}f")
+        return format(value, self.style)
+
+    @property
+    def style(self) -> str:
+        """Format specification of its values."""
+        return f"{'+' if self.signed else ''}.{self.digits}f"
 
     def with_unit(self, value: float) -> str:
         """Write a value with its unit behind it."""
@@ -50,6 +58,8 @@ class Metric:
 
     def badness(self, value: float) -> float:
         """Return what is larger the worse a value is."""
+        if self.signed:
+            return abs(value)
         return -value if self.more_is_better else value
 
 
@@ -60,13 +70,20 @@ METRICS = (
     Metric("hdr_flip", "hdr-flip", "HDR-FLIP", 4, more_is_better=False),
     Metric("vmaf", "vmaf", "VMAF", 2, more_is_better=True, in_holes=False),
     Metric("flicker", "flicker", "flicker", 3, more_is_better=False),
+    Metric("pulse", "pulse", "pulse %", 2, more_is_better=False, in_holes=False, signed=True),
 )
 """All of them, in the order in which they are shown."""
 
 BY_OPTION = {metric.option: metric for metric in METRICS}
 
-DEFAULT_METRICS = ("psnr_db", "ssim", "flip")
+DEFAULT_METRICS = ("psnr_db", "ssim", "flip", "pulse")
 """What is measured where nobody chooses."""
+
+WITHOUT_TRUTH = ("pulse",)
+"""What is measured against the key frames where there is no ground truth."""
+
+GROUND_TRUTH, KEY_FRAMES = "ground truth", "key frames"
+"""What a metric of `WITHOUT_TRUTH` is measured against."""
 
 ALL = "all"
 
@@ -112,7 +129,7 @@ class Threshold:
     scope
         "all", "generated", "holes" or "worst".
     limit
-        The worst value that passes.
+        The worst value that passes; of a signed metric its magnitude.
     """
 
     metric: Metric
@@ -132,7 +149,16 @@ class Threshold:
 
     def passes(self, value: float) -> bool:
         """Whether a measured value is good enough; the limit itself is."""
+        if self.metric.signed:
+            return abs(value) <= self.limit
         return value >= self.limit if self.metric.more_is_better else value <= self.limit
+
+    def failure(self, value: float) -> str:
+        """Say by which value it is broken."""
+        if self.metric.signed:
+            return f"{self.name} {value:+.6g} is farther from 0 than {self.limit:g}"
+        side = self.option.removeprefix("--fail-")
+        return f"{self.name} {value:.6g} is {side} {self.limit:g}"
 
 
 def parse_threshold(text: str, option: str) -> Threshold:
@@ -163,6 +189,11 @@ def parse_threshold(text: str, option: str) -> Threshold:
         raise UsageError(
             f"{option} {text!r} would fail good frames and pass bad ones, as {good} {plain} is "
             f"better; write {found.option} {text}"
+        )
+    if metric.signed and limit < 0:
+        raise UsageError(
+            f"{option} {text!r} would fail every frame, as the magnitude of {plain} is compared; "
+            f"write {found.name}={-limit:g}"
         )
     if found.scope == "holes" and not metric.in_holes:
         raise UsageError(f"{option} {text!r} can never be judged: {plain} is one of whole frames")

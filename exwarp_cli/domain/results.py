@@ -46,6 +46,9 @@ class Score:
     flicker
         Change in time that the ground truth does not have, in display levels of 0 to 255; 0 is
         best. See `exwarp_cli.metrics.flicker`.
+    pulse
+        Per cent by which the frame is sharper (positive) or softer (negative) than ground truth; of
+        whole frames only. See `exwarp_cli.metrics.pulse`.
     """
 
     psnr_db: float | None = None
@@ -54,6 +57,7 @@ class Score:
     hdr_flip: float | None = None
     vmaf: float | None = None
     flicker: float | None = None
+    pulse: float | None = None
 
     @property
     def badness(self) -> float | None:
@@ -111,6 +115,9 @@ class FrameRecord:
     render
         Seconds that it took to render, and the header's attribute that tells; None for frames that
         were not rendered, and where none tells.
+    key_pulse
+        Per cent by which a generated frame without ground truth is sharper or softer than the two
+        key frames around it; None where not measured. See `exwarp_cli.metrics.pulse`.
     """
 
     number: int
@@ -131,6 +138,12 @@ class FrameRecord:
     decision: Decision | None = None
     render: tuple[float, str] | None = None
     replaced: bool = False
+    key_pulse: float | None = None
+
+    @property
+    def pulse(self) -> float | None:
+        """Its pulse against ground truth, else against its key frames; None if not measured."""
+        return self.key_pulse if self.score is None else self.score.pulse
 
     @property
     def has_holes(self) -> bool:

@@ -155,7 +155,7 @@ class UpsampleSettings:
 
     @property
     def measured(self) -> tuple[str, ...]:
-        """What is measured against ground truth."""
+        """What is measured against ground truth; without, only what key frames stand in for."""
         return DEFAULT_METRICS if self.metrics is None else self.metrics
 
 

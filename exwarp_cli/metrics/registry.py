@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection
 from exwarp_cli.domain.frame import Bool, Float32
 from exwarp_cli.domain.metric import DEFAULT_METRICS
 from exwarp_cli.domain.results import Score
-from exwarp_cli.metrics import flip, hdr_flip, psnr, ssim
+from exwarp_cli.metrics import flip, hdr_flip, psnr, pulse, ssim
 from exwarp_cli.metrics.display import Measured, encode
 
 Metric = Callable[[Float32, Float32], Measured]
@@ -21,6 +21,9 @@ METRICS: dict[str, Metric] = {
 
 LINEAR_METRICS: dict[str, Metric] = {"hdr_flip": hdr_flip.measure}
 """The same for those that compare scene-linear images."""
+
+FRAME_METRICS: dict[str, Callable[[Float32, Float32], float]] = {"pulse": pulse.measure}
+"""Those of whole frames, which compare scene-linear images and have no map."""
 
 
 def score(
@@ -64,4 +67,5 @@ def score(
         everywhere[name] = measured.overall()
         if holes is not None:
             masked[name] = measured.within(holes)
+    everywhere |= {name: f(reference, test) for name, f in FRAME_METRICS.items() if name in names}
     return Score(**everywhere), Score(**masked) if holes is not None else None

@@ -286,7 +286,8 @@ class IntervalReader:
         template = template_of(self._contents, self._output, source.timeline.numbers[key])
         if not needed(key, recipes):
             self.release(key)
-            return IntervalInputs(key, FrameMetadata(template, recipes))
+            followed = store.is_followed(key)  # known by the recipes
+            return IntervalInputs(key, FrameMetadata(template, recipes), followed=followed)
         frame = store.get_in_shot(key)
         following = store.get_in_shot(key + 1, before=True) if lookahead else None
         region = self._regions.is_region(

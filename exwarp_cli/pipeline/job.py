@@ -101,6 +101,12 @@ class Job:
         return self.reported or self.settings.verify
 
     @property
+    def measures_key_pulse(self) -> bool:
+        """Whether new frames without ground truth are compared with their key frames."""
+        asked = self.reported or self.settings.metrics is not None
+        return asked and "pulse" in self.settings.measured
+
+    @property
     def source(self) -> Source:
         """The view that decides."""
         return self.sources[0]

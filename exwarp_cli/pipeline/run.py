@@ -43,6 +43,7 @@ from exwarp_cli.pipeline.scheduling import (
     record_time,
 )
 from exwarp_cli.pipeline.scoring import IntervalScores, broken_pixels_of
+from exwarp_cli.pipeline.sharpness import KeyedPulses
 from exwarp_cli.pipeline.slot_renderer import RenderedSlot, SlotRenderer, rate_attribute, rounded
 from exwarp_cli.pipeline.verifying import Sums, files_of, verify, verify_video
 from exwarp_cli.pipeline.without_vectors import BY_EXWARP, is_kept, note_of, video_look
@@ -174,8 +175,14 @@ class Run:
         self.writer = make_writer(job, note, 0 if self._layers.any else _writes_behind(display))
         self._chooser = make_chooser(job)
         self._renderer = SlotRenderer(
-            job.settings, job.source, job.method, self.writer, self._layers
+            job.settings,
+            job.source,
+            job.method,
+            self.writer,
+            self._layers,
+            job.measures_key_pulse,
         )
+        self._pulses = KeyedPulses(job.source) if job.measures_key_pulse else None
         most = max((len(job.source.timeline.made_of(key)) for key in job.keys), default=0)
         self._slots = ParallelSlots(_row_bands.threads(), most)
         self._records: list[FrameRecord] = []
@@ -196,11 +203,12 @@ class Run:
                 self._do_interval(next(intervals))
                 pool.trim()
         written = self.writer.write_ms
+        records = self._records if self._pulses is None else self._pulses.complete(self._records)
         return tuple(
             replace(record, timing_ms=record.timing_ms | {"write": written[record.number]})
             if record.number in written
             else record
-            for record in self._records
+            for record in records
         )
 
     def _do_interval(self, inputs: IntervalInputs | SkippedInterval) -> None:
@@ -218,6 +226,7 @@ class Run:
             return
         timeline, interval = self._job.source.timeline, prepared.interval
         self._replace_key(inputs)
+        self._take_gradient(inputs)
         for skipped in unscored(timeline, inputs.key, inputs.truth.unscored):
             self.left_out.append(skipped)
             tell_left_out(self._progress, skipped)
@@ -379,11 +388,18 @@ class Run:
         number = source.timeline.numbers[inputs.key]
         return picture(source.keys.sequence, number, source.keys.view)
 
+    def _take_gradient(self, inputs: IntervalInputs) -> None:
+        """Keep how sharp the key frame is, where new frames are compared with it."""
+        if self._pulses is not None:
+            self._pulses.add_key(inputs.key, self._key_image(inputs), inputs.followed)
+
     def _record(
         self, rendered: RenderedSlot, inputs: IntervalInputs, scores: IntervalScores | None
     ) -> None:
         """Score, record and show a slot's frame."""
         record, image = rendered.record, rendered.image
+        if self._pulses is not None and rendered.gradient is not None:
+            self._pulses.add(record.number, Slot(inputs.key, record.slot), rendered.gradient)
         truth = inputs.truth.frames.get(record.slot)
         if scores is not None and truth is not None and image is not None:
             timing_ms = dict(record.timing_ms)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from exwarp_cli.domain.frame import Bool, Float32, UInt8, Window, place
+from exwarp_cli.domain.metric import WITHOUT_TRUTH
 from exwarp_cli.domain.results import BrokenPixels, Score
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR, Slot
@@ -134,10 +135,11 @@ def require_measurable(settings: UpsampleSettings, display: Window, whole: bool 
     LayoutError
         For VMAF of frames that are too small for it.
     """
-    if settings.ground_truth is None and settings.metrics is not None:
+    if settings.ground_truth is None and set(settings.metrics or ()) - set(WITHOUT_TRUTH):
         raise UsageError(
             "--metrics names what is measured against --ground-truth; give that too, or leave "
-            "--metrics out"
+            f"--metrics out; only {' and '.join(WITHOUT_TRUTH)} is measured without, against the "
+            "key frames"
         )
     together = [name for name in ("vmaf", "flicker") if name in settings.measured]
     if settings.ground_truth is not None and together and not whole:

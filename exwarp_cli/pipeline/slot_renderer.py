@@ -28,6 +28,7 @@ from exwarp_cli.io.output import (
     compression_of,
     quantised,
 )
+from exwarp_cli.metrics.pulse import mean_gradient
 from exwarp_cli.pipeline.frame_writer import FrameWriter
 from exwarp_cli.pipeline.interval_builder import PreparedInterval
 from exwarp_cli.pipeline.interval_inputs import IntervalInputs
@@ -52,16 +53,22 @@ class RenderedSlot:
         Whether it is as its file has it.
     mask
         bool [H, W]: its holes on the display window; None without motion.
+    gradient
+        Its mean gradient, where that is compared with those of its key frames; None elsewhere.
     """
 
     record: FrameRecord
     image: Image | None = None
     rounded: bool = True
     mask: Bool | None = None
+    gradient: float | None = None
 
 
 class SlotRenderer:
-    """Renders the frames of slots; in several threads, where only the beauty is written."""
+    """Renders the frames of slots; in several threads, where only the beauty is written.
+
+    With `gradients`, new frames without ground truth come with their mean gradient.
+    """
 
     def __init__(
         self,
@@ -70,12 +77,14 @@ class SlotRenderer:
         method: Method,
         writer: FrameWriter,
         layers: ExtraLayers,
+        gradients: bool = False,
     ) -> None:
         self._settings = settings
         self._source = source
         self._method = method
         self._writer = writer
         self._layers = layers
+        self._gradients = gradients
 
     def render(
         self,
@@ -100,12 +109,20 @@ class SlotRenderer:
             layers = self._make_layers(slot, predicted, inputs, plan)
         mask = self._mask(interval, slot)
         number, template = self._source.timeline.number(slot), inputs.metadata.template
+        kind = self._kind(predicted, slot, inputs.after_hold)
+        measures = self._measures(kind, slot, inputs)
+        shows = bool(inputs.truth.frames) or self._writer.shows
+        kept = rounded(image, template) if shows or measures else None
+        gradient = None
+        if kept is not None and measures:
+            with record_time(timing, "pulse"):
+                gradient = self._gradient(kept)
         record = FrameRecord(
             number=number,
             file=self._writer.name(number),
             key=interval.key.number,
             slot=slot.index,
-            kind=self._kind(predicted, slot, inputs.after_hold),
+            kind=kind,
             method=predicted.method,
             sources=predicted.sources,
             # Rounded to float32 as the header of the frame keeps it.
@@ -123,11 +140,11 @@ class SlotRenderer:
             interval.forget(slot.index)
         attributes = self._attributes(record, inputs)
         self._writer.write(number, image, mask, template, attributes, layers, inline=in_pool)
-        if inputs.truth.frames or self._writer.shows:
-            return RenderedSlot(record, rounded(image, template), mask=mask)
+        if shows:
+            return RenderedSlot(record, kept, mask=mask, gradient=gradient)
         if in_pool:  # what else needs it reads its file
-            return RenderedSlot(record, mask=mask)
-        return RenderedSlot(record, image, rounded=False, mask=mask)
+            return RenderedSlot(record, mask=mask, gradient=gradient)
+        return RenderedSlot(record, image, rounded=False, mask=mask, gradient=gradient)
 
     def resume(
         self, slot: Slot, interval: Interval | None, inputs: IntervalInputs, masked: bool
@@ -141,11 +158,21 @@ class SlotRenderer:
                 f"what {writer.name(number)} says of itself was changed by hand; remove it, or "
                 "give --overwrite to replace all frames"
             ) from error
-        scored = slot.index in inputs.truth.frames
-        if interval is None or not (scored or masked):
-            return RenderedSlot(record)
-        image = writer.read(number) if scored else None
-        return RenderedSlot(record, image, mask=self._mask(interval, slot))
+        scored = interval is not None and slot.index in inputs.truth.frames
+        measures = self._measures(record.kind, slot, inputs)
+        image = writer.read(number) if scored or measures else None
+        gradient = self._gradient(image) if image is not None and measures else None
+        mask = None if interval is None or not (scored or masked) else self._mask(interval, slot)
+        return RenderedSlot(record, image, mask=mask, gradient=gradient)
+
+    def _measures(self, kind: FrameKind, slot: Slot, inputs: IntervalInputs) -> bool:
+        """Return True if a frame's gradient is compared with those of its key frames."""
+        is_new = kind is FrameKind.GENERATED
+        return self._gradients and is_new and slot.index not in inputs.truth.frames
+
+    def _gradient(self, image: Image) -> float:
+        """Return the mean gradient of a frame as its file has it."""
+        return mean_gradient(image.on(self._source.keys.display).pixels)
 
     def _recorded(self, slot: Slot, header: Mapping[str, Any]) -> FrameRecord:
         """Return the record of a frame from what its header says."""

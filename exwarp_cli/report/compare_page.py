@@ -66,14 +66,20 @@ def compare_page(result: Comparison, document: dict[str, Any], album: Album | No
 
 
 def _of_generated(document: dict[str, Any]) -> list[Number]:
-    """Return the first metric of the generated frames, where others raise the means over all."""
+    """Return what the generated frames have, where others better the means over all.
+
+    That is the first metric, and pulse, which limits on generated frames are set on.
+    """
     made, count = document["quality"]["generated"], document["frames"]
     metrics = measured_in(made)
     if not metrics or made["frames"] == count:
         return []
-    first = metrics[0]
-    value = first.with_unit(made[first.field])
-    return [Number(f"{first.name}, generated", value, f"of {made['frames']:,} frames alone")]
+    note = f"of {made['frames']:,} frames alone"
+    return [
+        Number(f"{metric.name}, generated", metric.with_unit(made[metric.field]), note)
+        for metric in metrics
+        if metric is metrics[0] or metric.signed
+    ]
 
 
 def _quality(result: Comparison, document: dict[str, Any], album: Album | None) -> list[Block]:
@@ -116,7 +122,7 @@ def _limits(verdicts: list[dict[str, Any]]) -> Table | None:
     for one in verdicts:
         metric = BY_FIELD[one["metric"]]
         value = metric_text(metric, one["value"])
-        limit = f"fails {one['fails']} {one['limit']:g}"
+        limit = f"fails {one['fails']} {'±' if metric.signed else ''}{one['limit']:g}"
         rows.append([one["name"], value, limit, "passed" if one["passed"] else "failed"])
     return Table("Limits", ("", "value", "limit", ""), rows)
 

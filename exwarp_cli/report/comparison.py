@@ -27,9 +27,9 @@ COLUMNS = (
     *("psnr_db_holes", "ssim_holes", "flip_holes"),
     *LATER_SCORES,
     *LATER_HOLE_SCORES,
-    *("kind", "made_by"),
+    *("kind", "made_by", "pulse"),
 )
-"""Columns of frames.csv; `frame` is the test's number, the last two are what its header tells."""
+"""Columns of frames.csv; `frame` is the test's number, `kind` and `made_by` tells its header."""
 
 
 def comparison(result: Comparison) -> dict[str, Any]:
@@ -70,7 +70,7 @@ def comparison_csv(result: Comparison) -> str:
             *score_cells(frame.score),
             *score_cells(frame.hole_score),
             *later_cells(frame.score, frame.hole_score),
-            *(name_cell(frame.origin.kind), name_cell(frame.origin.made_by)),
+            *(name_cell(frame.origin.kind), name_cell(frame.origin.made_by), frame.score.pulse),
         )
         for frame in result.frames
     )

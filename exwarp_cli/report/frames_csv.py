@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from typing import Any
 
 from exwarp_cli.domain.decision import FEATURES, Decision
@@ -29,29 +29,36 @@ COLUMNS = (
     *LATER_SCORES,
     *LATER_HOLE_SCORES,
     *("render_s", "render_source", "rendered_width", "rendered_height", "distance"),
-    *("scored", "scored_holes", "replaced"),
+    *("scored", "scored_holes", "replaced", "pulse"),
 )
 """A column that is new goes to the end: a line of this table is read by position, too.
 
 `rendered_width`, `rendered_height` and `distance` belong to the features: R is the product of the
 first two, EMD_Wp is judged by the last. `scored` and `scored_holes` are true where there was ground
-truth, whatever was measured. `replaced` is true where a file made way for the frame. After these
-columns come the timed steps, each as ``<step>_ms``.
+truth, whatever was measured. `replaced` is true where a file made way for the frame. `pulse` is
+against ground truth where `scored` is true, else against the key frames. After these columns come
+the timed steps, each as ``<step>_ms``.
 """
+
+ADDED_COLUMNS = ("pulse",)
+"""Columns that tables of earlier versions may lack."""
 
 
 _FORMULA = (*"=+-@'", "\t", "\r", "\n")
 
 
-def frames_csv(frames: tuple[FrameRecord, ...]) -> str:
+def frames_csv(frames: tuple[FrameRecord, ...], without: Collection[str] = ()) -> str:
     """Write the records as CSV text: a header line, then a row a frame in the given order.
 
     An empty cell is what was not measured or decided; `sources` are frame numbers with spaces
-    between, and so are `inputs`, what the policy's network saw in Q16.16.
+    between, and so are `inputs`, what the policy's network saw in Q16.16. Columns named in
+    `without`, out of `ADDED_COLUMNS`, are left out, as an earlier version wrote it.
     """
     steps = steps_of(frames)
     header = [*COLUMNS, *(f"{step}_ms" for step in steps)]
-    return table(header, (_row(frame, steps) for frame in frames))
+    kept = [i for i, name in enumerate(header) if name not in without]
+    rows = (_row(frame, steps) for frame in frames)
+    return table([header[i] for i in kept], ([row[i] for i in kept] for row in rows))
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
@@ -139,6 +146,6 @@ def _row(frame: FrameRecord, steps: list[str]) -> list[Any]:
         *later_cells(frame.score, frame.hole_score),
         *(frame.render or (None, None)),
         *seen_cells(frame.decision),
-        *(frame.score is not None, frame.hole_score is not None, frame.replaced),
+        *(frame.score is not None, frame.hole_score is not None, frame.replaced, frame.pulse),
         *(frame.timing_ms.get(step) for step in steps),
     ]

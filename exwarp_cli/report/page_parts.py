@@ -34,6 +34,8 @@ def measured_in(*blocks: Mapping[str, Any]) -> list[Metric]:
 
 def better(metric: Metric) -> str:
     """Say which way a metric is good."""
+    if metric.signed:
+        return "0 is best"
     return "higher is better" if metric.more_is_better else "lower is better"
 
 

@@ -8,6 +8,7 @@ import json
 import math
 import re
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from types import UnionType
@@ -34,6 +35,7 @@ from exwarp_cli.errors import DamagedFileError, InputError
 from exwarp_cli.report.comparison import SCHEMA as COMPARISON
 from exwarp_cli.report.folder import FRAMES_FILE, REPORT_FILE
 from exwarp_cli.report.frames_csv import (
+    ADDED_COLUMNS,
     FIRST_SCORES,
     LATER_HOLE_SCORES,
     LATER_SCORES,
@@ -56,6 +58,7 @@ ADDED: dict[str, Any] = {
     "verified": None,
     "nonfinite": [],
     "held": [],
+    "pulse": None,
 }
 """What reports of earlier versions do not tell, as it was then."""
 
@@ -86,7 +89,8 @@ def read_report(folder: Path) -> RunSummary:
     text = _text(folder / FRAMES_FILE)
     try:
         run = _run(document, frames_of(text))
-        whole = frames_csv(run.frames) == text and _alike(report(run), document)
+        written = frames_csv(run.frames, _lacking(text))
+        whole = written == text and _alike(report(run), _with_pulse(document))
     except _NONSENSE as error:
         raise _unusable(folder, document) from error
     if not whole:
@@ -181,6 +185,24 @@ def _alike(one: Any, other: Any) -> bool:
     if isinstance(one, float) and isinstance(other, int | float):
         return math.isclose(one, other, rel_tol=CLOSE, abs_tol=CLOSE)
     return bool(one == other)
+
+
+def _lacking(text: str) -> list[str]:
+    """Return the columns that a table of an earlier version does not have."""
+    header = text.partition("\n")[0].split(",")
+    return [name for name in ADDED_COLUMNS if name not in header]
+
+
+def _with_pulse(document: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a report with "pulse" in all parts of its quality; earlier versions had none."""
+
+    def completed(part: Mapping[str, Any]) -> dict[str, Any]:
+        return {"pulse": None, **part}
+
+    quality = document["quality"]
+    by_decision = {name: completed(part) for name, part in quality["by_decision"].items()}
+    parts = {name: completed(part) for name, part in quality.items() if name != "by_decision"}
+    return {**document, "quality": {**parts, "by_decision": by_decision}}
 
 
 def _run(document: Mapping[str, Any], frames: tuple[FrameRecord, ...]) -> RunSummary:
@@ -283,6 +305,8 @@ def _policy(told: Mapping[str, Any] | None) -> PolicySummary | None:
 def _frame(row: Mapping[str, str]) -> FrameRecord:
     """Read a row; its cells are as `frames_csv` writes them."""
     pixels = _number(row["nonfinite_pixels"])
+    pulse = _number(row.get("pulse", ""))
+    score = _score(row, "scored", (*FIRST_SCORES, *LATER_SCORES))
     return FrameRecord(
         number=int(row["frame"]),
         file=named(row["file"]),
@@ -293,7 +317,7 @@ def _frame(row: Mapping[str, str]) -> FrameRecord:
         sources=_integers(row["sources"]),
         hole_fraction=_number(row["hole_fraction"]),
         nonfinite_pixels=None if pixels is None else int(pixels),
-        score=_score(row, "scored", (*FIRST_SCORES, *LATER_SCORES)),
+        score=None if score is None else replace(score, pulse=pulse),
         hole_score=_score(row, f"scored{HOLES}", _HOLE_SCORES, HOLES),
         resumed=_truth(row["resumed"]),
         timing_ms=_timing(row),
@@ -302,6 +326,7 @@ def _frame(row: Mapping[str, str]) -> FrameRecord:
         decision=_decision(row),
         render=_render(row),
         replaced=_truth(row["replaced"]),
+        key_pulse=pulse if score is None else None,
     )
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from exwarp_cli.domain.metric import GROUND_TRUTH, KEY_FRAMES
 from exwarp_cli.domain.results import FrameKind, FrameRecord, RunSummary
 from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.report.decisions import decisions, quality_by_decision
@@ -43,6 +44,7 @@ def report(run: RunSummary) -> dict[str, Any]:
         "holes": _holes(shown),
         "decisions": decisions(_paths(run)),
         "quality": _quality(run.decides, shown),
+        "pulse": _pulse(shown),
         "timing_ms": _timing(run.frames),
         "extrapolator": None if run.extrapolator is None else asdict(run.extrapolator),
         "policy": None if run.policy is None else asdict(run.policy),
@@ -189,6 +191,28 @@ def _quality(decides: bool, shown: tuple[FrameRecord, ...]) -> dict[str, Any]:
         "holes": quality(f.hole_score for f in shown),
         "by_decision": quality_by_decision(decides, shown),
         "dropped": quality(f.score for f in shown if f.kind is FrameKind.DROPPED),
+    }
+
+
+def _pulse(shown: tuple[FrameRecord, ...]) -> dict[str, Any] | None:
+    """Return the pulse of the generated frames, in per cent; None where none was measured.
+
+    ``mean`` is that of the frames' values, so that softer and sharper frames cancel out; ``worst``
+    and ``worst_frame`` are those of the largest magnitude. ``against`` is "ground truth", and then
+    frames without it are left out; or "key frames", where no frame has ground truth.
+    """
+    generated = [frame for frame in shown if frame.kind is FrameKind.GENERATED]
+    scored = [frame for frame in generated if frame.score is not None]
+    known = [(f, f.pulse) for f in scored or generated if f.pulse is not None]
+    if not known:
+        return None
+    worst, value = max(known, key=lambda entry: abs(entry[1]))
+    return {
+        "mean": mean(value for _, value in known),
+        "worst": value,
+        "worst_frame": worst.number,
+        "frames": len(known),
+        "against": GROUND_TRUTH if scored else KEY_FRAMES,
     }
 
 

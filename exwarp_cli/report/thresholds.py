@@ -17,8 +17,8 @@ def verdicts(result: Comparison) -> list[dict[str, Any]]:
     -------
     list of dict
         ``name`` as on the command line, ``metric``, ``scope`` ("all", "generated", "holes"
-        or "worst"), ``limit``, ``fails`` ("below" or "above" it), ``value`` (None where it was not
-        measured) and ``passed``, which is false then.
+        or "worst"), ``limit``, ``fails`` ("below" or "above" it; of pulse it is the magnitude that
+        fails), ``value`` (None where it was not measured) and ``passed``, which is false then.
     """
     found = []
     for limit in result.measuring.thresholds:
@@ -47,8 +47,9 @@ def require_quality(result: Comparison) -> None:
     QualityError
         When a value is worse than its limit.
     """
-    failed = [verdict for verdict in verdicts(result) if not verdict["passed"]]
-    unknown = [verdict["name"] for verdict in failed if verdict["value"] is None]
+    judged = zip(result.measuring.thresholds, verdicts(result), strict=True)
+    failed = [(limit, verdict["value"]) for limit, verdict in judged if not verdict["passed"]]
+    unknown = [limit.name for limit, value in failed if value is None]
     if unknown:
         why = f" ({'; '.join(result.notes)})" if result.notes else ""
         raise UsageError(
@@ -56,9 +57,7 @@ def require_quality(result: Comparison) -> None:
             "limit out"
         )
     if failed:
-        named = ", ".join(
-            f"{v['name']} {v['value']:.6g} is {v['fails']} {v['limit']:g}" for v in failed
-        )
+        named = ", ".join(limit.failure(value) for limit, value in failed)
         raise QualityError(
             f"{result.test.pattern} is not good enough: {named}; look at the worst frame, "
             f"{result.worst.test}, or set other limits"

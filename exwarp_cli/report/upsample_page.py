@@ -5,12 +5,15 @@ from __future__ import annotations
 from typing import Any
 
 from exwarp_cli.domain.decision import FEATURES, HOLD, KEY, NODES
+from exwarp_cli.domain.metric import KEY_FRAMES
 from exwarp_cli.domain.results import FrameKind, FrameRecord, RunSummary
 from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.domain.wording import counted
 from exwarp_cli.report.gallery import Album, worst_of
 from exwarp_cli.report.page import Block, Cell, Number, Page, Section, Table, Viewer
 from exwarp_cli.report.page_parts import (
+    BY_FIELD,
+    better,
     cuts_line,
     facts_of,
     file_name,
@@ -100,6 +103,7 @@ def headline(document: dict[str, Any]) -> list[Number]:
     if fps["effective"] is not None:
         found.append(Number("Effective", f"{fps['effective']:.1f} fps", "new frames alone"))
     found += quality_numbers(document["quality"]["all"])
+    found += _pulse_number(document["pulse"])
     if document["left_out"]:
         missing = sum(len(one["frames"]) for one in document["left_out"])
         unscored = sum(len(one["scores"]) for one in document["left_out"])
@@ -123,6 +127,15 @@ def headline(document: dict[str, Any]) -> list[Number]:
             Number("Time", str(time_text(1 / fps["throughput"])), "per written frame, all threads")
         )
     return found
+
+
+def _pulse_number(block: dict[str, Any] | None) -> list[Number]:
+    """Return the pulse where it is measured against key frames."""
+    if block is None or block["against"] != KEY_FRAMES:
+        return []
+    metric = BY_FIELD["pulse"]
+    note = f"{better(metric)}; against {block['against']}"
+    return [Number(metric.name, metric.with_unit(block["mean"]), note)]
 
 
 def _saved(block: dict[str, Any] | None) -> list[Number]:
@@ -150,6 +163,9 @@ def _facts(frame: FrameRecord) -> dict[str, str]:
     if frame.decision is not None:
         facts["decision"] = f"{frame.decision.node} = {frame.decision.choice}"
     facts |= facts_of(frame.score, frame.hole_score)
+    if frame.key_pulse is not None:
+        metric = BY_FIELD["pulse"]
+        facts[f"{metric.name} against {KEY_FRAMES}"] = metric.with_unit(frame.key_pulse)
     if frame.has_holes:
         facts["holes"] = str(percent(frame.hole_fraction))
     return facts
@@ -165,8 +181,9 @@ def after_cuts(run: RunSummary) -> list[int]:
 
 def _quality(run: RunSummary, document: dict[str, Any], shown: tuple[int, ...]) -> list[Block]:
     scored = [frame for frame in run.frames if frame.score is not None]
+    keyed = _keyed_pulses(run, document)
     if not scored:
-        return []
+        return keyed
     quality = document["quality"]
     blocks = {"all pixels": quality["all"], "holes only": quality["holes"]}
     blocks |= {f"made by {name}": part for name, part in quality["by_decision"].items()}
@@ -190,7 +207,31 @@ def _quality(run: RunSummary, document: dict[str, Any], shown: tuple[int, ...]) 
         found.insert(0, points(labels, numbers, values, made, cuts=cuts))
     found += metric_plots(numbers, scores, skip=("psnr_db",), cuts=cuts)
     worst = worst_table(numbers, scores, shown, made)
-    return [*found, worst] if worst is not None else found
+    return [*found, *([] if worst is None else [worst]), *keyed]
+
+
+def _keyed_pulses(run: RunSummary, document: dict[str, Any]) -> list[Block]:
+    """Draw the pulse of new frames against their key frames, where there is no ground truth."""
+    block, metric = document["pulse"], BY_FIELD["pulse"]
+    if block is None or block["against"] != KEY_FRAMES:
+        return []
+    known = [(f.number, f.key_pulse) for f in run.frames if f.key_pulse is not None]
+    numbers, values = [n for n, _ in known], [value for _, value in known]
+    note = (
+        "How much softer (below 0) or sharper new frames are than the key frames around, weighted "
+        "by time. Softer frames make textures shimmer."
+    )
+    rows: list[list[Cell]] = [
+        ["mean of the new frames", metric.text(block["mean"])],
+        [f"worst, frame {block['worst_frame']}", metric.text(block["worst"])],
+    ]
+    found: list[Block] = [Table("Sharpness", ("", metric.title), rows, note)]
+    if len(known) > 1:
+        labels = Labels(f"{metric.name} per frame", "frame", metric.title, note)
+        worst = numbers.index(block["worst_frame"])
+        series = {metric.title: values}
+        found.insert(0, lines(labels, numbers, series, (worst,), cuts=after_cuts(run)))
+    return found
 
 
 def _decisions(run: RunSummary, document: dict[str, Any]) -> list[Block]:

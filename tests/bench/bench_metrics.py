@@ -14,7 +14,7 @@ from skimage.metrics import structural_similarity
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.kernels import _row_bands
 from exwarp_cli.kernels.ssim import SIGMA, ssim_map
-from exwarp_cli.metrics import flip, psnr, ssim
+from exwarp_cli.metrics import flip, psnr, pulse, ssim
 from exwarp_cli.metrics.display import PEAK, encode
 from exwarp_cli.metrics.registry import score
 from tests.bench import goals
@@ -72,6 +72,7 @@ def _scoring(reference: Float32, test: Float32) -> dict[str, tuple[Work, Work]]:
         "PSNR": (lambda: psnr.measure(shown, judged).overall(), whole),
         "SSIM": (lambda: ssim.measure(shown, judged).overall(), whole),
         "FLIP": (lambda: flip.measure(shown, judged).overall(), whole),
+        "pulse": (lambda: pulse.measure(reference, test), whole),
     }
 
 

@@ -18,11 +18,12 @@ import numpy as np
 from PIL import Image
 
 from exwarp_cli.domain.frame import Float32
+from exwarp_cli.domain.metric import DEFAULT_METRICS
 from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.io.output import read_picture
 from exwarp_cli.io.sequence import find_sequence
-from exwarp_cli.metrics.registry import METRICS, score
+from exwarp_cli.metrics.registry import score
 from exwarp_cli.pipeline.run import upsample
 from exwarp_cli.synthesis.methods import METHODS
 from tests.bench.peers import Frames, dis_flow, minterpolate, to_bytes
@@ -109,18 +110,19 @@ def _upsampled(settings: UpsampleSettings, count: int) -> Frames:
 
 def _mean(frames: Frames, truth: Frames, slots: list[tuple[int, int]]) -> dict[str, float]:
     scores = [score(truth[slot], frames[slot], None)[0] for slot in slots]
-    return {name: float(np.mean([getattr(s, name) for s in scores])) for name in METRICS}
+    return {name: float(np.mean([getattr(s, name) for s in scores])) for name in DEFAULT_METRICS}
 
 
 def _print(
     rows: dict[str, dict[str, float]], keys: str, frames: int, shape: tuple[int, ...]
 ) -> None:
     print(f"{keys}: mean of {frames} frames between key frames, {shape[1]}x{shape[0]}, all pixels")
-    print(f"{'method':22}{'uses':12}{'PSNR dB':>9}{'SSIM':>9}{'FLIP':>9}")
+    print(f"{'method':22}{'uses':12}{'PSNR dB':>9}{'SSIM':>9}{'FLIP':>9}{'pulse %':>9}")
     for name, row in rows.items():
         uses = KINDS[METHODS[name].lookahead if name in METHODS else True]
         print(
-            f"{name:22}{uses:12}{row['psnr_db']:9.2f}{row['ssim']:9.4f}{row['flip']:9.4f}",
+            f"{name:22}{uses:12}{row['psnr_db']:9.2f}{row['ssim']:9.4f}{row['flip']:9.4f}"
+            f"{row['pulse']:+9.2f}",
         )
 
 

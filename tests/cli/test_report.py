@@ -20,7 +20,7 @@ from tests.unit.tiny_models import convolution, save
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "market"
 FORWARD = ("--motion", "next=u,-v")
-SCORE = {"psnr_db", "ssim", "flip", "hdr_flip", "vmaf", "flicker", "frames"}
+SCORE = {"psnr_db", "ssim", "flip", "hdr_flip", "vmaf", "flicker", "pulse", "frames"}
 
 
 def load(folder: Path) -> dict:

@@ -32,7 +32,7 @@ SYSTEMS = ("exwarp", "s1", "s6", "softsplat")
 
 
 def score(psnr: float) -> dict[str, Any]:
-    rest = dict.fromkeys(("flip", "hdr_flip", "vmaf", "flicker"))
+    rest = dict.fromkeys(("flip", "hdr_flip", "vmaf", "flicker", "pulse"))
     return {"psnr_db": psnr, "ssim": psnr / 100, **rest}
 
 

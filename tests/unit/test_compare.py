@@ -198,7 +198,7 @@ def test_table(tmp_path: Path, truth: str) -> None:
     found = comparison(evaluate(truth, test))
     assert f"{found['quality']['all']['psnr_db']:.2f}" in lines["all pixels"]
     assert f"{found['worst']['psnr_db']:.2f}" in lines["worst: 104"]
-    assert [cell.strip() for cell in lines["holes"].split("│")[2:6]] == ["-", "-", "-", "0"]
+    assert [cell.strip() for cell in lines["holes"].split("│")[2:7]] == [*"----", "0"]
 
 
 def test_json_and_report(tmp_path: Path, truth: str) -> None:
@@ -213,7 +213,7 @@ def test_json_and_report(tmp_path: Path, truth: str) -> None:
     assert document["matched_by"] == "order"
     assert document["test"] == {"pattern": f"{test}/shot.####.exr", "first": 101, "last": 104}
     assert document["masks"] is None
-    unknown = dict.fromkeys(("psnr_db", "ssim", "flip", "hdr_flip", "vmaf", "flicker"))
+    unknown = dict.fromkeys(("psnr_db", "ssim", "flip", "hdr_flip", "vmaf", "flicker", "pulse"))
     unknown["frames"] = 0
     assert document["quality"]["holes"] == unknown
     compared = evaluate(truth, test)

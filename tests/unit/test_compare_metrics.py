@@ -237,6 +237,7 @@ LIMITS = {
     "Hdr-Flip = 1e-1": ("--fail-above", "hdr_flip", "all", 0.1),
     "worst.flicker=3": ("--fail-above", "flicker", "worst", 3),
     "vmaf=90": ("--fail-below", "vmaf", "all", 90),
+    "generated.pulse=5": ("--fail-above", "pulse", "generated", 5),
 }
 
 
@@ -259,6 +260,9 @@ def test_limits_are_read(text: str) -> None:
         ("--fail-below", "best.psnr=3", "no limit"),
         ("--fail-below", "lpips=3", "no limit"),
         ("--fail-below", "holes.vmaf=3", "whole frames"),
+        ("--fail-above", "holes.pulse=3", "whole frames"),
+        ("--fail-below", "pulse=5", "write --fail-above pulse=5"),
+        ("--fail-above", "worst.pulse=-5", "write worst.pulse=5"),
     ],
 )
 def test_what_is_no_limit(option: str, text: str, words: str) -> None:
@@ -321,7 +325,9 @@ def test_nothing_passes_unmeasured(compared: Comparison) -> None:
 
 def test_a_limit_adds_its_metric() -> None:
     assert measure("ssim", thresholds=(limit("psnr=3"),)).measured == ("psnr_db", "ssim")
-    assert measure(thresholds=(limit("vmaf=3"),)).measured == ("psnr_db", "ssim", "flip", "vmaf")
+    usual = ("psnr_db", "ssim", "flip", "pulse")
+    assert measure(thresholds=(limit("vmaf=3"),)).measured == (*usual[:3], "vmaf", "pulse")
+    assert measure(thresholds=(limit("generated.pulse=5"),)).measured == usual
 
 
 def test_a_farm_sees_the_result_and_the_exit_code(exwarp_line, tmp_path: Path) -> None:

@@ -110,7 +110,7 @@ def test_table_rows_and_columns(shots: tuple[str, str], tmp_path: Path) -> None:
         *("holes", "worst: 7"),
     ]
     rows = list(csv.DictReader((tmp_path / "report" / "frames.csv").read_text().splitlines()))
-    assert list(rows[0])[-2:] == ["kind", "made_by"]
+    assert list(rows[0])[-3:] == ["kind", "made_by", "pulse"]
     told = {int(row["frame"]): (row["kind"], row["made_by"]) for row in rows}
     assert told == {n: (kind or "", maker or "") for n, (kind, maker, _) in FRAMES.items()}
 
@@ -122,6 +122,7 @@ def test_the_page_has_rows_and_a_number_of_generated_frames(
     for name in ("generated", "repeated", "made by warp", "made by extrapolate"):
         assert text.count(f">{name}<") == 1, name
     assert "PSNR, generated" in text and "of 4 frames alone" in text
+    assert "pulse, generated" in text
     assert f"{mean(compared, 2, 3, 4, 7):.2f} dB" in text
     plain = evaluate(shots[0], shots[0])
     untold = render(compare_page(plain, comparison(plain)))

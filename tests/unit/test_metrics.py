@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import astuple
+from dataclasses import astuple, replace
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ from exwarp_cli.domain import metric as metric_names
 from exwarp_cli.domain.results import Score
 from exwarp_cli.metrics import flip, psnr, ssim
 from exwarp_cli.metrics.display import encode
-from exwarp_cli.metrics.registry import LINEAR_METRICS, METRICS, score
+from exwarp_cli.metrics.registry import FRAME_METRICS, LINEAR_METRICS, METRICS, score
 from tests.reference import quality, scikit
 
 
@@ -105,8 +105,8 @@ def test_flip_ends() -> None:
 def test_score_of_equal_images() -> None:
     reference, _ = random_pair((20, 20, 4))
     overall, inside = score(reference, reference.copy(), np.ones((20, 20), bool))
-    assert astuple(overall) == (100, 1, 0, None, None, None)
-    assert inside == overall
+    assert astuple(overall) == (100, 1, 0, None, None, None, 0)
+    assert inside == replace(overall, pulse=None), "of whole frames only"
 
 
 def test_score_in_a_mask_sees_the_mask_alone() -> None:
@@ -143,8 +143,8 @@ def test_the_metrics_are_named_as_the_fields_of_a_score() -> None:
     overall, _ = score(*random_pair((12, 12, 3)), None)
     known = [metric.field for metric in metric_names.METRICS]
     assert list(vars(overall)) == known
-    assert {*METRICS, *LINEAR_METRICS, "vmaf", "flicker"} == set(known)
-    assert tuple(METRICS) == metric_names.DEFAULT_METRICS
+    assert {*METRICS, *LINEAR_METRICS, *FRAME_METRICS, "vmaf", "flicker"} == set(known)
+    assert (*METRICS, *FRAME_METRICS) == metric_names.DEFAULT_METRICS
 
 
 def test_only_what_is_named_is_measured() -> None:

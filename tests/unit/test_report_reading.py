@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 
 from exwarp_cli.domain.cuts import Cut
 from exwarp_cli.domain.decision import CHOICES, NODES, PATHS, Decision, Features
+from exwarp_cli.domain.metric import METRICS
 from exwarp_cli.domain.results import (
     BrokenPixels,
     FrameKind,
@@ -57,9 +58,10 @@ decisions = st.builds(
     st.lists(numbers, max_size=44).map(tuple),
     maybe(st.tuples(values, values)),
 )
-scores = st.builds(Score, *[maybe(values)] * 6)
-hole_scores = scores.map(lambda score: replace(score, vmaf=None))  # of whole frames only
-records = st.builds(
+scores = st.builds(Score, *[maybe(values)] * 7)
+of_whole_frames = {metric.field: None for metric in METRICS if not metric.in_holes}
+hole_scores = scores.map(lambda score: replace(score, **of_whole_frames))
+all_records = st.builds(
     FrameRecord,
     *(numbers, words, numbers, st.integers(0, 9), st.sampled_from(FrameKind), words),
     st.lists(numbers, max_size=3).map(tuple),
@@ -73,6 +75,10 @@ records = st.builds(
     path=maybe(st.sampled_from(list(PATHS))),
     decision=maybe(decisions),
     render=maybe(st.tuples(positive, words)),
+    key_pulse=maybe(values),
+)
+records = all_records.map(  # key frames are compared with only where there is no ground truth
+    lambda one: one if one.score is None else replace(one, key_pulse=None)
 )
 inputs = st.builds(
     InputSummary,

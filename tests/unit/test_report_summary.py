@@ -16,7 +16,7 @@ from exwarp_cli.domain.results import FrameKind, NetworkSummary, PolicySummary, 
 from exwarp_cli.report.summary import finite, report, to_json
 from tests.unit.sample_runs import interval, path_run, record, run
 
-METRICS = ("psnr_db", "ssim", "flip", "hdr_flip", "vmaf", "flicker")
+METRICS = ("psnr_db", "ssim", "flip", "hdr_flip", "vmaf", "flicker", "pulse")
 QUALITY = dict.fromkeys((*METRICS, "frames"))
 CONTRACT: dict[str, Any] = {
     "schema": None,
@@ -45,6 +45,7 @@ CONTRACT: dict[str, Any] = {
         "by_decision": {"warp": QUALITY, "extrapolate": QUALITY},
         "dropped": QUALITY,
     },
+    "pulse": None,
     "timing_ms": dict.fromkeys(
         ("read", "features", "decide", "warp", "holes", "extrapolate", "write")
     ),
@@ -89,6 +90,22 @@ def test_what_was_not_measured_is_null() -> None:
     assert set(found["timing_ms"].values()) == {None}
     assert found["fps"]["throughput"] is None
     assert keys_of(found["decisions"]) == found["decisions"], "nothing but null"
+
+
+def test_pulse_is_that_of_new_frames_by_what_there_is() -> None:
+    frames = interval(1001, "dgg", 1001)
+    scored = [replace(frame, score=Score(pulse=-6.0)) for frame in frames[1:]]
+    keyed = [replace(frames[2], key_pulse=2.0), replace(frames[3], key_pulse=-4.0)]
+    found = report(run([frames[0], *scored]))
+    expected = {"mean": -6.0, "worst": -6.0, "worst_frame": 1003, "frames": 2}
+    assert found["pulse"] == {**expected, "against": "ground truth"}
+    assert found["quality"]["all"]["pulse"] == -6
+    found = report(run([*frames[:2], *keyed]))
+    expected = {"mean": -1.0, "worst": -4.0, "worst_frame": 1004, "frames": 2}
+    assert found["pulse"] == {**expected, "against": "key frames"}
+    found = report(run([*frames[:2], keyed[0], scored[2]]))
+    expected = {"mean": -6.0, "worst": -6.0, "worst_frame": 1004, "frames": 1}
+    assert found["pulse"] == {**expected, "against": "ground truth"}, "never of both"
 
 
 def test_the_network_is_named() -> None:

@@ -82,7 +82,7 @@ def comparison(document: Document) -> Table:
         "Look-ahead systems wait for the next key frame, so that whoever watches live sees "
         "everything a key interval late. Time is that of one generated frame, files apart. s1 to "
         "s5 and exwarp run our E; s1 is what ExtraNet does. PSNR, SSIM and VMAF: more is better; "
-        "FLIP, HDR-FLIP and flicker: less. (holes): the pixels that W cannot see.",
+        "FLIP, HDR-FLIP and flicker: less; pulse: 0. (holes): the pixels that W cannot see.",
         (
             *WHAT,
             SOURCE,
@@ -90,9 +90,9 @@ def comparison(document: Document) -> Table:
             Column("kind", "kind"),
             Column("waits_ms", "waits ms", ".1f"),
             Column("frame_ms", "time ms", ".1f"),
-            *(Column(m.field, m.title, f".{m.digits}f") for m in METRICS),
+            *(Column(m.field, m.title, m.style) for m in METRICS),
             *(
-                Column(f"{m.field}_holes", f"{m.title} (holes)", f".{m.digits}f")
+                Column(f"{m.field}_holes", f"{m.title} (holes)", m.style)
                 for m in METRICS
                 if m.in_holes
             ),
