@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import importlib
+import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import OpenImageIO as oiio
 import pytest
 
 from exwarp_cli.domain.frame import GBuffer, Image, KeyFrame, Window
@@ -22,6 +25,13 @@ def shots(monkeypatch):
     """The module that measures shots."""
     monkeypatch.syspath_prepend(str(ROOT / "examples" / "scenes"))
     return importlib.import_module("survey_shots")
+
+
+@pytest.fixture
+def sheets(monkeypatch):
+    """The module that writes contact sheets."""
+    monkeypatch.syspath_prepend(str(ROOT / "examples" / "scenes"))
+    return importlib.import_module("survey_sheets")
 
 
 def frame(light: np.ndarray, shift: float = 0.0, **changed: np.ndarray) -> KeyFrame:
@@ -125,3 +135,26 @@ def test_a_rendered_shot_is_measured_and_summed_up(shots, tmp_path):
     shots.write_rows([row, still], tmp_path / "SHOTS.md")
     text = (tmp_path / "SHOTS.md").read_text(encoding="utf-8")
     assert text.count("| variety-00") == 2 and "| 20.0 |" not in text
+
+
+def test_a_sheet_shows_only_shots_that_may_be_committed(sheets, tmp_path, capsys):
+    data = tmp_path / "data"
+    for name, licence in (("free", "CC0"), ("game", "GPL-2+")):
+        shutil.copytree(SHOT, data / name)
+        manifest = data / name / "manifest.json"
+        content = json.loads(manifest.read_text(encoding="utf-8"))
+        manifest.write_text(json.dumps(content | {"things": [{"licence": licence}]}), "utf-8")
+    shots = [open_scene(data / name) for name in ("free", "game")]
+    for any_licence, count in ((False, 1), (True, 2)):
+        path = tmp_path / f"{count}.png"
+        sheets.write_shots(shots, 60, path, any_licence)
+        assert f"{count} of 2 shots" in capsys.readouterr().out
+        wide = sheets.TILE_WIDTH * sheets.ACROSS
+        assert read_still(path).shape == (round(sheets.TILE_WIDTH * 36 / 64), wide, 3)
+    with pytest.raises(SystemExit, match="nothing for it is rendered"):
+        sheets.write_shots(shots[1:], 60, tmp_path / "none.png")
+    assert not (tmp_path / "none.png").exists()
+
+
+def read_still(path: Path) -> np.ndarray:
+    return oiio.ImageBuf(str(path)).get_pixels(oiio.UINT8)
