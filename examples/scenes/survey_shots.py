@@ -23,7 +23,7 @@ CHANGE = 1.25
 BLACK = 0.01
 """Scene-linear light that is added on both sides: changes in the dark are not seen."""
 
-MATTE = 0.35
+MATTE = 0.15
 """Roughness above which a surface has shadows, and below which it has reflections."""
 
 SAME = 0.02

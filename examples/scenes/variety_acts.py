@@ -29,15 +29,46 @@ CASTERS = (
 )  # fmt: skip
 WHIRLING = (props.rotor, props.rotor, props.wheel, props.crate, thin.fence, thin.lattice)
 TRIES = 40
+NEAREST = 0.5
+"""Of what casts shadows: its size over its distance from the camera."""
 
 
 def cast_shadows(troupe: Troupe) -> None:
     """Move things between the light and still ground that is in view."""
+    has_lamp = False
     for _ in range(troupe.chance.randint(3, 6)):
-        for _ in range(TRIES):
-            ground = footing(troupe.path, troupe.chance, 0.3)
-            if ground is not None and _shade(troupe, ground):
-                break
+        if not _shade_somewhere(troupe) and not has_lamp:
+            _hang_lamp(troupe)
+            has_lamp = True
+
+
+def _shade_somewhere(troupe: Troupe) -> bool:
+    for _ in range(TRIES):
+        ground = footing(troupe.path, troupe.chance, 0.3)
+        if ground is not None and _shade(troupe, ground):
+            return True
+    return False
+
+
+def _hang_lamp(troupe: Troupe) -> None:
+    """Hang a lamp above ground in view, as bright there as the sun is elsewhere."""
+    for _ in range(TRIES):
+        ground = footing(troupe.path, troupe.chance, 0.3)
+        if ground is None:
+            continue
+        towards = (ground.normal + 0.6 * troupe.way()).normalized()
+        room = min(cast(ground.at + 0.02 * ground.away * towards, towards)[0], 1.2 * ground.away)
+        if room < 0.25 * ground.away or towards.dot(ground.normal) < 0.4:
+            continue
+        lamp = bpy.data.lights.new("lamp", "POINT")
+        lamp.energy = 16 * math.pi * (0.8 * room) ** 2 * troupe.chance.uniform(1.0, 2.5)
+        lamp.shadow_soft_size = 0.02 * room
+        thing = bpy.data.objects.new("lamp", lamp)
+        bpy.context.scene.collection.objects.link(thing)
+        thing.location = ground.at + 0.8 * room * towards
+        troupe.scene.bulbs.insert(0, thing)
+        bpy.context.view_layer.update()
+        return
 
 
 def _shade(troupe: Troupe, ground: Footing) -> bool:
@@ -55,6 +86,8 @@ def _shade(troupe: Troupe, ground: Footing) -> bool:
     pixels = math.exp(chance.uniform(math.log(3), math.log(30)))
     pace = across * pixels / KEY * away / troupe.path.focal()
     where, start = ground.at + towards * gap, troupe.way()
+    if size > NEAREST * (where - troupe.path.eye).length:
+        return False
     spin = troupe.way() * chance.choice((0.0, 2.0, 6.0))
     prop = chance.choice((*CASTERS, chance.choice(ALL)))
     troupe.add(
@@ -198,7 +231,7 @@ def lattices(troupe: Troupe) -> None:
             continue
         at, facing = origin + along * away, path.frame.to_euler().z + chance.gauss(0, 0.5)
         prop = chance.choice((thin.lattice, thin.fence, thin.fence, thin.curtain, thin.grass))
-        thing = troupe.thing(size, prop)
+        thing = troupe.thing(size, prop, troupe.scene.wear.suit(0.5))
         if chance.random() < 0.4:
             thing.location, thing.rotation_euler, thing.pass_index = at, (0, 0, facing), 0
             continue
@@ -228,7 +261,7 @@ def mirrors(troupe: Troupe) -> None:
 def glows(troupe: Troupe) -> None:
     """Let things fly that shine."""
     for _ in range(troupe.chance.randint(1, 3)):
-        _fly(troupe, "shining", [troupe.scene.wear.glow() for _ in range(4)])
+        _fly(troupe, "shining", [troupe.scene.wear.glow(troupe.chance.uniform(0.7, 4))] * 4)
 
 
 def _fly(troupe: Troupe, what: str, suit: list[Material]) -> None:
