@@ -234,6 +234,7 @@ def measure_training(shots: Sequence[RenderedScene], out: Path) -> dict[str, Any
         "instants": first.instants.count,
         "sizes": dict(sizes.most_common()),
         "samples": first.samples,
+        "renders": round(float(np.mean([_seeds(shot) for shot in shots])), 2),
         "seconds_per_instant": round(float(np.mean(times)), 2),
         "megabytes": sum(_megabytes(shot) for shot in shots),
         **survey_shots.summary(rows),

@@ -63,7 +63,8 @@ def _training_lines(row: dict[str, Any]) -> list[str]:
     lines = [
         "",
         f"Training shots: {row['shots']} of {row['instants']} instants ({sizes}), "
-        f"{row['samples']} samples, {row['seconds_per_instant']:.2f} s a frame, "
+        f"{row['samples']} samples x {row.get('renders', 1):g} renders in the mean, "
+        f"{row['seconds_per_instant']:.2f} s a frame, "
         f"{row['megabytes'] / 1000:.1f} GB. How they differ:",
         "",
         "| per shot | least | 10 % | median | 90 % | most |",

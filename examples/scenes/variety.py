@@ -12,6 +12,7 @@ import functools
 import gc
 import math
 import random
+from dataclasses import replace
 from pathlib import Path
 
 import things_list
@@ -19,6 +20,7 @@ import variety_acts
 import variety_indoors as indoors
 import variety_light
 import variety_moves
+import variety_noise
 import variety_outdoors as outdoors
 import variety_view
 import variety_wind
@@ -122,7 +124,14 @@ def main() -> None:
     seeds = sorted(frozenset().union(*chosen.seeds))
     for number, seed in enumerate(seeds, 1):
         say(f"shot {number} of {len(seeds)}: seed {seed}, {place_of(seed)}")
-        shoot(script(seed, listed), options.order(chosen))
+        order = options.order(chosen)
+        shot = script(seed, listed)
+        if order.samples is None and order.seeds is None:
+            folder = order.data / shot.name
+            last = shot.instants - 1
+            quality = variety_noise.quality_of(folder, seed, shot.build, last, order.size)
+            shot = replace(shot, quality=quality)
+        shoot(shot, order)
         gc.collect()
 
 
