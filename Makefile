@@ -11,6 +11,7 @@
 # make demo     upsample the example, score it against its ground truth, make a video
 # make scenes   render the benchmark scenes and the training shots with Blender's module (hours;
 #               goes on where it stopped); SCENES='lab town' for some, OPTIONS='--resolution 480p'
+# make things   take shapes and textures for training shots out of Debian's packages (330 MB)
 # make train    train the extrapolation network on the training shots (hours; goes on where it
 #               stopped); DATA=folder of rendered scenes, OPTIONS='--steps 2000'
 # make policy   train the policy from the tables under models/ (2 minutes); OPTIONS='--seed 1'
@@ -40,7 +41,7 @@ TRAINING ?= $(HOME)/.cache/exwarp/training
 POLICY ?= build/policy
 MODEL ?= models/extrapolator.onnx
 
-.PHONY: test check golden faults bench bench-check profile demo scenes blender train policy judge paper clean
+.PHONY: test check golden faults bench bench-check profile demo scenes things blender train policy judge paper clean
 
 test: check
 	$(BIN)/pytest --numprocesses auto --dist worksteal
@@ -97,6 +98,9 @@ scenes: $(BLENDER)/.installed
 	@for scene in $(SCENES); do \
 	    $(BLENDER)/bin/python examples/scenes/$$scene.py $(OPTIONS) || exit 1; \
 	done
+
+things: $(STAMP)
+	$(BIN)/python examples/scenes/things.py $(OPTIONS)
 
 $(BLENDER)/.installed:
 	@$(BLENDER_PYTHON) -c 'import sys; sys.exit(sys.version_info[:2] != (3, 11))' || \

@@ -22,9 +22,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import OpenImageIO as oiio
+import survey_shots
 from stage import manifest as stage_manifest
 from stage.manifest import default_data
+from survey_sheets import write_scene
 from survey_table import EDGES, lines
 
 from exwarp_cli.domain.results import FrameRecord
@@ -34,7 +35,6 @@ from exwarp_cli.errors import ExwarpError, InputError
 from exwarp_cli.io.dataset import BENCHMARK, TRAINING, FrameSet, RenderedScene, find_scenes
 from exwarp_cli.io.frames import read_image
 from exwarp_cli.io.output import read_headers
-from exwarp_cli.io.video import to_display
 from exwarp_cli.metrics.registry import score
 from exwarp_cli.pipeline.progress import NoProgress
 from exwarp_cli.pipeline.run import upsample
@@ -45,8 +45,6 @@ HERE = Path(__file__).parent
 METHODS = ("s6", "softsplat")
 SETTINGS = ("key", "slot")
 SLOTS = range(1, FACTOR)
-TILES, TILE_WIDTH = (4, 2), 240
-JPEG_QUALITY = 60
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -55,7 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     table = _read(options.out / "statistics.json")
     try:
         if options.training:
-            table["training"] = measure_training(find_scenes(options.data, TRAINING))
+            table["training"] = measure_training(_complete(options.data), options.out)
             _save(table, options.out)
         elif options.floor:
             for scene in find_scenes(options.data, BENCHMARK, options.scenes):
@@ -66,7 +64,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 scene.require_complete()
                 table["scenes"][scene.name] = measure(scene)
                 _save(table, options.out)
-                write_sheet(scene, options.out / f"{scene.name}.jpg")
+                write_scene(scene, options.out / f"{scene.name}.jpg")
     except ExwarpError as error:
         raise SystemExit(f"{error}.") from error
     print("\n".join(lines(table)))
@@ -83,6 +81,21 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     add("--training", action="store_true", help="count the training shots instead")
     add("--floor", action="store_true", help="measure the noise floor alone, of what is rendered")
     return parser.parse_args(arguments)
+
+
+def _complete(data: Path) -> list[RenderedScene]:
+    """List the training shots that are rendered in full, and say how many are not."""
+    shots = find_scenes(data, TRAINING)
+    whole = [
+        shot
+        for shot in shots
+        if not shot.missing(shot.manifest.instants) and not shot.missing(shot.manifest.keys)
+    ]
+    if not whole:
+        raise InputError(f"{data} has no training shot that is rendered in full")
+    if len(whole) < len(shots):
+        print(f"{len(shots) - len(whole)} shots are not rendered in full and left out")
+    return whole
 
 
 def measure(scene: RenderedScene) -> dict[str, Any]:
@@ -206,37 +219,26 @@ def _holes(records: Iterable[FrameRecord]) -> dict[str, Any]:
     }
 
 
-def measure_training(shots: Sequence[RenderedScene]) -> dict[str, Any]:
-    """Count the training shots and measure how much they differ."""
-    motion, holes, objects = [], [], []
+def measure_training(shots: Sequence[RenderedScene], out: Path) -> dict[str, Any]:
+    """Measure what is hard in each training shot, and how much they differ."""
+    rows = []
     for shot in shots:
-        shot.require_complete()
-        footage = Footage(shot)
-        motion.append(_motion(footage)["motion_median_px"])
-        objects.append(len(shot.manifest.dynamic))
-        masks = (footage.interval(k, "slot").hole_mask(i) for k in footage.intervals for i in SLOTS)
-        holes.append(float(np.mean([mask.mean() for mask in masks if mask is not None])))
+        rows.append(survey_shots.measure(shot))
+        print(f"{shot.name}: {len(rows)} of {len(shots)}", flush=True)
+    survey_shots.write_rows(rows, out / "SHOTS.md")
     first = shots[0].manifest
     sizes = Counter(f"{shot.manifest.width}x{shot.manifest.height}" for shot in shots)
+    times = [_seconds(shot, shot.manifest.instants) for shot in shots]
     return {
         "shots": len(shots),
         "instants": first.instants.count,
         "sizes": dict(sizes.most_common()),
         "samples": first.samples,
-        "seconds_per_instant": round(
-            float(np.mean([_seconds(shot, shot.manifest.instants) for shot in shots])), 2
-        ),
+        "renders": round(float(np.mean([_seeds(shot) for shot in shots])), 2),
+        "seconds_per_instant": round(float(np.mean(times)), 2),
         "megabytes": sum(_megabytes(shot) for shot in shots),
-        "motion_median_px": _spread(motion),
-        "hole_share": _spread(holes),
-        "dynamic_objects": _spread(objects),
+        **survey_shots.summary(rows),
     }
-
-
-def _spread(values: Sequence[float]) -> dict[str, float]:
-    names = ("least", "p10", "median", "p90", "most")
-    found = np.percentile(values, (0, 10, 50, 90, 100))
-    return {name: round(float(value), 4) for name, value in zip(names, found, strict=True)}
 
 
 def _seconds(scene: RenderedScene, frames: FrameSet) -> float:
@@ -258,27 +260,6 @@ def _megabytes(scene: RenderedScene) -> int:
     kinds = (scene.manifest.instants, scene.manifest.keys)
     paths = [scene.path(frames, number) for frames in kinds for number in frames.numbers]
     return round(sum(path.stat().st_size for path in paths) / 1e6)
-
-
-def write_sheet(scene: RenderedScene, path: Path) -> None:
-    """Write a contact sheet: instants at equal distances, rows first."""
-    across, down = TILES
-    numbers = scene.manifest.instants.numbers
-    chosen = np.linspace(0, len(numbers) - 1, across * down).round().astype(int)
-    height = round(TILE_WIDTH * scene.manifest.height / scene.manifest.width)
-    sheet = np.zeros((down * height, across * TILE_WIDTH, 3), np.uint8)
-    for tile, index in enumerate(chosen):
-        image = read_image(scene.path(scene.manifest.instants, numbers[int(index)]))
-        shown = oiio.ImageBuf(to_display(image.pixels))
-        roi = oiio.ROI(0, TILE_WIDTH, 0, height, 0, 1, 0, 3)
-        small = oiio.ImageBufAlgo.resize(shown, roi=roi).get_pixels(oiio.UINT8)
-        y, x = divmod(tile, across)
-        rows = slice(y * height, (y + 1) * height)
-        sheet[rows, x * TILE_WIDTH : (x + 1) * TILE_WIDTH] = small
-    buffer = oiio.ImageBuf(sheet)
-    buffer.specmod().attribute("Compression", f"jpeg:{JPEG_QUALITY}")
-    if not buffer.write(str(path)):
-        raise SystemExit(f"{path} cannot be written: {buffer.geterror()}.")
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from itertools import pairwise
 from typing import Any
 
+from survey_shots import MUCH, SPREADS
+
 EDGES = (0.0, 0.001, 0.01, 0.05, 0.1, 0.2, 1.0)
 """Bounds of the histogram of hole shares."""
 
@@ -67,17 +69,26 @@ def _training_lines(row: dict[str, Any]) -> list[str]:
     lines = [
         "",
         f"Training shots: {row['shots']} of {row['instants']} instants ({sizes}), "
-        f"{row['samples']} samples, {row['seconds_per_instant']:.2f} s a frame, "
+        f"{row['samples']} samples x {row.get('renders', 1):g} renders in the mean, "
+        f"{row['seconds_per_instant']:.2f} s a frame, "
         f"{row['megabytes'] / 1000:.1f} GB. How they differ:",
         "",
         "| per shot | least | 10 % | median | 90 % | most |",
         "|---|---|---|---|---|---|",
     ]
-    for name, key in (
-        ("motion per key interval, median px", "motion_median_px"),
-        ("hole share, slot G-buffers", "hole_share"),
-        ("moving objects", "dynamic_objects"),
-    ):
+    for name, key in SPREADS:
         cells = " | ".join(f"{value:g}" for value in row[key].values())
         lines.append(f"| {name} | {cells} |")
+    lines += [
+        "",
+        f"{row['shots_with_shadows']} of {row['shots']} shots have moving shadows on at least "
+        f"{MUCH:.1%} of the picture. SHOTS.md has each shot.",
+        f"By engine: {_counts(row['engines'])}.",
+        f"By place: {_counts(row['places'])}.",
+        f"By what they are to show: {_counts(row['features'])}.",
+    ]
     return lines
+
+
+def _counts(counted: dict[str, int]) -> str:
+    return ", ".join(f"{name} {count}" for name, count in counted.items())

@@ -2,25 +2,36 @@
 
 A seed draws a kind of place, materials, things that stand and things that move, light, and a camera
 whose median motion over a key interval is spread evenly on a logarithmic scale. Run it with
-Blender's Python: `variety.py 1-150 --data FOLDER`.
+Blender's Python: `variety.py 1-400 --data FOLDER`.
 """
 
 from __future__ import annotations
 
 import argparse
+import functools
 import gc
 import math
 import random
+from dataclasses import replace
+from pathlib import Path
 
+import things_list
+import variety_acts
 import variety_indoors as indoors
 import variety_light
 import variety_moves
+import variety_noise
 import variety_outdoors as outdoors
 import variety_view
+import variety_wind
 from stage import options
+from stage.quality import TRAINING
 from stage.shooting import Script, say, shoot
+from things_list import ThingList, default_folder
 from variety_looks import Wardrobe
+from variety_plan import Plan
 from variety_set import Set
+from variety_things import Stock
 
 PLACES = (
     outdoors.street, indoors.room, outdoors.land, indoors.still_life, outdoors.scaffold,
@@ -32,6 +43,8 @@ SLOWEST, FASTEST = 0.3, 25.0
 STILL = 0.06
 """Share of shots whose camera stands still."""
 INSTANTS = 13
+SEEDS = frozenset(range(1, 401))
+SIZE = "256x144"
 PACE = 3.6
 GOLDEN = (math.sqrt(5) - 1) / 2
 
@@ -51,23 +64,40 @@ def speed_of(seed: int) -> float:
     return SLOWEST * (FASTEST / SLOWEST) ** ((seed * GOLDEN) % 1)
 
 
-def build(seed: int, last: int) -> dict[int, str]:
-    """Build the shot of a seed; return what each object id is."""
-    chance = random.Random(seed)
-    scene = Set(chance, Wardrobe(chance, 1.0))
+def build(seed: int, last: int, listed: ThingList, credits: list[dict[str, str]]) -> dict[int, str]:
+    """Build the shot of a seed; return what each object id is, and fill in the real things."""
+    chance, plan = random.Random(seed), Plan.draw(seed)
+    stock = Stock(listed, seed, plan.has("real shapes"), plan.has("real textures"))
+    wear = Wardrobe(chance, 1.0, stock, plan.has("glossy ground"))
+    scene = Set(chance, wear, plan=plan, stock=stock)
     PLACES[seed % len(PLACES)](scene)
     night = variety_light.light(scene, last)
     path = variety_view.choose(scene, speed_of(seed), last)
-    dynamic = variety_moves.Troupe(scene, path, last).cast_parts()
+    after = (variety_wind.blow,) if plan.has("wind") else ()
+    dynamic = variety_moves.Troupe(scene, path, last).cast_parts((variety_acts.play,), after)
     variety_light.expose(scene, night)
+    credits[:] = [stock.shown[name].credit for name in sorted(stock.shown)]
     return dynamic
 
 
-def script(seed: int) -> Script:
-    """Return the shot of a seed."""
-    about = f"A random shot for training: {place_of(seed)}."
-    name = f"variety-{seed:04d}"
-    return Script(name, about, build, INSTANTS, seed, "training", PACE, key_step=1)
+def script(seed: int, listed: ThingList) -> Script:
+    """Return the shot of a seed, with the real things of a list where the seed wants some."""
+    plan, credits = Plan.draw(seed), []
+    wants = plan.has("real shapes") or plan.has("real textures")
+    return Script(
+        f"variety-{seed:04d}",
+        f"A random shot for training: {place_of(seed)}.",
+        functools.partial(build, listed=listed, credits=credits),
+        INSTANTS,
+        seed,
+        "training",
+        PACE,
+        key_step=1,
+        quality=TRAINING,
+        features=tuple(sorted(plan.features)),
+        packages=listed.packages if wants else {},
+        things=credits,
+    )
 
 
 def main() -> None:
@@ -77,15 +107,31 @@ def main() -> None:
         "seeds",
         nargs="*",
         type=options.ranges,
-        default=[frozenset(range(1, 151))],
-        help="as in 1-150 or 7,9 (1-150)",
+        default=[SEEDS],
+        help=f"as in 1-150 or 7,9 ({min(SEEDS)}-{max(SEEDS)})",
     )
-    options.options(parser)
+    parser.add_argument(
+        "--things",
+        type=Path,
+        default=default_folder(),
+        help="folder of real things, written by things.py (%(default)s)",
+    )
+    options.options(parser, SIZE)
     chosen = parser.parse_args()
+    listed = things_list.read(chosen.things.expanduser())
+    if not listed.things:
+        say(f"{listed.folder} has no real things (things.py takes some); shapes are our own.")
     seeds = sorted(frozenset().union(*chosen.seeds))
     for number, seed in enumerate(seeds, 1):
         say(f"shot {number} of {len(seeds)}: seed {seed}, {place_of(seed)}")
-        shoot(script(seed), options.order(chosen))
+        order = options.order(chosen)
+        shot = script(seed, listed)
+        if order.samples is None and order.seeds is None:
+            folder = order.data / shot.name
+            last = shot.instants - 1
+            quality = variety_noise.quality_of(folder, seed, shot.build, last, order.size)
+            shot = replace(shot, quality=quality)
+        shoot(shot, order)
         gc.collect()
 
 

@@ -24,18 +24,22 @@ SKIES: Skies = {
     "storm": ((0.05, 0.06, 0.09), (0.35, 0.36, 0.38), (0.7, 0.68, 0.66), 2.0),
     "studio": ((0.55, 0.55, 0.55), (0.45, 0.45, 0.45), None, 2.5),
 }
+CASTING = ("clear", "cloudy", "sunset", "studio")
+"""Skies with a sun that casts shadows."""
+
 NIGHT = ((0.012, 0.017, 0.04), (0.05, 0.05, 0.07), (0.09, 0.08, 0.08), 0.35)
 
 
 def light(scene: Set, last: int) -> bool:
     """Add sky, sun and lamps; say whether it is night."""
     chance = scene.chance
-    night = chance.random() < scene.night
-    kind = chance.choice(sorted(SKIES))
+    night = scene.is_dark = chance.random() < scene.night
+    casting = scene.plan.has("cast shadows")
+    kind = chance.choice(CASTING if casting else sorted(SKIES))
     zenith, horizon, clouds, sun = NIGHT if night else SKIES[kind]
     tint = [scene.within(0.8, 1.2) for _ in range(3)]
     colours = [tuple(c * t for c, t in zip(part, tint, strict=True)) for part in (zenith, horizon)]
-    looks.backdrop(*colours, scene.within(0.5, 1.3), clouds)
+    looks.backdrop(*colours, scene.within(0.5, 0.8 if casting else 1.3), clouds)
     _sun(scene, sun, kind == "sunset" and not night, last)
     dark = night or scene.indoor
     if dark or chance.random() < 0.25:
@@ -53,7 +57,8 @@ def _sun(scene: Set, strength: float, low: bool, last: int) -> None:
     )
     warm = max(0.0, 1.0 - up)
     colour = (1.0, 1.0 - 0.45 * warm**2, 1.0 - 0.75 * warm**2)
-    softness = math.exp(scene.within(math.log(0.3), math.log(15)))
+    softest = 2.5 if scene.plan.has("cast shadows") else 15.0
+    softness = math.exp(scene.within(math.log(0.3), math.log(softest)))
     sun = motion.sunlight(towards, strength * scene.within(0.6, 1.5), colour, softness)
     scene.sun = towards
     if scene.chance.random() < 0.15:  # shadows wander although nothing else may move
@@ -89,6 +94,7 @@ def _lamps(scene: Set, last: int, share: float) -> None:
         thing = bpy.data.objects.new("lamp", lamp)
         bpy.context.scene.collection.objects.link(thing)
         thing.location = at
+        scene.bulbs.append(thing)
         if chance.random() < 0.45:
             _swing(scene, thing, last)
         if chance.random() < 0.15:

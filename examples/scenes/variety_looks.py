@@ -5,21 +5,42 @@ from __future__ import annotations
 import colorsys
 import math
 import random
+from typing import Any
 
 from stage import looks
 from stage.blender import bpy
-from stage.looks import Colour
+from stage.looks import Colour, Nodes
 from variety_patterns import OF_ROLE, PATTERNS, Pick, noise, surface
+from variety_things import Stock, paint_texture
 
 Material = bpy.types.Material
 
 
 class Wardrobe:
-    """The materials of one shot: they share a scheme of hues."""
+    """The materials of one shot: they share a scheme of hues.
 
-    def __init__(self, chance: random.Random, unit: float) -> None:
+    Attributes
+    ----------
+    chance : random.Random
+        Of the shot.
+    unit : float
+        Size of a texture's features, metres, where nothing else is asked for.
+    stock : Stock or None
+        From which textures come beside the patterns.
+    is_wet : bool
+        Whether floors and ground mirror.
+    """
+
+    def __init__(
+        self,
+        chance: random.Random,
+        unit: float,
+        stock: Stock | None = None,
+        is_wet: bool = False,
+    ) -> None:
         self.chance = chance
         self.unit = unit
+        self.stock, self.is_wet = stock, is_wet
         self._first = chance.random()
         spread = chance.choice((0.1, 0.3, 0.5, 0.5, 0.5))
         self._hues = [self._first + chance.uniform(-spread, spread) for _ in range(5)]
@@ -54,15 +75,35 @@ class Wardrobe:
             colours[1] = tuple(0.3 * part for part in colours[0])
         pattern = chance.choice(OF_ROLE.get(kind, PATTERNS))
         spread = surface(nodes)
-        shade, height = pattern(Pick(nodes, chance, tuple(colours), size, spread))
+        pick = Pick(nodes, chance, tuple(colours), size, spread)
+        shade, height = self._texture(role, pick) or pattern(pick)
         if chance.random() < 0.45:
             dirt = noise(nodes, spread, chance.uniform(0.3, 1.5) / size, 1.0)
             dark = tuple(0.3 * part for part in colours[0])
             shade = nodes.mix(nodes.step(dirt, 0.45, 0.8), shade, dark)
         rough = chance.uniform(0.06, 0.45) if metal else self._roughness(role)
+        if self.is_wet and role in ("floor", "ground", "soil"):
+            rough = self._wet(nodes, spread, size)
         normal = None if height is None else nodes.bump(height)
         looks.finish(nodes, shade, rough, 1.0 if metal else 0.0, normal)
         return material
+
+    def _texture(self, role: str, pick: Pick) -> tuple[Any, None] | None:
+        """Return the colour of a real texture, by chance; its tiles are wider than features."""
+        found = self.stock.texture(role) if self.stock is not None else None
+        if found is None:
+            return None
+        size = max(pick.size * 4, 0.25 * self.unit)
+        where = pick.nodes.add("Mapping", {0: pick.spread, 3: (1 / size, 1 / size, 1.0)})
+        return paint_texture(pick.nodes, where.outputs[0], found), None
+
+    def _wet(self, nodes: Nodes, spread: Any, size: float) -> Any:
+        """Return a low roughness: everywhere, or in puddles."""
+        low = self.chance.uniform(0.02, 0.12)
+        if self.chance.random() < 0.5:
+            return low
+        pools = nodes.step(noise(nodes, spread, 0.25 / size, 1.0), 0.42, 0.55)
+        return nodes.math("SUBTRACT", 0.75, nodes.math("MULTIPLY", pools, 0.75 - low))
 
     def _roughness(self, role: str) -> float:
         shiny = {"floor": 0.55, "any": 0.35, "ground": 0.15}.get(role, 0.1)
@@ -91,6 +132,15 @@ class Wardrobe:
         """Make a mirror, clean or a little blind."""
         tint = tuple(self.chance.uniform(0.75, 0.95) for _ in range(3))
         return self.plain(tint, self.chance.choice((0.0, 0.02, 0.06)), 1.0)
+
+    def glass(self) -> Material:
+        """Make a clear or tinted pane that shows what is behind it, and reflects."""
+        hue, strong = self.chance.random(), self.chance.choice((0.0, 0.1, 0.5))
+        tint = colorsys.hsv_to_rgb(hue, strong, self.chance.uniform(0.3, 0.9))
+        material, nodes = looks.new("glass")
+        shader = looks.finish(nodes, tint, self.chance.uniform(0.0, 0.15))
+        shader.inputs["Alpha"].default_value = self.chance.uniform(0.12, 0.65)
+        return material
 
     def water(self) -> Material:
         """Make water with ripples."""

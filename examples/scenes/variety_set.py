@@ -6,13 +6,17 @@ import math
 import random
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import variety_props as props
 import variety_thin as thin
 from stage.blender import bpy, mathutils
 from stage.meshes import MeshBuilder, Point
+from things_list import ThingList
 from variety_looks import Material, Wardrobe
+from variety_plan import Plan
 from variety_props import Prop, Suit
+from variety_things import Stock
 
 Matrix, Vector = mathutils.Matrix, mathutils.Vector
 Height = Callable[[float, float], float]
@@ -31,6 +35,11 @@ THIN: tuple[Prop, ...] = (
     thin.lattice, props.rings, props.spiral, props.wheel, props.chair,
 )  # fmt: skip
 ALL = SOLID + FURNITURE + THIN + (thin.tree, props.vehicle)
+OWN = {*PLANTS, thin.tree, props.rock, props.arch, props.steps, props.rotor, thin.curtain}
+"""What no real thing stands in for."""
+
+REAL = 0.5
+"""How often a real thing stands in for an own one, in shots that have some."""
 
 
 @dataclass
@@ -49,10 +58,20 @@ class Set:
         Where lamps may hang.
     indoor : bool
         Whether lamps must do most of the lighting.
+    is_dark : bool
+        Whether it is night, once that is drawn.
     night : float
         How likely it is dark outside.
     reach : float
         A usual distance from the camera to things, metres.
+    sun : Vector
+        Which way the sun shines.
+    bulbs : list
+        The lamps that are lit.
+    plan : Plan
+        What the shot is to show.
+    stock : Stock
+        Real things.
     """
 
     chance: random.Random
@@ -60,9 +79,13 @@ class Set:
     eyes: list[tuple[Point, Point]] = field(default_factory=list)
     lamps: list[Point] = field(default_factory=list)
     indoor: bool = False
+    is_dark: bool = False
     night: float = 0.15
     reach: float = 6.0
     sun: mathutils.Vector = field(default_factory=lambda: Vector((0, 0, -1)))
+    bulbs: list[bpy.types.Object] = field(default_factory=list)
+    plan: Plan = field(default_factory=Plan)
+    stock: Stock = field(default_factory=lambda: Stock(ThingList(Path()), 0, False, False))
 
     def within(self, low: float, high: float) -> float:
         """Draw a number."""
@@ -79,11 +102,16 @@ class Set:
     def make(
         self, prop: Prop, suit: Suit, at: Point, size: float, turn: float = 0.0
     ) -> bpy.types.Object:
-        """Make one thing in given clothes; its size is in the mesh."""
+        """Make one thing in given clothes, or a real one; its size is in the mesh."""
         mesh = MeshBuilder()
         mesh.place = Matrix.Scale(size, 4)
         prop(mesh, suit, self.chance)
         thing = mesh.object(prop.__name__)
+        real = None if prop in OWN else self.stock.shape(REAL)
+        if real is not None:
+            thing.data = real.copy()
+            thing.data.transform(Matrix.Scale(size, 4))
+            thing.name = real.name
         thing.location = at
         thing.rotation_euler = (0, 0, turn)
         return thing

@@ -92,6 +92,40 @@ def cast(origin: mathutils.Vector, along: mathutils.Vector) -> tuple[float, obje
     return ((where - origin).length, thing, face) if hit else (FAR, None, -1)
 
 
+@dataclass(frozen=True)
+class Footing:
+    """A place on a still surface that the camera sees.
+
+    Attributes
+    ----------
+    at, normal : Vector
+        The place, and which way the surface faces there.
+    away : float
+        Metres from the camera.
+    """
+
+    at: mathutils.Vector
+    normal: mathutils.Vector
+    away: float
+
+
+def footing(path: Path, chance: random.Random, level: float) -> Footing | None:
+    """Draw a place in the picture; None where nothing still is, or it is steeper than `level`.
+
+    `level` is the least upward part of the surface's normal: 1 for level ground, 0 for walls, too.
+    """
+    scene = bpy.context.scene
+    origin, along = path.ray(chance.uniform(-0.9, 0.9), chance.uniform(-0.95, 0.4), SPAN / 2)
+    hit, where, normal, _, thing, _ = scene.ray_cast(
+        bpy.context.evaluated_depsgraph_get(), origin, along, distance=FAR
+    )
+    if not hit or thing.pass_index or (where - origin).length > 60:
+        return None
+    if normal.dot(along) > 0:
+        normal = -normal
+    return Footing(where, normal, (where - origin).length) if normal.z > level else None
+
+
 def choose(scene: Set, speed: float, last: int) -> Path:
     """Choose a view and film it at a median speed in pixels per key interval; 0 for still."""
     bpy.context.view_layer.update()

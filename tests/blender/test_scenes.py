@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from pathlib import Path
 
 import numpy as np
+import OpenImageIO as oiio
 import pytest
 
 from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
@@ -22,6 +24,8 @@ pytestmark = [pytest.mark.blender, pytest.mark.slow]
 SCENES = ("lab", "tropical", "village", "town", "slum")
 SIZE = ("--resolution", "64x36", "--samples", 2)
 SHOT, NAME = 7, "variety-0007"
+REAL_SHOT = 40
+"""A seed that wants real shapes and textures."""
 
 
 @pytest.fixture(scope="module")
@@ -114,6 +118,41 @@ def test_exwarp_takes_the_files_as_they_are(data, tmp_path):
     summary = upsample(UpsampleSettings(source, str(tmp_path / "out"), ground_truth=instants))
     assert len(summary.frames) == scene.manifest.instants.count
     assert all(record.score is not None for record in summary.frames if record.slot)
+
+
+def test_real_things_are_shown_and_named(script, tmp_path):
+    """A list of one shape and one texture: a shot shows them, and its manifest names both."""
+    things, seed = tmp_path / "things", REAL_SHOT
+    (things / "a").mkdir(parents=True)
+    corners = [(x, y, z) for x in (0, 1) for y in (0, 2) for z in (0, 1)]
+    sides = ("1 3 4 2", "5 6 8 7", "1 2 6 5", "3 7 8 4", "1 5 7 3", "2 4 8 6")
+    lines = [f"v {x} {y} {z}" for x, y, z in corners] + [f"f {side}" for side in sides]
+    (things / "a" / "box.obj").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    paint = np.random.default_rng(1).random((64, 64, 3), np.float32)
+    oiio.ImageBuf(paint).write(str(things / "a" / "wall.png"), "uint8")
+    row = {"author": "A. Turner", "licence": "CC0", "package": "chairs"}
+    listed = [
+        {"name": "box", "title": "Box", "kind": "shape", "path": "a/box.obj"} | row,
+        {"name": "wall", "title": "wall: w", "kind": "texture", "path": "a/wall.png"} | row,
+        {"name": "floor", "title": "floor: w", "kind": "texture", "path": "a/wall.png"} | row,
+    ]
+    content = {"packages": {"chairs": "1.2"}, "things": listed}
+    (things / "things.json").write_text(json.dumps(content), encoding="utf-8")
+    part = ("--frames", 1, "--what", "instants", *SIZE)
+    done = script("variety", seed, "--data", tmp_path / "real", "--things", things, *part)
+    assert done.returncode == 0, done.stderr
+    folder = f"variety-{seed:04d}"
+    said = json.loads((tmp_path / "real" / folder / "manifest.json").read_text(encoding="utf-8"))
+    assert {thing["name"] for thing in said["things"]} == {"box", "floor", "wall"}
+    assert said["things"][0]["author"] == "A. Turner" and said["packages"] == {"chairs": "1.2"}
+    without = ("--data", tmp_path / "own", "--things", tmp_path / "none")
+    done = script("variety", seed, *without, *part)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("has no real things") == 1
+    said = json.loads((tmp_path / "own" / folder / "manifest.json").read_text(encoding="utf-8"))
+    assert "things" not in said and "real shapes" in said["features"]
+    mixed = script("variety", seed, "--data", tmp_path / "real", *without[2:], *part)
+    assert mixed.returncode == 1 and "holds another rendering (packages is" in mixed.stderr
 
 
 @pytest.mark.parametrize("name", SCENES)

@@ -77,8 +77,8 @@ def finish(
     glow: Any = 0.0,
     light: Any = None,
     ior: float = 1.5,
-) -> None:
-    """Close a material: principled surface and the two AOV outputs.
+) -> bpy.types.Node:
+    """Close a material: principled surface, which is returned, and the two AOV outputs.
 
     It emits `glow`, a number or a socket, times `light`, or times its own colour without.
     """
@@ -91,6 +91,7 @@ def finish(
     nodes.add("OutputMaterial", {0: shader.outputs[0]})
     for name, value in zip(AOVS, (roughness, metallic), strict=True):
         nodes.add("OutputAOV", {"Value": value}, aov_name=name)
+    return shader
 
 
 def new(name: str) -> tuple[bpy.types.Material, Nodes]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Collection
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 NAME = "manifest.json"
@@ -55,6 +55,12 @@ class Manifest:
         How far apart the instants are that were also rendered as key frames.
     dynamic : dict of str to str
         Object ids (as text, as JSON wants it) of what moves, and what each is.
+    features : list of str
+        What a training shot is to show that is hard to warp.
+    packages : dict of str to str
+        Debian's packages of real things that the shot was built with, and their versions.
+    things : list of dict
+        The real things in the shot: name, title, author, licence and package of each.
     """
 
     scene: str
@@ -75,6 +81,9 @@ class Manifest:
     motion: str
     key_step: int
     dynamic: dict[str, str]
+    features: list[str] = field(default_factory=list)
+    packages: dict[str, str] = field(default_factory=dict)
+    things: list[dict[str, str]] = field(default_factory=list)
 
     @property
     def keys(self) -> int:
@@ -84,6 +93,9 @@ class Manifest:
     def content(self) -> dict[str, object]:
         """Return what the file says, with the sequences named."""
         content: dict[str, object] = {"schema": SCHEMA} | asdict(self)
+        for key in ("features", "packages", "things"):
+            if not content[key]:
+                del content[key]
         content["instants"] = {
             "pattern": f"instants/{self.scene}.####.exr",
             "first": content.pop("first"),

@@ -26,15 +26,15 @@ def main(script: Script) -> None:
     shoot(script, order(parser.parse_args()))
 
 
-def options(parser: argparse.ArgumentParser) -> None:
-    """Add the options that all scripts share."""
+def options(parser: argparse.ArgumentParser, resolution: str = "240p") -> None:
+    """Add the options that all scripts share; `resolution` is the usual one."""
     add = parser.add_argument
     add("--data", type=Path, default=default_data(), help="folder of all scenes (%(default)s)")
     add(
         "--resolution",
         type=size,
-        default=RESOLUTIONS["240p"],
-        help=f"{', '.join(RESOLUTIONS)} or WIDTHxHEIGHT (240p)",
+        default=size(resolution),
+        help=f"{', '.join(RESOLUTIONS)} or WIDTHxHEIGHT ({resolution})",
     )
     add(
         "--look",

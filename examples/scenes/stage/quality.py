@@ -52,7 +52,12 @@ class Quality:
 
 
 HURRIED = Quality(samples=16, seeds=1, accurate=False, light_tree=False)
-"""As a hurried artist delivers; also the setting of training shots."""
+"""As a hurried artist delivers."""
+
+TRAINING = Quality(samples=16, seeds=1, clamp=2.0)
+"""Of one render of a training shot's frame; as many are averaged as its noise needs. The bound is
+worth 0.5 to 1.1 dB on three shots, and accurate guides 0.6 to 1.4 dB on five, for a fifth of the
+time."""
 
 MOST_SEEDS = 48
 """So many renders of a frame have noise that no other render of the scene has."""

@@ -172,7 +172,7 @@ def render(instant: int, product: Product, target: Path, seed: int) -> None:
         Of the noise at instant 0; each instant has its own.
     """
     scene = bpy.context.scene
-    with tempfile.TemporaryDirectory(dir=target.parent, prefix=".part-") as folder, _quiet():
+    with tempfile.TemporaryDirectory(dir=target.parent, prefix=".part-") as folder, quiet():
         part = Path(folder, target.name)
         frame, between = divmod(instant, product.step)
         scene.frame_set(frame, subframe=between / product.step)
@@ -183,13 +183,15 @@ def render(instant: int, product: Product, target: Path, seed: int) -> None:
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
-    """Keep the renderer's own lines, several a frame, off standard output."""
-    kept = os.dup(1)
+def quiet(*streams: int) -> Iterator[None]:
+    """Keep Blender's own lines, several a frame, off standard output, or off other streams."""
+    kept = {stream: os.dup(stream) for stream in streams or (1,)}
     try:
         with Path(os.devnull).open("wb") as nowhere:
-            os.dup2(nowhere.fileno(), 1)
+            for stream in kept:
+                os.dup2(nowhere.fileno(), stream)
         yield
     finally:
-        os.dup2(kept, 1)
-        os.close(kept)
+        for stream, copy in kept.items():
+            os.dup2(copy, stream)
+            os.close(copy)

@@ -15,8 +15,8 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Collection, Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from stage import files, manifest, render
@@ -72,6 +72,14 @@ class Script:
         With which the noise floor is at least 38 dB; None where there is only `HURRIED`.
     span : tuple of int
         First and last number of the instants that are rendered clean.
+    quality : Quality
+        Of a script that is not rendered clean.
+    features : tuple of str
+        What a training shot is to show that is hard to warp.
+    packages : dict of str to str
+        Packages of real things, and their versions.
+    things : list of dict
+        The real things in the scene; `build` fills it in.
     """
 
     name: str
@@ -84,6 +92,10 @@ class Script:
     key_step: int = INSTANTS_PER_KEY
     clean: Quality | None = None
     span: tuple[int, int] = (1, 121)
+    quality: Quality = HURRIED
+    features: tuple[str, ...] = ()
+    packages: Mapping[str, str] = field(default_factory=dict)
+    things: list[dict[str, str]] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -148,7 +160,7 @@ class Job:
         """Choose quality, folder and span for an order."""
         script = replace(script, key_step=order.key_step or script.key_step)
         folder, (first, last) = order.data, (1, script.instants)
-        look = HURRIED
+        look = script.quality
         if script.clean is not None and order.hurried:
             folder = folder / "hurried"
         elif script.clean is not None:
@@ -181,6 +193,9 @@ class Job:
             motion=manifest.BLENDER_MOTION,
             key_step=script.key_step,
             dynamic={str(index): dynamic[index] for index in sorted(dynamic)},
+            features=list(script.features),
+            packages=dict(script.packages),
+            things=list(script.things),
         )
 
     def path(self, what: str, instant: int) -> Path:
@@ -202,7 +217,7 @@ def shoot(script: Script, order: Order) -> None:
         With one sentence, when the folder holds another rendering, or the disk is too small.
     """
     job = Job.plan(script, order)
-    _refuse_other(job.folder, job.describe({}), but=("dynamic",))
+    _refuse_other(job.folder, job.describe({}), but=("dynamic", "things"))
     wanted = _wanted(job)
     missing = _missing(job, wanted)
     if not missing:
