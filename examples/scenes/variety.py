@@ -31,8 +31,10 @@ SLOWEST, FASTEST = 0.3, 25.0
 """Median motion over 1/30 s, pixels of a picture 427 wide."""
 STILL = 0.06
 """Share of shots whose camera stands still."""
+RASTER = 1 / 3
+"""Share of shots that EEVEE renders, as a game engine would."""
 INSTANTS = 13
-PACE = 3.6
+PACES = {"Cycles": 3.6, "EEVEE": 12.0}
 GOLDEN = (math.sqrt(5) - 1) / 2
 
 
@@ -51,6 +53,11 @@ def speed_of(seed: int) -> float:
     return SLOWEST * (FASTEST / SLOWEST) ** ((seed * GOLDEN) % 1)
 
 
+def engine_of(seed: int) -> str:
+    """Return what renders a seed's shot, whatever its place and speed are."""
+    return "EEVEE" if (seed * math.sqrt(3)) % 1 < RASTER else "Cycles"
+
+
 def build(seed: int, last: int) -> dict[int, str]:
     """Build the shot of a seed; return what each object id is."""
     chance = random.Random(seed)
@@ -67,7 +74,9 @@ def script(seed: int) -> Script:
     """Return the shot of a seed."""
     about = f"A random shot for training: {place_of(seed)}."
     name = f"variety-{seed:04d}"
-    return Script(name, about, build, INSTANTS, seed, "training", PACE, key_step=1)
+    engine = engine_of(seed)
+    pace = PACES[engine]
+    return Script(name, about, build, INSTANTS, seed, "training", pace, key_step=1, engine=engine)
 
 
 def main() -> None:

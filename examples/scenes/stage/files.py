@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,9 @@ import numpy as np
 from stage.blender import OpenEXR
 
 VECTOR = ".Vector"
+
+SKY_DEPTH = 1e10
+"""As Cycles writes it; EEVEE writes the far end of what the camera sees."""
 
 UNFILTERED = (".Depth", ".Position", ".Object Index")
 """Passes that hold one value of the pixel's centre, whatever the noise is."""
@@ -90,6 +94,76 @@ def join_mean(sources: Sequence[Path], target: Path) -> None:
         part_file = target.with_name(f".part-{target.name}")
         OpenEXR.File(parts).write(str(part_file))
     part_file.replace(target)
+
+
+@dataclass(frozen=True)
+class View:
+    """A camera, for positions from depths.
+
+    Attributes
+    ----------
+    placed : numpy.ndarray
+        Float64 [4, 4], from camera space (looking along -z) to the world.
+    wide : float
+        Tangent of half the horizontal field of view.
+    """
+
+    placed: np.ndarray
+    wide: float
+
+    def positions(self, depth: np.ndarray) -> np.ndarray:
+        """Return world positions [H, W, 3] of pixel centres at planar depths [H, W]."""
+        height, width = depth.shape
+        x = (np.arange(width) + 0.5) * 2 / width - 1
+        y = (height - 2 * (np.arange(height) + 0.5)) / width
+        rays = np.stack(np.broadcast_arrays(x, y[:, None], -1.0), axis=-1)
+        rays *= (self.wide, self.wide, 1.0)
+        return (rays * depth[..., None]) @ self.placed[:3, :3].T + self.placed[:3, 3]
+
+
+def reduce_grid(fine: Path, target: Path, grid: int, view: View, exposure: float) -> None:
+    """Write a raster frame from one that has `grid` times its width and height.
+
+    Colour is the mean of grid * grid samples times `exposure`. Data passes hold the centre one:
+    vectors in pixels of the written frame, Object Index without the 1 that was added to it, Depth
+    `SKY_DEPTH` where that 1 is missing, and Position from Depth, as EEVEE's is a half float.
+    """
+    with OpenEXR.File(str(fine), separate_channels=True) as file:
+        planes = {n: c.pixels for part in file.parts for n, c in part.channels.items()}
+        centre = {
+            name: pixels[grid // 2 :: grid, grid // 2 :: grid] for name, pixels in planes.items()
+        }
+        index = next(name for name in centre if name.endswith(".Object Index.X"))
+        depth = next(name for name in centre if name.endswith(".Depth.Z"))
+        sky = centre[index] < 0.5
+        centre[index] = np.where(sky, 0, centre[index] - 1)
+        positions = view.positions(centre[depth].astype(np.float64))
+        positions[sky] = 0
+        centre[depth] = np.where(sky, SKY_DEPTH, centre[depth])
+        parts = []
+        for part in file.parts:
+            for name, channel in part.channels.items():
+                pixels = centre[name]
+                if ".Combined." in name:
+                    pixels = _mean(planes[name], grid)
+                    pixels = pixels if name.endswith(".A") else pixels * exposure
+                elif VECTOR in name:
+                    pixels = pixels / grid
+                elif ".Position." in name:
+                    pixels = positions[..., "XYZ".index(name[-1])]
+                channel.pixels = np.ascontiguousarray(pixels, channel.pixels.dtype)
+            height, width = sky.shape
+            window = (np.zeros(2, np.int32), np.array([width - 1, height - 1], np.int32))
+            header = part.header | {"dataWindow": window, "displayWindow": window}
+            parts.append(OpenEXR.Part(header, part.channels, part.name()))
+        OpenEXR.File(parts).write(str(target))
+
+
+def _mean(pixels: np.ndarray, grid: int) -> np.ndarray:
+    """Average the samples of every pixel."""
+    height, width = pixels.shape
+    blocks = pixels.reshape(height // grid, grid, width // grid, grid)
+    return np.asarray(blocks.astype(np.float64).mean(axis=(1, 3)))
 
 
 def read_seconds(text: str) -> float:

@@ -1,7 +1,9 @@
-"""How clean a scene is rendered; this module does without Blender."""
+"""How clean a scene is rendered, by either engine; this module does without Blender."""
 
 from __future__ import annotations
 
+import math
+import sys
 from dataclasses import dataclass
 
 
@@ -51,8 +53,59 @@ class Quality:
         return ", ".join(parts)
 
 
+@dataclass(frozen=True)
+class Raster:
+    """How finely a scene is rendered with EEVEE.
+
+    Attributes
+    ----------
+    samples : int
+        Per pixel: the square of an odd number, for they form a grid with one at the centre.
+    seeds : int
+        Always 1: EEVEE's noise is the same in every render.
+    """
+
+    samples: int
+    seeds: int = 1
+
+    @property
+    def grid(self) -> int:
+        """Samples along each side of a pixel.
+
+        Raises
+        ------
+        SystemExit
+            With one sentence, if the samples form no such grid.
+        """
+        side = math.isqrt(self.samples)
+        if side * side != self.samples or side % 2 == 0 or self.seeds != 1:
+            sys.exit(
+                "An EEVEE scene takes --samples 1, 9, 25, 49 or the square of another odd number, "
+                f"and --renders 1, not {self.samples} and {self.seeds}."
+            )
+        return side
+
+    @property
+    def total(self) -> int:
+        """Samples of a frame."""
+        return self.samples
+
+    @property
+    def denoiser(self) -> str:
+        """Name of the denoiser; there is none."""
+        return ""
+
+    @property
+    def sampling(self) -> str:
+        """What a frame consists of."""
+        return f"{self.grid} x {self.grid} samples, raster shadows, screen-space reflections"
+
+
 HURRIED = Quality(samples=16, seeds=1, accurate=False, light_tree=False)
 """As a hurried artist delivers; also the setting of training shots."""
+
+HURRIED_RASTER = Raster(samples=9)
+"""As a game delivers; also the setting of training shots."""
 
 MOST_SEEDS = 48
 """So many renders of a frame have noise that no other render of the scene has."""
