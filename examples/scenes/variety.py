@@ -66,7 +66,7 @@ def build(seed: int, last: int) -> dict[int, str]:
     night = variety_light.light(scene, last)
     path = variety_view.choose(scene, speed_of(seed), last)
     dynamic = variety_moves.Troupe(scene, path, last).cast_parts()
-    variety_light.expose(scene, night)
+    variety_light.expose(scene, night, engine_of(seed))
     return dynamic
 
 

@@ -136,7 +136,7 @@ def reduce_grid(fine: Path, target: Path, grid: int, view: View, exposure: float
         index = next(name for name in centre if name.endswith(".Object Index.X"))
         depth = next(name for name in centre if name.endswith(".Depth.Z"))
         sky = centre[index] < 0.5
-        centre[index] = np.where(sky, 0, centre[index] - 1)
+        centre[index] = np.where(sky, 0, np.rint(centre[index]) - 1)
         positions = view.positions(centre[depth].astype(np.float64))
         positions[sky] = 0
         centre[depth] = np.where(sky, SKY_DEPTH, centre[depth])

@@ -60,13 +60,19 @@ class Raster:
     Attributes
     ----------
     samples : int
-        Per pixel: the square of an odd number, for they form a grid with one at the centre.
+        Per pixel: a grid with one at the centre, so the square of an odd number, or 4 times that,
+        where each point of the grid gets four samples of EEVEE's own.
     seeds : int
         Always 1: EEVEE's noise is the same in every render.
     """
 
     samples: int
     seeds: int = 1
+
+    @property
+    def own(self) -> int:
+        """EEVEE's own samples at each point of the grid."""
+        return 1 if self.samples % 4 else 4
 
     @property
     def grid(self) -> int:
@@ -77,11 +83,11 @@ class Raster:
         SystemExit
             With one sentence, if the samples form no such grid.
         """
-        side = math.isqrt(self.samples)
-        if side * side != self.samples or side % 2 == 0 or self.seeds != 1:
+        side = math.isqrt(self.samples // self.own)
+        if side * side * self.own != self.samples or side % 2 == 0 or self.seeds != 1:
             sys.exit(
-                "An EEVEE scene takes --samples 1, 9, 25, 49 or the square of another odd number, "
-                f"and --renders 1, not {self.samples} and {self.seeds}."
+                "An EEVEE scene takes --samples 1, 9, 25 or the square of another odd number, or "
+                f"4 times that, and --renders 1; not {self.samples} and {self.seeds}."
             )
         return side
 
@@ -98,7 +104,9 @@ class Raster:
     @property
     def sampling(self) -> str:
         """What a frame consists of."""
-        return f"{self.grid} x {self.grid} samples, raster shadows, screen-space reflections"
+        own = f" of {self.own}" if self.own > 1 else ""
+        grid = f"grid of {self.grid} x {self.grid} samples{own}"
+        return f"{grid}, raster shadows, screen-space reflections"
 
 
 HURRIED = Quality(samples=16, seeds=1, accurate=False, light_tree=False)
