@@ -1,14 +1,14 @@
 """EEVEE, Blender's raster engine, set up as a game engine is; it takes the place of `render`.
 
-A frame is rendered once, several times wider and higher, with one sample at each pixel's centre.
-Colour is the mean of these samples; a data pass holds the sample at the final pixel's centre.
-EEVEE's own samples cost 0.6 core-s each with software OpenGL, at any size, so these are cheaper.
+A frame is rendered several times wider and higher, with one sample at each pixel's centre. Colour
+is the mean of these samples; a data pass holds the sample at the final pixel's centre. Samples of
+EEVEE's own cost more in software: each renders its shadows again. Clean frames take four of
+them all the same, as the noise of shadows and reflections asks for it.
 """
 
 from __future__ import annotations
 
 import math
-import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,7 +28,7 @@ INDEX = "Object Index"
 PASSES = ("z", "vector", "normal", "position", "diffuse_color", "glossy_color")
 
 CENTRE = 0.01
-"""Width of the filter in pixels: every sample lies at its pixel's centre."""
+"""Width of a filter, in pixels, that puts every sample at its pixel's centre."""
 
 FLOOR = 4
 """How many times the samples the frame has that others are compared with."""
@@ -42,12 +42,9 @@ class RasterProduct(Product):
     ----------
     grid : int
         Samples along each side of a pixel; odd, so that one lies at its centre.
-    spread : float
-        Width of the filter, in pixels of the grid, over which EEVEE's own samples are spread.
     """
 
     grid: int = 1
-    spread: float = CENTRE
 
 
 def products(samples: int, step: int) -> dict[str, RasterProduct]:
@@ -55,7 +52,7 @@ def products(samples: int, step: int) -> dict[str, RasterProduct]:
     look = Raster(samples)
     return {
         "instants": RasterProduct(1, PASSES, True, look.own, look.grid),
-        "floor": RasterProduct(1, PASSES, True, FLOOR * look.own, look.grid, 1.0),
+        "floor": RasterProduct(1, PASSES, True, FLOOR * look.own, look.grid),
         "keys": RasterProduct(step, ("z", "vector"), False, 1),
     }
 
@@ -93,19 +90,11 @@ def _output_index(material: bpy.types.Material) -> None:
 
 
 def configure(product: RasterProduct, fps: int) -> None:
-    """Set rate, size, passes and effects for one kind of frames; `fps` is that of the instants."""
+    """Set rate, passes and effects for one kind of frames; `fps` is that of the instants."""
     scene = bpy.context.scene
     scene.render.fps = fps // product.step
     # As for Cycles: frame f shows instant f * step, and vectors span a whole step.
     scene.render.frame_map_old, scene.render.frame_map_new = product.step, 1
-    width, height = scene["size"]
-    scene.render.resolution_x, scene.render.resolution_y = (
-        width * product.grid,
-        height * product.grid,
-    )
-    scene.render.filter_size = product.spread
-    scene.eevee.taa_render_samples = product.samples
-    scene.eevee.use_raytracing = scene.eevee.use_shadows = product.shaded
     layer = scene.view_layers[0]
     for name in path_tracer.PASSES:
         setattr(layer, f"use_pass_{name}", name in product.passes)
@@ -131,18 +120,28 @@ def render(instant: int, product: RasterProduct, target: Path, seed: int) -> Non
         Without effect: EEVEE's noise is the same in every frame.
     """
     with tempfile.TemporaryDirectory(dir=target.parent, prefix=".part-") as folder:
-        fine = Path(folder, "fine.exr")
-        try:
-            path_tracer.render(instant, product, fine, seed)
-        except RuntimeError as error:
-            sys.exit(
-                f"EEVEE does not render ({str(error).strip()}). Without a GPU it needs Mesa's "
-                "software OpenGL; in Debian: apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri."
-            )
-        scene = bpy.context.scene
+        colour, data = Path(folder, "colour.exr"), Path(folder, "data.exr")
+        spread = product.samples > 1
+        _sample(product.grid, product.samples, product.shaded)
+        path_tracer.render(instant, product, colour, seed)
+        if spread:  # over the pixel, where no data pass may be
+            _sample(1, 1, False)
+            path_tracer.render(instant, product, data, seed)
+        exposure = bpy.context.scene.cycles.film_exposure
         reduced = Path(folder, target.name)
-        reduce_grid(fine, reduced, product.grid, _view(), scene.cycles.film_exposure)
+        reduce_grid(colour, data if spread else colour, reduced, _view(), exposure)
         reduced.replace(target)
+
+
+def _sample(grid: int, samples: int, shaded: bool) -> None:
+    """Set how often and where a pixel is sampled, and whether there are shadows and reflections."""
+    scene = bpy.context.scene
+    render, eevee = scene.render, scene.eevee
+    render.resolution_x, render.resolution_y = (grid * side for side in scene["size"])
+    # One sample lies at the centre of its pixel; several are spread over it.
+    render.filter_size = CENTRE if samples == 1 else 1.0
+    eevee.taa_render_samples = samples
+    eevee.use_raytracing = eevee.use_shadows = shaded
 
 
 def _view() -> View:
@@ -151,4 +150,5 @@ def _view() -> View:
     camera = scene.camera
     graph = bpy.context.evaluated_depsgraph_get()
     placed = np.array(camera.evaluated_get(graph).matrix_world)
-    return View(placed, math.tan(camera.data.angle_x / 2))
+    width, height = scene["size"]
+    return View(placed, math.tan(camera.data.angle_x / 2), (width, height))
