@@ -112,8 +112,9 @@ class Raster:
 HURRIED = Quality(samples=16, seeds=1, accurate=False, light_tree=False)
 """As a hurried artist delivers; also the setting of training shots."""
 
-HURRIED_RASTER = Raster(samples=9)
-"""As a game delivers; also the setting of training shots."""
+HURRIED_RASTER = Raster(samples=36)
+"""As a game delivers; also the setting of training shots. Without samples of EEVEE's own nothing
+that was lit is reflected: 9 are 24 dB from 100 in a room with a metal crate."""
 
 MOST_SEEDS = 48
 """So many renders of a frame have noise that no other render of the scene has."""

@@ -30,6 +30,9 @@ PASSES = ("z", "vector", "normal", "position", "diffuse_color", "glossy_color")
 CENTRE = 0.01
 """Width of a filter, in pixels, that puts every sample at its pixel's centre."""
 
+WIDEST_SUN, WIDEST_LAMP = math.radians(1.0), 0.04
+"""Greatest apparent size of a sun, radians, and radius of a lamp, metres."""
+
 FLOOR = 4
 """How many times the samples the frame has that others are compared with."""
 
@@ -71,6 +74,11 @@ def settle(size: tuple[int, int], _: Raster | None = None) -> None:
     eevee.gi_cubemap_resolution = "256"
     # A shadow map's texel is two samples wide. At full size the arena took 1.8 times as long.
     eevee.shadow_resolution_scale = 0.5
+    for lamp in bpy.data.lights:  # wide lights are noisy; games have sharp shadows, too
+        if lamp.type == "SUN":
+            lamp.angle = min(lamp.angle, WIDEST_SUN)
+        elif lamp.type != "AREA":
+            lamp.shadow_soft_size = min(lamp.shadow_soft_size, WIDEST_LAMP)
     for material in bpy.data.materials:
         _output_index(material)
 
