@@ -33,7 +33,7 @@ DEMO := build/demo
 # Blender's module wants Python 3.11 and an environment of its own.
 BLENDER ?= .blender
 BLENDER_PYTHON ?= python3.11
-SCENES ?= slum town lab tropical village variety
+SCENES ?= slum town lab tropical village arena courtyard variety
 OPTIONS ?=
 BENCHES ?=
 DATA ?= $(HOME)/.cache/exwarp/scenes

@@ -42,10 +42,12 @@ SLOWEST, FASTEST = 0.3, 25.0
 """Median motion over 1/30 s, pixels of a picture 427 wide."""
 STILL = 0.06
 """Share of shots whose camera stands still."""
+RASTER = 1 / 3
+"""Share of shots that EEVEE renders, as a game engine would."""
 INSTANTS = 13
 SEEDS = frozenset(range(1, 401))
 SIZE = "256x144"
-PACE = 3.6
+PACES = {"Cycles": 3.6, "EEVEE": 13.0}
 GOLDEN = (math.sqrt(5) - 1) / 2
 
 
@@ -64,6 +66,11 @@ def speed_of(seed: int) -> float:
     return SLOWEST * (FASTEST / SLOWEST) ** ((seed * GOLDEN) % 1)
 
 
+def engine_of(seed: int) -> str:
+    """Return what renders a seed's shot, whatever its place and speed are."""
+    return "EEVEE" if (seed * math.sqrt(3)) % 1 < RASTER else "Cycles"
+
+
 def build(seed: int, last: int, listed: ThingList, credits: list[dict[str, str]]) -> dict[int, str]:
     """Build the shot of a seed; return what each object id is, and fill in the real things."""
     chance, plan = random.Random(seed), Plan.draw(seed)
@@ -75,14 +82,14 @@ def build(seed: int, last: int, listed: ThingList, credits: list[dict[str, str]]
     path = variety_view.choose(scene, speed_of(seed), last)
     after = (variety_wind.blow,) if plan.has("wind") else ()
     dynamic = variety_moves.Troupe(scene, path, last).cast_parts((variety_acts.play,), after)
-    variety_light.expose(scene, night)
+    variety_light.expose(scene, night, engine_of(seed))
     credits[:] = [stock.shown[name].credit for name in sorted(stock.shown)]
     return dynamic
 
 
 def script(seed: int, listed: ThingList) -> Script:
     """Return the shot of a seed, with the real things of a list where the seed wants some."""
-    plan, credits = Plan.draw(seed), []
+    plan, credits, engine = Plan.draw(seed), [], engine_of(seed)
     wants = plan.has("real shapes") or plan.has("real textures")
     return Script(
         f"variety-{seed:04d}",
@@ -91,9 +98,10 @@ def script(seed: int, listed: ThingList) -> Script:
         INSTANTS,
         seed,
         "training",
-        PACE,
+        PACES[engine],
         key_step=1,
-        quality=TRAINING,
+        quality=TRAINING if engine == "Cycles" else None,
+        engine=engine,
         features=tuple(sorted(plan.features)),
         packages=listed.packages if wants else {},
         things=credits,
@@ -126,7 +134,7 @@ def main() -> None:
         say(f"shot {number} of {len(seeds)}: seed {seed}, {place_of(seed)}")
         order = options.order(chosen)
         shot = script(seed, listed)
-        if order.samples is None and order.seeds is None:
+        if shot.engine == "Cycles" and order.samples is None and order.seeds is None:
             folder = order.data / shot.name
             last = shot.instants - 1
             quality = variety_noise.quality_of(folder, seed, shot.build, last, order.size)

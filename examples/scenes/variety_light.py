@@ -8,7 +8,7 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-from stage import looks, motion, render
+from stage import looks, motion, raster, render
 from stage.blender import OpenEXR, bpy, mathutils
 from variety_set import Set
 
@@ -118,11 +118,11 @@ def _swing(scene: Set, thing: bpy.types.Object, last: int) -> None:
     motion.keyed(thing, pose, last)
 
 
-def expose(scene: Set, night: bool) -> None:
-    """Set the exposure from a tiny render, to a mean that is drawn at random."""
+def expose(scene: Set, night: bool, engine: str) -> None:
+    """Set the exposure from a tiny render by an engine, to a mean that is drawn at random."""
     lowest, highest = (0.09, 0.2) if night else (0.15, 0.42)
     aim = math.exp(scene.within(math.log(lowest), math.log(highest)))
-    seen = np.clip(_probe(), 0.0, None)
+    seen = np.clip(_probe(engine), 0.0, None)
     luminance = seen @ np.array([0.2126, 0.7152, 0.0722], np.float32)
     low, high = -9.0, 9.0
     for _ in range(24):
@@ -135,14 +135,19 @@ def expose(scene: Set, night: bool) -> None:
     bpy.context.scene.cycles.film_exposure = max(min(2.0**low, limit), min(least, 4 * limit))
 
 
-def _probe() -> np.ndarray:
+def _probe(engine: str) -> np.ndarray:
     """Render the middle of the shot at a thumbnail's size; return its colours."""
-    product = render.Product(1, (), True, 8)
-    render.settle(PROBE)
-    render.configure(product, motion.FPS)
+    product: render.Product
+    if engine == "Cycles":
+        renderer, product = render, render.Product(1, (), True, 8)
+        render.settle(PROBE)
+    else:
+        renderer, product = raster, raster.RasterProduct(1, ("z",), True, 1, 9)
+        raster.settle(PROBE)
+    renderer.configure(product, motion.FPS)
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder, "probe.exr")
-        render.render(6, product, target, 1)
+        renderer.render(6, product, target, 1)
         with OpenEXR.File(str(target), separate_channels=True) as file:
             found = {
                 name.rsplit(".", 1)[-1]: channel.pixels.astype(np.float32)

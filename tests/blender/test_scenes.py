@@ -23,8 +23,12 @@ pytestmark = [pytest.mark.blender, pytest.mark.slow]
 
 SCENES = ("lab", "tropical", "village", "town", "slum")
 SIZE = ("--resolution", "64x36", "--samples", 2)
-SHOT, NAME = 7, "variety-0007"
-REAL_SHOT = 40
+SHOT, NAME = 8, "variety-0008"
+RASTER_SCENES = ("arena", "courtyard")
+RASTER_SIZE = ("--resolution", "64x36", "--samples", 1)
+RASTER_SHOT = 7
+"""A seed that EEVEE renders."""
+REAL_SHOT = 20
 """A seed that wants real shapes and textures."""
 
 
@@ -180,6 +184,50 @@ def test_a_benchmark_scene_renders(script, tmp_path, name):
         assert 0.02 < raw.image.pixels[..., :3].mean() < 1.5
         seen |= set(np.unique(raw.gbuffer.stencil)) - {0, -1}
     assert seen and seen <= set(manifest.dynamic)
+
+
+@pytest.mark.parametrize("name", RASTER_SCENES)
+def test_a_raster_scene_renders(script, tmp_path, name):
+    done = script(name, "--data", tmp_path, "--frames", "1,31,33,61", *RASTER_SIZE)
+    assert done.returncode == 0, done.stderr
+    scene = open_scene(tmp_path / name)
+    manifest = scene.manifest
+    assert manifest.role == BENCHMARK and manifest.renderer.endswith(" EEVEE")
+    assert manifest.denoiser == ""
+    assert manifest.instants.count == 61 and manifest.keys.count == 16
+    assert set(scene.instants.layout.roles) == set(Role) == set(scene.keys.layout.roles)
+    assert len(list((scene.folder / "floor").iterdir())) == 3
+    for number in (1, 31, 33, 61):
+        raw = read_raw(scene.instants, number)
+        assert np.isfinite(raw.image.pixels).all()
+        assert 0.02 < raw.image.pixels[..., :3].mean() < 1.5
+        seen = set(np.unique(raw.gbuffer.stencil)) - {0, -1}
+        assert seen and seen <= set(manifest.dynamic)
+    key, instant = read_raw(scene.keys, 9), read_raw(scene.instants, 33)
+    np.testing.assert_array_equal(key.image.pixels, instant.image.pixels)
+    solid = np.isfinite(key.gbuffer.depth)
+    longer, step = (np.linalg.norm(raw.motion[solid], axis=-1) for raw in (key, instant))
+    assert np.median(longer) > 2.5 * np.median(step)
+
+
+def test_a_raster_shot_has_the_channels_of_a_path_traced_one(data, script, tmp_path):
+    done = script("variety", RASTER_SHOT, "--data", tmp_path, "--frames", "5-6", *RASTER_SIZE)
+    assert done.returncode == 0, done.stderr
+    traced, raster = open_scene(data / NAME), open_scene(tmp_path / f"variety-{RASTER_SHOT:04d}")
+    assert traced.manifest.renderer.endswith(" Cycles")
+    assert raster.manifest.renderer.endswith(" EEVEE")
+    for kind in ("instants", "keys"):
+        first, second = (getattr(scene, kind).layout.roles for scene in (traced, raster))
+        assert first == second
+    gbuffer = read_raw(raster.instants, 5).gbuffer
+    solid = np.isfinite(gbuffer.depth)
+    assert (gbuffer.stencil[solid] == np.rint(gbuffer.stencil[solid])).all()
+
+
+def test_samples_that_form_no_grid_are_refused(script, tmp_path):
+    refused = script("arena", "--data", tmp_path, "--frames", "1", "--samples", 2)
+    assert refused.returncode == 1 and "square of another odd number" in refused.stderr
+    assert "Traceback" not in refused.stderr
 
 
 def test_more_renders_of_a_frame_leave_less_noise(script, tmp_path):

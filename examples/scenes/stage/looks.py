@@ -112,6 +112,21 @@ def paint(
     return material
 
 
+def glass(name: str, colour: Colour, opacity: float, glow: float = 0.0) -> bpy.types.Material:
+    """Glass or a field of light for EEVEE: blended over what lies behind, absent from data passes.
+
+    Games do the same: what is see-through has no depth, vector or id of its own.
+    """
+    material, nodes = new(name)
+    inputs = {"Base Color": colour, "Roughness": 0.05, "Alpha": opacity}
+    if glow:
+        inputs |= {"Emission Color": colour, "Emission Strength": glow}
+    shader = nodes.add("BsdfPrincipled", inputs)
+    nodes.add("OutputMaterial", {0: shader.outputs[0]})
+    material.surface_render_method = "BLENDED"
+    return material
+
+
 def plaster(name: str, colour: Colour) -> bpy.types.Material:
     """House plaster: stains running down, patches of other age."""
     material, nodes = new(name)

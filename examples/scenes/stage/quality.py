@@ -1,7 +1,9 @@
-"""How clean a scene is rendered; this module does without Blender."""
+"""How clean a scene is rendered, by either engine; this module does without Blender."""
 
 from __future__ import annotations
 
+import math
+import sys
 from dataclasses import dataclass
 
 
@@ -51,6 +53,62 @@ class Quality:
         return ", ".join(parts)
 
 
+@dataclass(frozen=True)
+class Raster:
+    """How finely a scene is rendered with EEVEE.
+
+    Attributes
+    ----------
+    samples : int
+        Per pixel: a grid with one at the centre, so the square of an odd number, or 4 times that,
+        where each point of the grid gets four samples of EEVEE's own.
+    seeds : int
+        Always 1: EEVEE's noise is the same in every render.
+    """
+
+    samples: int
+    seeds: int = 1
+
+    @property
+    def own(self) -> int:
+        """EEVEE's own samples at each point of the grid."""
+        return 1 if self.samples % 4 else 4
+
+    @property
+    def grid(self) -> int:
+        """Samples along each side of a pixel.
+
+        Raises
+        ------
+        SystemExit
+            With one sentence, if the samples form no such grid.
+        """
+        side = math.isqrt(self.samples // self.own)
+        if side * side * self.own != self.samples or side % 2 == 0 or self.seeds != 1:
+            sys.exit(
+                "An EEVEE scene takes --samples 1, 9, 25 or the square of another odd number, or "
+                f"4 times that, and --renders 1; not {self.samples} and {self.seeds}."
+            )
+        return side
+
+    @property
+    def total(self) -> int:
+        """Samples of a frame."""
+        return self.samples
+
+    @property
+    def denoiser(self) -> str:
+        """Name of the denoiser; there is none."""
+        return ""
+
+    @property
+    def sampling(self) -> str:
+        """What a frame consists of."""
+        own = f" of {self.own}" if self.own > 1 else ""
+        grid = f"grid of {self.grid} x {self.grid} samples{own}"
+        return f"{grid}, raster shadows, screen-space reflections"
+
+
 HURRIED = Quality(samples=16, seeds=1, accurate=False, light_tree=False)
 """As a hurried artist delivers."""
 
@@ -58,6 +116,10 @@ TRAINING = Quality(samples=16, seeds=1, clamp=2.0)
 """Of one render of a training shot's frame; as many are averaged as its noise needs. The bound is
 worth 0.5 to 1.1 dB on three shots, and accurate guides 0.6 to 1.4 dB on five, for a fifth of the
 time."""
+
+HURRIED_RASTER = Raster(samples=36)
+"""As a game delivers; also the setting of training shots. Without samples of EEVEE's own nothing
+that was lit is reflected: 9 are 24 dB from 100 in a room with a metal crate."""
 
 MOST_SEEDS = 48
 """So many renders of a frame have noise that no other render of the scene has."""

@@ -19,11 +19,11 @@ from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from stage import files, manifest, render
+from stage import files, manifest, raster, render
 from stage.blender import bpy
 from stage.manifest import INSTANTS_PER_KEY, Manifest
 from stage.motion import FPS
-from stage.quality import HURRIED, MOST_SEEDS, Quality
+from stage.quality import HURRIED, HURRIED_RASTER, MOST_SEEDS, Quality, Raster
 
 BYTES_PER_PIXEL = 26.0
 """Of a written frame; measured 21 to 29, more where there are leaves."""
@@ -32,6 +32,9 @@ KEY_SAMPLES = 6
 """Time that a key frame's vectors take, in times of a sample of an instant."""
 
 KINDS = ("instants", "floor", "keys")
+
+ENGINES = {"Cycles": render, "EEVEE": raster}
+"""What renders, by the name in the manifest: a path tracer, and one that works as games do."""
 
 BLOCK = 24
 """Instants that are rendered before the key frames among them."""
@@ -68,18 +71,20 @@ class Script:
     key_step : int
         How far apart the instants are that are also rendered as key frames: 1 lets a key frame
         begin anywhere.
-    clean : Quality or None
-        With which the noise floor is at least 38 dB; None where there is only `HURRIED`.
+    clean : Quality, Raster or None
+        With which the noise floor is at least 38 dB; None where there is only the hurried look.
     span : tuple of int
         First and last number of the instants that are rendered clean.
-    quality : Quality
-        Of a script that is not rendered clean.
+    quality : Quality, Raster or None
+        Of a script that is not rendered clean; None for the engine's hurried look.
     features : tuple of str
         What a training shot is to show that is hard to warp.
     packages : dict of str to str
         Packages of real things, and their versions.
     things : list of dict
         The real things in the scene; `build` fills it in.
+    engine : str
+        One of `ENGINES`.
     """
 
     name: str
@@ -90,12 +95,13 @@ class Script:
     role: str = "benchmark"
     pace: float = 3.0
     key_step: int = INSTANTS_PER_KEY
-    clean: Quality | None = None
+    clean: Quality | Raster | None = None
     span: tuple[int, int] = (1, 121)
-    quality: Quality = HURRIED
+    quality: Quality | Raster | None = None
     features: tuple[str, ...] = ()
     packages: Mapping[str, str] = field(default_factory=dict)
     things: list[dict[str, str]] = field(default_factory=list)
+    engine: str = "Cycles"
 
 
 @dataclass(frozen=True)
@@ -141,7 +147,7 @@ class Job:
         What is rendered, with the order's key step.
     order : Order
         What was asked for.
-    quality : Quality
+    quality : Quality or Raster
         How clean each frame gets.
     folder : Path
         The scene's.
@@ -151,7 +157,7 @@ class Job:
 
     script: Script
     order: Order
-    quality: Quality
+    quality: Quality | Raster
     folder: Path
     numbers: range
 
@@ -160,7 +166,8 @@ class Job:
         """Choose quality, folder and span for an order."""
         script = replace(script, key_step=order.key_step or script.key_step)
         folder, (first, last) = order.data, (1, script.instants)
-        look = script.quality
+        hurried = HURRIED if script.engine == "Cycles" else HURRIED_RASTER
+        look: Quality | Raster = script.quality or hurried
         if script.clean is not None and order.hurried:
             folder = folder / "hurried"
         elif script.clean is not None:
@@ -184,7 +191,7 @@ class Job:
             key_fps=FPS // INSTANTS_PER_KEY,
             width=order.size[0],
             height=order.size[1],
-            renderer=f"Blender {bpy.app.version_string} Cycles",
+            renderer=f"Blender {bpy.app.version_string} {script.engine}",
             samples=self.quality.samples,
             seeds=self.quality.seeds,
             denoiser=self.quality.denoiser,
@@ -230,7 +237,8 @@ def shoot(script: Script, order: Order) -> None:
         script.name, missing, KEY_SAMPLES / (job.quality.samples * job.quality.seeds)
     )
     for part in _blocks(job, missing):
-        for what, product in render.products(job.quality.samples, INSTANTS_PER_KEY).items():
+        engine = ENGINES[script.engine]
+        for what, product in engine.products(job.quality.samples, INSTANTS_PER_KEY).items():
             if instants := [instant for kind, instant in part if kind == what]:
                 _shoot_kind(job, what, product, instants, progress)
     progress.end()
@@ -248,7 +256,7 @@ def _shoot_kind(
     _refuse_other(job.folder, description)
     manifest.write(job.folder, description)
     (job.folder / what).mkdir(exist_ok=True)
-    render.configure(product, FPS)
+    ENGINES[job.script.engine].configure(product, FPS)
     for instant in instants:
         _make(job, what, instant, product)
         progress.step(what, instant)
@@ -258,7 +266,7 @@ def _build(job: Job) -> dict[int, str]:
     """Build the scene in an empty file and return what its object ids are."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     dynamic = job.script.build(job.script.seed, job.script.instants - 1)
-    render.settle(job.order.size, job.quality)
+    ENGINES[job.script.engine].settle(job.order.size, job.quality)
     return dynamic
 
 
@@ -338,17 +346,18 @@ def _refuse_other(folder: Path, description: Manifest, but: Collection[str] = ()
 def _make(job: Job, what: str, instant: int, product: render.Product) -> None:
     """Render one file. A key frame is its instant with vectors that span a key interval."""
     target, noise = job.path(what, instant), job.script.seed * 1000
+    engine = ENGINES[job.script.engine]
     with tempfile.TemporaryDirectory(dir=target.parent, prefix=".part-") as apart:
         if what == "keys":
             vectors = Path(apart, "vectors.exr")
-            render.render(instant, product, vectors, noise)
+            engine.render(instant, product, vectors, noise)
             files.join_key(job.path("instants", instant), vectors, target)
             return
         if what == "floor":
             noise += OTHER_NOISE
         sources = [Path(apart, f"{number}.exr") for number in range(job.quality.seeds)]
         for number, source in enumerate(sources):
-            render.render(instant, product, source, noise + number * NEXT_NOISE)
+            engine.render(instant, product, source, noise + number * NEXT_NOISE)
         if len(sources) > 1:
             files.join_mean(sources, target)
         else:
