@@ -187,6 +187,17 @@ def limit_inside(
     return limit if check == 0 else np.float32(0)
 
 
+@part
+def sharpen(smooth: F32, sharp: F32, limit: np.float32) -> None:
+    """Move colour [C] some of the way to another, which may be broken in a layer alone."""
+    check = np.float32(0)
+    for c in range(smooth.size):
+        check += sharp[c] * np.float32(0)
+    if limit > 0 and check == 0:
+        for c in range(smooth.size):
+            smooth[c] += limit * (sharp[c] - smooth[c])
+
+
 @parallel
 def resample_alike(
     image: F32, field: F32, table: F32, limit: F32, leads: bool, out: F32, hole: B8, share: Share
@@ -229,9 +240,7 @@ def resample_alike(
                     smooth[RGBA - 1] + within * (sharp[RGBA - 1] - smooth[RGBA - 1]) <= 0
                 )
                 limit[i, j] = np.float32(0) if clear else within
-            if limit[i, j] > 0:
-                for c in range(channels):
-                    smooth[c] += limit[i, j] * (sharp[c] - smooth[c])
+            sharpen(smooth, sharp, limit[i, j])
 
 
 @parallel
