@@ -63,7 +63,8 @@ def mode(
     # writing: of two cores, 1.6 were busy. Networks use all threads by themselves.
     interval = prepared.interval
     alone = workers > 1 and pixels <= MAX_PIXELS_AHEAD and not has_layers
-    warps = not prepared.extrapolates and not method.interpolates
+    # Optical flow takes as much memory as all the rest of a slot.
+    warps = not (prepared.extrapolates or method.interpolates or method.finds_flow)
     # Slots with G-buffers are led along those before; other paths repeat slots or mix them.
     independent = interval is not None and not interval.slots
     fixed = prepared.plan is None or prepared.plan.path == "S6"

@@ -12,7 +12,7 @@ import numpy as np
 
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.synthesis.geometry import SlotField
-from exwarp_cli.synthesis.residual import agreement, along, flow_of
+from exwarp_cli.synthesis.residual import agreement, along, disagreement, flow_of
 from exwarp_cli.synthesis.warp import Mover, Warped, blend_by_depth
 
 
@@ -36,6 +36,7 @@ class LookAhead:
         self._time = time
         self._linear = linear
         self._shifted: tuple[Mover, Mover] | None = None
+        self._apart: Float32 | None = None
         self._weight: Float32 | None = None
 
     def make(self, before: Float32, after: Float32) -> Float32:
@@ -53,14 +54,16 @@ class LookAhead:
         """
         codes = self._sides[0].codes(before), self._sides[1].codes(after)
         plain = self._sides[0].warp(codes[0]), self._sides[1].warp(codes[1])
-        if self._shifted is None:
-            self._shifted = self._follow_light(plain)
+        if self._shifted is None or self._apart is None:
+            self._apart = disagreement(*plain)
+            self._shifted = self._follow_light(plain, self._apart)
         first, second = (
             replace(mover.warp(of_side), fringe=side.fringe)
             for mover, of_side, side in zip(self._shifted, codes, plain, strict=True)
         )
+        del codes
         if self._weight is None:
-            self._weight = agreement(plain, (first, second))
+            self._weight = agreement(self._apart, first, second)
         out = blend_by_depth(*plain, self._time)
         moving = blend_by_depth(first, second, self._time)
         moving -= out
@@ -68,12 +71,12 @@ class LookAhead:
         out += moving
         return self._sides[0].light(out)
 
-    def _follow_light(self, plain: tuple[Warped, Warped]) -> tuple[Mover, Mover]:
+    def _follow_light(self, plain: tuple[Warped, Warped], apart: Float32) -> tuple[Mover, Mover]:
         """Move each side its share of the way, so that both meet at the slot's time."""
         flow = flow_of(*plain, self._linear)
         time = np.float32(self._time)
         before, after = (side.source for side in self._sides)
         return (
-            Mover(along(plain[0], before, -time * flow), self._linear),
-            Mover(along(plain[1], after, (np.float32(1) - time) * flow), self._linear),
+            Mover(along(plain[0], before, -time * flow, apart), self._linear),
+            Mover(along(plain[1], after, (np.float32(1) - time) * flow, apart), self._linear),
         )

@@ -11,7 +11,7 @@ import numpy as np
 
 from exwarp_cli.domain.frame import Bool, Float32
 from exwarp_cli.synthesis.geometry import SlotField
-from exwarp_cli.synthesis.optical_flow import box_mean, flow_between
+from exwarp_cli.synthesis.optical_flow import box_mean, flow_between, grey_of
 from exwarp_cli.synthesis.warp import Warped, as_shown, sampled
 
 SIDE = 5
@@ -20,8 +20,17 @@ SIDE = 5
 GAIN = np.float32(2)
 """The flow counts in full where it takes away one in so many of the disagreement."""
 
-LEAST = np.float32(1 / 255)
-"""Least disagreement that anything is divided by: a step of 8 bits."""
+LEAST = np.float32(4 / 255)
+"""Disagreement from which on a flow is followed: what is less is noise, or cannot be seen."""
+
+
+def disagreement(before: Warped, after: Warped) -> Float32:
+    """Return the mean difference of two warped key frames around each pixel, float32 [H, W]."""
+    apart = np.abs(before.pixels[..., :3] - after.pixels[..., :3])
+    # Added by hand: numpy's mean over a last axis of three is slow.
+    mean = (apart[..., 0] + apart[..., 1] + apart[..., 2]) / np.float32(3)
+    mean[before.hole | after.hole] = 0
+    return box_mean(mean, SIDE)
 
 
 def flow_of(before: Warped, after: Warped, linear: bool) -> Float32:
@@ -39,11 +48,15 @@ def flow_of(before: Warped, after: Warped, linear: bool) -> Float32:
     float32 [H, W, 2]
         Pixels, from the picture of `before` to that of `after`.
     """
-    seen = _seen(before, after), _seen(after, before)
-    return flow_between(*(map(as_shown, seen) if linear else seen))
+    # One after the other, as copies of frames are memory.
+    greys = []
+    for side, other in ((before, after), (after, before)):
+        seen = _seen(side, other)
+        greys.append(grey_of(as_shown(seen) if linear else seen))
+    return flow_between(*greys)
 
 
-def along(plain: Warped, source: SlotField, flow: Float32) -> SlotField:
+def along(plain: Warped, source: SlotField, flow: Float32, apart: Float32) -> SlotField:
     """Return the motion field of a slot whose light moves along a flow, too.
 
     Parameters
@@ -54,37 +67,34 @@ def along(plain: Warped, source: SlotField, flow: Float32) -> SlotField:
         From the slot to the key frame.
     flow
         float32 [H, W, 2], pixels: from the slot's picture to that of `plain`.
+    apart
+        From `disagreement`; where it is small, nothing is followed.
     """
     motion, _ = sampled(source.field, flow)
     motion += flow
+    motion[apart < LEAST] = np.nan
     hidden, _ = sampled(plain.hole.astype(np.float32)[..., None], flow)
     hole: Bool = plain.hole | (hidden[..., 0] > 0)
     return SlotField(motion, source.depth, hole)
 
 
-def agreement(plain: tuple[Warped, Warped], shifted: tuple[Warped, Warped]) -> Float32:
+def agreement(apart: Float32, before: Warped, after: Warped) -> Float32:
     """Return by how much a flow makes two pictures agree, float32 [H, W], 0 to 1.
 
     Parameters
     ----------
-    plain, shifted
-        The key frames before and after, warped without the flow and along it.
+    apart
+        From `disagreement`, of the key frames warped without the flow.
+    before, after
+        The key frames warped along it.
     """
-    before, after = plain
-    apart = _apart(_seen(before, after), _seen(after, before))
-    gain = (apart - _apart(shifted[0].pixels, shifted[1].pixels)) / np.maximum(apart, LEAST)
+    gain = (apart - disagreement(before, after)) / np.maximum(apart, LEAST)
     weight: Float32 = np.clip(GAIN * gain, np.float32(0), np.float32(1))
-    weight[shifted[0].hole | shifted[1].hole] = 0
+    weight[before.hole | after.hole] = 0
     return weight
 
 
 def _seen(side: Warped, other: Warped) -> Float32:
     """Return the colour of one side, of the other where it sees nothing."""
-    return np.where(side.hole[..., None], other.pixels, side.pixels)
-
-
-def _apart(first: Float32, second: Float32) -> Float32:
-    """Return the mean difference of two pictures' colours around each pixel, float32 [H, W]."""
-    apart = np.abs(first[..., :3] - second[..., :3])
-    # Added by hand: numpy's mean over a last axis of three is slow.
-    return box_mean((apart[..., 0] + apart[..., 1] + apart[..., 2]) / np.float32(3), SIDE)
+    colour = side.pixels[..., :3]
+    return np.where(side.hole[..., None], other.pixels[..., :3], colour)
