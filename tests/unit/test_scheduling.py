@@ -302,15 +302,16 @@ class TestMode:
 
     @pytest.mark.parametrize(
         ("method", "path"),
-        [("s6", "S6"), ("softsplat", None), ("blend", None), ("exwarp", "S6"), ("exwarp", None)],
+        [("s6", "S6"), ("blend", None), ("exwarp", "S6"), ("exwarp", None)],
     )
     def test_warps_go_to_the_pool(self, key, method, path):
         assert self.mode(key, method, path) is Mode.IN_POOL
 
     @pytest.mark.parametrize(
-        ("method", "path"), [("exwarp", "S1"), ("s3", "S3"), ("s5", "S5"), ("onnx", None)]
+        ("method", "path"),
+        [("exwarp", "S1"), ("s3", "S3"), ("s5", "S5"), ("onnx", None), ("softsplat", None)],
     )
-    def test_networks_and_other_paths_do_not(self, key, method, path):
+    def test_networks_optical_flow_and_other_paths_do_not(self, key, method, path):
         assert self.mode(key, method, path) is Mode.IN_LINE
 
     def test_nor_do_layers_g_buffers_of_slots_large_frames_or_a_single_thread(self, key):
