@@ -26,7 +26,7 @@ RGBA = 4
 """Channels of a frame with alpha, which is the last."""
 
 PHASES = 1024
-"""Steps of a pixel that have weights; a place is off by half a step at most."""
+"""Steps of a pixel that have weights. A place is rounded to the nearest step."""
 
 
 def lanczos_weights() -> F32:
@@ -52,6 +52,42 @@ def held(value: np.float32, low: np.float32, high: np.float32) -> np.float32:
 def inner_place(first: int, size: int) -> bool:
     """True if all taps from `first` on are inside an axis."""
     return (first >= 0) & (first + TAPS <= size)
+
+
+@inlined
+def sum_taps(
+    pixels: F32, start: int, steps: tuple[int, int], corner: int, weights: tuple[F32, F32]
+) -> tuple[np.float32, np.float32, np.float32]:
+    """Return a channel's weighted sum of TAPS x TAPS pixels, and its least and greatest of the 3x3.
+
+    Parameters
+    ----------
+    pixels
+        float32 [H W C].
+    start
+        Where the channel's first tap is.
+    steps
+        From a row to the next, and from a pixel to the next.
+    corner
+        Which of the taps the upper left of the 3x3 is, counted along a row of TAPS.
+    weights
+        float32 [TAPS] across and down.
+    """
+    pitch, channels = steps
+    across, down = weights
+    value = np.float32(0)
+    for p in range(TAPS):
+        line = np.float32(0)
+        for q in range(TAPS):
+            line += across[q] * pixels[U64(start + p * pitch + q * channels)]
+        value += down[p] * line
+    upper = start + corner // TAPS * pitch + corner % TAPS * channels
+    low = high = pixels[U64(upper + pitch + channels)]
+    for p in range(3):
+        for q in range(3):
+            near = pixels[U64(upper + p * pitch + q * channels)]
+            low, high = min(low, near), max(high, near)
+    return value, low, high
 
 
 @part
@@ -80,25 +116,11 @@ def sample_inside(
         True if all taps are finite.
     """
     first, corner = at
-    across, down = weights
     pitch = width * channels
-    row, column = corner // TAPS, corner % TAPS
     check = np.float32(0)
     for c in range(channels):
-        start = first + c
-        value = np.float32(0)
-        for p in range(TAPS):
-            line = np.float32(0)
-            for q in range(TAPS):
-                line += across[q] * pixels[U64(start + p * pitch + q * channels)]
-            value += down[p] * line
+        value, low, high = sum_taps(pixels, first + c, (pitch, channels), corner, weights)
         check += value * np.float32(0)  # NaN from infinity and NaN on
-        middle = U64(start + (row + 1) * pitch + (column + 1) * channels)
-        low = high = pixels[middle]
-        for p in range(3):
-            for q in range(3):
-                near = pixels[U64(start + (row + p) * pitch + (column + q) * channels)]
-                low, high = min(low, near), max(high, near)
         out[c] = held(value, low, high)
     return bool(check == 0)
 
@@ -160,25 +182,11 @@ def limit_inside(
         within the 3x3 about the nearest pixel; 0 if a tap is not finite.
     """
     first, corner = at
-    across, down = weights
     pitch = width * channels
-    row, column = corner // TAPS, corner % TAPS
     check, limit = np.float32(0), np.float32(1)
     for c in range(channels):
-        start = first + c
-        value = np.float32(0)
-        for p in range(TAPS):
-            line = np.float32(0)
-            for q in range(TAPS):
-                line += across[q] * pixels[U64(start + p * pitch + q * channels)]
-            value += down[p] * line
+        value, low, high = sum_taps(pixels, first + c, (pitch, channels), corner, weights)
         check += value * np.float32(0)
-        middle = U64(start + (row + 1) * pitch + (column + 1) * channels)
-        low = high = pixels[middle]
-        for p in range(3):
-            for q in range(3):
-                near = pixels[U64(start + (row + p) * pitch + (column + q) * channels)]
-                low, high = min(low, near), max(high, near)
         sharp[c] = value
         bound = held(value, low, high)
         if bound != value:
