@@ -149,6 +149,14 @@ def flow_between(first: UInt8, second: UInt8) -> Float32:
     return (there - back) / np.float32(2)
 
 
+def mean_difference(first: Float32, second: Float32) -> Float32:
+    """Return the mean difference of two pictures' colours, float32 [H, W], of [H, W, 3 or more]."""
+    apart = np.abs(first[..., :3] - second[..., :3])
+    # Added by hand: numpy's mean over a last axis of three is slow.
+    mean: Float32 = (apart[..., 0] + apart[..., 1] + apart[..., 2]) / np.float32(3)
+    return mean
+
+
 def box_mean(values: Float32, side: int) -> Float32:
     """Return the mean of float32 [H, W] over a square around each pixel."""
     mean: Float32 = _cv2().blur(values, (side, side))
@@ -193,8 +201,7 @@ def _without_lost(flow: Flow | None, other: Flow | None) -> Float32 | None:
     """
     if flow is None or other is None:
         return None if flow is None else flow.motion
-    side = (LOST_SIDE, LOST_SIDE)
-    fits, fits_other = (_cv2().blur(each.mismatch, side) for each in (flow, other))
+    fits, fits_other = (box_mean(each.mismatch, LOST_SIDE) for each in (flow, other))
     lost = fits > np.float32(LOST_LEAST) + np.float32(LOST_RATIO) * fits_other
     return np.where(lost[..., None], np.float32(np.nan), flow.motion)
 
@@ -271,8 +278,7 @@ def _better(here: Float32, there: Float32, flow: Float32, other: Float32) -> Flo
     """Return, pixel by pixel, the flow along which two pictures fit better around it."""
     known = ~np.isnan(other[..., :1])
     candidate = np.where(known, other, flow)
-    side = (FIT_SIDE, FIT_SIDE)
-    fits = [_cv2().blur(_mismatch(here, there, each), side) for each in (flow, candidate)]
+    fits = [box_mean(_mismatch(here, there, each), FIT_SIDE) for each in (flow, candidate)]
     return np.where((fits[1] < fits[0])[..., None], candidate, flow)
 
 
@@ -285,11 +291,7 @@ def _smoothed(flow: Float32) -> Float32:
 
 def _mismatch(here: Float32, there: Float32, flow: Float32) -> Float32:
     """Return the mean difference of colour at both ends of a flow, float32 [H, W]."""
-    moved, _ = sampled(there, flow)
-    difference = np.abs(here - moved)
-    # Added by hand: numpy's mean over a last axis of three is slow.
-    mean: Float32 = (difference[..., 0] + difference[..., 1] + difference[..., 2]) / np.float32(3)
-    return mean
+    return mean_difference(here, sampled(there, flow)[0])
 
 
 def _grey(shown: Float32) -> UInt8:

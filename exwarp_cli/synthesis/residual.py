@@ -11,7 +11,7 @@ import numpy as np
 
 from exwarp_cli.domain.frame import Bool, Float32
 from exwarp_cli.synthesis.geometry import SlotField
-from exwarp_cli.synthesis.optical_flow import box_mean, flow_between, grey_of
+from exwarp_cli.synthesis.optical_flow import box_mean, flow_between, grey_of, mean_difference
 from exwarp_cli.synthesis.warp import Warped, as_shown, sampled
 
 SIDE = 5
@@ -26,9 +26,7 @@ LEAST = np.float32(4 / 255)
 
 def disagreement(before: Warped, after: Warped) -> Float32:
     """Return the mean difference of two warped key frames around each pixel, float32 [H, W]."""
-    apart = np.abs(before.pixels[..., :3] - after.pixels[..., :3])
-    # Added by hand: numpy's mean over a last axis of three is slow.
-    mean = (apart[..., 0] + apart[..., 1] + apart[..., 2]) / np.float32(3)
+    mean = mean_difference(before.pixels, after.pixels)
     mean[before.hole | after.hole] = 0
     return box_mean(mean, SIDE)
 
