@@ -175,8 +175,12 @@ class Clip:
 
     def begins_group(self, index: int) -> bool:
         """True if a frame is the first that is decoded after a seek, or of the file."""
-        first = (self._packets.cut(self.pacing.shown[index]) or 0) - self._deinterlaced
+        first = self._first_needed(self.pacing.shown[index])
         return first <= 0 or self._key_before(first) == first
+
+    def _first_needed(self, source: int) -> int:
+        """Return the first of the file's frames that one of them is made from."""
+        return (self._packets.cut(source) or 0) - self._deinterlaced
 
     def intact_frames(self, start: int = 0) -> Iterator[Float32 | None]:
         """Decode the frames from one on, over damage.
@@ -189,7 +193,7 @@ class Clip:
         """
         shown = self.pacing.shown[start:]
         dtype, name, size = self._layout
-        begin = self._key_before((self._packets.cut(shown[0]) or 0) - self._deinterlaced) or 0
+        begin = self._key_before(self._first_needed(shown[0])) or 0
         seek = ["-ss", f"{float(self._packets.time(begin)):.6f}"] if begin else []
         options = [
             *(*ON_DAMAGE, *seek, *IN_ORDER, *self._decoder, "-i", f"file:{self.path}"),
