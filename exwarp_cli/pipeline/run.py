@@ -156,8 +156,8 @@ class Run:
         self._progress, self._listener = progress, listener
         display = job.source.keys.display
         warps = job.source.slots is None and not job.method.extrapolates
-        bare = warps and not ExtraLayers(job.contents).any
-        moves_light = ExtraLayers(job.contents).moves_light
+        leader = ExtraLayers(job.contents)
+        bare = warps and not leader.any
         self._builder, *others = (
             IntervalBuilder(
                 source.keys.display,
@@ -166,7 +166,7 @@ class Run:
                 source.estimated,
                 bare,
                 source.scratch,
-                moves_light,
+                leader.moves_light,
             )
             for source in job.sources
         )

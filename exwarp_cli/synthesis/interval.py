@@ -27,7 +27,9 @@ from exwarp_cli.synthesis.history import (
     look_back,
     step_back,
 )
+from exwarp_cli.synthesis.look_ahead import LookAhead
 from exwarp_cli.synthesis.trajectory import displacement
+from exwarp_cli.synthesis.warp import Mover
 
 QUARTERS = tuple(index / FACTOR for index in range(1, FACTOR))
 """When slots 1 to 3 are at the usual factor."""
@@ -79,6 +81,8 @@ class Interval:
     held: bool = False
     scratch: ScratchFrames = IN_MEMORY
     linear: bool = False
+    _movers: dict[int, Mover] = field(default_factory=dict, init=False)
+    _mixers: dict[int, LookAhead] = field(default_factory=dict, init=False)
     _back: dict[int, SlotField] = field(default_factory=dict, init=False)
     _forward: dict[int, SlotField] = field(default_factory=dict, init=False)
     _scenes: dict[int, Scene | None] = field(default_factory=dict, init=False)
@@ -137,6 +141,24 @@ class Interval:
                 self._forward[slot] = reproject(_moving(self.following), self.time(slot) - 1)
         return self._forward[slot]
 
+    def mover(self, slot: int) -> Mover:
+        """Return what moves the key frame before a slot to it; one for all layers of the slot."""
+        if slot in self._movers:
+            return self._movers[slot]
+        mover = Mover(self.back(slot), self.linear)
+        if self.linear:  # else no layers follow
+            self._movers[slot] = mover
+        return mover
+
+    def look_ahead(self, slot: int) -> LookAhead:
+        """Return what mixes the key frames around a slot; one for all layers of the slot."""
+        if slot in self._mixers:
+            return self._mixers[slot]
+        mixer = LookAhead(self.back(slot), self.forward(slot), self.time(slot), self.linear)
+        if self.linear:  # else no layers follow
+            self._mixers[slot] = mixer
+        return mixer
+
     def step_back(self, slot: int) -> SlotField:
         """Motion field from a slot, 2 or more, to the slot before it."""
         if slot not in range(2, len(self.times) + 1):
@@ -191,6 +213,8 @@ class Interval:
 
         Motion fields of three slots take as much memory as a key frame.
         """
+        self._movers.pop(slot, None)
+        self._mixers.pop(slot, None)
         if self.keeps:
             return
         if slot in self._back:

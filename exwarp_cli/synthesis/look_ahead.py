@@ -36,8 +36,12 @@ class LookAhead:
         self._time = time
         self._linear = linear
         self._shifted: tuple[Mover, Mover] | None = None
-        self._apart: Float32 | None = None
-        self._weight: Float32 | None = None
+        self._weight = np.zeros((0, 0), np.float32)
+
+    @property
+    def has_beauty(self) -> bool:
+        """Whether the beauty was made, so that layers may follow."""
+        return self._shifted is not None
 
     def make(self, before: Float32, after: Float32) -> Float32:
         """Make a layer of the slot; the first is the beauty, which tells how light moves.
@@ -54,18 +58,16 @@ class LookAhead:
         """
         codes = self._sides[0].codes(before), self._sides[1].codes(after)
         plain = self._sides[0].warp(codes[0]), self._sides[1].warp(codes[1])
-        if self._shifted is None or self._apart is None:
-            self._apart = disagreement(*plain)
-            self._shifted = self._follow_light(plain, self._apart)
-        first, second = (
-            replace(mover.warp(of_side), fringe=side.fringe)
-            for mover, of_side, side in zip(self._shifted, codes, plain, strict=True)
-        )
+        if self._shifted is None:
+            apart = disagreement(*plain)
+            self._shifted = self._follow_light(plain, apart)
+            shifted = _moved(self._shifted, codes, plain)
+            self._weight = agreement(apart, *shifted)
+        else:
+            shifted = _moved(self._shifted, codes, plain)
         del codes
-        if self._weight is None:
-            self._weight = agreement(self._apart, first, second)
         out = blend_by_depth(*plain, self._time)
-        moving = blend_by_depth(first, second, self._time)
+        moving = blend_by_depth(*shifted, self._time)
         moving -= out
         moving *= self._weight[..., None]
         out += moving
@@ -80,3 +82,11 @@ class LookAhead:
             Mover(along(plain[0], before, -time * flow, apart), self._linear),
             Mover(along(plain[1], after, (np.float32(1) - time) * flow, apart), self._linear),
         )
+
+
+def _moved(
+    movers: tuple[Mover, Mover], codes: tuple[Float32, Float32], plain: tuple[Warped, Warped]
+) -> tuple[Warped, Warped]:
+    """Warp both key frames along the flow; outlines are those of the surfaces."""
+    first, second = (mover.warp(each) for mover, each in zip(movers, codes, strict=True))
+    return replace(first, fringe=plain[0].fringe), replace(second, fringe=plain[1].fringe)

@@ -12,14 +12,8 @@ from exwarp_cli.domain.extrapolator import INTERPOLATE
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.domain.results import FrameKind
 from exwarp_cli.synthesis.interval import Interval
-from exwarp_cli.synthesis.look_ahead import LookAhead
 from exwarp_cli.synthesis.source_bounds import hold_in_range, hold_within, sources_between
-from exwarp_cli.synthesis.warp import (
-    Mover,
-    between,
-    cross_fade,
-    repair,
-)
+from exwarp_cli.synthesis.warp import Mover, between, cross_fade, repair
 
 
 @dataclass(frozen=True)
@@ -156,7 +150,7 @@ def _warp(interval: Interval, slot: int) -> Predicted:
     """Warp the key frame: the paper's path S6."""
     if interval.estimated and not interval.has_motion:
         return _hold(interval, slot)  # nothing comes before it by which motion could be estimated
-    pixels = Mover(interval.back(slot), interval.linear).warp_alone(interval.key.image.pixels)
+    pixels = interval.mover(slot).warp_alone(interval.key.image.pixels)
     return Predicted(pixels, FrameKind.GENERATED, "s6", (interval.key.number,), WARP)
 
 
@@ -185,9 +179,7 @@ def _softsplat(interval: Interval, slot: int) -> Predicted:
     if interval.following is None:
         return _causal(interval, slot)
     frames = (interval.key.image.pixels, interval.following.image.pixels)
-    fields = interval.back(slot), interval.forward(slot)
-    interval.forget(slot)
-    pixels = LookAhead(*fields, interval.time(slot), interval.linear).make(*frames)
+    pixels = interval.look_ahead(slot).make(*frames)
     sources = (interval.key.number, interval.following.number)
     return Predicted(pixels, FrameKind.GENERATED, SOFTSPLAT, sources, SOFTSPLAT)
 

@@ -301,8 +301,8 @@ class Retiming:
         From the slot to the key frames before and after it, as far as they are used.
     frames
         Beauty of the key frames that are used, float32 [H, W, C]: layers go as it goes.
-    linear
-        As for `Mover`.
+    mover, mixer
+        What moves the key frame, or mixes both, for all layers of the slot; None where not used.
     """
 
     manner: Manner
@@ -311,23 +311,8 @@ class Retiming:
     back: SlotField | None = None
     forward: SlotField | None = None
     frames: tuple[Float32, ...] = ()
-    linear: bool = False
-
-    @cached_property
-    def _mover(self) -> Mover:
-        """What moves the key frame, and has moved its beauty."""
-        assert self.back is not None
-        mover = Mover(self.back, self.linear)
-        mover.move(mover.codes(self.frames[0]))
-        return mover
-
-    @cached_property
-    def _look_ahead(self) -> LookAhead:
-        """What mixes both key frames, and has mixed their beauty."""
-        assert self.back is not None and self.forward is not None
-        mixer = LookAhead(self.back, self.forward, self.time, self.linear)
-        mixer.make(*self.frames)
-        return mixer
+    mover: Mover | None = None
+    mixer: LookAhead | None = None
 
     def colour(self, before: Float32, after: Float32 | None = None) -> Float32:
         """Make a layer of values that may be mixed, exactly as the beauty is made.
@@ -338,11 +323,16 @@ class Retiming:
             float32 [H, W, C] of the key frames on both sides, scene-linear, premultiplied where
             there is an alpha; `after` only where it is used.
         """
-        if self.back is not None:
-            if self.forward is None:
-                return self._mover.warp_alone(before)
+        # A network may have made the beauty, which light then does not go by yet.
+        if self.mover is not None:
+            if not self.mover.has_beauty:
+                self.mover.move(self.mover.codes(self.frames[0]))
+            return self.mover.warp_alone(before)
+        if self.mixer is not None:
+            if not self.mixer.has_beauty:
+                self.mixer.make(*self.frames)
             assert after is not None
-            return self._look_ahead.make(before, after)
+            return self.mixer.make(before, after)
         if self.manner is Manner.REPEAT:
             return repair(before)
         assert after is not None
@@ -445,13 +435,14 @@ def retiming(interval: Interval, slot: int, shown: Predicted) -> Retiming:
     back = interval.back(slot)
     if path is not None or following is None:
         sources, frames = moved_from(back, depth_of(key)), (interval.key.image.pixels,)
-        return Retiming(Manner.WARP, time, sources, back, None, frames, interval.linear)
+        return Retiming(Manner.WARP, time, sources, back, None, frames, interval.mover(slot))
     forward = interval.forward(slot)
     assert following.gbuffer is not None
     depths = depth_of(key), depth_of(following.gbuffer)
     sources = moved_between(back, forward, depths, time)
     both = interval.key.image.pixels, following.image.pixels
-    return Retiming(Manner.BLEND, time, sources, back, forward, both, interval.linear)
+    mixer = interval.look_ahead(slot)
+    return Retiming(Manner.BLEND, time, sources, back, forward, both, mixer=mixer)
 
 
 def _depth(gbuffer: GBuffer | None) -> Float32 | None:

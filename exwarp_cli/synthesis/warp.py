@@ -38,7 +38,7 @@ class Warped:
     Attributes
     ----------
     pixels
-        float32 [H, W, C], as shown; 0 or the frame's edge colour in holes.
+        float32 [H, W, C], as `Mover.codes` has them; 0 or the frame's edge colour in holes.
     depth
         float32 [H, W] of the surface shown.
     hole
@@ -69,6 +69,11 @@ class Mover:
         self.source = source
         self._linear = linear
         self._limit: Float32 | None = None
+
+    @property
+    def has_beauty(self) -> bool:
+        """Whether the beauty was moved, if layers need that first."""
+        return not self._linear or self._limit is not None
 
     def codes(self, pixels: Float32) -> Float32:
         """Return scene-linear colour as it is moved."""
