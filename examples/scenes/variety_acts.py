@@ -141,7 +141,7 @@ def crowd(troupe: Troupe) -> None:
 
 
 def _standing_room(troupe: Troupe) -> Footing | None:
-    """Find level ground in view with room above it for somebody."""
+    """Find level ground in view with room above it for a figure."""
     for _ in range(TRIES):
         ground = footing(troupe.path, troupe.chance, 0.85)
         if ground is None or not 1.4 < ground.away / _height(troupe, ground.away) < 9:

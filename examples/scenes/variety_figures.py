@@ -23,7 +23,7 @@ TALL = 1.75
 
 @dataclass(frozen=True)
 class Walk:
-    """How somebody moves.
+    """How a figure moves.
 
     Attributes
     ----------

@@ -8,8 +8,8 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-from stage import looks, motion, raster, render
-from stage.blender import OpenEXR, bpy, mathutils
+from stage import files, looks, motion, raster, render
+from stage.blender import bpy, mathutils
 from variety_set import Set
 
 Vector = mathutils.Vector
@@ -148,11 +148,4 @@ def _probe(engine: str) -> np.ndarray:
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder, "probe.exr")
         renderer.render(6, product, target, 1)
-        with OpenEXR.File(str(target), separate_channels=True) as file:
-            found = {
-                name.rsplit(".", 1)[-1]: channel.pixels.astype(np.float32)
-                for part in file.parts
-                for name, channel in part.channels.items()
-                if "Combined." in name
-            }
-    return np.nan_to_num(np.stack([found[key] for key in "RGB"], axis=-1))
+        return files.read_colour(target)

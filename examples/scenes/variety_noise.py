@@ -15,8 +15,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from stage import manifest, motion, render
-from stage.blender import OpenEXR, bpy
+from stage import files, manifest, motion, render
+from stage.blender import bpy
 from stage.quality import TRAINING, Quality
 
 AIM = 33.2
@@ -81,12 +81,5 @@ def _floor(seed: int, size: tuple[int, int]) -> float:
 
 def _display(path: Path) -> np.ndarray:
     """Read a frame's colour as an sRGB display shows it, 0..1."""
-    with OpenEXR.File(str(path), separate_channels=True) as file:
-        found = {
-            name.rsplit(".", 1)[-1]: channel.pixels.astype(np.float32)
-            for part in file.parts
-            for name, channel in part.channels.items()
-            if "Combined." in name
-        }
-    linear = np.clip(np.nan_to_num(np.stack([found[key] for key in "RGB"], axis=-1)), 0, 1)
+    linear = np.clip(files.read_colour(path), 0, 1)
     return np.where(linear < 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)

@@ -33,6 +33,18 @@ def is_whole(path: Path, size: tuple[int, int]) -> bool:
     return shapes == {(size[1], size[0])}
 
 
+def read_colour(path: Path) -> np.ndarray:
+    """Return a frame's colour, finite float32 [H, W, 3], scene-linear."""
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        channels = {
+            name.rsplit(".", 1)[-1]: channel.pixels.astype(np.float32)
+            for part in file.parts
+            for name, channel in part.channels.items()
+            if "Combined." in name
+        }
+    return np.nan_to_num(np.stack([channels[key] for key in "RGB"], axis=-1))
+
+
 def join_key(instant: Path, vectors: Path, target: Path) -> None:
     """Write a key frame: everything of an instant but its vectors, which come from another file.
 

@@ -99,18 +99,7 @@ def _output_index(material: bpy.types.Material) -> None:
 
 def configure(product: RasterProduct, fps: int) -> None:
     """Set rate, passes and effects for one kind of frames; `fps` is that of the instants."""
-    scene = bpy.context.scene
-    scene.render.fps = fps // product.step
-    # As for Cycles: frame f shows instant f * step, and vectors span a whole step.
-    scene.render.frame_map_old, scene.render.frame_map_new = product.step, 1
-    layer = scene.view_layers[0]
-    for name in path_tracer.PASSES:
-        setattr(layer, f"use_pass_{name}", name in product.passes)
-    for aov in list(layer.aovs):
-        layer.aovs.remove(aov)
-    for name in (*AOVS, INDEX):
-        added = layer.aovs.add()
-        added.name, added.type = name, "VALUE"
+    path_tracer.choose_passes(product, fps, (*AOVS, INDEX))
 
 
 def render(instant: int, product: RasterProduct, target: Path, seed: int) -> None:

@@ -6,7 +6,7 @@ import functools
 import importlib
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -125,18 +125,24 @@ def drop_noisy_image() -> None:
 def configure(product: Product, fps: int) -> None:
     """Set rate, passes and shading for one kind of frames; `fps` is that of the instants."""
     scene = bpy.context.scene
+    scene.cycles.samples = product.samples
+    scene.cycles.use_denoising = product.shaded
+    scene.view_layers[0].material_override = None if product.shaded else _black()
+    choose_passes(product, fps, AOVS if product.shaded and product.passes else ())
+
+
+def choose_passes(product: Product, fps: int, aovs: Iterable[str]) -> None:
+    """Set the rate, and which passes and AOVs of materials are written, whatever the engine."""
+    scene = bpy.context.scene
     scene.render.fps = fps // product.step
     # A true low-rate scene: frame f shows instant f * step, and vectors span a whole step.
     scene.render.frame_map_old, scene.render.frame_map_new = product.step, 1
-    scene.cycles.samples = product.samples
-    scene.cycles.use_denoising = product.shaded
     layer = scene.view_layers[0]
-    layer.material_override = None if product.shaded else _black()
     for name in PASSES:
         setattr(layer, f"use_pass_{name}", name in product.passes)
     for aov in list(layer.aovs):
         layer.aovs.remove(aov)
-    for name in AOVS if product.shaded and product.passes else ():
+    for name in aovs:
         added = layer.aovs.add()
         added.name, added.type = name, "VALUE"
 
