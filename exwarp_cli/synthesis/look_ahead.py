@@ -13,7 +13,7 @@ import numpy as np
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.synthesis.geometry import SlotField
 from exwarp_cli.synthesis.residual import agreement, along, disagreement, flow_of
-from exwarp_cli.synthesis.warp import Mover, Warped, blend_by_depth
+from exwarp_cli.synthesis.warp import Mover, Warped, blend_by_depth, mix_by_depth
 
 
 class LookAhead:
@@ -67,7 +67,7 @@ class LookAhead:
             shifted = _moved(self._shifted, codes, plain)
         del codes
         out = blend_by_depth(*plain, self._time)
-        moving = blend_by_depth(*shifted, self._time)
+        moving, _, _ = mix_by_depth(*shifted, self._time)  # no weight where neither side sees
         moving -= out
         moving *= self._weight[..., None]
         out += moving

@@ -243,15 +243,29 @@ def blend_by_depth(before: Warped, after: Warped, time: float) -> Float32:
     Returns
     -------
     float32 [H, W, C]
+        As of `mix_by_depth`; what neither side sees is filled from the background.
+    """
+    return fill_holes(*mix_by_depth(before, after, time))
+
+
+def mix_by_depth(before: Warped, after: Warped, time: float) -> tuple[Float32, Float32, Bool]:
+    """Blend two warped key frames as `blend_by_depth` does, without filling anything.
+
+    Returns
+    -------
+    float32 [H, W, C]
         Each side weighs by its nearness in time, times a softmax over its depth; a side that does
-        not see the surface weighs nothing, so disocclusions come from the side that sees them. What
-        neither sees is filled from the background.
+        not see the surface weighs nothing, so disocclusions come from the side that sees them.
+    float32 [H, W]
+        Depth of the nearer side.
+    bool [H, W]
+        What neither side sees.
     """
     depth: Float32 = pool.empty(before.depth.shape, np.float32)
     hole: Bool = pool.empty(before.hole.shape, np.bool_)
     sides = [(side.pixels, side.depth, side.hole, side.fringe) for side in (before, after)]
     blend.blend(*sides, np.float32(time), before.pixels, depth, hole)
-    return fill_holes(before.pixels, depth, hole)
+    return before.pixels, depth, hole
 
 
 def cross_fade(before: Float32, after: Float32, time: float) -> Float32:
