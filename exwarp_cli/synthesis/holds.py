@@ -226,5 +226,5 @@ def _turned_round(gbuffer: GBuffer, other: GBuffer, way: str) -> GBuffer:
     """
     found = np.nan_to_num(moved_on(other, getattr(other, way)).field, nan=0.0)
     if way == "to_previous":
-        return replace(gbuffer, to_previous=None, to_next=found)
-    return replace(gbuffer, to_next=None, to_previous=found)
+        return replace(gbuffer, to_previous=None, to_next=found, bend=None)
+    return replace(gbuffer, to_next=None, to_previous=found, bend=None)
