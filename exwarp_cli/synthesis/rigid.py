@@ -174,7 +174,9 @@ def _bend_of(gbuffer: GBuffer, scene: Scene, turning: list[tuple[Index, Poses]])
 def _pose_at(poses: Poses, time: float) -> Pose | None:
     """Return the pose at a time between those of the frames before and after, -1 < time < 1.
 
-    Turn and shift go on parabolas, or steadily where one pose alone is known.
+    Turn and shift go on parabolas, or steadily where one pose alone is known. What shifts is the
+    centre of rotation that both poses tell: with the middle of what is seen of a box, which goes on
+    an arc itself, it was 0.9 pixels off at 60 degrees a frame.
     """
     before, after = poses
     if after is None or before is None:
@@ -182,12 +184,22 @@ def _pose_at(poses: Poses, time: float) -> Pose | None:
         return (
             None if known is None else Pose(known.centre, share * known.turn, share * known.shift)
         )
+    centre = _centre_of_rotation(before, after)
     straight, square = time / 2, time * time / 2
-    return Pose(
-        after.centre,
-        straight * (after.turn - before.turn) + square * (after.turn + before.turn),
-        straight * (after.shift - before.shift) + square * (after.shift + before.shift),
-    )
+    ways = (before.turn, after.turn), tuple(pose.place(centre) - centre for pose in (before, after))
+    turn, shift = (straight * (n - p) + square * (n + p) for p, n in ways)
+    return Pose(centre, turn, shift)
+
+
+def _centre_of_rotation(before: Pose, after: Pose) -> F64:
+    """Return the point, float64 [3], whose path through both poses is straight and steady.
+
+    Of the points on the axis, the one nearest to the centre of the poses.
+    """
+    matrix = _rotation(before.turn) + _rotation(after.turn) - 2 * np.eye(3)
+    arm = np.linalg.lstsq(matrix, -(before.shift + after.shift), rcond=0.1)[0]
+    centre: F64 = after.centre + arm
+    return centre
 
 
 def _objects(stencil: Int32) -> Iterator[Index]:

@@ -85,15 +85,17 @@ def bent(gbuffer: GBuffer, time: float) -> Float32 | None:
     """Return what `displacement` adds for objects that turn, float32 [H, W, 2]; None for nothing.
 
     At the neighbouring frames, and halfway to them, points are where the rigid motion has them.
-    Between, what a parabola through both vectors lacks is nearly cubic in time, and what constant
-    velocity lacks is nearly quadratic.
+    Between, they are on the polynomials of time through these places: quartic with vectors both
+    ways, else quadratic.
     """
     if gbuffer.bend is None or not 0 < abs(time) < 1:
         return None
-    t = abs(time)
-    both = gbuffer.to_next is not None and gbuffer.to_previous is not None
-    share = t * (1 - t * t) / 0.375 if both else 4 * t * (1 - t)
-    bend: Float32 = np.float32(share) * gbuffer.bend[int(time > 0)]
+    t, (earlier, later) = time, gbuffer.bend
+    if gbuffer.to_next is None or gbuffer.to_previous is None:
+        bend: Float32 = np.float32(4 * abs(t) * (1 - abs(t))) * (later if t > 0 else earlier)
+        return bend
+    odd, even = t * (1 - t * t) / 0.75, t * t * (1 - t * t) / 0.375
+    bend = np.float32(even + odd) * later + np.float32(even - odd) * earlier
     return bend
 
 
