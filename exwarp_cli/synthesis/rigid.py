@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.domain.frame import Float32, GBuffer, Int32
+from exwarp_cli.domain.frame import Bool, Float32, GBuffer, Int32
 from exwarp_cli.synthesis.camera import Scene, camera_after, pixels_at
 from exwarp_cli.synthesis.trajectory import displacement
 
@@ -32,7 +32,7 @@ TOLERANCE, RELATIVE_TOLERANCE = 0.25, 0.03
 """Pixels, or share of the object's motion across the picture, that a vector may be off."""
 
 EXPLAINED = 0.95
-"""Share of an object's pixels whose vector must be a mixture of the rigid motion and of what is
+"""Share of an object's known vectors that must be mixtures of the rigid motion and of what is
 beside the pixel. Of rigid objects on market all were, also of wheels with thin spokes of which 30 %
 had the rigid motion itself. Limbs of a running character are not.
 """
@@ -105,9 +105,9 @@ def move_rigidly(
     shape = gbuffer.window.shape
     turning: list[tuple[Index, Poses]] = []
     for index in _objects(gbuffer.stencil):
-        poses = _settle_object(gbuffer, scene, cameras, index, settled)
+        rigid, poses = _settle_object(gbuffer, scene, cameras, index, settled)
         if any(pose is not None and np.linalg.norm(pose.turn) > LEAST_TURN for pose in poses):
-            turning.append((index, poses))
+            turning.append((rigid, poses))
     if not turning:
         return None
     before, after = (each.reshape(*shape, 2) if each.size else None for each in settled)
@@ -117,13 +117,14 @@ def move_rigidly(
 
 def _settle_object(
     gbuffer: GBuffer, scene: Scene, cameras: F64, index: Index, settled: tuple[Float32, ...]
-) -> Poses:
-    """Settle the motion of an object's pixels, given by flat index; return how it moves each way.
+) -> tuple[Index, Poses]:
+    """Settle the motion of an object's pixels, given by flat index.
 
-    None where it is not rigid, or nothing tells.
+    Return those that move rigidly both ways, and how; None where it is not rigid, or nothing tells.
     """
     points, pixels = scene.points(index)[:, :3], pixels_at(index, gbuffer.window.width)
     found: list[Pose | None] = []
+    rigid = np.ones(len(index), np.bool_)
     for way, vectors in enumerate((gbuffer.to_previous, gbuffer.to_next)):
         found.append(None)
         camera = cameras[way, 0]
@@ -134,10 +135,11 @@ def _settle_object(
             continue
         motion = np.asarray(_project(camera, pose.place(points))[0] - pixels, np.float32)
         moved = settled[way].reshape(vectors.shape)
-        if _explains(motion, index, vectors, moved):
-            moved.reshape(-1, 2)[index] = motion
-            found[-1] = pose
-    return found[0], found[1]
+        along = _moves_along(motion, index, vectors, moved)
+        if along.any():
+            moved.reshape(-1, 2)[index[along]] = motion[along]
+            found[-1], rigid = pose, rigid & along
+    return index[rigid], (found[0], found[1])
 
 
 def _bend_of(gbuffer: GBuffer, scene: Scene, turning: list[tuple[Index, Poses]]) -> Float32 | None:
@@ -303,8 +305,11 @@ def _turn_of(rotation: F64) -> F64:
     return turn
 
 
-def _explains(motion: Float32, index: Index, vectors: Float32, settled: Float32) -> bool:
-    """Whether an object's vectors are its rigid motion, or mixtures with what is beside it.
+def _moves_along(motion: Float32, index: Index, vectors: Float32, settled: Float32) -> Bool:
+    """Return which pixels of an object move rigidly, bool [N]; none where the object does not.
+
+    Those whose vector is the rigid motion, or a mixture with what is beside the pixel. Single
+    pixels among them count as well; parts that move otherwise, such as a mouth, do not.
 
     Parameters
     ----------
@@ -318,23 +323,27 @@ def _explains(motion: Float32, index: Index, vectors: Float32, settled: Float32)
     rows, columns = np.divmod(index, vectors.shape[1])
     box = tuple(slice(max(int(each.min()) - 1, 0), int(each.max()) + 2) for each in (rows, columns))
     rows, columns = rows - box[0].start, columns - box[1].start
-    moved = settled[box].copy()
+    rendered, moved = vectors[box], settled[box].copy()
     moved[rows, columns] = motion
-    low, high = _range_around(moved)
+    around = _around(moved, np.nan)
+    low, high = np.fmin.reduce(around, axis=(-2, -1)), np.fmax.reduce(around, axis=(-2, -1))
     speed = float(np.median(np.linalg.norm(motion, axis=1)))
     tolerance = np.float32(max(TOLERANCE, RELATIVE_TOLERANCE * speed))
-    rendered = vectors[box]
-    mixed = (rendered >= low - tolerance) & (rendered <= high + tolerance)
-    both = mixed[..., 0] & mixed[..., 1]
-    return bool(both[rows, columns].mean() >= EXPLAINED)
+    known = np.isfinite(rendered).all(axis=-1)
+    mixed = ((rendered >= low - tolerance) & (rendered <= high + tolerance)).all(axis=-1)
+    counts = np.zeros_like(rendered)  # of pixels that move otherwise, and of all
+    counts[rows, columns] = np.stack([known & ~mixed, known], axis=-1)[rows, columns]
+    apart, total = counts.sum(axis=(0, 1))
+    if apart > (1 - EXPLAINED) * total:
+        return np.zeros(len(index), np.bool_)
+    near = _around(counts, 0).sum(axis=(-2, -1))[rows, columns]
+    return np.asarray(2 * near[:, 0] <= near[:, 1])
 
 
-def _range_around(field: Float32) -> tuple[Float32, Float32]:
-    """Return the least and greatest of 3x3 pixels of a field [H, W, 2]; NaN does not count."""
-    padded = np.pad(field, ((1, 1), (1, 1), (0, 0)), constant_values=np.nan)
-    windows = np.lib.stride_tricks.sliding_window_view(padded, (3, 3), axis=(0, 1))
-    low: Float32 = np.fmin.reduce(windows, axis=(-2, -1))
-    return low, np.fmax.reduce(windows, axis=(-2, -1))
+def _around(field: Float32, outside: float) -> Float32:
+    """Return the 3x3 pixels around each of a field [H, W, 2], float32 [H, W, 2, 3, 3]."""
+    padded = np.pad(field, ((1, 1), (1, 1), (0, 0)), constant_values=outside)
+    return np.lib.stride_tricks.sliding_window_view(padded, (3, 3), axis=(0, 1))
 
 
 def _project(camera: F64, points: F64) -> tuple[F64, F64]:
