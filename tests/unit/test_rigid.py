@@ -236,6 +236,16 @@ class TestOutlines:
 
     @each_axis
     @each_turn
+    def test_spokes_of_which_few_vectors_are_unmixed(self, axis, degrees):
+        scene = Scene(((spokes(1.5), Motion(AXES[axis], degrees, SHIFT)),))
+        seen, raw = scene.view(), scene.rendered()
+        found = settle_motion(raw)
+        for name, time in (("to_previous", -1), ("to_next", 1)):
+            assert (error(seen, getattr(raw, name), time) > 0.05).mean() > 0.5
+            assert error(seen, getattr(found, name), time).max() < 0.15
+
+    @each_axis
+    @each_turn
     def test_spokes_that_no_vector_shows_unmixed_are_no_worse_than_before(self, axis, degrees):
         """Half of their vectors are off by a pixel or more, so their motion is not always found."""
         scene = Scene(((spokes(1.0), Motion(AXES[axis], degrees, SHIFT)),))
