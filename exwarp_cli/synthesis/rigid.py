@@ -7,7 +7,7 @@ On the scene market `softsplat` gained 0.5 dB by it, and wheels keep their spoke
 on an arc from frame to frame, which was worth 0.2 dB more.
 
 About a third of an object's vectors must be its own, or nearly: spokes 1.5 pixels wide are moved
-to 0.15 pixels, of spokes one pixel wide the motion is not always recovered.
+to 0.2 pixels, of spokes one pixel wide the motion is not always recovered.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ from exwarp_cli.training.looks import Look, delivered
 from exwarp_cli.training.variant import backwards, mirrored
 from tests.unit.scenes import Camera, vec
 
-HEIGHT, WIDTH, FOCAL = 96, 128, 130.0
+HEIGHT, WIDTH, FOCAL = 80, 104, 130.0
 CENTRE = vec((WIDTH - 1) / 2, (HEIGHT - 1) / 2)
 MIDDLE = vec(0.4, -0.2, 6.0)
 """Where the object is, in the world: x right, y down, z forward."""
@@ -242,7 +242,7 @@ class TestOutlines:
         found = settle_motion(raw)
         for name, time in (("to_previous", -1), ("to_next", 1)):
             assert (error(seen, getattr(raw, name), time) > 0.05).mean() > 0.5
-            assert error(seen, getattr(found, name), time).max() < 0.15
+            assert error(seen, getattr(found, name), time).max() < 0.2
 
     @each_axis
     @each_turn
@@ -429,7 +429,7 @@ class TestBend:
     """The bend stays with the vectors that it belongs to."""
 
     @pytest.mark.parametrize(
-        "canvas", [Window(20, 10, 70, 60), Window(-5, -7, WIDTH + 9, HEIGHT + 12)]
+        "canvas", [Window(20, 10, 60, 50), Window(-5, -7, WIDTH + 9, HEIGHT + 12)]
     )
     def test_on_another_window(self, canvas):
         _, _, found = spinning()
