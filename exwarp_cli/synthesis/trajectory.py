@@ -66,7 +66,7 @@ def _displacement(gbuffer: GBuffer, time: float, reach: Float32) -> Float32:
     if after is not None and before is not None:
         out: Float32 = pool.empty(after.shape, np.float32)
         ways = np.ascontiguousarray(before), np.ascontiguousarray(after)
-        parabola.parabola(*ways, t, out, reach if bend is None else np.zeros((0, 0, 2), np.float32))
+        parabola.parabola(*ways, t, out, reach)
         if bend is None:
             return out
     elif after is not None:
