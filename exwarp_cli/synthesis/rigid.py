@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import reduce
 
 import numpy as np
 import numpy.typing as npt
@@ -327,7 +328,7 @@ def _moves_along(motion: Float32, index: Index, vectors: Float32, settled: Float
     rendered, moved = vectors[box], settled[box].copy()
     moved[rows, columns] = motion
     around = _around(moved, np.nan)
-    low, high = np.fmin.reduce(around, axis=(-2, -1)), np.fmax.reduce(around, axis=(-2, -1))
+    low, high = reduce(np.fmin, around), reduce(np.fmax, around)
     speed = float(np.median(np.linalg.norm(motion, axis=1)))
     tolerance = np.float32(max(TOLERANCE, RELATIVE_TOLERANCE * speed))
     known = np.isfinite(rendered).all(axis=-1)
@@ -337,14 +338,15 @@ def _moves_along(motion: Float32, index: Index, vectors: Float32, settled: Float
     apart, total = counts.sum(axis=(0, 1))
     if apart > (1 - EXPLAINED) * total:
         return np.zeros(len(index), np.bool_)
-    near = _around(counts, 0).sum(axis=(-2, -1))[rows, columns]
+    near = reduce(np.add, _around(counts, 0))[rows, columns]
     return np.asarray(2 * near[:, 0] <= near[:, 1])
 
 
-def _around(field: Float32, outside: float) -> Float32:
-    """Return the 3x3 pixels around each of a field [H, W, 2], float32 [H, W, 2, 3, 3]."""
+def _around(field: Float32, outside: float) -> list[Float32]:
+    """Return a field [H, W, 2] nine times, shifted so that each pixel meets the 3x3 around it."""
     padded = np.pad(field, ((1, 1), (1, 1), (0, 0)), constant_values=outside)
-    return np.lib.stride_tricks.sliding_window_view(padded, (3, 3), axis=(0, 1))
+    height, width = field.shape[:2]
+    return [padded[i : i + height, j : j + width] for i in range(3) for j in range(3)]
 
 
 def _project(camera: F64, points: F64) -> tuple[F64, F64]:
