@@ -128,6 +128,10 @@ class GBuffer:
     objects
         int32 [H, W], id of whatever is shown, moving or not, where nothing says what moves: 0
         background; negative where ids mix in a pixel. Only there without `stencil`.
+    bend
+        float32 [2, H, W, 2], pixels: by how much points are elsewhere, half a frame earlier and
+        half a frame later, than the vectors alone tell; None where nothing turns. See
+        `exwarp_cli.synthesis.rigid`.
     """
 
     window: Window
@@ -142,6 +146,7 @@ class GBuffer:
     roughness: Float32 | None = None
     metallic: Float32 | None = None
     objects: Int32 | None = None
+    bend: Float32 | None = None
 
     @property
     def has_motion(self) -> bool:
@@ -167,7 +172,8 @@ class GBuffer:
         """Return motion and depth alone; all of it where only the rest tells what is background."""
         if self.depth is None:
             return self
-        return GBuffer(self.window, self.depth, to_previous=self.to_previous, to_next=self.to_next)
+        vectors = {name: getattr(self, name) for name in ("to_previous", "to_next", "bend")}
+        return GBuffer(self.window, self.depth, **vectors)
 
     def on(self, canvas: Window) -> GBuffer:
         """Return the geometry on another window; what is new there is background."""
@@ -190,6 +196,9 @@ class GBuffer:
             moved(self.roughness),
             moved(self.metallic),
             moved(self.objects),
+            None
+            if self.bend is None
+            else np.stack([place(half, self.window, canvas) for half in self.bend]),
         )
 
 

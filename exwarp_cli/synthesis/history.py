@@ -129,7 +129,9 @@ class BetweenKeys:
         key, before, after = self.key, self.key.to_previous, self.key.to_next
 
         def motion_at(index: Index) -> Float32:
-            some = replace(key, to_previous=_at(before, index), to_next=_at(after, index))
+            some = replace(
+                key, to_previous=_at(before, index), to_next=_at(after, index), bend=None
+            )
             found: Float32 = displacement(some, time)[0]
             return found
 

@@ -175,11 +175,11 @@ def around_holds(
             there.to_next, there.to_previous
         )
         if straight or _starts(there.to_previous, there.to_next):
-            following = replace(following, gbuffer=there.without("to_next"))
+            following = replace(following, gbuffer=there.without("to_next", "bend"))
         elif _leads_alone(there.to_next, here.to_next, here, there, "to_previous"):
             following = replace(following, gbuffer=_turned_round(there, here, "to_next"))
     if straight or _starts(here.to_next, here.to_previous):
-        key = replace(key, gbuffer=here.without("to_previous"))
+        key = replace(key, gbuffer=here.without("to_previous", "bend"))
     elif there is not None and _leads_alone(
         here.to_previous, there.to_previous, here, there, "to_next"
     ):
@@ -226,5 +226,5 @@ def _turned_round(gbuffer: GBuffer, other: GBuffer, way: str) -> GBuffer:
     """
     found = np.nan_to_num(moved_on(other, getattr(other, way)).field, nan=0.0)
     if way == "to_previous":
-        return replace(gbuffer, to_previous=None, to_next=found)
-    return replace(gbuffer, to_next=None, to_previous=found)
+        return replace(gbuffer, to_previous=None, to_next=found, bend=None)
+    return replace(gbuffer, to_next=None, to_previous=found, bend=None)

@@ -39,7 +39,8 @@ def displacement(gbuffer: GBuffer, time: float) -> Float32:
     -------
     float32 [H, W, 2]
         With n the displacement to the next frame and p to the previous one, the parabola
-        through both, t (n - p) / 2 + t² (n + p) / 2; else t n, or -t p, constant velocity.
+        through both, t (n - p) / 2 + t² (n + p) / 2; else t n, or -t p, constant velocity. Rigid
+        objects that turn go on arcs, see `bent`.
     """
     return _displacement(gbuffer, time, np.zeros((0, 0, 2), np.float32))
 
@@ -61,19 +62,41 @@ def _displacement(gbuffer: GBuffer, time: float, reach: Float32) -> Float32:
     """Return displacements, and write which rows they lead to, unless `reach` is [0, 0, 2]."""
     t = np.float32(time)
     after, before = gbuffer.to_next, gbuffer.to_previous
+    bend = bent(gbuffer, time)
     if after is not None and before is not None:
         out: Float32 = pool.empty(after.shape, np.float32)
         ways = np.ascontiguousarray(before), np.ascontiguousarray(after)
         parabola.parabola(*ways, t, out, reach)
-        return out
-    if after is not None:
+        if bend is None:
+            return out
+    elif after is not None:
         out = t * after
     else:
         assert before is not None
         out = -t * before
+    if bend is not None:
+        out += bend
     if reach.size:
         rows.row_reach(out, reach)
     return out
+
+
+def bent(gbuffer: GBuffer, time: float) -> Float32 | None:
+    """Return what `displacement` adds for objects that turn, float32 [H, W, 2]; None for nothing.
+
+    At the neighbouring frames, and halfway to them, points are where the rigid motion has them.
+    Between, they are on the polynomials of time through these places: quartic with vectors both
+    ways, else quadratic.
+    """
+    if gbuffer.bend is None or not 0 < abs(time) < 1:
+        return None
+    t, (earlier, later) = time, gbuffer.bend
+    if gbuffer.to_next is None or gbuffer.to_previous is None:
+        bend: Float32 = np.float32(4 * abs(t) * (1 - abs(t))) * (later if t > 0 else earlier)
+        return bend
+    odd, even = t * (1 - t * t) / 0.75, t * t * (1 - t * t) / 0.375
+    bend = np.float32(even + odd) * later + np.float32(even - odd) * earlier
+    return bend
 
 
 def followed(start: GBuffer, others: Sequence[GBuffer], way: int) -> Float32:

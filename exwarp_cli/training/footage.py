@@ -74,7 +74,7 @@ class Footage:
         Motion to a key frame that lies outside the render is None, unless the render has it.
         """
         index = self._order[FACTOR * k]
-        return self._moving(index, self._key_motion(index))
+        return self._moving(index, *self._key_motion(index))
 
     def slot(self, k: int, i: int) -> KeyFrame:
         """Return slot i of key frame k: ground truth, and settled motion to neighbouring slots."""
@@ -125,11 +125,16 @@ class Footage:
         found = (self.slot(k, i).gbuffer for i in range(1, FACTOR))
         return tuple(gbuffer for gbuffer in found if gbuffer is not None)
 
-    def _moving(self, index: int, motion: tuple[Float32 | None, Float32 | None]) -> KeyFrame:
+    def _moving(
+        self,
+        index: int,
+        motion: tuple[Float32 | None, Float32 | None],
+        bend: Float32 | None = None,
+    ) -> KeyFrame:
         """Return an instant as the variant shows it, with this motion to previous and to next."""
         frame = self._load(index)
         before, after = motion
-        gbuffer = replace(self._gbuffer(index), to_previous=before, to_next=after)
+        gbuffer = replace(self._gbuffer(index), to_previous=before, to_next=after, bend=bend)
         shown = self._shown(replace(frame, gbuffer=gbuffer))
         if self.look == PLAIN:
             return shown
@@ -142,13 +147,18 @@ class Footage:
             frame = replace(frame, gbuffer=backwards(frame.gbuffer))
         return mirrored(frame) if self.variant.mirror else frame
 
-    def _key_motion(self, index: int) -> tuple[Float32 | None, Float32 | None]:
-        """Motion of an instant to the key frames before and after it, in rendered order."""
+    def _key_motion(
+        self, index: int
+    ) -> tuple[tuple[Float32 | None, Float32 | None], Float32 | None]:
+        """Motion of an instant to the key frames before and after it, and how it bends.
+
+        In rendered order.
+        """
         manifest = self.scene.manifest
         if self.variant.speed == 1 and manifest.has_key(index):
             gbuffer = self._rendered_key(index // manifest.keys.step)
-            return gbuffer.to_previous, gbuffer.to_next
-        return self._motion(index, FACTOR * self.variant.speed)
+            return (gbuffer.to_previous, gbuffer.to_next), gbuffer.bend
+        return self._motion(index, FACTOR * self.variant.speed), None
 
     def _motion(self, index: int, span: int) -> tuple[Float32 | None, Float32 | None]:
         """Motion of an instant over `span` instants to both sides, in rendered order."""

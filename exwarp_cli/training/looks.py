@@ -202,7 +202,9 @@ def _every_second(gbuffer: GBuffer) -> GBuffer:
         for name, array in vars(gbuffer).items()
         if isinstance(array, np.ndarray)
     }
-    for name in ("to_previous", "to_next"):
+    if gbuffer.bend is not None:
+        arrays["bend"] = gbuffer.bend[:, ::2, ::2]
+    for name in ("to_previous", "to_next", "bend"):
         if name in arrays:
             arrays[name] = arrays[name] / np.float32(2)
     return replace(gbuffer, window=_halved(gbuffer.window), **arrays)

@@ -60,7 +60,8 @@ def backwards(gbuffer: GBuffer) -> GBuffer:
     Displacements keep their sign, as they lead from this frame to the other in either case; in a
     renderer's files, where both vectors run along time, they are exchanged and negated.
     """
-    return replace(gbuffer, to_previous=gbuffer.to_next, to_next=gbuffer.to_previous)
+    bend = None if gbuffer.bend is None else gbuffer.bend[::-1]
+    return replace(gbuffer, to_previous=gbuffer.to_next, to_next=gbuffer.to_previous, bend=bend)
 
 
 def mirrored(frame: KeyFrame) -> KeyFrame:
@@ -87,8 +88,10 @@ def _mirrored_gbuffer(gbuffer: GBuffer) -> GBuffer:
     for name, array in changed.items():
         if array is not None:
             changed[name] = _reversed(array)
-    for name in signed:
-        if changed[name] is not None:
+    if gbuffer.bend is not None:
+        changed["bend"] = np.stack([_reversed(half) for half in gbuffer.bend])
+    for name in (*signed, "bend"):
+        if changed.get(name) is not None:
             changed[name][..., 0] *= np.float32(-1)
     return replace(gbuffer, **changed)
 
