@@ -164,10 +164,11 @@ class GBuffer:
         return replace(self, **missing)
 
     def bare(self) -> GBuffer:
-        """Return motion and depth alone; all of it where only the rest tells what is background."""
+        """Return motion, depth and ids; all of it where only the rest tells what is background."""
         if self.depth is None:
             return self
-        return GBuffer(self.window, self.depth, to_previous=self.to_previous, to_next=self.to_next)
+        vectors = self.to_previous, self.to_next
+        return GBuffer(self.window, self.depth, None, None, self.stencil, *vectors)
 
     def on(self, canvas: Window) -> GBuffer:
         """Return the geometry on another window; what is new there is background."""
