@@ -11,12 +11,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from exwarp_cli.domain.frame import Float32, GBuffer, KeyFrame, broken_pixels
+from exwarp_cli.domain.frame import Bool, Float32, GBuffer, KeyFrame, broken_pixels
 from exwarp_cli.domain.timeline import FACTOR
+from exwarp_cli.kernels.edges import find_edges
 from exwarp_cli.synthesis.geometry import SlotField, depth_of, moved_on, reproject, unmatched
 from exwarp_cli.synthesis.history import Past
 from exwarp_cli.synthesis.residual import LEAST, agreement, along, disagreement, flow_of
+from exwarp_cli.synthesis.trajectory import stencil_of
 from exwarp_cli.synthesis.warp import Mover, Warped, as_shown, fill_holes, sampled
+
+SHORTEST = np.float32(0.25)
+"""Pixels a key interval from which on light counts as moving: what is less is the search's noise.
+Without it the scene town gained 0.11 dB at the third slot in place of 0.12."""
 
 
 @dataclass(frozen=True)
@@ -91,6 +97,9 @@ def light_flow(key: KeyFrame, older: Past) -> LightFlow | None:
     flow = flow_of(then, now, linear=False)
     moved = Mover(along(then, source, -flow, apart)).warp(codes)
     weight = agreement(apart, moved, now)
+    weight[np.abs(flow).max(axis=-1) < SHORTEST] = 0
+    # There colour is mixed. What was found at a lamp post's edge went into the hole that it left.
+    weight[_silhouettes(surface)] = 0
     return LightFlow(flow, weight, surface) if weight.any() else None
 
 
@@ -100,6 +109,13 @@ def _way_back(surface: GBuffer, before: GBuffer, older: Past) -> SlotField | Non
         hole = unmatched(surface, before, older.motion, FACTOR)
         return SlotField(older.motion, depth_of(surface), hole)
     return None if before.to_next is None else reproject(before, 1)
+
+
+def _silhouettes(surface: GBuffer) -> Bool:
+    """bool [H, W]: pixels beside another surface."""
+    out = np.empty(surface.window.shape, np.bool_)
+    find_edges(depth_of(surface), stencil_of(surface), out)
+    return out
 
 
 def _as_it_is(key: KeyFrame) -> Warped:
