@@ -364,9 +364,10 @@ class IntervalReader:
         """Drop what no interval after this one needs, or not yet, as it was read to find cuts."""
         if self._reads_late and key in self.observed_keys:
             self.store.keep_shape(key)
-        # Who looks ahead reads one again at the end of a shot.
-        back = WARPED_BACK if self._reads_late else self._back(self._method.lookahead)
-        oldest = key + 1 - back
+        # Who looks ahead reads one again at a cut.
+        is_last = key + 2 >= len(self._source.timeline.numbers)
+        back = self._back(self._method.lookahead and not is_last)
+        oldest = key + 1 - (WARPED_BACK if self._reads_late else back)
         if self._layers is not None:
             self._layers.release_before(key)
             oldest = min(oldest, key) if self._contents[0].looks_back else oldest
