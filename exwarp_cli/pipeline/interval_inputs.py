@@ -392,7 +392,14 @@ class IntervalReader:
             keys.append(older)
         around = ((Slot(index, 0), self._instant_before(index)) for index in self._starts(key))
         instants = [slot for pair in around for slot in pair if slot is not None]
-        back = KEYS_BACK if self._observes else self._back(lookahead)
+        # A warp's history is told by its files.
+        back = (
+            KEYS_BACK
+            if self._observes
+            else self._back(lookahead)
+            if self._method.extrapolates
+            else 0
+        )
         back = max(back, int(older is not None))
         cuts = self.shots.told(key, back, (*keys, *self._starts(key)))
         if self._source.slots is not None:
