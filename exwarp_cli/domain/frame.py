@@ -169,11 +169,11 @@ class GBuffer:
         return replace(self, **missing)
 
     def bare(self) -> GBuffer:
-        """Return motion and depth alone; all of it where only the rest tells what is background."""
+        """Return motion, depth and ids; all of it where only the rest tells what is background."""
         if self.depth is None:
             return self
-        vectors = {name: getattr(self, name) for name in ("to_previous", "to_next", "bend")}
-        return GBuffer(self.window, self.depth, **vectors)
+        kept = {name: getattr(self, name) for name in ("stencil", "to_previous", "to_next", "bend")}
+        return GBuffer(self.window, self.depth, **kept)
 
     def on(self, canvas: Window) -> GBuffer:
         """Return the geometry on another window; what is new there is background."""

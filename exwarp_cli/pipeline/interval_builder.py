@@ -38,6 +38,9 @@ Place = tuple[tuple[Slot, Window], ...]
 Basis = tuple[Window, Ids | None]
 """What settled geometry goes by: the window, and which objects move, where the frames tell."""
 
+Settled = tuple[int, Basis, bool]
+"""A key frame's index, what its geometry goes by, and whether it has its surface."""
+
 
 @dataclass(frozen=True)
 class PreparedInterval:
@@ -94,6 +97,8 @@ class IntervalBuilder:
         Where large settled frames lie when a network may extrapolate.
     linear
         Whether colour is moved in linear light, as layers that add up to it go along.
+    back
+        How many key frames before its own a later interval goes by, without a network.
     """
 
     def __init__(
@@ -105,7 +110,9 @@ class IntervalBuilder:
         bare: bool = False,
         scratch: ScratchFrames = IN_MEMORY,
         linear: bool = False,
+        back: int = 0,
     ) -> None:
+        self._back = back if network is None else HISTORY - 1
         self._linear = linear
         self._display = display
         self._network = network
@@ -114,9 +121,9 @@ class IntervalBuilder:
         self._bare = bare
         self._scratch = scratch
         self._moving = MovingObjects()
-        self._frames: dict[tuple[int, Basis], KeyFrame] = {}
+        self._frames: dict[Settled, KeyFrame] = {}
         self._instants: dict[tuple[Slot, Basis], GBuffer] = {}
-        self._past: dict[tuple[int, Basis], Past] = {}
+        self._past: dict[Settled, Past] = {}
         self._without_surface: KeyFrame | None = None
 
     def build(self, inputs: IntervalInputs) -> Interval:
@@ -151,7 +158,7 @@ class IntervalBuilder:
         complete = self._without_surface
         assert complete is not None and complete.gbuffer is not None
         complete = replace(complete, gbuffer=replace(complete.gbuffer, **surface))
-        self._frames[inputs.key, basis] = complete
+        self._frames[inputs.key, basis, has_surface(complete)] = complete
         return replace(interval, key=key, past=self._led_back(inputs, complete, basis))
 
     def _settled(self, inputs: IntervalInputs, basis: Basis) -> Interval:
@@ -161,13 +168,13 @@ class IntervalBuilder:
         if inputs.following is not None:
             following = self._frame(inputs.key + 1, inputs.following, basis)
         key = self._frame(inputs.key, inputs.frame, basis)
-        if inputs.lacks_history:  # without its surface, none that follows has a use for it
-            self._without_surface = self._frames.pop((inputs.key, basis))
+        if inputs.lacks_history:
+            self._without_surface = key
         slots = tuple(
             self._scratch.store(settle_motion(gbuffer.on(basis[0]))) for gbuffer in inputs.slots
         )
         past = self._led_back(inputs, key, basis)
-        self._release(inputs.key, slots, basis)
+        self._release(inputs, slots, basis)
         if not (self._estimated or inputs.held or slots):
             key, following = around_holds(key, following, inputs.after_hold)
         return Interval(
@@ -181,6 +188,7 @@ class IntervalBuilder:
             estimated=self._estimated,
             keeps=bool(inputs.truth.frames),
             held=inputs.held,
+            after_hold=inputs.after_hold,
             scratch=self._scratch,
             linear=self._linear,
         )
@@ -188,22 +196,25 @@ class IntervalBuilder:
     def _frame(self, index: int, frame: KeyFrame, basis: Basis) -> KeyFrame:
         if self._estimated:  # the flows of an interval are its own
             return frame.extended(basis[0])
-        if (index, basis) not in self._frames:
+        place = index, basis, has_surface(frame)
+        if place not in self._frames:
             placed = frame.extended(basis[0])
             if placed.gbuffer is not None:
                 settled = settle_motion(placed.gbuffer)
                 placed = replace(placed, gbuffer=settled.bare() if self._bare else settled)
-            self._frames[index, basis] = self._scratch.store(placed)
-        return self._frames[index, basis]
+            self._frames[place] = self._scratch.store(placed)
+        return self._frames[place]
 
     def _led_back(self, inputs: IntervalInputs, key: KeyFrame, basis: Basis) -> tuple[Past, ...]:
         steps: list[Past] = []
         newer = key
         for index, older in zip(range(inputs.key - 1, -1, -1), inputs.history, strict=False):
-            if (index, basis) not in self._past:
+            place = index, basis, has_surface(older.frame)
+            if place not in self._past:
                 motion = self._scratch.store(self._motion(index, older, newer, basis))
-                self._past[index, basis] = Past(self._frame(index, older.frame, basis), motion)
-            steps.append(self._past[index, basis])
+                frame = self._frame(index, older.frame, basis)
+                self._past[place] = Past(frame, motion, is_guessed(older, newer))
+            steps.append(self._past[place])
             newer = steps[-1].frame
         return tuple(steps)
 
@@ -222,16 +233,32 @@ class IntervalBuilder:
         settled = self._instants.get((slot, basis))
         return settle_motion(gbuffer.on(basis[0])) if settled is None else settled
 
-    def _release(self, key: int, slots: tuple[GBuffer, ...], basis: Basis) -> None:
+    def _release(self, inputs: IntervalInputs, slots: tuple[GBuffer, ...], basis: Basis) -> None:
         """Drop what no later interval needs."""
-        oldest = key + 1 - (HISTORY - 1 if self._network is not None else 0)
-        self._frames = {place: f for place, f in self._frames.items() if place[0] >= oldest}
-        self._past = {place: past for place, past in self._past.items() if place[0] >= oldest}
-        if self._network is not None:
+        key = inputs.key
+        # Of frames without their surface, of which others are read late, warps go by the last.
+        oldest = {surface: key + 1 - self._back for surface in (False, True)}
+        if inputs.lacks_history:
+            oldest[False] = key
+        self._frames = {at: frame for at, frame in self._frames.items() if at[0] >= oldest[at[2]]}
+        self._past = {at: past for at, past in self._past.items() if at[0] >= oldest[at[2]]}
+        if self._back:
             self._instants = {
                 (Slot(key, i), basis): without_surface(gbuffer)
                 for i, gbuffer in enumerate(slots, start=1)
             }
+
+
+def is_guessed(older: HistoryFrame, newer: KeyFrame) -> bool:
+    """Return True if motion to a key frame is made of vectors to the one after `newer`."""
+    leads = older.held or bool(older.instants)
+    return not leads and newer.gbuffer is not None and newer.gbuffer.to_previous is None
+
+
+def has_surface(frame: KeyFrame) -> bool:
+    """Return True if a key frame comes with any of its surface."""
+    parts = () if frame.gbuffer is None else SURFACE_PARTS
+    return any(getattr(frame.gbuffer, part) is not None for part in parts)
 
 
 def count_broken(inputs: IntervalInputs, counted: Mapping[int, int]) -> dict[int, int]:

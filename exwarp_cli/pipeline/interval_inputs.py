@@ -9,7 +9,6 @@ from dataclasses import dataclass, field, replace
 from itertools import takewhile
 
 from exwarp_cli.domain.cuts import Cut
-from exwarp_cli.domain.extrapolator import HISTORY
 from exwarp_cli.domain.frame import GBuffer, KeyFrame
 from exwarp_cli.domain.results import InterpolatorSummary, NetworkSummary
 from exwarp_cli.domain.settings import UpsampleSettings
@@ -31,6 +30,9 @@ from exwarp_cli.synthesis.methods import Judge, Method
 Needed = Callable[[int, dict[int, str]], bool]
 """Called with an interval's index and recipes; False leaves the rest unread."""
 
+
+WARPED_BACK = 1
+"""How many older key frames a warp from one key frame goes by."""
 
 Dependencies = tuple[NetworkSummary | None, str | None, InterpolatorSummary | None]
 """The network that extrapolates, the policy's checksum, the network that interpolates."""
@@ -114,10 +116,10 @@ class IntervalInputs:
         G-buffers of the slots after the key frame, empty in the key setting.
     history
         The key frames before in the same shot, the newest first, as far as motion leads back to
-        them; only for methods that extrapolate.
+        them: one where slots are warped from the key frame alone, all where they are extrapolated.
     lacks_history
-        True if `history` and the key frame's surface are read only if the interval is extrapolated;
-        see `IntervalReader.add_history`.
+        True if the rest of `history` and all frames' surfaces are read only if the interval is
+        extrapolated; see `IntervalReader.add_history`.
     observed
         The key frame's instant, and before it those of older key frames that no interval before
         brought along; only for the policy.
@@ -294,12 +296,10 @@ class IntervalReader:
             key, frame.image, None if following is None else following.image
         )
         slots = tuple(map(store.get_slot, store.slots_after(key)))
-        history: tuple[HistoryFrame, ...] = ()
-        if not self._reads_late:
-            history = tuple(
-                HistoryFrame(store.get_in_shot(i), store.get_way_back(i), shots.repeats(i + 1))
-                for i in self._history(key)
-            )
+        history = tuple(
+            HistoryFrame(store.get_in_shot(i), store.get_way_back(i), shots.repeats(i + 1))
+            for i in self._history(key)[: WARPED_BACK if self._reads_late else None]
+        )
         observed = self._observe(key)
         back = self._older(key, lookahead)
         older = None if back is None else store.get_in_shot(back)
@@ -362,12 +362,12 @@ class IntervalReader:
 
     def release(self, key: int) -> None:
         """Drop what no interval after this one needs, or not yet, as it was read to find cuts."""
-        oldest = key + 1
-        if self._reads_late:
-            if key in self.observed_keys:
-                self.store.keep_shape(key)
-        elif self._method.extrapolates:
-            oldest -= HISTORY - 1
+        if self._reads_late and key in self.observed_keys:
+            self.store.keep_shape(key)
+        # Who looks ahead reads one again at a cut.
+        is_last = key + 2 >= len(self._source.timeline.numbers)
+        back = self._back(self._method.lookahead and not is_last)
+        oldest = key + 1 - (WARPED_BACK if self._reads_late else back)
         if self._layers is not None:
             self._layers.release_before(key)
             oldest = min(oldest, key) if self._contents[0].looks_back else oldest
@@ -392,7 +392,14 @@ class IntervalReader:
             keys.append(older)
         around = ((Slot(index, 0), self._instant_before(index)) for index in self._starts(key))
         instants = [slot for pair in around for slot in pair if slot is not None]
-        back = KEYS_BACK if self._observes else HISTORY - 1 if self._method.extrapolates else 0
+        # A warp's history is told by its files.
+        back = (
+            KEYS_BACK
+            if self._observes
+            else self._back(lookahead)
+            if self._method.extrapolates
+            else 0
+        )
         back = max(back, int(older is not None))
         cuts = self.shots.told(key, back, (*keys, *self._starts(key)))
         if self._source.slots is not None:
@@ -431,9 +438,8 @@ class IntervalReader:
 
     def _history(self, key: int) -> tuple[int, ...]:
         """Return the indices of the key frames that lead back from one, the newest first."""
-        if not self._method.extrapolates:
-            return ()
-        older = tuple(range(key - 1, self.shots.begin(key, HISTORY - 1) - 1, -1))
+        back = self._back(self._looks_ahead(key))
+        older = tuple(range(key - 1, self.shots.begin(key, back) - 1, -1))
         if self._source.slots is None:
             return older
 
@@ -442,6 +448,10 @@ class IntervalReader:
             return bool(slots) and self.unreadable.all_readable(slots)
 
         return tuple(takewhile(leads_back, older))
+
+    def _back(self, looks_ahead: bool) -> int:
+        """Return how many older key frames slots may depend on, along rendered motion."""
+        return 0 if self._source.finding is None else self._method.older_keys(looks_ahead)
 
     def _starts(self, key: int) -> range:
         """Return the indices of the key frames whose features a state at this one holds."""

@@ -60,7 +60,8 @@ class KeyFrameStore:
         self.unreadable = unreadable
         self._digest = digest
         self._has_surface = method.extrapolates and not reads_late
-        self._keeps_slots = method.extrapolates
+        self._slot_roles = (*GEOMETRY, *SURFACE) if method.extrapolates else GEOMETRY
+        self._keeps_slots = method.older_keys(method.lookahead) > 0
         self._keeps_shapes = keeps_shapes
         self._lookahead = method.lookahead
         self._companions: list[Callable[[int], object]] = []
@@ -148,9 +149,8 @@ class KeyFrameStore:
         source = self.source
         number = source.slot_number(slot)
         assert source.slots is not None and number is not None
-        roles = (*GEOMETRY, *SURFACE) if self._keeps_slots else GEOMETRY
         with self.reading(slot):
-            raw = read_raw(source.slots, number, roles, objects=True)
+            raw = read_raw(source.slots, number, self._slot_roles, objects=True)
         gbuffer = source.scratch.store(raw.settle(source.convention))
         if self._keeps_slots:
             self._slots[slot] = without_surface(gbuffer)
@@ -162,11 +162,11 @@ class KeyFrameStore:
         """Return the slots' G-buffers, without surface, from the key frame after one back to it."""
         if self.source.slots is None:
             return ()
-        way = slots_back_to(key)
-        for slot in way:
-            if slot not in self._slots:
-                self.get_slot(slot)
-        return tuple(self._slots[slot] for slot in way)
+        found = []
+        for slot in slots_back_to(key):
+            known = self._slots.get(slot)
+            found.append(without_surface(self.get_slot(slot)) if known is None else known)
+        return tuple(found)
 
     def get_shape(self, slot: Slot) -> GBuffer:
         """Return the geometry of an instant with normals, which features are computed from."""

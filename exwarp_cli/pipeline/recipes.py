@@ -222,7 +222,7 @@ def key_recipe(keys: Shot, number: int, rate: Fraction | None = None) -> str:
 def _seen_otherwise(source: Source, method: Method) -> dict[str, Any]:
     """Return what is known of an input beside what its own channels say."""
     found: dict[str, Any] = {}
-    if source.estimated or method.finds_flow:
+    if source.estimated or method.finds_flow or (source.moves and method.carries_light):
         found["flow"] = flow_identity()
     if source.keys.by_hand:
         found["read"] = source.keys.by_hand

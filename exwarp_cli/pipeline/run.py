@@ -167,6 +167,7 @@ class Run:
                 bare,
                 source.scratch,
                 leader.moves_light,
+                job.method.older_keys(job.method.lookahead),
             )
             for source in job.sources
         )

@@ -43,10 +43,13 @@ class Past:
     motion
         float32 [H, W, 2], pixels: where the points of the key frame after it (F_k for F_k-1) are
         in this one, minus where they are there; NaN where unknown.
+    guessed
+        True if `motion` is that to the frame after, turned round, as no vectors lead back.
     """
 
     frame: KeyFrame
     motion: Float32
+    guessed: bool = False
 
     _gone: list[tuple[GBuffer, Bool]] = field(default_factory=list, init=False, compare=False)
 
@@ -84,7 +87,8 @@ def past_of(keys: Sequence[KeyFrame]) -> tuple[Past, ...]:
     past = []
     for newer, older in pairwise(keys):
         assert newer.gbuffer is not None
-        past.append(Past(older, displacement(newer.gbuffer, -1)))
+        guessed = newer.gbuffer.to_previous is None
+        past.append(Past(older, displacement(newer.gbuffer, -1), guessed))
     return tuple(past)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from threading import Lock
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import LayoutError
 from exwarp_cli.runtime.frame_pool import IN_MEMORY, ScratchFrames, pool
 from exwarp_cli.synthesis.camera import Scene, scene_of
+from exwarp_cli.synthesis.carried_light import CarriedLight, LightFlow, light_flow
 from exwarp_cli.synthesis.extrapolate import Prepared, prepare
 from exwarp_cli.synthesis.geometry import (
     SlotField,
@@ -29,7 +31,6 @@ from exwarp_cli.synthesis.history import (
 )
 from exwarp_cli.synthesis.look_ahead import LookAhead
 from exwarp_cli.synthesis.trajectory import displacement
-from exwarp_cli.synthesis.warp import Mover
 
 QUARTERS = tuple(index / FACTOR for index in range(1, FACTOR))
 """When slots 1 to 3 are at the usual factor."""
@@ -49,7 +50,7 @@ class Interval:
         G-buffers of all slots after the key frame, with settled motion between neighbouring ones;
         empty when only the key frames have G-buffers.
     past
-        F_k-1 and F_k-2, the newer first, as far as they exist; only for extrapolation.
+        F_k-1 and F_k-2, the newer first, as far as they exist; the second only for extrapolation.
     extrapolator
         The network that extrapolates; None for methods that only warp.
     interpolator
@@ -63,6 +64,8 @@ class Interval:
         Whether what was worked out for slots is asked for again once they are made, to score them.
     held
         True if every slot shows the picture of the key frame, as the next key frame repeats it.
+    after_hold
+        True if the key frame repeats the picture of the one before it: light stood still.
     scratch
         Where arrays lie that wait for a network.
     linear
@@ -79,15 +82,18 @@ class Interval:
     estimated: bool = False
     keeps: bool = False
     held: bool = False
+    after_hold: bool = False
     scratch: ScratchFrames = IN_MEMORY
     linear: bool = False
-    _movers: dict[int, Mover] = field(default_factory=dict, init=False)
+    _warps: dict[int, CarriedLight] = field(default_factory=dict, init=False)
     _mixers: dict[int, LookAhead] = field(default_factory=dict, init=False)
     _back: dict[int, SlotField] = field(default_factory=dict, init=False)
     _forward: dict[int, SlotField] = field(default_factory=dict, init=False)
     _scenes: dict[int, Scene | None] = field(default_factory=dict, init=False)
     _looked: dict[int, LookBack] = field(default_factory=dict, init=False)
     _between: BetweenKeys | None = field(default=None, init=False)
+    _light: list[LightFlow | None] = field(default_factory=list, init=False)
+    _finding_light: Lock = field(default_factory=Lock, init=False)
     _extrapolated: dict[int, Float32] = field(default_factory=dict, init=False)
     _holes: dict[int, Bool] = field(default_factory=dict, init=False)
 
@@ -141,14 +147,24 @@ class Interval:
                 self._forward[slot] = reproject(_moving(self.following), self.time(slot) - 1)
         return self._forward[slot]
 
-    def mover(self, slot: int) -> Mover:
+    @property
+    def light(self) -> LightFlow | None:
+        """How light moves on after the key frame; None where nothing tells. Found once."""
+        if not self.past or self.estimated or self.after_hold:
+            return None
+        with self._finding_light:  # threads that make the slots share it
+            if not self._light:
+                self._light.append(self.scratch.store(light_flow(self.key, self.past[0])))
+        return self._light[0]
+
+    def warp(self, slot: int) -> CarriedLight:
         """Return what moves the key frame before a slot to it; one for all layers of the slot."""
-        if slot in self._movers:
-            return self._movers[slot]
-        mover = Mover(self.back(slot), self.linear)
+        if slot in self._warps:
+            return self._warps[slot]
+        warp = CarriedLight(self.back(slot), self.time(slot), self.light, self.linear)
         if self.linear:  # else no layers follow
-            self._movers[slot] = mover
-        return mover
+            self._warps[slot] = warp
+        return warp
 
     def look_ahead(self, slot: int) -> LookAhead:
         """Return what mixes the key frames around a slot; one for all layers of the slot."""
@@ -213,7 +229,7 @@ class Interval:
 
         Motion fields of three slots take as much memory as a key frame.
         """
-        self._movers.pop(slot, None)
+        self._warps.pop(slot, None)
         self._mixers.pop(slot, None)
         if self.keeps:
             return
@@ -233,9 +249,12 @@ class Interval:
 
     def bare(self) -> Interval:
         """Return the interval with what warps from the key frame go by; nothing is made yet."""
-        gbuffer = self.key.gbuffer
-        key = self.key if gbuffer is None else replace(self.key, gbuffer=gbuffer.bare())
-        return replace(self, key=key, past=())
+
+        def bare(frame: KeyFrame) -> KeyFrame:
+            return replace(frame, gbuffer=None if frame.gbuffer is None else frame.gbuffer.bare())
+
+        past = tuple(replace(step, frame=bare(step.frame)) for step in self.past[:1])
+        return replace(self, key=bare(self.key), past=past)
 
     def on(self, window: Window) -> Interval:
         """Return the interval as if only a part of its frames had been rendered.

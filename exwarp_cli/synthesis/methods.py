@@ -8,7 +8,7 @@ from enum import Enum
 from functools import partial
 
 from exwarp_cli.domain.decision import BLEND, EXTRAPOLATE, HELD, HOLD, PATHS, SOFTSPLAT, WARP
-from exwarp_cli.domain.extrapolator import INTERPOLATE
+from exwarp_cli.domain.extrapolator import HISTORY, INTERPOLATE
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.domain.results import FrameKind
 from exwarp_cli.synthesis.interval import Interval
@@ -101,6 +101,20 @@ class Method:
         return self.lookahead and self.needs_motion
 
     @property
+    def carries_light(self) -> bool:
+        """Whether it may warp from one key frame, and carry on how light moved before that."""
+        return self.lookahead or self.needs_motion
+
+    def older_keys(self, looks_ahead: bool) -> int:
+        """Return how many key frames before an interval's own its slots may depend on.
+
+        `looks_ahead` says whether the interval has a next key frame that is used.
+        """
+        if self.extrapolates:
+            return HISTORY - 1
+        return int(self.carries_light and not looks_ahead)
+
+    @property
     def needs_truth(self) -> bool:
         """Whether ground truth decides."""
         return self.judge in (Judge.PSNR, Judge.RETURN)
@@ -147,10 +161,10 @@ def take(path: str, interval: Interval, slot: int) -> Predicted:
 
 
 def _warp(interval: Interval, slot: int) -> Predicted:
-    """Warp the key frame: the paper's path S6."""
+    """Warp the key frame, the paper's path S6, and let light move on as it did before."""
     if interval.estimated and not interval.has_motion:
         return _hold(interval, slot)  # nothing comes before it by which motion could be estimated
-    pixels = interval.mover(slot).warp_alone(interval.key.image.pixels)
+    pixels = interval.warp(slot).make(interval.key.image.pixels)
     return Predicted(pixels, FrameKind.GENERATED, "s6", (interval.key.number,), WARP)
 
 

@@ -20,12 +20,13 @@ from exwarp_cli.domain.motion import MotionConvention
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.kernels import nearest
 from exwarp_cli.synthesis.camera import scene_of
+from exwarp_cli.synthesis.carried_light import CarriedLight
 from exwarp_cli.synthesis.geometry import SlotField, depth_of, stands_still, unmatched
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.look_ahead import LookAhead
 from exwarp_cli.synthesis.methods import Predicted
 from exwarp_cli.synthesis.trajectory import displacement
-from exwarp_cli.synthesis.warp import Mover, cross_fade, look_around, repair
+from exwarp_cli.synthesis.warp import cross_fade, look_around, repair
 
 FROM_KEY = np.float32(0)
 """Time at which the key frame before has all the weight."""
@@ -301,7 +302,7 @@ class Retiming:
         From the slot to the key frames before and after it, as far as they are used.
     frames
         Beauty of the key frames that are used, float32 [H, W, C]: layers go as it goes.
-    mover, mixer
+    warp, mixer
         What moves the key frame, or mixes both, for all layers of the slot; None where not used.
     """
 
@@ -311,7 +312,7 @@ class Retiming:
     back: SlotField | None = None
     forward: SlotField | None = None
     frames: tuple[Float32, ...] = ()
-    mover: Mover | None = None
+    warp: CarriedLight | None = None
     mixer: LookAhead | None = None
 
     def colour(self, before: Float32, after: Float32 | None = None) -> Float32:
@@ -324,10 +325,10 @@ class Retiming:
             there is an alpha; `after` only where it is used.
         """
         # A network may have made the beauty, which light then does not go by yet.
-        if self.mover is not None:
-            if not self.mover.has_beauty:
-                self.mover.move(self.mover.codes(self.frames[0]))
-            return self.mover.warp_alone(before)
+        if self.warp is not None:
+            if not self.warp.has_beauty:
+                self.warp.make(self.frames[0])
+            return self.warp.make(before)
         if self.mixer is not None:
             if not self.mixer.has_beauty:
                 self.mixer.make(*self.frames)
@@ -435,7 +436,7 @@ def retiming(interval: Interval, slot: int, shown: Predicted) -> Retiming:
     back = interval.back(slot)
     if path is not None or following is None:
         sources, frames = moved_from(back, depth_of(key)), (interval.key.image.pixels,)
-        return Retiming(Manner.WARP, time, sources, back, None, frames, interval.mover(slot))
+        return Retiming(Manner.WARP, time, sources, back, None, frames, interval.warp(slot))
     forward = interval.forward(slot)
     assert following.gbuffer is not None
     depths = depth_of(key), depth_of(following.gbuffer)

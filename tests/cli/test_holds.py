@@ -179,7 +179,8 @@ def test_resuming_makes_again_what_is_no_hold_any_more(made, copies, tmp_path):
     shots.write(keys / "shot.0004.exr", {"": darker})
     renewed = shots.changed_by(lambda: made(keys, "s6", *VECTORS, "--skip-existing"), out)
     assert shots.generated(3) <= renewed
-    assert not renewed & shots.generated(1, 5, 6)
+    assert shots.generated(5) <= renewed, "how light moved before it has changed"
+    assert not renewed & shots.generated(1, 6)
     assert contents(out) == contents(made(keys, "s6", *VECTORS, name="anew"))
 
 

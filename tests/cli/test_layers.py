@@ -287,19 +287,25 @@ class TestRuns:
         assert run("Depth") == every
         assert run("*.Depth") == set()
 
-    def test_positions_go_on_from_the_key_frame_before(self, keys, made, upsample, tmp_path):
-        """A changed frame before makes those after it anew, as positions depend on it."""
+    def test_layers_go_on_from_the_key_frame_before(self, keys, made, upsample, tmp_path):
+        """A changed frame before makes those after it anew: positions and warped light."""
         copy = tmp_path / "keys"
         copy.mkdir()
         for path in keys.iterdir():
             (copy / path.name).write_bytes(path.read_bytes())
         out = tmp_path / "out"
-        for layers, wanted in (("all", {1, 2}), ("Diffuse*", {1})):
-            upsample(copy, out, "-m", "s6", "--layers", layers, "--overwrite")
+        for method, layers, wanted in (
+            ("s6", "all", {1, 2}),
+            ("s6", "Diffuse*", {1, 2}),
+            ("hold", "all", {1, 2}),
+            ("hold", "Diffuse*", {1}),
+        ):
+            asked = ("-m", method, "--layers", layers)
+            upsample(copy, out, *asked, "--overwrite")
             layered(copy / "shot.0001.exr", Street(), 0.1)
 
-            def again(layers: str = layers) -> None:
-                upsample(copy, out, "-m", "s6", "--layers", layers, "--skip-existing")
+            def again(asked: tuple[str, ...] = asked) -> None:
+                upsample(copy, out, *asked, "--skip-existing")
 
             assert shots.changed_by(again, out) - {1} == shots.generated(*wanted)
             (copy / "shot.0001.exr").write_bytes((keys / "shot.0001.exr").read_bytes())

@@ -168,7 +168,8 @@ def test_an_interval_that_is_completed_is_one_that_was_read_whole(extrapolated):
         return replace(given, frame=surfaced(given.frame), history=tuple(history))
 
     def bare(index: int) -> IntervalInputs:
-        return inputs(index, "key", history=(), lacks_history=True)
+        given = inputs(index, "key", lacks_history=True)
+        return replace(given, history=given.history[:1])
 
     builder = IntervalBuilder(DISPLAY, Filled())
     for index in range(3):
@@ -176,7 +177,8 @@ def test_an_interval_that_is_completed_is_one_that_was_read_whole(extrapolated):
         if index in extrapolated:
             builder.add_history(made, whole(index))
     made = builder.build(bare(3))
-    assert not made.past and {index for index, _ in builder._frames} <= set(extrapolated)
+    assert len(made.past) == 1 and made.past[0].frame.gbuffer.albedo is None
+    assert {index for index, *_ in builder._frames} <= {3, *extrapolated}
     found = builder.add_history(made, whole(3))
     expected = IntervalBuilder(DISPLAY, Filled()).build(whole(3))
     assert len(found.past) == 2

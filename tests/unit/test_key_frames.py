@@ -122,7 +122,7 @@ class TestHistory:
         late = reader(folder, "exwarp")
         for key in keys:
             inputs = late.read(key)
-            assert inputs.lacks_history and not inputs.history
+            assert inputs.lacks_history and len(inputs.history) == min(key, 1)
             complete, expected = late.add_history(inputs), self.read_eagerly(folder, key)
             assert not complete.lacks_history
             assert_same(complete.frame, expected.frame)
