@@ -14,6 +14,7 @@ F32 = npt.NDArray[np.float32]
 B8 = npt.NDArray[np.bool_]
 Side = tuple[F32, F32, B8, B8]
 Row = tuple[F32, B8, B8]
+Seen = tuple[F32, B8, B8]
 
 NEARNESS = 10
 """Exponent of the depth weight: a surface twice as near outweighs the other 1000 to 1."""
@@ -160,6 +161,46 @@ def blend_row(before: F32, after: F32, share: F32, out: F32) -> None:
     mix_row(first, second, shares, mixed)  # `out` may be `before`, for which loops are slow
     for k in range(out.size):
         whole[k] = mixed[k]
+
+
+@parallel
+def weigh(
+    before: Seen, after: Seen, time: np.float32, later: F32, depth: F32, hole: B8, share: Share
+) -> None:
+    """Write how much of a slot's colour comes from the key frame after it.
+
+    Parameters
+    ----------
+    before, after
+        Depth, hole and fringe, as for :func:`blend`.
+    time, depth, hole
+        As for :func:`blend`.
+    later
+        float32 [H, W], written, 0 to 1; 0 in holes.
+    """
+    for i in turns(later.shape[0], share):
+        shared = np.empty(later.shape[1], np.bool_)
+        mark_shared_edges(i, (before[0], before[1]), (after[0], after[1]), shared)
+        first = before[0][i], before[1][i], before[2][i]
+        second = after[0][i], after[1][i], after[2][i]
+        write_shares(first, second, shared, time, later[i], depth[i], hole[i])
+
+
+@parallel
+def mix(before: F32, after: F32, later: F32, out: F32, share: Share) -> None:
+    """Mix two pictures.
+
+    Parameters
+    ----------
+    before, after
+        float32 [H, W, C].
+    later
+        float32 [H, W], 0 to 1: weight of `after`.
+    out
+        float32 [H, W, C], written; may be `before`.
+    """
+    for i in turns(later.shape[0], share):
+        blend_row(before[i], after[i], later[i], out[i])
 
 
 @parallel

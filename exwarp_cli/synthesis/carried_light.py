@@ -14,6 +14,7 @@ import numpy as np
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, KeyFrame, broken_pixels
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.kernels.edges import find_edges
+from exwarp_cli.synthesis.coverage import Coverage
 from exwarp_cli.synthesis.geometry import SlotField, depth_of, moved_on, reproject, unmatched
 from exwarp_cli.synthesis.history import Past
 from exwarp_cli.synthesis.residual import LEAST, agreement, along, disagreement, flow_of
@@ -145,12 +146,20 @@ class CarriedLight:
         How light moves; None where it stays on its surfaces.
     linear
         As for `Mover`.
+    coverage
+        Of the pixels beside edges; None where each has the surface of its centre.
     """
 
     def __init__(
-        self, back: SlotField, time: float, light: LightFlow | None, linear: bool = False
+        self,
+        back: SlotField,
+        time: float,
+        light: LightFlow | None,
+        linear: bool = False,
+        coverage: Coverage | None = None,
     ) -> None:
         self._mover = Mover(back, linear)
+        self._coverage = coverage
         self._shifted: Mover | None = None
         if light is not None:
             source, self._weight = light.shifted(back, time)
@@ -177,6 +186,7 @@ class CarriedLight:
         mover = self._mover
         codes = mover.codes(pixels)
         out, hole = mover.move(codes)
+        covered = None if self._coverage is None else self._coverage.cover((codes,), out)
         if self._shifted is not None:
             moving, unseen = self._shifted.move(codes)
             weight = np.where(hole | unseen, np.float32(0), self._weight)[..., None]
@@ -185,4 +195,6 @@ class CarriedLight:
             moving -= out
             moving *= weight
             out += moving
+        if covered is not None:
+            hole &= ~covered
         return mover.light(fill_holes(out, mover.source.depth, hole))

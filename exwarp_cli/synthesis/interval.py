@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from threading import Lock
 
@@ -14,6 +15,7 @@ from exwarp_cli.errors import LayoutError
 from exwarp_cli.runtime.frame_pool import IN_MEMORY, ScratchFrames, pool
 from exwarp_cli.synthesis.camera import Scene, scene_of
 from exwarp_cli.synthesis.carried_light import CarriedLight, LightFlow, light_flow
+from exwarp_cli.synthesis.coverage import Coverage, Side
 from exwarp_cli.synthesis.extrapolate import Prepared, prepare
 from exwarp_cli.synthesis.geometry import (
     SlotField,
@@ -161,7 +163,9 @@ class Interval:
         """Return what moves the key frame before a slot to it; one for all layers of the slot."""
         if slot in self._warps:
             return self._warps[slot]
-        warp = CarriedLight(self.back(slot), self.time(slot), self.light, self.linear)
+        back, time = self.back(slot), self.time(slot)
+        coverage = self._coverage((Side(_moving(self.key), time),), (back,))
+        warp = CarriedLight(back, time, self.light, self.linear, coverage)
         if self.linear:  # else no layers follow
             self._warps[slot] = warp
         return warp
@@ -170,10 +174,19 @@ class Interval:
         """Return what mixes the key frames around a slot; one for all layers of the slot."""
         if slot in self._mixers:
             return self._mixers[slot]
-        mixer = LookAhead(self.back(slot), self.forward(slot), self.time(slot), self.linear)
+        assert self.following is not None
+        fields, time = (self.back(slot), self.forward(slot)), self.time(slot)
+        sides = Side(_moving(self.key), time), Side(_moving(self.following), time - 1)
+        mixer = LookAhead(*fields, time, self.linear, self._coverage(sides, fields))
         if self.linear:  # else no layers follow
             self._mixers[slot] = mixer
         return mixer
+
+    def _coverage(self, sides: Sequence[Side], fields: Sequence[SlotField]) -> Coverage | None:
+        """Return what shares the pixels of a slot beside edges; None where nothing tells."""
+        if self.slots or self.estimated:
+            return None
+        return Coverage(sides, fields, self.linear)
 
     def step_back(self, slot: int) -> SlotField:
         """Motion field from a slot, 2 or more, to the slot before it."""

@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from exwarp_cli.domain.frame import Float32
+from exwarp_cli.synthesis.coverage import Coverage
 from exwarp_cli.synthesis.geometry import SlotField
 from exwarp_cli.synthesis.residual import agreement, along, disagreement, flow_of
 from exwarp_cli.synthesis.warp import Mover, Warped, blend_by_depth, mix_by_depth
@@ -27,14 +28,22 @@ class LookAhead:
         Of the slot in the key interval, 0 < time < 1.
     linear
         As for `Mover`.
+    coverage
+        Of the pixels beside edges; None where each has the surface of its centre.
     """
 
     def __init__(
-        self, back: SlotField, forward: SlotField, time: float, linear: bool = False
+        self,
+        back: SlotField,
+        forward: SlotField,
+        time: float,
+        linear: bool = False,
+        coverage: Coverage | None = None,
     ) -> None:
         self._sides = Mover(back, linear), Mover(forward, linear)
         self._time = time
         self._linear = linear
+        self._coverage = coverage
         self._shifted: tuple[Mover, Mover] | None = None
         self._weight = np.zeros((0, 0), np.float32)
 
@@ -65,8 +74,10 @@ class LookAhead:
             self._weight = agreement(apart, *shifted)
         else:
             shifted = _moved(self._shifted, codes, plain)
-        del codes
         out = blend_by_depth(*plain, self._time)
+        if self._coverage is not None:
+            self._coverage.cover(codes, out)
+        del codes
         moving, _, _ = mix_by_depth(*shifted, self._time)  # no weight where neither side sees
         moving -= out
         moving *= self._weight[..., None]

@@ -93,19 +93,19 @@ class Mover:
 
         Returns
         -------
-        float32 [H, W, C]
+        float32 [h, w, C], of the motion field's size
             Each channel of the beauty is within the range of the 3x3 pixels around; 0 where nothing
             finite lies there, the edge's colour outside the frame.
         bool [H, W]
             Both of these, and where the source shows another surface.
         """
-        out: Float32 = pool.empty(codes.shape, np.float32)
-        unseen: Bool = pool.empty(codes.shape[:2], np.bool_)
         field = self.source.field
+        out: Float32 = pool.empty((*field.shape[:2], codes.shape[2]), np.float32)
+        unseen: Bool = pool.empty(field.shape[:2], np.bool_)
         if self._linear:
             leads = self._limit is None
             if self._limit is None:
-                self._limit = pool.empty(codes.shape[:2], np.float32)
+                self._limit = pool.empty(field.shape[:2], np.float32)
             resample.resample_alike(codes, field, LANCZOS, self._limit, leads, out, unseen)
         else:
             resample.resample(codes, field, LANCZOS, out, unseen)
