@@ -186,7 +186,9 @@ class CarriedLight:
         mover = self._mover
         codes = mover.codes(pixels)
         out, hole = mover.move(codes)
-        covered = None if self._coverage is None else self._coverage.cover((codes,), out)
+        out = fill_holes(out, mover.source.depth, hole)
+        if self._coverage is not None:
+            self._coverage.cover((codes,), out)
         if self._shifted is not None:
             moving, unseen = self._shifted.move(codes)
             weight = np.where(hole | unseen, np.float32(0), self._weight)[..., None]
@@ -195,6 +197,4 @@ class CarriedLight:
             moving -= out
             moving *= weight
             out += moving
-        if covered is not None:
-            hole &= ~covered
-        return mover.light(fill_holes(out, mover.source.depth, hole))
+        return mover.light(out)

@@ -90,7 +90,7 @@ class Coverage:
         self._index = np.flatnonzero(_beside_edges(fields))
         self._places: list[_Place] = []
 
-    def cover(self, codes: Sequence[Float32], out: Float32) -> Bool:
+    def cover(self, codes: Sequence[Float32], out: Float32) -> None:
         """Write a layer's pixels beside edges; the first layer is the beauty.
 
         Parameters
@@ -98,16 +98,11 @@ class Coverage:
         codes
             float32 [H, W, C] of each key frame, from `Mover.codes`.
         out
-            float32 [H, W, C], changed where some key frame shows a part of the pixel.
-
-        Returns
-        -------
-        bool [H, W]
-            What was changed.
+            float32 [H, W, C], changed; its holes are filled. A place that no key frame shows has
+            the pixel's own colour.
         """
-        covered: Bool = np.zeros(out.shape[:2], np.bool_)
         if not len(self._index):
-            return covered
+            return
         channels = out.shape[2]
         total = np.zeros((len(self._index), channels), np.float32)
         count = np.zeros(len(self._index), np.float32)
@@ -116,11 +111,10 @@ class Coverage:
             seen = seen.reshape(-1)[: count.size]
             total += np.where(seen[:, None], colour.reshape(-1, channels)[: count.size], 0)
             count += seen
-        some = count > 0
-        index = self._index[some]
-        out.reshape(-1, channels)[index] = total[some] / count[some, None]
-        covered.reshape(-1)[index] = True
-        return covered
+        pixels = out.reshape(-1, channels)
+        unseen = np.float32(len(PLACES)) - count
+        total += unseen[:, None] * pixels[self._index]
+        pixels[self._index] = total / np.float32(len(PLACES))
 
     def _made_places(self) -> Sequence[_Place]:
         """Return all places; kept for layers only, as they are memory."""

@@ -164,7 +164,7 @@ class Interval:
         if slot in self._warps:
             return self._warps[slot]
         back, time = self.back(slot), self.time(slot)
-        coverage = self._coverage((Side(_moving(self.key), time),), (back,))
+        coverage = self._coverage(((self.key, time),), (back,))
         warp = CarriedLight(back, time, self.light, self.linear, coverage)
         if self.linear:  # else no layers follow
             self._warps[slot] = warp
@@ -176,15 +176,31 @@ class Interval:
             return self._mixers[slot]
         assert self.following is not None
         fields, time = (self.back(slot), self.forward(slot)), self.time(slot)
-        sides = Side(_moving(self.key), time), Side(_moving(self.following), time - 1)
+        sides = (self.key, time), (self.following, time - 1)
         mixer = LookAhead(*fields, time, self.linear, self._coverage(sides, fields))
         if self.linear:  # else no layers follow
             self._mixers[slot] = mixer
         return mixer
 
-    def _coverage(self, sides: Sequence[Side], fields: Sequence[SlotField]) -> Coverage | None:
-        """Return what shares the pixels of a slot beside edges; None where nothing tells."""
-        if self.slots or self.estimated:
+    def _coverage(
+        self, frames: Sequence[tuple[KeyFrame, float]], fields: Sequence[SlotField]
+    ) -> Coverage | None:
+        """Return what shares the pixels of a slot beside edges; None where nothing tells.
+
+        Parameters
+        ----------
+        frames
+            Key frames around the slot, each with the time of the slot after it.
+        fields
+            From the slot to each of them.
+        """
+        sides = [
+            Side(frame.gbuffer, time)
+            for frame, time in frames
+            if frame.gbuffer is not None and frame.gbuffer.has_motion
+        ]
+        # Estimated motion has no depth, and slots' own G-buffers hold the centres of pixels alone.
+        if self.estimated or len(sides) < len(frames):
             return None
         return Coverage(sides, fields, self.linear)
 
