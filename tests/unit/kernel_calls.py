@@ -36,6 +36,7 @@ from exwarp_cli.kernels._row_bands import set_threads
 Arrays = tuple[np.ndarray, ...]
 Pair = tuple[np.ndarray, np.ndarray]
 Side = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+Seen = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 NO_IDS = np.zeros((0, 0), np.int32)
 NO_DEPTH = np.zeros((0, 0), np.float32)
@@ -238,6 +239,19 @@ def blended(before: Side, after: Side, time: float, serial: bool = False) -> Arr
     hole = np.zeros(depth.shape, np.bool_)
     build(blend, "blend", serial)(before, after, np.float32(time), out, depth, hole)
     return out, depth, hole
+
+
+def weighed(before: Seen, after: Seen, time: float, serial: bool = False) -> Arrays:
+    later, depth = (np.full(before[0].shape, -9, np.float32) for _ in range(2))
+    hole = np.zeros(depth.shape, np.bool_)
+    build(blend, "weigh", serial)(before, after, np.float32(time), later, depth, hole)
+    return later, depth, hole
+
+
+def mixed(before: np.ndarray, after: np.ndarray, later: np.ndarray, serial: bool = False) -> Arrays:
+    out = np.full_like(before, np.nan)
+    build(blend, "mix", serial)(before, after, later, out)
+    return (out,)
 
 
 def projected(

@@ -94,6 +94,14 @@ def side(seed: int) -> calls.Side:
     return np.nan_to_num(image(seed)), distance, masks[0], masks[1]
 
 
+def mix(serial: bool) -> calls.Arrays:
+    """With weights that are nothing or all among others, and of pixels that have one channel."""
+    shares = np.random.default_rng(72).choice([0, 0.25, 0.5, 1], SHAPE).astype(np.float32)
+    before, after = side(20)[0], side(21)[0]
+    one = (np.ascontiguousarray(pixels[..., :1]) for pixels in (before, after))
+    return calls.mixed(before, after, shares, serial) + calls.mixed(*one, shares, serial)
+
+
 def project(serial: bool) -> calls.Arrays:
     """With positions, and by depth alone."""
     rng = np.random.default_rng(22)
@@ -206,6 +214,8 @@ CASES: dict[str, Callable[[bool], calls.Arrays]] = {
     "find_edges": lambda serial: calls.edges_found(depth(15), ids(15), serial),
     "settle": settle,
     "blend": lambda serial: calls.blended(side(20), side(21), 0.25, serial),
+    "weigh": lambda serial: calls.weighed(side(20)[1:], side(21)[1:], 0.25, serial),
+    "mix": mix,
     "rigid": project,
     "find_fringe": lambda serial: calls.fringe_found(field(18), depth(18), depth(19), serial),
     "block_means": lambda serial: calls.averaged(field(34), 8, shown(35), serial),
