@@ -31,6 +31,10 @@ PLACES = tuple((x, y) for x in (-1 / 3, 1 / 3) for y in (-1 / 3, 1 / 3))
 JUMP = 1.1
 """Factor between the depths of neighbours from which on they are two surfaces."""
 
+APART = np.float32(1 / 8)
+"""Pixels by which the motion of neighbours differs from which on they are two surfaces. What moves
+as one keeps the mixed colour of its edges, which places inside the pixel would blur."""
+
 ROW = 1024
 """Pixels in a row of the arrays that pixels beside edges are gathered in."""
 
@@ -103,18 +107,18 @@ class Coverage:
         """
         if not len(self._index):
             return
-        channels = out.shape[2]
+        channels, weight = out.shape[2], np.float32(1 / len(PLACES))
         total = np.zeros((len(self._index), channels), np.float32)
         count = np.zeros(len(self._index), np.float32)
         for place in self._made_places():
             colour, seen = _colour_at(place, codes)
             seen = seen.reshape(-1)[: count.size]
-            total += np.where(seen[:, None], colour.reshape(-1, channels)[: count.size], 0)
+            shown = colour.reshape(-1, channels)[: count.size] * weight
+            total += np.where(seen[:, None], shown, np.float32(0))
             count += seen
         pixels = out.reshape(-1, channels)
-        unseen = np.float32(len(PLACES)) - count
-        total += unseen[:, None] * pixels[self._index]
-        pixels[self._index] = total / np.float32(len(PLACES))
+        total += (1 - count * weight)[:, None] * pixels[self._index]
+        pixels[self._index] = total
 
     def _made_places(self) -> Sequence[_Place]:
         """Return all places; kept for layers only, as they are memory."""
@@ -179,11 +183,21 @@ def _share_of_second(before: SlotField, after: SlotField, time: float) -> tuple[
 
 
 def _beside_edges(fields: Sequence[SlotField]) -> Bool:
-    """Find pixels with another surface, or a hole, among their 3x3, in any of some fields."""
+    """Find pixels with two surfaces that move apart among their 3x3, in any of some fields.
+
+    Holes beside a surface count, too. Pixels of a surface beside a hole do not: nothing shares
+    them, and what a key frame shows there is mixed with the nearer surface that has moved on.
+    """
     found: Bool = np.zeros(fields[0].depth.shape, np.bool_)
     for field in fields:
-        depth = np.where(np.isnan(field.depth), np.float32(np.inf), field.depth)
-        found |= _extreme(depth, np.maximum) > np.float32(JUMP) * _extreme(depth, np.minimum)
+        unknown = np.isnan(field.depth)
+        nearest = _extreme(np.where(unknown, np.float32(np.inf), field.depth), np.minimum)
+        furthest = _extreme(np.where(unknown, np.float32(0), field.depth), np.maximum)
+        jumps = furthest > np.float32(JUMP) * nearest
+        found |= unknown & (furthest > 0)
+        for way in (field.field[..., 0], field.field[..., 1]):
+            spread = _extreme(way, np.fmax) - _extreme(way, np.fmin)
+            found |= jumps & (spread > APART)
     return found
 
 

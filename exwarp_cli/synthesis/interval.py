@@ -199,8 +199,9 @@ class Interval:
             for frame, time in frames
             if frame.gbuffer is not None and frame.gbuffer.has_motion
         ]
-        # Estimated motion has no depth, and slots' own G-buffers hold the centres of pixels alone.
-        if self.estimated or len(sides) < len(frames):
+        # Estimated motion has no depth. Slots' own G-buffers hold the centres of pixels alone, and
+        # with them key frames' vectors lead to the next slot.
+        if self.estimated or self.slots or len(sides) < len(frames):
             return None
         return Coverage(sides, fields, self.linear)
 
