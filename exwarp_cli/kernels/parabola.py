@@ -14,20 +14,40 @@ from exwarp_cli.kernels.reach import write_reach
 F32 = npt.NDArray[np.float32]
 
 
+SLACK = np.float32(4)
+"""Pixels of acceleration in a key interval that are always taken over; half a pixel of way."""
+
+
 @part
 def write_parabola(before: F32, after: F32, time: np.float32, out: F32) -> None:
-    """Write displacements [N] of a row; see `parabola`."""
-    half, square = np.float32(0.5) * time, np.float32(0.5) * time * time
-    for k in range(out.size):
-        p, n = before[k], after[k]
-        both = half * (n - p) + square * (n + p)
-        alone = -time * p if math.isnan(n) else both
-        out[k] = time * n if math.isnan(p) else alone
+    """Write displacements [N] of a row, pairs of x and y; see `parabola`."""
+    size = abs(time)
+    inside = size < np.float32(1)
+    # How far a parabola is beside constant velocity, as a share of the acceleration.
+    beside = np.float32(0.5) * (size * size - size)
+    for k in range(0, out.size, 2):
+        # Towards the slot's side, and away from it.
+        x, y = (after[k], after[k + 1]) if time > 0 else (before[k], before[k + 1])
+        u, v = (before[k], before[k + 1]) if time > 0 else (after[k], after[k + 1])
+        bend_x, bend_y = x + u, y + v
+        room = np.float32(2) * math.sqrt(x * x + y * y) + SLACK
+        bend = np.float32(math.sqrt(bend_x * bend_x + bend_y * bend_y))
+        limit = np.float32(room) / bend if inside and bend > room else np.float32(1)
+        share = limit * beside
+        curved_x, curved_y = size * x + share * bend_x, size * y + share * bend_y
+        steady_x = -size * u if math.isnan(x) else size * x
+        steady_y = -size * v if math.isnan(y) else size * y
+        out[k] = steady_x if math.isnan(bend_x) else curved_x
+        out[k + 1] = steady_y if math.isnan(bend_y) else curved_y
 
 
 @parallel
 def parabola(before: F32, after: F32, time: np.float32, out: F32, reach: F32, share: Share) -> None:
     """Write t (n - p) / 2 + t² (n + p) / 2 for p = `before` and n = `after`.
+
+    Within a key interval the acceleration n + p is held to twice the way in it, so that nothing
+    turns round there that did not. A camera that is thrown round at a key frame would bend the
+    interval before: by 7 px in the scene courtyard, where 5 dB were lost.
 
     Parameters
     ----------

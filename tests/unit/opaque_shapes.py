@@ -32,7 +32,8 @@ def grid(fine: int = 1) -> tuple[np.ndarray, np.ndarray]:
 
 def mean(values: np.ndarray) -> np.ndarray:
     """Return the means over pixels of what is known of their parts."""
-    parts = values.reshape(HEIGHT, FINE, WIDTH, FINE, -1)
+    fine = len(values) // HEIGHT
+    parts = values.reshape(HEIGHT, fine, WIDTH, fine, -1)
     return parts.mean(axis=(1, 3)).astype(np.float32)
 
 
@@ -65,9 +66,14 @@ def cut_out(shape: Shape, at: Pair, motion: Pair) -> View:
     return View(pixels, _geometry(inside, motion, (0, 0), np.inf), cover[..., 0])
 
 
-def over_ground(shape: Shape, at: Pair, motion: Pair, drift: Pair, time: float) -> View:
-    """Return an opaque shape that moves along over textured ground, which drifts."""
-    y, x = grid(FINE)
+def over_ground(
+    shape: Shape, at: Pair, motion: Pair, drift: Pair, time: float, fine: int = FINE
+) -> View:
+    """Return an opaque shape that moves along over textured ground, which drifts.
+
+    With `fine` of 1 pixels are not antialiased: each has the colour at its centre.
+    """
+    y, x = grid(fine)
     inside = shape(x - at[0], y - at[1])
     behind = ground(x - time * drift[0], y - time * drift[1])
     pixels = mean(np.where(inside[..., None], paint(x - at[0], y - at[1]), behind))

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -13,68 +11,15 @@ from exwarp_cli.domain.frame import GBuffer, Window
 from exwarp_cli.synthesis.geometry import reproject, settle_motion
 from exwarp_cli.synthesis.look_ahead import LookAhead
 from exwarp_cli.synthesis.warp import Mover, as_light, blend_by_depth
+from tests.unit.opaque_shapes import FINE, HEIGHT, WIDTH, View, bar, cut_out, disc, grid, mean
 
-HEIGHT, WIDTH, FINE = 64, 96, 8
 TIMES = (0.25, 0.5, 0.75)
-Shape = Callable[[np.ndarray, np.ndarray], np.ndarray]
-
-
-@dataclass(frozen=True)
-class View:
-    """A picture float32 [H, W, C], its G-buffer, and the share of each pixel that is covered."""
-
-    pixels: np.ndarray
-    gbuffer: GBuffer
-    cover: np.ndarray
-
-
-def grid(fine: int = 1) -> tuple[np.ndarray, np.ndarray]:
-    """Return y and x of the centres of pixels, or of so many parts of them along each axis."""
-    y, x = np.mgrid[: HEIGHT * fine, : WIDTH * fine]
-    return (y + 0.5) / fine - 0.5, (x + 0.5) / fine - 0.5
-
-
-def mean(values: np.ndarray) -> np.ndarray:
-    """Return the means over pixels of what is known of their parts."""
-    parts = values.reshape(HEIGHT, FINE, WIDTH, FINE, -1)
-    return parts.mean(axis=(1, 3)).astype(np.float32)
 
 
 def mixed(pair: tuple[View, View], time: float) -> np.ndarray:
     """Make the frame at a time between two views."""
     fields = reproject(pair[0].gbuffer, time), reproject(pair[1].gbuffer, time - 1)
     return LookAhead(*fields, time).make(pair[0].pixels, pair[1].pixels)
-
-
-def disc(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    return x * x + y * y < 14.3**2
-
-
-def bar(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    along, across = 0.8 * x + 0.6 * y, 0.8 * y - 0.6 * x
-    return (np.abs(across) < 2.6) & (np.abs(along) < 20)
-
-
-def cut_out(shape: Shape, at: tuple[float, float], motion: tuple[float, float]) -> View:
-    """Return an opaque shape on nothing, which moves along."""
-    y, x = grid(FINE)
-    cover = mean(shape(x - at[0], y - at[1]))
-    y, x = grid()
-    inside = shape(x - at[0], y - at[1])
-    colour = np.stack(
-        [0.5 + 0.3 * np.sin((x - at[0]) / 2), 0.5 + 0.3 * np.sin((y - at[1]) / 3)], -1
-    )
-    colour = np.concatenate([colour, 0.4 + 0 * colour[..., :1]], axis=-1)
-    vectors = np.where(inside[..., None], motion, 0).astype(np.float32)
-    gbuffer = GBuffer(
-        Window(0, 0, WIDTH, HEIGHT),
-        depth=np.where(inside, 5, np.inf).astype(np.float32),
-        stencil=inside.astype(np.int32),
-        to_next=vectors,
-        to_previous=-vectors,
-    )
-    pixels = np.concatenate([colour * cover, cover], axis=-1).astype(np.float32)
-    return View(pixels, settle_motion(gbuffer), cover[..., 0])
 
 
 @pytest.mark.parametrize("shape", [disc, bar], ids=["disc", "bar"])

@@ -175,8 +175,10 @@ class TestValues:
         assert np.isfinite(found).all()
         clean = predict(name, interval(), 1).pixels
         changed = np.abs(found - clean).max(axis=-1)
-        # Where a tap of Lanczos-3 would be broken, colour is bilinear.
-        assert 0 < (changed > 1e-3).sum() <= (98 if name in ("s6", "softsplat") else 12)
+        # Where a tap of Lanczos-3 would be broken, colour is bilinear. Places inside the pixels of
+        # edges reach a pixel further.
+        most = {"s6": 7 * 7 * 2, "softsplat": 8 * 8 * 2}.get(name, 12)
+        assert 0 < (changed > 1e-3).sum() <= most
         assert np.abs(found - clean).max() < 0.5
 
 
