@@ -30,9 +30,9 @@ def write_parabola(before: F32, after: F32, time: np.float32, out: F32) -> None:
         x, y = (after[k], after[k + 1]) if time > 0 else (before[k], before[k + 1])
         u, v = (before[k], before[k + 1]) if time > 0 else (after[k], after[k + 1])
         bend_x, bend_y = x + u, y + v
-        room = np.float32(2) * math.sqrt(x * x + y * y) + SLACK
+        room = np.float32(2 * math.sqrt(x * x + y * y)) + SLACK
         bend = np.float32(math.sqrt(bend_x * bend_x + bend_y * bend_y))
-        limit = np.float32(room) / bend if inside and bend > room else np.float32(1)
+        limit = (room / bend) ** 2 if inside and bend > room else np.float32(1)
         share = limit * beside
         curved_x, curved_y = size * x + share * bend_x, size * y + share * bend_y
         steady_x = -size * u if math.isnan(x) else size * x
@@ -45,9 +45,9 @@ def write_parabola(before: F32, after: F32, time: np.float32, out: F32) -> None:
 def parabola(before: F32, after: F32, time: np.float32, out: F32, reach: F32, share: Share) -> None:
     """Write t (n - p) / 2 + t² (n + p) / 2 for p = `before` and n = `after`.
 
-    Within a key interval the acceleration n + p is held to twice the way in it, so that nothing
-    turns round there that did not. A camera that is thrown round at a key frame would bend the
-    interval before: by 7 px in the scene courtyard, where 5 dB were lost.
+    Within a key interval, an acceleration n + p of more than twice the way in it would turn the
+    motion round. It is then taken for a jerk at the key frame, and counts by the square of what is
+    right of it. A camera that is thrown round at a key frame had bent the interval before by 7 px.
 
     Parameters
     ----------

@@ -183,21 +183,18 @@ def _share_of_second(before: SlotField, after: SlotField, time: float) -> tuple[
 
 
 def _beside_edges(fields: Sequence[SlotField]) -> Bool:
-    """Find pixels with two surfaces that move apart among their 3x3, in any of some fields.
+    """Find pixels with another surface that moves otherwise, or a hole, among their 3x3.
 
-    Holes beside a surface count, too. Pixels of a surface beside a hole do not: nothing shares
-    them, and what a key frame shows there is mixed with the nearer surface that has moved on.
+    Those of any of some fields, but not of its fringe: colour there is that of a nearer surface.
     """
     found: Bool = np.zeros(fields[0].depth.shape, np.bool_)
     for field in fields:
-        unknown = np.isnan(field.depth)
-        nearest = _extreme(np.where(unknown, np.float32(np.inf), field.depth), np.minimum)
-        furthest = _extreme(np.where(unknown, np.float32(0), field.depth), np.maximum)
-        jumps = furthest > np.float32(JUMP) * nearest
-        found |= unknown & (furthest > 0)
+        depth = np.where(np.isnan(field.depth), np.float32(np.inf), field.depth)
+        jumps = _extreme(depth, np.maximum) > np.float32(JUMP) * _extreme(depth, np.minimum)
         for way in (field.field[..., 0], field.field[..., 1]):
-            spread = _extreme(way, np.fmax) - _extreme(way, np.fmin)
-            found |= jumps & (spread > APART)
+            spread = _extreme(way, np.maximum) - _extreme(way, np.minimum)
+            # NaN where something is not known.
+            found |= jumps & ~(spread <= APART) & ~field.fringe
     return found
 
 

@@ -189,10 +189,20 @@ def _pose_at(poses: Poses, time: float) -> Pose | None:
         return None if pose is None else Pose(pose.centre, share * pose.turn, share * pose.shift)
     # With the middle of what is seen, which goes on an arc itself, that box was 0.9 pixels off.
     centre = _centre_of_rotation(before, after)
-    straight, square = time / 2, time * time / 2
-    ways = (before.turn, after.turn), tuple(pose.place(centre) - centre for pose in (before, after))
-    turn, shift = (straight * (n - p) + square * (n + p) for p, n in ways)
-    return Pose(centre, turn, shift)
+    shifts = [pose.place(centre) - centre for pose in (before, after)]
+    return Pose(centre, _between(before.turn, after.turn, time), _between(*shifts, time))
+
+
+def _between(before: F64, after: F64, time: float) -> F64:
+    """Return a way at a time between -1 and 1, by those to the frames before and after.
+
+    Acceleration is held as in :func:`exwarp_cli.kernels.parabola.parabola`.
+    """
+    own, acceleration = after if time > 0 else before, before + after
+    room, size = 2 * float(np.linalg.norm(own)), float(np.linalg.norm(acceleration))
+    limit = (room / size) ** 2 if size > room else 1.0
+    way: F64 = abs(time) * own + limit * (time * time - abs(time)) / 2 * acceleration
+    return way
 
 
 def _centre_of_rotation(before: Pose, after: Pose) -> F64:
