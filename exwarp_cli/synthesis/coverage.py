@@ -5,8 +5,8 @@ up to half a pixel, and hard. Here pixels beside an edge are taken at several pl
 each place the key frames' surfaces are moved anew, the one that lies there is sampled, and the mean
 of all places is the pixel's colour. An opaque surface stays opaque, as shares add up to 1.
 
-PSNR in dB of `softsplat` without it and with it: town 33.45, 34.03; market 28.49, 29.21; lab 37.63,
-37.88. `s6` gains 0.4, 0.4 and 0.0 dB.
+PSNR in dB of `softsplat` without it and with it: town 33.45, 34.03; market 28.49, 29.29; lab 37.63,
+37.88. `s6` gains 0.4, 0.2 and 0.0 dB.
 """
 
 from __future__ import annotations

@@ -189,8 +189,8 @@ def _pose_at(poses: Poses, time: float) -> Pose | None:
         return None if pose is None else Pose(pose.centre, share * pose.turn, share * pose.shift)
     # With the middle of what is seen, which goes on an arc itself, that box was 0.9 pixels off.
     centre = _centre_of_rotation(before, after)
-    shifts = [pose.place(centre) - centre for pose in (before, after)]
-    return Pose(centre, _between(before.turn, after.turn, time), _between(*shifts, time))
+    shift = _between(before.place(centre) - centre, after.place(centre) - centre, time)
+    return Pose(centre, _between(before.turn, after.turn, time), shift)
 
 
 def _between(before: F64, after: F64, time: float) -> F64:

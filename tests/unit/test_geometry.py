@@ -179,6 +179,17 @@ class TestDisplacement:
         np.testing.assert_array_equal(displacement(both, 1.0), n)
         np.testing.assert_array_equal(displacement(both, -1.0), p)
 
+    @pytest.mark.parametrize("way", [-1, 1])
+    def test_a_jerk_at_a_key_frame_does_not_bend_the_interval_beside_it(self, way):
+        calm, jerk = self.field(2, -3, 0, 0), self.field(-80, 10, 70, 60)
+        before, after = (calm, jerk) if way < 0 else (jerk, calm)
+        both = GBuffer(self.WINDOW, to_previous=before, to_next=after)
+        for share in (0.25, 0.5, 0.75, 1.0):
+            np.testing.assert_allclose(displacement(both, way * share), share * calm, atol=0.2)
+        # The other interval has room for it.
+        halfway = displacement(both, -way * 0.5)
+        np.testing.assert_allclose(halfway, 0.5 * jerk - (jerk + calm) / 8, atol=1e-5)
+
     def test_one_neighbour_means_constant_velocity(self):
         n = self.field(4, -2, 1, 1)
         np.testing.assert_array_equal(displacement(GBuffer(self.WINDOW, to_next=n), 0.25), n / 4)
