@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, Int32
 from exwarp_cli.synthesis.camera import Scene, camera_after, pixels_at
-from exwarp_cli.synthesis.trajectory import displacement
+from exwarp_cli.synthesis.trajectory import displacement, uncurved
 
 F64 = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
@@ -172,7 +172,7 @@ def _bend_of(gbuffer: GBuffer, scene: Scene, turning: list[tuple[Index, Poses]])
             if poses[way] is None or pose is None:
                 continue
             seen, _ = _project(camera.matrix, pose.place(scene.points(index)[:, :3]))
-            straight = pixels_at(index, gbuffer.window.width) + motion.reshape(-1, 2)[index]
+            straight = pixels_at(index, gbuffer.window.width) + uncurved(gbuffer, index, time)
             half.reshape(-1, 2)[index] = np.nan_to_num(seen - straight)
     return bend
 

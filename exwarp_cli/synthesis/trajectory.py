@@ -11,7 +11,7 @@ from exwarp_cli.kernels import parabola
 from exwarp_cli.kernels import reach as rows
 from exwarp_cli.kernels.follow import CLOSE, follow
 from exwarp_cli.runtime.frame_pool import pool
-from exwarp_cli.synthesis.camera import scene_of, seen_by
+from exwarp_cli.synthesis.camera import Index, scene_of, seen_by
 from exwarp_cli.synthesis.rounding import EXACT, coarser, depth_step
 
 
@@ -40,7 +40,7 @@ def displacement(gbuffer: GBuffer, time: float) -> Float32:
     float32 [H, W, 2]
         With n the displacement to the next frame and p to the previous one, the parabola
         through both, t (n - p) / 2 + t² (n + p) / 2; else t n, or -t p, constant velocity. Rigid
-        objects that turn go on arcs, see `bent`.
+        objects that turn go on arcs, see `curved`.
     """
     return _displacement(gbuffer, time, np.zeros((0, 0, 2), np.float32))
 
@@ -62,41 +62,73 @@ def _displacement(gbuffer: GBuffer, time: float, reach: Float32) -> Float32:
     """Return displacements, and write which rows they lead to, unless `reach` is [0, 0, 2]."""
     t = np.float32(time)
     after, before = gbuffer.to_next, gbuffer.to_previous
-    bend = bent(gbuffer, time)
     if after is not None and before is not None:
         out: Float32 = pool.empty(after.shape, np.float32)
         ways = np.ascontiguousarray(before), np.ascontiguousarray(after)
         parabola.parabola(*ways, t, out, reach)
-        if bend is None:
+        if gbuffer.bend is None:
             return out
     elif after is not None:
         out = t * after
     else:
         assert before is not None
         out = -t * before
-    if bend is not None:
-        out += bend
+    if gbuffer.bend is not None and 0 < abs(time) < 1:
+        index = np.flatnonzero(gbuffer.bend.any(axis=(0, 3)))
+        out.reshape(-1, 2)[index] = curved(gbuffer, index, time)
     if reach.size:
         rows.row_reach(out, reach)
     return out
 
 
-def bent(gbuffer: GBuffer, time: float) -> Float32 | None:
-    """Return what `displacement` adds for objects that turn, float32 [H, W, 2]; None for nothing.
+def curved(gbuffer: GBuffer, index: Index, time: float) -> Float32:
+    """Return the `displacement` of points that turn, -1 < time < 1.
 
     At the neighbouring frames, and halfway to them, points are where the rigid motion has them.
     Between, they are on the polynomials of time through these places: quartic with vectors both
     ways, else quadratic.
+
+    Parameters
+    ----------
+    gbuffer
+        With `bend`.
+    index
+        Flat indices of the points' pixels.
+    time
+        As for `displacement`.
+
+    Returns
+    -------
+    float32 [N, 2]
+        Pixels.
     """
-    if gbuffer.bend is None or not 0 < abs(time) < 1:
-        return None
-    t, (earlier, later) = time, gbuffer.bend
+    assert gbuffer.bend is not None
+    earlier, later = (half.reshape(-1, 2)[index] for half in gbuffer.bend)
+    straight, t = uncurved(gbuffer, index, time), np.float32(time)
     if gbuffer.to_next is None or gbuffer.to_previous is None:
-        bend: Float32 = np.float32(4 * abs(t) * (1 - abs(t))) * (later if t > 0 else earlier)
-        return bend
-    odd, even = t * (1 - t * t) / 0.75, t * t * (1 - t * t) / 0.375
-    bend = np.float32(even + odd) * later + np.float32(even - odd) * earlier
-    return bend
+        own = later if time > 0 else earlier
+        out: Float32 = straight + 4 * abs(t) * (1 - abs(t)) * own
+        return out
+    odd, even = t * (1 - t * t) / np.float32(0.75), t * t * (1 - t * t) / np.float32(0.375)
+    out = straight + (even + odd) * later + (even - odd) * earlier
+    return out
+
+
+def uncurved(gbuffer: GBuffer, index: Index, time: float) -> Float32:
+    """Return where vectors alone lead some points: parabolas, or constant velocity.
+
+    Parameters and result are those of `curved`; no jerk is looked for.
+    """
+    t, half = np.float32(time), np.float32(0.5)
+    before, after = gbuffer.to_previous, gbuffer.to_next
+    if before is None or after is None:
+        one, way = (before, -t) if after is None else (after, t)
+        assert one is not None
+        out: Float32 = way * one.reshape(-1, 2)[index]
+        return out
+    p, n = before.reshape(-1, 2)[index], after.reshape(-1, 2)[index]
+    out = half * t * (n - p) + half * t * t * (n + p)
+    return out
 
 
 def followed(start: GBuffer, others: Sequence[GBuffer], way: int) -> Float32:
