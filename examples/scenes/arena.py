@@ -197,7 +197,6 @@ SCENE = Script(
     seed=23,
     pace=6.0,
     clean=Raster(100),
-    span=(1, 61),
     engine="EEVEE",
 )
 

@@ -252,7 +252,6 @@ SCENE = Script(
     seed=29,
     pace=6.0,
     clean=Raster(100),
-    span=(1, 61),
     engine="EEVEE",
 )
 

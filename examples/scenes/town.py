@@ -154,7 +154,7 @@ SCENE = Script(
     seed=41,
     pace=5.1,
     clean=Quality(32, 3),
-    span=(61, 181),
+    span=(97, 157),
 )
 
 if __name__ == "__main__":

@@ -2,8 +2,8 @@
 
 A scene's folder gets `manifest.json`, `instants/NAME.####.exr` (colour and all G-buffers, vectors
 over 1/120 s) and `keys/NAME.####.exr` (every fourth instant again, or every one in shots to train
-with, vectors over 1/30 s). Benchmark scenes also get `floor/NAME.####.exr`: three instants with
-other noise, to tell from how many dB on scores mean nothing. Instants and key frames are
+with, vectors over 1/30 s). Benchmark scenes also get `floor/NAME.####.exr`: the first instant of
+each block with other noise, to tell from how many dB on scores mean nothing. Instants and key frames are
 rendered in turns, `BLOCK` instants at a time, so that the first intervals can be used early. Frames
 that are there and whole are kept, so that a run that was stopped goes on where it was.
 """
@@ -96,7 +96,7 @@ class Script:
     pace: float = 3.0
     key_step: int = INSTANTS_PER_KEY
     clean: Quality | Raster | None = None
-    span: tuple[int, int] = (1, 121)
+    span: tuple[int, int] = (1, 61)
     quality: Quality | Raster | None = None
     features: tuple[str, ...] = ()
     packages: Mapping[str, str] = field(default_factory=dict)
@@ -278,8 +278,9 @@ def _wanted(job: Job) -> list[tuple[str, int]]:
         sys.exit(f"--frames: {script.name} has frames {first} to {last}, not {beyond[0]}.")
     instants = sorted(number - 1 for number in numbers)
     keys = [instant for instant in instants if instant % script.key_step == 0]
-    ends = (job.numbers[0], job.numbers[len(job.numbers) // 2], job.numbers[-1])
-    floor = {number - 1 for number in ends} if script.role == "benchmark" else set()
+    # A scene of which only the first blocks are rendered has a floor too.
+    starts = job.numbers[:-1:BLOCK] if script.role == "benchmark" else range(0)
+    floor = {number - 1 for number in starts}
     of = {"instants": instants, "floor": sorted(floor.intersection(instants)), "keys": keys}
     return [(what, instant) for what in KINDS if what in job.order.what for instant in of[what]]
 
