@@ -5,7 +5,7 @@ over 1/120 s) and `keys/NAME.####.exr` (every fourth instant again, or every one
 with, vectors over 1/30 s). Benchmark scenes also get `floor/NAME.####.exr`: the first instant of
 each block with other noise, to tell from how many dB on scores mean nothing. Instants and key
 frames are rendered in turns, `BLOCK` instants at a time, so that the first intervals can be used
-early. Frames that are there and whole are kept, so that a run that was stopped goes on where it was.
+early. Frames that are there and whole are kept, so that a stopped run goes on where it was.
 """
 
 from __future__ import annotations
