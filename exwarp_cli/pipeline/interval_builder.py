@@ -225,9 +225,10 @@ class IntervalBuilder:
         if not older.instants:
             assert newer.gbuffer is not None
             return displacement(newer.gbuffer, -1)
-        *way, end = zip(slots_back_to(index), older.instants, strict=True)
-        instants = [self._instant(slot, gbuffer, basis) for slot, gbuffer in way]
-        return span_motion([*instants, end[1].on(basis[0])], -1)
+        instants = slots_back_to(index, len(older.instants) - 1)
+        *way, end = zip(instants, older.instants, strict=True)
+        settled = [self._instant(slot, gbuffer, basis) for slot, gbuffer in way]
+        return span_motion([*settled, end[1].on(basis[0])], -1)
 
     def _instant(self, slot: Slot, gbuffer: GBuffer, basis: Basis) -> GBuffer:
         settled = self._instants.get((slot, basis))
@@ -353,7 +354,9 @@ def _instants(inputs: IntervalInputs) -> Iterator[Instant]:
     older = list(enumerate(inputs.history, start=1))[::-1]
     if any(past.instants for _, past in older):
         for back, past in older:  # from the oldest key frame on, where slots have G-buffers
-            way = list(zip(slots_back_to(key - back), past.instants, strict=True))
+            way = list(
+                zip(slots_back_to(key - back, len(past.instants) - 1), past.instants, strict=True)
+            )
             yield from reversed(way[1:])
         yield way[0]
     else:

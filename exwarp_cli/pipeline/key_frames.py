@@ -162,8 +162,10 @@ class KeyFrameStore:
         """Return the slots' G-buffers, without surface, from the key frame after one back to it."""
         if self.source.slots is None:
             return ()
+        steps = self.source.timeline.steps
+        assert steps is not None  # slots have G-buffers where the factor is an integer
         found = []
-        for slot in slots_back_to(key):
+        for slot in slots_back_to(key, steps):
             known = self._slots.get(slot)
             found.append(without_surface(self.get_slot(slot)) if known is None else known)
         return tuple(found)
@@ -340,9 +342,9 @@ def without_surface(gbuffer: GBuffer) -> GBuffer:
     return gbuffer.without("normal", *SURFACE_PARTS)
 
 
-def slots_back_to(key: int) -> tuple[Slot, ...]:
-    """Return the instants from the key frame after one back to it."""
-    return (Slot(key + 1, 0), *(Slot(key, i) for i in range(FACTOR - 1, -1, -1)))
+def slots_back_to(key: int, steps: int = FACTOR) -> tuple[Slot, ...]:
+    """Return the instants from the key frame after one back to it, of so many steps."""
+    return (Slot(key + 1, 0), *(Slot(key, i) for i in range(steps - 1, -1, -1)))
 
 
 def over_interval(gbuffer: GBuffer, steps: int) -> GBuffer:

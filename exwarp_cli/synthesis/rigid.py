@@ -75,7 +75,8 @@ class Pose:
 
     def place(self, points: F64) -> F64:
         """Return where points, float64 [N, 3], go."""
-        return (points - self.centre) @ _rotation(self.turn).T + self.centre + self.shift
+        with np.errstate(invalid="ignore", over="ignore"):  # of infinite points
+            return (points - self.centre) @ _rotation(self.turn).T + self.centre + self.shift
 
 
 Poses = tuple[Pose | None, Pose | None]
@@ -361,6 +362,6 @@ def _around(field: Float32, outside: float) -> list[Float32]:
 
 def _project(camera: F64, points: F64) -> tuple[F64, F64]:
     """Return the pixels of points, float64 [N, 2], and their depths [N], of float64 [N, 3]."""
-    image = points @ camera[:, :3].T + camera[:, 3]
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # of infinite points
+        image = points @ camera[:, :3].T + camera[:, 3]
         return image[:, :2] / image[:, 2:], image[:, 2]
