@@ -140,7 +140,7 @@ def _settle_object(
             continue
         motion = np.asarray(_project(camera, pose.place(points))[0] - pixels, np.float32)
         moved = settled[way].reshape(vectors.shape)
-        along = _moves_along(motion, index, vectors, moved)
+        along = _moves_along(motion, index, vectors, moved) & np.isfinite(motion).all(axis=1)
         if along.any():
             moved.reshape(-1, 2)[index[along]] = motion[along]
             poses[-1], rigid = pose, rigid & along
