@@ -163,6 +163,21 @@ def blend_row(before: F32, after: F32, share: F32, out: F32) -> None:
         whole[k] = mixed[k]
 
 
+@part
+def weigh_row(
+    i: int, before: Seen, after: Seen, time: np.float32, share: F32, depth: F32, hole: B8
+) -> None:
+    """Write the shares of row i; `share`, `depth` and `hole` are its own, as for `write_shares`.
+
+    `before` and `after` are depth, hole and fringe of the frame, [H, W].
+    """
+    shared = np.empty(share.size, np.bool_)
+    mark_shared_edges(i, (before[0], before[1]), (after[0], after[1]), shared)
+    first = before[0][i], before[1][i], before[2][i]
+    second = after[0][i], after[1][i], after[2][i]
+    write_shares(first, second, shared, time, share, depth, hole)
+
+
 @parallel
 def weigh(
     before: Seen, after: Seen, time: np.float32, later: F32, depth: F32, hole: B8, share: Share
@@ -179,11 +194,7 @@ def weigh(
         float32 [H, W], written, 0 to 1; 0 in holes.
     """
     for i in turns(later.shape[0], share):
-        shared = np.empty(later.shape[1], np.bool_)
-        mark_shared_edges(i, (before[0], before[1]), (after[0], after[1]), shared)
-        first = before[0][i], before[1][i], before[2][i]
-        second = after[0][i], after[1][i], after[2][i]
-        write_shares(first, second, shared, time, later[i], depth[i], hole[i])
+        weigh_row(i, before, after, time, later[i], depth[i], hole[i])
 
 
 @parallel
@@ -238,9 +249,7 @@ def blend(
     """
     height, width, _ = out.shape
     for i in turns(height, share):
-        later, shared = np.empty(width, np.float32), np.empty(width, np.bool_)
-        mark_shared_edges(i, (before[1], before[2]), (after[1], after[2]), shared)
-        first = before[1][i], before[2][i], before[3][i]
-        second = after[1][i], after[2][i], after[3][i]
-        write_shares(first, second, shared, time, later, depth[i], hole[i])
+        later = np.empty(width, np.float32)
+        first, second = (before[1], before[2], before[3]), (after[1], after[2], after[3])
+        weigh_row(i, first, second, time, later, depth[i], hole[i])
         blend_row(before[0][i], after[0][i], later, out[i])

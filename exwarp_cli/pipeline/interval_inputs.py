@@ -392,7 +392,7 @@ class IntervalReader:
             keys.append(older)
         around = ((Slot(index, 0), self._instant_before(index)) for index in self._starts(key))
         instants = [slot for pair in around for slot in pair if slot is not None]
-        # A warp's history is told by its files.
+        # Recipes hold the files of a warp's history.
         back = (
             KEYS_BACK
             if self._observes

@@ -342,7 +342,7 @@ def without_surface(gbuffer: GBuffer) -> GBuffer:
     return gbuffer.without("normal", *SURFACE_PARTS)
 
 
-def slots_back_to(key: int, steps: int = FACTOR) -> tuple[Slot, ...]:
+def slots_back_to(key: int, steps: int) -> tuple[Slot, ...]:
     """Return the instants from the key frame after one back to it, of so many steps."""
     return (Slot(key + 1, 0), *(Slot(key, i) for i in range(steps - 1, -1, -1)))
 

@@ -2,8 +2,8 @@
 
 A pixel of a key frame has the surface at its centre, so an edge that is moved to a slot is off by
 up to half a pixel, and hard. Here pixels beside an edge are taken at several places inside: for
-each place the key frames' surfaces are moved anew, the one that lies there is sampled, and the mean
-of all places is the pixel's colour. An opaque surface stays opaque, as shares add up to 1.
+each place the key frames' surfaces are moved again, and the one that lies there is sampled. The
+mean of all places is the pixel's colour. An opaque surface stays opaque, as shares add up to 1.
 
 PSNR in dB of `softsplat` without it and with it: town 33.45, 34.03; market 28.49, 29.29; lab 37.63,
 37.88. `s6` gains 0.4, 0.2 and 0.0 dB.
@@ -17,10 +17,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.domain.frame import Bool, Float32, GBuffer
+from exwarp_cli.domain.frame import Bool, Float32, GBuffer, combine_3x3
 from exwarp_cli.kernels import blend
 from exwarp_cli.runtime.frame_pool import pool
-from exwarp_cli.synthesis.geometry import SlotField, reproject
+from exwarp_cli.synthesis.geometry import SlotField, moved_on
+from exwarp_cli.synthesis.trajectory import displacement
 from exwarp_cli.synthesis.warp import Mover
 
 Index = npt.NDArray[np.intp]
@@ -124,13 +125,19 @@ class Coverage:
         """Return all places; kept for layers only, as they are memory."""
         if self._places:
             return self._places
-        made = [self._place(offset) for offset in PLACES]
+        motions = [displacement(side.gbuffer, side.time) for side in self._sides]
+        made = [self._place(motions, np.array(place, np.float32)) for place in PLACES]
         if self._linear:
             self._places = made
         return made
 
-    def _place(self, offset: tuple[float, float]) -> _Place:
-        fields = [reproject(side.gbuffer, side.time, offset) for side in self._sides]
+    def _place(self, motions: Sequence[Float32], offset: Float32) -> _Place:
+        fields = []
+        for side, motion in zip(self._sides, motions, strict=True):
+            fields.append(moved_on(side.gbuffer, motion - offset))
+            # Colour is sampled halfway to the centre: at the place itself the mean of several
+            # blurs textures (0.2 dB on lab), at the centre edges are too near (0.2 dB on market).
+            fields[-1].field[...] -= offset / np.float32(2)
         share: Float32 | None = None
         hole = fields[0].hole
         if len(fields) == 2:
@@ -190,17 +197,10 @@ def _beside_edges(fields: Sequence[SlotField]) -> Bool:
     found: Bool = np.zeros(fields[0].depth.shape, np.bool_)
     for field in fields:
         depth = np.where(np.isnan(field.depth), np.float32(np.inf), field.depth)
-        jumps = _extreme(depth, np.maximum) > np.float32(JUMP) * _extreme(depth, np.minimum)
+        nearest, farthest = (combine_3x3(depth, f, mode="edge") for f in (np.minimum, np.maximum))
+        jumps = farthest > np.float32(JUMP) * nearest
         for way in (field.field[..., 0], field.field[..., 1]):
-            spread = _extreme(way, np.maximum) - _extreme(way, np.minimum)
+            least, most = (combine_3x3(way, f, mode="edge") for f in (np.minimum, np.maximum))
             # NaN where something is not known.
-            found |= jumps & ~(spread <= APART) & ~field.fringe
+            found |= jumps & ~(most - least <= APART) & ~field.fringe
     return found
-
-
-def _extreme(values: Float32, choose: np.ufunc) -> Float32:
-    """Return the least or greatest of the 3x3 pixels around each."""
-    padded = np.pad(values, 1, mode="edge")
-    rows = choose(choose(padded[:-2], padded[1:-1]), padded[2:])
-    out: Float32 = choose(choose(rows[:, :-2], rows[:, 1:-1]), rows[:, 2:])
-    return out

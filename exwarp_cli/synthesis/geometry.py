@@ -129,7 +129,7 @@ def stands_still(gbuffer: GBuffer, scene: Scene | None) -> Bool | None:
     return None if camera is None else standing(scene, camera, step, STATIC_TOLERANCE)
 
 
-def reproject(gbuffer: GBuffer, time: float, place: tuple[float, float] = (0.0, 0.0)) -> SlotField:
+def reproject(gbuffer: GBuffer, time: float) -> SlotField:
     """Return the motion field of a slot from a key frame's G-buffer alone.
 
     Parameters
@@ -138,24 +138,8 @@ def reproject(gbuffer: GBuffer, time: float, place: tuple[float, float] = (0.0, 
         With settled motion.
     time
         Of the slot, in key intervals from this key frame; negative is earlier.
-    place
-        Where in a pixel of the slot its surface is looked for, from its centre, pixels.
-
-    Returns
-    -------
-    SlotField
-        Of the surfaces at that place. Their colour is to be sampled halfway between there and the
-        centre: at the place itself textures are blurred by the mean of several, and at the centre
-        edges are taken too near each other (0.2 dB on lab, 0.2 dB on market).
     """
-    motion, reach = displaced(gbuffer, time)
-    if place == (0.0, 0.0):
-        return _moved_on(gbuffer, motion, reach)
-    offset = np.array(place, np.float32)
-    motion -= offset
-    source = _moved_on(gbuffer, motion, reach_of(motion))
-    source.field[...] -= offset / np.float32(2)
-    return source
+    return _moved_on(gbuffer, *displaced(gbuffer, time))
 
 
 def moved_on(gbuffer: GBuffer, motion: Float32) -> SlotField:

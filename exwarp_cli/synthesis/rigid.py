@@ -14,12 +14,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import reduce
 
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.domain.frame import Bool, Float32, GBuffer, Int32
+from exwarp_cli.domain.frame import Bool, Float32, GBuffer, Int32, combine_3x3
 from exwarp_cli.synthesis.camera import Scene, camera_after, pixels_at
 from exwarp_cli.synthesis.trajectory import displacement, uncurved
 
@@ -338,8 +337,7 @@ def _moves_along(motion: Float32, index: Index, vectors: Float32, settled: Float
     rows, columns = rows - box[0].start, columns - box[1].start
     rendered, moved = vectors[box], settled[box].copy()
     moved[rows, columns] = motion
-    around = _around(moved, np.nan)
-    low, high = reduce(np.fmin, around), reduce(np.fmax, around)
+    low, high = (combine_3x3(moved, f, mode="edge") for f in (np.fmin, np.fmax))
     speed = float(np.median(np.linalg.norm(motion, axis=1)))
     tolerance = np.float32(max(TOLERANCE, RELATIVE_TOLERANCE * speed))
     known = np.isfinite(rendered).all(axis=-1)
@@ -349,15 +347,8 @@ def _moves_along(motion: Float32, index: Index, vectors: Float32, settled: Float
     apart, total = counts.sum(axis=(0, 1))
     if apart > (1 - EXPLAINED) * total:
         return np.zeros(len(index), np.bool_)
-    near = reduce(np.add, _around(counts, 0))[rows, columns]
+    near = combine_3x3(counts, np.add)[rows, columns]
     return np.asarray(2 * near[:, 0] <= near[:, 1])
-
-
-def _around(field: Float32, outside: float) -> list[Float32]:
-    """Return a field [H, W, 2] nine times, shifted so that each pixel meets the 3x3 around it."""
-    padded = np.pad(field, ((1, 1), (1, 1), (0, 0)), constant_values=outside)
-    height, width = field.shape[:2]
-    return [padded[i : i + height, j : j + width] for i in range(3) for j in range(3)]
 
 
 def _project(camera: F64, points: F64) -> tuple[F64, F64]:

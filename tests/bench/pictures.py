@@ -17,17 +17,17 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
-from exwarp_cli.domain.frame import Bool, Float32, GBuffer, Image
+from exwarp_cli.domain.frame import Bool, GBuffer, Image
 from exwarp_cli.domain.metric import DEFAULT_METRICS
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.io.dataset import RenderedScene, find_scenes
-from exwarp_cli.io.output import read_picture
 from exwarp_cli.metrics.display import encode
 from exwarp_cli.metrics.psnr import decibels
 from exwarp_cli.metrics.registry import score
 from exwarp_cli.synthesis.geometry import SlotField
 from exwarp_cli.synthesis.warp import sampled
 from exwarp_cli.training.footage import Footage
+from tests.bench.quality import shown_pixels
 
 METHODS = ("s6", "softsplat", "exwarp")
 
@@ -181,7 +181,7 @@ def _judge(
     files = sorted(folder.glob("*.exr"))
     for (k, slot), found in places.items():
         truth = footage.truth(k, slot).pixels[..., :3]
-        made = _shown(files[FACTOR * k + slot])
+        made = shown_pixels(files[FACTOR * k + slot])
         scores.append(score(truth, made, None)[0])
         error = ((encode(made) - encode(truth)) ** 2).mean(axis=-1)
         for place, mask in found.items():
@@ -192,11 +192,6 @@ def _judge(
         row[place] = decibels(squares[place] / counts[place]) if counts[place] else np.nan
         row[f"{place}_share"] = counts[place] / counts[PLACES[0]]
     return row
-
-
-def _shown(path: Path) -> Float32:
-    image = read_picture(path)
-    return np.ascontiguousarray(image.on(image.display_window).pixels[..., :3])
 
 
 def _mean(method: str, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:

@@ -75,10 +75,11 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
 def _frames(spec: str) -> list[Float32]:
     """Read a sequence's colour, float32 [H, W, 3], scene-linear."""
     sequence = find_sequence(spec)
-    return [_shown(sequence.files[number]) for number in sequence.numbers]
+    return [shown_pixels(sequence.files[number]) for number in sequence.numbers]
 
 
-def _shown(path: Path) -> Float32:
+def shown_pixels(path: Path) -> Float32:
+    """Read the colour of a frame's display window, float32 [H, W, 3], scene-linear."""
     image = read_picture(path)
     return np.ascontiguousarray(image.on(image.display_window).pixels[..., :3])
 
@@ -102,7 +103,7 @@ def _estimated(keys: Sequence[Float32]) -> Frames:
 def _upsampled(settings: UpsampleSettings, count: int) -> Frames:
     """Read what is made between so many key frames."""
     return {
-        (index // FACTOR, record.slot): _shown(Path(settings.output) / record.file)
+        (index // FACTOR, record.slot): shown_pixels(Path(settings.output) / record.file)
         for index, record in enumerate(upsample(settings).frames)
         if record.slot and index // FACTOR < count - 1
     }
