@@ -25,13 +25,13 @@ from exwarp_cli.synthesis.trajectory import displacement, uncurved
 F64 = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 
-LEAST_PIXELS = 24
+LEAST_PIXELS = 48
 """Pixels that an object must show."""
 
 MOST_SAMPLES = 1000
 """Pixels of an object that a fit looks at."""
 
-TOLERANCE, RELATIVE_TOLERANCE = 0.25, 0.03
+TOLERANCE, RELATIVE_TOLERANCE = 0.1, 0.03
 """Pixels, or share of the object's motion across the picture, that a vector may be off."""
 
 EXPLAINED = 0.95
