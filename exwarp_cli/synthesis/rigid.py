@@ -141,7 +141,10 @@ def _settle_object(
         moved = settled[way].reshape(vectors.shape)
         along = _moves_along(motion, index, vectors, moved) & np.isfinite(motion).all(axis=1)
         if along.any():
-            moved.reshape(-1, 2)[index[along]] = motion[along]
+            # A fit is no better than a vector that it agrees with.
+            gap = np.linalg.norm(motion - moved.reshape(-1, 2)[index], axis=1)
+            off = along & ~(gap <= LEAST_ERROR)
+            moved.reshape(-1, 2)[index[off]] = motion[off]
             poses[-1], rigid = pose, rigid & along
     return index[rigid], (poses[0], poses[1])
 
