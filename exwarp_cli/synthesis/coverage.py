@@ -68,11 +68,14 @@ class _Place:
         float32 [h, ROW]: weight of the second key frame; None with one.
     seen
         bool [h, ROW]: some key frame shows what lies there.
+    apart
+        bool [N]: pixels whose centre shows another surface, or what one side does not see.
     """
 
     movers: tuple[Mover, ...]
     share: Float32 | None
     seen: Bool
+    apart: Bool
 
 
 class Coverage:
@@ -91,7 +94,7 @@ class Coverage:
     def __init__(
         self, sides: Sequence[Side], fields: Sequence[SlotField], linear: bool = False
     ) -> None:
-        self._sides, self._linear = sides, linear
+        self._sides, self._fields, self._linear = sides, fields, linear
         self._index = np.flatnonzero(_beside_edges(fields))
         self._places: list[_Place] = []
 
@@ -103,23 +106,25 @@ class Coverage:
         codes
             float32 [H, W, C] of each key frame, from `Mover.codes`.
         out
-            float32 [H, W, C], changed; its holes are filled. A place that no key frame shows has
-            the pixel's own colour.
+            float32 [H, W, C], changed where an edge passes through a pixel; its holes are filled.
+            A place that no key frame shows has the pixel's own colour.
         """
         if not len(self._index):
             return
         channels, weight = out.shape[2], np.float32(1 / len(PLACES))
         total = np.zeros((len(self._index), channels), np.float32)
         count = np.zeros(len(self._index), np.float32)
+        crossed = np.zeros(len(self._index), np.bool_)
         for place in self._made_places():
             colour, seen = _colour_at(place, codes)
             seen = seen.reshape(-1)[: count.size]
             shown = colour.reshape(-1, channels)[: count.size] * weight
             total += np.where(seen[:, None], shown, np.float32(0))
             count += seen
+            crossed |= place.apart
         pixels = out.reshape(-1, channels)
         total += (1 - count * weight)[:, None] * pixels[self._index]
-        pixels[self._index] = total
+        pixels[self._index[crossed]] = total[crossed]
 
     def _made_places(self) -> Sequence[_Place]:
         """Return all places; kept for layers only, as they are memory."""
@@ -133,8 +138,10 @@ class Coverage:
 
     def _place(self, motions: Sequence[Float32], offset: Float32) -> _Place:
         fields = []
-        for side, motion in zip(self._sides, motions, strict=True):
+        apart = np.zeros(len(self._index), np.bool_)
+        for side, motion, centre in zip(self._sides, motions, self._fields, strict=True):
             fields.append(moved_on(side.gbuffer, motion - offset))
+            apart |= self._differs(fields[-1].field - offset, centre.field)
             # Colour is sampled halfway to the centre: at the place itself the mean of several
             # blurs textures (0.2 dB on lab), at the centre edges are too near (0.2 dB on market).
             fields[-1].field[...] -= offset / np.float32(2)
@@ -144,7 +151,13 @@ class Coverage:
             share, hole = _share_of_second(fields[0], fields[1], self._sides[0].time)
         movers = tuple(Mover(self._gathered(field), self._linear) for field in fields)
         shares = None if share is None else self._rows_of(share)
-        return _Place(movers, shares, ~self._rows_of(hole, fill=True))
+        return _Place(movers, shares, ~self._rows_of(hole, fill=True), apart)
+
+    def _differs(self, field: Float32, other: Float32) -> Bool:
+        """Return which pixels beside edges have another motion in one field than in another."""
+        one, two = (each.reshape(-1, 2)[self._index] for each in (field, other))
+        same = (np.abs(one - two) <= APART) | (np.isnan(one) & np.isnan(two))
+        return np.asarray(~same.all(axis=1))
 
     def _gathered(self, source: SlotField) -> SlotField:
         """Return a motion field of the pixels beside edges alone, from pixels of [h, ROW]."""
