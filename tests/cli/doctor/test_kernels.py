@@ -111,7 +111,8 @@ class TestSelfTest:
 
         def wrong(image: Any, field: Any, table: Any, out: Any, hole: Any) -> None:
             real(image, field, table, out, hole)
-            out[24, 40] *= np.float32(1 + 2**-9)
+            if out.shape == image.shape:  # pixels beside edges are gathered in rows of their own
+                out[24, 40] *= np.float32(1 + 2**-9)
 
         monkeypatch.setattr(warp.resample, "resample", wrong)
         found = examined("self_test")
