@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -162,6 +163,14 @@ class GBuffer:
         if known is None:
             return np.zeros(self.window.shape, np.bool_)
         return np.asarray((known == 0).all(axis=-1))
+
+    @cached_property
+    def turning(self) -> npt.NDArray[np.intp]:
+        """Flat indices of the pixels that `bend` moves."""
+        if self.bend is None:
+            return np.zeros(0, np.intp)
+        moves = (self.bend[0] != 0) | (self.bend[1] != 0)
+        return np.flatnonzero(moves[..., 0] | moves[..., 1])
 
     def without(self, *parts: str) -> GBuffer:
         """Return the geometry without some parts."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,12 @@ Line = npt.NDArray[Any]
 
 SAME_DEPTH = np.float32(0.05)
 """Relative difference of depth below which neighbours lie on one surface."""
+
+JUMP = np.float32(1.1)
+"""Factor between the depths of neighbours from which on they may be two surfaces that move."""
+
+APART = np.float32(1 / 8)
+"""Pixels by which the motion of neighbours differs from which on they are two surfaces."""
 
 ROWS_PER_BAND = 16
 
@@ -218,3 +225,53 @@ def find_fringe(field: F32, near: F32, depth: F32, fringe: B8) -> None:
     rims[-1] = False
     _mark_rims(depth, rims)  # whole, before any of them is looked up
     _mark_ghosts(field, near, rims, fringe)
+
+
+@part
+def depth_jumps(depth: F32, at: tuple[int, int]) -> bool:
+    """Return True if the depths of the 3x3 pixels about a place differ by JUMP; NaN is far."""
+    height, width = depth.shape
+    nearest, farthest = np.float32(np.inf), np.float32(0)
+    for i in range(max(at[0] - 1, 0), min(at[0] + 2, height)):
+        for j in range(max(at[1] - 1, 0), min(at[1] + 2, width)):
+            z = np.float32(np.inf) if math.isnan(depth[i, j]) else depth[i, j]
+            nearest, farthest = min(nearest, z), max(farthest, z)
+    return bool(farthest > JUMP * nearest)
+
+
+@part
+def moves_apart(field: F32, at: tuple[int, int]) -> bool:
+    """Return True if the motion of the 3x3 pixels about a place differs, or some is unknown."""
+    height, width, _ = field.shape
+    for axis in range(2):
+        least, most, known = np.float32(np.inf), np.float32(-np.inf), True
+        for i in range(max(at[0] - 1, 0), min(at[0] + 2, height)):
+            for j in range(max(at[1] - 1, 0), min(at[1] + 2, width)):
+                way = field[i, j, axis]
+                known &= not math.isnan(way)
+                least, most = min(least, way), max(most, way)
+        if not known or most - least > APART:
+            return True
+    return False
+
+
+@parallel
+def find_moving_edges(depth: F32, field: F32, fringe: B8, found: B8, share: Share) -> None:
+    """Mark, besides those marked, pixels beside another surface that moves otherwise.
+
+    Parameters
+    ----------
+    depth
+        float32 [H, W]; NaN where unknown, +inf background.
+    field
+        float32 [H, W, 2], pixels; NaN where unknown.
+    fringe
+        bool [H, W]: pixels that are never marked.
+    found
+        bool [H, W].
+    """
+    height, width = depth.shape
+    for i in turns(height, share):
+        for j in range(width):
+            if not (found[i, j] | fringe[i, j]) and depth_jumps(depth, (i, j)):
+                found[i, j] = moves_apart(field, (i, j))

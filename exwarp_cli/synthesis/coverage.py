@@ -17,24 +17,18 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.domain.frame import Bool, Float32, GBuffer, combine_3x3
+from exwarp_cli.domain.frame import Bool, Float32, GBuffer
 from exwarp_cli.kernels import blend
+from exwarp_cli.kernels.edges import APART, find_moving_edges
 from exwarp_cli.runtime.frame_pool import pool
 from exwarp_cli.synthesis.geometry import SlotField, moved_on
-from exwarp_cli.synthesis.trajectory import displacement
+from exwarp_cli.synthesis.trajectory import displaced
 from exwarp_cli.synthesis.warp import Mover
 
 Index = npt.NDArray[np.intp]
 
 PLACES = tuple((x, y) for x in (-1 / 3, 1 / 3) for y in (-1 / 3, 1 / 3))
 """Where a pixel is taken, from its centre, +x right, +y down."""
-
-JUMP = 1.1
-"""Factor between the depths of neighbours from which on they are two surfaces."""
-
-APART = np.float32(1 / 8)
-"""Pixels by which the motion of neighbours differs from which on they are two surfaces. What moves
-as one keeps the mixed colour of its edges, which places inside the pixel would blur."""
 
 ROW = 1024
 """Pixels in a row of the arrays that pixels beside edges are gathered in."""
@@ -57,8 +51,50 @@ class Side:
 
 
 @dataclass(frozen=True)
+class _Line:
+    """What one key frame shows at one place inside each of N pixels.
+
+    Attributes
+    ----------
+    way
+        float32 [N, 2], pixels: from the place to its source; NaN where there is none.
+    offset
+        float32 [2], pixels: from a pixel's centre to the place.
+    hole
+        bool [N].
+    """
+
+    way: Float32
+    offset: Float32
+    hole: Bool
+
+    def take(self, chosen: Bool, pixels: Index, width: int) -> SlotField:
+        """Return a motion field of some of the pixels, from pixels of [h, ROW].
+
+        Parameters
+        ----------
+        chosen
+            bool [N].
+        pixels
+            Flat indices of those chosen.
+        width
+            Of the frame.
+        """
+        # Colour is sampled halfway to the centre: at the place itself the mean of several blurs
+        # textures (0.2 dB on lab), at the centre edges are too near (0.2 dB on market).
+        field = self.way[chosen] + self.offset / np.float32(2)
+        places = np.arange(len(pixels))
+        rows, columns = np.divmod(pixels, width)
+        field[:, 0] += (columns - places % ROW).astype(np.float32)
+        field[:, 1] += (rows - places // ROW).astype(np.float32)
+        hole = _in_rows(self.hole[chosen], fill=True)
+        unknown = np.zeros(hole.shape, np.float32)
+        return SlotField(_in_rows(field, fill=np.nan), unknown, hole)
+
+
+@dataclass(frozen=True)
 class _Place:
-    """One place of all pixels beside edges, gathered to [h, ROW].
+    """One place of all pixels that an edge passes through, gathered to [h, ROW].
 
     Attributes
     ----------
@@ -68,18 +104,31 @@ class _Place:
         float32 [h, ROW]: weight of the second key frame; None with one.
     seen
         bool [h, ROW]: some key frame shows what lies there.
-    apart
-        bool [N]: pixels whose centre shows another surface, or what one side does not see.
     """
 
     movers: tuple[Mover, ...]
     share: Float32 | None
     seen: Bool
-    apart: Bool
+
+
+@dataclass(frozen=True)
+class _Crossed:
+    """The pixels that an edge passes through.
+
+    Attributes
+    ----------
+    index
+        int [N]: which they are.
+    places
+        Inside each of them.
+    """
+
+    index: Index
+    places: tuple[_Place, ...]
 
 
 class Coverage:
-    """Gives the pixels of a slot beside edges the mean of several places inside them.
+    """Gives the pixels of a slot that edges pass through the mean of several places inside them.
 
     Parameters
     ----------
@@ -95,88 +144,93 @@ class Coverage:
         self, sides: Sequence[Side], fields: Sequence[SlotField], linear: bool = False
     ) -> None:
         self._sides, self._fields, self._linear = sides, fields, linear
-        self._index = np.flatnonzero(_beside_edges(fields))
-        self._places: list[_Place] = []
+        self._crossed: _Crossed | None = None
 
     def cover(self, codes: Sequence[Float32], out: Float32) -> None:
-        """Write a layer's pixels beside edges; the first layer is the beauty.
+        """Write a layer's pixels that an edge passes through; the first layer is the beauty.
 
         Parameters
         ----------
         codes
             float32 [H, W, C] of each key frame, from `Mover.codes`.
         out
-            float32 [H, W, C], changed where an edge passes through a pixel; its holes are filled.
-            A place that no key frame shows has the pixel's own colour.
+            float32 [H, W, C], changed; its holes are filled. A place that no key frame shows has
+            the pixel's own colour.
         """
-        if not len(self._index):
+        crossed = self._crossed or self._find()
+        if self._linear:  # else no layers follow, and places are memory
+            self._crossed = crossed
+        count, channels, weight = len(crossed.index), out.shape[2], np.float32(1 / len(PLACES))
+        if not count:
             return
-        channels, weight = out.shape[2], np.float32(1 / len(PLACES))
-        total = np.zeros((len(self._index), channels), np.float32)
-        count = np.zeros(len(self._index), np.float32)
-        crossed = np.zeros(len(self._index), np.bool_)
-        for place in self._made_places():
-            colour, seen = _colour_at(place, codes)
-            seen = seen.reshape(-1)[: count.size]
-            shown = colour.reshape(-1, channels)[: count.size] * weight
-            total += np.where(seen[:, None], shown, np.float32(0))
-            count += seen
-            crossed |= place.apart
         pixels = out.reshape(-1, channels)
-        total += (1 - count * weight)[:, None] * pixels[self._index]
-        pixels[self._index[crossed]] = total[crossed]
+        own = pixels[crossed.index]
+        total = np.zeros((count, channels), np.float32)
+        for place in crossed.places:
+            colour, seen = _colour_at(place, codes)
+            shown = colour.reshape(-1, channels)[:count]
+            total += weight * np.where(seen.reshape(-1)[:count, None], shown, own)
+        pixels[crossed.index] = total
 
-    def _made_places(self) -> Sequence[_Place]:
-        """Return all places; kept for layers only, as they are memory."""
-        if self._places:
-            return self._places
-        motions = [displacement(side.gbuffer, side.time) for side in self._sides]
-        made = [self._place(motions, np.array(place, np.float32)) for place in PLACES]
-        if self._linear:
-            self._places = made
-        return made
+    def _find(self) -> _Crossed:
+        """Find the pixels that edges pass through, and what lies at the places inside them."""
+        beside = np.flatnonzero(_beside_edges(self._fields))
+        centres = [field.field.reshape(-1, 2)[beside] for field in self._fields]
+        motions = [displaced(side.gbuffer, side.time) for side in self._sides]
+        found = [self._look(motions, offset, beside) for offset in np.array(PLACES, np.float32)]
+        crossed = np.zeros(len(beside), np.bool_)
+        for lines, _, _ in found:
+            for line, centre in zip(lines, centres, strict=True):
+                crossed |= _differs(line.way, centre)
+        index, width = beside[crossed], self._fields[0].depth.shape[1]
+        places = []
+        for lines, share, hole in found:
+            movers = tuple(Mover(line.take(crossed, index, width), self._linear) for line in lines)
+            shares = _in_rows(share[crossed]) if len(lines) == 2 else None
+            places.append(_Place(movers, shares, ~_in_rows(hole[crossed], fill=True)))
+        return _Crossed(index, tuple(places))
 
-    def _place(self, motions: Sequence[Float32], offset: Float32) -> _Place:
-        fields = []
-        apart = np.zeros(len(self._index), np.bool_)
-        for side, motion, centre in zip(self._sides, motions, self._fields, strict=True):
-            fields.append(moved_on(side.gbuffer, motion - offset))
-            apart |= self._differs(fields[-1].field - offset, centre.field)
-            # Colour is sampled halfway to the centre: at the place itself the mean of several
-            # blurs textures (0.2 dB on lab), at the centre edges are too near (0.2 dB on market).
-            fields[-1].field[...] -= offset / np.float32(2)
-        share: Float32 | None = None
-        hole = fields[0].hole
+    def _look(
+        self, motions: Sequence[tuple[Float32, Float32]], offset: Float32, beside: Index
+    ) -> tuple[list[_Line], Float32, Bool]:
+        """Return what each side shows at a place, the second one's weight, and what none shows."""
+        fields = [
+            _moved_to(side.gbuffer, *motion, offset)
+            for side, motion in zip(self._sides, motions, strict=True)
+        ]
+        lines = [
+            _Line(field.field.reshape(-1, 2)[beside] - offset, offset, field.hole.flat[beside])
+            for field in fields
+        ]
+        share, hole = fields[0].depth, fields[0].hole
         if len(fields) == 2:
             share, hole = _share_of_second(fields[0], fields[1], self._sides[0].time)
-        movers = tuple(Mover(self._gathered(field), self._linear) for field in fields)
-        shares = None if share is None else self._rows_of(share)
-        return _Place(movers, shares, ~self._rows_of(hole, fill=True), apart)
+        return lines, share.flat[beside], hole.flat[beside]
 
-    def _differs(self, field: Float32, other: Float32) -> Bool:
-        """Return which pixels beside edges have another motion in one field than in another."""
-        one, two = (each.reshape(-1, 2)[self._index] for each in (field, other))
-        same = (np.abs(one - two) <= APART) | (np.isnan(one) & np.isnan(two))
-        return np.asarray(~same.all(axis=1))
 
-    def _gathered(self, source: SlotField) -> SlotField:
-        """Return a motion field of the pixels beside edges alone, from pixels of [h, ROW]."""
-        width = source.depth.shape[1]
-        field = self._rows_of(source.field, fill=np.nan)
-        rows, columns = np.divmod(self._index, width)
-        places = np.arange(len(self._index))
-        lines = field.reshape(-1, 2)
-        lines[: len(places), 0] += (columns - places % ROW).astype(np.float32)
-        lines[: len(places), 1] += (rows - places // ROW).astype(np.float32)
-        return SlotField(field, self._rows_of(source.depth), self._rows_of(source.hole, fill=True))
+def _moved_to(gbuffer: GBuffer, motion: Float32, reach: Float32, offset: Float32) -> SlotField:
+    """Return the motion field of the places at an offset inside the pixels of a slot.
 
-    def _rows_of(self, values: np.ndarray, fill: float = 0) -> np.ndarray:
-        """Return values [H, W, ...] of the pixels beside edges as [h, ROW, ...]."""
-        flat = values.reshape(-1, *values.shape[2:])[self._index]
-        count = -(-len(flat) // ROW) * ROW
-        out = np.full((count, *flat.shape[1:]), fill, values.dtype)
-        out[: len(flat)] = flat
-        return out.reshape(-1, ROW, *flat.shape[1:])
+    `motion` and `reach` are those of its centres, from `displaced`.
+    """
+    height, width, _ = motion.shape
+    # As rows of 2 W values, as arrays with a last axis of two are slow.
+    moved = motion.reshape(height, 2 * width) - np.tile(offset, width)
+    return moved_on(gbuffer, moved.reshape(motion.shape), reach - offset[1])
+
+
+def _differs(way: Float32, centre: Float32) -> Bool:
+    """Return which of some pixels, bool [N], move otherwise than their centre, [N, 2] each."""
+    same = (np.abs(way - centre) <= APART) | (np.isnan(way) & np.isnan(centre))
+    return np.asarray(~(same[:, 0] & same[:, 1]))
+
+
+def _in_rows(values: np.ndarray, fill: float = 0) -> np.ndarray:
+    """Return values [N, ...] as [h, ROW, ...]."""
+    count = -(-len(values) // ROW) * ROW
+    out = np.full((count, *values.shape[1:]), fill, values.dtype)
+    out[: len(values)] = values
+    return out.reshape(-1, ROW, *values.shape[1:])
 
 
 def _colour_at(place: _Place, codes: Sequence[Float32]) -> tuple[Float32, Bool]:
@@ -206,14 +260,9 @@ def _beside_edges(fields: Sequence[SlotField]) -> Bool:
     """Find pixels with another surface that moves otherwise, or a hole, among their 3x3.
 
     Those of any of some fields, but not of its fringe: colour there is that of a nearer surface.
+    What moves as one keeps the mixed colour of its edges, which places inside would blur.
     """
     found: Bool = np.zeros(fields[0].depth.shape, np.bool_)
     for field in fields:
-        depth = np.where(np.isnan(field.depth), np.float32(np.inf), field.depth)
-        nearest, farthest = (combine_3x3(depth, f, mode="edge") for f in (np.minimum, np.maximum))
-        jumps = farthest > np.float32(JUMP) * nearest
-        for way in (field.field[..., 0], field.field[..., 1]):
-            least, most = (combine_3x3(way, f, mode="edge") for f in (np.minimum, np.maximum))
-            # NaN where something is not known.
-            found |= jumps & ~(most - least <= APART) & ~field.fringe
+        find_moving_edges(field.depth, field.field, field.fringe, found)
     return found

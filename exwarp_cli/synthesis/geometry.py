@@ -139,10 +139,10 @@ def reproject(gbuffer: GBuffer, time: float) -> SlotField:
     time
         Of the slot, in key intervals from this key frame; negative is earlier.
     """
-    return _moved_on(gbuffer, *displaced(gbuffer, time))
+    return moved_on(gbuffer, *displaced(gbuffer, time))
 
 
-def moved_on(gbuffer: GBuffer, motion: Float32) -> SlotField:
+def moved_on(gbuffer: GBuffer, motion: Float32, reach: Float32 | None = None) -> SlotField:
     """Return the motion field back from where a frame's surfaces come to lie.
 
     Parameters
@@ -151,11 +151,10 @@ def moved_on(gbuffer: GBuffer, motion: Float32) -> SlotField:
         Of the frame.
     motion
         float32 [H, W, 2], pixels: where each of its pixels moves; NaN for nowhere.
+    reach
+        Of the motion, from `reach_of`, where it is known.
     """
-    return _moved_on(gbuffer, motion, reach_of(motion))
-
-
-def _moved_on(gbuffer: GBuffer, motion: Float32, reach: Float32) -> SlotField:
+    reach = reach_of(motion) if reach is None else reach
     depth = depth_of(gbuffer)
     field, near = pool.empty(motion.shape, np.float32), pool.empty(depth.shape, np.float32)
     splat.splat(motion, depth, reach, field, near)

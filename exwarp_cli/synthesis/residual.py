@@ -46,12 +46,11 @@ def flow_of(before: Warped, after: Warped, linear: bool) -> Float32:
     float32 [H, W, 2]
         Pixels, from the picture of `before` to that of `after`.
     """
-    # One after the other, as copies of frames are memory.
-    greys = []
-    for side, other in ((before, after), (after, before)):
-        seen = _seen(side, other)
-        greys.append(grey_of(as_shown(seen) if linear else seen))
-    return flow_between(*greys)
+    one, other = (
+        grey_of(as_shown(side.pixels) if linear else side.pixels) for side in (before, after)
+    )
+    # Where one side sees nothing, it has the colour of the other.
+    return flow_between(np.where(before.hole, other, one), np.where(after.hole, one, other))
 
 
 def along(plain: Warped, source: SlotField, flow: Float32, apart: Float32) -> SlotField:
@@ -90,9 +89,3 @@ def agreement(apart: Float32, before: Warped, after: Warped) -> Float32:
     weight: Float32 = np.clip(GAIN * gain, np.float32(0), np.float32(1))
     weight[before.hole | after.hole] = 0
     return weight
-
-
-def _seen(side: Warped, other: Warped) -> Float32:
-    """Return the colour of one side, of the other where it sees nothing."""
-    colour = side.pixels[..., :3]
-    return np.where(side.hole[..., None], other.pixels[..., :3], colour)

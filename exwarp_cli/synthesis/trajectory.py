@@ -66,16 +66,15 @@ def _displacement(gbuffer: GBuffer, time: float, reach: Float32) -> Float32:
         out: Float32 = pool.empty(after.shape, np.float32)
         ways = np.ascontiguousarray(before), np.ascontiguousarray(after)
         parabola.parabola(*ways, t, out, reach)
-        if gbuffer.bend is None:
+        if not len(gbuffer.turning):
             return out
     elif after is not None:
         out = t * after
     else:
         assert before is not None
         out = -t * before
-    if gbuffer.bend is not None and 0 < abs(time) < 1:
-        index = np.flatnonzero(gbuffer.bend.any(axis=(0, 3)))
-        out.reshape(-1, 2)[index] = curved(gbuffer, index, time)
+    if len(gbuffer.turning) and 0 < abs(time) < 1:
+        out.reshape(-1, 2)[gbuffer.turning] = curved(gbuffer, gbuffer.turning, time)
     if reach.size:
         rows.row_reach(out, reach)
     return out

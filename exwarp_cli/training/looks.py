@@ -8,7 +8,7 @@ No look has motion blur: what ExWarp makes frames of is rendered without.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -197,11 +197,8 @@ def _vectors(vectors: Float32 | None, kind: str) -> Float32 | None:
 
 
 def _every_second(gbuffer: GBuffer) -> GBuffer:
-    arrays = {
-        name: array[::2, ::2]
-        for name, array in vars(gbuffer).items()
-        if isinstance(array, np.ndarray)
-    }
+    parts = ((part.name, getattr(gbuffer, part.name)) for part in fields(gbuffer))
+    arrays = {name: part[::2, ::2] for name, part in parts if isinstance(part, np.ndarray)}
     if gbuffer.bend is not None:
         arrays["bend"] = gbuffer.bend[:, ::2, ::2]
     for name in ("to_previous", "to_next", "bend"):
