@@ -67,7 +67,7 @@ class SlotInputs:
     frames
         F_k, F_k-1 and F_k-2, the oldest repeated where there are fewer.
     filled
-        float32 [H, W, C]: the first of them with its holes filled.
+        float32 [H, W, C]: W's frame, divided by surface colour where that is known.
     surface
         The slot's G-buffer.
     median
@@ -152,28 +152,29 @@ class Prepared:
         For the network.
     modulation
         float32 [H, W, 3] that its answer is multiplied with; None for an answer that is colour.
-    filled
-        float32 [H, W, C]: the filled warp, whose alpha is taken over.
+    warped
+        float32 [H, W, C]: W's frame, whose alpha is taken over.
     sources
         The key frames, in whose range around the slot's places the frame is held.
     """
 
     inputs: Inputs
     modulation: Float32 | None
-    filled: Float32
+    warped: Float32
     sources: Sources
 
     def finish(self, answer: Float32) -> Float32:
         """Turn the network's answer, float32 [3, H, W], into scene-linear colour [H, W, C]."""
-        out: Float32 = pool.empty(self.filled.shape, np.float32)
+        out: Float32 = pool.empty(self.warped.shape, np.float32)
         modulation = NO_VECTORS if self.modulation is None else self.modulation
-        planes.join(decode(answer), modulation, self.filled, out)
+        planes.join(decode(answer), modulation, self.warped, out)
         hold_within(out, self.sources)
         return out
 
 
 def prepare(
     slot: int,
+    warped: Float32,
     back: SlotField,
     seen: LookBack,
     key: KeyFrame,
@@ -186,6 +187,8 @@ def prepare(
     ----------
     slot
         1 to 3.
+    warped
+        float32 [H, W, C], scene-linear: W's frame of the slot.
     back, seen
         The slot's motion field to the key frame, and what is known of its surfaces.
     key, past
@@ -199,9 +202,12 @@ def prepare(
     surface = seen.surface.without(*SMOOTH)
     mover = Mover(back)
     pixels, hole = mover.move(mover.codes(_shading(key, divided)))
-    filled = pool.empty(pixels.shape, np.float32)
-    _row_bands.run(_copy, (pixels, filled), _row_bands.threads())
-    filled = mover.light(fill_holes(filled, back.depth, hole))
+    warped = scratch.store(warped)
+    filled = warped
+    if modulation is not None:
+        filled = warped.copy()
+        filled[..., :3] /= modulation
+        filled = scratch.store(filled)
     history = [scratch.store(Moved(mover.light(pixels), ~hole))]
     sides = [Side(key.image.pixels, back.field, history[0].visible)]
     del pixels
@@ -217,10 +223,9 @@ def prepare(
     history += [history[-1]] * (HISTORY - len(history))
     now, before, oldest = history
     median = _median(surface.depth)
-    filled = scratch.store(filled)
     inputs = SlotInputs((now, before, oldest), filled, surface, median, slot / FACTOR, scratch)
-    sources = scratch.store(Sources((sides[0],), tuple(sides[1:]), back.depth))
-    return Prepared(inputs, modulation, filled, sources)
+    sources = scratch.store(Sources((sides[0],), tuple(sides[1:]), back.depth, warped))
+    return Prepared(inputs, modulation, warped, sources)
 
 
 def _encode(made: Float32, share: Share) -> None:
@@ -241,12 +246,6 @@ def _lit_alike(frame: Moved, other: Moved) -> bool:
         roots = (np.sqrt(np.abs(pixels[..., c])) for c in range(3))
         lights.append(sum(float(np.sum(root, where=both, dtype=np.float64)) for root in roots) ** 2)
     return max(lights) <= LIGHT_CHANGE * min(lights)
-
-
-def _copy(given: Float32, out: Float32, share: Share) -> None:
-    """Copy a share of the rows."""
-    rows = rows_of(len(out), share)
-    out[rows] = given[rows]
 
 
 def _shading(frame: KeyFrame, divided: bool) -> Float32:

@@ -163,12 +163,15 @@ class Interval:
         """Return what moves the key frame before a slot to it; one for all layers of the slot."""
         if slot in self._warps:
             return self._warps[slot]
-        back, time = self.back(slot), self.time(slot)
-        coverage = self._coverage(((self.key, time),), (back,))
-        warp = CarriedLight(back, time, self.light, self.linear, coverage)
+        warp = self._warp(slot, self.linear)
         if self.linear:  # else no layers follow
             self._warps[slot] = warp
         return warp
+
+    def _warp(self, slot: int, linear: bool) -> CarriedLight:
+        back, time = self.back(slot), self.time(slot)
+        coverage = self._coverage(((self.key, time),), (back,), linear)
+        return CarriedLight(back, time, self.light, linear, coverage)
 
     def look_ahead(self, slot: int) -> LookAhead:
         """Return what mixes the key frames around a slot; one for all layers of the slot."""
@@ -177,13 +180,17 @@ class Interval:
         assert self.following is not None
         fields, time = (self.back(slot), self.forward(slot)), self.time(slot)
         sides = (self.key, time), (self.following, time - 1)
-        mixer = LookAhead(*fields, time, self.linear, self._coverage(sides, fields))
+        coverage = self._coverage(sides, fields, self.linear)
+        mixer = LookAhead(*fields, time, self.linear, coverage)
         if self.linear:  # else no layers follow
             self._mixers[slot] = mixer
         return mixer
 
     def _coverage(
-        self, frames: Sequence[tuple[KeyFrame, float]], fields: Sequence[SlotField]
+        self,
+        frames: Sequence[tuple[KeyFrame, float]],
+        fields: Sequence[SlotField],
+        linear: bool,
     ) -> Coverage | None:
         """Return what shares the pixels of a slot beside edges; None where nothing tells.
 
@@ -193,6 +200,8 @@ class Interval:
             Key frames around the slot, each with the time of the slot after it.
         fields
             From the slot to each of them.
+        linear
+            As for `Coverage`.
         """
         sides = [
             Side(frame.gbuffer, time)
@@ -203,7 +212,7 @@ class Interval:
         # with them key frames' vectors lead to the next slot.
         if self.estimated or self.slots or len(sides) < len(frames):
             return None
-        return Coverage(sides, fields, self.linear)
+        return Coverage(sides, fields, linear)
 
     def step_back(self, slot: int) -> SlotField:
         """Motion field from a slot, 2 or more, to the slot before it."""
@@ -237,7 +246,8 @@ class Interval:
     def prepared(self, slot: int) -> Prepared:
         """What a network needs to extrapolate to a slot, 1 to 3."""
         seen = self.look_back(slot)
-        return prepare(slot, self.back(slot), seen, self.key, self.past, self.scratch)
+        warped = self._warp(slot, linear=False).make(self.key.image.pixels)
+        return prepare(slot, warped, self.back(slot), seen, self.key, self.past, self.scratch)
 
     def extrapolated(self, slot: int) -> Float32:
         """E's frame for a slot, 2 or 3: float32 [H, W, C], scene-linear; made once.

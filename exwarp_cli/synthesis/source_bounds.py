@@ -58,11 +58,15 @@ class Sources:
         Key frames that count in holes: where none of `sides` shows the surface.
     depth
         float32 [H, W] of the slot's surface, by which holes are filled; NaN where it is unknown.
+    warp
+        float32 [H, W, C]: W's frame, which counts too; None for none. Light that it carries on, and
+        the other surface of a pixel at an edge, may come from farther off.
     """
 
     sides: tuple[Side, ...]
     older: tuple[Side, ...]
     depth: Float32
+    warp: Float32 | None = None
 
 
 def sources_between(
@@ -158,7 +162,7 @@ def _bounds(
     for side in sources.sides:
         _raise(bound, side, side.seen, sign, clear)
     if around is None:
-        return bound
+        return _raised_to_warp(bound, sources.warp, sign, clear)
     bound[np.isneginf(bound)] = 0  # where alpha is 0 in no source pixel: what is mixed in holes
     fill.fill(bound, sources.depth, around.first, around.column, around.cap, around.steps)
     lone = ~around.steps.any(axis=0)
@@ -168,6 +172,17 @@ def _bounds(
         bound[rows[lone], around.column[lone]] = ends
     for side in sources.older:
         _raise(bound, side, side.seen & hole, sign, clear)
+    return _raised_to_warp(bound, sources.warp, sign, clear)
+
+
+def _raised_to_warp(bound: Float32, warp: Float32 | None, sign: np.float32, clear: bool) -> Float32:
+    """Return bounds, raised to those of W's frame."""
+    if warp is None:
+        return bound
+    own = sign * warp
+    if clear:
+        own[np.abs(warp[..., extremes.ALPHA]) > CLEAR] = -np.inf
+    np.maximum(bound, own, out=bound)
     return bound
 
 
