@@ -231,15 +231,20 @@ class TestWindows:
         for name, data in (("all", (tight, tight)), ("one", (tight, wide))):
             keys = self.shot(tmp_path / name, lambda i, data=data: data[i % 2])
             upsample(keys, tmp_path / f"out-{name}", "-m", "softsplat")
-        for order in (1, 2, 3, 5, 6, 7):
-            true = self.true(order / 4)
-            score = {
-                name: shots.psnr(
-                    true, self.shown(tmp_path / f"out-{name}/shot.{1 + order:04d}.exr")
+        scores = {
+            name: [
+                shots.psnr(
+                    self.true(order / 4),
+                    self.shown(tmp_path / f"out-{name}/shot.{1 + order:04d}.exr"),
                 )
-                for name in ("all", "one")
-            }
-            assert score["one"] > score["all"] - 0.5
+                for order in (1, 2, 3, 5, 6, 7)
+            ]
+            for name in ("all", "one")
+        }
+        # Of an edge that enters at the frame's end only one neighbour tells how far it is.
+        losses = np.subtract(scores["all"], scores["one"])
+        assert losses.mean() < 0.2 and losses.max() < 0.75
+        assert min(scores["one"]) > 35
 
     def test_a_window_smaller_than_the_frame(self, upsample, tmp_path):
         keys = self.shot(tmp_path / "keys", lambda i: (26 + i, 14, 40, 26))
