@@ -16,10 +16,10 @@ from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.kernels.edges import find_edges
 from exwarp_cli.synthesis.coverage import Coverage
 from exwarp_cli.synthesis.geometry import SlotField, depth_of, moved_on, reproject, unmatched
-from exwarp_cli.synthesis.history import Past
+from exwarp_cli.synthesis.history import Past, lit_alike
 from exwarp_cli.synthesis.residual import LEAST, agreement, along, disagreement, flow_of
 from exwarp_cli.synthesis.trajectory import stencil_of
-from exwarp_cli.synthesis.warp import Mover, Warped, as_shown, fill_holes, sampled
+from exwarp_cli.synthesis.warp import Mover, Warped, as_light, as_shown, fill_holes, sampled
 
 SHORTEST = np.float32(0.25)
 """Pixels a key interval from which on light counts as moving: what is less is the search's noise,
@@ -99,7 +99,10 @@ def light_flow(key: KeyFrame, older: Past) -> LightFlow | None:
     now, codes = _as_it_is(key), as_shown(older.frame.image.pixels)
     then = Mover(source).warp(codes)
     apart = disagreement(then, now)
-    if not (apart >= LEAST).any():
+    before_light = as_light(then.pixels.copy())
+    if not (apart >= LEAST).any() or not lit_alike(
+        key.image.pixels, before_light, ~(then.hole | now.hole)
+    ):
         return None
     flow = flow_of(then, now, linear=False)
     moved = Mover(along(then, source, -flow, apart)).warp(codes)

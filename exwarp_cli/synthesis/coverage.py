@@ -22,7 +22,6 @@ from exwarp_cli.kernels import blend
 from exwarp_cli.kernels.edges import APART, find_moving_edges
 from exwarp_cli.runtime.frame_pool import pool
 from exwarp_cli.synthesis.geometry import SlotField, moved_on
-from exwarp_cli.synthesis.trajectory import displaced
 from exwarp_cli.synthesis.warp import Mover
 
 Index = npt.NDArray[np.intp]
@@ -36,18 +35,37 @@ ROW = 1024
 
 @dataclass(frozen=True)
 class Side:
-    """A key frame that is moved to a slot.
+    """A key frame whose surfaces are moved to a slot.
 
     Attributes
     ----------
     gbuffer
-        With settled motion.
-    time
-        Of the slot, in key intervals from this key frame; negative is earlier.
+        Of the key frame.
+    motion
+        float32 [H, W, 2], pixels: from the key frame to the slot; NaN where unknown.
+    reach
+        Of the motion, from `reach_of`.
     """
 
     gbuffer: GBuffer
-    time: float
+    motion: Float32
+    reach: Float32
+
+    def moved(self, offset: Float32 | None = None) -> SlotField:
+        """Return the motion field back from the slot's pixels.
+
+        Parameters
+        ----------
+        offset
+            float32 [2], pixels: from the pixels' centres to the places that are asked for. The
+            field is then counted from there as if it were the centre.
+        """
+        if offset is None:
+            return moved_on(self.gbuffer, self.motion, self.reach)
+        height, width, _ = self.motion.shape
+        # As rows of 2 W values, as arrays with a last axis of two are slow.
+        motion = self.motion.reshape(height, 2 * width) - np.tile(offset, width)
+        return moved_on(self.gbuffer, motion.reshape(self.motion.shape), self.reach - offset[1])
 
 
 @dataclass(frozen=True)
@@ -136,14 +154,20 @@ class Coverage:
         The key frame before the slot, or both around it.
     fields
         From the slot to each of them.
+    time
+        Of the slot in the key interval.
     linear
         As for `Mover`.
     """
 
     def __init__(
-        self, sides: Sequence[Side], fields: Sequence[SlotField], linear: bool = False
+        self,
+        sides: Sequence[Side],
+        fields: Sequence[SlotField],
+        time: float,
+        linear: bool = False,
     ) -> None:
-        self._sides, self._fields, self._linear = sides, fields, linear
+        self._sides, self._fields, self._time, self._linear = sides, fields, time, linear
         self._crossed: _Crossed | None = None
 
     def cover(self, codes: Sequence[Float32], out: Float32) -> None:
@@ -176,8 +200,7 @@ class Coverage:
         """Find the pixels that edges pass through, and what lies at the places inside them."""
         beside = np.flatnonzero(_beside_edges(self._fields))
         centres = [field.field.reshape(-1, 2)[beside] for field in self._fields]
-        motions = [displaced(side.gbuffer, side.time) for side in self._sides]
-        found = [self._look(motions, offset, beside) for offset in np.array(PLACES, np.float32)]
+        found = [self._look(offset, beside) for offset in np.array(PLACES, np.float32)]
         crossed = np.zeros(len(beside), np.bool_)
         for lines, _, _ in found:
             for line, centre in zip(lines, centres, strict=True):
@@ -190,33 +213,17 @@ class Coverage:
             places.append(_Place(movers, shares, ~_in_rows(hole[crossed], fill=True)))
         return _Crossed(index, tuple(places))
 
-    def _look(
-        self, motions: Sequence[tuple[Float32, Float32]], offset: Float32, beside: Index
-    ) -> tuple[list[_Line], Float32, Bool]:
+    def _look(self, offset: Float32, beside: Index) -> tuple[list[_Line], Float32, Bool]:
         """Return what each side shows at a place, the second one's weight, and what none shows."""
-        fields = [
-            _moved_to(side.gbuffer, *motion, offset)
-            for side, motion in zip(self._sides, motions, strict=True)
-        ]
+        fields = [side.moved(offset) for side in self._sides]
         lines = [
             _Line(field.field.reshape(-1, 2)[beside] - offset, offset, field.hole.flat[beside])
             for field in fields
         ]
         share, hole = fields[0].depth, fields[0].hole
         if len(fields) == 2:
-            share, hole = _share_of_second(fields[0], fields[1], self._sides[0].time)
+            share, hole = _share_of_second(fields[0], fields[1], self._time)
         return lines, share.flat[beside], hole.flat[beside]
-
-
-def _moved_to(gbuffer: GBuffer, motion: Float32, reach: Float32, offset: Float32) -> SlotField:
-    """Return the motion field of the places at an offset inside the pixels of a slot.
-
-    `motion` and `reach` are those of its centres, from `displaced`.
-    """
-    height, width, _ = motion.shape
-    # As rows of 2 W values, as arrays with a last axis of two are slow.
-    moved = motion.reshape(height, 2 * width) - np.tile(offset, width)
-    return moved_on(gbuffer, moved.reshape(motion.shape), reach - offset[1])
 
 
 def _differs(way: Float32, centre: Float32) -> Bool:

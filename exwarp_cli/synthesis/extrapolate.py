@@ -14,7 +14,7 @@ from exwarp_cli.kernels import _row_bands, planes
 from exwarp_cli.kernels._row_bands import Share, rows_of
 from exwarp_cli.runtime.frame_pool import IN_MEMORY, ScratchFrames, pool
 from exwarp_cli.synthesis.geometry import SlotField
-from exwarp_cli.synthesis.history import SMOOTH, LookBack, Past
+from exwarp_cli.synthesis.history import SMOOTH, LookBack, Past, lit_alike
 from exwarp_cli.synthesis.source_bounds import Side, Sources, hold_within
 from exwarp_cli.synthesis.warp import Mover, fill_holes
 
@@ -30,11 +30,6 @@ first three of all are those from 13 on, times the mask."""
 
 NO_PLANE, NO_VECTORS = np.zeros((0, 0), np.float32), np.zeros((0, 0, 3), np.float32)
 """What kernels are given for what is not known."""
-
-LIGHT_CHANGE = 2.0
-"""Factor by which the light on the same surfaces may differ in an older key frame. Beyond, it was
-a fade, a flash or a lamp: the network painted speckles of the other light, up to 120 of 255 after a
-black key frame."""
 
 ALL = slice(None)
 """Every row or column."""
@@ -215,7 +210,7 @@ def prepare(
         mover = Mover(SlotField(field, back.depth, hidden))
         pixels, unseen = mover.move(mover.codes(_shading(step.frame, divided)))
         older = scratch.store(Moved(mover.light(pixels), ~unseen))
-        if _lit_alike(history[0], older):
+        if lit_alike(history[0].pixels, older.pixels, history[0].visible & older.visible):
             history.append(older)
             sides.append(Side(step.frame.image.pixels, field, older.visible))
         del pixels, older
@@ -235,17 +230,6 @@ def _encode(made: Float32, share: Share) -> None:
         for line in part[first : first + count]:
             encode_in_place(line)
     np.multiply(part[13:16], part[16], out=part[:3])
-
-
-def _lit_alike(frame: Moved, other: Moved) -> bool:
-    """True if the surfaces that both frames show have about the same light in both."""
-    both = frame.visible & other.visible
-    lights = []
-    for pixels in (frame.pixels, other.pixels):
-        # A mean of roots: a mean goes by a few highlights, a median by a background without light.
-        roots = (np.sqrt(np.abs(pixels[..., c])) for c in range(3))
-        lights.append(sum(float(np.sum(root, where=both, dtype=np.float64)) for root in roots) ** 2)
-    return max(lights) <= LIGHT_CHANGE * min(lights)
 
 
 def _shading(frame: KeyFrame, divided: bool) -> Float32:

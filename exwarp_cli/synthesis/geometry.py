@@ -162,6 +162,17 @@ def moved_on(gbuffer: GBuffer, motion: Float32, reach: Float32 | None = None) ->
     return SlotField(field, near, np.isnan(near, out=hole), depth)
 
 
+def completed(field: SlotField, other: SlotField) -> SlotField:
+    """Return a motion field with that of another one, of the same slot, where it knows nothing."""
+    empty = np.isnan(field.depth)
+    return SlotField(
+        np.where(empty[..., None], other.field, field.field),
+        np.where(empty, other.depth, field.depth),
+        field.hole & other.hole,
+        field.source,
+    )
+
+
 def compose_back(slots: Sequence[GBuffer], key: GBuffer) -> list[SlotField]:
     """Return the motion fields of slots 1, 2 … to their key frame.
 

@@ -146,6 +146,30 @@ class BetweenKeys:
         return scene_of(self.key)
 
 
+LIGHT_CHANGE = 2.0
+"""Factor by which the light on the same surfaces may differ in an older key frame. Beyond, it was
+a fade, a flash or a lamp: the network painted speckles of the other light, up to 120 of 255 after a
+black key frame."""
+
+
+def lit_alike(frame: Float32, other: Float32, both: Bool) -> bool:
+    """Return True if the surfaces that two frames show have about the same light in both.
+
+    Parameters
+    ----------
+    frame, other
+        float32 [H, W, 3 or more], scene-linear, moved to one instant.
+    both
+        bool [H, W]: where both show the surface.
+    """
+    lights = []
+    for pixels in (frame, other):
+        # A mean of roots: a mean goes by a few highlights, a median by a background without light.
+        roots = (np.sqrt(np.abs(pixels[..., c])) for c in range(3))
+        lights.append(sum(float(np.sum(root, where=both, dtype=np.float64)) for root in roots) ** 2)
+    return max(lights) <= LIGHT_CHANGE * min(lights)
+
+
 @dataclass(frozen=True)
 class LookBack:
     """What is known of a slot's surfaces.

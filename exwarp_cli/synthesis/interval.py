@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from threading import Lock
 
@@ -19,6 +18,7 @@ from exwarp_cli.synthesis.coverage import Coverage, Side
 from exwarp_cli.synthesis.extrapolate import Prepared, prepare
 from exwarp_cli.synthesis.geometry import (
     SlotField,
+    completed,
     compose_forward,
     composed_back,
     matched,
@@ -32,7 +32,7 @@ from exwarp_cli.synthesis.history import (
     step_back,
 )
 from exwarp_cli.synthesis.look_ahead import LookAhead
-from exwarp_cli.synthesis.trajectory import displacement
+from exwarp_cli.synthesis.trajectory import displaced, displacement, reach_of, span_motion
 
 QUARTERS = tuple(index / FACTOR for index in range(1, FACTOR))
 """When slots 1 to 3 are at the usual factor."""
@@ -169,50 +169,49 @@ class Interval:
         return warp
 
     def _warp(self, slot: int, linear: bool) -> CarriedLight:
-        back, time = self.back(slot), self.time(slot)
-        coverage = self._coverage(((self.key, time),), (back,), linear)
-        return CarriedLight(back, time, self.light, linear, coverage)
+        time, side = self.time(slot), self._side(slot, ahead=False)
+        field, coverage = self.back(slot), None
+        if side is not None:
+            # The slot's own surface where none of the key frame's arrives.
+            field = completed(side.moved(), field) if self.slots else field
+            coverage = Coverage((side,), (field,), time, linear)
+        return CarriedLight(field, time, self.light, linear, coverage)
 
     def look_ahead(self, slot: int) -> LookAhead:
         """Return what mixes the key frames around a slot; one for all layers of the slot."""
         if slot in self._mixers:
             return self._mixers[slot]
-        assert self.following is not None
-        fields, time = (self.back(slot), self.forward(slot)), self.time(slot)
-        sides = (self.key, time), (self.following, time - 1)
-        coverage = self._coverage(sides, fields, self.linear)
+        time, before, after = self.time(slot), *(self._side(slot, ahead) for ahead in (False, True))
+        fields, coverage = (self.back(slot), self.forward(slot)), None
+        if before is not None and after is not None:
+            fields = (before.moved(), after.moved()) if self.slots else fields
+            coverage = Coverage((before, after), fields, time, self.linear)
         mixer = LookAhead(*fields, time, self.linear, coverage)
         if self.linear:  # else no layers follow
             self._mixers[slot] = mixer
         return mixer
 
-    def _coverage(
-        self,
-        frames: Sequence[tuple[KeyFrame, float]],
-        fields: Sequence[SlotField],
-        linear: bool,
-    ) -> Coverage | None:
-        """Return what shares the pixels of a slot beside edges; None where nothing tells.
+    def _side(self, slot: int, ahead: bool) -> Side | None:
+        """Return how the surfaces of the key frame before a slot, or after it, move to the slot.
 
-        Parameters
-        ----------
-        frames
-            Key frames around the slot, each with the time of the slot after it.
-        fields
-            From the slot to each of them.
-        linear
-            As for `Coverage`.
+        With G-buffers of the slots, by their exact motion. By the slot's own surfaces alone
+        `softsplat` was 0.3 to 1.6 dB worse, and `s6` 0.3 to 0.9 dB: what is not quite the same
+        surface is a hole then, and edges are not covered.
+
+        None where motion was estimated, which comes without depth, and where slots have G-buffers
+        without vectors that way.
         """
-        sides = [
-            Side(frame.gbuffer, time)
-            for frame, time in frames
-            if frame.gbuffer is not None and frame.gbuffer.has_motion
-        ]
-        # Estimated motion has no depth. Slots' own G-buffers hold the centres of pixels alone, and
-        # with them key frames' vectors lead to the next slot.
-        if self.estimated or self.slots or len(sides) < len(frames):
+        frame = self.following if ahead else self.key
+        gbuffer = None if frame is None else frame.gbuffer
+        if self.estimated or gbuffer is None or not gbuffer.has_motion:
             return None
-        return Coverage(sides, fields, linear)
+        if not self.slots:
+            return Side(gbuffer, *displaced(gbuffer, self.time(slot) - ahead))
+        steps = gbuffer, *(self.slots[slot - 1 :][::-1] if ahead else self.slots[:slot])
+        if any((step.to_previous if ahead else step.to_next) is None for step in steps[:-1]):
+            return None
+        motion = span_motion(steps, -1 if ahead else 1)
+        return Side(gbuffer, motion, reach_of(motion))
 
     def step_back(self, slot: int) -> SlotField:
         """Motion field from a slot, 2 or more, to the slot before it."""

@@ -96,7 +96,8 @@ class Footage:
         setting
             "key", or "slot" for G-buffers of the slots.
         """
-        return Interval(self.key(k), self.key(k + 1), self._slots(k, setting))
+        key, following = (self._key(index, setting) for index in (k, k + 1))
+        return Interval(key, following, self._slots(k, setting))
 
     def causal(self, k: int, setting: str) -> Interval:
         """Return key interval k for causal synthesis, with its past but without the next key frame.
@@ -109,7 +110,11 @@ class Footage:
             "key", or "slot" for G-buffers of the slots.
         """
         keys = [self._causal_key(k - j, setting) for j in range(HISTORY) if k >= j]
-        return Interval(keys[0], None, self._slots(k, setting), past_of(keys))
+        return Interval(self._key(k, setting), None, self._slots(k, setting), past_of(keys))
+
+    def _key(self, k: int, setting: str) -> KeyFrame:
+        """Return key frame k; with slot G-buffers its motion is to the slots beside it."""
+        return self.key(k) if setting == "key" else self.slot(k, 0)
 
     def _causal_key(self, k: int, setting: str) -> KeyFrame:
         """Return key frame k; with slot G-buffers, with motion to the one before through those."""

@@ -101,3 +101,19 @@ def find_fringe(
             near, (i, j), tolerance
         )
     return out
+
+
+def find_moving_edges(
+    depth: np.ndarray, field: np.ndarray, fringe: np.ndarray, jump: float, apart: float
+) -> np.ndarray:
+    """Return which pixels have another surface among their 3x3 that moves otherwise."""
+    far = np.where(np.isnan(depth), np.inf, depth)
+    out = np.zeros(depth.shape, bool)
+    for p in np.ndindex(*depth.shape):
+        square = list(around(p, depth.shape, 1))
+        depths = [far[q] for q in square]
+        ways = np.array([field[q] for q in square])
+        jumps = max(depths) > np.float32(jump) * min(depths)
+        spread = ways.max(axis=0) - ways.min(axis=0)  # NaN where some motion is
+        out[p] = jumps and not fringe[p] and not (spread <= apart).all()
+    return out

@@ -234,6 +234,14 @@ def fringe_found(
     return (fringe,)
 
 
+def moving_edges_found(
+    depth: np.ndarray, field: np.ndarray, fringe: np.ndarray, serial: bool = False
+) -> Arrays:
+    found = np.zeros(depth.shape, np.bool_)
+    build(edges, "find_moving_edges", serial)(depth, field, fringe, found)
+    return (found,)
+
+
 def blended(before: Side, after: Side, time: float, serial: bool = False) -> Arrays:
     out, depth = np.zeros_like(before[0]), np.zeros_like(before[1])
     hole = np.zeros(depth.shape, np.bool_)

@@ -217,6 +217,9 @@ CASES: dict[str, Callable[[bool], calls.Arrays]] = {
     "weigh": lambda serial: calls.weighed(side(20)[1:], side(21)[1:], 0.25, serial),
     "mix": mix,
     "rigid": project,
+    "find_moving_edges": lambda serial: calls.moving_edges_found(
+        depth(18), field(18), ids(26) > 0, serial
+    ),
     "find_fringe": lambda serial: calls.fringe_found(field(18), depth(18), depth(19), serial),
     "block_means": lambda serial: calls.averaged(field(34), 8, shown(35), serial),
     "scale_vectors": scale,

@@ -16,7 +16,6 @@ from exwarp_cli.errors import LayoutError
 from exwarp_cli.runtime.frame_pool import ScratchFrames
 from exwarp_cli.synthesis.extrapolate import DARKEST, decode, encode, modulation_of
 from exwarp_cli.synthesis.interval import Interval
-from exwarp_cli.synthesis.warp import Mover
 from tests.unit.analytic_scene import STEP
 from tests.unit.filled import Filled
 from tests.unit.scenes import SKY, town
@@ -76,7 +75,6 @@ def test_inputs_have_their_shapes_and_ranges(interval, slot):
     assert (inputs.mask[0][hole] == 0).all()
     assert (inputs.warped[:3, hole] == 0).all()
     visible = inputs.mask[0] == 1
-    np.testing.assert_array_equal(inputs.warped[:3, visible], inputs.warped[3:, visible])
     np.testing.assert_array_equal(inputs.history[:3, visible], inputs.warped[:3, visible])
     assert 0 <= inputs.features[3:].min() <= inputs.features[3:].max() <= 1
 
@@ -97,7 +95,7 @@ def test_every_frame_of_the_history_shows_the_slot(interval, slot):
 def test_a_network_that_answers_with_the_warp_makes_the_warp(interval):
     plain = interval.without("albedo", "specular")
     made = plain.extrapolated(3)
-    expected = Mover(plain.back(3)).warp_alone(plain.key.image.pixels)
+    expected = plain.warp(3).make(plain.key.image.pixels)
     np.testing.assert_allclose(made, expected, rtol=1e-5, atol=1e-6)
     assert plain.extrapolated(3) is made
 
@@ -132,7 +130,7 @@ def test_high_dynamic_range_and_alpha_come_through(interval):
     ).astype(np.float32)
     image = replace(interval.key.image, pixels=bright)
     given_alpha = replace(interval, key=replace(interval.key, image=image))
-    expected = Mover(interval.back(2)).warp_alone(bright)
+    expected = given_alpha.warp(2).make(bright)
     plain = given_alpha.without("albedo", "specular")
     apart = np.abs(plain.extrapolated(2) - expected) > 1e-4 * np.abs(expected) + 1e-3
     assert apart.mean() < 5e-4  # in holes, which are filled as shown and bounded in linear light
@@ -162,8 +160,8 @@ def test_an_element_stays_empty_around_its_object(interval, slot):
     pixels = interval.key.image.pixels.copy()
     pixels[interval.key.gbuffer.stencil != 3] = 0
     bright = replace(interval, extrapolator=Bright())
-    made = seen_as(bright, pixels).extrapolated(slot)
-    filled = Mover(interval.back(slot)).warp_alone(pixels)
+    element = seen_as(bright, pixels)
+    made, filled = element.extrapolated(slot), element.warp(slot).make(pixels)
     empty = (filled == 0).all(axis=-1)
     assert 0.3 < empty.mean() < 0.99
     assert (made[empty] == 0).all()
@@ -244,5 +242,5 @@ def test_a_part_of_a_frame_is_as_if_no_more_had_been_rendered(interval, slot):
     inside = (x + back[..., 0] >= 3) & (x + back[..., 0] <= part.width - 4)
     inside &= (y + back[..., 1] >= 3) & (y + back[..., 1] <= part.height - 4)
     assert (lost & inside).mean() < 0.002
-    same = np.abs(found.warped[3:] - full.warped[3:, rows, columns]).max(axis=0)
+    same = np.abs(found.history[:3] - full.history[:3, rows, columns]).max(axis=0)
     assert np.percentile(same[after & inside], 99) < 1e-3

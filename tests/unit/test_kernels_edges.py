@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from exwarp_cli.kernels.edges import ROWS_PER_BAND, SAME_DEPTH
+from exwarp_cli.kernels.edges import APART, JUMP, ROWS_PER_BAND, SAME_DEPTH
 from tests.reference import edges as naive
-from tests.unit.kernel_calls import NO_IDS, edges_found, fringe_found
+from tests.unit.kernel_calls import NO_IDS, edges_found, fringe_found, moving_edges_found
 
 SHAPE = (16, 19)
 SIZES = [(1, 1), (1, 9), (9, 1), (2, 2), (2 * ROWS_PER_BAND + 1, 33)]
@@ -95,6 +95,27 @@ class TestEdges:
         flat = square(behind=2.0)
         assert not edges_found(flat)[0].any()
         np.testing.assert_array_equal(edges_found(flat, stencil)[0], edges_found(square())[0])
+
+
+class TestMovingEdges:
+    @pytest.mark.parametrize("shape", SIZES)
+    @pytest.mark.parametrize("share", [0.1, 0.9])
+    def test_equals_the_naive_twin_at_any_size(self, shape, share):
+        rng = np.random.default_rng(shape)
+        depth = rng.choice([2, 2.1, 8, np.nan, np.inf], shape, p=[0.6, 0.3, 0.06, 0.02, 0.02])
+        field = rng.choice([1, 1.1, 1.3, np.nan], (*shape, 2), p=[0.8, 0.15, 0.04, 0.01])
+        fringe = rng.random(shape) < 1 - share
+        arrays = depth.astype(np.float32), field.astype(np.float32), fringe
+        (found,) = moving_edges_found(*arrays)
+        np.testing.assert_array_equal(found, naive.find_moving_edges(*arrays, JUMP, APART))
+
+    def test_what_moves_as_one_has_no_edge(self):
+        still = np.ones((*SHAPE, 2), np.float32)
+        never = np.zeros(SHAPE, np.bool_)
+        assert not moving_edges_found(square(), still, never)[0].any()
+        still[SQUARE] = 1.2
+        (found,) = moving_edges_found(square(), still, never)
+        np.testing.assert_array_equal(found, edges_found(square())[0])
 
 
 class TestFringe:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from exwarp_cli.domain.frame import Float32, KeyFrame
+from exwarp_cli.domain.frame import Float32, KeyFrame, combine_3x3
 from exwarp_cli.domain.results import FrameKind
 from exwarp_cli.errors import LayoutError
 from exwarp_cli.pipeline.without_vectors import USUAL
@@ -272,6 +272,8 @@ class TestSlotGeometry:
         seen = view(slot / 4)
         inside = seen.inside(4) & (seen.source_surface(view(0.0)) == seen.surface)
         inside &= seen.source_surface(view(1.0)) == seen.surface
+        # At edges both mix what lies inside a pixel, by vectors that differ there.
+        inside = combine_3x3(inside, np.logical_and, mode="edge")
         by_slots = predict(name, self.slotted(), slot).pixels
         by_keys = predict(name, interval(), slot).pixels
         assert np.abs(by_slots - by_keys)[inside].max() < 0.02
