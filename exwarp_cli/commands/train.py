@@ -44,7 +44,7 @@ def command() -> None:
     "--start",
     type=FOLDER,
     metavar="FILE",
-    help="Checkpoint to begin with; its network may be smaller.",
+    help="Checkpoint to begin with, whose network may be smaller, or model.",
 )
 @click.option("--every", type=click.IntRange(1), default=500, help="Checkpoint.")
 @click.option("--cache", type=FOLDER, help="For crops; default: in the data folder's parent.")

@@ -30,6 +30,7 @@ from exwarp_cli.runtime.stop import check_stop
 from exwarp_cli.training.checkpoint import read_tensors
 from exwarp_cli.training.crops import Batch, Crops
 from exwarp_cli.training.export import export_extrapolator
+from exwarp_cli.training.exported import load_exported, normalise_by
 from exwarp_cli.training.networks import STRIDE, ExtrapolationNetwork, Gated, build
 from exwarp_cli.training.samples import CropSettings, crops_folder, is_whole, write_crops
 from exwarp_cli.training.settings import CURVE, TrainingSettings, add_row, require_sane
@@ -51,6 +52,9 @@ VALIDATED = 192
 """Crops, at most, that validation looks at, and how many at a time."""
 TOGETHER = 16
 
+SETTLED = 16
+"""Batches by which layers of an exported network are normalised anew."""
+
 CLIPPED = 0.3
 """Largest norm of a gradient."""
 
@@ -68,24 +72,33 @@ class Training:
         self.average.load_state_dict(self.network.state_dict())
         self.optimiser = torch.optim.AdamW(self.network.parameters(), settings.rate)
         self.step, self.seconds = 0, 0.0
+        self._exported = False
         self._halved = _fast_halves(self.device)
         self._open()
 
     def begin_with(self, path: Path) -> None:
-        """Take the weights of another training's checkpoint, unless this one is under way.
+        """Take the weights of another training, unless this one is under way.
 
-        Its network may have fewer channels; see :mod:`growth`.
+        Parameters
+        ----------
+        path
+            Its checkpoint, whose network may have fewer channels, see `grown`; or the model that
+            it wrote.
 
         Raises
         ------
         InputError
-            When there is no such checkpoint, or its network is of another architecture.
+            When there is no such file, or its network is of another architecture.
         """
         if self.step:
             return
-        kept = _read_checkpoint(path, self.device)
         try:
-            self.network.load_state_dict(grown(kept["average"], self.network))
+            if path.suffix == ".onnx":
+                load_exported(path, self.network)
+                self._exported = True
+            else:
+                kept = _read_checkpoint(path, self.device)
+                self.network.load_state_dict(grown(kept["average"], self.network))
         except (KeyError, ValueError) as error:
             raise LayoutError(
                 f"{path} holds another network than {self.settings.architecture} or a smaller one; "
@@ -93,8 +106,16 @@ class Training:
             ) from error
         self.average.load_state_dict(self.network.state_dict())
 
+    def _drawn(self, crops: Crops, count: int) -> Iterator[Batch]:
+        settings = self.settings
+        for step in range(count):
+            yield crops.drawn(step, settings.batch, settings.patch, settings.seed, self.device)
+
     def run(self, crops: Crops, held: Crops, every: int) -> None:
         """Train to the end; a checkpoint and a line of the curve every so many steps."""
+        if self._exported:
+            normalise_by(self.network, self._drawn(crops, SETTLED))
+            self.average.load_state_dict(self.network.state_dict())
         begin = time.monotonic() - self.seconds
         losses: list[float] = []
         for batch in _ahead(crops, self.step, self.settings, self.device):
@@ -249,7 +270,7 @@ def train_extrapolator(
     say
         Told what happens, in lines.
     start
-        Another training's checkpoint, to begin with its weights; None for random ones.
+        Another training's checkpoint or model, to begin with its weights; None for random ones.
     """
     require_sane(settings)
     use_threads(threads)

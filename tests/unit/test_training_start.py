@@ -8,7 +8,10 @@ import pytest
 import torch
 
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError
-from exwarp_cli.training.extrapolator import CHECKPOINT, Training
+from exwarp_cli.training.export import export_extrapolator
+from exwarp_cli.training.exported import normalise_by
+from exwarp_cli.training.extrapolator import CHECKPOINT, MODEL, Training
+from exwarp_cli.training.networks import STRIDE
 from exwarp_cli.training.settings import TrainingSettings
 from tests.unit.network_inputs import example
 
@@ -60,6 +63,67 @@ def test_another_network_is_refused(tmp_path, changed):
     made = Training(tmp_path / "b", TINY, said)
     with pytest.raises(LayoutError, match="holds another network than blend or a smaller one"):
         made.begin_with(tmp_path / "a" / CHECKPOINT)
+
+
+class TestModel:
+    """A network that begins with an exported one, in which normalisation is folded."""
+
+    @pytest.fixture
+    def other(self, tmp_path) -> Training:
+        """One whose layers have seen batches."""
+        made = Training(tmp_path / "other", TINY, said)
+        made.average.train()
+        with torch.no_grad():
+            for seed in range(4):
+                made.average(**{name: 2 * part for name, part in example(32, 32, seed).items()})
+        export_extrapolator(made.average, made.folder / MODEL, stride=STRIDE, about="a test")
+        return made
+
+    @pytest.fixture
+    def begun(self, other, tmp_path) -> Training:
+        made = Training(tmp_path / "b", replace(TINY, seed=5), said)
+        made.begin_with(other.folder / MODEL)
+        return made
+
+    def test_it_answers_as_the_model_does(self, other, begun):
+        given = example(32, 32)
+        found, expected = begun.network.eval()(**given), other.average.eval()(**given)
+        torch.testing.assert_close(found, expected, rtol=1e-4, atol=1e-5)
+
+    def test_it_still_does_once_layers_normalise_by_batches(self, other, begun):
+        batches = [Given(example(32, 32, seed)) for seed in (7, 8)]
+        normalise_by(begun.network, batches)
+        given = example(32, 32, 7)
+        found, expected = begun.network.eval()(**given), other.average.eval()(**given)
+        torch.testing.assert_close(found, expected, rtol=1e-3, atol=1e-4)
+        norm = begun.network.net.first.norm
+        seen = []
+        norm.register_forward_pre_hook(lambda _, inputs: seen.append(inputs[0]))
+        for batch in batches:
+            begun.network(*batch.inputs)
+        torch.testing.assert_close(
+            norm.running_mean, torch.cat(seen).mean((0, 2, 3)), rtol=1e-3, atol=1e-4
+        )
+
+    def test_another_network_is_refused(self, other, tmp_path):
+        made = Training(tmp_path / "b", replace(TINY, width=8), said)
+        with pytest.raises(LayoutError, match="holds another network than blend"):
+            made.begin_with(other.folder / MODEL)
+
+    def test_what_is_no_model_is_refused(self, tmp_path):
+        made, path = Training(tmp_path / "b", TINY, said), tmp_path / "wrong.onnx"
+        path.write_bytes(b"junk")
+        with pytest.raises(DamagedFileError, match=r"wrong\.onnx is no ONNX model"):
+            made.begin_with(path)
+        with pytest.raises(InputError, match=r"cannot read .*none\.onnx"):
+            made.begin_with(tmp_path / "none.onnx")
+
+
+class Given:
+    """A batch as the network is given it."""
+
+    def __init__(self, parts: dict[str, torch.Tensor]) -> None:
+        self.inputs = tuple(parts.values())
 
 
 @pytest.mark.parametrize("content", [b"", b"PK junk", None])
