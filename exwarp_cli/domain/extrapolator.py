@@ -48,8 +48,8 @@ class NetworkInputs:
     Attributes
     ----------
     warped
-        float32 [6, H, W]: F_k warped to the slot with holes at 0, then with holes filled from the
-        background.
+        float32 [6, H, W]: F_k warped to the slot with holes at 0, then the frame that W makes, with
+        holes filled from the background, edges covered and light carried on.
     mask
         float32 [1, H, W]: 1 where F_k shows the slot's surface, 0 in holes.
     features

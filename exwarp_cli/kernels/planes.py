@@ -205,7 +205,7 @@ def spread(
         F_k, F_k-1 and F_k-2 moved to the slot: colour float32 [H, W, C] and bool [H, W], where they
         show it.
     filled
-        float32 [H, W, C]: the first of them with its holes filled.
+        float32 [H, W, C]: the frame of W.
     surface
         Depth [H, W], normal [H, W, 3], roughness and metallic [H, W] of the slot, float32; [0, 0]
         and [0, 0, 3] for what is not known.
