@@ -317,14 +317,14 @@ def place(array: np.ndarray, window: Window, canvas: Window, fill: float = 0.0) 
     return out
 
 
-def combine_3x3(values: Float32, combine: np.ufunc, **outside: Any) -> Float32:
+def combine_3x3(values: np.ndarray, combine: np.ufunc, **outside: Any) -> np.ndarray:
     """Combine each of the pixels [H, W, ...] with its eight neighbours, by rows and then columns.
 
     `outside` says what lies beyond the edges, as for `numpy.pad`.
     """
     padded = np.pad(values, ((1, 1), (1, 1), *((0, 0),) * (values.ndim - 2)), **outside)
     rows = combine(combine(padded[:-2], padded[1:-1]), padded[2:])
-    out: Float32 = combine(combine(rows[:, :-2], rows[:, 1:-1]), rows[:, 2:])
+    out: np.ndarray = combine(combine(rows[:, :-2], rows[:, 1:-1]), rows[:, 2:])
     return out
 
 

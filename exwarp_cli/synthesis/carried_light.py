@@ -11,7 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from exwarp_cli.domain.frame import Bool, Float32, GBuffer, KeyFrame, broken_pixels
+from exwarp_cli.domain.frame import (
+    Bool,
+    Float32,
+    GBuffer,
+    KeyFrame,
+    broken_pixels,
+)
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.kernels.edges import find_edges
 from exwarp_cli.synthesis.coverage import Coverage
@@ -189,6 +195,7 @@ class CarriedLight:
         mover = self._mover
         codes = mover.codes(pixels)
         out, hole = mover.move(codes)
+        np.logical_or(hole, mover.source.ghosts, out=hole)
         out = fill_holes(out, mover.source.depth, hole)
         if self._coverage is not None:
             self._coverage.cover((codes,), out)

@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from exwarp_cli.domain.frame import Bool, Float32, GBuffer
+from exwarp_cli.domain.frame import Bool, Float32, GBuffer, combine_3x3
 from exwarp_cli.kernels import edges, holes, settling, splat
 from exwarp_cli.runtime.frame_pool import pool
 from exwarp_cli.synthesis.camera import (
@@ -62,14 +62,26 @@ class SlotField:
     def fringe(self) -> Bool:
         """bool [H, W]: where the source's colour is mixed with a nearer surface that has moved on.
 
-        Who warps a single frame has no use for it. Moving the mixed pixels with the nearer surface
-        instead, by widening it by a pixel, lost 0.2 dB with one key frame and 0.5 dB with two: a
-        ring of old background went along.
+        Moving the mixed pixels with the nearer surface instead, by widening it by a pixel, lost 0.2
+        dB with one key frame and 0.5 dB with two: a ring of old background went along.
         """
         if self.source is None:
             return np.zeros(self.depth.shape, np.bool_)
         out: Bool = pool.empty(self.depth.shape, np.bool_)
         edges.find_fringe(self.field, self.depth, self.source, out)
+        return out
+
+    @cached_property
+    def ghosts(self) -> Bool:
+        """bool [H, W]: the outline that a surface leaves beside the hole where it was.
+
+        It is filled as the hole is. `s6` gains 0.4 dB on courtyard, 0.2 on arena, 0.1 on market,
+        `softsplat` 0.2, 0.0 and 0.1; lab loses 0.02. Filling outlines that no hole is beside lost
+        `s6` 0.1 dB on lab and town.
+        """
+        if self.source is None:
+            return self.fringe
+        out: Bool = self.fringe & combine_3x3(self.hole, np.logical_or, mode="edge")
         return out
 
 

@@ -42,7 +42,8 @@ class Warped:
     depth
         float32 [H, W] of the surface shown.
     hole
-        bool [H, W]: no source, another surface, outside the source, or a non-finite source pixel.
+        bool [H, W]: no source, another surface, outside the source, a non-finite source pixel, or
+        the outline that a surface leaves beside its hole.
     fringe
         bool [H, W]: colour mixed with a nearer surface that has moved on.
     """
@@ -113,8 +114,9 @@ class Mover:
         return out, unseen
 
     def warp(self, codes: Float32) -> Warped:
-        """Return moved colour with what is known of it."""
+        """Return moved colour with what is known of it; ghosts are holes."""
         out, hole = self.move(codes)
+        np.logical_or(hole, self.source.ghosts, out=hole)
         return Warped(out, self.source.depth, hole, self.source.fringe)
 
     def warp_alone(self, pixels: Float32) -> Float32:

@@ -88,11 +88,10 @@ def motions(distance: float) -> list[Pair]:
 
 @each_way
 @each_shape
-@pytest.mark.parametrize("distance", [2.6, 9.7])
-def test_the_outline_of_a_moving_shape_is_antialiased(shape, distance, sides):
+def test_the_outline_of_a_moving_shape_is_antialiased(shape, sides):
     """Of key frames whose pixels have the colour at their centres."""
     hard, covered = [], []
-    for motion in motions(distance):
+    for motion in motions(2.6) + motions(9.7):
         shot = Shot(shape, motion)
         views = tuple(shot.view(float(i), fine=1) for i in range(sides))
         for time in (0.25, 0.5):
