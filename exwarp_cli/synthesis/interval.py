@@ -50,7 +50,8 @@ class Interval:
         F_k+1 on the same window, for look-ahead methods; None for causal ones and at the end.
     slots
         G-buffers of all slots after the key frame, with settled motion between neighbouring ones;
-        empty when only the key frames have G-buffers.
+        empty when only the key frames have G-buffers. The key frames' vectors are then those to a
+        slot beside them, times the slots of an interval.
     past
         F_k-1 and F_k-2, the newer first, as far as they exist; the second only for extrapolation.
     extrapolator
@@ -207,7 +208,8 @@ class Interval:
             return None
         if not self.slots:
             return Side(gbuffer, *displaced(gbuffer, self.time(slot) - ahead))
-        steps = gbuffer, *(self.slots[slot - 1 :][::-1] if ahead else self.slots[:slot])
+        start = _a_slot_long(gbuffer, len(self.times) + 1)
+        steps = start, *(self.slots[slot - 1 :][::-1] if ahead else self.slots[:slot])
         if any((step.to_previous if ahead else step.to_next) is None for step in steps[:-1]):
             return None
         motion = span_motion(steps, -1 if ahead else 1)
@@ -332,6 +334,21 @@ def _require_steps(slots: tuple[GBuffer, ...], key: KeyFrame) -> None:
             f"the G-buffers of the slots after frame {key.number} have no vectors to the previous "
             "slot; render them, or leave those G-buffers out"
         )
+
+
+def _a_slot_long(gbuffer: GBuffer, steps: int) -> GBuffer:
+    """Return a key frame's geometry with vectors to the slots beside it.
+
+    With G-buffers of the slots it has those of one way, times how many slots an interval has; for
+    one slot the other way is as long.
+    """
+    before, after = gbuffer.to_previous, gbuffer.to_next
+    given = after if after is not None else before
+    assert given is not None
+    way = given / np.float32(steps)
+    if after is None:
+        return replace(gbuffer, to_previous=way, to_next=-way, bend=None)
+    return replace(gbuffer, to_previous=-way, to_next=way, bend=None)
 
 
 def _moving(frame: KeyFrame) -> GBuffer:

@@ -16,6 +16,7 @@ from exwarp_cli.errors import InputError
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.dataset import RenderedScene
 from exwarp_cli.io.frames import GEOMETRY, SURFACE, Shot, read_raw
+from exwarp_cli.pipeline.key_frames import stretched
 from exwarp_cli.pipeline.motion_option import motion_names, parse_motion
 from exwarp_cli.synthesis.geometry import settle_motion
 from exwarp_cli.synthesis.history import past_of
@@ -113,8 +114,12 @@ class Footage:
         return Interval(self._key(k, setting), None, self._slots(k, setting), past_of(keys))
 
     def _key(self, k: int, setting: str) -> KeyFrame:
-        """Return key frame k; with slot G-buffers its motion is to the slots beside it."""
-        return self.key(k) if setting == "key" else self.slot(k, 0)
+        """Return key frame k; with slot G-buffers its motion is made of those, as in a run."""
+        if setting == "key":
+            return self.key(k)
+        frame = self.slot(k, 0)
+        assert frame.gbuffer is not None
+        return replace(frame, gbuffer=stretched(frame.gbuffer, FACTOR))
 
     def _causal_key(self, k: int, setting: str) -> KeyFrame:
         """Return key frame k; with slot G-buffers, with motion to the one before through those."""
