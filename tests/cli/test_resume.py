@@ -93,7 +93,7 @@ class TestSkipExisting:
         for i, (name, data) in enumerate(list(good.items())[:7]):
             spoilt = bytearray(data)
             if i % 2:
-                spoilt[-(i * 7 + 3)] ^= 1  # of the compressed pixels
+                spoilt[-(len(data) // 3 + i)] ^= 1  # of the compressed pixels
             else:
                 spoilt = spoilt[: len(data) // 2]
             (done / name).write_bytes(spoilt)
