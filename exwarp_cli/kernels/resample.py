@@ -7,6 +7,7 @@ bound keeps overshoot at edges out, which would be light or darkness that was ne
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +17,7 @@ from exwarp_cli.kernels._row_bands import Share, turns
 from exwarp_cli.kernels.gather import clamp, sample
 
 F32 = npt.NDArray[np.float32]
+F64 = npt.NDArray[np.float64]
 B8 = npt.NDArray[np.bool_]
 U64 = np.uint64
 
@@ -30,12 +32,22 @@ PHASES = 1024
 
 
 def lanczos_weights() -> F32:
+    """Return the weights of Lanczos-3, as `weights_of` does."""
+    return weights_of(lambda x: np.sinc(x) * np.sinc(x / RADIUS))
+
+
+def weights_of(kernel: Callable[[F64], F64]) -> F32:
     """Return the weights of the taps for each phase, float32 [PHASES + 1, TAPS]; rows sum to 1.
 
     Tap RADIUS - 1 is the pixel at or before the place. At phases 0 and PHASES one weight is 1.
+
+    Parameters
+    ----------
+    kernel
+        From distances, pixels, to weights, which need not sum to 1; 0 beyond RADIUS.
     """
     offset = np.arange(1 - RADIUS, RADIUS + 1)[None] - np.arange(PHASES + 1)[:, None] / PHASES
-    weights = np.sinc(offset) * np.sinc(offset / RADIUS)
+    weights = kernel(offset)
     weights /= weights.sum(axis=1, keepdims=True)
     weights[[0, -1]] = 0
     weights[0, RADIUS - 1] = weights[-1, RADIUS] = 1

@@ -11,13 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from exwarp_cli.domain.frame import (
-    Bool,
-    Float32,
-    GBuffer,
-    KeyFrame,
-    broken_pixels,
-)
+from exwarp_cli.domain.frame import Bool, Float32, GBuffer, KeyFrame, broken_pixels
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.kernels.edges import find_edges
 from exwarp_cli.synthesis.coverage import Coverage
@@ -105,10 +99,10 @@ def light_flow(key: KeyFrame, older: Past) -> LightFlow | None:
     now, codes = _as_it_is(key), as_shown(older.frame.image.pixels)
     then = Mover(source).warp(codes)
     apart = disagreement(then, now)
-    before_light = as_light(then.pixels.copy())
-    if not (apart >= LEAST).any() or not lit_alike(
-        key.image.pixels, before_light, ~(then.hole | now.hole)
-    ):
+    if not (apart >= LEAST).any():
+        return None
+    both = ~(then.hole | now.hole)
+    if not lit_alike(key.image.pixels, as_light(then.pixels.copy()), both):
         return None
     flow = flow_of(then, now, linear=False)
     moved = Mover(along(then, source, -flow, apart)).warp(codes)
@@ -194,9 +188,9 @@ class CarriedLight:
         """
         mover = self._mover
         codes = mover.codes(pixels)
-        out, hole = mover.move(codes)
-        np.logical_or(hole, mover.source.ghosts, out=hole)
-        out = fill_holes(out, mover.source.depth, hole)
+        warped = mover.warp(codes)
+        hole = warped.hole
+        out = fill_holes(warped.pixels, warped.depth, hole)
         if self._coverage is not None:
             self._coverage.cover((codes,), out)
         if self._shifted is not None:

@@ -209,20 +209,23 @@ class Coverage:
         places = []
         for lines, share, hole in found:
             movers = tuple(Mover(line.take(crossed, index, width), self._linear) for line in lines)
-            shares = _in_rows(share[crossed]) if len(lines) == 2 else None
+            shares = None if share is None else _in_rows(share[crossed])
             places.append(_Place(movers, shares, ~_in_rows(hole[crossed], fill=True)))
         return _Crossed(index, tuple(places))
 
-    def _look(self, offset: Float32, beside: Index) -> tuple[list[_Line], Float32, Bool]:
-        """Return what each side shows at a place, the second one's weight, and what none shows."""
+    def _look(self, offset: Float32, beside: Index) -> tuple[list[_Line], Float32 | None, Bool]:
+        """Return what each side shows at a place, the second one's weight, and what none shows.
+
+        The weight is None with one side.
+        """
         fields = [side.moved(offset) for side in self._sides]
         lines = [
             _Line(field.field.reshape(-1, 2)[beside] - offset, offset, field.hole.flat[beside])
             for field in fields
         ]
-        share, hole = fields[0].depth, fields[0].hole
-        if len(fields) == 2:
-            share, hole = _share_of_second(fields[0], fields[1], self._time)
+        if len(fields) == 1:
+            return lines, None, lines[0].hole
+        share, hole = _share_of_second(fields[0], fields[1], self._time)
         return lines, share.flat[beside], hole.flat[beside]
 
 

@@ -113,6 +113,16 @@ def _is_finite(tensor: Tensor) -> bool:
     return bool(torch.isfinite(tensor).all())
 
 
+def read_file(path: Path) -> bytes:
+    """Read a file on a disk; raises InputError where that fails."""
+    try:
+        return read_whole(path)
+    except OSError as error:
+        raise InputError(
+            f"cannot read {path}: {error.strerror or error}; check the path and its rights"
+        ) from error
+
+
 def read_tensors(path: Path, device: str, damaged: DamagedFileError) -> object:
     """Read what a file holds: only tensors and plain values, nothing that could run code.
 
@@ -132,12 +142,7 @@ def read_tensors(path: Path, device: str, damaged: DamagedFileError) -> object:
     DamagedFileError
         As given.
     """
-    try:
-        data = read_whole(path)
-    except OSError as error:
-        raise InputError(
-            f"cannot read {path}: {error.strerror or error}; check the path and its rights"
-        ) from error
+    data = read_file(path)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # old checkpoints warn of torch's own past

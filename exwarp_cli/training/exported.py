@@ -15,8 +15,8 @@ import torch
 from onnx import numpy_helper
 from torch import Tensor, nn
 
-from exwarp_cli.errors import DamagedFileError, InputError
-from exwarp_cli.io.model_files import read_whole
+from exwarp_cli.errors import DamagedFileError
+from exwarp_cli.training.checkpoint import read_file
 from exwarp_cli.training.crops import Batch
 from exwarp_cli.training.networks import ExtrapolationNetwork, Gated
 
@@ -41,12 +41,7 @@ def load_exported(path: Path, network: ExtrapolationNetwork) -> None:
     InputError
         When the file cannot be read, or is no model.
     """
-    try:
-        data = read_whole(path)
-    except OSError as error:
-        raise InputError(
-            f"cannot read {path}: {error.strerror or error}; check the path and its rights"
-        ) from error
+    data = read_file(path)
     try:
         model = onnx.load_from_string(data)
     except Exception as error:  # what is no model ends in exceptions of every kind

@@ -53,7 +53,7 @@ VALIDATED = 192
 TOGETHER = 16
 
 SETTLED = 16
-"""Batches by which layers of an exported network are normalised anew."""
+"""Batches by whose statistics the layers of an exported network normalise."""
 
 CLIPPED = 0.3
 """Largest norm of a gradient."""
@@ -106,15 +106,11 @@ class Training:
             ) from error
         self.average.load_state_dict(self.network.state_dict())
 
-    def _drawn(self, crops: Crops, count: int) -> Iterator[Batch]:
-        settings = self.settings
-        for step in range(count):
-            yield crops.drawn(step, settings.batch, settings.patch, settings.seed, self.device)
-
     def run(self, crops: Crops, held: Crops, every: int) -> None:
         """Train to the end; a checkpoint and a line of the curve every so many steps."""
         if self._exported:
-            normalise_by(self.network, self._drawn(crops, SETTLED))
+            batches = (_drawn(crops, step, self.settings, self.device) for step in range(SETTLED))
+            normalise_by(self.network, batches)
             self.average.load_state_dict(self.network.state_dict())
         begin = time.monotonic() - self.seconds
         losses: list[float] = []
@@ -331,11 +327,12 @@ def _prepare(
 
 def _ahead(crops: Crops, first: int, settings: TrainingSettings, device: str) -> Iterator[Batch]:
     """Return the batches of the steps that are left; the next one is read while one is learnt."""
+    steps = range(first, settings.steps)
+    return prefetch((partial(_drawn, crops, step, settings, device) for step in steps), 1)
 
-    def draw(step: int) -> Batch:
-        return crops.drawn(step, settings.batch, settings.patch, settings.seed, device)
 
-    return prefetch((partial(draw, step) for step in range(first, settings.steps)), 1)
+def _drawn(crops: Crops, step: int, settings: TrainingSettings, device: str) -> Batch:
+    return crops.drawn(step, settings.batch, settings.patch, settings.seed, device)
 
 
 HARDEST = 0.1

@@ -17,7 +17,7 @@ from exwarp_cli.domain.frame import Float32, KeyFrame
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.frames import GEOMETRY, SURFACE, open_shot, read_raw
-from exwarp_cli.kernels.resample import PHASES, RADIUS
+from exwarp_cli.kernels.resample import weights_of
 from exwarp_cli.metrics.pulse import measure
 from exwarp_cli.metrics.registry import score
 from exwarp_cli.pipeline.motion_option import motion_names, parse_motion
@@ -64,16 +64,6 @@ LIGHTS = {
     "as shown": (warp.as_shown, warp.as_light),
 }  # fmt: skip
 """Codes of scene-linear colour, and back. Those of alpha are taken for colour's."""
-
-
-def weights_of(kernel: Curve) -> Float32:
-    """Return what `lanczos_weights` does, of another kernel."""
-    offset = np.arange(1 - RADIUS, RADIUS + 1)[None] - np.arange(PHASES + 1)[:, None] / PHASES
-    weights = kernel(offset)
-    weights /= weights.sum(axis=1, keepdims=True)
-    weights[[0, -1]] = 0
-    weights[0, RADIUS - 1] = weights[-1, RADIUS] = 1
-    return weights.astype(np.float32)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

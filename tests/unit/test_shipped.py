@@ -27,7 +27,7 @@ LEFT_OUT = {
 
 NOT_YET = {("key", "nothing"), ("key", "normals and ids")}
 """Where W, which covers edges and carries light since this network was trained, is a little better
-on this shot of 64x36 pixels, until the network is trained anew."""
+on this shot of 64x36 pixels, until the network is trained again."""
 
 
 @pytest.fixture(scope="module")
