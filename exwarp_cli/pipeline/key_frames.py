@@ -267,8 +267,9 @@ class KeyFrameStore:
         steps = source.timeline.steps
         assert steps is not None  # slots have G-buffers where the factor is an integer
         gbuffer = self.get_slot(Slot(key, 0)).on(frame.image.data_window)
-        self.shots.see(key, replace(frame, gbuffer=over_interval(gbuffer, steps)))
-        return replace(frame, gbuffer=stretched(gbuffer, steps))
+        frame = replace(frame, gbuffer=over_interval(gbuffer, steps))
+        self.shots.see(key, frame)
+        return frame
 
     def _read_colour(self, key: int) -> KeyFrame:
         keys, number = self.source.keys, self.source.timeline.numbers[key]
@@ -348,24 +349,17 @@ def slots_back_to(key: int, steps: int) -> tuple[Slot, ...]:
 
 
 def over_interval(gbuffer: GBuffer, steps: int) -> GBuffer:
-    """Turn motion per slot into motion per key interval, of `steps` slots, at constant velocity."""
+    """Turn motion per slot into motion per key interval, of `steps` slots, at constant velocity.
+
+    With slots' G-buffers a key frame's own vectors are used only where theirs do not lead: after
+    the last key frame, and to the next one where the renderer writes none that way.
+    """
     after, before = gbuffer.to_next, gbuffer.to_previous
     return replace(
         gbuffer,
         to_next=None if after is None else steps * after,
         to_previous=None if before is None else steps * before,
     )
-
-
-def stretched(gbuffer: GBuffer, steps: int) -> GBuffer:
-    """Return a slot's geometry as a key frame's, with motion one way alone.
-
-    A key frame's vectors span a key interval in either setting. With slots' G-buffers they are only
-    used where the slots' own do not lead: after the last key frame, and to the next one where the
-    renderer writes none that way.
-    """
-    spanning = over_interval(gbuffer, steps)
-    return spanning if spanning.to_next is None else spanning.without("to_previous")
 
 
 CHANNELS = "ground truth"

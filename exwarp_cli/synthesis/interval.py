@@ -209,8 +209,12 @@ class Interval:
         if self.estimated or gbuffer is None or not gbuffer.has_motion:
             return None
         if not self.slots:
-            return Side(gbuffer, *displaced(gbuffer, self.time(slot) - ahead))
-        start = _a_slot_long(gbuffer, len(self.times) + 1)
+            side = Side(gbuffer, *displaced(gbuffer, self.time(slot) - ahead))
+            fields = self._forward if ahead else self._back
+            if slot not in fields:
+                fields[slot] = side.moved()
+            return side
+        start = _over_slot(gbuffer, len(self.times) + 1)
         steps = start, *(self.slots[slot - 1 :][::-1] if ahead else self.slots[:slot])
         if any((step.to_previous if ahead else step.to_next) is None for step in steps[:-1]):
             return None
@@ -338,19 +342,13 @@ def _require_steps(slots: tuple[GBuffer, ...], key: KeyFrame) -> None:
         )
 
 
-def _a_slot_long(gbuffer: GBuffer, steps: int) -> GBuffer:
-    """Return a key frame's geometry with vectors to the slots beside it.
-
-    With G-buffers of the slots it has those of one way, times how many slots an interval has; for
-    one slot the other way is as long.
-    """
-    before, after = gbuffer.to_previous, gbuffer.to_next
-    given = after if after is not None else before
-    assert given is not None
-    way = given / np.float32(steps)
-    if after is None:
-        return replace(gbuffer, to_previous=way, to_next=-way, bend=None)
-    return replace(gbuffer, to_previous=-way, to_next=way, bend=None)
+def _over_slot(gbuffer: GBuffer, steps: int) -> GBuffer:
+    """Return the geometry of a key frame of `steps` slots with vectors to the slots beside it."""
+    before, after = (
+        None if way is None else way / np.float32(steps)
+        for way in (gbuffer.to_previous, gbuffer.to_next)
+    )
+    return replace(gbuffer, to_previous=before, to_next=after, bend=None)
 
 
 def _moving(frame: KeyFrame) -> GBuffer:

@@ -16,7 +16,7 @@ from exwarp_cli.errors import InputError
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.dataset import RenderedScene
 from exwarp_cli.io.frames import GEOMETRY, SURFACE, Shot, read_raw
-from exwarp_cli.pipeline.key_frames import stretched
+from exwarp_cli.pipeline.key_frames import over_interval
 from exwarp_cli.pipeline.motion_option import motion_names, parse_motion
 from exwarp_cli.synthesis.geometry import settle_motion
 from exwarp_cli.synthesis.history import past_of
@@ -119,7 +119,7 @@ class Footage:
             return self.key(k)
         frame = self.slot(k, 0)
         assert frame.gbuffer is not None
-        return replace(frame, gbuffer=stretched(frame.gbuffer, FACTOR))
+        return replace(frame, gbuffer=over_interval(frame.gbuffer, FACTOR))
 
     def _causal_key(self, k: int, setting: str) -> KeyFrame:
         """Return key frame k; with slot G-buffers, with motion to the one before through those."""

@@ -13,7 +13,7 @@ from exwarp_cli.domain.frame import SURFACE_PARTS, GBuffer, KeyFrame, Window
 from exwarp_cli.pipeline import interval_builder
 from exwarp_cli.pipeline.interval_builder import IntervalBuilder
 from exwarp_cli.pipeline.interval_inputs import HistoryFrame, IntervalInputs
-from exwarp_cli.pipeline.key_frames import without_surface
+from exwarp_cli.pipeline.key_frames import over_interval, without_surface
 from exwarp_cli.synthesis.interval import Interval
 from tests.unit.filled import Filled
 from tests.unit.scenes import View, town
@@ -27,13 +27,9 @@ def view(time: float) -> View:
 
 
 def raw_key(index: int, setting: str = "key") -> KeyFrame:
-    """A key frame as the loader reads it; with slot G-buffers its vectors are stretched."""
+    """A key frame as the loader reads it; with slot G-buffers its vectors are four slots long."""
     frame = view(float(index)).key(1001 + index)
-    if setting == "key":
-        return frame
-    gbuffer = slot(index, 0)
-    stretched = replace(gbuffer, to_next=4 * gbuffer.to_next, to_previous=None)
-    return replace(frame, gbuffer=stretched)
+    return frame if setting == "key" else replace(frame, gbuffer=over_interval(slot(index, 0), 4))
 
 
 def slot(index: int, i: int) -> GBuffer:

@@ -11,7 +11,7 @@ import pytest
 from exwarp_cli.domain.frame import Float32, KeyFrame, combine_3x3
 from exwarp_cli.domain.results import FrameKind
 from exwarp_cli.errors import LayoutError
-from exwarp_cli.pipeline.key_frames import stretched
+from exwarp_cli.pipeline.key_frames import over_interval
 from exwarp_cli.pipeline.without_vectors import USUAL
 from exwarp_cli.synthesis.geometry import settle_motion
 from exwarp_cli.synthesis.interval import Interval
@@ -262,7 +262,9 @@ class TestSlotGeometry:
     def slotted(self, lookahead: bool = True) -> Interval:
         buffers = tuple(settle_motion(view(slot / 4).gbuffer(step=0.25)) for slot in SLOTS)
         frames = [
-            replace(key(i), gbuffer=stretched(settle_motion(view(float(i)).gbuffer(step=0.25)), 4))
+            replace(
+                key(i), gbuffer=over_interval(settle_motion(view(float(i)).gbuffer(step=0.25)), 4)
+            )
             for i in (0, 1)
         ]
         return Interval(frames[0], frames[1] if lookahead else None, buffers)

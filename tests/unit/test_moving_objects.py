@@ -17,7 +17,7 @@ from exwarp_cli.pipeline.interval_builder import (
     with_stencils,
 )
 from exwarp_cli.pipeline.interval_inputs import HistoryFrame, IntervalInputs
-from exwarp_cli.pipeline.key_frames import stretched, without_surface
+from exwarp_cli.pipeline.key_frames import over_interval, without_surface
 from exwarp_cli.synthesis.interval import Interval
 from tests.unit.filled import Filled
 from tests.unit.scenes import View, town
@@ -44,7 +44,7 @@ def shown(time: float, step: float = 1.0, ident: int = BOX) -> GBuffer:
 @functools.cache
 def key(index: int, setting: str = "key", ident: int = BOX) -> KeyFrame:
     gbuffer = shown(float(index), 1.0 if setting == "key" else 0.25, ident)
-    gbuffer = gbuffer if setting == "key" else stretched(gbuffer, 4)
+    gbuffer = gbuffer if setting == "key" else over_interval(gbuffer, 4)
     return replace(view(float(index)).key(1001 + index), gbuffer=gbuffer)
 
 
@@ -98,7 +98,7 @@ class TestWhichMove:
         slots = tuple(shown(2 + i / 4, 0.25, 60 + i) for i in (1, 2, 3))
         assert moving(inputs(2, "slot", 0, slots=slots)) == {61, 62, 63}
 
-    def test_stretched_motion_of_the_next_key_frame_tells_nothing(self):
+    def test_motion_of_the_next_key_frame_tells_nothing_beside_slots(self):
         following = key(3, "slot", ident=53)
         turned = replace(following.gbuffer, to_previous=following.gbuffer.to_next, to_next=None)
         following = replace(following, gbuffer=turned)
