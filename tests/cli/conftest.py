@@ -6,7 +6,7 @@ import builtins
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import pytest
 
@@ -44,6 +44,19 @@ def without_compilation(text: str) -> str:
     """Drop the lines about compilation, which depend on what the disk cache holds."""
     starts = (f"exwarp: {COMPILING}", f"exwarp: {COMPILED}")
     return "".join(line for line in text.splitlines(keepends=True) if not line.startswith(starts))
+
+
+@pytest.fixture(autouse=True)
+def unwritten_plots(monkeypatch):
+    """Paint the plots of pages without writing them, which takes most of a second a run.
+
+    `tests/web` and `test_hostile_names` look at what is written.
+    """
+
+    def savefig(self: object, file: TextIO, **_: object) -> None:
+        file.write('<svg viewBox="0 0 1 1"></svg>')
+
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", savefig)
 
 
 @pytest.fixture

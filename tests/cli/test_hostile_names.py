@@ -24,6 +24,11 @@ PLAIN = "plain"
 KEYS = (1, 2, 3)
 
 
+@pytest.fixture(autouse=True)
+def unwritten_plots():
+    """Write the plots of these pages: names stand in them, too."""
+
+
 def hostile(folder: Path, name: str) -> Path:
     """Three key frames with a name in file names, headers, and the layer of an artist."""
     for number in KEYS:
