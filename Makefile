@@ -15,6 +15,8 @@
 # make train    train the extrapolation network on the training shots (hours; goes on where it
 #               stopped); DATA=folder of rendered scenes, OPTIONS='--steps 2000'
 # make policy   train the policy from the tables under models/ (2 minutes); OPTIONS='--seed 1'
+# make hardware simulate the predictor's Verilog on 2,000 states and synthesise it, in 15 minutes;
+#               wants Icarus Verilog, Verilator and Yosys, and writes examples/HARDWARE.md
 # make judge    score every method, with the network of MODEL=file, on the benchmark scenes
 # make paper    every table and figure of the paper on the benchmark scenes, as build/bench/bench.md
 #               and report.html beside it; goes on where it stopped; OPTIONS='--every 4'
@@ -41,7 +43,7 @@ TRAINING ?= $(HOME)/.cache/exwarp/training
 POLICY ?= build/policy
 MODEL ?= models/extrapolator.onnx
 
-.PHONY: test check golden faults bench bench-check profile demo scenes things blender train policy judge paper clean
+.PHONY: test check golden faults hardware bench bench-check profile demo scenes things blender train policy judge paper clean
 
 test: check
 	$(BIN)/pytest --numprocesses auto --dist worksteal
@@ -63,6 +65,9 @@ faults: $(STAMP)
 bench: $(STAMP)
 	$(BIN)/python -m tests.bench.quality
 	$(BIN)/python -m tests.bench $(BENCHES)
+
+hardware: $(STAMP)
+	$(BIN)/python -m tests.hardware.measure $(OPTIONS)
 
 bench-check: $(STAMP)
 	$(BIN)/python -m tests.bench $(BENCHES) --check

@@ -28,6 +28,12 @@ layer reads and writes, of all neurons. What does not fit is fetched again for e
 buffers stay, then parameters in the order of their use until the cache is full, and the rest is
 streamed past the cache. That is counted in bytes and not in cycles: the paper names no memory, and
 the schedule supposes one that keeps up.
+
+Port. With `port_bytes`, one port of that width serves all cores, and its cycles are counted.
+Biases, multipliers, shifts and buffers stay in the caches, and as many words of weights as fit the
+fullest one, in the order of their use. Of the words that cores start together, the port brings
+those that are missing, one after the other, each in ``ceil(macs / port_bytes)`` cycles; the cores
+start in the last of them. Between layers the port waits as the MAC units do.
 """
 
 from __future__ import annotations
@@ -64,22 +70,27 @@ class MacArray:
         At least 1.
     cache_bytes
         Of each core, at least 1.
+    port_bytes
+        Width of the port that weights are fetched again by, bytes a cycle; 0 for a memory that
+        keeps up.
 
     Raises
     ------
     ValueError
-        When a number is below 1.
+        When a number is too small.
     """
 
     cores: int = 4
     macs: int = 10
     pipeline_stages: int = 4
     cache_bytes: int = 16384
+    port_bytes: int = 0
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if value < 1:
-                raise ValueError(f"{name} is {value}, and 1 is the least")
+            least = 0 if name == "port_bytes" else 1
+            if value < least:
+                raise ValueError(f"{name} is {value}, and {least} is the least")
 
     def share(self, count: int, core: int) -> int:
         """Return how many of `count` inputs or neurons a core gets."""
@@ -130,6 +141,8 @@ class LayerSchedule:
         Until the last products are through the pipeline.
     requantise_cycles
         Adder and multiplier after that, for the last neuron.
+    refill_cycles
+        Cycles in which MAC units wait for the port.
     useful_macs
         Products that the layer needs.
     utilisation
@@ -145,6 +158,7 @@ class LayerSchedule:
     mac_cycles: int
     fill_cycles: int
     requantise_cycles: int
+    refill_cycles: int
     useful_macs: int
     utilisation: float
     weight_bytes: int
@@ -155,7 +169,7 @@ class LayerSchedule:
     @property
     def cycles(self) -> int:
         """All cycles of the layer."""
-        return self.mac_cycles + self.fill_cycles + self.requantise_cycles
+        return self.mac_cycles + self.fill_cycles + self.requantise_cycles + self.refill_cycles
 
     @property
     def parameter_bytes(self) -> int:
@@ -228,7 +242,8 @@ def schedule(array: MacArray, sizes: Sequence[int]) -> Schedule:
     Raises
     ------
     ValueError
-        When sizes are missing, or a core's cache does not even hold the state and activations.
+        When sizes are missing, or a core's cache does not even hold the state and activations; with
+        a port, biases, multipliers and shifts, too.
     """
     sizes = tuple(sizes)
     if len(sizes) < 2 or min(sizes) < 1:
@@ -240,14 +255,19 @@ def schedule(array: MacArray, sizes: Sequence[int]) -> Schedule:
             "state and activations"
         )
     held = [_parameter_bytes(array, sizes, core) for core in range(array.cores)]
-    refills = [
-        _refills([sum(stage) for stage in stages], array.cache_bytes - buffer)
-        for stages, buffer in zip(held, buffers, strict=True)
-    ]
+    waits = [0] * len(sizes)
+    if array.port_bytes:
+        fetched = fetch(array, sizes)
+        waits, refills = list(fetched.waits), [list(core) for core in fetched.core_bytes]
+    else:
+        refills = [
+            _refills([sum(stage) for stage in stages], array.cache_bytes - buffer)
+            for stages, buffer in zip(held, buffers, strict=True)
+        ]
     fill = array.pipeline_stages - 1
     inputs = InputSchedule(sizes[0], array.share(sizes[0], 0), fill, sum(held[0][0]), refills[0][0])
     layers = tuple(
-        _layer(array, sizes, number, held[0][number], refills[0][number])
+        _layer(array, sizes, number, held[0][number], (waits[number], refills[0][number]))
         for number in range(1, len(sizes))
     )
     totals = [sum(map(sum, stages)) + buffer for stages, buffer in zip(held, buffers, strict=True)]
@@ -255,18 +275,84 @@ def schedule(array: MacArray, sizes: Sequence[int]) -> Schedule:
     return Schedule(array, sizes, inputs, layers, buffers[0], tuple(totals), refill)
 
 
+@dataclass(frozen=True)
+class Fetched:
+    """What one port fetches again for every inference.
+
+    Attributes
+    ----------
+    resident_words
+        Words of weights that a core keeps, at most.
+    waits
+        Cycles in which MAC units wait: of the input stage, then of each layer.
+    core_bytes
+        Of each core by the same stages.
+    """
+
+    resident_words: int
+    waits: tuple[int, ...]
+    core_bytes: tuple[tuple[int, ...], ...]
+
+
+def resident_words(array: MacArray, sizes: Sequence[int]) -> int:
+    """Return how many words of weights a core's cache holds beside all else.
+
+    Raises
+    ------
+    ValueError
+        When it does not hold the rest and one word.
+    """
+    sizes = tuple(sizes)
+    stages = _parameter_bytes(array, sizes, 0)
+    rest = _buffer_bytes(array, sizes, 0) + sum(bias + scale for _, bias, scale in stages)
+    if rest + array.macs > array.cache_bytes:
+        raise ValueError(
+            f"a cache of {array.cache_bytes} bytes does not hold the {rest + array.macs} bytes of "
+            "buffers, biases, multipliers, shifts and a word of weights"
+        )
+    return (array.cache_bytes - rest) // array.macs
+
+
+def fetch(array: MacArray, sizes: Sequence[int]) -> Fetched:
+    """Count what the port of a machine fetches, step by step; ValueError as `resident_words`."""
+    room = resident_words(array, sizes)
+    beats = -(-array.macs // array.port_bytes)
+    at = [0] * array.cores
+    waits = [0]
+    brought = [[0] for _ in at]
+    for fan_in, neurons in pairwise(sizes):
+        waited = 0
+        for first in range(0, neurons, array.cores):
+            active = range(min(array.cores, neurons - first))
+            for _ in range(array.words(fan_in)):
+                missing = sum(at[core] >= room for core in active)
+                waited += max(missing * beats - 1, 0)
+                for core in active:
+                    at[core] += 1
+        for core, stages in enumerate(brought):
+            stages.append(array.macs * max(at[core] - room, 0) - sum(stages))
+        waits.append(waited)
+    return Fetched(room, tuple(waits), tuple(map(tuple, brought)))
+
+
 def _layer(
-    array: MacArray, sizes: tuple[int, ...], number: int, held: tuple[int, int, int], refill: int
+    array: MacArray,
+    sizes: tuple[int, ...],
+    number: int,
+    held: tuple[int, int, int],
+    refill: tuple[int, int],
 ) -> LayerSchedule:
-    """Return the schedule of layer `number`, counted from 1."""
+    """Return the schedule of layer `number`, counted from 1; `refill` are cycles and bytes."""
     fan_in, neurons = sizes[number - 1 : number + 1]
     macs = array.share(neurons, 0) * array.words(fan_in)
     fill, after = array.pipeline_stages - 1, 1 if number == len(sizes) - 1 else 2
+    waits, refill_bytes = refill
     useful = fan_in * neurons
-    utilisation = useful / (array.cores * array.macs * (macs + fill + after))
+    utilisation = useful / (array.cores * array.macs * (macs + fill + after + waits))
     return LayerSchedule(
-        fan_in, neurons, macs, fill, after, useful, utilisation, *held, refill_bytes=refill
-    )
+        fan_in, neurons, macs, fill, after, waits, useful, utilisation, *held,
+        refill_bytes=refill_bytes,
+    )  # fmt: skip
 
 
 def _parameter_bytes(

@@ -17,6 +17,14 @@ FILE = click.Path(path_type=Path)
 POLICY = click.option(
     "--policy", type=FILE, metavar="FILE", help="Policy; default: the one that comes with ExWarp."
 )
+PORT = click.option(
+    "--port",
+    type=click.IntRange(0, MOST),
+    default=0,
+    show_default=True,
+    metavar="BYTES",
+    help="Bytes a cycle of the port that brings what caches do not hold; 0: it costs no cycles.",
+)
 
 
 @click.group("policy", cls=HelpfulGroup)
@@ -31,10 +39,11 @@ def command() -> None:
     "--macs", type=click.IntRange(1, MOST), default=10, show_default=True, help="Of each core."
 )
 @click.option("--cache", default="16KB", show_default=True, metavar="SIZE", help="Of each core.")
+@PORT
 @click.option("--policy", type=FILE, metavar="FILE", help="Default: the paper's network.")
 @json_option
 def cycles(
-    clock: str, cores: int, macs: int, cache: str, policy: Path | None, as_json: bool
+    clock: str, cores: int, macs: int, cache: str, port: int, policy: Path | None, as_json: bool
 ) -> None:
     """Show how long one inference takes on the paper's accelerator, or on one of other sizes."""
     from rich.console import Console
@@ -43,7 +52,7 @@ def cycles(
     from exwarp_cli.report.accelerator import cycles_document, cycles_lines, cycles_table
 
     rate = accelerator.clock_of(clock)
-    found = accelerator.cycles(policy, cores, macs, cache)
+    found = accelerator.cycles(policy, cores, macs, cache, port)
     if as_json:
         print_json(cycles_document(found, rate))
         return
@@ -94,19 +103,41 @@ def run(table: Path, policy: Path | None, trace: bool, row: int | None, as_json:
 @click.option(
     "--seed", type=click.IntRange(0), default=0, show_default=True, help="Of the vectors."
 )
+@click.option("--verilog", is_flag=True, help="Write the design, a test bench and a Makefile, too.")
+@click.option("--cores", type=click.IntRange(1, MOST), default=4, show_default=True)
+@click.option(
+    "--macs", type=click.IntRange(1, MOST), default=10, show_default=True, help="Of each core."
+)
+@click.option("--cache", default="20KB", show_default=True, metavar="SIZE", help="Of each core.")
+@PORT
 @click.option("--overwrite", is_flag=True, help="Replace files of the same names.")
 @json_option
 def export(
-    folder: Path, policy: Path | None, vectors: int, seed: int, overwrite: bool, as_json: bool
+    folder: Path,
+    policy: Path | None,
+    vectors: int,
+    seed: int,
+    verilog: bool,
+    cores: int,
+    macs: int,
+    cache: str,
+    port: int,
+    overwrite: bool,
+    as_json: bool,
 ) -> None:
     """Write weights, biases, multipliers, shifts and test vectors into DIR for $readmemh.
 
-    README.txt and manifest.json there say which core reads what, and where it lies.
+    README.txt and manifest.json there say which core reads what, and where it lies. With --verilog,
+    'make' in DIR simulates the predictor with Icarus Verilog and fails on any difference.
     """
-    from exwarp_cli.pipeline.accelerator import MANIFEST
+    from exwarp_cli.pipeline.accelerator import MANIFEST, machine
     from exwarp_cli.pipeline.accelerator import export as write
 
-    files = write(folder, policy, vectors=vectors, seed=seed, overwrite=overwrite)
+    array = machine(cores, macs, cache, port)
+    files = write(
+        folder, policy, vectors=vectors, seed=seed, overwrite=overwrite, array=array,
+        verilog=verilog,
+    )  # fmt: skip
     if as_json:
         print_json(
             {

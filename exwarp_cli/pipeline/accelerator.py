@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,6 +25,7 @@ from exwarp_cli.accel.quantised_mlp import (
 from exwarp_cli.errors import OutputExistsError, UsageError
 from exwarp_cli.io.atomic import atomic_write_text, make_folder
 from exwarp_cli.io.policy_files import StateRow, load_policy, read_states
+from exwarp_cli.pipeline.hardware import design, weight_words
 
 _CLOCK = re.compile(r"([0-9.]+(?:e[+-]?[0-9]+)?)\s*([kmg]?)(?:hz)?", re.IGNORECASE)
 _BYTES = re.compile(r"([0-9]+)\s*([kmg]?)i?b?", re.IGNORECASE)
@@ -101,17 +102,33 @@ def bytes_of(text: str) -> int:
     return int(match[1]) * _UNITS[match[2].lower()]
 
 
-def cycles(policy: Path | None, cores: int, macs: int, cache: str) -> Schedule:
+def machine(cores: int, macs: int, cache: str, port: int) -> MacArray:
+    """Return a machine; UsageError for a cache that is no size, or 0.
+
+    Parameters
+    ----------
+    cores, macs
+        At least 1.
+    cache
+        Of each core; see :func:`bytes_of`.
+    port
+        Bytes a cycle, see `MacArray`.
+    """
+    try:
+        return MacArray(cores, macs, cache_bytes=bytes_of(cache), port_bytes=port)
+    except ValueError as error:
+        raise UsageError(f"--cache {cache} does not do: {error}; give a larger one") from error
+
+
+def cycles(policy: Path | None, cores: int, macs: int, cache: str, port: int = 0) -> Schedule:
     """Lay out an inference on a machine.
 
     Parameters
     ----------
     policy
         File whose network is taken; None for the paper's sizes.
-    cores, macs
-        Of the machine, at least 1.
-    cache
-        Of each core; see :func:`bytes_of`.
+    cores, macs, cache, port
+        Of the machine, see :func:`machine`.
 
     Raises
     ------
@@ -122,7 +139,7 @@ def cycles(policy: Path | None, cores: int, macs: int, cache: str) -> Schedule:
     """
     sizes = PAPER_SIZES if policy is None else load_policy(policy).network.sizes
     try:
-        return schedule(MacArray(cores, macs, cache_bytes=bytes_of(cache)), sizes)
+        return schedule(machine(cores, macs, cache, port), sizes)
     except ValueError as error:
         raise UsageError(f"--cache {cache} does not do: {error}; give a larger one") from error
 
@@ -197,6 +214,9 @@ def _chosen(table: Path, rows: tuple[StateRow, ...], number: int | None) -> tupl
     return found
 
 
+PAPER = MacArray()
+"""The paper's machine."""
+
 FORMAT = "exwarp.policy-hex/1"
 MANIFEST = "manifest.json"
 README = "README.txt"
@@ -233,9 +253,31 @@ clamped to 0 ... 127, where half is 2^(shift - 1), or 0 for shift 0; 64 bits hol
 is the bias plus the sum of weight times activation, and fits 32 bits in any order of adding.
 """
 
+DESIGN = """
+exwarp_predictor.v      The top module; its head says how it is used.
+exwarp_core.v           One core.
+exwarp_parameters.vh    Cores, MAC units, layers and sizes of the memories.
+exwarp_predictor_tb.v   Test bench: runs all test vectors, compares outputs, decision and cycles.
+exwarp_vectors.vh       Its numbers.
+Makefile                'make' simulates with Icarus Verilog, 'make verilator' with Verilator; both
+                        fail on any difference. 'make lint' checks the text.
+memory<c>_weights.hex   What core c's memories hold: words of weights, as above;
+memory<c>_scales.hex    shift (8 bits) and multiplier (32 bits) of its inputs, then of its hidden
+                        neurons;
+memory<c>_biases.hex    biases.
+refill.hex              What the port brings in an inference, a beat a word; 0 where all fits.
+"""
+
 
 def export(
-    folder: Path, policy: Path | None, *, vectors: int, seed: int, overwrite: bool
+    folder: Path,
+    policy: Path | None,
+    *,
+    vectors: int,
+    seed: int,
+    overwrite: bool,
+    array: MacArray = PAPER,
+    verilog: bool = False,
 ) -> list[Path]:
     """Write a policy's parameters and test vectors as hex files.
 
@@ -249,6 +291,10 @@ def export(
         How many test vectors, and of which random numbers.
     overwrite
         Whether files of these names may be there.
+    array
+        The machine.
+    verilog
+        Whether to write its design, too, with a test bench.
 
     Returns
     -------
@@ -260,12 +306,17 @@ def export(
         When the policy cannot be used.
     OutputExistsError, OutputError
         When files are there, or cannot be written.
+    UsageError
+        When the design cannot be such a machine.
     """
     source = load_policy(policy)
-    network, array = source.network, MacArray()
-    texts = {README: ABOUT.format(cores=array.cores, macs=array.macs, inputs=network.sizes[0])}
+    network = source.network
+    about = ABOUT + DESIGN if verilog else ABOUT
+    texts = {README: about.format(cores=array.cores, macs=array.macs, inputs=network.sizes[0])}
     texts |= _parameters(array, network)
-    texts |= _vectors(network, sample_states(network.sizes[0], vectors, seed))
+    texts |= vectors_of(network, sample_states(network.sizes[0], vectors, seed))
+    if verilog:
+        texts |= design(array, network, vectors)
     facts = {"policy": source.path.name, "sha256": source.checksum, "vectors": vectors}
     document = {
         "schema": FORMAT,
@@ -300,23 +351,14 @@ def _parameters(array: MacArray, network: QuantisedMlp) -> dict[str, str]:
     known = [scale for scale in scales if scale is not None]
     for core in range(array.cores):
         own = slice(core, None, array.cores)
-        texts[f"core{core}_weights.hex"] = _lines(_weight_words(array, network, core))
+        texts[f"core{core}_weights.hex"] = _lines(weight_words(array, network, core))
         texts[f"core{core}_bias.hex"] = "".join(_hex(la.biases[own]) for la in network.layers)
         texts[f"core{core}_multiplier.hex"] = "".join(_hex(s.multipliers[own]) for s in known)
         texts[f"core{core}_shift.hex"] = "".join(_hex(s.shifts[own]) for s in known)
     return texts
 
 
-def _weight_words(array: MacArray, network: QuantisedMlp, core: int) -> Iterator[str]:
-    """Yield a core's words of weights, the first weight in the lowest bits."""
-    for layer in network.layers:
-        own = layer.weights[core :: array.cores]
-        filled = np.pad(own, ((0, 0), (0, -layer.fan_in % array.macs)))
-        for word in filled.reshape(-1, array.macs):
-            yield word[::-1].tobytes().hex()
-
-
-def _vectors(network: QuantisedMlp, states: I32) -> dict[str, str]:
+def vectors_of(network: QuantisedMlp, states: I32) -> dict[str, str]:
     """Return the hex files of the test vectors by name."""
     found: Inference = infer_reference(network, states)
     texts = {

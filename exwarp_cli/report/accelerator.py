@@ -79,6 +79,11 @@ def cycles_lines(found: Schedule, clock_hz: float) -> list[str]:
             f"{found.refill_bytes:,} of all {total:,} bytes are fetched again for every inference, "
             f"{found.refill_bytes / found.cycles:.1f} a cycle"
         )
+        if array.port_bytes:
+            waits = sum(layer.refill_cycles for layer in found.layers)
+            cache += (
+                f", over a port of {array.port_bytes} for which MAC units wait {waits:,} cycles"
+            )
     else:
         cache += "everything fits"
     return [

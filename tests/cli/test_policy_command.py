@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -59,7 +60,7 @@ class TestCycles:
         found, plan = json.loads(result.out), schedule(MacArray(8, 16, 4, 8192), PAPER_SIZES)
         assert found["schema"] == "exwarp.cycles/1"
         assert found["machine"] == {
-            "cores": 8, "macs": 16, "pipeline_stages": 4, "cache_bytes": 8192
+            "cores": 8, "macs": 16, "pipeline_stages": 4, "cache_bytes": 8192, "port_bytes": 0
         }  # fmt: skip
         assert (found["cycles"], found["clock_hz"]) == (plan.cycles, 5e8)
         assert found["latency_ns"] == 2.0 * plan.cycles
@@ -70,6 +71,13 @@ class TestCycles:
         save_network(tmp_path / "small.npz", network(1, (5, 3, 2)), {})
         out = exwarp("policy", "cycles", "--policy", tmp_path / "small.npz", "--json").out
         assert json.loads(out)["sizes"] == [5, 3, 2]
+
+    def test_a_port_that_brings_what_caches_do_not_hold(self, exwarp):
+        out = exwarp("policy", "cycles", "--port", 8).out
+        assert "latency: 4,360 cycles" in out
+        assert "over a port of 8 for which MAC units wait 2,489 cycles" in out
+        fitting = exwarp("policy", "cycles", "--port", 8, "--cache", "20KB")
+        assert "latency: 1,871 cycles" in fitting.out
 
     def test_caches_that_hold_it(self, exwarp):
         assert "; everything fits\n" in exwarp("policy", "cycles", "--cache", "20KB").out
@@ -299,3 +307,49 @@ def test_alone_it_shows_its_commands(exwarp):
     result = exwarp("policy")
     assert result.code == 0
     assert all(name in result.out for name in ("cycles", "run", "export"))
+
+
+class TestVerilog:
+    def test_the_design_is_written_beside_what_it_reads(self, exwarp, policy, tmp_path):
+        out = tmp_path / "design"
+        result = exwarp("policy", "export", out, "--policy", policy, "--verilog", "--vectors", 5)
+        assert result.code == 0, result.err
+        names = {path.name for path in out.iterdir()}
+        assert {"exwarp_predictor.v", "exwarp_core.v", "exwarp_predictor_tb.v", "Makefile"} <= names
+        memories = ("weights", "scales", "biases")
+        assert {f"memory{core}_{name}.hex" for core in range(4) for name in memories} <= names
+        listed = json.loads((out / "manifest.json").read_text())["files"]
+        assert {*listed, "manifest.json"} == names
+        about = (out / "README.txt").read_text()
+        for name in re.findall(r"^(\S+\.(?:v|vh|hex)|Makefile) ", about, re.MULTILINE):
+            assert list(out.glob(re.sub("<.>", "*", name))), name
+        assert "localparam CYCLES = 1871;" in (out / "exwarp_vectors.vh").read_text()
+        for core in range(4):
+            own = (out / f"core{core}_weights.hex").read_text()
+            assert (out / f"memory{core}_weights.hex").read_text().startswith(own)
+
+    def test_without_it_there_is_none(self, exwarp, policy, tmp_path):
+        exwarp("policy", "export", tmp_path / "hex", "--policy", policy)
+        assert not list((tmp_path / "hex").glob("*.v")) and not (tmp_path / "hex/Makefile").exists()
+
+    @pytest.mark.parametrize(
+        ("options", "words"),
+        [
+            (("--cache", "16KB"), "holds 1474 of 1837 words of weights; give a larger --cache"),
+            (("--cache", "1KB"), "--cache does not do: a cache of 1024 bytes does not hold"),
+            (("--cores", 11, "--macs", 12), "the design has at most 10 cores"),
+            (("--cores", 5, "--macs", 4), "no more than MAC units in each"),
+        ],
+    )
+    def test_machines_that_it_cannot_be(self, exwarp, policy, tmp_path, options, words):
+        out = tmp_path / "design"
+        exwarp("policy", "export", out, "--policy", policy, "--verilog", *options).refused(2, words)
+        assert not out.exists()
+
+    def test_a_port_brings_what_caches_do_not_hold(self, exwarp, policy, tmp_path):
+        options = ("--verilog", "--cache", "16KB", "--port", 8)
+        exwarp("policy", "export", tmp_path, "--policy", policy, *options)
+        assert "parameter RESIDENT = 1474," in (tmp_path / "exwarp_parameters.vh").read_text()
+        assert "localparam CYCLES = 4360;" in (tmp_path / "exwarp_vectors.vh").read_text()
+        # Two beats of 8 bytes a word of 10.
+        assert len((tmp_path / "refill.hex").read_text().split()) == 2 * 14260 // 10

@@ -139,6 +139,9 @@ def test_the_papers_figures_stand_beside_scenes_of_its_themes(found):
     assert found["comparison"][0]["paper"]["EMA-VFI"] == {"psnr_db": 14.40, "ssim": 0.82}
     assert found["predictor"]["paper"]["latency_ns"] == 6.2
     assert found["predictor"]["cycles"] == 1871
+    measured = found["predictor"]["synthesis"]
+    assert measured["simulated"]["cycles"] == 1871
+    assert all(line.startswith("passed") for line in measured["simulated"]["icarus"])
 
 
 def test_correlation_is_none_where_a_feature_does_not_vary(found):

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from exwarp_cli.accel.mac_array import MacArray, schedule
+from exwarp_cli.accel.mac_array import MacArray, resident_words, schedule
 from exwarp_cli.accel.quantised_mlp import PAPER_SIZES, QuantisedMlp, infer_reference
 from exwarp_cli.accel.simulation import Simulation, simulate
 from tests.unit.mlp_cases import edges, network, states
@@ -117,6 +118,49 @@ class TestAnyMachine:
         plan = schedule(MacArray(1, 1, 1), (3, 4, 2))
         assert [layer.cycles for layer in plan.layers] == [3 * 4 + 2, 4 * 2 + 1]
         assert plan.cycles == 3 + 14 + 9 + 1
+
+
+class TestPort:
+    def test_what_fits_costs_nothing(self):
+        array = MacArray(cache_bytes=20480, port_bytes=1)
+        assert schedule(array, PAPER_SIZES).cycles == schedule(MacArray(), PAPER_SIZES).cycles
+        assert schedule(array, PAPER_SIZES).refill_bytes == 0
+
+    def test_a_step_waits_for_each_missing_word(self):
+        """Of 1,837 words a core keeps 1,474: 350 of the third layer and 13 of the last are missing.
+
+        Two beats a word bring those of four cores in 8 cycles, the last of which is the step's own;
+        in the last layer two cores have a neuron.
+        """
+        plan = schedule(MacArray(port_bytes=8), PAPER_SIZES)
+        assert [layer.refill_cycles for layer in plan.layers] == [0, 0, 350 * 7, 13 * 3]
+        assert plan.cycles == 1871 + 350 * 7 + 13 * 3
+        assert plan.refill_bytes == 10 * (350 * 4 + 13 * 2)
+        assert resident_words(MacArray(), PAPER_SIZES) == 1474
+
+    @given(ARRAYS, SIZES, st.integers(1, 20))
+    def test_wider_ports_and_larger_caches_never_wait_longer(self, array, sizes, port):
+        def cycles(port: int, more: int) -> int:
+            cache = least_cache(array, sizes) + more
+            return schedule(replace(array, cache_bytes=cache, port_bytes=port), sizes).cycles
+
+        free = schedule(replace(array, cache_bytes=10**9), sizes).cycles
+        assert free <= cycles(port + 1, 0) <= cycles(port, 0)
+        assert free <= cycles(port, 3 * array.macs) <= cycles(port, 0)
+        assert cycles(port, 10**9) == free
+
+    def test_a_cache_without_room_for_a_word(self):
+        least = least_cache(MacArray(), PAPER_SIZES)
+        assert resident_words(MacArray(cache_bytes=least), PAPER_SIZES) == 1
+        with pytest.raises(ValueError, match="and a word of weights"):
+            resident_words(MacArray(cache_bytes=least - 1), PAPER_SIZES)
+
+
+def least_cache(array: MacArray, sizes: tuple[int, ...]) -> int:
+    """Bytes of buffers, biases, multipliers, shifts and one word of weights in the fullest core."""
+    share = [-(-size // array.cores) for size in sizes]
+    largest = max([a + b for a, b in itertools.pairwise(sizes[:-1])] + [sizes[-2] + 4 * sizes[-1]])
+    return 4 * share[0] + largest + 4 * sum(share[1:]) + 5 * sum(share[:-1]) + array.macs
 
 
 class TestRefusals:

@@ -1,0 +1,1 @@
+"""The predictor in Verilog, simulated and synthesised."""
