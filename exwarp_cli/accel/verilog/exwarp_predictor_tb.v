@@ -41,6 +41,7 @@ module exwarp_predictor_tb;
 
     always @(posedge clk) noise <= {noise[14:0], noise[15] ^ noise[13] ^ noise[12] ^ noise[10]};
 
+    localparam MOST = 10 * CYCLES;  // cycles after which nothing more is expected
     integer cycles = 0;
     always @(posedge clk) if (busy) cycles <= cycles + 1;
 
@@ -62,9 +63,11 @@ module exwarp_predictor_tb;
             start = 1;
             cycles = 0;
             @(negedge clk) start = 0;
-            while (!done) @(negedge clk);
-            if (warp != $signed(expected[3 * v]) || extrapolate != $signed(expected[3 * v + 1])
-                    || {31'd0, choice} != expected[3 * v + 2] || (cycles != CYCLES && !stalls)) begin
+            while (done !== 1'b1 && cycles < MOST) @(negedge clk);
+            // By !==, as what is unknown differs, too.
+            if (warp !== $signed(expected[3 * v]) || extrapolate !== $signed(expected[3 * v + 1])
+                    || {31'd0, choice} !== expected[3 * v + 2]
+                    || (cycles !== CYCLES && !stalls)) begin
                 wrong = wrong + 1;
                 if (wrong <= 10) begin
                     $display("vector %0d: %0d, %0d, %0d in %0d cycles; expected %0d, %0d, %0d in %0d",
