@@ -38,7 +38,7 @@ start in the last of them. Between layers the port waits as the MAC units do.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -99,6 +99,11 @@ class MacArray:
     def words(self, fan_in: int) -> int:
         """Return the cycles that the products of one neuron take."""
         return -(-fan_in // self.macs)
+
+    @property
+    def beats(self) -> int:
+        """Cycles that a word of weights takes to come through the port."""
+        return -(-self.macs // self.port_bytes)
 
 
 @dataclass(frozen=True)
@@ -257,8 +262,7 @@ def schedule(array: MacArray, sizes: Sequence[int]) -> Schedule:
     held = [_parameter_bytes(array, sizes, core) for core in range(array.cores)]
     waits = [0] * len(sizes)
     if array.port_bytes:
-        fetched = fetch(array, sizes)
-        waits, refills = list(fetched.waits), [list(core) for core in fetched.core_bytes]
+        waits, refills = _fetch(array, sizes)
     else:
         refills = [
             _refills([sum(stage) for stage in stages], array.cache_bytes - buffer)
@@ -273,25 +277,6 @@ def schedule(array: MacArray, sizes: Sequence[int]) -> Schedule:
     totals = [sum(map(sum, stages)) + buffer for stages, buffer in zip(held, buffers, strict=True)]
     refill = tuple(sum(stages) for stages in refills)
     return Schedule(array, sizes, inputs, layers, buffers[0], tuple(totals), refill)
-
-
-@dataclass(frozen=True)
-class Fetched:
-    """What one port fetches again for every inference.
-
-    Attributes
-    ----------
-    resident_words
-        Words of weights that a core keeps, at most.
-    waits
-        Cycles in which MAC units wait: of the input stage, then of each layer.
-    core_bytes
-        Of each core by the same stages.
-    """
-
-    resident_words: int
-    waits: tuple[int, ...]
-    core_bytes: tuple[tuple[int, ...], ...]
 
 
 def resident_words(array: MacArray, sizes: Sequence[int]) -> int:
@@ -313,26 +298,34 @@ def resident_words(array: MacArray, sizes: Sequence[int]) -> int:
     return (array.cache_bytes - rest) // array.macs
 
 
-def fetch(array: MacArray, sizes: Sequence[int]) -> Fetched:
-    """Count what the port of a machine fetches, step by step; ValueError as `resident_words`."""
+def missing_words(
+    array: MacArray, sizes: Sequence[int]
+) -> Iterator[tuple[int, list[tuple[int, int]]]]:
+    """Yield every step of the MAC units: its layer from 1 on, and the words that no cache holds.
+
+    A word is a core and its index among the core's words, in the order in which the port brings
+    them. ValueError as `resident_words`.
+    """
     room = resident_words(array, sizes)
-    beats = -(-array.macs // array.port_bytes)
     at = [0] * array.cores
-    waits = [0]
-    brought = [[0] for _ in at]
-    for fan_in, neurons in pairwise(sizes):
-        waited = 0
+    for layer, (fan_in, neurons) in enumerate(pairwise(sizes), start=1):
         for first in range(0, neurons, array.cores):
             active = range(min(array.cores, neurons - first))
             for _ in range(array.words(fan_in)):
-                missing = sum(at[core] >= room for core in active)
-                waited += max(missing * beats - 1, 0)
+                yield layer, [(core, at[core]) for core in active if at[core] >= room]
                 for core in active:
                     at[core] += 1
-        for core, stages in enumerate(brought):
-            stages.append(array.macs * max(at[core] - room, 0) - sum(stages))
-        waits.append(waited)
-    return Fetched(room, tuple(waits), tuple(map(tuple, brought)))
+
+
+def _fetch(array: MacArray, sizes: tuple[int, ...]) -> tuple[list[int], list[list[int]]]:
+    """Return the cycles that MAC units wait for the port, and each core's bytes; by stage."""
+    waits = [0] * len(sizes)
+    brought = [[0] * len(sizes) for _ in range(array.cores)]
+    for layer, missing in missing_words(array, sizes):
+        waits[layer] += max(len(missing) * array.beats - 1, 0)
+        for core, _ in missing:
+            brought[core][layer] += array.macs
+    return waits, brought
 
 
 def _layer(

@@ -17,6 +17,10 @@ FILE = click.Path(path_type=Path)
 POLICY = click.option(
     "--policy", type=FILE, metavar="FILE", help="Policy; default: the one that comes with ExWarp."
 )
+CORES = click.option("--cores", type=click.IntRange(1, MOST), default=4, show_default=True)
+MACS = click.option(
+    "--macs", type=click.IntRange(1, MOST), default=10, show_default=True, help="Of each core."
+)
 PORT = click.option(
     "--port",
     type=click.IntRange(0, MOST),
@@ -34,10 +38,8 @@ def command() -> None:
 
 @command.command("cycles", short_help="Cycles, utilisation and cache traffic of an inference.")
 @click.option("--clock", default="1GHz", show_default=True, metavar="RATE", help="As 500MHz, 1e9.")
-@click.option("--cores", type=click.IntRange(1, MOST), default=4, show_default=True)
-@click.option(
-    "--macs", type=click.IntRange(1, MOST), default=10, show_default=True, help="Of each core."
-)
+@CORES
+@MACS
 @click.option("--cache", default="16KB", show_default=True, metavar="SIZE", help="Of each core.")
 @PORT
 @click.option("--policy", type=FILE, metavar="FILE", help="Default: the paper's network.")
@@ -104,10 +106,8 @@ def run(table: Path, policy: Path | None, trace: bool, row: int | None, as_json:
     "--seed", type=click.IntRange(0), default=0, show_default=True, help="Of the vectors."
 )
 @click.option("--verilog", is_flag=True, help="Write the design, a test bench and a Makefile, too.")
-@click.option("--cores", type=click.IntRange(1, MOST), default=4, show_default=True)
-@click.option(
-    "--macs", type=click.IntRange(1, MOST), default=10, show_default=True, help="Of each core."
-)
+@CORES
+@MACS
 @click.option("--cache", default="20KB", show_default=True, metavar="SIZE", help="Of each core.")
 @PORT
 @click.option("--overwrite", is_flag=True, help="Replace files of the same names.")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,7 @@ from exwarp_cli.accel.quantised_mlp import (
 from exwarp_cli.errors import OutputExistsError, UsageError
 from exwarp_cli.io.atomic import atomic_write_text, make_folder
 from exwarp_cli.io.policy_files import StateRow, load_policy, read_states
-from exwarp_cli.pipeline.hardware import design, weight_words
+from exwarp_cli.pipeline.hardware import design
 
 _CLOCK = re.compile(r"([0-9.]+(?:e[+-]?[0-9]+)?)\s*([kmg]?)(?:hz)?", re.IGNORECASE)
 _BYTES = re.compile(r"([0-9]+)\s*([kmg]?)i?b?", re.IGNORECASE)
@@ -313,10 +313,9 @@ def export(
     network = source.network
     about = ABOUT + DESIGN if verilog else ABOUT
     texts = {README: about.format(cores=array.cores, macs=array.macs, inputs=network.sizes[0])}
-    texts |= _parameters(array, network)
-    texts |= vectors_of(network, sample_states(network.sizes[0], vectors, seed))
+    texts |= hex_files(array, network, sample_states(network.sizes[0], vectors, seed))
     if verilog:
-        texts |= design(array, network, vectors)
+        texts |= design(array, network.sizes, texts, vectors)
     facts = {"policy": source.path.name, "sha256": source.checksum, "vectors": vectors}
     document = {
         "schema": FORMAT,
@@ -341,6 +340,11 @@ def export(
     return [folder / name for name in texts]
 
 
+def hex_files(array: MacArray, network: QuantisedMlp, states: I32) -> dict[str, str]:
+    """Return the files of a network, and of test vectors from states int32 [N, n], by name."""
+    return _parameters(array, network) | _vectors(network, states)
+
+
 def _parameters(array: MacArray, network: QuantisedMlp) -> dict[str, str]:
     """Return the hex files of the network by name."""
     texts = {
@@ -351,14 +355,23 @@ def _parameters(array: MacArray, network: QuantisedMlp) -> dict[str, str]:
     known = [scale for scale in scales if scale is not None]
     for core in range(array.cores):
         own = slice(core, None, array.cores)
-        texts[f"core{core}_weights.hex"] = _lines(weight_words(array, network, core))
+        texts[f"core{core}_weights.hex"] = _lines(_weight_words(array, network, core))
         texts[f"core{core}_bias.hex"] = "".join(_hex(la.biases[own]) for la in network.layers)
         texts[f"core{core}_multiplier.hex"] = "".join(_hex(s.multipliers[own]) for s in known)
         texts[f"core{core}_shift.hex"] = "".join(_hex(s.shifts[own]) for s in known)
     return texts
 
 
-def vectors_of(network: QuantisedMlp, states: I32) -> dict[str, str]:
+def _weight_words(array: MacArray, network: QuantisedMlp, core: int) -> Iterator[str]:
+    """Yield a core's words of weights, the first weight in the lowest bits."""
+    for layer in network.layers:
+        own = layer.weights[core :: array.cores]
+        filled = np.pad(own, ((0, 0), (0, -layer.fan_in % array.macs)))
+        for word in filled.reshape(-1, array.macs):
+            yield word[::-1].tobytes().hex()
+
+
+def _vectors(network: QuantisedMlp, states: I32) -> dict[str, str]:
     """Return the hex files of the test vectors by name."""
     found: Inference = infer_reference(network, states)
     texts = {

@@ -1,16 +1,14 @@
-"""The predictor in Verilog: a machine's design, the images of its memories, and test vectors."""
+"""The predictor in Verilog: a machine's design, the images of its memories, and a test bench."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from importlib import resources
 from itertools import pairwise
 
-import numpy as np
-
 from exwarp_cli.accel import verilog
-from exwarp_cli.accel.mac_array import MacArray, resident_words, schedule
-from exwarp_cli.accel.quantised_mlp import QuantisedMlp
+from exwarp_cli.accel.mac_array import MacArray, missing_words, resident_words, schedule
 from exwarp_cli.errors import UsageError
 
 CACHE = 20 * 1024
@@ -42,7 +40,8 @@ def require_buildable(array: MacArray, sizes: Sequence[int]) -> None:
         room = resident_words(array, sizes)
     except ValueError as error:
         raise UsageError(f"--cache does not do: {error}; give a larger one") from error
-    needed = _words(array, sizes, 0)
+    shares = (array.share(after, 0) * array.words(before) for before, after in pairwise(sizes))
+    needed = sum(shares)
     if room < needed and not array.port_bytes:
         raise UsageError(
             f"a cache of {array.cache_bytes} bytes holds {room} of {needed} words of weights; give "
@@ -50,15 +49,19 @@ def require_buildable(array: MacArray, sizes: Sequence[int]) -> None:
         )
 
 
-def design(array: MacArray, network: QuantisedMlp, vectors: int) -> dict[str, str]:
-    """Return the files of the design by name, beside those of the test vectors.
+def design(
+    array: MacArray, sizes: Sequence[int], texts: Mapping[str, str], vectors: int
+) -> dict[str, str]:
+    """Return the files of the design by name.
 
     Parameters
     ----------
     array
         The machine; see :func:`require_buildable`.
-    network
-        Any.
+    sizes
+        Of the network.
+    texts
+        The network's hex files, see `accelerator.hex_files`.
     vectors
         How many test vectors there are.
 
@@ -67,45 +70,47 @@ def design(array: MacArray, network: QuantisedMlp, vectors: int) -> dict[str, st
     UsageError
         For a machine that the design cannot be.
     """
-    sizes = network.sizes
     require_buildable(array, sizes)
-    total = _words(array, sizes, 0)
-    resident = min(resident_words(array, sizes), total)
-    words = [list(weight_words(array, network, core)) for core in range(array.cores)]
-    texts = {name: _source(name) for name in SOURCES}
-    for core, own in enumerate(words):
-        texts[f"memory{core}_weights.hex"] = _image(own[:resident], resident, 2 * array.macs)
-        scales = list(_scales(array, network, core))
-        texts[f"memory{core}_scales.hex"] = _image(scales, _scale_count(array, sizes), 10)
-        biases = [f"{b & 0xFFFFFFFF:08x}" for b in _biases(array, network, core)]
-        texts[f"memory{core}_biases.hex"] = _image(biases, _bias_count(array, sizes), 8)
-    beats = list(_refill(array, sizes, words, resident)) or ["0"]
-    texts["refill.hex"] = "".join(f"{beat}\n" for beat in beats)
-    texts["exwarp_parameters.vh"] = _parameters(array, sizes, resident)
-    texts["exwarp_vectors.vh"] = _localparams(
+    # Where all fits, nothing is asked of the port; it is as wide as a word then.
+    array = replace(array, port_bytes=array.port_bytes or array.macs)
+    cores = range(array.cores)
+    weights = [texts[f"core{core}_weights.hex"].split() for core in cores]
+    resident = min(resident_words(array, sizes), len(weights[0]))
+    memories = {
+        "weights": [own[:resident] for own in weights],
+        "scales": [_scales(texts, array, core) for core in cores],
+        "biases": [texts[f"core{core}_bias.hex"].split() for core in cores],
+    }
+    made = {name: _source(name) for name in SOURCES}
+    for core in cores:
+        for name, words in memories.items():  # all as deep as the fullest core's, the first
+            filled = words[core] + ["0" * len(words[0][0])] * (len(words[0]) - len(words[core]))
+            made[f"memory{core}_{name}.hex"] = "".join(f"{word}\n" for word in filled)
+    beats = list(_refill(array, sizes, weights)) or ["0"]
+    made["refill.hex"] = "".join(f"{beat}\n" for beat in beats)
+    depths = {
+        "RESIDENT": resident,
+        "WEIGHT_WORDS": len(weights[0]),
+        "SCALES": len(memories["scales"][0]),
+        "BIASES": len(memories["biases"][0]),
+    }
+    made["exwarp_parameters.vh"] = _parameters(array, sizes, depths)
+    made["exwarp_vectors.vh"] = _localparams(
         VECTORS=vectors,
         INPUTS=sizes[0],
-        PORT=_port(array),
+        PORT=array.port_bytes,
         REFILLS=len(beats),
         CYCLES=schedule(array, sizes).cycles,
     )
-    return texts
+    return made
 
 
 def _source(name: str) -> str:
     return resources.files(verilog).joinpath(name).read_text(encoding="utf-8")
 
 
-def _port(array: MacArray) -> int:
-    return array.port_bytes or array.macs
-
-
-def _beats(array: MacArray) -> int:
-    return -(-array.macs // _port(array))
-
-
-def _parameters(array: MacArray, sizes: Sequence[int], resident: int) -> str:
-    """Write the parameters of the top module."""
+def _parameters(array: MacArray, sizes: Sequence[int], depths: Mapping[str, int]) -> str:
+    """Write the parameters of the top module; `depths` are those of its memories, in words."""
     slots = [-(-size // array.cores) for size in sizes]
     last = [size - (count - 1) * array.cores for size, count in zip(sizes, slots, strict=True)]
     words = [array.words(size) for size in sizes[:-1]]
@@ -114,13 +119,10 @@ def _parameters(array: MacArray, sizes: Sequence[int], resident: int) -> str:
         "MACS": array.macs,
         "LAYERS": len(sizes) - 1,
         "DEPTH": max(2, *words),
-        "RESIDENT": resident,
-        "WEIGHT_WORDS": _words(array, sizes, 0),
-        "SCALES": _scale_count(array, sizes),
-        "BIASES": _bias_count(array, sizes),
+        **depths,
         "STATES": slots[0],
-        "PORT": _port(array),
-        "BEATS": _beats(array),
+        "PORT": array.port_bytes,
+        "BEATS": array.beats,
     }
     # By stage: the inputs, then each layer. A slot is one number of each core.
     tables = {"SLOTS": slots, "REMAINDERS": last, "WORDS": words}
@@ -140,60 +142,22 @@ def _localparams(**values: int) -> str:
     return "".join(f"localparam {name} = {value};\n" for name, value in values.items())
 
 
-def _words(array: MacArray, sizes: Sequence[int], core: int) -> int:
-    """Return how many words of weights a core reads."""
-    return sum(array.share(after, core) * array.words(before) for before, after in pairwise(sizes))
-
-
-def _scale_count(array: MacArray, sizes: Sequence[int]) -> int:
-    return sum(array.share(size, 0) for size in sizes[:-1])
-
-
-def _bias_count(array: MacArray, sizes: Sequence[int]) -> int:
-    return sum(array.share(size, 0) for size in sizes[1:])
-
-
-def weight_words(array: MacArray, network: QuantisedMlp, core: int) -> Iterator[str]:
-    """Yield a core's words of weights, the first weight in the lowest bits."""
-    for layer in network.layers:
-        own = layer.weights[core :: array.cores]
-        filled = np.pad(own, ((0, 0), (0, -layer.fan_in % array.macs)))
-        for word in filled.reshape(-1, array.macs):
-            yield word[::-1].tobytes().hex()
-
-
-def _scales(array: MacArray, network: QuantisedMlp, core: int) -> Iterator[str]:
-    """Yield shift and multiplier of a core's inputs, then of its hidden neurons."""
-    for scale in (network.inputs, *(layer.requantisation for layer in network.layers)):
-        if scale is not None:
-            own = slice(core, None, array.cores)
-            pairs = zip(scale.shifts[own].tolist(), scale.multipliers[own].tolist(), strict=True)
-            yield from (f"{shift:02x}{multiplier:08x}" for shift, multiplier in pairs)
-
-
-def _biases(array: MacArray, network: QuantisedMlp, core: int) -> Iterator[int]:
-    for layer in network.layers:
-        yield from layer.biases[core :: array.cores].tolist()
+def _scales(texts: Mapping[str, str], array: MacArray, core: int) -> list[str]:
+    """Return shift and multiplier of a core's inputs, then of its hidden neurons."""
+    shifts, multipliers = (
+        texts[f"input_{part}.hex"].split()[core :: array.cores]
+        + texts[f"core{core}_{part}.hex"].split()
+        for part in ("shift", "multiplier")
+    )
+    return [shift + multiplier for shift, multiplier in zip(shifts, multipliers, strict=True)]
 
 
 def _refill(
-    array: MacArray, sizes: Sequence[int], words: Sequence[Sequence[str]], resident: int
+    array: MacArray, sizes: Sequence[int], weights: Sequence[Sequence[str]]
 ) -> Iterator[str]:
-    """Yield what the port brings in an inference, a beat a line."""
-    port, at = _port(array), [0] * array.cores
-    for fan_in, neurons in pairwise(sizes):
-        for first in range(0, neurons, array.cores):
-            active = range(min(array.cores, neurons - first))
-            for _ in range(array.words(fan_in)):
-                for core in active:
-                    if at[core] >= resident:
-                        word = words[core][at[core]].zfill(2 * port * _beats(array))
-                        cuts = range(len(word), 0, -2 * port)
-                        yield from (word[end - 2 * port : end] for end in cuts)
-                    at[core] += 1
-
-
-def _image(words: Sequence[str], depth: int, digits: int) -> str:
-    """Write a memory's words, filled up with zeros."""
-    filled = [*words, *["0" * digits] * (depth - len(words))]
-    return "".join(f"{word}\n" for word in filled)
+    """Yield what the port brings in an inference, a beat a line, the lowest bytes first."""
+    digits = 2 * array.port_bytes
+    for _, missing in missing_words(array, sizes):
+        for core, index in missing:
+            word = weights[core][index].zfill(digits * array.beats)
+            yield from (word[end - digits : end] for end in range(len(word), 0, -digits))

@@ -210,6 +210,7 @@ class Interval:
             return None
         if not self.slots:
             side = Side(gbuffer, *displaced(gbuffer, self.time(slot) - ahead))
+            # Also the slot's motion field, which holes and reports are made by.
             fields = self._forward if ahead else self._back
             if slot not in fields:
                 fields[slot] = side.moved()

@@ -4,21 +4,17 @@ from __future__ import annotations
 
 import shutil
 import subprocess
-from itertools import pairwise
+from dataclasses import replace
+from itertools import cycle
 from pathlib import Path
 
 import numpy as np
 
 from exwarp_cli.accel.kernel import MlpKernel
 from exwarp_cli.accel.mac_array import MacArray
-from exwarp_cli.accel.quantised_mlp import (
-    QuantisedLayer,
-    QuantisedMlp,
-    Requantisation,
-    infer_reference,
-)
+from exwarp_cli.accel.quantised_mlp import QuantisedMlp, Requantisation, infer_reference
 from exwarp_cli.io.atomic import atomic_write_text
-from exwarp_cli.pipeline.accelerator import sample_states, vectors_of
+from exwarp_cli.pipeline.accelerator import hex_files, sample_states
 from exwarp_cli.pipeline.hardware import CACHE, design
 
 DEFAULT = MacArray(cache_bytes=CACHE)
@@ -32,29 +28,35 @@ def missing_tools() -> list[str]:
     return [tool for tool in TOOLS if shutil.which(tool) is None]
 
 
-def network(sizes: tuple[int, ...], seed: int, tied: bool = False) -> QuantisedMlp:
-    """Return a network of random numbers; with `tied` its outputs are equal."""
-    rng = np.random.default_rng(seed)
+SCALES = ((62, 2**31 - 1), (0, 1), (1, 1), (31, 2**31 - 1))
+"""Shifts and multipliers at the ends of what there may be."""
 
-    def scale(count: int) -> Requantisation:
-        """Return factors by which most numbers stay within 0 to 127, and the ends of all others."""
-        shifts = rng.integers(12, 37, count)
-        multipliers = (2.0 ** (shifts - rng.uniform(6, 11, count))).astype(np.int64)
-        for at, (shift, multiplier) in enumerate(
-            ((62, 2**31 - 1), (0, 1), (1, 1), (31, 2**31 - 1))
+
+def extreme(made: QuantisedMlp) -> QuantisedMlp:
+    """Return a network of which every seventh input and hidden neuron has a scale of `SCALES`."""
+
+    def changed(scale: Requantisation) -> Requantisation:
+        shifts, multipliers = scale.shifts.copy(), scale.multipliers.copy()
+        for place, (shift, multiplier) in zip(
+            range(6, len(shifts), 7), cycle(SCALES), strict=False
         ):
-            shifts[7 * at + 6 :: 35], multipliers[7 * at + 6 :: 35] = shift, multiplier
-        return Requantisation(multipliers.astype(np.int32), shifts.astype(np.uint8))
+            shifts[place], multipliers[place] = shift, multiplier
+        return Requantisation(multipliers, shifts)
 
-    layers = []
-    for number, (before, after) in enumerate(pairwise(sizes)):
-        last = number == len(sizes) - 2
-        weights = rng.integers(-127, 128, (after, before)).astype(np.int8)
-        biases = rng.integers(-20_000, 20_000, after).astype(np.int32)
-        if last and tied:
-            weights[1], biases[1] = weights[0], biases[0]
-        layers.append(QuantisedLayer(weights, biases, None if last else scale(after)))
-    return QuantisedMlp(scale(sizes[0]), tuple(layers))
+    layers = tuple(
+        layer
+        if layer.requantisation is None
+        else replace(layer, requantisation=changed(layer.requantisation))
+        for layer in made.layers
+    )
+    return QuantisedMlp(changed(made.inputs), layers)
+
+
+def tied(made: QuantisedMlp) -> QuantisedMlp:
+    """Return a network whose two outputs are always equal."""
+    *hidden, last = made.layers
+    equal = replace(last, weights=last.weights[[0, 0]], biases=last.biases[[0, 0]])
+    return QuantisedMlp(made.inputs, (*hidden, equal))
 
 
 def write(folder: Path, made: QuantisedMlp, array: MacArray, vectors: int, seed: int = 0) -> Path:
@@ -65,7 +67,8 @@ def write(folder: Path, made: QuantisedMlp, array: MacArray, vectors: int, seed:
     expected = infer_reference(made, states)
     np.testing.assert_array_equal(outputs, expected.outputs)
     np.testing.assert_array_equal(choices, expected.choices)
-    for name, text in (vectors_of(made, states) | design(array, made, vectors)).items():
+    texts = hex_files(array, made, states)
+    for name, text in (texts | design(array, made.sizes, texts, vectors)).items():
         atomic_write_text(folder / name, text)
     return folder
 
@@ -81,6 +84,6 @@ def run(folder: Path, *command: str) -> subprocess.CompletedProcess[str]:
 def result(folder: Path, *command: str) -> str:
     """Run a simulation; return its last line of results."""
     done = run(folder, *command)
-    told = [line for line in done.stdout.splitlines() if line.startswith(("passed", "failed"))]
+    lines = done.stdout.splitlines()
     assert done.returncode == 0, done.stdout
-    return told[-1]
+    return [line for line in lines if line.startswith(("passed", "failed"))][-1]

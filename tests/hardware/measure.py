@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import exwarp_cli.accel.verilog as design
-from exwarp_cli.accel.mac_array import MacArray, schedule
+from exwarp_cli.accel.mac_array import schedule
 from exwarp_cli.accel.quantised_mlp import PAPER_SIZES
 from exwarp_cli.io.atomic import atomic_write_text
 from exwarp_cli.io.policy_files import load_policy
@@ -59,12 +59,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _tools() -> dict[str, str]:
     here = Path.cwd()
-    told = {
+    versions = {
         "Icarus Verilog": run(here, "iverilog", "-V").stdout.splitlines()[0],
         "Verilator": run(here, "verilator", "--version").stdout,
         "Yosys": run(here, "yosys", "-V").stdout,
     }
-    return {name: re.findall(r"\d+\.\d+\S*", text)[0] for name, text in told.items()}
+    return {name: re.findall(r"\d+\.\d+\S*", text)[0] for name, text in versions.items()}
 
 
 def _simulate(out: Path, vectors: int) -> dict[str, Any]:
@@ -78,16 +78,16 @@ def _simulate(out: Path, vectors: int) -> dict[str, Any]:
         verilator = [
             pool.submit(result, folder, "make", "verilator") for folder in (*halves, refilled)
         ]
-        told = {
+        results = {
             "icarus": [job.result() for job in icarus],
             "verilator": [job.result() for job in verilator],
         }
-    assert all(line.startswith("passed") for lines in told.values() for line in lines)
+    assert all(line.startswith("passed") for lines in results.values() for line in lines)
     return {
         "vectors": vectors,
         "cycles": schedule(DEFAULT, PAPER_SIZES).cycles,
         "refilled_cycles": schedule(REFILLED, PAPER_SIZES).cycles,
-        **told,
+        **results,
     }
 
 
@@ -160,11 +160,10 @@ def _page(found: dict[str, Any]) -> str:
     latency = "-" if rate is None else f"{ran['cycles'] / rate:,.1f} µs"
     area = "-" if cmos is None else f"{cmos['area_mm2']:.2f} mm², memories apart"
     path = "-" if cmos is None else f"{cmos['longest_path_ns']:.1f} ns"
-    port = MacArray(port_bytes=REFILLED.port_bytes)
     return TEMPLATE.read_text(encoding="utf-8").format(
         tools=tools, clock=clock, latency=latency, area=area, path=path,
         vectors=ran["vectors"], few=ran["vectors"] // 20, cycles=ran["cycles"],
-        refilled=ran["refilled_cycles"], port=port.port_bytes, **ecp5,
+        refilled=ran["refilled_cycles"], port=REFILLED.port_bytes, **ecp5,
         gates=cells["gates"], registers=cells["flip_flops"], memories=cells["memories"],
     )  # fmt: skip
 

@@ -9,7 +9,8 @@ from exwarp_cli.accel.quantised_mlp import PAPER_SIZES, infer_reference
 from exwarp_cli.io.policy_files import load_policy
 from exwarp_cli.pipeline.accelerator import sample_states
 from tests.hardware import designs
-from tests.hardware.designs import DEFAULT, REFILLED, network, result, run, write
+from tests.hardware.designs import CACHE, DEFAULT, REFILLED, extreme, result, run, tied, write
+from tests.unit.mlp_cases import network
 
 pytestmark = [
     pytest.mark.hardware,
@@ -52,12 +53,12 @@ SHAPES = {
 @pytest.mark.parametrize("name", SHAPES)
 def test_other_machines_and_networks(tmp_path, name):
     array, sizes = SHAPES[name]
-    write(tmp_path, network(sizes, seed=len(name)), array, 60)
+    write(tmp_path, extreme(network(len(name), sizes)), array, 60)
     assert result(tmp_path, "make") == expected(array, sizes, 60)
 
 
 def test_a_tie_is_a_warp(tmp_path):
-    made = network((12, 9, 2), seed=3, tied=True)
+    made = tied(network(3, (12, 9, 2)))
     found = infer_reference(made, sample_states(12, 60, 0))
     assert (found.outputs[:, 0] == found.outputs[:, 1]).all() and not found.choices.any()
     write(tmp_path, made, MacArray(4, 10), 60)
@@ -74,7 +75,7 @@ def test_vectors_reach_the_ends_of_activations_and_sums(tmp_path):
 
 def test_a_port_that_stalls_changes_nothing_but_the_time(tmp_path):
     array, sizes = SHAPES["refilled, uneven"]
-    write(tmp_path, network(sizes, seed=8), array, 40)
+    write(tmp_path, network(8, sizes), array, 40)
     assert result(tmp_path, "make").startswith("passed")
     assert result(tmp_path, "vvp", "predictor.vvp", "+stall").startswith("passed: 40")
 
@@ -82,7 +83,7 @@ def test_a_port_that_stalls_changes_nothing_but_the_time(tmp_path):
 @pytest.mark.parametrize("file", ["vectors_output.hex", "memory0_weights.hex", "refill.hex"])
 def test_make_fails_on_any_difference(tmp_path, file):
     array, sizes = SHAPES["hardly more than refills"]
-    write(tmp_path, network(sizes, seed=2), array, 30)
+    write(tmp_path, network(2, sizes), array, 30)
     path = tmp_path / file
     words = path.read_text().split()
     path.write_text("".join(f"{'7f' * (len(word) // 2)}\n" for word in words))
@@ -92,7 +93,7 @@ def test_make_fails_on_any_difference(tmp_path, file):
 
 def test_make_fails_on_other_cycles(tmp_path):
     array, sizes = SHAPES["cores as units"]
-    write(tmp_path, network(sizes, seed=2), array, 3)
+    write(tmp_path, network(2, sizes), array, 3)
     path = tmp_path / "exwarp_vectors.vh"
     cycles = schedule(array, sizes).cycles
     path.write_text(path.read_text().replace(f"= {cycles};", f"= {cycles - 1};"))
@@ -115,7 +116,7 @@ def test_verilator_says_the_same(tmp_path):
 def test_memories_become_block_ram(tmp_path):
     """A machine with the paper's memories and few units, which is quickly synthesised."""
     sizes = (44, 64, 64, 2)
-    write(tmp_path, network(sizes, seed=1), MacArray(2, 2, cache_bytes=CACHE), 1)
+    write(tmp_path, network(1, sizes), MacArray(2, 2, cache_bytes=CACHE), 1)
     script = (
         "read_verilog -I. exwarp_predictor.v exwarp_core.v; "
         "synth_ecp5 -top exwarp_predictor; tee -o cells.txt stat"
@@ -125,6 +126,3 @@ def test_memories_become_block_ram(tmp_path):
     cells = (tmp_path / "cells.txt").read_text().split()
     assert "DP16KD" in cells and "MULT18X18D" in cells
     assert "$_DLATCH_P_" not in cells and "inferring latch" not in done.stdout.lower()
-
-
-CACHE = designs.CACHE

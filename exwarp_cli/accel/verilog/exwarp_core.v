@@ -70,7 +70,6 @@ module exwarp_core #(
     reg signed [31:0] bias_read;
     reg signed [31:0] state_read;
     wire sum_ends;  // the accumulator gets the last products of a neuron
-    wire biasing;  // the adder adds a bias
 
     assign beyond = weight_at >= RESIDENT;
 
@@ -86,7 +85,7 @@ module exwarp_core #(
             bias_at <= 0;
         end else begin
             if (start) weight_at <= weight_at + 1'b1;
-            if (input_start || (biasing && sum_hidden)) scale_at <= scale_at + 1'b1;
+            if (input_start || (sum_done && sum_hidden)) scale_at <= scale_at + 1'b1;
             if (sum_ends) bias_at <= bias_at + 1'b1;
         end
     end
@@ -166,7 +165,6 @@ module exwarp_core #(
     assign sum_ends = added_valid && added_last;
 
     // ---- Adder. ----
-    assign biasing = sum_done;
     assign sum = accumulator + bias_read;
     assign sum_valid = sum_done && !sum_hidden;
     reg biased_valid;

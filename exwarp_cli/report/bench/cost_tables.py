@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 from exwarp_cli.domain.bench import SYSTEMS
@@ -89,24 +89,23 @@ def predictor(document: Document) -> Table:
     found, printed = document["predictor"], document["predictor"]["paper"]
     clock = f"{found['clock_hz'] / 1e9:g} GHz"
 
-    def row(what: str, ours: str, paper: str) -> Row:
-        return {"parameter": what, "ours": ours, "paper": paper}
-
     rows = (
-        row("cycles of an inference", f"{found['cycles']:,}", NOTHING),
-        row("of them multiplications", f"{found['mac_cycles']:,}", NOTHING),
-        row("use of the MAC units", f"{found['utilisation']:.1%}", NOTHING),
-        row(f"latency at {clock}", f"{found['latency_ns']:,.0f} ns", f"{printed['latency_ns']} ns"),
-        row("weights and activations", f"{found['memory_bytes']:,} bytes", NOTHING),
-        row(
+        _row("cycles of an inference", f"{found['cycles']:,}"),
+        _row("of them multiplications", f"{found['mac_cycles']:,}"),
+        _row("use of the MAC units", f"{found['utilisation']:.1%}"),
+        _row(
+            f"latency at {clock}", f"{found['latency_ns']:,.0f} ns", f"{printed['latency_ns']} ns"
+        ),
+        _row("weights and activations", f"{found['memory_bytes']:,} bytes"),
+        _row(
             "fullest core, of its cache",
             f"{found['fullest_core_bytes']:,} of {found['cache_bytes']:,} bytes",
             "16 KB",
         ),
-        row("fetched again an inference", f"{found['refill_bytes']:,} bytes", NOTHING),
-        *_synthesised_rows(found["synthesis"], row),
-        row("area", _area(found["synthesis"]), f"{printed['area_mm2']} mm² (28 nm)"),
-        row("power", NOTHING, f"{printed['power_mw']} mW (28 nm)"),
+        _row("fetched again an inference", f"{found['refill_bytes']:,} bytes"),
+        *_synthesised_rows(found["synthesis"]),
+        _row("area", _area(found["synthesis"]), f"{printed['area_mm2']} mm² (28 nm)"),
+        _row("power", NOTHING, f"{printed['power_mw']} mW (28 nm)"),
     )
     columns = (
         Column("parameter", ""),
@@ -124,31 +123,23 @@ def predictor(document: Document) -> Table:
     )
 
 
-def _synthesised_rows(found: dict[str, Any], row: Callable[[str, str, str], Row]) -> Iterator[Row]:
+def _row(what: str, ours: str, paper: str = NOTHING) -> Row:
+    return {"parameter": what, "ours": ours, "paper": paper}
+
+
+def _synthesised_rows(found: dict[str, Any]) -> Iterator[Row]:
     """Yield what synthesis for an FPGA measured."""
     fpga, simulated = found["ecp5"], found["simulated"]
-    yield row(
-        "simulated bit for bit",
-        f"{simulated['vectors']:,} states in {simulated['cycles']:,} cycles each, measured",
-        NOTHING,
-    )
-    yield row(
-        "logic",
-        f"{fpga['luts']:,} LUTs, {fpga['flip_flops']:,} flip-flops (ECP5, measured)",
-        NOTHING,
-    )
-    yield row(
-        "multipliers and memories",
-        f"{fpga['multipliers']} of 18x18 bits, {fpga['block_rams']} of 18 Kbit (ECP5, measured)",
-        NOTHING,
-    )
-    if fpga["fmax_mhz"] is not None:
-        latency = simulated["cycles"] / fpga["fmax_mhz"]
-        yield row(
-            "clock rate, an inference",
-            f"{fpga['fmax_mhz']:.1f} MHz, {latency:,.0f} µs (ECP5, measured)",
-            NOTHING,
-        )
+    states, cycles = simulated["vectors"], simulated["cycles"]
+    yield _row("simulated bit for bit", f"{states:,} states in {cycles:,} cycles each, measured")
+    logic = f"{fpga['luts']:,} LUTs, {fpga['flip_flops']:,} flip-flops"
+    yield _row("logic", f"{logic} (ECP5, measured)")
+    parts = f"{fpga['multipliers']} of 18x18 bits, {fpga['block_rams']} of 18 Kbit"
+    yield _row("multipliers and memories", f"{parts} (ECP5, measured)")
+    rate = fpga["fmax_mhz"]
+    if rate is not None:
+        times = f"{rate:.1f} MHz, {cycles / rate:,.0f} µs"
+        yield _row("clock rate, an inference", f"{times} (ECP5, measured)")
 
 
 def _area(found: dict[str, Any]) -> str:
