@@ -29,7 +29,7 @@ STAMP := $(VENV)/.installed
 
 # The first folder under examples/ that holds rendered key frames.
 EXAMPLE ?= $(firstword $(patsubst examples/%/keys,%,$(wildcard examples/*/keys)))
-METHOD ?= softsplat
+METHOD ?= exwarp
 DEMO := build/demo
 
 # Blender's module wants Python 3.11 and an environment of its own.

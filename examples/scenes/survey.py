@@ -1,6 +1,6 @@
 """Statistics and a contact sheet of rendered scenes; runs where ExWarp is installed.
 
-    python examples/scenes/survey.py                    # every benchmark scene that is rendered
+    python examples/scenes/survey.py                    # every benchmark scene, as far as rendered
     python examples/scenes/survey.py lab town --data DIR
     python examples/scenes/survey.py --training         # all training shots together
     python examples/scenes/survey.py --floor            # the noise floor alone, even of a part
@@ -61,10 +61,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
             return
         else:
             for scene in find_scenes(options.data, BENCHMARK, options.scenes):
-                scene.require_complete()
-                table["scenes"][scene.name] = measure(scene)
+                rendered = scene.as_far_as_rendered()
+                table["scenes"][scene.name] = measure(rendered)
                 _save(table, options.out)
-                write_scene(scene, options.out / f"{scene.name}.jpg")
+                write_scene(rendered, options.out / f"{scene.name}.jpg")
     except ExwarpError as error:
         raise SystemExit(f"{error}.") from error
     print("\n".join(lines(table)))

@@ -72,11 +72,16 @@ class FrameRate(click.ParamType[Fraction]):
     "-m",
     "--method",
     metavar="NAME",
-    help="Default: exwarp, or softsplat where motion is estimated or the factor is not 4. exwarp: "
-    "the learned policy chooses between warping and the network; s1 to s6: the paper's paths, s6 "
-    "warps only; oracle, oracle-return: the best path by --ground-truth; softsplat: warp both "
-    "neighbours and blend by depth; onnx: the network of --interpolator, from colour alone; blend: "
-    "cross-fade; hold: repeat.",
+    help="Default: exwarp, which moves the key frames on both sides to the new frame's time and "
+    "mixes them by depth, as softsplat does; causal: as --causal; s1 to s6: the paper's paths, s6 "
+    "warps only; oracle, oracle-return: the best path by --ground-truth; onnx: the network of "
+    "--interpolator, from colour alone; blend: cross-fade; hold: repeat.",
+)
+@click.option(
+    "--causal",
+    is_flag=True,
+    help="Use past key frames alone, as a renderer in real time must: the paper's learned policy "
+    "chooses between warping and a network that extrapolates.",
 )
 @click.option(
     "--layers",
@@ -128,7 +133,7 @@ class FrameRate(click.ParamType[Fraction]):
 @click.option(
     "--factor",
     type=click.IntRange(2, MOST),
-    help="Output frames per key frame; else 4. The paper's methods are for 4, all others for any.",
+    help="Output frames per key frame; else 4. --causal, s1 to s5 and the oracles are for 4 alone.",
 )
 @click.option(
     "--to-fps", type=FrameRate(), metavar="FPS", help="Rate of the output, such as 60 from 24."

@@ -89,8 +89,9 @@ class UpsampleSettings:
     output
         Folder or pattern for the frames.
     method
-        Name in the registry of methods; None for exwarp, or softsplat where motion is estimated or
-        the factor is not 4.
+        Name in the registry of methods; None for exwarp.
+    causal
+        Whether no frame may be made of a later key frame.
     frames
         Range of key frames by input number; None for all.
     ground_truth
@@ -134,6 +135,7 @@ class UpsampleSettings:
     source: SourceSettings
     output: str
     method: str | None = None
+    causal: bool = False
     frames: str | None = None
     ground_truth: str | None = None
     compression: str | None = None

@@ -23,7 +23,7 @@ from exwarp_cli.io.soundness import first_of
 from exwarp_cli.io.video import to_display
 from exwarp_cli.io.views import expand
 from exwarp_cli.pipeline.source import FrameOf, Source, align
-from exwarp_cli.synthesis.methods import METHODS, Judge, Method
+from exwarp_cli.synthesis.methods import CAUSAL, EXWARP, METHODS, Judge, Method
 
 if TYPE_CHECKING:
     from exwarp_cli.io.interpolator import OnnxInterpolator
@@ -31,10 +31,30 @@ if TYPE_CHECKING:
     from exwarp_cli.io.policy_files import PolicyFile
 
 
-def find_method(name: str) -> Method:
-    """Return a method by name; UsageError when there is none."""
+def find_method(name: str | None, causal: bool = False) -> Method:
+    """Return a method by name, or the default.
+
+    Parameters
+    ----------
+    name
+        As on the command line; None where none is named.
+    causal
+        Whether no frame may be made of a later key frame.
+
+    Raises
+    ------
+    UsageError
+        When there is no such method, or it looks ahead and must not.
+    """
+    if name in (None, EXWARP):
+        return METHODS[CAUSAL if causal else EXWARP]
     if name not in METHODS:
         raise UsageError(f"--method {name} is not one of {', '.join(METHODS)}")
+    if causal and METHODS[name].lookahead:
+        raise UsageError(
+            f"--causal keeps to past key frames, and --method {name} uses the next one, too; leave "
+            "out one of the two"
+        )
     return METHODS[name]
 
 
@@ -112,8 +132,7 @@ def find_policy(settings: UpsampleSettings, method: Method) -> PolicyFile | None
         return require_state(load_policy(path))
     if path is not None:
         raise UsageError(
-            f"--policy is for --method exwarp, and --method {method.name} asks no policy; leave "
-            "it out"
+            f"--policy is for --causal, and --method {method.name} asks no policy; leave it out"
         )
     return None
 
@@ -136,7 +155,7 @@ def require_truth(settings: UpsampleSettings, method: Method) -> None:
     if method.needs_truth and settings.ground_truth is None:
         raise UsageError(
             f"--method {method.name} decides by ground truth; give it with --ground-truth, or use "
-            "--method exwarp"
+            "--causal"
         )
 
 

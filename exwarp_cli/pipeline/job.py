@@ -34,11 +34,7 @@ from exwarp_cli.pipeline.frame_writer import OutputPlan
 from exwarp_cli.pipeline.ownership import require_own
 from exwarp_cli.pipeline.scoring import require_measurable
 from exwarp_cli.pipeline.source import open_sources
-from exwarp_cli.pipeline.without_vectors import (
-    require_able,
-    usual_method,
-    usual_note,
-)
+from exwarp_cli.pipeline.without_vectors import require_able
 from exwarp_cli.runtime.frame_pool import LARGE_PIXELS, ScratchFrames
 
 if TYPE_CHECKING:
@@ -155,8 +151,6 @@ class Job:
     def announce(self, progress: Progress) -> None:
         """Say what was found, and what is going to happen."""
         announce(progress, self.settings, self.source, self.method, self.keys)
-        if (note := usual_note(self.source, self.settings)) is not None:
-            progress.message(note)
         if self.truth is not None:
             announce_truth(progress, *self.truth, self.source)
         if self.targets.video is not None:
@@ -214,12 +208,9 @@ def open_job(settings: UpsampleSettings) -> Job:
     """
     compression_of(settings.compression)
     use_threads(settings.threads)
-    # The method that is used where none is named depends on the input.
-    named = None if settings.method is None else find_method(settings.method)
-    motion_needed = named is None or named.needs_motion
-    sources = open_sources(settings.source, motion_needed, pictures=True)
+    method = find_method(settings.method, settings.causal)
+    sources = open_sources(settings.source, method.needs_motion, pictures=True)
     source = sources[0]
-    method = named or find_method(usual_method(source, settings))
     if method.extrapolates:
         scratch = ScratchFrames(LARGE_PIXELS)
         sources = tuple(replace(each, scratch=scratch) for each in sources)

@@ -11,12 +11,11 @@ from typing import TYPE_CHECKING
 
 from exwarp_cli.domain.frame import GBuffer, KeyFrame, Window, place, require_canvas
 from exwarp_cli.domain.settings import UpsampleSettings
-from exwarp_cli.domain.timeline import FACTOR, Slot
+from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.errors import LayoutError, UsageError
 from exwarp_cli.io.footage import is_plain, look_of, own_rate
 from exwarp_cli.io.layers import BEAUTY
 from exwarp_cli.io.video import VideoLook, video_note
-from exwarp_cli.pipeline.finding import is_usual
 from exwarp_cli.pipeline.recipes import Recipes, key_recipe
 from exwarp_cli.pipeline.source import Source
 from exwarp_cli.synthesis.holds import stands_one_way
@@ -26,31 +25,8 @@ from exwarp_cli.synthesis.optical_flow import Flow, estimate, moving
 if TYPE_CHECKING:
     from exwarp_cli.pipeline.frame_writer import OutputPlan
 
-USUAL, USUAL_ELSEWHERE = "exwarp", "softsplat"
-"""Methods where none is named: for the paper's factor along a renderer's vectors, and otherwise."""
-
 BY_EXWARP = "ExWarp"
 """How the comment of every written video begins."""
-
-
-def usual_method(source: Source, settings: UpsampleSettings) -> str:
-    """Return the name of the method where the user names none.
-
-    Who names a network or a policy wants the usual one, and is told what it lacks.
-    """
-    networks = (settings.extrapolator, settings.policy)
-    return USUAL if is_usual(source) or networks != (None, None) else USUAL_ELSEWHERE
-
-
-def usual_note(source: Source, settings: UpsampleSettings) -> str | None:
-    """Say which method is used at a rate that the usual one is not for; None where it is for it."""
-    factor = source.timeline.factor
-    if settings.method is not None or usual_method(source, settings) == USUAL or factor == FACTOR:
-        return None
-    return (
-        f"no --method is named: {USUAL_ELSEWHERE} makes the frames, as {USUAL} is for {FACTOR} "
-        f"times the rate and {float(factor):g} times are asked for"
-    )
 
 
 def require_able(source: Source, method: Method, settings: UpsampleSettings) -> None:

@@ -15,6 +15,9 @@ from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.source_bounds import hold_in_range, hold_within, sources_between
 from exwarp_cli.synthesis.warp import Mover, between, cross_fade, repair
 
+EXWARP, CAUSAL = "exwarp", "causal"
+"""The default, which looks ahead, and the paper's way, which goes by past key frames alone."""
+
 
 @dataclass(frozen=True)
 class Predicted:
@@ -188,14 +191,14 @@ def _blend(interval: Interval, slot: int) -> Predicted:
     return Predicted(pixels, FrameKind.GENERATED, BLEND, sources, BLEND)
 
 
-def _softsplat(interval: Interval, slot: int) -> Predicted:
+def _look_ahead(name: str, interval: Interval, slot: int) -> Predicted:
     """Warp both key frames to the slot and mix them."""
     if interval.following is None:
         return _causal(interval, slot)
     frames = (interval.key.image.pixels, interval.following.image.pixels)
     pixels = interval.look_ahead(slot).make(*frames)
     sources = (interval.key.number, interval.following.number)
-    return Predicted(pixels, FrameKind.GENERATED, SOFTSPLAT, sources, SOFTSPLAT)
+    return Predicted(pixels, FrameKind.GENERATED, name, sources, SOFTSPLAT)
 
 
 def _onnx(interval: Interval, slot: int) -> Predicted:
@@ -220,6 +223,11 @@ def _fixed(path: str) -> Method:
     return Method(path.lower(), predict, lookahead=False, needs_motion=True, path=path)
 
 
+def _looking_ahead(name: str) -> Method:
+    """Return a method that moves both key frames to each slot."""
+    return Method(name, partial(_look_ahead, name), lookahead=True, needs_motion=True)
+
+
 def _judged(name: str, judge: Judge) -> Method:
     """Return the method that decides the path of each interval."""
     return Method(name, None, lookahead=False, needs_motion=True, judge=judge)
@@ -228,11 +236,12 @@ def _judged(name: str, judge: Judge) -> Method:
 METHODS: Mapping[str, Method] = {
     method.name: method
     for method in (
-        _judged("exwarp", Judge.POLICY),
+        _looking_ahead(EXWARP),
+        _judged(CAUSAL, Judge.POLICY),
         *map(_fixed, PATHS),
         _judged("oracle", Judge.PSNR),
         _judged("oracle-return", Judge.RETURN),
-        Method(SOFTSPLAT, _softsplat, lookahead=True, needs_motion=True),
+        _looking_ahead(SOFTSPLAT),
         Method("onnx", _onnx, lookahead=True, needs_motion=False, interpolates=True),
         Method(BLEND, _blend, lookahead=True, needs_motion=False),
         Method("hold", _hold, lookahead=False, needs_motion=False),

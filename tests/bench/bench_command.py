@@ -132,8 +132,8 @@ def _commands(keys: Path, out: Path, policy: Path, threads: int) -> dict[str, Co
         "softsplat": by("softsplat"),
         FLOOR: floor(),
         "s6": s6,
-        EXWARP: by("exwarp"),
-        DECIDED: by("exwarp", "--policy", str(policy)),
+        EXWARP: by("causal"),
+        DECIDED: by("causal", "--policy", str(policy)),
         S6_NORMALS: lambda count: [
             "tests.bench.with_normals" if word == "exwarp_cli" else word for word in s6(count)
         ],

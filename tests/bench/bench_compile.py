@@ -17,7 +17,7 @@ from pathlib import Path
 from tests.bench import goals
 from tests.bench.running import Run, cleared, run, upsample
 
-METHODS = ("s6", "softsplat", "exwarp")
+METHODS = ("s6", "softsplat", "causal")
 GOAL = 30.0
 """Seconds of processor time, for all the kernels that a command uses."""
 

@@ -35,7 +35,7 @@ GOALS = {
     ("s6", HD, "dwaa"): 1000.0,
     ("softsplat", HD, "dwaa"): 1000.0,
     ("s3", HD, OWN): 2000.0,
-    ("exwarp", HD, OWN): 2000.0,
+    ("causal", HD, OWN): 2000.0,
     ("s6", UHD, OWN): 2500.0,
     ("softsplat", UHD, OWN): 2500.0,
     ("s3", UHD, OWN): 2500.0,
@@ -43,7 +43,7 @@ GOALS = {
 """MB by method, lines of the frame and compression; s3 has two of three new frames extrapolated,
 and so has exwarp, which reads ahead meanwhile."""
 
-EXTRAPOLATED = {"s3": range(3, 4), "exwarp": range(3, 6)}
+EXTRAPOLATED = {"s3": range(3, 4), "causal": range(3, 6)}
 """Key frames by methods that take seconds for a frame; the third is the first with two others
 before it, which networks see."""
 ROUNDS = 1

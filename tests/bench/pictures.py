@@ -29,7 +29,7 @@ from exwarp_cli.synthesis.warp import sampled
 from exwarp_cli.training.footage import Footage
 from tests.bench.quality import shown_pixels
 
-METHODS = ("s6", "softsplat", "exwarp")
+METHODS = ("s6", "softsplat", "causal")
 
 PLACES = ("everywhere", "holes", "silhouettes", "light", "edges")
 """Where pixels are: holes of a warp from the key frame before; moving outlines and the pixels

@@ -23,7 +23,7 @@ from typing import Any
 from tests.bench.running import cleared, module, run
 
 FLOOR = "codec floor"
-METHODS = ("s6", "softsplat", "exwarp")
+METHODS = ("s6", "softsplat", "causal")
 KEYS = {480: 5, 1080: 4, 2160: 3}
 """Key frames by lines."""
 
@@ -87,7 +87,7 @@ def _measured(
 
 
 def _runs(method: str, height: int, compression: str) -> bool:
-    return method != "exwarp" or height < LARGE or compression == ONLY
+    return method != "causal" or height < LARGE or compression == ONLY
 
 
 def _case(keys: Path, out: Path, method: str, options: argparse.Namespace) -> Case:

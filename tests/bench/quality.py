@@ -28,7 +28,7 @@ from exwarp_cli.pipeline.run import upsample
 from exwarp_cli.synthesis.methods import METHODS
 from tests.bench.peers import Frames, dis_flow, minterpolate, to_bytes
 
-OWN = ("hold", "blend", "s6", "exwarp", "softsplat")
+OWN = ("hold", "blend", "s6", "causal", "softsplat")
 PEERS = {"ffmpeg minterpolate": minterpolate, "OpenCV DIS flow": dis_flow}
 KINDS = {True: "look-ahead", False: "causal"}
 

@@ -297,7 +297,7 @@ class TestSaying:
     def test_in_the_report(self, made):
         report = made / "report"
         told = json.loads((report / "report.json").read_text())
-        assert told["method"] == "softsplat" and told["fps"]["source"] == "file"
+        assert told["method"] == "exwarp" and told["fps"]["source"] == "file"
         assert told["input"]["motion"]["source"] == "estimated"
         assert told["input"]["producer"] == "video"
         assert told["quality"]["all"]["frames"] == 3 * (KEYS - 1)
@@ -318,7 +318,7 @@ class TestRefusals:
     @pytest.mark.parametrize(
         ("options", "code", "words"),
         [
-            (("-m", "exwarp"), 3, "colour alone; use --method softsplat or s6"),
+            (("-m", "causal"), 3, "colour alone; use --method softsplat or s6"),
             (("-m", "s3"), 3, "depth, normals and materials"),
             (("--gbuffers", "slots"), 2, "--gbuffers is for rendered EXR frames"),
             (("--motion", "blender"), 2, "--motion is for rendered EXR frames"),

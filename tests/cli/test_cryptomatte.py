@@ -171,7 +171,7 @@ class TestUnnamed:
         with pytest.raises(AssertionError):
             same_pictures(tmp_path / "b", tmp_path / "c")
 
-    @pytest.mark.parametrize("method", ["s6", "exwarp"])
+    @pytest.mark.parametrize("method", ["s6", "causal"])
     def test_so_it_is_by_slots(self, upsample, tmp_path, method):
         colour = keys(tmp_path / "colour", shots.colour_only)
         found = slots(tmp_path / "matte", with_matte(slot_planes))
@@ -187,7 +187,7 @@ class TestUnnamed:
     def test_any_part_of_a_sequence_finds_what_the_whole_does(
         self, upsample, only_matte, tmp_path, setting
     ):
-        given: tuple[object, ...] = ("-m", "exwarp", *VECTORS)
+        given: tuple[object, ...] = ("-m", "causal", *VECTORS)
         if setting == "slot":
             given = (*given, "--gbuffers", slots(tmp_path / "slots", with_matte(slot_planes)))
         upsample(only_matte, tmp_path / "whole", *given)
@@ -292,7 +292,15 @@ class TestFeatures:
     def test_the_report_says_where_ids_came_from(self, exwarp, upsample, only_matte, tmp_path):
         def told(name: str, *options: str) -> tuple[str, list[str] | None, str]:
             out = tmp_path / name
-            given = (only_matte, out / "frames", *VECTORS, "--report", out / "report", *options)
+            given = (
+                only_matte,
+                out / "frames",
+                "--causal",
+                *VECTORS,
+                "--report",
+                out / "report",
+                *options,
+            )
             run = upsample(*given, "--progress", "plain")
             document = json.loads((out / "report" / "report.json").read_text())
             page = (out / "report" / "report.html").read_text()

@@ -24,7 +24,7 @@ PLACES = (-20.0, 6.0)
 """Times of the two shots' first frames: the camera sees other parts of the street."""
 
 SETTINGS = ("key", "slot")
-METHODS = [*((m, s) for m in ("softsplat", "s3", "exwarp") for s in SETTINGS), ("blend", "key")]
+METHODS = [*((m, s) for m in ("softsplat", "s3", "causal") for s in SETTINGS), ("blend", "key")]
 
 
 def joined(frame: shots.FrameWriter, length: float) -> shots.FrameWriter:
@@ -79,7 +79,7 @@ def run(upsample, network, tmp_path) -> Callable[..., Path]:
     def run(
         name: str, keys: Path, method: str, *options: object, slots: Path | None = None
     ) -> Path:
-        model = ("--extrapolator", network) if method in ("s3", "exwarp") else ()
+        model = ("--extrapolator", network) if method in ("s3", "causal") else ()
         geometry = () if slots is None else ("--gbuffers", slots)
         out = tmp_path / name
         upsample(keys, out, "-m", method, *VECTORS, *model, *geometry, *options)
@@ -129,8 +129,8 @@ def test_each_shot_is_made_as_if_it_were_alone(run, two, tmp_path, method, setti
         ("softsplat", "key", ()),
         ("softsplat", "key", ("--fps", 24, "--to-fps", 60)),
         ("s3", "slot", ()),
-        ("exwarp", "key", ()),
-        ("exwarp", "slot", ()),
+        ("causal", "key", ()),
+        ("causal", "slot", ()),
     ],
 )
 def test_any_split_into_chunks_gives_the_same_bytes(run, two, method, setting, rate):
@@ -142,7 +142,7 @@ def test_any_split_into_chunks_gives_the_same_bytes(run, two, method, setting, r
 
 
 @pytest.mark.parametrize(
-    ("method", "setting"), [("softsplat", "slot"), ("s6", "key"), ("exwarp", "key")]
+    ("method", "setting"), [("softsplat", "slot"), ("s6", "key"), ("causal", "key")]
 )
 def test_a_shot_without_cuts_has_the_same_bytes_looked_for_or_not(run, shot, method, setting):
     keys, *rest = shot[setting]
@@ -217,7 +217,7 @@ def test_a_cut_costs_nothing_where_it_is(run, two, tmp_path):
     assert quality["auto"] > quality["none"] + 8
 
 
-@pytest.mark.parametrize("method", ["s6", "softsplat", "exwarp"])
+@pytest.mark.parametrize("method", ["s6", "softsplat", "causal"])
 def test_vectors_that_lead_to_the_other_shot_are_left_out(run, two, tmp_path, method):
     """At the cut the others are gone on along, at constant speed."""
     options = ("--ground-truth", two["truth"], "--metrics", "psnr", "--frames", "4,5")

@@ -71,7 +71,7 @@ class TestSameBytes:
         assert shots.contents(made[0]) == shots.contents(made[1]) == shots.contents(made[2])
 
     @pytest.mark.parametrize("setting", SETTINGS)
-    @pytest.mark.parametrize("method", ["s3", "exwarp"])
+    @pytest.mark.parametrize("method", ["s3", "causal"])
     def test_where_frames_lie_changes_nothing(self, make, monkeypatch, method, setting):
         """Large ones lie in scratch files; here these small ones do."""
         usual = make("usual", method, setting=setting)

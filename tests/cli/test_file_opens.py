@@ -69,9 +69,9 @@ def shot(folder: Path, compression: str) -> Path:
         # The frame rate in its header changes.
         ("zip", "softsplat", ("--fps", "24"), 4),
         # The surface is read when the policy chooses extrapolation.
-        ("zip", "exwarp", (), 5),
+        ("zip", "causal", (), 5),
     ],
-    ids=["zip", "piz", "another rate", "exwarp"],
+    ids=["zip", "piz", "another rate", "causal"],
 )
 def test_key_frames_are_opened_seldom(upsample, tmp_path, opens, compression, method, more, most):
     keys = shot(tmp_path / "keys", compression)

@@ -26,8 +26,8 @@ FIRSTS = (1, 3, 5)
 FAST = Street(64, 36, speed=3.0)
 """Moves so far between two poses that a cross-fade has 22 dB."""
 
-EXTRAPOLATING = ("s3", "exwarp")
-METHODS = ("softsplat", "s6", "s1", "s3", "exwarp", "blend", "hold")
+EXTRAPOLATING = ("s3", "causal")
+METHODS = ("softsplat", "s6", "s1", "s3", "causal", "blend", "hold")
 
 
 def on_twos(folder: Path, pose: Callable[[Path, float, bool], None]) -> Path:
@@ -128,7 +128,7 @@ def test_a_causal_method_leaves_a_hold_along_the_vectors_to_the_next_picture(mad
     assert min(quality(folder, key) for key in (2, 4)) > 24.5
 
 
-@pytest.mark.parametrize("method", ["softsplat", "s6", "exwarp"])
+@pytest.mark.parametrize("method", ["softsplat", "s6", "causal"])
 def test_after_a_hold_at_the_end_the_picture_stands(made, copies, method):
     rendered, *after = slots(made(copies, method), 6)
     assert all(np.array_equal(rendered, new) for new in after)
@@ -157,7 +157,7 @@ def test_held_frames_are_said_and_no_new_frames(exwarp, copies, tmp_path):
     assert "held after key frames 1-5x2,6" in (report / "report.html").read_text()
 
 
-@pytest.mark.parametrize("method", ["softsplat", "s3", "exwarp"])
+@pytest.mark.parametrize("method", ["softsplat", "s3", "causal"])
 @pytest.mark.parametrize("cuts", ["auto", "none"])
 def test_any_split_gives_the_same_bytes(made, copies, method, cuts):
     whole = made(copies, method, "--cuts", cuts)

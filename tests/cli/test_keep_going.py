@@ -17,7 +17,7 @@ FRAMES = 4 * KEYS
 BROKEN = 3
 """Number of the key frame that is lost: its interval has the output frames 9 to 12."""
 
-EXTRAPOLATING = ("s3", "exwarp")
+EXTRAPOLATING = ("s3", "causal")
 
 
 def shrink(path: Path) -> None:
@@ -103,7 +103,7 @@ def test_without_it_nothing_goes_on(exwarp, keys, tmp_path):
     result.refused(3, "frame 3 is missing")
 
 
-@pytest.mark.parametrize("method", ["softsplat", "s6", "s3", "exwarp"])
+@pytest.mark.parametrize("method", ["softsplat", "s6", "s3", "causal"])
 @pytest.mark.parametrize("cuts", ["auto", "none"])
 def test_any_split_gives_the_same_bytes(kept, exwarp, upsample, network, keys, method, cuts):
     truncate(damaged_at(keys, BROKEN))
@@ -118,7 +118,7 @@ def test_any_split_gives_the_same_bytes(kept, exwarp, upsample, network, keys, m
     assert contents(split) == contents(whole)
 
 
-@pytest.mark.parametrize("method", ["softsplat", "s3", "exwarp"])
+@pytest.mark.parametrize("method", ["softsplat", "s3", "causal"])
 def test_mended_and_resumed_all_is_as_if_nothing_had_been(kept, made, keys, method):
     sound = damaged_at(keys, BROKEN).read_bytes()
     expected = contents(made("expected", keys, *FORWARD, method=method))
@@ -137,7 +137,7 @@ def test_resuming_while_it_is_broken_makes_nothing_anew(kept, keys):
     assert {name: (out / name).stat().st_mtime_ns for name in names(out)} == before
 
 
-@pytest.mark.parametrize("method", ["softsplat", "exwarp"])
+@pytest.mark.parametrize("method", ["softsplat", "causal"])
 def test_a_sound_input_comes_out_as_without_it(made, keys, method):
     expected = contents(made("expected", keys, *FORWARD, method=method))
     assert contents(made("out", keys, *FORWARD, "--keep-going", method=method)) == expected
@@ -173,7 +173,7 @@ class TestOtherFiles:
     def slots(self, shot, tmp_path) -> Path:
         return Path(shutil.copytree(shot["slot"][2], tmp_path / "slots"))
 
-    @pytest.mark.parametrize("method", ["softsplat", "s6", "s3", "exwarp"])
+    @pytest.mark.parametrize("method", ["softsplat", "s6", "s3", "causal"])
     @pytest.mark.parametrize("damage", [remove, truncate])
     def test_a_slot_without_g_buffers(self, kept, exwarp, network, shot, slots, method, damage):
         """Slot 2 of the second interval, frame 7: the key frame 5 goes through."""

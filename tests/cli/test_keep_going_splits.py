@@ -60,7 +60,7 @@ SURFACE = ("Diffuse Color", "Glossy Color")
 
 
 @pytest.mark.parametrize("cuts", ["auto", "none", "3", "4,5", "auto,6"])
-@pytest.mark.parametrize("method", ["softsplat", "s3", "exwarp"])
+@pytest.mark.parametrize("method", ["softsplat", "s3", "causal"])
 def test_several_lost_frames(split_alike, network, tmp_path, cuts, method):
     """Far enough apart that the history of one reaches to another, or not."""
     keys = shots.sequence(tmp_path / "keys", shots.plain, range(1, 11), SMALL)
@@ -73,24 +73,24 @@ def test_several_lost_frames(split_alike, network, tmp_path, cuts, method):
 
 
 @pytest.mark.parametrize("cuts", ["auto", "none"])
-@pytest.mark.parametrize("method", ["softsplat", "s6", "s3", "exwarp"])
+@pytest.mark.parametrize("method", ["softsplat", "s6", "s3", "causal"])
 def test_slots(split_alike, network, tmp_path, cuts, method):
     keys = shots.sequence(tmp_path / "keys", shots.colour_only, range(1, 9), SMALL)
     slots = shots.sequence(tmp_path / "slots", shots.slot_gbuffer, range(1, 30), SMALL, step=0.25)
     truncate(path_of(slots, 8))
     truncate(path_of(slots, 17))
     path_of(keys, 7).unlink()
-    model = ("--extrapolator", network) if method in ("s3", "exwarp") else ()
+    model = ("--extrapolator", network) if method in ("s3", "causal") else ()
     options = ("--gbuffers", slots, *VECTORS, "-m", method, "--cuts", cuts, *model)
     made = split_alike(keys, (5, 1, 8, 3, 2, 4, 7, 6), *options)
     assert made == set(range(1, 33)) - {6, 7, 8} - {17, 18, 19, 20} - {25, 26, 27, 28}
 
 
-@pytest.mark.parametrize("method", ["softsplat", "exwarp"])
+@pytest.mark.parametrize("method", ["softsplat", "causal"])
 def test_every_layer(split_alike, network, tmp_path, method):
     keys = shots.sequence(tmp_path / "keys", shots.blender5, range(1, 7), SMALL)
     truncate(path_of(keys, 4), 0.9)
-    model = ("--extrapolator", network) if method == "exwarp" else ()
+    model = ("--extrapolator", network) if method == "causal" else ()
     options = (*VECTORS, "-m", method, "--layers", "all", *model)
     made = split_alike(keys, (6, 2, 5, 1, 4, 3), *options)
     assert made == set(range(1, 25)) - set(range(13, 17))
@@ -111,7 +111,7 @@ def test_a_surface_that_is_read_late(split_alike, network, tmp_path):
     """The policy decides without it: where it extrapolates, the frames are left out."""
     keys = shots.sequence(tmp_path / "keys", blender_with_surface, range(1, 7), SMALL)
     truncate(path_of(keys, 3), 0.95)
-    options = (*VECTORS, "-m", "exwarp", "--extrapolator", network)
+    options = (*VECTORS, "-m", "causal", "--extrapolator", network)
     made = split_alike(keys, (4, 2, 5, 3, 6, 1), *options)
     assert made >= {1, 5, 9, 13, 17, 21}
 

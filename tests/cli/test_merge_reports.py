@@ -84,7 +84,7 @@ def split(seed: int) -> list[str]:
 
 
 CASES = {
-    "exwarp": (True, "-m", "exwarp", "--metrics", "all"),
+    "causal": (True, "-m", "causal", "--metrics", "all"),
     "s6 without tail": (True, "-m", "s6", "--no-tail"),
     "softsplat, layers": (True, "-m", "softsplat", "--layers", "all", "--metrics", "ssim,flicker"),
     "oracle": (True, "-m", "oracle"),
@@ -100,7 +100,7 @@ def options(shot, network) -> Callable[[str], tuple[object, ...]]:
 
     def found(name: str) -> tuple[object, ...]:
         scored, *rest = CASES[name]
-        if rest[1] in ("exwarp", "oracle", "s3"):
+        if rest[1] in ("causal", "oracle", "s3"):
             rest += ["--extrapolator", network]
         return (*rest, *(("--ground-truth", shot["truth"]) if scored else ()))
 
@@ -125,7 +125,7 @@ def test_chunks_tell_what_a_single_run_tells(exwarp, do, options, tmp_path, name
 
 def test_cases_are_what_they_are_called(do, options):
     """Cuts are met, frames dropped or scored, and layers written: else equality says little."""
-    found = unmeasured(do("exwarp", *options("exwarp")))
+    found = unmeasured(do("causal", *options("causal")))
     assert found["cuts"] == [{"frame": CUT, "source": "detected"}]
     assert found["quality"]["all"]["vmaf"] and found["quality"]["holes"]["ssim"]
     assert found["policy"] and found["extrapolator"] and found["input"]["selected"] == "1-6"

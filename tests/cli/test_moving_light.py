@@ -86,7 +86,7 @@ def test_light_goes_on_after_the_second_key_frame(keys, upsample, rest, tmp_path
         ("s6", "key", ("--layers", "all")),
         ("s6", "slot", ()),
         ("s5", "key", ()),
-        ("exwarp", "key", ()),
+        ("causal", "key", ()),
         ("softsplat", "key", ()),
         ("softsplat", "slot", ()),
     ],
@@ -94,7 +94,7 @@ def test_light_goes_on_after_the_second_key_frame(keys, upsample, rest, tmp_path
 def test_any_split_gives_the_whole(
     keys, slots, network, upsample, tmp_path, method, setting, options
 ):
-    model = ("--extrapolator", network) if method in ("s5", "exwarp") else ()
+    model = ("--extrapolator", network) if method in ("s5", "causal") else ()
     geometry = ("--gbuffers", slots) if setting == "slot" else ()
     asked = ("-m", method, *VECTORS, *model, *geometry, *options)
     upsample(keys, tmp_path / "whole", *asked)

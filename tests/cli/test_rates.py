@@ -218,7 +218,7 @@ def test_g_buffers_at_twice_the_rate(upsample, keys, tmp_path):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (("--factor", 2, "-m", "exwarp"), ("--method exwarp", "4 times", "s6, softsplat")),
+        (("--factor", 2, "-m", "causal"), ("--method causal", "4 times", "s6, softsplat")),
         (("--factor", 8, "-m", "s3"), ("--method s3",)),
         (("--to-fps", 60, "--factor", 2, "-m", "s6"), ("--factor and --to-fps",)),
         (("--to-fps", 30, "-m", "s6"), ("--to-fps 30 is 1 times",)),

@@ -280,7 +280,7 @@ class TestMemory:
         done = subprocess.run(command, capture_output=True, text=True, check=True)
         return int(done.stdout.splitlines()[-1]) / 1024
 
-    @pytest.mark.parametrize("method", ["softsplat", "s3", "exwarp"])
+    @pytest.mark.parametrize("method", ["softsplat", "s3", "causal"])
     def test_it_does_not_grow_with_the_sequence(self, tmp_path, method):
         """A frame of 128x72 is 0.3 MiB of passes, so 90 more that were kept would be 25; 2 are."""
         street = Street(128, 72)

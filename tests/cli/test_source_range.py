@@ -65,7 +65,7 @@ def test_an_element_gets_no_negatives_and_no_ghost(upsample, tmp_path, name):
         assert (pixels[pixels[..., 3] == 0] == 0).all(), file
 
 
-@pytest.mark.parametrize("method", ["exwarp", "s3"])
+@pytest.mark.parametrize("method", ["causal", "s3"])
 def test_a_black_key_frame_makes_black_frames(upsample, tmp_path, method):
     """With the network that comes with ExWarp, which sees brighter frames before."""
     keys = shots.sequence(tmp_path / "keys", writer(blackout), range(1, KEYS + 1), SMALL)

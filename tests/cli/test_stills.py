@@ -202,7 +202,7 @@ class TestBeautyAlone:
         middle = planes["R"][12:36, 16 - left : 28 - left].astype(float)
         assert np.abs(middle - frame(0)[12:36, 18:30, 0] / 255).mean() < 0.04
 
-    @pytest.mark.parametrize("method", ["exwarp", "s3"])
+    @pytest.mark.parametrize("method", ["causal", "s3"])
     def test_what_needs_surfaces_is_refused(self, exwarp, tmp_path, method):
         keys = self.panned(tmp_path / "keys")
         result = exwarp("upsample", keys, "-o", tmp_path / "out", "-m", method)

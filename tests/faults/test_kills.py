@@ -24,7 +24,7 @@ from tests.faults.running import (
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
-METHODS = ("softsplat", "s6", "exwarp")
+METHODS = ("softsplat", "s6", "causal")
 TIMES = 72 if FULL else 2
 """Runs that are killed by each signal: 6 in all, in full 216."""
 

@@ -25,7 +25,7 @@ allocator has at the moment, and files that are read and written at the moment."
 METHODS = {
     "s6": ("-m", "s6", "--cuts", "none"),
     "softsplat": ("-m", "softsplat", "--write-holes", "HOLES", "--video", "VIDEO"),
-    "exwarp": ("-m", "exwarp",),
+    "causal": ("-m", "causal",),
 }  # fmt: skip
 
 

@@ -111,11 +111,12 @@ MARKET_TRUTH = "--ground-truth ../inputs/market/truth"
 METHODS = {
     **{f"s{n}": f"-m s{n} {E}" for n in range(1, 6)},
     "s6": "-m s6",
-    "exwarp": f"-m exwarp {E}",
+    "exwarp": "",
+    "causal": f"--causal {E}",
     "oracle": f"-m oracle {E} {TRUTH}",
     "softsplat": "-m softsplat",
 }
-SPREAD = (("exwarp", "key"), ("softsplat", "key"), ("s3", "slot"))
+SPREAD = (("causal", "key"), ("exwarp", "key"), ("s3", "slot"))
 """What is also done with other threads and in chunks."""
 
 COMMANDS = (
@@ -137,12 +138,13 @@ SCENARIOS: Mapping[str, tuple[str, ...]] = {
         f"{INTERPRETED} {method}": (
             f"upsample ../inputs/tiny --motion next=u,-v --no-tail {METHODS[method]}",
         )
-        for method in ("s1", "s6", "exwarp", "softsplat")
+        for method in ("s1", "s6", "causal", "softsplat")
     },
     "market exwarp": (
         f"{MARKET} --frames 1-3 {MARKET_TRUTH} {REPORT} --metrics all --video out.mp4",
         "compare ../inputs/market/truth out --frames 1-9 --json --metrics psnr,ssim,flip",
     ),
+    "market causal": (f"{MARKET} --causal --frames 1-3 {MARKET_TRUTH} {REPORT}",),
     "market softsplat": (f"{MARKET} -m softsplat {MARKET_TRUTH} {REPORT} --write-holes holes",),
     "market s6": (f"{MARKET} -m s6 --layers all --verify {REPORT}",),
     "workers": (f"{KEY} -m softsplat --workers 2 --threads 2",),
@@ -257,7 +259,7 @@ SCENARIOS: Mapping[str, tuple[str, ...]] = {
         "policy export out",
         "models interpolator-card ../inputs/i.onnx --shape rife",
     ),
-    "dry run": (f"{KEY} -m exwarp {E} --dry-run --json", f"{KEY} -m s6 --dry-run"),
+    "dry run": (f"{KEY} --causal {E} --dry-run --json", f"{KEY} -m s6 --dry-run"),
     "doctor": ("doctor --json",),
     "refusals": (
         f"{KEY} -m s7",

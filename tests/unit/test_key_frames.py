@@ -92,7 +92,7 @@ def test_an_interval_is_the_same_after_others_as_alone(folder, method):
             assert_same(a.frame, b.frame)
 
 
-@pytest.mark.parametrize("method", ["hold", "s6", "softsplat", "s3", "exwarp"])
+@pytest.mark.parametrize("method", ["hold", "s6", "softsplat", "s3", "causal"])
 def test_each_key_frame_is_read_once(folder, read, method):
     in_a_row = reader(folder, method)
     for key in range(COUNT):
@@ -102,7 +102,7 @@ def test_each_key_frame_is_read_once(folder, read, method):
 
 @pytest.mark.parametrize(
     ("method", "normals", "surface"),
-    [("s6", False, False), ("exwarp", True, False), ("s1", True, True), ("oracle", True, True)],
+    [("s6", False, False), ("causal", True, False), ("s1", True, True), ("oracle", True, True)],
 )
 def test_a_method_reads_the_passes_that_it_uses(folder, read, method, normals, surface):
     reader(folder, method).read(0)
@@ -119,7 +119,7 @@ class TestHistory:
 
     @pytest.mark.parametrize("keys", [(2,), (0, 1, 2), (1, 2, 3)])
     def test_it_is_what_is_read_with_the_interval_otherwise(self, folder, keys):
-        late = reader(folder, "exwarp")
+        late = reader(folder, "causal")
         for key in keys:
             inputs = late.read(key)
             assert inputs.lacks_history and len(inputs.history) == min(key, 1)
@@ -131,7 +131,7 @@ class TestHistory:
                 assert_same(a.frame, b.frame)
 
     def test_the_surface_alone_is_read_of_the_key_frame(self, folder, read):
-        late = reader(folder, "exwarp")
+        late = reader(folder, "causal")
         for key in range(3):
             inputs = late.read(key)
         read.clear()
@@ -140,7 +140,7 @@ class TestHistory:
         assert [number for number, _ in read] == [3, 2, 1]
 
     def test_what_an_interval_had_read_is_not_read_again(self, folder, read):
-        late = reader(folder, "exwarp")
+        late = reader(folder, "causal")
         for key in range(COUNT):
             inputs = late.read(key)
             read.clear()
@@ -148,7 +148,7 @@ class TestHistory:
             assert read == [(key + 1, SURFACE)]
 
     def test_the_next_interval_may_be_read_before(self, folder):
-        late = reader(folder, "exwarp")
+        late = reader(folder, "causal")
         inputs = [late.read(key) for key in range(COUNT)]
         for key in (1, 2):
             expected = self.read_eagerly(folder, key)
@@ -196,7 +196,7 @@ def test_a_policy_s_history_is_read_late_where_ids_tell_what_moves(ids, late):
     shot = SimpleNamespace(ids=None if ids is None else SimpleNamespace(dynamic=dynamic))
     methods = [*METHODS.values(), EVERYTHING]
     assert {method.name for method in methods if reads_late(shot, method)} == (
-        {"exwarp"} if late else set()
+        {"causal"} if late else set()
     )
 
 

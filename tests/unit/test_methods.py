@@ -12,10 +12,9 @@ from exwarp_cli.domain.frame import Float32, KeyFrame, combine_3x3
 from exwarp_cli.domain.results import FrameKind
 from exwarp_cli.errors import LayoutError
 from exwarp_cli.pipeline.key_frames import over_interval
-from exwarp_cli.pipeline.without_vectors import USUAL
 from exwarp_cli.synthesis.geometry import settle_motion
 from exwarp_cli.synthesis.interval import Interval
-from exwarp_cli.synthesis.methods import METHODS, Judge, Predicted
+from exwarp_cli.synthesis.methods import EXWARP, METHODS, Judge, Predicted
 from exwarp_cli.synthesis.warp import Warped, blend_by_depth, fill_holes, repair
 from tests.unit.scenes import View, town
 
@@ -58,7 +57,8 @@ class TestRegistry:
     def test_names_and_needs(self):
         table = {m.name: (m.lookahead, m.needs_motion, m.path, m.judge) for m in METHODS.values()}
         assert table == {
-            "exwarp": (False, True, None, Judge.POLICY),
+            "exwarp": (True, True, None, None),
+            "causal": (False, True, None, Judge.POLICY),
             **{f"s{i}": (False, True, f"S{i}", None) for i in range(1, 6)},
             "s6": (False, True, "S6", None),
             "oracle": (False, True, None, Judge.PSNR),
@@ -68,11 +68,13 @@ class TestRegistry:
             "blend": (True, False, None, None),
             "hold": (False, False, None, None),
         }
-        assert next(iter(METHODS)) == USUAL
+        assert next(iter(METHODS)) == EXWARP
 
     @pytest.mark.parametrize("method", METHODS.values(), ids=METHODS)
     def test_what_takes_a_path_and_what_makes_a_frame_itself(self, method):
-        assert method.decides is (method.name not in ("softsplat", "onnx", "blend", "hold"))
+        assert method.decides is (
+            method.name not in ("exwarp", "softsplat", "onnx", "blend", "hold")
+        )
         assert method.interpolates is (method.name == "onnx")
         assert (method.predict is None) is (method.judge is not None)
 

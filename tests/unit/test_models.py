@@ -296,7 +296,7 @@ class TestShipped:
         monkeypatch.setitem(sys.modules, "onnxruntime", None)
         settings = UpsampleSettings(SourceSettings("."), ".", threads=1)
         with pytest.raises(MissingExtraError, match="pip install onnxruntime"):
-            find_network(settings, METHODS["exwarp"])
+            find_network(settings, METHODS["causal"])
 
     def test_where_it_lies(self, tmp_path, monkeypatch):
         """In the package where a wheel put it, else beside the package, as in a clone."""

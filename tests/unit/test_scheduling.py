@@ -293,7 +293,7 @@ class TestMode:
 
     SMALL = 1920 * 1080
 
-    def mode(self, key: Any, method: str = "exwarp", path: str | None = None, **more: Any) -> Mode:
+    def mode(self, key: Any, method: str = "causal", path: str | None = None, **more: Any) -> Mode:
         choice = None if path is None else Chosen(Plan.fixed(path))
         slots = more.pop("slots", ())
         prepared = PreparedInterval(Interval(key, None, slots), choice, frozenset(), {}, {})
@@ -302,14 +302,14 @@ class TestMode:
 
     @pytest.mark.parametrize(
         ("method", "path"),
-        [("s6", "S6"), ("blend", None), ("exwarp", "S6"), ("exwarp", None)],
+        [("s6", "S6"), ("blend", None), ("causal", "S6"), ("causal", None)],
     )
     def test_warps_go_to_the_pool(self, key, method, path):
         assert self.mode(key, method, path) is Mode.IN_POOL
 
     @pytest.mark.parametrize(
         ("method", "path"),
-        [("exwarp", "S1"), ("s3", "S3"), ("s5", "S5"), ("onnx", None), ("softsplat", None)],
+        [("causal", "S1"), ("s3", "S3"), ("s5", "S5"), ("onnx", None), ("softsplat", None)],
     )
     def test_networks_optical_flow_and_other_paths_do_not(self, key, method, path):
         assert self.mode(key, method, path) is Mode.IN_LINE

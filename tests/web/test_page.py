@@ -283,7 +283,7 @@ def test_a_gallery_without_psnr_keeps_the_worst_by_what_there_is() -> None:
         ("softsplat", "softsplat", "softsplat"),
         ("onnx", "interpolate", "interpolate"),
         ("s6", "warp", "warp"),
-        ("exwarp", "extrapolate", "extrapolate"),
+        ("causal", "extrapolate", "extrapolate"),
         ("of a later version", "warp", "warp"),
     ],
 )

@@ -64,7 +64,7 @@ class Trial(NamedTuple):
 
 
 def check_self_test() -> Check:
-    """Upsample the shot by three methods, and in chunks."""
+    """Upsample the shot by four methods, and in chunks."""
     begin, compiled = time.perf_counter(), compilation.compiled
     with scratch_folder() as folder:
         write_shot(folder / "keys")
@@ -72,7 +72,8 @@ def check_self_test() -> Check:
             "s6": _trial(lambda: _whole(folder, "s6", None)),
             "softsplat": _trial(lambda: _whole(folder, "softsplat", CONVENTION)),
             "exwarp": _trial(lambda: _whole(folder, "exwarp", CONVENTION)),
-            "chunks": _trial(lambda: _chunks(folder, "exwarp")),
+            "causal": _trial(lambda: _whole(folder, "causal", CONVENTION)),
+            "chunks": _trial(lambda: _chunks(folder, "causal")),
         }
     seconds, compiled = time.perf_counter() - begin, compilation.compiled - compiled
     remarks = tuple(_remark(name, t.problem) for name, t in trials.items() if t.problem is not None)

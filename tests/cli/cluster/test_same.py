@@ -52,7 +52,7 @@ class TestSame:
         assert len(shots.names(one / "frames")) == 4 * KEYS
         agree(one, other)
 
-    @pytest.mark.parametrize("method", ["exwarp", pytest.param("oracle", marks=pytest.mark.slow)])
+    @pytest.mark.parametrize("method", ["causal", pytest.param("oracle", marks=pytest.mark.slow)])
     def test_methods_that_decide(self, both, shot, network, tmp_path_factory, method):
         sequence, *rest = shot["slot"]
         truth = shots.truth(tmp_path_factory.mktemp("five") / "truth", shots.KEYS, 1, SMALL)

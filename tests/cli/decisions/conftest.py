@@ -119,7 +119,7 @@ def judged(tmp_path_factory, uneven, truth, network, policies) -> Callable[..., 
         if (name, setting) not in known:
             method = ("-m", name)
             if name not in ("oracle", "oracle-return") and not name.startswith("s"):
-                method = ("-m", "exwarp", "--policy", policies(name))
+                method = ("-m", "causal", "--policy", policies(name))
             if name != "s6":
                 method += ("--extrapolator", network)
             out = root / f"{name}-{setting}"

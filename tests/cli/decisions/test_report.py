@@ -46,7 +46,7 @@ def test_every_slot_has_its_node_and_choice(done):
         for row, step in zip(frames[1:], SHOWN[path], strict=True):
             assert row["made_by"] == ("hold" if step in DROPS else step[1])
             assert row["kind"] == ("dropped" if step in DROPS else "generated")
-            assert row["method"] == "exwarp"
+            assert row["method"] == "causal"
         assert frames[0]["made_by"] == frames[0]["node"] == ""
 
 
@@ -108,7 +108,7 @@ def test_quality_by_what_was_decided(done):
 
 def test_who_decided(done, policies):
     file = policies("watching")
-    assert done.report["method"] == "exwarp" and done.report["lookahead"] is False
+    assert done.report["method"] == "causal" and done.report["lookahead"] is False
     assert done.report["policy"] == {
         "file": str(file),
         "sha256": hashlib.sha256(file.read_bytes()).hexdigest(),
@@ -152,7 +152,7 @@ def test_what_comes_with_exwarp_decides_by_default(uneven, exwarp, tmp_path):
     result = exwarp("upsample", keys, "-o", tmp_path / "out", *rest, *options)
     assert result.code == 0, result.err
     report = json.loads((tmp_path / "report" / "report.json").read_text())
-    assert report["method"] == "exwarp" and report["policy"]["file"].endswith("policy.npz")
+    assert report["method"] == "causal" and report["policy"]["file"].endswith("policy.npz")
     shipped = load_policy(None)
     assert report["policy"]["sha256"] == shipped.checksum
     told = f"decisions by policy.npz (sha256 {shipped.checksum[:8]}), 8-bit integers\n"

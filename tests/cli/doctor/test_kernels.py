@@ -102,7 +102,7 @@ class TestSelfTest:
         healthy(found, "self_test")
         runs = found[1]["checks"]["self_test"]["facts"]["runs"]
         assert {name: run["frames"] for name, run in runs.items()} == {
-            "s6": 12, "softsplat": 12, "exwarp": 12, "chunks": 12,
+            "s6": 12, "softsplat": 12, "exwarp": 12, "causal": 12, "chunks": 12,
         }  # fmt: skip
 
     def test_wrong_pixels(self, examined, monkeypatch):

@@ -31,7 +31,7 @@ class TestHealthy:
         for name, line in zip(NAMES, told, strict=True):
             title = name.replace("_", " ")
             assert re.match(rf"(ok|warning) +{title}  ", line, re.IGNORECASE), line
-        assert "s6, softsplat, exwarp and chunks are right" in result.out
+        assert "s6, softsplat, exwarp, causal and chunks are right" in result.out
         assert lines[-1].startswith("everything ")
         assert ESCAPE not in result.out
 

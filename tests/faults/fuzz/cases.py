@@ -42,7 +42,7 @@ RATE = b"framesPerSecond\0rational\0" + struct.pack("<i", 8)
 """Before the rate that a key frame is written with: what a header says of it."""
 
 VECTORS = ("--motion", "previous=X,-Y next=-Z,W")
-METHODS = ("s6", "softsplat", "exwarp", "s3", "blend", "hold")
+METHODS = ("s6", "softsplat", "causal", "s3", "blend", "hold")
 
 
 @dataclass(frozen=True)
