@@ -22,7 +22,7 @@ from exwarp_cli.domain.metric import ALL, BY_OPTION, METRICS, SCOPES
 
 METHODS = (
     "exwarp", "causal", "s1", "s2", "s3", "s4", "s5", "s6", "oracle", "oracle-return",
-    "softsplat", "onnx", "blend", "hold",
+    "softsplat", "lookahead", "onnx", "blend", "hold",
 )  # fmt: skip
 COMPRESSIONS = (
     "none", "rle", "zips", "zip", "piz", "pxr24", "b44", "b44a", "dwaa", "dwab",

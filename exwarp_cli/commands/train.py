@@ -12,10 +12,16 @@ from exwarp_cli.commands.json_option import json_option, print_json
 from exwarp_cli.commands.printing import show, summary_of_files
 from exwarp_cli.commands.threads_option import threads_option
 from exwarp_cli.domain.line import one_line
-from exwarp_cli.training.settings import PolicySettings, TrainingSettings, require_sane_policy
+from exwarp_cli.training.settings import (
+    LookAheadSettings,
+    PolicySettings,
+    TrainingSettings,
+    require_sane_policy,
+)
 
 FOLDER = click.Path(path_type=Path)
 DEFAULTS = TrainingSettings()
+AHEAD = LookAheadSettings()
 POLICY = PolicySettings()
 
 
@@ -82,6 +88,57 @@ def extrapolator(
         print_json(_result("extrapolator", output, model, last_row(output / CURVE)))
     else:
         show(f"{model}: give it to exwarp upsample --extrapolator")
+
+
+@command.command("lookahead", context_settings={"show_default": True})
+@click.option("--data", type=FOLDER, required=True, help="Folder of rendered scenes.")
+@click.option("-o", "--output", type=FOLDER, required=True, help="For checkpoints and the model.")
+@click.option(
+    "--scenes", multiple=True, metavar="GLOB", help="Names to learn from; else all made for it."
+)
+@click.option("--exclude", multiple=True, metavar="GLOB", help="Names to leave out.")
+@click.option("--width", type=click.IntRange(4), default=AHEAD.width, help="Channels.")
+@click.option("--steps", type=click.IntRange(1), default=AHEAD.steps)
+@click.option("--batch", type=click.IntRange(2), default=AHEAD.batch, help="In patches.")
+@click.option("--rate", type=float, default=AHEAD.rate, help="Of learning.")
+@click.option("--seed", type=click.IntRange(0), default=AHEAD.seed)
+@click.option("--start", type=FOLDER, metavar="FILE", help="Checkpoint to begin with.")
+@click.option("--every", type=click.IntRange(1), default=1000, help="Checkpoint.")
+@click.option("--cache", type=FOLDER, help="For samples; default: in the data folder's parent.")
+@threads_option
+@json_option
+def lookahead(
+    data: Path,
+    output: Path,
+    scenes: tuple[str, ...],
+    exclude: tuple[str, ...],
+    every: int,
+    cache: Path | None,
+    threads: int | None,
+    start: Path | None,
+    as_json: bool,
+    **options: object,
+) -> None:
+    """Train the network that weighs both key frames.
+
+    Stopped at any time, the same command goes on from the last checkpoint. The output folder gets
+    checkpoint.pt, curve.csv (validation on scenes held out), settings.json and lookahead.onnx.
+    """
+    from exwarp_cli.training.extra import require_train
+
+    require_train()
+    from exwarp_cli.io.dataset import select
+    from exwarp_cli.training.lookahead import train_lookahead
+    from exwarp_cli.training.settings import CURVE, last_row
+
+    chosen = select(data, scenes, exclude, _say)
+    settings = LookAheadSettings(**options)  # type: ignore[arg-type]
+    samples = cache or data.resolve().parent / "crops"
+    model = train_lookahead(chosen, output, samples, settings, every, threads, _say, start)
+    if as_json:
+        print_json(_result("lookahead", output, model, last_row(output / CURVE)))
+    else:
+        show(f"{model}: give it to exwarp upsample --method lookahead --interpolator")
 
 
 @command.command("policy", context_settings={"show_default": True})

@@ -22,6 +22,8 @@ from typing import Protocol
 import numpy as np
 
 from exwarp_cli.domain.frame import Float32
+from exwarp_cli.domain.network import TIME as TIME
+from exwarp_cli.domain.network import NetworkInterface
 
 INTERFACE = "exwarp.extrapolator/1"
 """Version of the inputs below; models state it in their metadata."""
@@ -32,11 +34,10 @@ HISTORY = 3
 INPUTS = {"warped": 6, "mask": 1, "features": 6, "history": 4 * HISTORY}
 """Channels of the picture inputs, float32 [1, channels, H, W] each."""
 
-TIME = "time"
-"""The scalar input, float32 [1]; a network may do without it."""
-
 OUTPUT = "colour"
 """The only output, float32 [1, 3, H, W]."""
+
+EXTRAPOLATES = NetworkInterface(INTERFACE, INPUTS, ("warped", "mask"), OUTPUT, 3)
 
 
 @dataclass(frozen=True)

@@ -293,16 +293,16 @@ class NetworkSummary:
 
 @dataclass(frozen=True)
 class InterpolatorSummary:
-    """The network that interpolated.
+    """The network that interpolated, or that weighed both key frames.
 
     Attributes
     ----------
     name
-        As its card has it.
+        As its card has it; "lookahead" of the one that weighs.
     file
-        Path of the model; its card lies beside it.
+        Path of the model.
     sha256, card_sha256
-        Of the model's file and of the card's, hexadecimal.
+        Of the model's file and of the card beside it, hexadecimal; None without a card.
     device
         "cpu" or "cuda".
     """
@@ -310,11 +310,11 @@ class InterpolatorSummary:
     name: str
     file: str
     sha256: str
-    card_sha256: str
+    card_sha256: str | None
     device: str
 
     @property
-    def identity(self) -> list[str]:
+    def identity(self) -> list[str | None]:
         """What its frames depend on, wherever the files lie."""
         return [self.sha256, self.card_sha256, self.device]
 

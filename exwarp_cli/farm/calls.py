@@ -260,7 +260,7 @@ def open_farm_job(
     job = open_job(replace(settings, device=UpsampleSettings.device))
     try:
         # Refuse a device for a method that runs nothing on it.
-        runs = job.method.extrapolates or job.method.interpolates
+        runs = job.method.runs_network
         if settings.device != UpsampleSettings.device and not runs:
             raise UsageError(
                 f"--device {settings.device} is for methods that run a network, and --method "

@@ -110,6 +110,11 @@ class OnnxInterpolator(OnnxNetwork):
         """As tables show it."""
         return self.card.name
 
+    @property
+    def card_checksum(self) -> str:
+        """SHA-256 of its card."""
+        return self.card.checksum
+
     def __call__(self, before: Float32, after: Float32, time: float) -> Float32:
         """Return the frame at a time, 0 < time < 1, between two frames.
 

@@ -16,7 +16,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from exwarp_cli.domain.extrapolator import INPUTS, INTERFACE, OUTPUT, TIME
+from exwarp_cli.domain.network import TIME, NetworkInterface
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError
 
 MOST_BYTES = 2**31 - 1
@@ -118,16 +118,13 @@ LONGEST_REASON = 240
 _CODES = re.compile(r"\[ONNXRuntimeError\] : \d+ : \w+ : ")
 _PLACE = re.compile(r"\S+\.(?:cc|h|cpp):\d+ ")
 
-REQUIRED = ("warped", "mask")
-"""Inputs that a network must have; it may do without the others."""
 
-
-def require_interface(path: Path, metadata: Mapping[str, str]) -> None:
+def require_interface(path: Path, metadata: Mapping[str, str], interface: NetworkInterface) -> None:
     """Refuse a network that states another interface than this one."""
-    stated = metadata.get(INTERFACE_KEY, INTERFACE)
-    if stated != INTERFACE:
+    stated = metadata.get(INTERFACE_KEY, interface.version)
+    if stated != interface.version:
         raise LayoutError(
-            f"{path} was made for the interface {stated}, and this is {INTERFACE}; "
+            f"{path} was made for the interface {stated}, and this is {interface.version}; "
             "use a model for this version of ExWarp"
         )
 
@@ -143,8 +140,13 @@ def stated_stride(path: Path, metadata: Mapping[str, str]) -> int:
     return int(text)
 
 
-def require_nodes(path: Path, inputs: Mapping[str, Any], outputs: Mapping[str, Any]) -> None:
-    """Refuse a network whose inputs and outputs are not those of `domain.extrapolator`.
+def require_nodes(
+    path: Path,
+    inputs: Mapping[str, Any],
+    outputs: Mapping[str, Any],
+    interface: NetworkInterface,
+) -> None:
+    """Refuse a network whose inputs and outputs are not those of an interface.
 
     Parameters
     ----------
@@ -152,17 +154,19 @@ def require_nodes(path: Path, inputs: Mapping[str, Any], outputs: Mapping[str, A
         Of the file.
     inputs, outputs
         By name, each with `name`, `type` and `shape` as onnxruntime tells them.
+    interface
+        What they must be.
 
     Raises
     ------
     LayoutError
         Which tells the first thing that does not fit.
     """
-    _require_names(path, inputs, outputs)
+    _require_names(path, inputs, outputs, interface)
     for name, node in inputs.items():
-        shape = (1,) if name == TIME else (1, INPUTS[name], None, None)
+        shape = (1,) if name == TIME else (1, interface.inputs[name], None, None)
         _require_shape(path, node, "input", shape)
-    _require_shape(path, outputs[OUTPUT], "output", (1, 3, None, None))
+    _require_shape(path, outputs[interface.output], "output", (1, interface.made, None, None))
 
 
 def written_shape(shape: Sequence[Any]) -> str:
@@ -202,22 +206,27 @@ def _signed(text: str) -> str:
     return text
 
 
-def _require_names(path: Path, inputs: Mapping[str, Any], outputs: Mapping[str, Any]) -> None:
-    known = (*INPUTS, TIME)
+def _require_names(
+    path: Path,
+    inputs: Mapping[str, Any],
+    outputs: Mapping[str, Any],
+    interface: NetworkInterface,
+) -> None:
+    known = (*interface.inputs, TIME)
     if foreign := [name for name in inputs if name not in known]:
         raise LayoutError(
             f"{path} has the input {foreign[0]!r}, which ExWarp does not give; export it "
             f"with inputs out of {', '.join(known)}"
         )
-    if missing := [name for name in REQUIRED if name not in inputs]:
+    if missing := [name for name in interface.required if name not in inputs]:
         raise LayoutError(
             f"{path} lacks the input {missing[0]!r}; export it with inputs out of "
             f"{', '.join(known)}"
         )
-    if list(outputs) != [OUTPUT]:
+    if list(outputs) != [interface.output]:
         raise LayoutError(
             f"{path} has the output {', '.join(outputs) or 'none'}; export it with one output, "
-            f"named {OUTPUT}"
+            f"named {interface.output}"
         )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -11,17 +11,15 @@ from typing import Any
 import numpy as np
 
 from exwarp_cli.domain import cores
-from exwarp_cli.domain.extrapolator import (
-    INPUTS,
-    OUTPUT,
-    TIME,
-    Inputs,
-    NetworkInputs,
-    Span,
-    Tile,
-    cut,
-)
+from exwarp_cli.domain.extrapolator import EXTRAPOLATES, Inputs, Span, Tile, cut
 from exwarp_cli.domain.frame import Float32
+from exwarp_cli.domain.network import (
+    TIME,
+    NetworkGiven,
+    NetworkInterface,
+    NetworkPart,
+    NetworkPictures,
+)
 from exwarp_cli.errors import InputError, LayoutError, MissingExtraError, OutOfMemoryError
 from exwarp_cli.io.model_files import CHECKSUMS as CHECKSUMS
 from exwarp_cli.io.model_files import (
@@ -182,18 +180,36 @@ class OnnxNetwork:
         return self._sessions[threads]
 
 
-class OnnxExtrapolator(OnnxNetwork):
-    """An extrapolation network that is ready to run; parameters as for `OnnxNetwork`."""
+class PictureNetwork(OnnxNetwork):
+    """A network that is given planes of a slot and answers with planes, tile by tile.
 
-    def __init__(self, path: Path, data: bytes, threads: int, device: str) -> None:
+    Parameters
+    ----------
+    path, data, threads, device
+        As for `OnnxNetwork`.
+    interface
+        What it takes and gives.
+    """
+
+    def __init__(
+        self, path: Path, data: bytes, threads: int, device: str, interface: NetworkInterface
+    ) -> None:
         super().__init__(path, data, threads, device)
+        self._interface = interface
         self._stride = stated_stride(self.path, self._metadata)
         self._room: Float32 | None = None
 
-    def __call__(self, inputs: Inputs) -> Float32:
-        """Return the slot's colour, float32 [3, H, W], encoded as the inputs are; any H and W."""
+    def answers(self, inputs: NetworkGiven) -> Iterator[tuple[Tile, Float32]]:
+        """Yield the network's answer to each tile of the inputs, of any size.
+
+        Yields
+        ------
+        Tile
+            Which part of the picture.
+        float32 [C, h, w]
+            What is kept of it; inside the picture.
+        """
         height, width = inputs.shape
-        out = np.empty((3, height, width), np.float32)
         tiles = self._tiles(_up(height, self._stride), _up(width, self._stride))
         for count, (rows, columns) in enumerate(tiles, start=1):
             room = self._taken_room((rows.end - rows.begin, columns.end - columns.begin))
@@ -201,9 +217,24 @@ class OnnxExtrapolator(OnnxNetwork):
             last = 1 < count == len(tiles)
             answer = self._made_of(part, last)
             self._room = None if last else room
-            place = out[:, rows.kept, columns.kept]
-            place[:] = answer[:, rows.inside, columns.inside][:, : place.shape[1], : place.shape[2]]
-        return out
+            kept = answer[:, rows.inside, columns.inside]
+            # The last tiles reach beyond a picture whose size is no multiple of the stride.
+            yield (rows, columns), kept[:, : height - rows.first, : width - columns.first]
+
+    def judge(self) -> None:
+        """Refuse a network that does not fit, by what it declares and by running it once."""
+        interface = self._interface
+        require_interface(self.path, self._metadata, interface)
+        require_nodes(self.path, self.inputs, self.outputs, interface)
+        # Odd multiples, so that a network which needs more than it states fails here.
+        shape = (5 * self._stride, 7 * self._stride)
+        planes = {name: np.zeros((n, *shape), np.float32) for name, n in interface.inputs.items()}
+        for _ in self.answers(NetworkPictures(planes, 0.5)):
+            pass
+
+    def _require_values(self, out: Float32, pixels: str) -> None:
+        """Refuse an answer [1, C, H, W] that means nothing; `pixels` says of how many."""
+        raise NotImplementedError
 
     def _taken_room(self, size: tuple[int, int]) -> Float32:
         """Return room for the planes of a part; that of the last one where it is as large.
@@ -211,7 +242,7 @@ class OnnxExtrapolator(OnnxNetwork):
         Lent in between, it made room for frames' arrays, and they for it: to be mapped and cleared
         anew took three times as long as writing the planes.
         """
-        shape = sum(INPUTS.values()), *size
+        shape = self._interface.channels, *size
         room, self._room = self._room, None
         return room if room is not None and room.shape == shape else pool.empty(shape, np.float32)
 
@@ -224,9 +255,10 @@ class OnnxExtrapolator(OnnxNetwork):
     @cached_property
     def _reach(self) -> int | None:
         """How far the network sees, pixels; None for what takes pictures whole."""
-        return reach_of(lambda pictures: self._raw(pictures, 0.5)[0], self._stride)
+        inputs = self._interface.inputs
+        return reach_of(lambda pictures: self._raw(pictures, 0.5)[0], self._stride, inputs)
 
-    def _made_of(self, part: NetworkInputs, last: bool) -> Float32:
+    def _made_of(self, part: NetworkPart, last: bool) -> Float32:
         """Return the network's answer to a part of the inputs, as they are in both directions."""
         height, width = part.shape
         down, right = -height % self._stride, -width % self._stride
@@ -235,21 +267,12 @@ class OnnxExtrapolator(OnnxNetwork):
             around = ((0, 0), (0, down), (0, right))
             pictures = {name: np.pad(p, around, mode="edge") for name, p in pictures.items()}
         out = self._raw(pictures, part.time, last)
-        self._require_colour(out, height + down, width + right)
+        self._require_answer(out, height + down, width + right)
         return np.asarray(out[0])
-
-    def judge(self) -> None:
-        """Refuse a network that does not fit, by what it declares and by running it once."""
-        require_interface(self.path, self._metadata)
-        require_nodes(self.path, self.inputs, self.outputs)
-        # Odd multiples, so that a network which needs more than it states fails here.
-        shape = (5 * self._stride, 7 * self._stride)
-        blank = {name: np.zeros((count, *shape), np.float32) for name, count in INPUTS.items()}
-        self(NetworkInputs(**blank, time=0.5))
 
     def _raw(self, pictures: Mapping[str, Float32], time: float, last: bool = False) -> Float32:
         """Run the network on pictures of a size that is a multiple of its stride."""
-        height, width = pictures["mask"].shape[1:]
+        height, width = next(iter(pictures.values())).shape[1:]
         given = {name: np.ascontiguousarray(planes) for name, planes in pictures.items()}
         feeds = {name: planes[None] for name, planes in given.items() if name in self.inputs}
         if TIME in self.inputs:
@@ -258,21 +281,40 @@ class OnnxExtrapolator(OnnxNetwork):
             f"export it with any height and width that are multiples of {self._stride}, or state "
             f"another {STRIDE_KEY} in its metadata"
         )
-        out = self._answer(OUTPUT, feeds, (height, width), self._stride, advice, last)
+        output = self._interface.output
+        out = self._answer(output, feeds, (height, width), self._stride, advice, last)
         return np.asarray(out)
 
-    def _require_colour(self, out: Float32, height: int, width: int) -> None:
-        """Refuse an answer that is no colour, or of another size."""
-        if out.shape != (1, 3, height, width):
+    def _require_answer(self, out: Float32, height: int, width: int) -> None:
+        """Refuse an answer of another size, or that means nothing."""
+        made = self._interface.made
+        if out.shape != (1, made, height, width):
             raise LayoutError(
                 f"{self.path} gives {written_shape(list(out.shape))} for {width}x{height} pixels; "
-                f"export it so that it gives {written_shape([1, 3, height, width])}"
+                f"export it so that it gives {written_shape([1, made, height, width])}"
             )
+        self._require_values(out, f"{width}x{height} pixels")
+
+
+class OnnxExtrapolator(PictureNetwork):
+    """An extrapolation network that is ready to run; parameters as for `OnnxNetwork`."""
+
+    def __init__(self, path: Path, data: bytes, threads: int, device: str) -> None:
+        super().__init__(path, data, threads, device, EXTRAPOLATES)
+
+    def __call__(self, inputs: Inputs) -> Float32:
+        """Return the slot's colour, float32 [3, H, W], encoded as the inputs are; any H and W."""
+        out = np.empty((3, *inputs.shape), np.float32)
+        for (rows, columns), answer in self.answers(inputs):
+            out[:, rows.kept, columns.kept] = answer
+        return out
+
+    def _require_values(self, out: Float32, pixels: str) -> None:
         # The ends alone: the largest magnitude of all took a copy of the picture.
         if not (out.max() <= MOST_ENCODED and out.min() >= -MOST_ENCODED):
             raise InputError(
-                f"{self.path} gives NaN, infinite or far too bright colour for {width}x{height} "
-                "pixels; use another model"
+                f"{self.path} gives NaN, infinite or far too bright colour for {pixels}; use "
+                "another model"
             )
 
 
@@ -362,7 +404,7 @@ def _failures() -> tuple[type[Exception], ...]:
 
 
 Run = Callable[[Mapping[str, Float32]], Float32]
-"""Runs a network on pictures float32 [C, H, W] by input; gives [3, H, W]."""
+"""Runs a network on pictures float32 [C, H, W] by input; gives planes [C, H, W]."""
 
 SIDES = (384, 1024)
 """Pixels of the pictures that are tried. The shipped network sees 80 pixels far; what sees farther
@@ -373,7 +415,7 @@ SAME = 1e-5
 """Largest difference between a picture and a part of it that is rounding."""
 
 
-def reach_of(run: Run, stride: int) -> int | None:
+def reach_of(run: Run, stride: int, inputs: Mapping[str, int] = EXTRAPOLATES.inputs) -> int | None:
     """Return how many pixels away from one that it is given a network's answer may change.
 
     The network is run. NaN that is put in comes out wherever it is seen, as convolutions, pools,
@@ -386,6 +428,8 @@ def reach_of(run: Run, stride: int) -> int | None:
         The network.
     stride
         What height and width have to be multiples of.
+    inputs
+        Channels by picture input.
 
     Returns
     -------
@@ -395,16 +439,16 @@ def reach_of(run: Run, stride: int) -> int | None:
     """
     for side in SIDES:
         cells = max(LEAST_CELLS, side // stride) // 2 * 2 + 1
-        picture = _noise(cells * stride)
+        picture = _noise(cells * stride, inputs)
         margin = _seen(run, picture, stride, cells)
         if margin is not None and _is_part(run, picture, stride, margin):
             return margin * stride
     return None
 
 
-def _noise(side: int) -> dict[str, Float32]:
+def _noise(side: int, inputs: Mapping[str, int]) -> dict[str, Float32]:
     rng = np.random.default_rng(side)
-    shapes = {name: (count, side, side) for name, count in INPUTS.items()}
+    shapes = {name: (count, side, side) for name, count in inputs.items()}
     return {name: rng.random(shape, dtype=np.float32) for name, shape in shapes.items()}
 
 

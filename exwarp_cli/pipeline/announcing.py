@@ -36,6 +36,7 @@ from exwarp_cli.pipeline.without_vectors import video_look
 
 if TYPE_CHECKING:
     from exwarp_cli.io.interpolator import OnnxInterpolator
+    from exwarp_cli.io.lookahead_network import OnnxLookAhead
     from exwarp_cli.io.models import OnnxExtrapolator
     from exwarp_cli.io.policy_files import PolicyFile
     from exwarp_cli.io.sequence import Sequence
@@ -60,7 +61,7 @@ class Models:
         cls,
         source: Source,
         network: OnnxExtrapolator | None,
-        interpolator: OnnxInterpolator | None,
+        interpolator: OnnxInterpolator | OnnxLookAhead | None,
         policy: PolicyFile | None,
     ) -> Models:
         """Summarise what was loaded."""
@@ -72,7 +73,7 @@ class Models:
         if interpolator is not None:
             interpolating = InterpolatorSummary(
                 *(interpolator.name, str(interpolator.path), interpolator.checksum),
-                *(interpolator.card.checksum, interpolator.device),
+                *(interpolator.card_checksum, interpolator.device),
             )
         decided = None if policy is None else _policy_summary(policy, source, network)
         return cls(extrapolating, interpolating, decided)
@@ -92,9 +93,10 @@ def announce_models(progress: Progress, models: Models, source: Source) -> None:
                 "surface colour"
             )
     if interpolator is not None:
+        seen = "both key frames, warped" if interpolator.card_sha256 is None else "colour alone"
         progress.message(
             f"interpolation by {interpolator.name}, {Path(interpolator.file).name} (sha256 "
-            f"{interpolator.sha256[:8]}) on {interpolator.device}, from colour alone"
+            f"{interpolator.sha256[:8]}) on {interpolator.device}, from {seen}"
         )
     if policy is None:
         return

@@ -27,6 +27,7 @@ from exwarp_cli.synthesis.methods import CAUSAL, EXWARP, METHODS, Judge, Method
 
 if TYPE_CHECKING:
     from exwarp_cli.io.interpolator import OnnxInterpolator
+    from exwarp_cli.io.lookahead_network import OnnxLookAhead
     from exwarp_cli.io.models import OnnxExtrapolator
     from exwarp_cli.io.policy_files import PolicyFile
 
@@ -70,8 +71,8 @@ def find_network(settings: UpsampleSettings, method: Method) -> OnnxExtrapolator
     """
     # Refuse options of networks that the method does not run.
     extrapolating = [m for m in METHODS.values() if m.extrapolates]
-    interpolating = [m for m in METHODS.values() if m.interpolates]
-    either = [m for m in METHODS.values() if m in extrapolating or m in interpolating]
+    interpolating = [m for m in METHODS.values() if m.interpolates or m.weighs]
+    either = [m for m in METHODS.values() if m.runs_network]
     other_device = settings.device != UpsampleSettings.device
     rules = (
         ("--extrapolator", settings.extrapolator is not None, "extrapolate", extrapolating),
@@ -93,8 +94,12 @@ def find_network(settings: UpsampleSettings, method: Method) -> OnnxExtrapolator
     return load_extrapolator(path, settings.threads, settings.device)
 
 
-def find_interpolator(settings: UpsampleSettings, method: Method) -> OnnxInterpolator | None:
-    """Load the network that a method interpolates with; None for methods that do without.
+def find_interpolator(
+    settings: UpsampleSettings, method: Method
+) -> OnnxInterpolator | OnnxLookAhead | None:
+    """Load the network that a method interpolates with, or weighs key frames with.
+
+    None for methods that do without.
 
     Raises
     ------
@@ -103,6 +108,11 @@ def find_interpolator(settings: UpsampleSettings, method: Method) -> OnnxInterpo
     InputError, MissingExtraError
         When it or its card cannot be used.
     """
+    if method.weighs:
+        from exwarp_cli.io.lookahead_network import load_lookahead
+
+        path = None if settings.interpolator is None else Path(settings.interpolator)
+        return load_lookahead(path, settings.threads, settings.device)
     if not method.interpolates:
         return None
     if settings.interpolator is None:
@@ -165,7 +175,7 @@ def is_usual(source: Source) -> bool:
 
 
 def require_factor(
-    source: Source, method: Method, interpolator: OnnxInterpolator | None = None
+    source: Source, method: Method, interpolator: OnnxInterpolator | OnnxLookAhead | None = None
 ) -> None:
     """Refuse a factor at which a method makes no frames; raises UsageError."""
     timeline = source.timeline

@@ -18,6 +18,7 @@ from exwarp_cli.domain.frame import (
     broken_pixels,
     require_canvas,
 )
+from exwarp_cli.domain.lookahead import LookAheadNetwork
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.pipeline.choosing import Chosen
 from exwarp_cli.pipeline.interval_inputs import HistoryFrame, IntervalInputs
@@ -105,7 +106,7 @@ class IntervalBuilder:
         self,
         display: Window,
         network: Extrapolator | None = None,
-        interpolator: Interpolator | None = None,
+        interpolator: Interpolator | LookAheadNetwork | None = None,
         estimated: bool = False,
         bare: bool = False,
         scratch: ScratchFrames = IN_MEMORY,

@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from exwarp_cli.domain.settings import UpsampleSettings
     from exwarp_cli.domain.timeline import Slot
     from exwarp_cli.io.interpolator import OnnxInterpolator
+    from exwarp_cli.io.lookahead_network import OnnxLookAhead
     from exwarp_cli.io.models import OnnxExtrapolator
     from exwarp_cli.io.policy_files import PolicyFile
     from exwarp_cli.io.sequence import Sequence
@@ -82,7 +83,7 @@ class Job:
     method: Method
     sources: tuple[Source, ...]
     network: OnnxExtrapolator | None
-    interpolator: OnnxInterpolator | None
+    interpolator: OnnxInterpolator | OnnxLookAhead | None
     policy: PolicyFile | None
     models: Models
     contents: tuple[Content, ...]

@@ -9,6 +9,7 @@ import numpy as np
 
 from exwarp_cli.domain.extrapolator import Extrapolator, Interpolator
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, KeyFrame, Window, place
+from exwarp_cli.domain.lookahead import LookAheadNetwork
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import LayoutError
 from exwarp_cli.runtime.frame_pool import IN_MEMORY, ScratchFrames, pool
@@ -57,7 +58,8 @@ class Interval:
     extrapolator
         The network that extrapolates; None for methods that only warp.
     interpolator
-        The network that interpolates; None for methods that do without.
+        The network that interpolates, or that weighs both key frames; None for methods that do
+        without.
     times
         When the slots after the key frame are, in order: fractions of the key interval, 0 < time <
         1. With G-buffers of the slots they are evenly spaced from key frame to key frame.
@@ -80,7 +82,7 @@ class Interval:
     slots: tuple[GBuffer, ...] = ()
     past: tuple[Past, ...] = ()
     extrapolator: Extrapolator | None = None
-    interpolator: Interpolator | None = None
+    interpolator: Interpolator | LookAheadNetwork | None = None
     times: tuple[float, ...] = QUARTERS
     estimated: bool = False
     keeps: bool = False
@@ -178,8 +180,11 @@ class Interval:
             coverage = Coverage((side,), (field,), time, linear)
         return CarriedLight(field, time, self.light, linear, coverage)
 
-    def look_ahead(self, slot: int) -> LookAhead:
-        """Return what mixes the key frames around a slot; one for all layers of the slot."""
+    def look_ahead(self, slot: int, weighs: bool = False) -> LookAhead:
+        """Return what mixes the key frames around a slot; one for all layers of the slot.
+
+        With `weighs`, by the weights of its network, if it has one.
+        """
         if slot in self._mixers:
             return self._mixers[slot]
         time, before, after = self.time(slot), *(self._side(slot, ahead) for ahead in (False, True))
@@ -189,7 +194,10 @@ class Interval:
         else:
             fields = self.back(slot), self.forward(slot)
         coverage = None if sides is None else Coverage(sides, fields, time, self.linear)
-        mixer = LookAhead(*fields, time, self.linear, coverage)
+        network = None
+        if weighs and isinstance(self.interpolator, LookAheadNetwork):
+            network = self.interpolator
+        mixer = LookAhead(*fields, time, self.linear, coverage, network)
         if self.linear:  # else no layers follow
             self._mixers[slot] = mixer
         return mixer

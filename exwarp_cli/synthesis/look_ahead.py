@@ -2,6 +2,7 @@
 
 Niklaus and Liu, "Softmax Splatting for Video Frame Interpolation", CVPR 2020, with the renderer's
 motion in place of estimated flow; light that moves against the surfaces follows a residual flow.
+A network may weigh both sides anew, pixel by pixel: the method `lookahead`.
 """
 
 from __future__ import annotations
@@ -11,6 +12,9 @@ from dataclasses import replace
 import numpy as np
 
 from exwarp_cli.domain.frame import Float32
+from exwarp_cli.domain.lookahead import LookAheadNetwork
+from exwarp_cli.runtime.frame_pool import pool
+from exwarp_cli.synthesis.candidates import Candidates, Weights
 from exwarp_cli.synthesis.coverage import Coverage
 from exwarp_cli.synthesis.geometry import SlotField
 from exwarp_cli.synthesis.residual import agreement, along, disagreement, flow_of
@@ -30,6 +34,8 @@ class LookAhead:
         As for `Mover`.
     coverage
         Of the pixels beside edges; None where each has the surface of its centre.
+    network
+        That weighs what both sides show; None for the weights of softmax splatting.
     """
 
     def __init__(
@@ -39,11 +45,14 @@ class LookAhead:
         time: float,
         linear: bool = False,
         coverage: Coverage | None = None,
+        network: LookAheadNetwork | None = None,
     ) -> None:
         self._sides = Mover(back, linear), Mover(forward, linear)
         self._time = time
         self._linear = linear
         self._coverage = coverage
+        self._network = network
+        self._weights: Weights = []
         self._shifted: tuple[Mover, Mover] | None = None
         self._weight = np.zeros((0, 0), np.float32)
 
@@ -67,6 +76,7 @@ class LookAhead:
         """
         codes = self._sides[0].codes(before), self._sides[1].codes(after)
         plain = self._sides[0].warp(codes[0]), self._sides[1].warp(codes[1])
+        leads = self._shifted is None
         if self._shifted is None:
             apart = disagreement(*plain)
             self._shifted = self._follow_light(plain, apart)
@@ -74,6 +84,9 @@ class LookAhead:
             self._weight = agreement(apart, *shifted)
         else:
             shifted = _moved(self._shifted, codes, plain)
+        candidates = (*plain, *shifted)
+        if self._network is not None:  # blending writes over the first of each pair
+            plain, shifted = (_with_own_pixels(plain), _with_own_pixels(shifted))
         out = blend_by_depth(*plain, self._time)
         if self._coverage is not None:
             self._coverage.cover(codes, out)
@@ -82,6 +95,13 @@ class LookAhead:
         moving -= out
         moving *= self._weight[..., None]
         out += moving
+        del moving
+        if self._network is not None:
+            layer = Candidates(out, candidates, self._weight, self._time, self._linear)
+            if leads:
+                out, self._weights = layer.weigh(self._network, keep=self._linear)
+            else:
+                out = layer.mix(self._weights)
         return self._sides[0].light(out)
 
     def _follow_light(self, plain: tuple[Warped, Warped], apart: Float32) -> tuple[Mover, Mover]:
@@ -93,6 +113,11 @@ class LookAhead:
             Mover(along(plain[0], before, -time * flow, apart), self._linear),
             Mover(along(plain[1], after, (np.float32(1) - time) * flow, apart), self._linear),
         )
+
+
+def _with_own_pixels(pair: tuple[Warped, Warped]) -> tuple[Warped, Warped]:
+    """Return two sides, of which the pixels of the first may be changed."""
+    return replace(pair[0], pixels=pool.copy(pair[0].pixels)), pair[1]
 
 
 def _moved(

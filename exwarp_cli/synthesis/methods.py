@@ -10,6 +10,7 @@ from functools import partial
 from exwarp_cli.domain.decision import BLEND, EXTRAPOLATE, HELD, HOLD, PATHS, SOFTSPLAT, WARP
 from exwarp_cli.domain.extrapolator import HISTORY, INTERPOLATE
 from exwarp_cli.domain.frame import Float32
+from exwarp_cli.domain.lookahead import LOOKAHEAD, LookAheadNetwork
 from exwarp_cli.domain.results import FrameKind
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.source_bounds import hold_in_range, hold_within, sources_between
@@ -77,7 +78,9 @@ class Method:
     judge
         Who decides the path of each interval; None where nothing is decided.
     interpolates
-        Whether it runs a network on the key frames on both sides.
+        Whether it runs a network on the colour of the key frames on both sides.
+    weighs
+        Whether a network weighs the key frames on both sides, moved to the slot.
     """
 
     name: str
@@ -87,11 +90,17 @@ class Method:
     path: str | None = None
     judge: Judge | None = None
     interpolates: bool = False
+    weighs: bool = False
 
     @property
     def any_factor(self) -> bool:
         """Whether it makes slots at any time; the paper's decisions are for those of 4x alone."""
         return self.judge is None and not self.extrapolates
+
+    @property
+    def runs_network(self) -> bool:
+        """Whether it may run any network."""
+        return self.extrapolates or self.interpolates or self.weighs
 
     @property
     def decides(self) -> bool:
@@ -191,14 +200,14 @@ def _blend(interval: Interval, slot: int) -> Predicted:
     return Predicted(pixels, FrameKind.GENERATED, BLEND, sources, BLEND)
 
 
-def _look_ahead(name: str, interval: Interval, slot: int) -> Predicted:
+def _look_ahead(name: str, made_by: str, interval: Interval, slot: int) -> Predicted:
     """Warp both key frames to the slot and mix them."""
     if interval.following is None:
         return _causal(interval, slot)
     frames = (interval.key.image.pixels, interval.following.image.pixels)
-    pixels = interval.look_ahead(slot).make(*frames)
+    pixels = interval.look_ahead(slot, weighs=made_by == INTERPOLATE).make(*frames)
     sources = (interval.key.number, interval.following.number)
-    return Predicted(pixels, FrameKind.GENERATED, name, sources, SOFTSPLAT)
+    return Predicted(pixels, FrameKind.GENERATED, name, sources, made_by)
 
 
 def _onnx(interval: Interval, slot: int) -> Predicted:
@@ -206,6 +215,7 @@ def _onnx(interval: Interval, slot: int) -> Predicted:
     if interval.following is None:
         return _causal(interval, slot)
     assert interval.interpolator is not None
+    assert not isinstance(interval.interpolator, LookAheadNetwork)
     frames = (repair(interval.key.image.pixels), repair(interval.following.image.pixels))
     pixels = between(*frames, interval.time(slot), interval.interpolator)
     if interval.leads_both_ways:
@@ -223,9 +233,11 @@ def _fixed(path: str) -> Method:
     return Method(path.lower(), predict, lookahead=False, needs_motion=True, path=path)
 
 
-def _looking_ahead(name: str) -> Method:
-    """Return a method that moves both key frames to each slot."""
-    return Method(name, partial(_look_ahead, name), lookahead=True, needs_motion=True)
+def _looking_ahead(name: str, made_by: str = SOFTSPLAT) -> Method:
+    """Return a method that moves both key frames to each slot; a network may weigh them."""
+    predict = partial(_look_ahead, name, made_by)
+    weighs = made_by == INTERPOLATE
+    return Method(name, predict, lookahead=True, needs_motion=True, weighs=weighs)
 
 
 def _judged(name: str, judge: Judge) -> Method:
@@ -242,6 +254,7 @@ METHODS: Mapping[str, Method] = {
         _judged("oracle", Judge.PSNR),
         _judged("oracle-return", Judge.RETURN),
         _looking_ahead(SOFTSPLAT),
+        _looking_ahead(LOOKAHEAD, INTERPOLATE),
         Method("onnx", _onnx, lookahead=True, needs_motion=False, interpolates=True),
         Method(BLEND, _blend, lookahead=True, needs_motion=False),
         Method("hold", _hold, lookahead=False, needs_motion=False),

@@ -1,4 +1,4 @@
-"""Extrapolation networks as ONNX models, for whoever has no torch."""
+"""Networks as ONNX models, for whoever has no torch."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ import torch
 from torch import Tensor, nn
 
 from exwarp_cli import __version__
-from exwarp_cli.domain.extrapolator import INPUTS, INTERFACE, OUTPUT, TIME
+from exwarp_cli.domain.extrapolator import EXTRAPOLATES
+from exwarp_cli.domain.network import TIME, NetworkInterface
 from exwarp_cli.io.atomic import atomic_write_bytes
-from exwarp_cli.io.model_files import INTERFACE_KEY, REQUIRED, STRIDE_KEY
+from exwarp_cli.io.model_files import INTERFACE_KEY, STRIDE_KEY
 
 OPSET = 18
 """The exporter's own, so that nothing is converted; onnxruntime runs it since 1.14."""
@@ -36,6 +37,13 @@ ABOUT = "exwarp.about"
 
 
 def export_extrapolator(module: nn.Module, path: Path, *, stride: int, about: str) -> None:
+    """Write a network that extrapolates; see `export_network`."""
+    export_network(module, path, EXTRAPOLATES, stride=stride, about=about)
+
+
+def export_network(
+    module: nn.Module, path: Path, interface: NetworkInterface, *, stride: int, about: str
+) -> None:
     """Write a network as a self-contained ONNX model of any height and width.
 
     The module itself is left as it is, its mode and device included. The same weights give the same
@@ -44,10 +52,12 @@ def export_extrapolator(module: nn.Module, path: Path, *, stride: int, about: st
     Parameters
     ----------
     module
-        Its ``forward`` takes tensors by the names of `domain.extrapolator.INPUTS` and ``time``, of
-        which it may leave out all but ``warped`` and ``mask``; it returns float32 [1, 3, H, W].
+        Its ``forward`` takes tensors by the names of the interface's inputs and ``time``, of which
+        it may leave out those that are not required; it returns float32 [1, made, H, W].
     path
         The file to write, whole or not at all.
+    interface
+        What it takes and gives.
     stride
         Height and width that the network is run with are multiples of this.
     about
@@ -63,34 +73,40 @@ def export_extrapolator(module: nn.Module, path: Path, *, stride: int, about: st
     module = deepcopy(module).cpu().eval()
     rows = max(2, -(-EXAMPLE // stride))
     size = (rows * stride, (rows + 1) * stride)
-    shapes = {name: (1, channels, *size) for name, channels in INPUTS.items()} | {TIME: (1,)}
+    shapes: dict[str, tuple[int, ...]] = {
+        name: (1, channels, *size) for name, channels in interface.inputs.items()
+    }
+    shapes[TIME] = (1,)
     wanted = list(inspect.signature(module.forward).parameters)
-    if not set(REQUIRED) <= set(wanted) <= set(shapes):
+    required = interface.required
+    if not set(required) <= set(wanted) <= set(shapes):
         raise ValueError(
-            f"forward takes {', '.join(wanted)}; it must take {' and '.join(REQUIRED)}, and may "
+            f"forward takes {', '.join(wanted)}; it must take {' and '.join(required)}, and may "
             f"take others out of {', '.join(shapes)}"
         )
     example = {name: torch.full(shapes[name], 0.5) for name in wanted}
     with _quiet(), torch.no_grad():
-        _check_answer(module(**example), example)
-        model = _trace(module, example, stride)
+        _check_answer(module(**example), size, interface.made)
+        model = _trace(module, example, stride, interface.output)
     _tidy(model)
-    facts = {INTERFACE_KEY: INTERFACE, STRIDE_KEY: str(stride), ABOUT: about}
+    facts = {INTERFACE_KEY: interface.version, STRIDE_KEY: str(stride), ABOUT: about}
     onnx.helper.set_model_props(model, facts)
     onnx.checker.check_model(model)
     atomic_write_bytes(path, model.SerializeToString(deterministic=True))
 
 
-def _check_answer(answer: Tensor, example: dict[str, Tensor]) -> None:
-    height, width = example[REQUIRED[0]].shape[2:]
-    if answer.shape != (1, 3, height, width) or answer.dtype != torch.float32:
+def _check_answer(answer: Tensor, size: tuple[int, int], made: int) -> None:
+    height, width = size
+    if answer.shape != (1, made, height, width) or answer.dtype != torch.float32:
         raise ValueError(
             f"forward returns {answer.dtype} {list(answer.shape)} for {height} rows of {width} "
-            f"pixels, not float32 [1, 3, {height}, {width}]"
+            f"pixels, not float32 [1, {made}, {height}, {width}]"
         )
 
 
-def _trace(module: nn.Module, example: dict[str, Tensor], stride: int) -> onnx.ModelProto:
+def _trace(
+    module: nn.Module, example: dict[str, Tensor], stride: int, output: str
+) -> onnx.ModelProto:
     """Return the model; fails where the network would be tied to the size of the example.
 
     Exporting in one step is no choice: where torch.export refuses a size that was made constant,
@@ -99,7 +115,7 @@ def _trace(module: nn.Module, example: dict[str, Tensor], stride: int) -> onnx.M
     free = {axis: stride * torch.export.Dim(name, min=2) for axis, name in AXES.items()}
     shapes = {name: None if name == TIME else free for name in example}
     program = torch.export.export(module, (), example, dynamic_shapes=shapes)
-    exported = torch.onnx.export(program, opset_version=OPSET, output_names=[OUTPUT], verbose=False)
+    exported = torch.onnx.export(program, opset_version=OPSET, output_names=[output], verbose=False)
     assert exported is not None
     return exported.model_proto
 
@@ -107,7 +123,7 @@ def _trace(module: nn.Module, example: dict[str, Tensor], stride: int) -> onnx.M
 def _tidy(model: onnx.ModelProto) -> None:
     """Remove what differs between runs and machines: paths of the source, names of free sizes."""
     graph = model.graph
-    graph.name = OUTPUT
+    graph.name = graph.output[0].name
     model.ir_version = IR_VERSION
     model.producer_name, model.producer_version = "exwarp", __version__
     del graph.value_info[:]

@@ -54,6 +54,38 @@ class TrainingSettings:
 
 
 @dataclass(frozen=True)
+class LookAheadSettings:
+    """What decides the outcome of a training.
+
+    Attributes
+    ----------
+    width
+        Channels at half resolution.
+    steps
+        Batches to train on.
+    batch, patch
+        Patches in a batch, and their height and width in pixels, a multiple of 16.
+    rate
+        Highest learning rate.
+    seed
+        Of weights, looks, patches and their order.
+    start
+        SHA-256 of the checkpoint whose weights it begins with; None for random ones.
+    scenes
+        Names of the scenes that are trained on, and of those that are validated on.
+    """
+
+    width: int = 32
+    steps: int = 20000
+    batch: int = 8
+    patch: int = 64
+    rate: float = 2e-3
+    seed: int = 0
+    start: str | None = None
+    scenes: dict[str, list[str]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class PolicySettings:
     """How a policy is trained.
 
@@ -128,7 +160,9 @@ CURVE = "curve.csv"
 COLUMNS = ("step", "seconds", "loss", "rate", "gain_db", "gain_holes_db")
 
 
-def add_row(path: Path, step: int, values: Sequence[float]) -> None:
+def add_row(
+    path: Path, step: int, values: Sequence[float], columns: Sequence[str] = COLUMNS
+) -> None:
     """Add a row for a step; rows from that step on are of a broken run, and removed.
 
     Parameters
@@ -136,15 +170,17 @@ def add_row(path: Path, step: int, values: Sequence[float]) -> None:
     path
         Of the file; made where there is none.
     step
-        First of `COLUMNS`.
+        First of the columns.
     values
         Of the others; integers as they are, else with five digits.
+    columns
+        Names of them all.
     """
     rows = [row for row in _rows(path) if int(row["step"]) < step]
     formatted = (str(v) if isinstance(v, int) else f"{v:.5g}" for v in (step, *values))
-    rows.append(dict(zip(COLUMNS, formatted, strict=True)))
+    rows.append(dict(zip(columns, formatted, strict=True)))
     with atomic_path(path) as temporary, temporary.open("w", newline="") as file:
-        writer = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+        writer = csv.DictWriter(file, columns, lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
 
@@ -152,7 +188,7 @@ def add_row(path: Path, step: int, values: Sequence[float]) -> None:
 def last_row(path: Path) -> dict[str, float]:
     """Return the numbers of the last row by their columns; `step` and `seconds` are whole."""
     row = _rows(path)[-1]
-    return {name: _number(row[name]) for name in COLUMNS}
+    return {name: _number(value) for name, value in row.items()}
 
 
 def _rows(path: Path) -> list[dict[str, str]]:

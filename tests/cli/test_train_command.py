@@ -115,3 +115,20 @@ def test_the_command_alone_shows_its_help(capsys):
 def test_help_needs_no_torch(without_torch, capsys):
     assert run(["train", "extrapolator", "--help"]) == 0
     assert "--architecture" in capsys.readouterr().out
+
+
+def test_a_network_that_looks_ahead_is_trained(data, tmp_path, capsys):
+    asked = ["train", "lookahead", "--data", str(data), "-o", str(tmp_path / "run")]
+    asked += ["--cache", str(tmp_path / "crops"), "--steps", "2", "--every", "1", "--batch", "2"]
+    asked += ["--width", "4", "--threads", "1"]
+    assert run(asked) == 0
+    out, err = capsys.readouterr()
+    assert "lookahead.onnx: give it to exwarp upsample --method lookahead" in out
+    assert "step 2 of 2: loss" in err and "dB over softsplat" in err
+    assert "judged" not in err
+    files = {"checkpoint.pt", "curve.csv", "lookahead.onnx", "settings.json"}
+    assert {p.name for p in (tmp_path / "run").iterdir()} == files
+    assert run([*asked, "--json"]) == 0
+    out, err = capsys.readouterr()
+    assert "going on at step 2 of 2" in err
+    assert strict(out)["kind"] == "lookahead"

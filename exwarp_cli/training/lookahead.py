@@ -1,0 +1,316 @@
+"""Training the look-ahead network: resumable, seeded, with its validation curve in a file."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from copy import deepcopy
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from exwarp_cli.domain import cores
+from exwarp_cli.domain.lookahead import LOOKS_AHEAD
+from exwarp_cli.errors import DamagedFileError, UsageError
+from exwarp_cli.io.atomic import atomic_path, atomic_write_text, make_folder
+from exwarp_cli.io.dataset import RenderedScene, split
+from exwarp_cli.io.output import file_digest
+from exwarp_cli.io.threads import use_threads
+from exwarp_cli.pipeline.scheduling import prefetch
+from exwarp_cli.runtime.stop import check_stop
+from exwarp_cli.training.checkpoint import read_tensors
+from exwarp_cli.training.export import export_network
+from exwarp_cli.training.lookahead_samples import (
+    Sample,
+    Samples,
+    samples_folder,
+    write_samples,
+)
+from exwarp_cli.training.settings import CURVE, LookAheadSettings, add_row
+from exwarp_cli.training.weighing import STRIDE, WeighingNetwork, mix
+
+CHECKPOINT, SETTINGS, MODEL = "checkpoint.pt", "settings.json", "lookahead.onnx"
+
+COLUMNS = ("step", "seconds", "loss", "rate", "gain_db", "sharpness_percent")
+"""Of the curve; the last two of held-out slots: dB over `softsplat`, and how far the mean gradient
+is from the truth's."""
+
+WARM_UP = 200
+"""Steps until the learning rate is reached."""
+
+HIGH, LEAST_RATE = 0.3, 0.005
+"""Share of the steps for which the rate stays, and what it ends at, as a share of its highest."""
+
+AVERAGED = 0.998
+"""The network that is kept is a running average of the weights; it forgets that much a step."""
+
+CLIPPED = 0.5
+"""Largest norm of a gradient."""
+
+BRIGHTEST = 1.5
+"""Values as shown above it count as it: far highlights are not seen."""
+
+LEAST_ERROR = 2e-5
+"""Added to squared errors before their logarithm: a patch 47 dB from the truth is good enough."""
+
+GRADIENT, SHARPNESS = 0.25, 0.3
+"""Weights of the error of gradients, and of that of their mean magnitude over blocks."""
+
+BLOCK, LEAST_SLOPE = 8, 2e-3
+"""Side of the blocks, pixels; and what is added to the truth's mean slope before it divides."""
+
+VALIDATED = 60
+"""Slots, at most, that validation looks at."""
+
+Say = Callable[[str], None]
+
+
+def loss_of(made: Tensor, truth: Tensor) -> Tensor:
+    """Return the loss of pictures as shown, [N, 3, S, S].
+
+    The logarithm of the squared error, which is what PSNR judges; that of the gradients, which keep
+    structure; and how far the mean magnitude of gradients is from the truth's, block by block: the
+    mean of two sides that differ is softer than either.
+    """
+    made, truth = made.clamp(max=BRIGHTEST), truth.clamp(max=BRIGHTEST)
+    loss = 0.5 * _log_error(made, truth).mean()
+    pairs = list(zip(_gradients(made), _gradients(truth), strict=True))
+    squared = torch.stack([(a - b).square().mean((1, 2, 3)) for a, b in pairs]).sum(0)
+    loss = loss + GRADIENT * torch.log(squared + LEAST_ERROR).mean()
+    for one, other in pairs:
+        slopes = [functional.avg_pool2d(g.abs().mean(1, keepdim=True), BLOCK) for g in (one, other)]
+        apart = (slopes[0] - slopes[1]).abs().mean((1, 2, 3))
+        loss = loss + SHARPNESS * (apart / (slopes[1].mean((1, 2, 3)) + LEAST_SLOPE)).mean()
+    return loss
+
+
+def _log_error(made: Tensor, truth: Tensor) -> Tensor:
+    return torch.log((made - truth).square().mean((1, 2, 3)) + LEAST_ERROR)
+
+
+def _gradients(x: Tensor) -> tuple[Tensor, Tensor]:
+    return x[..., 1:] - x[..., :-1], x[..., 1:, :] - x[..., :-1, :]
+
+
+class Training:
+    """One training under way, in a folder of its own."""
+
+    def __init__(self, folder: Path, settings: LookAheadSettings, say: Say) -> None:
+        self.folder, self.settings, self.say = folder, settings, say
+        torch.manual_seed(settings.seed)
+        self.network = WeighingNetwork(settings.width).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.average = deepcopy(self.network)
+        self.optimiser = torch.optim.AdamW(
+            self.network.parameters(), settings.rate, weight_decay=1e-5
+        )
+        self.step, self.seconds = 0, 0.0
+        self._open()
+
+    def begin_with(self, path: Path) -> None:
+        """Take the weights of another training's checkpoint, unless this one is under way."""
+        if self.step:
+            return
+        kept = _read(path)
+        for network in (self.network, self.average):
+            network.load_state_dict(kept["average"])
+
+    def run(self, samples: Samples, held: Samples, every: int) -> None:
+        """Train to the end; a checkpoint and a line of the curve every so many steps."""
+        begin, losses = time.monotonic() - self.seconds, []
+        for sample in self._ahead(samples):
+            losses.append(self._learn(sample))
+            self.step += 1
+            self.seconds = time.monotonic() - begin
+            if self.step % every == 0 or self.step == self.settings.steps:
+                self._record(float(np.mean(losses)), *self._validate(held))
+                self._save()
+                losses = []
+            check_stop()
+
+    def export(self) -> Path:
+        """Write the network as an ONNX model; return its path."""
+        target, settings = self.folder / MODEL, self.settings
+        about = (
+            f"ExWarp look-ahead network, {settings.width} channels, {self.step} steps on "
+            f"{len(settings.scenes['training'])} scenes, seed {settings.seed}"
+        )
+        export_network(self.average, target, LOOKS_AHEAD, stride=STRIDE, about=about)
+        return target
+
+    def _ahead(self, samples: Samples) -> Iterator[Sample]:
+        """Return the batches of the steps that are left; the next is read while one is learnt."""
+        s = self.settings
+        draw = partial(samples.drawn, size=s.batch, side=s.patch, seed=s.seed)
+        return prefetch((partial(draw, step) for step in range(self.step, s.steps)), 1)
+
+    def _learn(self, sample: Sample) -> float:
+        for group in self.optimiser.param_groups:
+            group["lr"] = self._rate()
+        self.network.train()
+        made = mix(self.network(**sample.inputs, time=sample.time), sample.inputs["colour"])
+        loss = loss_of(made, sample.truth)
+        self.optimiser.zero_grad(set_to_none=True)
+        loss.backward()  # type: ignore[no-untyped-call]
+        found = float(loss.detach())
+        norm = torch.nn.utils.clip_grad_norm_(self.network.parameters(), CLIPPED)
+        if not (math.isfinite(found) and math.isfinite(float(norm))):
+            raise UsageError(
+                f"the loss was no number at step {self.step}; lower --rate, and train in another "
+                "folder"
+            )
+        self.optimiser.step()
+        self._remember()
+        return found
+
+    @torch.no_grad()
+    def _remember(self) -> None:
+        forget = 1 - min(AVERAGED, (1 + self.step) / (10 + self.step))
+        averaged, new = self.average.state_dict(), self.network.state_dict()
+        for name, kept in averaged.items():
+            if kept.is_floating_point():
+                kept.lerp_(new[name], forget)
+
+    def _rate(self) -> float:
+        """Learning rate of this step: a straight rise, a plain, half a cosine."""
+        settings = self.settings
+        if self.step < WARM_UP:
+            return settings.rate * (self.step + 1) / WARM_UP
+        done = max(0.0, (self.step / settings.steps - HIGH) / (1 - HIGH))
+        wave = 0.5 * (1 + math.cos(math.pi * done))
+        return settings.rate * (LEAST_RATE + (1 - LEAST_RATE) * wave)
+
+    @torch.no_grad()
+    def _validate(self, held: Samples) -> tuple[float, float]:
+        """Return the gain over `softsplat` in dB, and per cent of sharpness, of held-out slots."""
+        self.average.eval()
+        chosen = np.unique(np.linspace(0, len(held) - 1, min(VALIDATED, len(held))).astype(int))
+        found = [self._judge(held.whole(int(index))) for index in chosen]
+        gain, sharpness = np.mean(found, axis=0)
+        return float(gain), float(sharpness)
+
+    def _judge(self, sample: Sample) -> tuple[float, float]:
+        height, width = sample.truth.shape[-2:]
+        around = (0, -width % STRIDE, 0, -height % STRIDE)
+        inputs = {
+            name: functional.pad(picture, around, mode="replicate")
+            for name, picture in sample.inputs.items()
+        }
+        made = mix(self.average(**inputs, time=sample.time), inputs["colour"])
+        made = made[..., :height, :width].clamp(0, 1)
+        truth, plain = sample.truth.clamp(0, 1), sample.inputs["colour"][:, :3].clamp(0, 1)
+        gain = 10 / math.log(10) * (_log_error(plain, truth) - _log_error(made, truth))
+        slopes = [sum(g.abs().mean() for g in _gradients(p.mean(1))) for p in (made, truth)]
+        return float(gain), 100 * (float(slopes[0]) / max(float(slopes[1]), 1e-6) - 1)
+
+    def _open(self) -> None:
+        """Begin in an empty folder, or go on where an earlier run with these settings stopped."""
+        make_folder(self.folder)
+        path, checkpoint = self.folder / SETTINGS, self.folder / CHECKPOINT
+        wanted = json.dumps(asdict(self.settings), indent=2, sort_keys=True)
+        if checkpoint.exists():
+            if not path.exists() or path.read_bytes() != wanted.encode():
+                raise UsageError(
+                    f"{self.folder} holds a training with other settings, see {SETTINGS} there; "
+                    "repeat those to go on with it, or choose another folder"
+                )
+            kept = _read(checkpoint)
+            self.network.load_state_dict(kept["network"])
+            self.average.load_state_dict(kept["average"])
+            self.optimiser.load_state_dict(kept["optimiser"])
+            self.step, self.seconds = kept["step"], kept["seconds"]
+            self.say(f"going on at step {self.step} of {self.settings.steps}")
+        atomic_write_text(path, wanted)
+
+    def _save(self) -> None:
+        content = {
+            "network": self.network.state_dict(), "average": self.average.state_dict(),
+            "optimiser": self.optimiser.state_dict(), "step": self.step, "seconds": self.seconds,
+        }  # fmt: skip
+        with atomic_path(self.folder / CHECKPOINT) as temporary:
+            torch.save(content, temporary)
+
+    def _record(self, loss: float, gain: float, sharpness: float) -> None:
+        values = (round(self.seconds), loss, self._rate(), gain, sharpness)
+        add_row(self.folder / CURVE, self.step, values, COLUMNS)
+        left = self.seconds / self.step * (self.settings.steps - self.step) / 60
+        self.say(
+            f"step {self.step} of {self.settings.steps}: loss {loss:.4f}, held-out scenes "
+            f"{gain:+.2f} dB over softsplat, gradients {sharpness:+.1f} % of the truth's, "
+            f"{left:.0f} min left"
+        )
+
+
+def _read(path: Path) -> dict[str, Any]:
+    damaged = DamagedFileError(
+        f"{path} is damaged, or no checkpoint of this version; choose another folder, or remove "
+        "this one to begin anew"
+    )
+    kept = read_tensors(path, "cpu", damaged)
+    if not isinstance(kept, dict) or {"network", "average", "step"} - kept.keys():
+        raise damaged
+    return kept
+
+
+def train_lookahead(
+    scenes: Sequence[RenderedScene],
+    folder: Path,
+    cache: Path,
+    settings: LookAheadSettings,
+    every: int,
+    threads: int | None,
+    say: Say,
+    start: Path | None = None,
+) -> Path:
+    """Train a network and export it; return the model's path.
+
+    Parameters
+    ----------
+    scenes
+        To learn from; every twelfth is held out.
+    folder
+        For checkpoint, curve, settings and model; an earlier run there is gone on with.
+    cache
+        For prepared samples, which later trainings share.
+    settings
+        Of the training; `scenes` and `start` in it are filled in here.
+    every
+        Steps between two checkpoints.
+    threads
+        For torch and what prepares samples; None for all cores.
+    say
+        Told what happens, in lines.
+    start
+        Another training's checkpoint, to begin with its weights; None for random ones.
+    """
+    use_threads(threads)
+    torch.set_num_threads(cores.count())
+    parts = dict(zip(("training", "validation"), split(scenes), strict=True))
+    names = {part: [scene.name for scene in chosen] for part, chosen in parts.items()}
+    digest = None if start is None else file_digest(start)
+    settings = LookAheadSettings(**(asdict(settings) | {"scenes": names, "start": digest}))
+    training = Training(folder, settings, say)
+    if start is not None:
+        training.begin_with(start)
+    samples = {
+        part: Samples(list(_prepared(chosen, settings.seed, cache, say)))
+        for part, chosen in parts.items()
+    }
+    training.run(samples["training"], samples["validation"], every)
+    return training.export()
+
+
+def _prepared(scenes: Sequence[RenderedScene], seed: int, cache: Path, say: Say) -> Iterator[Path]:
+    for count, scene in enumerate(scenes, start=1):
+        folder = samples_folder(scene, seed, cache)
+        if not folder.exists():
+            say(f"preparing {scene.name}, {count} of {len(scenes)}")
+            write_samples(scene, seed, folder)
+        yield folder

@@ -1,0 +1,40 @@
+"""A look-ahead network of one step, built by hand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import onnx
+from onnx import TensorProto, helper
+
+from exwarp_cli.domain.lookahead import CANDIDATES, LOOKS_AHEAD
+from tests.unit import tiny_models
+
+
+def nearer_side(gain: float = 1.0) -> onnx.ModelProto:
+    """Weigh by softmax over a mean of 3x3 pixels of the inputs; the weights' sum is `gain`."""
+    taps = np.zeros((CANDIDATES, LOOKS_AHEAD.inputs["colour"], 3, 3), np.float32)
+    rng = np.random.default_rng(3)
+    taps[:] = rng.normal(size=taps.shape) / 4
+    nodes = [
+        helper.make_node("Conv", ["colour", "taps"], ["logits"], pads=[1, 1, 1, 1]),
+        helper.make_node("Softmax", ["logits"], ["soft"], axis=1),
+        helper.make_node("Mul", ["masks", "none"], ["nothing"]),
+        helper.make_node("ReduceSum", ["nothing", "channels"], ["zero"], keepdims=1),
+        helper.make_node("Mul", ["soft", "gain"], ["scaled"]),
+        helper.make_node("Add", ["scaled", "zero"], [LOOKS_AHEAD.output]),
+    ]
+    weights = {
+        "taps": taps,
+        "none": np.array(0, np.float32),
+        "channels": np.array([1], np.int64),
+        "gain": np.array(gain, np.float32),
+    }
+    takes = [tiny_models.picture(name, LOOKS_AHEAD.inputs[name]) for name in ("colour", "masks")]
+    gives = [tiny_models.picture(LOOKS_AHEAD.output, CANDIDATES, TensorProto.FLOAT)]
+    return tiny_models.model(nodes, takes, gives, weights)
+
+
+def save(path: Path, made: onnx.ModelProto) -> Path:
+    return tiny_models.save(path, made)
