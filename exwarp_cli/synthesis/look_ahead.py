@@ -14,6 +14,7 @@ from exwarp_cli.domain.frame import Float32
 from exwarp_cli.synthesis.coverage import Coverage
 from exwarp_cli.synthesis.geometry import SlotField
 from exwarp_cli.synthesis.residual import agreement, along, disagreement, flow_of
+from exwarp_cli.synthesis.risk import Evidence, Tiles, evidence_of_sides
 from exwarp_cli.synthesis.warp import Mover, Warped, blend_by_depth, mix_by_depth
 
 
@@ -30,6 +31,8 @@ class LookAhead:
         As for `Mover`.
     coverage
         Of the pixels beside edges; None where each has the surface of its centre.
+    tiles
+        For which `evidence` is kept; None for none.
     """
 
     def __init__(
@@ -39,6 +42,7 @@ class LookAhead:
         time: float,
         linear: bool = False,
         coverage: Coverage | None = None,
+        tiles: Tiles | None = None,
     ) -> None:
         self._sides = Mover(back, linear), Mover(forward, linear)
         self._time = time
@@ -46,6 +50,9 @@ class LookAhead:
         self._coverage = coverage
         self._shifted: tuple[Mover, Mover] | None = None
         self._weight = np.zeros((0, 0), np.float32)
+        self._tiles = tiles
+        self.evidence: Evidence | None = None
+        """What was seen of the beauty's tiles while it was made."""
 
     @property
     def has_beauty(self) -> bool:
@@ -72,6 +79,7 @@ class LookAhead:
             self._shifted = self._follow_light(plain, apart)
             shifted = _moved(self._shifted, codes, plain)
             self._weight = agreement(apart, *shifted)
+            self._look_at(plain, shifted)
         else:
             shifted = _moved(self._shifted, codes, plain)
         out = blend_by_depth(*plain, self._time)
@@ -83,6 +91,14 @@ class LookAhead:
         moving *= self._weight[..., None]
         out += moving
         return self._sides[0].light(out)
+
+    def _look_at(self, plain: tuple[Warped, Warped], shifted: tuple[Warped, Warped]) -> None:
+        """Keep what is seen of both sides, before they are mixed."""
+        if self._tiles is not None:
+            field = self._sides[0].source.field
+            self.evidence = evidence_of_sides(
+                self._tiles, plain, shifted, self._weight, field, self._linear
+            )
 
     def _follow_light(self, plain: tuple[Warped, Warped], apart: Float32) -> tuple[Mover, Mover]:
         """Move each side its share of the way, so that both meet at the slot's time."""
