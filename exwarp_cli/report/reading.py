@@ -60,6 +60,7 @@ ADDED: dict[str, Any] = {
     "nonfinite": [],
     "held": [],
     "pulse": None,
+    "review": None,
 }
 """What reports of earlier versions do not tell, as it was then."""
 
