@@ -51,6 +51,10 @@ def summary_lines(
     pulse = document["pulse"]
     if pulse is not None and pulse["against"] == KEY_FRAMES:
         lines.append(_pulse(pulse))
+    if document["review"] is not None:
+        from exwarp_cli.report.review import review_line
+
+        lines.append(review_line(document["review"]))
     lines.extend(_lines_of_lists(document, ("left_out", "nonfinite")))
     if document["verified"] is not None:
         lines.append(f"{counted(document['verified'], 'file')} read back, all as written")

@@ -11,6 +11,7 @@ from exwarp_cli.domain.cuts import Cut
 from exwarp_cli.domain.decision import BLEND, HELD, HOLD, Decision
 from exwarp_cli.domain.extrapolator import INTERPOLATE
 from exwarp_cli.domain.metric import METRICS
+from exwarp_cli.domain.risk import Risk
 from exwarp_cli.domain.timeline import FACTOR
 
 
@@ -118,6 +119,8 @@ class FrameRecord:
     key_pulse
         Per cent by which a generated frame without ground truth is sharper or softer than the two
         key frames around it; None where not measured. See `exwarp_cli.metrics.pulse`.
+    risk
+        How wrong a generated frame is expected to be; None where nothing tells.
     """
 
     number: int
@@ -139,6 +142,7 @@ class FrameRecord:
     render: tuple[float, str] | None = None
     replaced: bool = False
     key_pulse: float | None = None
+    risk: Risk | None = None
 
     @property
     def pulse(self) -> float | None:

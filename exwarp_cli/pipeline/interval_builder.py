@@ -192,6 +192,7 @@ class IntervalBuilder:
             after_hold=inputs.after_hold,
             scratch=self._scratch,
             linear=self._linear,
+            display=self._display,
         )
 
     def _frame(self, index: int, frame: KeyFrame, basis: Basis) -> KeyFrame:

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
     from exwarp_cli.domain.frame import Bool, Float32
     from exwarp_cli.domain.results import Score
-
+from exwarp_cli.domain.risk import Risk
 
 INTERVAL_S = 5.0
 """Least seconds between two lines of a log: a farm's stays readable, a person sees life."""
@@ -227,8 +227,8 @@ class FrameListener(Protocol):
             Frames that are best seen together: the slots of a key interval, or single frames.
         """
 
-    def wants(self, number: int, score: Score | None) -> bool:
-        """Whether the frame of this number, with this score, is to be shown."""
+    def wants(self, number: int, score: Score | None, risk: Risk | None = None) -> bool:
+        """Whether the frame of this number, with this score and predicted error, is to be shown."""
 
     def frame(
         self, number: int, shown: Float32, truth: Float32 | None, mask: Bool | None, is_key: bool

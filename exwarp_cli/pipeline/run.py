@@ -418,7 +418,9 @@ class Run:
     def _show(self, rendered: RenderedSlot, inputs: IntervalInputs) -> None:
         """Show a frame as its file has it: to the video, and with its truth to the listener."""
         record, writer = rendered.record, self.writer
-        listens = self._listener is not None and self._listener.wants(record.number, record.score)
+        listens = self._listener is not None and self._listener.wants(
+            record.number, record.score, record.risk
+        )
         if not (listens or writer.shows):
             return
         is_key = record.kind is FrameKind.KEY

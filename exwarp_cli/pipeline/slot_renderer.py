@@ -16,6 +16,7 @@ from exwarp_cli import __version__
 from exwarp_cli.domain.decision import Decision, Features, Plan, maker_of, step_of
 from exwarp_cli.domain.frame import Bool, Image, place
 from exwarp_cli.domain.results import FrameKind, FrameRecord
+from exwarp_cli.domain.risk import Risk
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.errors import OutputError
@@ -37,6 +38,9 @@ from exwarp_cli.pipeline.scheduling import record_time
 from exwarp_cli.pipeline.source import Source
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import Method, Predicted, repeat_held, take
+
+PREDICTED_ERROR = "predictedError"
+"""Attribute of generated frames; their tiles are in the one named risk."""
 
 
 @dataclass(frozen=True)
@@ -135,6 +139,7 @@ class SlotRenderer:
             path=None if plan is None else plan.path,
             decision=None if plan is None else plan.decision_of(slot.index),
             replaced=self._writer.is_in_the_way(number),
+            risk=predicted.risk if kind is FrameKind.GENERATED else None,
         )
         if in_pool:
             interval.forget(slot.index)
@@ -190,6 +195,7 @@ class SlotRenderer:
             made_by=maker_of(header.get("madeBy"), str(header["method"])),
             path=header.get("path"),
             decision=parse_decision(header.get("decision")),
+            risk=parse_risk(header),
         )
 
     def _mask(self, interval: Interval, slot: Slot) -> Bool | None:
@@ -254,6 +260,9 @@ class SlotRenderer:
             out[f"{PREFIX}decision"] = decision_text(record.decision)
         if record.hole_fraction is not None:
             out[f"{PREFIX}holeFraction"] = record.hole_fraction
+        if record.risk is not None:
+            out[f"{PREFIX}{PREDICTED_ERROR}"] = record.risk.error
+            out[f"{PREFIX}risk"] = record.risk.text
         if self._layers.moves_vectors:
             # Those of a key frame, too, lead over a key interval, which is so many output frames.
             out[f"{PREFIX}vectorSpan"] = float(self._source.timeline.factor)
@@ -271,6 +280,12 @@ def rate_attribute(source: Source) -> dict[str, Any]:
 def rounded(image: Image, template: FrameTemplate) -> Image:
     """Return a frame as its file has it."""
     return replace(image, pixels=quantised(image.pixels, template))
+
+
+def parse_risk(header: Mapping[str, Any]) -> Risk | None:
+    """Read how wrong a frame is expected to be from its header; None where that does not say."""
+    error = header.get(PREDICTED_ERROR)
+    return None if error is None else Risk.parsed(float(error), str(header["risk"]))
 
 
 def decision_text(decision: Decision) -> str:

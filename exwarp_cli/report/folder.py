@@ -23,11 +23,15 @@ from exwarp_cli.report.comparison import SCHEMA, comparison, comparison_csv
 from exwarp_cli.report.frames_csv import frames_csv
 from exwarp_cli.report.gallery import Album
 from exwarp_cli.report.page import Page, render
+from exwarp_cli.report.review import worth_a_look
+from exwarp_cli.report.review_lists import review_csv, review_txt
 from exwarp_cli.report.summary import report, to_json
 from exwarp_cli.report.upsample_page import upsample_page
 
 REPORT_FILE = "report.json"
 FRAMES_FILE = "frames.csv"
+PLACES_FILE = "review.csv"
+RENDER_FILE = "review.txt"
 PAGE_FILE = "report.html"
 CHUNKS = "chunks"
 
@@ -124,7 +128,7 @@ def _is_comparison(report: Path) -> bool:
 
 
 def write_report(folder: Path, run: RunSummary, album: Album | None = None) -> None:
-    """Write report.json, frames.csv and report.html of an upsampling run.
+    """Write report.json, frames.csv, the lists of a review and report.html of an upsampling run.
 
     Parameters
     ----------
@@ -142,7 +146,12 @@ def write_report(folder: Path, run: RunSummary, album: Album | None = None) -> N
     """
     document = report(run)
     page = upsample_page(run, document, album)
-    write_files(folder, to_json(document), {FRAMES_FILE: frames_csv(run.frames)}, page)
+    tables = {
+        FRAMES_FILE: frames_csv(run.frames),
+        PLACES_FILE: review_csv(worth_a_look(run)),
+        RENDER_FILE: review_txt(run.frames),
+    }
+    write_files(folder, to_json(document), tables, page)
 
 
 def write_comparison(folder: Path, result: Comparison, album: Album | None = None) -> None:

@@ -30,17 +30,20 @@ COLUMNS = (
     *LATER_HOLE_SCORES,
     *("render_s", "render_source", "rendered_width", "rendered_height", "distance"),
     *("scored", "scored_holes", "replaced", "pulse"),
+    *("predicted_error", "risk"),
 )
 """A column that is new goes to the end: a line of this table is read by position, too.
 
 `rendered_width`, `rendered_height` and `distance` belong to the features: R is the product of the
 first two, EMD_Wp is judged by the last. `scored` and `scored_holes` are true where there was ground
 truth, whatever was measured. `replaced` is true where a file made way for the frame. `pulse` is
-against ground truth where `scored` is true, else against the key frames. After these columns come
-the timed steps, each as ``<step>_ms``.
+against ground truth where `scored` is true, else against the key frames. `predicted_error` is the
+RMS error that a new frame is expected to have, in display levels of 0 to 255, and `risk` that of
+its tiles, see `exwarp_cli.domain.risk`. After these columns come the timed steps, each as
+``<step>_ms``.
 """
 
-ADDED_COLUMNS = ("pulse",)
+ADDED_COLUMNS = ("pulse", "predicted_error", "risk")
 """Columns that tables of earlier versions may lack."""
 
 
@@ -147,5 +150,6 @@ def _row(frame: FrameRecord, steps: list[str]) -> list[Any]:
         *(frame.render or (None, None)),
         *seen_cells(frame.decision),
         *(frame.score is not None, frame.hole_score is not None, frame.replaced, frame.pulse),
+        *((None, None) if frame.risk is None else (frame.risk.error, frame.risk.text)),
         *(frame.timing_ms.get(step) for step in steps),
     ]

@@ -9,6 +9,7 @@ The viewer in a page reads one JSON object an album::
      "images": [{"url", "width", "height", "peak"}, …],
      "frames": [{"number": 12, "label": "frame 12", "kind": "generated",
                  "facts": {"PSNR": "34.21 dB", …},     text beside the picture
+                 "risk": {"columns", "rows", "levels"} or null, predicted error of tiles, 0 to 255
                  "holes": 3 or null,                   indices into `images` from here on
                  "pictures": {"output": 0, "ground truth": 1, …},
                  "errors": {"output": 2, …}}, …]}
@@ -24,6 +25,7 @@ from typing import Any
 
 from exwarp_cli.domain.frame import Bool, Float32
 from exwarp_cli.domain.results import FrameRecord, Score
+from exwarp_cli.domain.risk import Risk
 from exwarp_cli.report.pictures import (
     LONGEST,
     Picture,
@@ -58,6 +60,7 @@ class Shown:
     pictures: dict[str, Picture]
     errors: dict[str, Picture]
     holes: Picture | None = None
+    risk: Risk | None = None
 
 
 @dataclass
@@ -124,11 +127,14 @@ class Album:
         self.frames[number] = shown
         return shown
 
-    def tell(self, number: int, kind: str, facts: Mapping[str, str]) -> None:
-        """Set what is written beside a frame, if the album has it."""
+    def tell(
+        self, number: int, kind: str, facts: Mapping[str, str], risk: Risk | None = None
+    ) -> None:
+        """Set what is written beside a frame, and its predicted error, if the album has it."""
         if number in self.frames:
             self.frames[number].kind = kind
             self.frames[number].facts = dict(facts)
+            self.frames[number].risk = risk
 
     def plain(self) -> dict[str, Any]:
         """Return the object of the module's text, without `heat`; equal pictures appear once."""
@@ -147,6 +153,7 @@ class Album:
                 "label": shown.label,
                 "kind": shown.kind,
                 "facts": shown.facts,
+                "risk": None if shown.risk is None else risk_tiles(shown.risk),
                 "holes": None if shown.holes is None else index(shown.holes),
                 "pictures": {name: index(p) for name, p in shown.pictures.items()},
                 "errors": {name: index(p) for name, p in shown.errors.items()},
@@ -164,12 +171,18 @@ class Album:
         }
 
 
+def risk_tiles(risk: Risk) -> dict[str, Any]:
+    """Return the predicted error of a frame's tiles as the viewer reads it."""
+    levels = [round(level, 1) for level in risk.levels]
+    return {"columns": risk.columns, "rows": risk.rows, "levels": levels}
+
+
 class Gallery:
     """Watches a run and keeps some of its frames: a `pipeline.progress.FrameListener`.
 
     Whole groups (key intervals) evenly over the run, and the frame that is worst by the first
     metric that is known while frames are at hand (all but VMAF and flicker), which the viewer
-    starts with.
+    starts with. Without ground truth it is the frame with the largest predicted error.
 
     Of a run that is done in parts by several processes, one gallery hears the plan; each part is
     watched by what `share` returned, which can be pickled, and `adopt` takes over what it kept.
@@ -228,9 +241,11 @@ class Gallery:
         }
         self.album.room = room_for(len(self._chosen) + 1)
 
-    def wants(self, number: int, score: Score | None) -> bool:
+    def wants(self, number: int, score: Score | None, risk: Risk | None = None) -> bool:
         """Whether a frame was chosen, or is the worst so far, which then replaces the last one."""
         value = None if score is None else score.badness
+        if not self._has_truth and risk is not None:
+            value = risk.error
         if value is None or (self._worst is not None and value <= self._worst[0]):
             return number in self._chosen
         if self._worst is not None and self._worst[1] not in self._chosen:
@@ -256,13 +271,17 @@ class Gallery:
 
 
 def worst_of(frames: Iterable[FrameRecord]) -> int | None:
-    """Return the number of the worst frame, the first of equally bad ones; None if none is scored.
+    """Return the number of the worst frame, the first of equally bad ones; None if nothing tells.
 
-    By all metrics of the finished run, VMAF and flicker among them.
+    By all metrics of the finished run, VMAF and flicker among them; where no frame is scored, by
+    the predicted error.
     """
-    known = [(f.score.badness, -f.number) for f in frames if f.score is not None]
+    records = tuple(frames)
+    known = [(f.score.badness, -f.number) for f in records if f.score is not None]
     measured = [(badness, number) for badness, number in known if badness is not None]
-    return -max(measured)[1] if measured else None
+    predicted = [(f.risk.error, -f.number) for f in records if f.risk is not None]
+    told = measured or ([] if known else predicted)
+    return -max(told)[1] if told else None
 
 
 def evenly(groups: Sequence[Sequence[int]]) -> list[int]:

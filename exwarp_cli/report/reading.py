@@ -30,6 +30,7 @@ from exwarp_cli.domain.results import (
     Score,
     WrittenFile,
 )
+from exwarp_cli.domain.risk import Risk
 from exwarp_cli.domain.timeline import listed
 from exwarp_cli.errors import DamagedFileError, InputError
 from exwarp_cli.report.comparison import SCHEMA as COMPARISON
@@ -59,6 +60,7 @@ ADDED: dict[str, Any] = {
     "nonfinite": [],
     "held": [],
     "pulse": None,
+    "review": None,
 }
 """What reports of earlier versions do not tell, as it was then."""
 
@@ -327,6 +329,7 @@ def _frame(row: Mapping[str, str]) -> FrameRecord:
         render=_render(row),
         replaced=_truth(row["replaced"]),
         key_pulse=pulse if score is None else None,
+        risk=_risk(row),
     )
 
 
@@ -377,6 +380,11 @@ def _features(row: Mapping[str, str]) -> Features | None:
 def _render(row: Mapping[str, str]) -> tuple[float, str] | None:
     seconds = _number(row["render_s"])
     return None if seconds is None else (seconds, row["render_source"])
+
+
+def _risk(row: Mapping[str, str]) -> Risk | None:
+    text = row.get("predicted_error")
+    return Risk.parsed(_value(text), row["risk"]) if text else None
 
 
 def _truth(text: str) -> bool:

@@ -15,6 +15,7 @@ from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.report.decisions import decisions, quality_by_decision
 from exwarp_cli.report.quality import mean, quality
 from exwarp_cli.report.render_time import render_time
+from exwarp_cli.report.review import review
 
 SCHEMA = "exwarp.report/1"
 
@@ -45,6 +46,7 @@ def report(run: RunSummary) -> dict[str, Any]:
         "decisions": decisions(_paths(run)),
         "quality": _quality(run.decides, shown),
         "pulse": _pulse(shown),
+        "review": review(run),
         "timing_ms": _timing(run.frames),
         "extrapolator": None if run.extrapolator is None else asdict(run.extrapolator),
         "policy": None if run.policy is None else asdict(run.policy),

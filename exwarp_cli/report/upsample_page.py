@@ -9,8 +9,19 @@ from exwarp_cli.domain.metric import KEY_FRAMES
 from exwarp_cli.domain.results import FrameKind, FrameRecord, RunSummary
 from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.domain.wording import counted
+from exwarp_cli.metrics.display import PEAK
 from exwarp_cli.report.gallery import Album, worst_of
-from exwarp_cli.report.page import Block, Cell, Number, Page, Section, Table, Viewer
+from exwarp_cli.report.page import (
+    Block,
+    Cell,
+    Link,
+    Number,
+    Page,
+    Section,
+    Table,
+    Text,
+    Viewer,
+)
 from exwarp_cli.report.page_parts import (
     BY_FIELD,
     better,
@@ -30,8 +41,23 @@ from exwarp_cli.report.page_parts import (
 from exwarp_cli.report.plot_style import Figure, Labels
 from exwarp_cli.report.plots import histogram, lines, points, series_panels, stacked_bars
 from exwarp_cli.report.quality import mean
+from exwarp_cli.report.review import review_line, worth_a_look
 from exwarp_cli.report.strip import Cell as StripCell
 from exwarp_cli.report.strip import strip
+
+PREDICTED = (
+    "How wrong each new frame is expected to be, without ground truth. It is a forecast by how "
+    "much key frames disagree, by holes, and by how well they predict each other."
+)
+
+PLACES_NOTE = (
+    "light: shadows, reflections or highlights differ between the key frames. holes: key frames do "
+    "not show what is behind. motion: things move apart there, and outlines are uncertain. The "
+    "viewer above shows the forecast as a map: choose Forecast under View."
+)
+
+MOST_PLACES = 20
+"""Of the list on the page; review.csv has more."""
 
 MOST_ROWS = 200
 """Of a table on the page; report.json has them all."""
@@ -52,7 +78,7 @@ def upsample_page(run: RunSummary, document: dict[str, Any], album: Album | None
     frames = run.frames
     if album is not None:
         for frame in frames:
-            album.tell(frame.number, made_by(frame), _facts(frame))
+            album.tell(frame.number, made_by(frame), _facts(frame), frame.risk)
         _start_at_worst(album, frames)
     shown = () if album is None else tuple(album.frames)
     source = document["input"]
@@ -64,6 +90,7 @@ def upsample_page(run: RunSummary, document: dict[str, Any], album: Album | None
         headline(document),
         (
             Section("frames", "Frames", [Viewer(album)] if album and album.frames else []),
+            Section("review", "Worth a look", _review(run, document, shown)),
             Section("quality", "Quality", _quality(run, document, shown)),
             Section("decisions", "Decisions", _decisions(run, document)),
             Section("holes", "Holes and features", _evidence(run, document)),
@@ -166,9 +193,54 @@ def _facts(frame: FrameRecord) -> dict[str, str]:
     if frame.key_pulse is not None:
         metric = BY_FIELD["pulse"]
         facts[f"{metric.name} against {KEY_FRAMES}"] = metric.with_unit(frame.key_pulse)
+    if frame.risk is not None:
+        facts["predicted error"] = f"{frame.risk.error:.1f} of 255"
     if frame.has_holes:
         facts["holes"] = str(percent(frame.hole_fraction))
     return facts
+
+
+def _review(run: RunSummary, document: dict[str, Any], shown: tuple[int, ...]) -> list[Block]:
+    """List what is most worth a look, and draw the predicted error of the new frames."""
+    found = document["review"]
+    if found is None:
+        return []
+    blocks: list[Block] = [Text(f"{PREDICTED} {review_line(found).capitalize()}.")]
+    known = [frame for frame in run.frames if frame.risk is not None]
+    if len(known) > 1:
+        blocks.append(_predicted_errors(known, found, after_cuts(run)))
+    rows: list[list[Cell]] = [
+        [
+            Link(str(place.frame), f"#viewer:{place.frame}")
+            if place.frame in shown
+            else str(place.frame),
+            f"{place.error:.1f}",
+            f"{place.width}x{place.height} at {place.x},{place.y}",
+            place.reason,
+        ]
+        for place in worth_a_look(run)[:MOST_PLACES]
+    ]
+    if rows:
+        columns = ("frame", "predicted error", "pixels", "why")
+        blocks.append(Table("Places worth a look", columns, rows, PLACES_NOTE))
+    return blocks
+
+
+def _predicted_errors(known: list[FrameRecord], found: dict[str, Any], cuts: list[int]) -> Figure:
+    """Draw the predicted error of each new frame, beside the measured one where there is one."""
+    numbers = [frame.number for frame in known]
+    series: dict[str, list[float | None]] = {
+        "predicted": [None if frame.risk is None else frame.risk.error for frame in known]
+    }
+    scores = [None if frame.score is None else frame.score.psnr_db for frame in known]
+    if any(score is not None for score in scores):
+        series["measured"] = [None if db is None else PEAK / 10 ** (db / 20) for db in scores]
+    labels = Labels(
+        "Predicted error per frame", "frame", "RMS of 255 levels",
+        "How wrong each new frame is expected to be; lower is better.",
+    )  # fmt: skip
+    worst = numbers.index(found["predicted_error"]["worst_frame"])
+    return lines(labels, numbers, series, (worst,), cuts)
 
 
 def after_cuts(run: RunSummary) -> list[int]:

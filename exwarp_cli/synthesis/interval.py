@@ -33,6 +33,7 @@ from exwarp_cli.synthesis.history import (
     step_back,
 )
 from exwarp_cli.synthesis.look_ahead import LookAhead
+from exwarp_cli.synthesis.risk import KeyResidual, Tiles, key_residual
 from exwarp_cli.synthesis.trajectory import displaced, displacement, reach_of, span_motion
 
 QUARTERS = tuple(index / FACTOR for index in range(1, FACTOR))
@@ -75,6 +76,8 @@ class Interval:
         Where arrays lie that wait for a network.
     linear
         Whether colour is moved and mixed in linear light, as layers that add up to it go along.
+    display
+        The window whose tiles get a predicted error; None for that of the frames.
     """
 
     key: KeyFrame
@@ -90,6 +93,7 @@ class Interval:
     after_hold: bool = False
     scratch: ScratchFrames = IN_MEMORY
     linear: bool = False
+    display: Window | None = None
     _warps: dict[int, CarriedLight] = field(default_factory=dict, init=False)
     _mixers: dict[int, LookAhead] = field(default_factory=dict, init=False)
     _back: dict[int, SlotField] = field(default_factory=dict, init=False)
@@ -99,6 +103,8 @@ class Interval:
     _between: BetweenKeys | None = field(default=None, init=False)
     _light: list[LightFlow | None] = field(default_factory=list, init=False)
     _finding_light: Lock = field(default_factory=Lock, init=False)
+    _residual: list[KeyResidual | None] = field(default_factory=list, init=False)
+    _finding_residual: Lock = field(default_factory=Lock, init=False)
     _extrapolated: dict[int, Float32] = field(default_factory=dict, init=False)
     _holes: dict[int, Bool] = field(default_factory=dict, init=False)
 
@@ -162,6 +168,33 @@ class Interval:
                 self._light.append(self.scratch.store(light_flow(self.key, self.past[0])))
         return self._light[0]
 
+    @property
+    def tiles(self) -> Tiles:
+        """The tiles whose error is predicted."""
+        canvas = self.key.image.data_window
+        return Tiles(canvas, self.display or canvas)
+
+    @property
+    def residual(self) -> KeyResidual | None:
+        """How well one key frame predicts another: the next one, or by the one before. Found once.
+
+        None where no motion leads from one to the other.
+        """
+        with self._finding_residual:  # threads that make the slots share it
+            if not self._residual:
+                self._residual.append(self._key_residual())
+        return self._residual[0]
+
+    def _key_residual(self) -> KeyResidual | None:
+        after = self.following
+        if after is not None:
+            if after.gbuffer is None or not after.gbuffer.has_motion:
+                return None
+            return key_residual(self.tiles, after, self.key, displacement(after.gbuffer, -1))
+        if not self.past:
+            return None
+        return key_residual(self.tiles, self.key, self.past[0].frame, self.past[0].motion)
+
     def warp(self, slot: int) -> CarriedLight:
         """Return what moves the key frame before a slot to it; one for all layers of the slot."""
         if slot in self._warps:
@@ -197,7 +230,7 @@ class Interval:
         network = None
         if weighs and isinstance(self.interpolator, LookAheadNetwork):
             network = self.interpolator
-        mixer = LookAhead(*fields, time, self.linear, coverage, network)
+        mixer = LookAhead(*fields, time, self.linear, coverage, network, self.tiles)
         if self.linear:  # else no layers follow
             self._mixers[slot] = mixer
         return mixer

@@ -18,6 +18,7 @@ from exwarp_cli.synthesis.candidates import Candidates, Weights
 from exwarp_cli.synthesis.coverage import Coverage
 from exwarp_cli.synthesis.geometry import SlotField
 from exwarp_cli.synthesis.residual import agreement, along, disagreement, flow_of
+from exwarp_cli.synthesis.risk import Evidence, Tiles, evidence_of_sides
 from exwarp_cli.synthesis.warp import Mover, Warped, blend_by_depth, mix_by_depth
 
 
@@ -36,6 +37,8 @@ class LookAhead:
         Of the pixels beside edges; None where each has the surface of its centre.
     network
         That weighs what both sides show; None for the weights of softmax splatting.
+    tiles
+        For which `evidence` is kept; None for none.
     """
 
     def __init__(
@@ -46,6 +49,7 @@ class LookAhead:
         linear: bool = False,
         coverage: Coverage | None = None,
         network: LookAheadNetwork | None = None,
+        tiles: Tiles | None = None,
     ) -> None:
         self._sides = Mover(back, linear), Mover(forward, linear)
         self._time = time
@@ -55,6 +59,9 @@ class LookAhead:
         self._weights: Weights = []
         self._shifted: tuple[Mover, Mover] | None = None
         self._weight = np.zeros((0, 0), np.float32)
+        self._tiles = tiles
+        self.evidence: Evidence | None = None
+        """What was seen of the beauty's tiles while it was made."""
 
     @property
     def has_beauty(self) -> bool:
@@ -82,6 +89,7 @@ class LookAhead:
             self._shifted = self._follow_light(plain, apart)
             shifted = _moved(self._shifted, codes, plain)
             self._weight = agreement(apart, *shifted)
+            self._look_at(plain, shifted)
         else:
             shifted = _moved(self._shifted, codes, plain)
         candidates = (*plain, *shifted)
@@ -103,6 +111,14 @@ class LookAhead:
             else:
                 out = layer.mix(self._weights)
         return self._sides[0].light(out)
+
+    def _look_at(self, plain: tuple[Warped, Warped], shifted: tuple[Warped, Warped]) -> None:
+        """Keep what is seen of both sides, before they are mixed."""
+        if self._tiles is not None:
+            field = self._sides[0].source.field
+            self.evidence = evidence_of_sides(
+                self._tiles, plain, shifted, self._weight, field, self._linear
+            )
 
     def _follow_light(self, plain: tuple[Warped, Warped], apart: Float32) -> tuple[Mover, Mover]:
         """Move each side its share of the way, so that both meet at the slot's time."""

@@ -12,7 +12,17 @@ from exwarp_cli.domain.extrapolator import HISTORY, INTERPOLATE
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.domain.lookahead import LOOKAHEAD, LookAheadNetwork
 from exwarp_cli.domain.results import FrameKind
+from exwarp_cli.domain.risk import Risk
 from exwarp_cli.synthesis.interval import Interval
+from exwarp_cli.synthesis.risk import (
+    FIRST_WARPED,
+    MIXED,
+    WARPED,
+    Evidence,
+    evidence_of_warp,
+    predict_risk,
+    terms_of,
+)
 from exwarp_cli.synthesis.source_bounds import hold_in_range, hold_within, sources_between
 from exwarp_cli.synthesis.warp import Mover, between, cross_fade, repair
 
@@ -37,6 +47,8 @@ class Predicted:
         Numbers of the key frames that colour came from, ascending.
     made_by
         WARP, EXTRAPOLATE, SOFTSPLAT, BLEND, INTERPOLATE or HOLD.
+    risk
+        How wrong it is expected to be; None where nothing tells.
     """
 
     pixels: Float32
@@ -44,6 +56,7 @@ class Predicted:
     method: str
     sources: tuple[int, ...]
     made_by: str
+    risk: Risk | None = None
 
 
 class Judge(Enum):
@@ -169,7 +182,8 @@ def take(path: str, interval: Interval, slot: int) -> Predicted:
         sources = _seen(interval)
     else:
         return replace(_warp(interval, slot), method=name)
-    return Predicted(pixels, FrameKind.GENERATED, name, sources, maker)
+    risk = _risk_of_warp(interval, slot, pixels)
+    return Predicted(pixels, FrameKind.GENERATED, name, sources, maker, risk)
 
 
 def _warp(interval: Interval, slot: int) -> Predicted:
@@ -177,7 +191,17 @@ def _warp(interval: Interval, slot: int) -> Predicted:
     if interval.estimated and not interval.has_motion:
         return _hold(interval, slot)  # nothing comes before it by which motion could be estimated
     pixels = interval.warp(slot).make(interval.key.image.pixels)
-    return Predicted(pixels, FrameKind.GENERATED, "s6", (interval.key.number,), WARP)
+    risk = _risk_of_warp(interval, slot, pixels)
+    return Predicted(pixels, FrameKind.GENERATED, "s6", (interval.key.number,), WARP, risk)
+
+
+def _risk_of_warp(interval: Interval, slot: int, pixels: Float32) -> Risk:
+    """Predict the error of a frame of what came before its slot."""
+    tiles, back = interval.tiles, interval.back(slot)
+    evidence = evidence_of_warp(tiles, back.hole | back.ghosts)
+    terms = terms_of(tiles, evidence, interval.residual, pixels)
+    formula = WARPED if interval.past else FIRST_WARPED
+    return predict_risk(terms, formula, interval.time(slot))
 
 
 def _seen(interval: Interval) -> tuple[int, ...]:
@@ -205,9 +229,21 @@ def _look_ahead(name: str, made_by: str, interval: Interval, slot: int) -> Predi
     if interval.following is None:
         return _causal(interval, slot)
     frames = (interval.key.image.pixels, interval.following.image.pixels)
-    pixels = interval.look_ahead(slot, weighs=made_by == INTERPOLATE).make(*frames)
+    mixer = interval.look_ahead(slot, weighs=made_by == INTERPOLATE)
+    pixels = mixer.make(*frames)
     sources = (interval.key.number, interval.following.number)
-    return Predicted(pixels, FrameKind.GENERATED, name, sources, made_by)
+    risk = _risk_of_sides(interval, slot, mixer.evidence, pixels)
+    return Predicted(pixels, FrameKind.GENERATED, name, sources, made_by, risk)
+
+
+def _risk_of_sides(
+    interval: Interval, slot: int, evidence: Evidence | None, pixels: Float32
+) -> Risk | None:
+    """Predict the error of a frame of both key frames around its slot."""
+    if evidence is None:
+        return None
+    terms = terms_of(interval.tiles, evidence, interval.residual, pixels)
+    return predict_risk(terms, MIXED, interval.time(slot))
 
 
 def _onnx(interval: Interval, slot: int) -> Predicted:

@@ -57,7 +57,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options.out.mkdir(parents=True, exist_ok=True)
     rows = []
     for scene in find_scenes(options.data, None if options.scenes else "benchmark", options.scenes):
-        intervals = _rendered_intervals(scene)
+        intervals = rendered_intervals(scene)
         if not intervals:
             continue
         footage = Footage(scene)
@@ -91,7 +91,7 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     return parser.parse_args(arguments)
 
 
-def _rendered_intervals(scene: RenderedScene) -> int:
+def rendered_intervals(scene: RenderedScene) -> int:
     """Return how many key intervals, from the first on, are rendered in full."""
     keys, instants = scene.manifest.keys, scene.manifest.instants
 

@@ -26,7 +26,7 @@ COLUMNS = [
     *("N_d", "EMD_Wn", "EMD_Wp", "Var_x", "Var_y", "R", "inputs"),
     *("hdr_flip", "vmaf", "flicker", "hdr_flip_holes", "flicker_holes"),
     *("render_s", "render_source", "rendered_width", "rendered_height", "distance"),
-    *("scored", "scored_holes", "replaced", "pulse"),
+    *("scored", "scored_holes", "replaced", "pulse", "predicted_error", "risk"),
 ]
 STEPS = ("read", "features", "decide", "warp", "holes", "extrapolate", "write")
 TIMES = [f"{step}_ms" for step in STEPS]
@@ -113,14 +113,14 @@ def test_every_value_has_its_cell() -> None:
     assert key["psnr_db"] == key["hole_fraction"] == key["warp_ms"] == ""
     assert (key["kind"], key["resumed"]) == ("key", "false")
     assert key["scored"] == key["scored_holes"] == "false"
-    assert all(key[name] == "" for name in COLUMNS[COLUMNS.index("made_by") : -4])
+    assert all(key[name] == "" for name in COLUMNS[COLUMNS.index("made_by") : -6])
 
 
 def test_a_decision_without_features_has_no_cells_for_them() -> None:
     frame = interval(1001, "ggg", 1001)[1]
     bare = Decision("d2", "warp", outputs=(34.5, 30.25))
     (row,) = rows_of(frames_csv((replace(frame, decision=bare),)))
-    filled = {name: row[name] for name in COLUMNS[COLUMNS.index("made_by") : -4] if row[name]}
+    filled = {name: row[name] for name in COLUMNS[COLUMNS.index("made_by") : -6] if row[name]}
     assert filled == {
         "node": "d2", "choice": "warp", "output_warp": "34.5", "output_extrapolate": "30.25"
     }  # fmt: skip
@@ -153,7 +153,7 @@ def test_no_spreadsheet_takes_a_file_name_for_a_formula(name: str) -> None:
 def test_folder_is_made_and_files_are_whole(tmp_path: Path) -> None:
     folder = tmp_path / "new" / "report"
     write_report(folder, path_run("S6", 2))
-    names = ["frames.csv", "report.html", "report.json"]
+    names = ["frames.csv", "report.html", "report.json", "review.csv", "review.txt"]
     assert sorted(p.name for p in folder.iterdir()) == names
     assert json.loads((folder / "report.json").read_text())["frames"]["written"] == 8
     assert len(rows_of((folder / "frames.csv").read_text())) == 8

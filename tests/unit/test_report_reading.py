@@ -31,6 +31,7 @@ from exwarp_cli.domain.results import (
     Score,
     WrittenFile,
 )
+from exwarp_cli.domain.risk import Risk
 from exwarp_cli.errors import DamagedFileError, InputError
 from exwarp_cli.report.frames_csv import frames_csv
 from exwarp_cli.report.reading import frames_of, read_report
@@ -61,6 +62,14 @@ decisions = st.builds(
 scores = st.builds(Score, *[maybe(values)] * 7)
 of_whole_frames = {metric.field: None for metric in METRICS if not metric.in_holes}
 hole_scores = scores.map(lambda score: replace(score, **of_whole_frames))
+risks = st.builds(
+    Risk,
+    st.floats(0, 255, width=32),
+    st.just(1),
+    st.just(2),
+    st.tuples(st.integers(0, 128), st.integers(0, 128)),
+    st.tuples(st.integers(0, 2), st.integers(0, 2)),
+)
 all_records = st.builds(
     FrameRecord,
     *(numbers, words, numbers, st.integers(0, 9), st.sampled_from(FrameKind), words),
@@ -76,6 +85,7 @@ all_records = st.builds(
     decision=maybe(decisions),
     render=maybe(st.tuples(positive, words)),
     key_pulse=maybe(values),
+    risk=maybe(risks),
 )
 records = all_records.map(  # key frames are compared with only where there is no ground truth
     lambda one: one if one.score is None else replace(one, key_pulse=None)

@@ -46,6 +46,7 @@ CONTRACT: dict[str, Any] = {
         "dropped": QUALITY,
     },
     "pulse": None,
+    "review": None,
     "timing_ms": dict.fromkeys(
         ("read", "features", "decide", "warp", "holes", "extrapolate", "write")
     ),

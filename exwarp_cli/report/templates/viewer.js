@@ -2,6 +2,8 @@
 (() => {
   const SLOPE = 1.055 / 2.4;
   const CACHED = 24;
+  // Predicted error of a tile, of 255 levels, that has the map's last colour.
+  const FORECAST = 64;
   // Of holes: a colour that neither renders nor, in error maps, the map has much of.
   const TINT = [230, 60, 200];
   const ERROR_TINT = [0, 190, 230];
@@ -178,6 +180,24 @@
       return [out, told];
     }
 
+    // The predicted error of the frame's tiles over its grey picture, in the error map's colours.
+    forecast(image) {
+      const risk = this.frame.risk;
+      if (!image || risk === null) return null;
+      const { width, height } = image;
+      for (let y = 0; y < height; y++) {
+        const row = Math.floor((y * risk.rows) / height) * risk.columns;
+        for (let x = 0; x < width; x++) {
+          const level = risk.levels[row + Math.floor((x * risk.columns) / width)];
+          const tint = this.heat[Math.round(255 * Math.sqrt(Math.min(level / FORECAST, 1)))];
+          const at = 4 * (y * width + x);
+          const grey = (image.data[at] + image.data[at + 1] + image.data[at + 2]) / 3;
+          for (let c = 0; c < 3; c++) image.data[at + c] = 0.3 * grey + 0.7 * tint[c];
+        }
+      }
+      return image;
+    }
+
     async tint(image) {
       if (!image || !this.parts.holes.checked || this.frame.holes === null) return image;
       const mask = await this.pixels(this.frame.holes);
@@ -201,6 +221,11 @@
         const [image, text] = await this.error(names, pair);
         pair = [image, image];
         told = [text, ""];
+      }
+      if (mode === "forecast") {
+        const image = this.forecast(pair.find(Boolean) ?? null);
+        pair = [image, image];
+        told = ["predicted error", ""];
       }
       pair = [await this.tint(pair[0]), pair[0] === pair[1] ? pair[0] : await this.tint(pair[1])];
       if (turn !== this.asked) return;
@@ -243,11 +268,15 @@
       parts["right-tag"].textContent = mode === "slider" || mode === "side" ? name(1) : "";
       parts["right-tag"].hidden = parts["right-tag"].textContent === "";
       parts.divider.hidden = mode !== "slider";
-      parts.legend.hidden = mode !== "error";
+      parts.legend.hidden = mode !== "error" && mode !== "forecast";
       parts.stops.textContent = (stops > 0 ? "+" : "") + stops;
       parts.seek.value = this.index;
       parts.seek.setAttribute("aria-valuetext", frame.label);
       parts.canvas.setAttribute("aria-label", `${frame.label}: ${told.filter(Boolean).join(" and ")}`);
+      parts.scale.textContent = mode === "forecast" ? `${FORECAST} of 255 levels, by square root`
+        : "100 % of the display range, by square root";
+      const forecast = this.modes.find((input) => input.value === "forecast");
+      forecast.disabled = !this.data.frames.some((one) => one.risk !== null);
       parts.holes.disabled = !this.data.frames.some((one) => one.holes !== null);
       const facts = Object.entries({ [frame.label]: frame.kind, ...frame.facts });
       parts.facts.replaceChildren(...facts.map(([term, text]) => {
@@ -324,7 +353,7 @@
     if (!current || event.ctrlKey || event.altKey || event.metaKey) return;
     const control = event.target.closest?.("input, select, button, a, [role=slider], .table, .wide");
     // Fields, buttons and scrolling boxes keep the keys that they use themselves.
-    const theirs = control && (control.tagName === "SELECT" || !/^[a-zA-Z1-4?]$/.test(event.key));
+    const theirs = control && (control.tagName === "SELECT" || !/^[a-zA-Z1-5?]$/.test(event.key));
     if (!theirs && current.key(event)) event.preventDefault();
   });
 })();

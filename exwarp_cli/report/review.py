@@ -1,0 +1,180 @@
+"""What of a run is most worth a look, and which frames are most worth rendering after all.
+
+Both go by the predicted error of new frames, see `exwarp_cli.domain.risk`, and by the frames'
+records alone, so that joined chunks have the lists of a single run.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from exwarp_cli.domain.results import FrameRecord, RunSummary
+from exwarp_cli.domain.risk import REASONS, edges
+from exwarp_cli.domain.timeline import ranges
+from exwarp_cli.domain.wording import counted
+from exwarp_cli.report.quality import mean
+
+MOST_PLACES = 100
+"""Places of a list at most."""
+
+PLACES_OF_FRAME = 3
+"""Places of one frame at most."""
+
+SEEN = 8.0
+"""Display levels from which the error of a place is worth a look: 30 dB."""
+
+STANDS_OUT = 0.5
+"""Share of the error of a frame's worst tile from which another tile belongs to a place."""
+
+RENDERED_SHARE = 0.1
+"""Share of the new frames that are named for rendering: the worst of them."""
+
+RENDERED_FROM = 4.0
+"""Display levels of a whole frame from which it is named for rendering: 36 dB."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """A part of a frame that is expected to be wrong.
+
+    Attributes
+    ----------
+    frame
+        Output number.
+    error
+        Predicted RMS error, display levels of 0 to 255.
+    x, y, width, height
+        Pixels, from the upper left corner of the display window.
+    reason
+        Out of `exwarp_cli.domain.risk.REASONS`.
+    """
+
+    frame: int
+    error: float
+    x: int
+    y: int
+    width: int
+    height: int
+    reason: str
+
+
+def predicted(frames: Iterable[FrameRecord]) -> list[tuple[float, FrameRecord]]:
+    """Return the frames with a predicted error, and that error, the worst first."""
+    known = [(frame.risk.error, frame) for frame in frames if frame.risk is not None]
+    return sorted(known, key=lambda entry: (-entry[0], entry[1].number))
+
+
+def worth_rendering(frames: Iterable[FrameRecord]) -> list[int]:
+    """Return the numbers of the frames that are most worth rendering after all, ascending."""
+    ordered = predicted(frames)
+    count = math.ceil(RENDERED_SHARE * len(ordered))
+    return sorted(frame.number for error, frame in ordered[:count] if error >= RENDERED_FROM)
+
+
+def worth_a_look(run: RunSummary) -> list[Place]:
+    """Return the places of a run that are most worth a look, the worst first."""
+    size = run.input.width, run.input.height
+    found = [place for _, frame in predicted(run.frames) for place in places_of(frame, size)]
+    return sorted(found, key=lambda place: (-place.error, place.frame))[:MOST_PLACES]
+
+
+def places_of(frame: FrameRecord, size: tuple[int, int]) -> list[Place]:
+    """Return the places of a frame that stand out, the worst first.
+
+    Parameters
+    ----------
+    frame
+        With a predicted error.
+    size
+        Width and height of the display window, pixels.
+    """
+    risk = frame.risk
+    assert risk is not None
+    least = max(SEEN, STANDS_OUT * max(risk.levels))
+    bad = {i for i, level in enumerate(risk.levels) if level >= least}
+    places = [_place(frame, group, size) for group in _groups(bad, risk.columns)]
+    return sorted(places, key=lambda place: -place.error)[:PLACES_OF_FRAME]
+
+
+def review(run: RunSummary) -> dict[str, Any] | None:
+    """Return what report.json holds of it; None where no frame has a predicted error.
+
+    ``predicted_error`` is in display levels of 0 to 255, and ``worst_frame`` has the largest one.
+    ``places`` counts the rows of review.csv, and ``render`` is what review.txt holds, "" for none.
+    """
+    ordered = predicted(run.frames)
+    if not ordered:
+        return None
+    worst, frame = ordered[0]
+    return {
+        "predicted_error": {
+            "mean": mean(error for error, _ in ordered),
+            "worst": worst,
+            "worst_frame": frame.number,
+            "frames": len(ordered),
+        },
+        "places": len(worth_a_look(run)),
+        "render": ranges(worth_rendering(run.frames)),
+    }
+
+
+def review_line(found: dict[str, Any]) -> str:
+    """Say in a line what is most worth a look, as report.json has it."""
+    error = found["predicted_error"]
+    told = (
+        f"predicted error {error['mean']:.1f} of 255 levels on average, worst "
+        f"{error['worst']:.1f} in frame {error['worst_frame']}"
+    )
+    if not found["places"]:
+        return f"{told}; nothing stands out"
+    looks = f"{counted(found['places'], 'place')} worth a look"
+    return f"{told}; {looks}" + (
+        f"; frames most worth rendering: {found['render']}" if found["render"] else ""
+    )
+
+
+def _groups(bad: set[int], columns: int) -> list[set[int]]:
+    """Return groups of tiles that touch along a side."""
+    left, groups = set(bad), []
+    while left:
+        group, fresh = set(), {min(left)}
+        while fresh:
+            group |= fresh
+            beside = {other for tile in fresh for other in _beside(tile, columns)}
+            fresh = (beside & left) - group
+        groups.append(group)
+        left -= group
+    return groups
+
+
+def _beside(tile: int, columns: int) -> list[int]:
+    """Return the tiles above, below, left and right of one; some may lie outside the frame."""
+    found = [tile - columns, tile + columns]
+    if tile % columns:
+        found.append(tile - 1)
+    if (tile + 1) % columns:
+        found.append(tile + 1)
+    return found
+
+
+def _place(frame: FrameRecord, group: set[int], size: tuple[int, int]) -> Place:
+    risk = frame.risk
+    assert risk is not None
+    across, down = edges(size[0], risk.columns), edges(size[1], risk.rows)
+    rows, columns = zip(*(divmod(tile, risk.columns) for tile in group), strict=True)
+    x, y = across[min(columns)], down[min(rows)]
+    squares = [0.0] * len(REASONS)
+    for tile in sorted(group):
+        squares[risk.reasons[tile]] += risk.levels[tile] ** 2
+    return Place(
+        frame=frame.number,
+        error=math.sqrt(sum(squares) / len(group)),
+        x=x,
+        y=y,
+        width=across[max(columns) + 1] - x,
+        height=down[max(rows) + 1] - y,
+        reason=REASONS[squares.index(max(squares))],
+    )
