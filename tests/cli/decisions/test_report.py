@@ -147,7 +147,7 @@ def test_fixed_paths_tell_their_nodes_too(judged):
 
 def test_what_comes_with_exwarp_decides_by_default(uneven, exwarp, tmp_path):
     keys, *rest = uneven["key"]
-    options = ("--frames", "2", "--progress", "none", "--threads", 1)
+    options = ("--causal", "--frames", "2", "--progress", "none", "--threads", 1)
     options += ("--report", tmp_path / "report")
     result = exwarp("upsample", keys, "-o", tmp_path / "out", *rest, *options)
     assert result.code == 0, result.err
