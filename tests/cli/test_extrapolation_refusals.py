@@ -72,14 +72,15 @@ class TestRefusals:
         options = ("-m", "s3", "--extrapolator", network, "--device", "cuda")
         self.refused(exwarp, shot, tmp_path, 7, ("--device cuda", "onnxruntime-gpu"), *options)
 
-    @pytest.mark.parametrize("options", [("--extrapolator", "x.onnx"), ("--device", "cuda")])
-    def test_options_of_a_network_for_a_method_without(self, exwarp, shot, tmp_path, options):
-        words = (
-            options[0],
-            "--method s6",
-            "use one of exwarp, s1, s2, s3, s4, s5, oracle, oracle-return",
-        )
-        self.refused(exwarp, shot, tmp_path, 2, words, "-m", "s6", *options)
+    @pytest.mark.parametrize(
+        ("options", "more"),
+        [(("--extrapolator", "x.onnx"), ""), (("--device", "cuda"), ", lookahead, onnx")],
+    )
+    def test_options_of_a_network_for_a_method_without(self, exwarp, shot, tmp_path, options, more):
+        able = f"use one of causal, s1, s2, s3, s4, s5, oracle, oracle-return{more}"
+        for method in ("s6", "exwarp"):
+            words = options[0], f"--method {method}", able
+            self.refused(exwarp, shot, tmp_path, 2, words, "-m", method, *options)
 
     def test_another_device(self, exwarp, shot, tmp_path, network):
         self.refused(exwarp, shot, tmp_path, 2, ("--device", "cpu"), "-m", "s3", "--device", "tpu")

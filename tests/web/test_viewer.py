@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
@@ -188,3 +190,22 @@ def test_without_scripts_numbers_tables_and_plots_are_there(visit):
     assert seen.page.locator("noscript p").is_visible()
     assert seen.page.locator("svg.plot").count() >= 5
     assert seen.page.locator(".table table").first.is_visible()
+
+
+def test_the_forecast_lies_over_the_grey_frame(visit):
+    seen = visit(fragment="#viewer:4")
+    seen.act("4")
+    plain = image(seen.canvas())
+    seen.act("5")
+    assert seen.page.locator(".viewer").get_attribute("data-mode") == "forecast"
+    assert seen.part("legend").is_visible()
+    assert "of 255 levels" in seen.part("scale").inner_text()
+    assert seen.part("left-tag").inner_text() == "predicted error"
+    album = json.loads(seen.page.locator(".viewer script").text_content())
+    told = next(frame for frame in album["frames"] if frame["number"] == 4)["risk"]
+    columns = np.arange(SIZE[1]) * told["columns"] // SIZE[1]
+    rows = np.arange(SIZE[0]) * told["rows"] // SIZE[0]
+    levels = np.array(told["levels"]).reshape(told["rows"], -1)[rows][:, columns]
+    tint = image(seen.canvas()) - 0.3 * plain.mean(axis=-1, keepdims=True)
+    worst, best = (tint[levels == level].mean() for level in (levels.max(), levels.min()))
+    assert worst > best

@@ -334,7 +334,7 @@
         h: () => { this.parts.holes.checked = !this.parts.holes.checked; this.draw(); },
         e: () => this.expose(-0.5), E: () => this.expose(0.5),
       };
-      this.modes.forEach((input, i) => { own[i + 1] = () => { this.mode = input.value; }; });
+      this.modes.forEach((input, i) => { own[i + 1] = () => { if (!input.disabled) this.mode = input.value; }; });
       if (!Object.hasOwn(own, event.key)) return false;
       own[event.key]();
       return true;

@@ -39,7 +39,7 @@ def start(exwarp, uneven, tmp_path):
 
     def say(*options: object) -> str:
         keys, *rest = uneven["key"]
-        line = ("upsample", keys, "-o", tmp_path / "out", *rest, "--dry-run", *options)
+        line = ("upsample", keys, "-o", tmp_path / "out", *rest, "--causal", "--dry-run", *options)
         result = exwarp(*line)
         assert result.code == 0, result.err
         return result.err
@@ -72,7 +72,7 @@ def test_a_policy_that_does_not_say(start, network, trained_for, stated):
 
 
 def test_the_report_says_it_too(uneven, network, trained_for, tmp_path):
-    given = ("--extrapolator", network, "--policy", trained_for(["ab" * 32]))
+    given = ("--causal", "--extrapolator", network, "--policy", trained_for(["ab" * 32]))
     policy = take(uneven["key"], tmp_path / "out", *given).report["policy"]
     assert policy["trained_for"] == ["ab" * 32] and f"{TOLD} abababab" in policy["note"]
     assert TOLD in (tmp_path / "out-report" / "report.html").read_text()
