@@ -35,7 +35,7 @@ from exwarp_cli.training.lookahead_samples import (
     write_samples,
 )
 from exwarp_cli.training.settings import CURVE, LookAheadSettings, add_row
-from exwarp_cli.training.weighing import STRIDE, WeighingNetwork, mix
+from exwarp_cli.training.weighing import STRIDE, HeldBack, WeighingNetwork, mix
 
 CHECKPOINT, SETTINGS, MODEL = "checkpoint.pt", "settings.json", "lookahead.onnx"
 
@@ -142,7 +142,7 @@ class Training:
             f"ExWarp look-ahead network, {settings.width} channels, {self.step} steps on "
             f"{len(settings.scenes['training'])} scenes, seed {settings.seed}"
         )
-        export_network(self.average, target, LOOKS_AHEAD, stride=STRIDE, about=about)
+        export_network(HeldBack(self.average), target, LOOKS_AHEAD, stride=STRIDE, about=about)
         return target
 
     def _ahead(self, samples: Samples) -> Iterator[Sample]:
