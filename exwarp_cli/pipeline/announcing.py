@@ -26,6 +26,7 @@ from exwarp_cli.io.channels import Role
 from exwarp_cli.io.clip import is_clip
 from exwarp_cli.io.cryptomatte_manifest import SHOWN, shown
 from exwarp_cli.io.footage import is_plain, lost_alpha, unevenness_of
+from exwarp_cli.io.model_files import shipped_folder
 from exwarp_cli.io.shot import alpha_left_out
 from exwarp_cli.pipeline.contents import Content, files_apart
 from exwarp_cli.pipeline.finding import OtherRate
@@ -125,9 +126,12 @@ def other_extrapolator(policy: PolicyFile, network: OnnxExtrapolator) -> str | N
     Returns
     -------
     str or None
-        A sentence; None where it is the one, or where the policy does not say.
+        A sentence; None where it is the one, where the policy does not say, and where both came
+        with ExWarp: those are judged together.
     """
     if not policy.trained_for or network.checksum in policy.trained_for:
+        return None
+    if policy.path.parent == network.path.parent == shipped_folder():
         return None
     known = " or ".join(digest[:8] for digest in policy.trained_for)
     used = f"{network.path.name} has {network.checksum[:8]}"

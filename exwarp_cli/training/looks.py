@@ -18,10 +18,13 @@ from exwarp_cli.domain.frame import SURFACE_PARTS, Float32, GBuffer, Image, KeyF
 GAME = ("normal", "position", *SURFACE_PARTS)
 """What game engines do not deliver: they have colour, vectors, depth and a mask."""
 
+BARE = (*GAME, "stencil")
+"""What is left are colour, vectors and depth."""
+
 OPTIONAL = ("depth", "normal", "position", "stencil", *SURFACE_PARTS)
 """What any renderer may leave out."""
 
-PASSES = {"all": 0.4, "no surface": 0.25, "game": 0.2, "some": 0.15}
+PASSES = {"all": 0.4, "no surface": 0.2, "game": 0.2, "bare": 0.1, "some": 0.1}
 TONES = {"linear": 0.7, "8-bit": 0.18, "tone-mapped": 0.12}
 DEPTHS = {"full": 0.7, "coarse": 0.12, "inverse": 0.12, "absent": 0.06}
 VECTORS = {"full": 0.7, "half": 0.15, "rounded": 0.15}
@@ -90,8 +93,9 @@ class Look:
             f"{self.depth} depth": self.depth != "full",
             f"{self.vectors} vectors": self.vectors != "full",
             "game passes": self.missing == GAME,
+            "bare passes": self.missing == BARE,
             "no surface": self.missing == SURFACE_PARTS,
-            "some passes": self.missing not in ((), GAME, SURFACE_PARTS),
+            "some passes": self.missing not in ((), GAME, BARE, SURFACE_PARTS),
             "sharpened": self.sharpened > 0,
             "noisy": self.noisy > 0,
             "aliased": self.aliased,
@@ -106,7 +110,8 @@ def draw_look(rng: np.random.Generator, can_halve: bool) -> Look:
     """Draw a look; `can_halve` says whether a frame of half the size is still large enough."""
     passes = _draw(PASSES, rng)
     subset = tuple(name for name in OPTIONAL if rng.random() < LEFT_OUT)
-    missing = {"all": (), "no surface": SURFACE_PARTS, "game": GAME, "some": subset}[passes]
+    sets = {"all": (), "no surface": SURFACE_PARTS, "game": GAME, "bare": BARE, "some": subset}
+    missing = sets[passes]
     tones, depth, vectors = _draw(TONES, rng), _draw(DEPTHS, rng), _draw(VECTORS, rng)
     sharpened = rng.uniform(*SHARPNESS) if rng.random() < SHARPENED else 0.0
     noisy = rng.uniform(*NOISE) if rng.random() < NOISY else 0.0

@@ -30,6 +30,9 @@ LEAK = 0.1
 SIDES = ((1, 0), (-1, 0), (0, 1), (0, -1))
 """Ways that holes look, as columns and rows that what is visible there is moved by."""
 
+LEAST_SEEN = 1e-4
+"""Visible share of a window that is divided by at the least; one pixel in a large one is more."""
+
 CERTAIN = 3.0
 """How far the filled warp's weight lies above the others', as a logit, before any training."""
 
@@ -63,6 +66,9 @@ class Architecture:
         colours and their distances are inputs too, and the colours candidates. 0 for not at all.
     detail
         Channels of a last layer at full resolution that sees the inputs again; 0 for none.
+    light
+        Size of a window in pixels, odd. What is visible differs from the filled warp by the mean
+        difference over the window, so that the detail is the warp's. 0 for any difference.
     """
 
     width: int = 32
@@ -76,6 +82,7 @@ class Architecture:
     patched: bool = False
     reach: int = 0
     detail: int = 0
+    light: int = 0
 
 
 ARCHITECTURES: Mapping[str, Architecture] = {
@@ -90,6 +97,9 @@ ARCHITECTURES: Mapping[str, Architecture] = {
     "kernels-patched": Architecture(taps=(1, 1, 0), detail=16, patched=True),
     "kernels-sided": Architecture(taps=(1, 1, 0), detail=16, patched=True, reach=63),
     "kernels-deep": Architecture(taps=(1, 1, 0), detail=16, patched=True, growth=(2, 3, 4)),
+    "kernels-light": Architecture(
+        taps=(1, 1, 0), detail=16, patched=True, growth=(2, 3, 4), light=31
+    ),
 }
 
 
@@ -200,7 +210,18 @@ class ExtrapolationNetwork(nn.Module):
             out = out + (1 - mask) * colour
         elif self.architecture.residual:
             out = out + colour
-        return out
+        return self._detailed(filled, mask, out) if self.architecture.light else out
+
+    def _detailed(self, filled: Tensor, mask: Tensor, answer: Tensor) -> Tensor:
+        """Return the answer in holes; elsewhere the filled warp with the light of the answer.
+
+        Renders that networks learn from have noise, and a mean of candidates is the best guess of
+        what has noise: without this, clean frames came out 14 % softer than the truth.
+        """
+        change = torch.cat([mask * (answer - filled), mask], 1)
+        change, seen = torch.split(_mean_around(change, self.architecture.light), [3, 1], 1)
+        lit = filled + change / seen.clamp_min(LEAST_SEEN)
+        return torch.where(mask > 0, lit, answer)
 
     def _count(self) -> int:
         """Return how many candidates are weighed."""
@@ -285,6 +306,12 @@ def _shifted(x: Tensor, right: int, down: int) -> Tensor:
 def _box(frame: Tensor, size: int) -> Tensor:
     padded = functional.pad(frame, (size // 2,) * 4, mode="replicate")
     return functional.avg_pool2d(padded, size, 1)
+
+
+def _mean_around(planes: Tensor, size: int) -> Tensor:
+    """Return the mean over a window, as `_box` does; along rows, then columns, for large ones."""
+    padded = functional.pad(planes, (size // 2,) * 4, mode="replicate")
+    return functional.avg_pool2d(functional.avg_pool2d(padded, (1, size), 1), (size, 1), 1)
 
 
 def _moved(frame: Tensor, flow: Tensor) -> Tensor:

@@ -26,7 +26,7 @@ from exwarp_cli.training.footage import Footage
 from exwarp_cli.training.looks import Look, draw_look
 from exwarp_cli.training.variant import Variant
 
-VERSION = 10
+VERSION = 11
 """Of what is kept; crops of another version are made again."""
 
 CROPS = 4
@@ -46,7 +46,7 @@ MOTION_WEIGHT = 1.0
 """How much more likely than still pixels those of the frame's mean motion are to be the middle of
 the other crops."""
 
-SHORT_HISTORY = 0.1
+SHORT_HISTORY = 0.25
 """How likely a frame with fewer than three key frames behind it is chosen, against another one."""
 
 PARTIAL = 0.5

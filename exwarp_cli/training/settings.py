@@ -40,7 +40,7 @@ class TrainingSettings:
         Names of the scenes that are trained on, and of those that are validated on.
     """
 
-    architecture: str = "kernels-deep"
+    architecture: str = "kernels-light"
     width: int | None = None
     steps: int = 20000
     batch: int = 24

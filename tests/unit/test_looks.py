@@ -13,6 +13,7 @@ from exwarp_cli.io.dataset import RenderedScene, open_scene
 from exwarp_cli.training.footage import Footage
 from exwarp_cli.training.looks import (
     ALIASED,
+    BARE,
     DEPTHS,
     GAME,
     PASSES,
@@ -51,6 +52,7 @@ def test_each_trait_has_its_share():
         assert all(abs(counted[name] / DRAWN - p) < 0.03 for name, p in shares.items())
     traits = Counter(trait for look in looks for trait in look.traits)
     assert abs(traits["game passes"] / DRAWN - PASSES["game"]) < 0.03
+    assert abs(traits["bare passes"] / DRAWN - PASSES["bare"]) < 0.03
     assert abs(traits["aliased"] / DRAWN - ALIASED) < 0.03
     assert abs(traits["sharpened"] / DRAWN - SHARPENED) < 0.03
     assert PLAIN in looks
@@ -111,6 +113,8 @@ def test_missing_passes_are_missing(plain):
     gbuffer = in_look(plain, missing=GAME, depth="absent").key(1).gbuffer
     assert gbuffer.depth is None and gbuffer.normal is None and gbuffer.albedo is None
     assert gbuffer.stencil is not None and gbuffer.to_next is not None
+    bare = in_look(plain, missing=BARE).key(1).gbuffer
+    assert bare.stencil is None and bare.depth is not None and bare.to_next is not None
 
 
 def test_rounded_vectors_are_quarters_of_pixels(plain):

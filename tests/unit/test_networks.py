@@ -101,6 +101,47 @@ def test_holes_look_to_their_sides(seen, side, colours, distances, turned):
     np.testing.assert_allclose(3 * found[0, 3], distances, rtol=1e-6)
 
 
+class TestLight:
+    """A network that changes nothing but the light of what is visible."""
+
+    @pytest.fixture
+    def answers(self) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Filled warp and mask; what the same weights answer with that bound and without it."""
+        networks = [build(name, 8).eval() for name in ("kernels-light", "kernels-deep")]
+        torch.manual_seed(2)
+        with torch.no_grad():
+            for parameter in networks[0].parameters():
+                parameter.add_(0.2 * torch.randn_like(parameter))
+            networks[1].load_state_dict(networks[0].state_dict())
+            given = example(96, 128)
+            given["mask"][:] = 1
+            given["mask"][..., 40:60, 30:70] = 0
+            lit, free = (network(**given) for network in networks)
+        return given["warped"][:, 3:], given["mask"], lit, free
+
+    def test_holes_are_as_without_the_bound(self, answers):
+        _, mask, lit, free = answers
+        hole = (mask == 0).expand_as(lit)
+        torch.testing.assert_close(lit[hole], free[hole])
+
+    def test_detail_is_that_of_the_warp(self, answers):
+        filled, mask, lit, free = answers
+        pairs = (mask[..., 1:] * mask[..., :-1]).expand_as(lit[..., 1:]) > 0
+        change, before = ((x - filled).diff(dim=3)[pairs].abs().mean() for x in (lit, free))
+        assert 0 < change < before / 5
+
+    def test_light_is_that_of_the_answer(self, answers):
+        filled, _, lit, free = answers
+        left_of_holes = (slice(None), slice(None), slice(None), slice(76, None))
+        lit, free = ((x - filled)[left_of_holes].mean() for x in (lit, free))
+        torch.testing.assert_close(lit, free, rtol=0.3, atol=0.005)
+
+    def test_where_all_is_hidden_nothing_is_divided_by_zero(self):
+        given = example(32, 48)
+        given["mask"].zero_()
+        assert torch.isfinite(build("kernels-light", 8).eval()(**given)).all()
+
+
 def test_architectures_differ():
     assert len(set(ARCHITECTURES.values())) == len(ARCHITECTURES) >= 4
     assert Architecture() == ARCHITECTURES["blend"]
@@ -110,7 +151,7 @@ def test_architectures_differ():
 def patched(tmp_path_factory) -> tuple[ExtrapolationNetwork, Path]:
     """A network of the architecture that is shipped, small and with weights that all matter."""
     torch.manual_seed(3)
-    network = build("kernels-patched", 12)
+    network = build("kernels-light", 12)
     with torch.no_grad():
         for parameter in network.parameters():
             parameter.add_(0.05 * torch.randn_like(parameter))
