@@ -109,6 +109,8 @@ class WeighingNetwork(nn.Module):
 class HeldBack(nn.Module):
     """The network with a share of its weight left to what `softsplat` makes, as it is shipped."""
 
+    kept: Tensor
+
     def __init__(self, network: WeighingNetwork) -> None:
         super().__init__()
         self.network = network
@@ -120,9 +122,8 @@ class HeldBack(nn.Module):
         self, colour: Tensor, masks: Tensor, depth: Tensor, agreement: Tensor, time: Tensor
     ) -> Tensor:
         """Return the weights, float32 [N, CANDIDATES, H, W]."""
-        weights = self.network(colour, masks, depth, agreement, time)
-        kept: Tensor = self.kept
-        return SHARE * weights + kept
+        weights: Tensor = self.network(colour, masks, depth, agreement, time)
+        return SHARE * weights + self.kept
 
 
 def _seen(colour: Tensor, masks: Tensor, depth: Tensor, agreement: Tensor, time: Tensor) -> Tensor:
