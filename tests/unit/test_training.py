@@ -125,7 +125,7 @@ def test_frames_are_chosen_by_the_seed_and_mostly_with_history(told):
         last = FACTOR * choice.k + (FACTOR if choice.setting == "key" else choice.slot)
         assert last < shown  # the next key frame is rendered, or the slot alone
     few = choices(told(), 40, 0)
-    assert np.mean([c.k >= 2 for c in few]) > 0.7
+    assert np.mean([c.k >= 2 for c in few]) > 0.6
 
 
 def test_where_every_instant_is_a_key_frame_too_the_last_one_may_be_chosen(told):
