@@ -141,5 +141,5 @@ class TestRefusals:
         keys, *rest = uneven["key"]
         options = ("-m", method, "--extrapolator", network, "--progress", "none")
         result = exwarp("upsample", keys, "-o", tmp_path / "out", *rest, *options)
-        result.refused(2, f"--method {method}", "--ground-truth", "--method exwarp")
+        result.refused(2, f"--method {method}", "--ground-truth", "--causal")
         assert not (tmp_path / "out").exists()

@@ -29,7 +29,7 @@ def refused(exwarp, uneven, network, tmp_path):
 @pytest.mark.parametrize("method", ["s6", "s3", "oracle", "softsplat", "hold"])
 def test_a_policy_for_a_method_that_asks_none(refused, policies, truth, method):
     options = ("-m", method, "--policy", policies("watching"), "--ground-truth", truth)
-    words = ("--policy is for --method exwarp", f"--method {method} asks no policy")
+    words = ("--policy is for --causal", f"--method {method} asks no policy")
     refused(2, *words, options=options, model=method in ("s3", "oracle"))
 
 
@@ -37,31 +37,39 @@ def test_a_policy_for_a_method_that_asks_none(refused, policies, truth, method):
 def test_a_policy_for_other_states(refused, tmp_path, version):
     path = save(tmp_path / "old.npz", always("warp"), state=version)
     words = ("old.npz", f"44 inputs of version {version!r}", f"of version {STATE_VERSION}")
-    refused(3, *words, "train the policy again", options=("--policy", path))
+    refused(3, *words, "train the policy again", options=("--causal", "--policy", path))
 
 
 def test_a_policy_that_says_nothing_of_states(refused, tmp_path):
     save_network(tmp_path / "p.npz", always("warp"), {})
-    refused(3, "p.npz", "version None", options=("--policy", tmp_path / "p.npz"))
+    refused(3, "p.npz", "version None", options=("--causal", "--policy", tmp_path / "p.npz"))
 
 
 def test_a_policy_of_another_size(refused, tmp_path):
     scale = Requantisation(np.ones(11, np.int32), np.zeros(11, np.uint8))
     layer = QuantisedLayer(np.zeros((2, 11), np.int8), np.zeros(2, np.int32), None)
     path = save(tmp_path / "one.npz", QuantisedMlp(scale, (layer,)))
-    refused(3, "one.npz takes 11 inputs", "a state has 44", options=("--policy", path))
+    refused(3, "one.npz takes 11 inputs", "a state has 44", options=("--causal", "--policy", path))
 
 
 @pytest.mark.parametrize("content", [None, b"", b"text" * 99])
 def test_no_policy_at_all(refused, tmp_path, content):
     if content is not None:
         (tmp_path / "p.npz").write_bytes(content)
-    refused(3, "p.npz", "check the path", options=("--policy", tmp_path / "p.npz"))
+    refused(3, "p.npz", "check the path", options=("--causal", "--policy", tmp_path / "p.npz"))
 
 
 def test_no_motion(exwarp, policies, network, tmp_path):
     keys = shots.sequence(tmp_path / "keys", shots.colour_only, street=shots.SMALL)
-    options = ("--policy", policies("warp"), "--extrapolator", network, "--progress", "none")
+    options = (
+        "--causal",
+        "--policy",
+        policies("warp"),
+        "--extrapolator",
+        network,
+        "--progress",
+        "none",
+    )
     result = exwarp("upsample", keys, "-o", tmp_path / "out", *options)
     result.refused(3, "no motion vectors", "softsplat, for which it is estimated")
     assert not (tmp_path / "out").exists()

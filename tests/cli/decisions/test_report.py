@@ -166,7 +166,15 @@ class TestMissing:
 
     def run(self, exwarp, network, policies, tmp_path, frame, motion):
         keys = shots.sequence(tmp_path / "keys", frame, (1, 2), shots.SMALL)
-        options = ("--policy", policies("watching"), "--extrapolator", network, "--threads", 1)
+        options = (
+            "--causal",
+            "--policy",
+            policies("watching"),
+            "--extrapolator",
+            network,
+            "--threads",
+            1,
+        )
         options += ("--motion", motion, "--progress", "none", "--report", tmp_path / "report")
         result = exwarp("upsample", keys, "-o", tmp_path / "out", *options)
         assert result.code == 0, result.err
@@ -200,7 +208,15 @@ class TestMissing:
 
 def test_in_the_slot_setting_the_slots_aovs_count(uneven, policies, network, tmp_path, capfd):
     """The key frames hold colour alone there, and nothing is missing."""
-    options = ("--policy", policies("watching"), "--extrapolator", network, "--frames", "1")
+    options = (
+        "--causal",
+        "--policy",
+        policies("watching"),
+        "--extrapolator",
+        network,
+        "--frames",
+        "1",
+    )
     done = take(uneven["slot"], tmp_path / "out", *options)
     assert done.report["policy"]["missing"] == []
     assert "the policy sees 0" not in capfd.readouterr().err
