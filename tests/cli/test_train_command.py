@@ -8,6 +8,9 @@ from pathlib import Path
 import pytest
 
 from exwarp_cli.cli import run
+from exwarp_cli.training import lookahead_samples
+from exwarp_cli.training.looks import PLAIN
+from exwarp_cli.training.variant import Variant
 from tests.cli.documents import strict
 from tests.unit.analytic_scene import write_scene
 
@@ -117,7 +120,11 @@ def test_help_needs_no_torch(without_torch, capsys):
     assert "--architecture" in capsys.readouterr().out
 
 
-def test_a_network_that_looks_ahead_is_trained(data, tmp_path, capsys):
+def test_a_network_that_looks_ahead_is_trained(data, tmp_path, capsys, monkeypatch):
+    # Making the samples of all variants would take a minute.
+    monkeypatch.setattr(
+        lookahead_samples, "variants_of", lambda name, seed: [(Variant(speed=2), PLAIN)]
+    )
     asked = ["train", "lookahead", "--data", str(data), "-o", str(tmp_path / "run")]
     asked += ["--cache", str(tmp_path / "crops"), "--steps", "2", "--every", "1", "--batch", "2"]
     asked += ["--width", "4", "--threads", "1"]
