@@ -7,6 +7,7 @@ import numpy as np
 from exwarp_cli.kernels import (
     blend,
     blocks,
+    candidates,
     edges,
     emd,
     extents,
@@ -259,6 +260,13 @@ def weighed(before: Seen, after: Seen, time: float, serial: bool = False) -> Arr
 def mixed(before: np.ndarray, after: np.ndarray, later: np.ndarray, serial: bool = False) -> Arrays:
     out = np.full_like(before, np.nan)
     build(blend, "mix", serial)(before, after, later, out)
+    return (out,)
+
+
+def candidates_mixed(pictures: list[np.ndarray], weights: np.ndarray, serial: bool) -> Arrays:
+    mixed, *sides = pictures
+    out = np.full_like(mixed, np.nan)
+    build(candidates, "mix_candidates", serial)(mixed, tuple(sides), weights, (0, 0), out)
     return (out,)
 
 

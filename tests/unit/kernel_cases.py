@@ -94,6 +94,13 @@ def side(seed: int) -> calls.Side:
     return np.nan_to_num(image(seed)), distance, masks[0], masks[1]
 
 
+def mix_candidates(serial: bool) -> calls.Arrays:
+    """Five candidates of each pixel, and weights that add up to one."""
+    weights = np.random.default_rng(73).random((5, *SHAPE), np.float32)
+    pictures = [np.nan_to_num(image(seed)) for seed in range(74, 79)]
+    return calls.candidates_mixed(pictures, weights / weights.sum(0), serial)
+
+
 def mix(serial: bool) -> calls.Arrays:
     """With weights that are nothing or all among others, and of pixels that have one channel."""
     shares = np.random.default_rng(72).choice([0, 0.25, 0.5, 1], SHAPE).astype(np.float32)
@@ -216,6 +223,7 @@ CASES: dict[str, Callable[[bool], calls.Arrays]] = {
     "blend": lambda serial: calls.blended(side(20), side(21), 0.25, serial),
     "weigh": lambda serial: calls.weighed(side(20)[1:], side(21)[1:], 0.25, serial),
     "mix": mix,
+    "mix_candidates": mix_candidates,
     "rigid": project,
     "find_moving_edges": lambda serial: calls.moving_edges_found(
         depth(18), field(18), ids(26) > 0, serial
