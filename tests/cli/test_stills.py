@@ -44,7 +44,7 @@ class TestPng:
         facts = still_facts(tmp_path / "out" / "pan.0002.png")
         assert facts is not None
         assert (facts["kind"], facts["method"], facts["sources"]) == (
-            "generated", "softsplat", "1,2",
+            "generated", "exwarp", "1,2",
         )  # fmt: skip
 
     def test_parts_and_resuming_give_the_same(self, upsample, keys, tmp_path):
@@ -166,7 +166,7 @@ class TestBeautyAlone:
         upsample(keys, tmp_path / "out")
         header, planes = read(tmp_path / "out" / "pan.0006.exr")
         assert set(planes) == set("RGBA") and planes["R"].dtype == np.float16
-        assert header["owner"] == "Ada" and header["exwarp:method"] == "softsplat"
+        assert header["owner"] == "Ada" and header["exwarp:method"] == "exwarp"
         made, truth = colour_of(tmp_path / "out" / "pan.0006.exr"), 4 * (frame(1.25) / 255)
         inside = (slice(8, -8), slice(8, -8))
         assert made[inside][..., :3].max() > 1.5
