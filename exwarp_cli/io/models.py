@@ -407,7 +407,7 @@ Run = Callable[[Mapping[str, Float32]], Float32]
 """Runs a network on pictures float32 [C, H, W] by input; gives planes [C, H, W]."""
 
 SIDES = (384, 1024)
-"""Pixels of the pictures that are tried. The shipped network sees 80 pixels far; what sees farther
+"""Pixels of the pictures that are tried. The shipped network sees 96 pixels far; what sees farther
 than half of the second picture is not worth cutting up."""
 
 LEAST_CELLS = 7

@@ -189,7 +189,7 @@ def test_the_shipped_network_has_no_seams(monkeypatch):
     whole = network(given)
     monkeypatch.setattr(models, "MOST_PIXELS", 272 * 320)
     found = network(given)
-    assert network._reach == 80
+    assert network._reach == 96
     np.testing.assert_allclose(found, whole, rtol=0, atol=1e-5)
     assert parts_of(network, given, monkeypatch) >= 4
 
