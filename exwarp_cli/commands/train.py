@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -30,13 +31,27 @@ def command() -> None:
     """Train ExWarp's networks on rendered scenes."""
 
 
+def _scene_options(function: Any) -> Any:
+    """Add the options of what is learnt from, and where the outcome goes."""
+    for option in (
+        click.option("--exclude", multiple=True, metavar="GLOB", help="Names to leave out."),
+        click.option(
+            "--scenes",
+            multiple=True,
+            metavar="GLOB",
+            help="Names to learn from; else all made for it.",
+        ),
+        click.option(
+            "-o", "--output", type=FOLDER, required=True, help="For checkpoints and the model."
+        ),
+        click.option("--data", type=FOLDER, required=True, help="Folder of rendered scenes."),
+    ):
+        function = option(function)
+    return function
+
+
 @command.command("extrapolator", context_settings={"show_default": True})
-@click.option("--data", type=FOLDER, required=True, help="Folder of rendered scenes.")
-@click.option("-o", "--output", type=FOLDER, required=True, help="For checkpoints and the model.")
-@click.option(
-    "--scenes", multiple=True, metavar="GLOB", help="Names to learn from; else all made for it."
-)
-@click.option("--exclude", multiple=True, metavar="GLOB", help="Names to leave out.")
+@_scene_options
 @click.option("--architecture", default=DEFAULTS.architecture, metavar="NAME")
 @click.option("--width", type=click.IntRange(4), help="Channels at half resolution.")
 @click.option("--steps", type=click.IntRange(1), default=DEFAULTS.steps)
@@ -56,18 +71,7 @@ def command() -> None:
 @click.option("--cache", type=FOLDER, help="For crops; default: in the data folder's parent.")
 @threads_option
 @json_option
-def extrapolator(
-    data: Path,
-    output: Path,
-    scenes: tuple[str, ...],
-    exclude: tuple[str, ...],
-    every: int,
-    cache: Path | None,
-    threads: int | None,
-    start: Path | None,
-    as_json: bool,
-    **options: object,
-) -> None:
+def extrapolator(**options: Any) -> None:
     """Train the network that extrapolates, on a GPU where there is one.
 
     Stopped at any time, the same command goes on from the last checkpoint. The output folder gets
@@ -76,27 +80,14 @@ def extrapolator(
     from exwarp_cli.training.extra import require_train
 
     require_train()
-    from exwarp_cli.io.dataset import select
     from exwarp_cli.training.extrapolator import train_extrapolator
-    from exwarp_cli.training.settings import CURVE, last_row
 
-    chosen = select(data, scenes, exclude, _say)
-    settings = TrainingSettings(**options)  # type: ignore[arg-type]
-    crops = cache or data.resolve().parent / "crops"
-    model = train_extrapolator(chosen, output, crops, settings, every, threads, _say, start)
-    if as_json:
-        print_json(_result("extrapolator", output, model, last_row(output / CURVE)))
-    else:
-        show(f"{model}: give it to exwarp upsample --extrapolator")
+    use = "--extrapolator"
+    _train_network("extrapolator", train_extrapolator, TrainingSettings, use, **options)
 
 
 @command.command("lookahead", context_settings={"show_default": True})
-@click.option("--data", type=FOLDER, required=True, help="Folder of rendered scenes.")
-@click.option("-o", "--output", type=FOLDER, required=True, help="For checkpoints and the model.")
-@click.option(
-    "--scenes", multiple=True, metavar="GLOB", help="Names to learn from; else all made for it."
-)
-@click.option("--exclude", multiple=True, metavar="GLOB", help="Names to leave out.")
+@_scene_options
 @click.option("--width", type=click.IntRange(4), default=AHEAD.width, help="Channels.")
 @click.option("--steps", type=click.IntRange(1), default=AHEAD.steps)
 @click.option("--batch", type=click.IntRange(2), default=AHEAD.batch, help="In patches.")
@@ -107,7 +98,27 @@ def extrapolator(
 @click.option("--cache", type=FOLDER, help="For samples; default: in the data folder's parent.")
 @threads_option
 @json_option
-def lookahead(
+def lookahead(**options: Any) -> None:
+    """Train the network that weighs both key frames.
+
+    Stopped at any time, the same command goes on from the last checkpoint. The output folder gets
+    checkpoint.pt, curve.csv (validation on scenes held out), settings.json and lookahead.onnx.
+    """
+    from exwarp_cli.training.extra import require_train
+
+    require_train()
+    from exwarp_cli.training.lookahead import train_lookahead
+
+    use = "--method lookahead --interpolator"
+    _train_network("lookahead", train_lookahead, LookAheadSettings, use, **options)
+
+
+def _train_network(
+    kind: str,
+    train: Callable[..., Path],
+    make: type[TrainingSettings] | type[LookAheadSettings],
+    use: str,
+    *,
     data: Path,
     output: Path,
     scenes: tuple[str, ...],
@@ -117,28 +128,19 @@ def lookahead(
     threads: int | None,
     start: Path | None,
     as_json: bool,
-    **options: object,
+    **options: Any,
 ) -> None:
-    """Train the network that weighs both key frames.
-
-    Stopped at any time, the same command goes on from the last checkpoint. The output folder gets
-    checkpoint.pt, curve.csv (validation on scenes held out), settings.json and lookahead.onnx.
-    """
-    from exwarp_cli.training.extra import require_train
-
-    require_train()
+    """Train a network of a kind, and say by which options of upsample it is used."""
     from exwarp_cli.io.dataset import select
-    from exwarp_cli.training.lookahead import train_lookahead
     from exwarp_cli.training.settings import CURVE, last_row
 
     chosen = select(data, scenes, exclude, _say)
-    settings = LookAheadSettings(**options)  # type: ignore[arg-type]
-    samples = cache or data.resolve().parent / "crops"
-    model = train_lookahead(chosen, output, samples, settings, every, threads, _say, start)
+    crops = cache or data.resolve().parent / "crops"
+    model = train(chosen, output, crops, make(**options), every, threads, _say, start)
     if as_json:
-        print_json(_result("lookahead", output, model, last_row(output / CURVE)))
+        print_json(_result(kind, output, model, last_row(output / CURVE)))
     else:
-        show(f"{model}: give it to exwarp upsample --method lookahead --interpolator")
+        show(f"{model}: give it to exwarp upsample {use}")
 
 
 @command.command("policy", context_settings={"show_default": True})

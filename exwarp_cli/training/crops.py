@@ -71,24 +71,44 @@ class Batch:
         return decode(answer) * self.modulation
 
 
-class Crops:
-    """All crops of some folders, read as they are needed."""
+class Stored:
+    """What some folders keep of scenes, one ``.npy`` a name, read as it is needed.
 
-    def __init__(self, folders: Sequence[Path]) -> None:
+    Parameters
+    ----------
+    folders
+        As `samples.write_arrays` wrote them.
+    names
+        Of the arrays; "time" has one number for each of what is kept.
+    """
+
+    def __init__(self, folders: Sequence[Path], names: Sequence[str]) -> None:
         self._files = [
-            {name: np.load(folder / f"{name}.npy", mmap_mode="r") for name in STORED}
+            {name: np.load(folder / f"{name}.npy", mmap_mode="r") for name in names}
             for folder in folders
         ]
         counts = [len(files["time"]) for files in self._files]
         self._places = [(f, i) for f, count in enumerate(counts) for i in range(count)]
 
+    def __len__(self) -> int:
+        return len(self._places)
+
+    def _nth(self, n: int, seed: int) -> int:
+        """Return the index of the n-th that is drawn: a new permutation once all were."""
+        epoch, offset = divmod(n, len(self))
+        return int(_order(len(self), seed, epoch)[offset])
+
+
+class Crops(Stored):
+    """All crops of some folders."""
+
+    def __init__(self, folders: Sequence[Path]) -> None:
+        super().__init__(folders, STORED)
+
     @property
     def side(self) -> int:
         """Height and width of the crops, pixels."""
         return int(self._files[0]["mask"].shape[-1])
-
-    def __len__(self) -> int:
-        return len(self._places)
 
     def batch(
         self, indices: Sequence[int], device: str = "cpu", patches: Sequence[Patch] | None = None
@@ -134,10 +154,6 @@ class Crops:
         corners = rng.integers(-over, room + over + 1, (size, 2)).clip(0, room).tolist()
         patches = [(slice(y, y + side), slice(x, x + side)) for y, x in corners]
         return varied(self.batch(indices, device, patches), rng)
-
-    def _nth(self, n: int, seed: int) -> int:
-        epoch, offset = divmod(n, len(self))
-        return int(_order(len(self), seed, epoch)[offset])
 
 
 @lru_cache(maxsize=2)  # a batch may reach into the next epoch

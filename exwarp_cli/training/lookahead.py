@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import math
-import time
-from collections.abc import Callable, Iterator, Sequence
-from copy import deepcopy
-from dataclasses import asdict
+from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -19,14 +14,10 @@ from torch.nn import functional
 
 from exwarp_cli.domain import cores
 from exwarp_cli.domain.lookahead import LOOKS_AHEAD
-from exwarp_cli.errors import DamagedFileError, UsageError
-from exwarp_cli.io.atomic import atomic_path, atomic_write_text, make_folder
-from exwarp_cli.io.dataset import RenderedScene, split
-from exwarp_cli.io.output import file_digest
+from exwarp_cli.errors import LayoutError
+from exwarp_cli.io.dataset import RenderedScene
 from exwarp_cli.io.threads import use_threads
 from exwarp_cli.pipeline.scheduling import prefetch
-from exwarp_cli.runtime.stop import check_stop
-from exwarp_cli.training.checkpoint import read_tensors
 from exwarp_cli.training.export import export_network
 from exwarp_cli.training.lookahead_samples import (
     Sample,
@@ -34,26 +25,33 @@ from exwarp_cli.training.lookahead_samples import (
     samples_folder,
     write_samples,
 )
+from exwarp_cli.training.networks import STRIDE
+from exwarp_cli.training.resumable import (
+    WARM_UP,
+    ResumableTraining,
+    Say,
+    begun,
+    parts_of,
+    prepared,
+    read_checkpoint,
+)
 from exwarp_cli.training.settings import CURVE, LookAheadSettings, add_row
-from exwarp_cli.training.weighing import STRIDE, HeldBack, WeighingNetwork, mix
+from exwarp_cli.training.weighing import HeldBack, WeighingNetwork, mix
 
-CHECKPOINT, SETTINGS, MODEL = "checkpoint.pt", "settings.json", "lookahead.onnx"
+MODEL = "lookahead.onnx"
 
 COLUMNS = ("step", "seconds", "loss", "rate", "gain_db", "sharpness_percent")
 """Of the curve; the last two of held-out slots: dB over `softsplat`, and how far the mean gradient
 is from the truth's."""
 
-WARM_UP = 200
-"""Steps until the learning rate is reached."""
-
 HIGH, LEAST_RATE = 0.3, 0.005
 """Share of the steps for which the rate stays, and what it ends at, as a share of its highest."""
 
-AVERAGED = 0.998
-"""The network that is kept is a running average of the weights; it forgets that much a step."""
-
 CLIPPED = 0.5
 """Largest norm of a gradient."""
+
+DECAY = 1e-5
+"""Of the weights, by the optimiser."""
 
 BRIGHTEST = 1.5
 """Values as shown above it count as it: far highlights are not seen."""
@@ -69,8 +67,6 @@ BLOCK, LEAST_SLOPE = 8, 2e-3
 
 VALIDATED = 60
 """Slots, at most, that validation looks at."""
-
-Say = Callable[[str], None]
 
 
 def loss_of(made: Tensor, truth: Tensor) -> Tensor:
@@ -100,40 +96,42 @@ def _gradients(x: Tensor) -> tuple[Tensor, Tensor]:
     return x[..., 1:] - x[..., :-1], x[..., 1:, :] - x[..., :-1, :]
 
 
-class Training:
-    """One training under way, in a folder of its own."""
+class Training(ResumableTraining):
+    """One training of a look-ahead network."""
+
+    network: WeighingNetwork
+    average: WeighingNetwork
+    settings: LookAheadSettings
 
     def __init__(self, folder: Path, settings: LookAheadSettings, say: Say) -> None:
-        self.folder, self.settings, self.say = folder, settings, say
         torch.manual_seed(settings.seed)
-        self.network = WeighingNetwork(settings.width).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-        self.average = deepcopy(self.network)
-        self.optimiser = torch.optim.AdamW(
-            self.network.parameters(), settings.rate, weight_decay=1e-5
-        )
-        self.step, self.seconds = 0, 0.0
-        self._open()
+        network = WeighingNetwork(settings.width)
+        network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        super().__init__(folder, settings, say, network, DECAY, CLIPPED)
 
     def begin_with(self, path: Path) -> None:
-        """Take the weights of another training's checkpoint, unless this one is under way."""
+        """Take the weights of another training's checkpoint, unless this one is under way.
+
+        Raises
+        ------
+        InputError
+            When there is no such file, or its network has other layers.
+        """
         if self.step:
             return
-        kept = _read(path)
-        for network in (self.network, self.average):
-            network.load_state_dict(kept["average"])
+        kept = read_checkpoint(path, self.device)
+        try:
+            self.network.load_state_dict(kept["average"])
+        except (KeyError, RuntimeError) as error:
+            raise LayoutError(
+                f"{path} holds another network than one of {self.settings.width} channels; give "
+                "its --width, or another --start"
+            ) from error
+        self.average.load_state_dict(self.network.state_dict())
 
     def run(self, samples: Samples, held: Samples, every: int) -> None:
         """Train to the end; a checkpoint and a line of the curve every so many steps."""
-        begin, losses = time.monotonic() - self.seconds, []
-        for sample in self._ahead(samples):
-            losses.append(self._learn(sample))
-            self.step += 1
-            self.seconds = time.monotonic() - begin
-            if self.step % every == 0 or self.step == self.settings.steps:
-                self._record(float(np.mean(losses)), *self._validate(held))
-                self._save()
-                losses = []
-            check_stop()
+        self._run(self._ahead(samples), partial(self._validate, held), every)
 
     def export(self) -> Path:
         """Write the network as an ONNX model; return its path."""
@@ -151,32 +149,9 @@ class Training:
         draw = partial(samples.drawn, size=s.batch, side=s.patch, seed=s.seed)
         return prefetch((partial(draw, step) for step in range(self.step, s.steps)), 1)
 
-    def _learn(self, sample: Sample) -> float:
-        for group in self.optimiser.param_groups:
-            group["lr"] = self._rate()
-        self.network.train()
+    def _loss(self, sample: Sample) -> Tensor:
         made = mix(self.network(**sample.inputs, time=sample.time), sample.inputs["colour"])
-        loss = loss_of(made, sample.truth)
-        self.optimiser.zero_grad(set_to_none=True)
-        loss.backward()  # type: ignore[no-untyped-call]
-        found = float(loss.detach())
-        norm = torch.nn.utils.clip_grad_norm_(self.network.parameters(), CLIPPED)
-        if not (math.isfinite(found) and math.isfinite(float(norm))):
-            raise UsageError(
-                f"the loss was no number at step {self.step}; lower --rate, and train in another "
-                "folder"
-            )
-        self.optimiser.step()
-        self._remember()
-        return found
-
-    @torch.no_grad()
-    def _remember(self) -> None:
-        forget = 1 - min(AVERAGED, (1 + self.step) / (10 + self.step))
-        averaged, new = self.average.state_dict(), self.network.state_dict()
-        for name, kept in averaged.items():
-            if kept.is_floating_point():
-                kept.lerp_(new[name], forget)
+        return loss_of(made, sample.truth)
 
     def _rate(self) -> float:
         """Learning rate of this step: a straight rise, a plain, half a cosine."""
@@ -210,53 +185,15 @@ class Training:
         slopes = [sum(g.abs().mean() for g in _gradients(p.mean(1))) for p in (made, truth)]
         return float(gain), 100 * (float(slopes[0]) / max(float(slopes[1]), 1e-6) - 1)
 
-    def _open(self) -> None:
-        """Begin in an empty folder, or go on where an earlier run with these settings stopped."""
-        make_folder(self.folder)
-        path, checkpoint = self.folder / SETTINGS, self.folder / CHECKPOINT
-        wanted = json.dumps(asdict(self.settings), indent=2, sort_keys=True)
-        if checkpoint.exists():
-            if not path.exists() or path.read_bytes() != wanted.encode():
-                raise UsageError(
-                    f"{self.folder} holds a training with other settings, see {SETTINGS} there; "
-                    "repeat those to go on with it, or choose another folder"
-                )
-            kept = _read(checkpoint)
-            self.network.load_state_dict(kept["network"])
-            self.average.load_state_dict(kept["average"])
-            self.optimiser.load_state_dict(kept["optimiser"])
-            self.step, self.seconds = kept["step"], kept["seconds"]
-            self.say(f"going on at step {self.step} of {self.settings.steps}")
-        atomic_write_text(path, wanted)
-
-    def _save(self) -> None:
-        content = {
-            "network": self.network.state_dict(), "average": self.average.state_dict(),
-            "optimiser": self.optimiser.state_dict(), "step": self.step, "seconds": self.seconds,
-        }  # fmt: skip
-        with atomic_path(self.folder / CHECKPOINT) as temporary:
-            torch.save(content, temporary)
-
-    def _record(self, loss: float, gain: float, sharpness: float) -> None:
+    def _record(self, loss: float, *scores: float) -> None:
+        gain, sharpness = scores
         values = (round(self.seconds), loss, self._rate(), gain, sharpness)
         add_row(self.folder / CURVE, self.step, values, COLUMNS)
-        left = self.seconds / self.step * (self.settings.steps - self.step) / 60
         self.say(
             f"step {self.step} of {self.settings.steps}: loss {loss:.4f}, held-out scenes "
             f"{gain:+.2f} dB over softsplat, gradients {sharpness:+.1f} % of the truth's, "
-            f"{left:.0f} min left"
+            f"{self._minutes_left:.0f} min left"
         )
-
-
-def _read(path: Path) -> dict[str, Any]:
-    damaged = DamagedFileError(
-        f"{path} is damaged, or no checkpoint of this version; choose another folder, or remove "
-        "this one to begin anew"
-    )
-    kept = read_tensors(path, "cpu", damaged)
-    if not isinstance(kept, dict) or {"network", "average", "step"} - kept.keys():
-        raise damaged
-    return kept
 
 
 def train_lookahead(
@@ -292,25 +229,21 @@ def train_lookahead(
     """
     use_threads(threads)
     torch.set_num_threads(cores.count())
-    parts = dict(zip(("training", "validation"), split(scenes), strict=True))
-    names = {part: [scene.name for scene in chosen] for part, chosen in parts.items()}
-    digest = None if start is None else file_digest(start)
-    settings = LookAheadSettings(**(asdict(settings) | {"scenes": names, "start": digest}))
+    parts = parts_of(scenes)
+    settings = begun(settings, parts, start)
     training = Training(folder, settings, say)
     if start is not None:
         training.begin_with(start)
+
+    def folder_of(scene: RenderedScene) -> Path:
+        return samples_folder(scene, settings.seed, cache)
+
+    def write(scene: RenderedScene, samples: Path) -> None:
+        write_samples(scene, settings.seed, samples)
+
     samples = {
-        part: Samples(list(_prepared(chosen, settings.seed, cache, say)))
+        part: Samples(list(prepared(chosen, folder_of, write, say)))
         for part, chosen in parts.items()
     }
     training.run(samples["training"], samples["validation"], every)
     return training.export()
-
-
-def _prepared(scenes: Sequence[RenderedScene], seed: int, cache: Path, say: Say) -> Iterator[Path]:
-    for count, scene in enumerate(scenes, start=1):
-        folder = samples_folder(scene, seed, cache)
-        if not folder.exists():
-            say(f"preparing {scene.name}, {count} of {len(scenes)}")
-            write_samples(scene, seed, folder)
-        yield folder

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import lru_cache
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 import torch
@@ -20,13 +16,14 @@ from exwarp_cli.domain.frame import Float32
 from exwarp_cli.domain.lookahead import CANDIDATES, LOOKS_AHEAD
 from exwarp_cli.domain.network import NetworkGiven
 from exwarp_cli.domain.timeline import FACTOR
-from exwarp_cli.io.atomic import make_folder, output_error
 from exwarp_cli.io.dataset import RenderedScene
 from exwarp_cli.runtime.stop import check_stop
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.warp import as_shown
+from exwarp_cli.training.crops import Stored
 from exwarp_cli.training.footage import Footage
 from exwarp_cli.training.looks import PLAIN, Look, draw_look
+from exwarp_cli.training.samples import digest_of, write_arrays
 from exwarp_cli.training.variant import Variant
 
 VERSION = 1
@@ -122,36 +119,16 @@ def variants_of(name: str, seed: int) -> list[tuple[Variant, Look]]:
 def samples_folder(scene: RenderedScene, seed: int, cache: Path) -> Path:
     """Return where in a cache a scene's samples lie."""
     token = {"version": VERSION, "seed": seed, "manifest": asdict(scene.manifest)}
-    digest = hashlib.sha256(json.dumps(token, sort_keys=True, default=str).encode()).hexdigest()
-    return cache / f"lookahead-{scene.name}-{digest[:12]}"
+    return cache / f"lookahead-{scene.name}-{digest_of(token)}"
 
 
 def write_samples(scene: RenderedScene, seed: int, folder: Path) -> None:
-    """Make the samples of a scene, and write them, one ``.npy`` for each of `STORED`.
-
-    The folder appears when it is whole.
-
-    Raises
-    ------
-    OutputError
-        When it cannot be written.
-    """
+    """Make the samples of a scene, and write them by the names of `STORED`; see `write_arrays`."""
     footage, found = Footage(scene), []
     for variant, look in variants_of(scene.name, seed):
         footage = footage.seen_as(variant, look)
         found += list(slots_of(footage))
-    make_folder(folder.parent)
-    try:
-        with TemporaryDirectory(prefix=f".{folder.name}-", dir=folder.parent) as temporary:
-            made = Path(temporary) / "samples"
-            made.mkdir()
-            for name in STORED:
-                np.save(made / f"{name}.npy", np.stack([slot[name] for slot in found]))
-            if not folder.exists():
-                made.rename(folder)
-    except OSError as error:
-        if not folder.exists():
-            raise output_error(folder, error) from error
+    write_arrays({name: np.stack([slot[name] for slot in found]) for name in STORED}, folder)
 
 
 @dataclass(frozen=True)
@@ -173,19 +150,11 @@ class Sample:
     truth: Tensor
 
 
-class Samples:
+class Samples(Stored):
     """The slots of some folders, of which patches are read as they are needed."""
 
     def __init__(self, folders: Sequence[Path]) -> None:
-        self._files = [
-            {name: np.load(folder / f"{name}.npy", mmap_mode="r") for name in STORED}
-            for folder in folders
-        ]
-        counts = [len(files["time"]) for files in self._files]
-        self._places = [(f, i) for f, count in enumerate(counts) for i in range(count)]
-
-    def __len__(self) -> int:
-        return len(self._places)
+        super().__init__(folders, STORED)
 
     def whole(self, index: int) -> Sample:
         """Return a slot as it is."""
@@ -197,10 +166,6 @@ class Samples:
         rng = np.random.default_rng((seed, step))
         indices = [self._nth(step * size + n, seed) for n in range(size)]
         return _batch([_varied(self._patch(index, side, rng), rng) for index in indices])
-
-    def _nth(self, n: int, seed: int) -> int:
-        epoch, offset = divmod(n, len(self))
-        return int(_order(len(self), seed, epoch)[offset])
 
     def _patch(self, index: int, side: int, rng: np.random.Generator) -> dict[str, np.ndarray]:
         f, i = self._places[index]
@@ -217,11 +182,6 @@ class Samples:
         y, x = corners[0] if count == 1 else max(corners, key=error)
         found = {n: files[n][i, :, y : y + side, x : x + side] for n in (*PICTURES, "truth")}
         return found | {"time": files["time"][i]}
-
-
-@lru_cache(maxsize=2)  # a batch may reach into the next epoch
-def _order(count: int, seed: int, epoch: int) -> np.ndarray:
-    return np.random.default_rng((seed, epoch, 1)).permutation(count)
 
 
 def _corner(height: int, width: int, side: int, rng: np.random.Generator) -> tuple[int, int]:

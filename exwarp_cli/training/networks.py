@@ -8,7 +8,7 @@ from rendered frames, which keeps them right on scenes never seen.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -124,21 +124,36 @@ class Gated(nn.Module):
 
 
 class UNet(nn.Module):
-    """Half resolution down to a sixteenth and back; [N, given, H, W] to [N, made, H, W]."""
+    """Half resolution down to a sixteenth and back; [N, given, H, W] to [N, made, H, W].
+
+    Parameters
+    ----------
+    given, made, width
+        Channels that come in, that go out, and at half resolution.
+    growth
+        How many times as many there are after each of the next three halvings.
+    layer
+        Makes a convolution from its channels in and out, and its stride if that is not 1.
+    """
 
     def __init__(
-        self, given: int, made: int, width: int, growth: tuple[float, float, float]
+        self,
+        given: int,
+        made: int,
+        width: int,
+        growth: tuple[float, float, float],
+        layer: Callable[..., nn.Module] = Gated,
     ) -> None:
         super().__init__()
         sizes = [width, *(int(width * times) for times in growth)]
         self.fold = nn.PixelUnshuffle(2)
-        self.stem = Gated(4 * given, width)
-        self.first = Gated(width, width)
+        self.stem = layer(4 * given, width)
+        self.first = layer(width, width)
         self.down = nn.ModuleList(
-            nn.Sequential(Gated(a, b, 2), Gated(b, b)) for a, b in pairwise(sizes)
+            nn.Sequential(layer(a, b, 2), layer(b, b)) for a, b in pairwise(sizes)
         )
         self.up = nn.ModuleList(
-            Gated(a + b, b) for a, b in zip(sizes[:0:-1], sizes[-2::-1], strict=True)
+            layer(a + b, b) for a, b in zip(sizes[:0:-1], sizes[-2::-1], strict=True)
         )
         self.last = nn.Conv2d(width, 4 * made, 3, padding=1)
         self.unfold = nn.PixelShuffle(2)

@@ -6,7 +6,7 @@ import hashlib
 import json
 import math
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -210,17 +210,27 @@ def crops_folder(scene: RenderedScene, settings: CropSettings, cache: Path) -> P
         "version": VERSION, "crops": CROPS, "settings": asdict(settings),
         "manifest": asdict(scene.manifest),
     }  # fmt: skip
-    digest = hashlib.sha256(json.dumps(token, sort_keys=True, default=str).encode()).hexdigest()
-    return cache / f"{scene.name}-{digest[:12]}"
+    return cache / f"{scene.name}-{digest_of(token)}"
+
+
+def digest_of(token: Mapping[str, object]) -> str:
+    """Return a short digest of what decides what is kept."""
+    text = json.dumps(token, sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
 def is_whole(folder: Path) -> bool:
-    """Whether crops were written there to the end."""
+    """Whether arrays were written there to the end."""
     return folder.exists()
 
 
 def write_crops(scene: RenderedScene, settings: CropSettings, folder: Path) -> None:
-    """Make a scene's crops (:func:`crops_of`) and write them, one ``.npy`` a plane.
+    """Make a scene's crops (:func:`crops_of`) and write them, see `write_arrays`."""
+    write_arrays(crops_of(scene, settings), folder)
+
+
+def write_arrays(arrays: Mapping[str, np.ndarray], folder: Path) -> None:
+    """Write arrays, one ``.npy`` each.
 
     The folder appears when it is whole: trainings may share a cache.
 
@@ -229,13 +239,12 @@ def write_crops(scene: RenderedScene, settings: CropSettings, folder: Path) -> N
     OutputError
         When it cannot be written.
     """
-    crops = crops_of(scene, settings)
     make_folder(folder.parent)
     try:
         with TemporaryDirectory(prefix=f".{folder.name}-", dir=folder.parent) as temporary:
-            made = Path(temporary) / "crops"
+            made = Path(temporary) / "arrays"
             made.mkdir()
-            for name, array in crops.items():
+            for name, array in arrays.items():
                 np.save(made / f"{name}.npy", array)
             if not is_whole(folder):
                 made.rename(folder)

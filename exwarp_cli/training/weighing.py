@@ -7,28 +7,21 @@ once for all layers.
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
 from exwarp_cli.domain.lookahead import CANDIDATES, SIDES
+from exwarp_cli.training.networks import LEAK, UNet
 
-STRIDE = 16
-"""Height and width have to be multiples of it."""
-
-WIDTH, DETAIL = 32, 16
-"""Channels at half resolution, and of the last layer at full resolution."""
+DETAIL = 16
+"""Channels of the last layer at full resolution."""
 
 GROWTH = (1.5, 2, 3)
 """How many times as many channels there are after each halving."""
 
 SEEN = 28
 """Channels that are made of the inputs for each pixel."""
-
-LEAK = 0.1
-"""Slope of the activation below zero."""
 
 CONTRAST = 4.0
 """What differences of colour are multiplied by: most are small."""
@@ -38,7 +31,6 @@ FURTHER = 4.0
 
 CERTAIN = 2.0
 """Logit of what `softsplat` makes above those of the sides, before any training."""
-
 
 SHARE = 0.6
 """Of the network's answer in the shipped model. The whole of it gained 0.02 dB less on six scenes
@@ -59,7 +51,7 @@ class Conv(nn.Module):
         return functional.leaky_relu(self.norm(self.conv(x)), LEAK)
 
 
-class WeighingNetwork(nn.Module):
+class WeighingNetwork(UNet):
     """Takes the inputs of `domain.lookahead.LOOKS_AHEAD`, and returns the weights.
 
     Parameters
@@ -68,18 +60,8 @@ class WeighingNetwork(nn.Module):
         Channels at half resolution.
     """
 
-    def __init__(self, width: int = WIDTH) -> None:
-        super().__init__()
-        sizes = [width, *(int(width * growth) for growth in GROWTH)]
-        self.fold, self.unfold = nn.PixelUnshuffle(2), nn.PixelShuffle(2)
-        self.stem, self.first = Conv(4 * SEEN, width), Conv(width, width)
-        self.down = nn.ModuleList(
-            nn.Sequential(Conv(a, b, 2), Conv(b, b)) for a, b in pairwise(sizes)
-        )
-        self.up = nn.ModuleList(
-            Conv(a + b, b) for a, b in zip(sizes[:0:-1], sizes[-2::-1], strict=True)
-        )
-        self.last = nn.Conv2d(width, 4 * DETAIL, 3, padding=1)
+    def __init__(self, width: int) -> None:
+        super().__init__(SEEN, DETAIL, width, GROWTH, Conv)
         self.detail = Conv(DETAIL + SEEN, DETAIL)
         self.head = nn.Conv2d(DETAIL, CANDIDATES, 3, padding=1)
         logits = torch.zeros(CANDIDATES)
@@ -88,21 +70,12 @@ class WeighingNetwork(nn.Module):
             self.head.weight.mul_(0.1)
             self.head.bias.copy_(logits)  # type: ignore[union-attr]
 
-    def forward(
+    def forward(  # type: ignore[override]
         self, colour: Tensor, masks: Tensor, depth: Tensor, agreement: Tensor, time: Tensor
     ) -> Tensor:
         """Return the weights, float32 [N, CANDIDATES, H, W]."""
         seen = _seen(colour, masks, depth, agreement, time)
-        x = self.first(self.stem(self.fold(seen)))
-        kept = []
-        for step in self.down:
-            kept.append(x)
-            x = step(x)
-        for step in self.up:
-            larger = functional.interpolate(x, scale_factor=2.0, mode="nearest")
-            x = step(torch.cat([larger, kept.pop()], 1))
-        x = self.unfold(self.last(x))
-        x = self.head(self.detail(torch.cat([x, seen], 1)))
+        x = self.head(self.detail(torch.cat([super().forward(seen), seen], 1)))
         return torch.softmax(x.float(), 1)
 
 

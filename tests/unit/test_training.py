@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 import torch
 
-from exwarp_cli.domain.extrapolator import TIME, NetworkInputs
+from exwarp_cli.domain.extrapolator import NetworkInputs
 from exwarp_cli.domain.frame import Window
+from exwarp_cli.domain.network import TIME
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import InputError, UsageError
 from exwarp_cli.io.dataset import RenderedScene, SceneManifest, open_scene, select, split
@@ -20,7 +21,6 @@ from exwarp_cli.metrics.registry import score
 from exwarp_cli.training import crops as batches
 from exwarp_cli.training.crops import Batch, Crops, varied
 from exwarp_cli.training.extrapolator import (
-    CHECKPOINT,
     FEW,
     HOLES,
     SQUARED,
@@ -33,6 +33,7 @@ from exwarp_cli.training.extrapolator import (
 )
 from exwarp_cli.training.footage import Footage
 from exwarp_cli.training.networks import ARCHITECTURES, build
+from exwarp_cli.training.resumable import CHECKPOINT
 from exwarp_cli.training.samples import (
     IN_HOLES,
     SHORT,

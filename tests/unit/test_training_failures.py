@@ -15,12 +15,11 @@ from exwarp_cli.io.dataset import RenderedScene, open_scene
 from exwarp_cli.io.frames import Shot
 from exwarp_cli.training import extrapolator, samples
 from exwarp_cli.training.extrapolator import (
-    CHECKPOINT,
     MODEL,
-    SETTINGS,
     Training,
     train_extrapolator,
 )
+from exwarp_cli.training.resumable import CHECKPOINT, SETTINGS
 from exwarp_cli.training.samples import CropSettings, crops_of, write_crops
 from exwarp_cli.training.settings import TrainingSettings
 from tests.unit.analytic_scene import write_scene

@@ -10,8 +10,9 @@ import torch
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError
 from exwarp_cli.training.export import export_extrapolator
 from exwarp_cli.training.exported import normalise_by
-from exwarp_cli.training.extrapolator import CHECKPOINT, MODEL, Training
+from exwarp_cli.training.extrapolator import MODEL, Training
 from exwarp_cli.training.networks import STRIDE
+from exwarp_cli.training.resumable import CHECKPOINT
 from exwarp_cli.training.settings import TrainingSettings
 from tests.unit.network_inputs import example
 
