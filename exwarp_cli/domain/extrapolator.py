@@ -22,8 +22,7 @@ from typing import Protocol
 import numpy as np
 
 from exwarp_cli.domain.frame import Float32
-from exwarp_cli.domain.network import TIME as TIME
-from exwarp_cli.domain.network import NetworkInterface
+from exwarp_cli.domain.network import NetworkGiven, NetworkInterface, NetworkPart
 
 INTERFACE = "exwarp.extrapolator/1"
 """Version of the inputs below; models state it in their metadata."""
@@ -87,19 +86,11 @@ class NetworkInputs:
         return NetworkInputs(**parts, time=self.time)
 
 
-class Inputs(Protocol):
+class Inputs(NetworkPart, NetworkGiven, Protocol):
     """What a network is given for one slot, as a whole or part by part as it is wanted.
 
     The properties are those of `NetworkInputs`, of the whole frame.
     """
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Height and width."""
-
-    @property
-    def time(self) -> float:
-        """Of the slot in its key interval."""
 
     @property
     def warped(self) -> Float32:
@@ -117,21 +108,8 @@ class Inputs(Protocol):
     def history(self) -> Float32:
         """float32 [12, H, W]."""
 
-    @property
-    def pictures(self) -> dict[str, Float32]:
-        """The picture inputs by name."""
-
     def part(self, rows: slice, columns: slice, room: Float32 | None = None) -> NetworkInputs:
-        """Return the inputs of some rows and columns.
-
-        Parameters
-        ----------
-        rows, columns
-            Beyond the frame, its edge may be repeated, or be left out.
-        room
-            float32 [C, h, w], for all channels of so many rows and columns: may be written and
-            returned. Fresh memory, cleared by the system, took three times as long to fill.
-        """
+        """Return the inputs of some rows and columns; see `NetworkGiven`."""
 
 
 class Extrapolator(Protocol):

@@ -127,7 +127,7 @@ def other_extrapolator(policy: PolicyFile, network: OnnxExtrapolator) -> str | N
     -------
     str or None
         A sentence; None where it is the one, where the policy does not say, and where both came
-        with ExWarp: those are judged together.
+        with ExWarp, whose policy is still that of the network before.
     """
     if not policy.trained_for or network.checksum in policy.trained_for:
         return None

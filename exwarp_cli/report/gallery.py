@@ -280,8 +280,8 @@ def worst_of(frames: Iterable[FrameRecord]) -> int | None:
     known = [(f.score.badness, -f.number) for f in records if f.score is not None]
     measured = [(badness, number) for badness, number in known if badness is not None]
     predicted = [(f.risk.error, -f.number) for f in records if f.risk is not None]
-    told = measured or ([] if known else predicted)
-    return -max(told)[1] if told else None
+    ranked = measured or ([] if known else predicted)
+    return -max(ranked)[1] if ranked else None
 
 
 def evenly(groups: Sequence[Sequence[int]]) -> list[int]:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from exwarp_cli.domain.results import FrameRecord, RunSummary
-from exwarp_cli.domain.risk import REASONS, edges
+from exwarp_cli.domain.risk import REASONS, Risk, edges
 from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.domain.wording import counted
 from exwarp_cli.report.quality import mean
@@ -93,9 +93,10 @@ def places_of(frame: FrameRecord, size: tuple[int, int]) -> list[Place]:
     """
     risk = frame.risk
     assert risk is not None
-    least = max(SEEN, STANDS_OUT * max(risk.levels))
-    bad = {i for i, level in enumerate(risk.levels) if level >= least}
-    places = [_place(frame, group, size) for group in _groups(bad, risk.columns)]
+    levels = risk.levels
+    least = max(SEEN, STANDS_OUT * max(levels))
+    bad = {i for i, level in enumerate(levels) if level >= least}
+    places = [_place(frame.number, risk, group, size) for group in _groups(bad, risk.columns)]
     return sorted(places, key=lambda place: -place.error)[:PLACES_OF_FRAME]
 
 
@@ -124,14 +125,14 @@ def review(run: RunSummary) -> dict[str, Any] | None:
 def review_line(found: dict[str, Any]) -> str:
     """Say in a line what is most worth a look, as report.json has it."""
     error = found["predicted_error"]
-    told = (
+    line = (
         f"predicted error {error['mean']:.1f} of 255 levels on average, worst "
         f"{error['worst']:.1f} in frame {error['worst_frame']}"
     )
     if not found["places"]:
-        return f"{told}; nothing stands out"
+        return f"{line}; nothing stands out"
     looks = f"{counted(found['places'], 'place')} worth a look"
-    return f"{told}; {looks}" + (
+    return f"{line}; {looks}" + (
         f"; frames most worth rendering: {found['render']}" if found["render"] else ""
     )
 
@@ -160,17 +161,16 @@ def _beside(tile: int, columns: int) -> list[int]:
     return found
 
 
-def _place(frame: FrameRecord, group: set[int], size: tuple[int, int]) -> Place:
-    risk = frame.risk
-    assert risk is not None
+def _place(number: int, risk: Risk, group: set[int], size: tuple[int, int]) -> Place:
+    levels = risk.levels
     across, down = edges(size[0], risk.columns), edges(size[1], risk.rows)
     rows, columns = zip(*(divmod(tile, risk.columns) for tile in group), strict=True)
     x, y = across[min(columns)], down[min(rows)]
     squares = [0.0] * len(REASONS)
     for tile in sorted(group):
-        squares[risk.reasons[tile]] += risk.levels[tile] ** 2
+        squares[risk.reasons[tile]] += levels[tile] ** 2
     return Place(
-        frame=frame.number,
+        frame=number,
         error=math.sqrt(sum(squares) / len(group)),
         x=x,
         y=y,

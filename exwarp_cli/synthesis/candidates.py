@@ -13,7 +13,7 @@ from exwarp_cli.runtime.frame_pool import pool
 from exwarp_cli.synthesis.warp import Warped, as_shown
 
 NEAREST, FURTHEST = np.float32(1e-2), np.float32(1e4)
-"""Depths, scene units, between which the network is told them."""
+"""Depths, scene units: nearer and farther ones are given to the network as these."""
 
 Weights = list[tuple[Tile, np.ndarray]]
 """Of each tile of a slot, float16 [5, h, w]."""

@@ -2,7 +2,7 @@
 
 Niklaus and Liu, "Softmax Splatting for Video Frame Interpolation", CVPR 2020, with the renderer's
 motion in place of estimated flow; light that moves against the surfaces follows a residual flow.
-A network may weigh both sides anew, pixel by pixel: the method `lookahead`.
+In the method `lookahead` a network weighs both sides, pixel by pixel.
 """
 
 from __future__ import annotations

@@ -14,8 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from exwarp_cli.domain.extrapolator import TIME, Extrapolator, NetworkInputs
+from exwarp_cli.domain.extrapolator import Extrapolator, NetworkInputs
 from exwarp_cli.domain.frame import GBuffer, KeyFrame
+from exwarp_cli.domain.network import TIME
 from exwarp_cli.io.model_files import stated_stride
 from exwarp_cli.io.models import load_extrapolator, open_session, shipped_folder
 from exwarp_cli.kernels import _row_bands

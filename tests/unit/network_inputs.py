@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import torch
 
-from exwarp_cli.domain.extrapolator import INPUTS, TIME
+from exwarp_cli.domain.extrapolator import INPUTS
+from exwarp_cli.domain.network import TIME
 
 
 def example(height: int, width: int, seed: int = 0) -> dict[str, torch.Tensor]:

@@ -13,7 +13,8 @@ import onnx
 import pytest
 from onnx import TensorProto, helper
 
-from exwarp_cli.domain.extrapolator import INPUTS, INTERFACE, OUTPUT, TIME, NetworkInputs
+from exwarp_cli.domain.extrapolator import INPUTS, INTERFACE, OUTPUT, NetworkInputs
+from exwarp_cli.domain.network import TIME
 from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.errors import (
     DamagedFileError,

@@ -9,7 +9,8 @@ import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
-from exwarp_cli.domain.extrapolator import INPUTS, OUTPUT, TIME
+from exwarp_cli.domain.extrapolator import INPUTS, OUTPUT
+from exwarp_cli.domain.network import TIME
 
 Shape = Sequence[int | str]
 OPSET = 17
