@@ -15,6 +15,7 @@ from exwarp_cli.domain.results import FrameKind
 from exwarp_cli.domain.risk import Risk
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.risk import (
+    F64,
     FIRST_WARPED,
     MIXED,
     WARPED,
@@ -197,9 +198,7 @@ def _warp(interval: Interval, slot: int) -> Predicted:
 
 def _risk_of_warp(interval: Interval, slot: int, pixels: Float32) -> Risk:
     """Predict the error of a frame of what came before its slot."""
-    tiles, back = interval.tiles, interval.back(slot)
-    evidence = evidence_of_warp(tiles, back.hole | back.ghosts)
-    terms = terms_of(tiles, evidence, interval.residual, pixels)
+    terms = terms_of_warp(interval, slot, pixels)
     formula = WARPED if interval.past else FIRST_WARPED
     return predict_risk(terms, formula, interval.time(slot))
 
@@ -207,6 +206,13 @@ def _risk_of_warp(interval: Interval, slot: int, pixels: Float32) -> Risk:
 def _seen(interval: Interval) -> tuple[int, ...]:
     """Numbers of the key frames that the network sees."""
     return tuple(sorted((interval.key.number, *(past.frame.number for past in interval.past))))
+
+
+def terms_of_warp(interval: Interval, slot: int, pixels: Float32) -> F64:
+    """Return the terms of a frame of what came before its slot; see `synthesis.risk.terms_of`."""
+    tiles, back = interval.tiles, interval.back(slot)
+    evidence = evidence_of_warp(tiles, back.hole | back.ghosts)
+    return terms_of(tiles, evidence, interval.residual, pixels)
 
 
 def _causal(interval: Interval, slot: int) -> Predicted:

@@ -26,8 +26,8 @@ from exwarp_cli.io.dataset import RenderedScene, find_scenes
 from exwarp_cli.metrics.display import encode
 from exwarp_cli.synthesis import risk
 from exwarp_cli.synthesis.interval import Interval
-from exwarp_cli.synthesis.methods import METHODS
-from exwarp_cli.synthesis.risk import TERMS, Formula, evidence_of_warp, mean_square, terms_of
+from exwarp_cli.synthesis.methods import METHODS, terms_of_warp
+from exwarp_cli.synthesis.risk import TERMS, Formula, mean_square, terms_of
 from exwarp_cli.training.footage import Footage
 from tests.bench.pictures import rendered_intervals
 from tests.bench.quality import shown_pixels
@@ -140,9 +140,7 @@ def _warped(interval: Interval, slot: int, truth: Float32) -> tuple[float, F64, 
     predict = METHODS["s6"].predict
     assert predict is not None
     made = predict(interval, slot).pixels
-    back = interval.back(slot)
-    evidence = evidence_of_warp(interval.tiles, back.hole | back.ghosts)
-    terms = terms_of(interval.tiles, evidence, interval.residual, made)
+    terms = terms_of_warp(interval, slot, made)
     return interval.time(slot), terms, _squares(interval, made, truth)
 
 

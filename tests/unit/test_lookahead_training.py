@@ -14,7 +14,7 @@ import torch
 
 from exwarp_cli.domain.lookahead import CANDIDATES, LOOKS_AHEAD
 from exwarp_cli.domain.network import NetworkPictures
-from exwarp_cli.errors import UsageError
+from exwarp_cli.errors import LayoutError, UsageError
 from exwarp_cli.io.dataset import RenderedScene, open_scene
 from exwarp_cli.io.lookahead_network import load_lookahead
 from exwarp_cli.training import lookahead_samples
@@ -28,6 +28,7 @@ from exwarp_cli.training.lookahead_samples import (
     variants_of,
     write_samples,
 )
+from exwarp_cli.training.resumable import CHECKPOINT
 from exwarp_cli.training.settings import CURVE, LookAheadSettings
 from exwarp_cli.training.weighing import SHARE, WeighingNetwork, mix
 from tests.unit.analytic_scene import write_scene
@@ -169,6 +170,13 @@ class TestTraining:
         train(scenes, tmp_path / "run", cache, replace(TINY, steps=2))
         with pytest.raises(UsageError, match="holds a training with other settings"):
             train(scenes, tmp_path / "run", cache, TINY)
+
+    def test_a_start_of_another_width_is_refused(self, scenes, cache, tmp_path, monkeypatch):
+        monkeypatch.setattr(Training, "export", lambda self: self.folder)
+        train(scenes, tmp_path / "narrow", cache, replace(TINY, steps=2))
+        wider, start = replace(TINY, width=8), tmp_path / "narrow" / CHECKPOINT
+        with pytest.raises(LayoutError, match="another network than one of 8 channels"):
+            train(scenes, tmp_path / "wide", cache, wider, start=start)
 
     def test_the_model_answers_as_the_network_held_back(self, scenes, cache, samples, tmp_path):
         settings = replace(TINY, steps=2)
