@@ -261,10 +261,10 @@ def same(found: Measured, wanted: Measured) -> None:
 
 
 def test_with_the_network_that_comes_with_exwarp(scene, tmp_path):
-    """Even this small, it is about as good as warping."""
+    """Even this small, it is better than warping."""
     found = measure(scene, PLAIN[1], None, tmp_path).outcomes
     names = {path.name for path in tmp_path.iterdir()}
     known = json.loads((shipped_folder() / CHECKSUMS).read_bytes())[SHIPPED]
     assert f"variety-0074-64x36-slot-phase0-speed1-{known[:12]}-v1.npy" in names
     gain = found[:, 1, 1, 0] - found[:, 1, 0, 0]
-    assert (gain != 0).all() and (np.abs(gain) < 3).all()
+    assert (gain > 0).all()

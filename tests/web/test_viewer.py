@@ -84,7 +84,8 @@ def test_other_addresses_start_as_usual(visit, fragment: str):
 
 def test_it_starts_with_the_worst_frame(visit):
     seen = visit()
-    assert seen.frame == int(seen.page.locator("a[href^='#viewer:']").first.inner_text())
+    worst = seen.page.locator("#quality a[href^='#viewer:']").first
+    assert seen.frame == int(worst.inner_text())
 
 
 def test_modes(visit):
