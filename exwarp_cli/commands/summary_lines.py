@@ -43,6 +43,10 @@ def summary_lines(
         lines.append(
             f"paths of the key intervals: {listed}; {share:.0%} of the decisions are warps"
         )
+    if document["decisions"]["gate"]:
+        from exwarp_cli.report.decisions import gate_line
+
+        lines.append(gate_line(document["decisions"]["gate"]))
     if document["holes"]["mean_fraction"] is not None:
         lines.append(_holes(document["holes"], frames["generated"] + frames["dropped"]))
     compared = bool(quality["frames"]) if scored is None else scored

@@ -73,10 +73,10 @@ class FrameRate(click.ParamType[Fraction]):
     "--method",
     metavar="NAME",
     help="Default: exwarp, which moves the key frames on both sides to the new frame's time and "
-    "mixes them by depth, as softsplat does; lookahead: a network weighs the two; causal: as "
-    "--causal; s1 to s6: the paper's paths, s6 warps only; oracle, oracle-return: the best path by "
-    "--ground-truth; onnx: the network of --interpolator, from colour alone; blend: cross-fade; "
-    "hold: repeat.",
+    "mixes them, by a network where that pays on this shot (lookahead), else by depth (softsplat); "
+    "causal: as --causal; s1 to s6: the paper's paths, s6 warps only; oracle, oracle-return: the "
+    "best path by --ground-truth; onnx: the network of --interpolator, from colour alone; blend: "
+    "cross-fade; hold: repeat.",
 )
 @click.option(
     "--causal",
@@ -118,10 +118,16 @@ class FrameRate(click.ParamType[Fraction]):
     "--interpolator",
     metavar="FILE",
     help="ONNX network for --method onnx, which interpolates two frames; its card, FILE with "
-    ".json, says what it takes. For --method lookahead, one that weighs both; else ExWarp's own.",
+    ".json, says what it takes. For exwarp and lookahead, one that weighs both; else ExWarp's own.",
 )
 @click.option(
     "--policy", metavar="FILE", help="Policy that decides; else the one that comes with ExWarp."
+)
+@click.option(
+    "--gate/--no-gate",
+    default=UpsampleSettings.gate,
+    help="Let a network make frames only where it predicts this shot's own key frames better than "
+    "warping does; or wherever the method would.",
 )
 @click.option(
     "--device",

@@ -127,6 +127,9 @@ PATHS = {
 }
 """Every path by its name in the paper."""
 
+ONLY_WARPS = "S6"
+"""The path that runs no network."""
+
 
 @dataclass(frozen=True)
 class Decision:

@@ -10,6 +10,7 @@ from exwarp_cli import __version__
 from exwarp_cli.domain.cuts import Cut
 from exwarp_cli.domain.decision import BLEND, HELD, HOLD, Decision
 from exwarp_cli.domain.extrapolator import INTERPOLATE
+from exwarp_cli.domain.gate import Trial
 from exwarp_cli.domain.metric import METRICS
 from exwarp_cli.domain.risk import Risk
 from exwarp_cli.domain.timeline import FACTOR
@@ -121,6 +122,8 @@ class FrameRecord:
         key frames around it; None where not measured. See `exwarp_cli.metrics.pulse`.
     risk
         How wrong a generated frame is expected to be; None where nothing tells.
+    trial
+        What the gate decided by; None without a gate.
     """
 
     number: int
@@ -143,6 +146,7 @@ class FrameRecord:
     replaced: bool = False
     key_pulse: float | None = None
     risk: Risk | None = None
+    trial: Trial | None = None
 
     @property
     def pulse(self) -> float | None:

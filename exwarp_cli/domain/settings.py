@@ -124,6 +124,9 @@ class UpsampleSettings:
         File of the policy that decides; None for the one that comes with ExWarp.
     interpolator
         ONNX file of the network that interpolates, with its card beside it.
+    gate
+        Whether networks of the default and of `causal` make frames only where this makes the shot's
+        own key frames better.
     layers
         Which layers generated frames hold: "beauty", "all", or names with wildcards.
     verify
@@ -149,6 +152,7 @@ class UpsampleSettings:
     device: str = "cpu"
     policy: str | None = None
     interpolator: str | None = None
+    gate: bool = True
     metrics: tuple[str, ...] | None = None
     layers: str = "beauty"
     verify: bool = False

@@ -169,6 +169,15 @@ def require_truth(settings: UpsampleSettings, method: Method) -> None:
         )
 
 
+def require_gate(settings: UpsampleSettings, method: Method) -> None:
+    """Refuse ``--no-gate`` for a method without a gate; raises UsageError."""
+    if not (settings.gate or method.gated):
+        raise UsageError(
+            f"--no-gate is for exwarp and --causal, and --method {method.name} has no gate; leave "
+            "it out"
+        )
+
+
 def is_usual(source: Source) -> bool:
     """Whether there are decisions: for the paper's factor alone, and along a renderer's motion."""
     return source.timeline.factor == FACTOR and not source.estimated

@@ -18,11 +18,12 @@ from exwarp_cli.domain.frame import (
     broken_pixels,
     require_canvas,
 )
+from exwarp_cli.domain.gate import Trial
 from exwarp_cli.domain.lookahead import LookAheadNetwork
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.pipeline.choosing import Chosen
-from exwarp_cli.pipeline.interval_inputs import HistoryFrame, IntervalInputs
-from exwarp_cli.pipeline.key_frames import slots_back_to, without_surface
+from exwarp_cli.pipeline.interval_inputs import IntervalInputs
+from exwarp_cli.pipeline.key_frames import HistoryFrame, slots_back_to, without_surface
 from exwarp_cli.runtime.frame_pool import IN_MEMORY, ScratchFrames
 from exwarp_cli.synthesis.geometry import settle_motion
 from exwarp_cli.synthesis.history import Past
@@ -59,6 +60,8 @@ class PreparedInterval:
         Milliseconds that all this took, by step: a slot's share.
     broken
         How many pixels of the frames around are NaN or infinite, by the frame's number.
+    trial
+        What the gate decided by; None where it decides nothing.
     """
 
     interval: Interval | None
@@ -66,6 +69,7 @@ class PreparedInterval:
     existing: frozenset[Slot]
     timing_ms: Mapping[str, float]
     broken: Mapping[int, int]
+    trial: Trial | None = None
 
     @property
     def extrapolates(self) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import takewhile
@@ -18,7 +18,14 @@ from exwarp_cli.io.output import FrameTemplate
 from exwarp_cli.io.sequence import Sequence
 from exwarp_cli.pipeline.contents import Content, LayerFrames, LayerReader, template_of
 from exwarp_cli.pipeline.frame_sizes import Regions
-from exwarp_cli.pipeline.key_frames import IntervalTruth, KeyFrameStore, TruthReader, reads_late
+from exwarp_cli.pipeline.gate import TrialInputs, TrialReader
+from exwarp_cli.pipeline.key_frames import (
+    HistoryFrame,
+    IntervalTruth,
+    KeyFrameStore,
+    TruthReader,
+    reads_late,
+)
 from exwarp_cli.pipeline.recipes import Recipes
 from exwarp_cli.pipeline.scheduling import record_time
 from exwarp_cli.pipeline.shots import UnreadableFrames
@@ -36,27 +43,6 @@ WARPED_BACK = 1
 
 Dependencies = tuple[NetworkSummary | None, str | None, InterpolatorSummary | None]
 """The network that extrapolates, the policy's checksum, the network that interpolates."""
-
-
-@dataclass(frozen=True)
-class HistoryFrame:
-    """A key frame before the interval's own.
-
-    Attributes
-    ----------
-    frame
-        As read.
-    instants
-        With slots' G-buffers those on the way to it, without surface: the key frame after it, the
-        slots between from the last to the first, and this key frame; motion reaches over one slot.
-        Empty in the key setting.
-    held
-        True if the key frame after this one shows the same picture: nothing moves between them.
-    """
-
-    frame: KeyFrame
-    instants: tuple[GBuffer, ...]
-    held: bool = False
 
 
 @dataclass(frozen=True)
@@ -144,6 +130,8 @@ class IntervalInputs:
         the end of a shot the key frame itself repeats the one before.
     after_hold
         True if the key frame shows the same picture as the one before it.
+    trial
+        What the gate decides by, where no earlier interval brought the same; None without a gate.
     """
 
     key: int
@@ -164,6 +152,7 @@ class IntervalInputs:
     region: bool = False
     held: bool = False
     after_hold: bool = False
+    trial: TrialInputs | None = None
 
     def without_geometry(self) -> IntervalInputs:
         """Return the interval with the colour of its key frames alone, once it is built.
@@ -181,6 +170,7 @@ class IntervalInputs:
             slots=(),
             history=tuple(HistoryFrame(colour(past.frame), (), past.held) for past in self.history),
             observed=(),
+            trial=None,
         )
 
 
@@ -255,6 +245,11 @@ class IntervalReader:
             self._observes, None if leader is None else leader.store,
         )  # fmt: skip
         self.shots = self.store.shots
+        self._trials: TrialReader | None = None
+        if leader is not None:
+            self._trials = leader._trials
+        elif method.gated and settings.gate:
+            self._trials = TrialReader(source, method, self.store, self._reads_late)
         if leader is not None:
             self.recipe_book.share(leader.recipe_book)
         if keep_going:
@@ -305,9 +300,8 @@ class IntervalReader:
         older = None if back is None else store.get_in_shot(back)
         layers = None if self._layers is None else self._layers.read(key, lookahead, back)
         truth = self.truth.read(key)
-        self.release(key)
         digests = self.recipe_book.key_digests((key, key + 1) if lookahead else (key,))
-        return IntervalInputs(
+        inputs = IntervalInputs(
             key,
             FrameMetadata(template, recipes, digests),
             frame,
@@ -325,6 +319,10 @@ class IntervalReader:
             held=self._held(key),
             after_hold=shots.repeats(key),
         )
+        if self._trials is not None and self._contents[0].leads:
+            inputs = replace(inputs, trial=self._trials.read(key, inputs))
+        self.release(key)
+        return inputs
 
     def add_history(self, inputs: IntervalInputs) -> IntervalInputs:
         """Return an interval with its older key frames, and the surface of its key frame.
@@ -384,6 +382,7 @@ class IntervalReader:
             if lookahead and self.store.is_followed(key + 1):
                 keys.append(key + 2)
             cuts = [*self.shots.told(key, 0, ()), f"flow {[index - key for index in keys]}"]
+            keys += self._tried(key, keys)
             return self.recipe_book.of(key, keys, (), [*cuts, *self._windows_and_holds(key)])
         history = self._history(key)
         keys += history
@@ -406,12 +405,23 @@ class IntervalReader:
             slots_after = self.store.slots_after
             way = (slot for i in history for slot in slots_after(i))
             instants = [*slots_after(key), *way, *instants]
+        keys += self._tried(key, keys)
+        if self._trials is not None and (index := self._trials.choose(key)) is not None:
+            instants += self._trials.slots(index)
         return self.recipe_book.of(key, keys, instants, [*cuts, *self._windows_and_holds(key)])
+
+    def _tried(self, key: int, keys: Collection[int]) -> list[int]:
+        """Return the key frames that a slot depends on by its gate alone."""
+        index = None if self._trials is None else self._trials.choose(key)
+        if self._trials is None or index is None:
+            return []
+        return [other for other in self._trials.keys(index) if other not in keys]
 
     def _windows_and_holds(self, key: int) -> list[str]:
         """Say what slots depend on of key frames around; nothing where there is no such thing."""
         later = {key, *(index + 1 for index in self._history(key))}
         return [
+            *([] if self._trials is None else [self._trials.describe(key)]),
             *(["steady window"] if self._regions.is_steady(key) else []),
             *(["held"] if self._held(key) else []),
             *(f"repeats {i - key}" for i in sorted(later) if self.shots.repeats(i)),

@@ -27,6 +27,7 @@ from exwarp_cli.pipeline.finding import (
     find_truth,
     is_usual,
     require_factor,
+    require_gate,
     require_truth,
 )
 from exwarp_cli.pipeline.frame_sizes import require_one_size_of, require_truth_size
@@ -96,6 +97,11 @@ class Job:
     def sums(self) -> bool:
         """Whether checksums of files are wanted."""
         return self.reported or self.settings.verify
+
+    @property
+    def is_gated(self) -> bool:
+        """Whether the network makes frames only where trials show that it pays."""
+        return self.method.gated and self.settings.gate
 
     @property
     def measures_key_pulse(self) -> bool:
@@ -220,6 +226,7 @@ def open_job(settings: UpsampleSettings) -> Job:
     interpolator = find_interpolator(settings, method)
     policy = find_policy(settings, method)
     require_truth(settings, method)
+    require_gate(settings, method)
     require_able(source, method, settings)
     require_factor(source, method, interpolator)
     contents = contents_of(sources, settings.layers)

@@ -21,6 +21,27 @@ from exwarp_cli.pipeline.without_vectors import Estimates
 from exwarp_cli.synthesis.methods import Method
 
 
+@dataclass(frozen=True)
+class HistoryFrame:
+    """A key frame before the interval's own.
+
+    Attributes
+    ----------
+    frame
+        As read.
+    instants
+        With slots' G-buffers those on the way to it, without surface: the key frame after it, the
+        slots between from the last to the first, and this key frame; motion reaches over one slot.
+        Empty in the key setting.
+    held
+        True if the key frame after this one shows the same picture: nothing moves between them.
+    """
+
+    frame: KeyFrame
+    instants: tuple[GBuffer, ...]
+    held: bool = False
+
+
 class KeyFrameStore:
     """Reads key frames, and slots' G-buffers, of one view.
 

@@ -65,7 +65,9 @@ class ExtraLayers:
         for content, builder, view in zip(
             self._contents[1:], self._builders, inputs.views, strict=True
         ):
-            views.append(ViewInterval(content, view, builder.build(view)))
+            # One view decides which network mixes all of them.
+            other = replace(builder.build(view), interpolator=interval.interpolator)
+            views.append(ViewInterval(content, view, other))
         self._views = tuple(views)
 
     def make(

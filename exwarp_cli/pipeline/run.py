@@ -8,6 +8,7 @@ from time import perf_counter
 
 from exwarp_cli import __version__
 from exwarp_cli.domain.cores import working
+from exwarp_cli.domain.decision import ONLY_WARPS, Plan
 from exwarp_cli.domain.frame import Image, Window
 from exwarp_cli.domain.joining import Outcome
 from exwarp_cli.domain.results import FrameKind, FrameRecord, LeftOut, RunSummary
@@ -23,6 +24,7 @@ from exwarp_cli.pipeline.choosing import Chooser, Chosen, always, by_policy, by_
 from exwarp_cli.pipeline.finding import is_usual
 from exwarp_cli.pipeline.frame_sizes import remark
 from exwarp_cli.pipeline.frame_writer import FRAMES_BEHIND, FrameWriter
+from exwarp_cli.pipeline.gate import Gate
 from exwarp_cli.pipeline.interval_builder import IntervalBuilder, PreparedInterval, count_broken
 from exwarp_cli.pipeline.interval_inputs import (
     IntervalInputs,
@@ -172,6 +174,7 @@ class Run:
             for source in job.sources
         )
         self._layers = ExtraLayers(job.contents, tuple(others))
+        self._gate = make_gate(job)
         # Frames with all their layers are large, and few may wait.
         self.writer = make_writer(job, note, 0 if self._layers.any else _writes_behind(display))
         self._chooser = make_chooser(job)
@@ -266,15 +269,27 @@ class Run:
                 interval = self._builder.build(inputs)
         recipes = inputs.metadata.recipes
         existing = {slot for slot in slots if interval is None or self._exists(slot, recipes)}
+        trial = None
+        if self._gate is not None:
+            self._gate.receive(inputs)
+            runs_network = interval is not None and not interval.held and len(existing) < len(slots)
+            if runs_network and (inputs.following is not None or not method.lookahead):
+                with record_time(timing_ms, "gate", len(slots)):
+                    trial = self._gate.decide()
         choice = None
         # A policy looks at every interval: the states of later ones hold what it saw.
         looks = len(existing) < len(slots) or method.judge is Judge.POLICY
         if slots and looks and interval is not None:
             choice = self._choose(inputs, interval)
+        if trial is not None and not trial.pays and interval is not None:
+            interval = replace(interval, interpolator=None)
+            choice = None if choice is None else replace(choice, plan=Plan.fixed(ONLY_WARPS))
         if choice is not None:
             timing_ms |= {step: ms / len(slots) for step, ms in choice.timing_ms.items()}
         self._broken = count_broken(inputs, self._broken) if len(existing) < len(slots) else {}
-        prepared = PreparedInterval(interval, choice, frozenset(existing), timing_ms, self._broken)
+        prepared = PreparedInterval(
+            interval, choice, frozenset(existing), timing_ms, self._broken, trial
+        )
         if interval is not None and prepared.extrapolates and inputs.lacks_history:
             inputs = self._reader.add_history(inputs)
             self._broken = count_broken(inputs, self._broken)
@@ -481,6 +496,18 @@ def make_chooser(job: Job) -> Chooser | None:
         observer = Observer(source.keys.display, source.setting)
         return by_policy(LearnedPolicy(job.policy.network), observer)
     return None if method.judge is None else by_truth(method.judge, source.keys.display)
+
+
+def make_gate(job: Job) -> Gate | None:
+    """Return what decides where the network of a run may make frames; None without a gate."""
+    source, method = job.source, job.method
+    if not job.is_gated:
+        return None
+    builder = IntervalBuilder(
+        source.keys.display, job.network, job.interpolator, source.estimated,
+        scratch=source.scratch,
+    )  # fmt: skip
+    return Gate(method, builder, source.keys.display)
 
 
 def make_reader(job: Job) -> ViewsReader:

@@ -15,6 +15,7 @@ import numpy as np
 from exwarp_cli import __version__
 from exwarp_cli.domain.decision import Decision, Features, Plan, maker_of, step_of
 from exwarp_cli.domain.frame import Bool, Image, place
+from exwarp_cli.domain.gate import Trial
 from exwarp_cli.domain.results import FrameKind, FrameRecord
 from exwarp_cli.domain.risk import Risk
 from exwarp_cli.domain.settings import UpsampleSettings
@@ -140,6 +141,7 @@ class SlotRenderer:
             decision=None if plan is None else plan.decision_of(slot.index),
             replaced=self._writer.is_in_the_way(number),
             risk=predicted.risk if kind is FrameKind.GENERATED else None,
+            trial=prepared.trial,
         )
         if in_pool:
             interval.forget(slot.index)
@@ -196,6 +198,7 @@ class SlotRenderer:
             path=header.get("path"),
             decision=parse_decision(header.get("decision")),
             risk=parse_risk(header),
+            trial=None if header.get("gate") is None else Trial.parsed(str(header["gate"])),
         )
 
     def _mask(self, interval: Interval, slot: Slot) -> Bool | None:
@@ -260,6 +263,8 @@ class SlotRenderer:
             out[f"{PREFIX}decision"] = decision_text(record.decision)
         if record.hole_fraction is not None:
             out[f"{PREFIX}holeFraction"] = record.hole_fraction
+        if record.trial is not None:
+            out[f"{PREFIX}gate"] = record.trial.text
         if record.risk is not None:
             out[f"{PREFIX}{PREDICTED_ERROR}"] = record.risk.error
             out[f"{PREFIX}risk"] = record.risk.text

@@ -6,8 +6,10 @@ from collections import Counter
 from collections.abc import Iterable
 from typing import Any
 
-from exwarp_cli.domain.decision import CHOICES, NODES, PATHS, WARP
-from exwarp_cli.domain.results import FrameKind, FrameRecord
+from exwarp_cli.domain.decision import CHOICES, NODES, PATHS, SOFTSPLAT, WARP
+from exwarp_cli.domain.gate import Trial
+from exwarp_cli.domain.lookahead import LOOKAHEAD
+from exwarp_cli.domain.results import FrameKind, FrameRecord, RunSummary
 from exwarp_cli.report.quality import quality
 
 
@@ -37,6 +39,50 @@ def decisions(paths: Iterable[str] | None) -> dict[str, Any]:
         "paths": {name: taken[name] for name in PATHS},
         "warp_share": warped / steps.total() if steps else None,
     }
+
+
+def gate(run: RunSummary) -> dict[str, Any]:
+    """Say what the gate decided, and by what.
+
+    Returns
+    -------
+    dict
+        ``gate``: a trial each, with the key frame that was predicted (None where none could be),
+        the mean PSNR of the tiles of both predictions, which of the two was used, and in which key
+        intervals; None without a gate. ``look_ahead``: the frames that warping and the network
+        made; None where the method does not look ahead or has no gate.
+    """
+    intervals: dict[Trial, dict[int, None]] = {}
+    for frame in run.frames:
+        if frame.trial is not None:
+            intervals.setdefault(frame.trial, {})[frame.key] = None
+    if not intervals:
+        return {"gate": None, "look_ahead": None}
+    names = (SOFTSPLAT, LOOKAHEAD) if run.lookahead else CHOICES
+    trials = [
+        {
+            "frame": trial.frame,
+            f"{names[0]}_db": trial.cheap_db,
+            f"{names[1]}_db": trial.dear_db,
+            "used": names[trial.pays],
+            "keys": list(keys),
+        }
+        for trial, keys in intervals.items()
+    ]
+    makers = Counter(frame.made_by for frame in run.frames)
+    made = {"cheap": makers[SOFTSPLAT], "dear": makers[LOOKAHEAD]}
+    return {"gate": trials, "look_ahead": made if run.lookahead else None}
+
+
+def gate_line(trials: list[dict[str, Any]]) -> str:
+    """Say in a line what the gate decided."""
+    used = Counter[str]()
+    for trial in trials:
+        used[trial["used"]] += len(trial["keys"])
+    untried = sum(len(trial["keys"]) for trial in trials if trial["frame"] is None)
+    shares = ", ".join(f"{name} {count}" for name, count in used.items())
+    alone = f"; {untried} have no key frame that could be predicted" if untried else ""
+    return f"tried on the key frames themselves: {shares} of the key intervals{alone}"
 
 
 def quality_by_decision(decides: bool, frames: tuple[FrameRecord, ...]) -> dict[str, Any]:

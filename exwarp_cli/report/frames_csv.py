@@ -31,6 +31,7 @@ COLUMNS = (
     *("render_s", "render_source", "rendered_width", "rendered_height", "distance"),
     *("scored", "scored_holes", "replaced", "pulse"),
     *("predicted_error", "risk"),
+    "gate",
 )
 """A column that is new goes to the end: a line of this table is read by position, too.
 
@@ -39,11 +40,12 @@ first two, EMD_Wp is judged by the last. `scored` and `scored_holes` are true wh
 truth, whatever was measured. `replaced` is true where a file made way for the frame. `pulse` is
 against ground truth where `scored` is true, else against the key frames. `predicted_error` is the
 RMS error that a new frame is expected to have, in display levels of 0 to 255, and `risk` that of
-its tiles, see `exwarp_cli.domain.risk`. After these columns come the timed steps, each as
-``<step>_ms``.
+its tiles, see `exwarp_cli.domain.risk`. `gate` is what a network's use was decided by: the key
+frame that was predicted, and the mean PSNR of the tiles of both predictions. After these columns
+come the timed steps, each as ``<step>_ms``.
 """
 
-ADDED_COLUMNS = ("pulse", "predicted_error", "risk")
+ADDED_COLUMNS = ("pulse", "predicted_error", "risk", "gate")
 """Columns that tables of earlier versions may lack."""
 
 
@@ -151,5 +153,6 @@ def _row(frame: FrameRecord, steps: list[str]) -> list[Any]:
         *seen_cells(frame.decision),
         *(frame.score is not None, frame.hole_score is not None, frame.replaced, frame.pulse),
         *((None, None) if frame.risk is None else (frame.risk.error, frame.risk.text)),
+        None if frame.trial is None else frame.trial.text,
         *(frame.timing_ms.get(step) for step in steps),
     ]

@@ -17,6 +17,7 @@ from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 from exwarp_cli import __version__
 from exwarp_cli.domain.cuts import Cut
 from exwarp_cli.domain.decision import Decision, Features, maker_of
+from exwarp_cli.domain.gate import Trial
 from exwarp_cli.domain.results import (
     BrokenPixels,
     FrameKind,
@@ -142,6 +143,8 @@ def _document(path: Path) -> dict[str, Any]:
         raise InputError(
             f"{path} is no report of schema {SCHEMA}; name folders that upsample --report wrote"
         )
+    if isinstance(found.get("decisions"), dict):
+        found["decisions"] = {"gate": None, "look_ahead": None, **found["decisions"]}
     return {**ADDED, **found}
 
 
@@ -330,6 +333,7 @@ def _frame(row: Mapping[str, str]) -> FrameRecord:
         replaced=_truth(row["replaced"]),
         key_pulse=pulse if score is None else None,
         risk=_risk(row),
+        trial=Trial.parsed(row["gate"]) if row.get("gate") else None,
     )
 
 

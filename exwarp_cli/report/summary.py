@@ -12,7 +12,7 @@ import numpy as np
 from exwarp_cli.domain.metric import GROUND_TRUTH, KEY_FRAMES
 from exwarp_cli.domain.results import FrameKind, FrameRecord, RunSummary
 from exwarp_cli.domain.timeline import ranges
-from exwarp_cli.report.decisions import decisions, quality_by_decision
+from exwarp_cli.report.decisions import decisions, gate, quality_by_decision
 from exwarp_cli.report.quality import mean, quality
 from exwarp_cli.report.render_time import render_time
 from exwarp_cli.report.review import review
@@ -43,7 +43,7 @@ def report(run: RunSummary) -> dict[str, Any]:
         "frames": _frames(run.frames),
         "fps": _fps(run),
         "holes": _holes(shown),
-        "decisions": decisions(_paths(run)),
+        "decisions": decisions(_paths(run)) | gate(run),
         "quality": _quality(run.decides, shown),
         "pulse": _pulse(shown),
         "review": review(run),

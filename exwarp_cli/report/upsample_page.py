@@ -10,6 +10,7 @@ from exwarp_cli.domain.results import FrameKind, FrameRecord, RunSummary
 from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.domain.wording import counted
 from exwarp_cli.metrics.display import PEAK
+from exwarp_cli.report.decisions import gate_line
 from exwarp_cli.report.gallery import Album, worst_of
 from exwarp_cli.report.page import (
     Block,
@@ -312,6 +313,8 @@ def _decisions(run: RunSummary, document: dict[str, Any]) -> list[Block]:
         return []
     found: list[Block] = [_strip(run.frames)]
     decisions = document["decisions"]
+    if decisions["gate"]:
+        found.append(_trials(decisions["gate"]))
     if decisions["warp_share"] is None:
         return found
     rows: list[list[Cell]] = [
@@ -324,6 +327,25 @@ def _decisions(run: RunSummary, document: dict[str, Any]) -> list[Block]:
     ]
     found.append(Table("Paths of the key intervals", ("path", "intervals"), paths))
     return found
+
+
+def _trials(trials: list[dict[str, Any]]) -> Table:
+    """List on which key frames methods were tried, and which of them was used where."""
+    cheap, dear = (name.removesuffix("_db") for name in trials[0] if name.endswith("_db"))
+    rows: list[list[Cell]] = [
+        [
+            "none" if trial["frame"] is None else str(trial["frame"]),
+            number(trial[f"{cheap}_db"]),
+            number(trial[f"{dear}_db"]),
+            trial["used"],
+            ranges(trial["keys"]),
+        ]
+        for trial in trials
+    ]
+    columns = ("key frame predicted", f"{cheap}, dB", f"{dear}, dB", "used", "in key intervals")
+    return Table(
+        "Tried on the key frames themselves", columns, rows, gate_line(trials).capitalize()
+    )
 
 
 def _strip(frames: tuple[FrameRecord, ...]) -> Figure:

@@ -64,6 +64,11 @@ class LookAhead:
         """What was seen of the beauty's tiles while it was made."""
 
     @property
+    def weighs(self) -> bool:
+        """Whether a network weighs what both sides show."""
+        return self._network is not None
+
+    @property
     def has_beauty(self) -> bool:
         """Whether the beauty was made, so that layers may follow."""
         return self._shifted is not None

@@ -47,7 +47,7 @@ class Predicted:
     sources
         Numbers of the key frames that colour came from, ascending.
     made_by
-        WARP, EXTRAPOLATE, SOFTSPLAT, BLEND, INTERPOLATE or HOLD.
+        WARP, EXTRAPOLATE, SOFTSPLAT, LOOKAHEAD, BLEND, INTERPOLATE or HOLD.
     risk
         How wrong it is expected to be; None where nothing tells.
     """
@@ -95,6 +95,8 @@ class Method:
         Whether it runs a network on the colour of the key frames on both sides.
     weighs
         Whether a network weighs the key frames on both sides, moved to the slot.
+    gated
+        Whether its network makes frames only where the gate finds that this pays.
     """
 
     name: str
@@ -105,6 +107,7 @@ class Method:
     judge: Judge | None = None
     interpolates: bool = False
     weighs: bool = False
+    gated: bool = False
 
     @property
     def any_factor(self) -> bool:
@@ -230,12 +233,13 @@ def _blend(interval: Interval, slot: int) -> Predicted:
     return Predicted(pixels, FrameKind.GENERATED, BLEND, sources, BLEND)
 
 
-def _look_ahead(name: str, made_by: str, interval: Interval, slot: int) -> Predicted:
-    """Warp both key frames to the slot and mix them."""
+def _look_ahead(name: str, weighs: bool, interval: Interval, slot: int) -> Predicted:
+    """Warp both key frames to the slot and mix them; by the interval's network if it `weighs`."""
     if interval.following is None:
         return _causal(interval, slot)
     frames = (interval.key.image.pixels, interval.following.image.pixels)
-    mixer = interval.look_ahead(slot, weighs=made_by == INTERPOLATE)
+    mixer = interval.look_ahead(slot, weighs)
+    made_by = LOOKAHEAD if mixer.weighs else SOFTSPLAT
     pixels = mixer.make(*frames)
     sources = (interval.key.number, interval.following.number)
     risk = _risk_of_sides(interval, slot, mixer.evidence, pixels)
@@ -250,6 +254,21 @@ def _risk_of_sides(
         return None
     terms = terms_of(interval.tiles, evidence, interval.residual, pixels)
     return predict_risk(terms, MIXED, interval.time(slot))
+
+
+def predict_both_ways(interval: Interval, slot: int, lookahead: bool) -> tuple[Float32, Float32]:
+    """Predict a slot by warping and by a network, as the gate compares them.
+
+    Returns
+    -------
+    tuple of float32 [H, W, C]
+        Scene-linear: of `softsplat` and `lookahead`, or else of W and E.
+    """
+    if not lookahead:
+        return _warp(interval, slot).pixels, interval.extrapolated(slot)
+    made = (_look_ahead(LOOKAHEAD, weighs, interval, slot) for weighs in (False, True))
+    cheap, dear = (shown.pixels for shown in made)
+    return cheap, dear
 
 
 def _onnx(interval: Interval, slot: int) -> Predicted:
@@ -275,28 +294,27 @@ def _fixed(path: str) -> Method:
     return Method(path.lower(), predict, lookahead=False, needs_motion=True, path=path)
 
 
-def _looking_ahead(name: str, made_by: str = SOFTSPLAT) -> Method:
+def _looking_ahead(name: str, weighs: bool = False, gated: bool = False) -> Method:
     """Return a method that moves both key frames to each slot; a network may weigh them."""
-    predict = partial(_look_ahead, name, made_by)
-    weighs = made_by == INTERPOLATE
-    return Method(name, predict, lookahead=True, needs_motion=True, weighs=weighs)
+    predict = partial(_look_ahead, name, weighs)
+    return Method(name, predict, lookahead=True, needs_motion=True, weighs=weighs, gated=gated)
 
 
-def _judged(name: str, judge: Judge) -> Method:
+def _judged(name: str, judge: Judge, gated: bool = False) -> Method:
     """Return the method that decides the path of each interval."""
-    return Method(name, None, lookahead=False, needs_motion=True, judge=judge)
+    return Method(name, None, lookahead=False, needs_motion=True, judge=judge, gated=gated)
 
 
 METHODS: Mapping[str, Method] = {
     method.name: method
     for method in (
-        _looking_ahead(EXWARP),
-        _judged(CAUSAL, Judge.POLICY),
+        _looking_ahead(EXWARP, weighs=True, gated=True),
+        _judged(CAUSAL, Judge.POLICY, gated=True),
         *map(_fixed, PATHS),
         _judged("oracle", Judge.PSNR),
         _judged("oracle-return", Judge.RETURN),
         _looking_ahead(SOFTSPLAT),
-        _looking_ahead(LOOKAHEAD, INTERPOLATE),
+        _looking_ahead(LOOKAHEAD, weighs=True),
         Method("onnx", _onnx, lookahead=True, needs_motion=False, interpolates=True),
         Method(BLEND, _blend, lookahead=True, needs_motion=False),
         Method("hold", _hold, lookahead=False, needs_motion=False),

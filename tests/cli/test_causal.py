@@ -1,20 +1,10 @@
-"""The default, which looks ahead, and `--causal`, which does not."""
+"""`--causal`, which keeps to past key frames; `test_gate` has the default."""
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
 from tests.cli import shots
-
-
-def test_the_default_makes_what_softsplat_makes(upsample, shot, tmp_path):
-    keys, *rest = shot["key"]
-    upsample(keys, tmp_path / "default", *rest)
-    upsample(keys, tmp_path / "softsplat", *rest, "-m", "softsplat")
-    for number in shots.names(tmp_path / "default"):
-        made, expected = (shots.colour_of(tmp_path / f / number) for f in ("default", "softsplat"))
-        np.testing.assert_array_equal(made, expected)
 
 
 @pytest.mark.parametrize("method", [(), ("-m", "exwarp"), ("-m", "causal")])

@@ -83,7 +83,7 @@ def test_frames_and_report_name_the_network(look_ahead, model, tmp_path):
     assert document["interpolator"]["sha256"] == digest
     header, _ = shots.read(out / "shot.0002.exr")
     assert header["exwarp:method"] == "lookahead"
-    assert header["exwarp:madeBy"] == "interpolate"
+    assert header["exwarp:madeBy"] == "lookahead"
     assert header["exwarp:sources"] == "1,2"
 
 

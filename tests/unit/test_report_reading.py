@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 
 from exwarp_cli.domain.cuts import Cut
 from exwarp_cli.domain.decision import CHOICES, NODES, PATHS, Decision, Features
+from exwarp_cli.domain.gate import Trial
 from exwarp_cli.domain.metric import METRICS
 from exwarp_cli.domain.results import (
     BrokenPixels,
@@ -70,6 +71,7 @@ risks = st.builds(
     st.tuples(st.integers(0, 128), st.integers(0, 128)),
     st.tuples(st.integers(0, 2), st.integers(0, 2)),
 )
+trials = st.just(Trial()) | st.builds(Trial.measured, numbers, st.floats(0, 100), st.floats(0, 100))
 all_records = st.builds(
     FrameRecord,
     *(numbers, words, numbers, st.integers(0, 9), st.sampled_from(FrameKind), words),
@@ -80,12 +82,13 @@ all_records = st.builds(
     hole_score=maybe(hole_scores),
     resumed=st.booleans(),
     timing_ms=st.dictionaries(st.sampled_from(["read", "warp", "score", "a b"]), values),
-    made_by=maybe(st.sampled_from(["warp", "extrapolate", "interpolate", "hold"])),
+    made_by=maybe(st.sampled_from(["warp", "extrapolate", "interpolate", "lookahead", "hold"])),
     path=maybe(st.sampled_from(list(PATHS))),
     decision=maybe(decisions),
     render=maybe(st.tuples(positive, words)),
     key_pulse=maybe(values),
     risk=maybe(risks),
+    trial=maybe(trials),
 )
 records = all_records.map(  # key frames are compared with only where there is no ground truth
     lambda one: one if one.score is None else replace(one, key_pulse=None)

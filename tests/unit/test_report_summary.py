@@ -38,6 +38,8 @@ CONTRACT: dict[str, Any] = {
         "nodes": {f"d{i}": {"warp": None, "extrapolate": None} for i in range(1, 6)},
         "paths": {f"S{i}": None for i in range(1, 7)},
         "warp_share": None,
+        "gate": None,
+        "look_ahead": None,
     },
     "quality": {
         "all": QUALITY,

@@ -36,5 +36,24 @@ def nearer_side(gain: float = 1.0) -> onnx.ModelProto:
     return tiny_models.model(nodes, takes, gives, weights)
 
 
+def one_candidate(index: int) -> onnx.ModelProto:
+    """Give all weight to one candidate: 0 is what `softsplat` makes, 1 the key frame before."""
+    chosen = np.zeros((1, CANDIDATES, 1, 1), np.float32)
+    chosen[0, index] = 1
+    nodes = [
+        helper.make_node("Mul", ["masks", "none"], ["nothing"]),
+        helper.make_node("ReduceSum", ["nothing", "channels"], ["zero"], keepdims=1),
+        helper.make_node("Add", ["zero", "chosen"], [LOOKS_AHEAD.output]),
+    ]
+    weights = {
+        "none": np.array(0, np.float32),
+        "channels": np.array([1], np.int64),
+        "chosen": chosen,
+    }
+    takes = [tiny_models.picture(name, LOOKS_AHEAD.inputs[name]) for name in ("colour", "masks")]
+    gives = [tiny_models.picture(LOOKS_AHEAD.output, CANDIDATES, TensorProto.FLOAT)]
+    return tiny_models.model(nodes, takes, gives, weights)
+
+
 def save(path: Path, made: onnx.ModelProto) -> Path:
     return tiny_models.save(path, made)

@@ -1,0 +1,66 @@
+"""The gate: a network makes frames only where it makes this shot's own key frames better."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+BLOCK = 8
+"""Key intervals that one trial decides for."""
+
+NOTHING = "no trial"
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What predicting a rendered key frame by two methods showed.
+
+    Attributes
+    ----------
+    frame
+        Input number of the key frame that was predicted; None where none could be.
+    cheap_db, dear_db
+        Mean PSNR of the tiles of the predictions by warping and by a network, dB; see
+        `exwarp_cli.pipeline.gate.mean_tile_psnr`. None where nothing was predicted.
+    """
+
+    frame: int | None = None
+    cheap_db: float | None = None
+    dear_db: float | None = None
+
+    @property
+    def pays(self) -> bool:
+        """True if the network's prediction was the better one."""
+        return self.gain_db is not None and self.gain_db > 0
+
+    @property
+    def gain_db(self) -> float | None:
+        """By how much the network's prediction was better, dB; None without a prediction."""
+        if self.cheap_db is None or self.dear_db is None:
+            return None
+        return self.dear_db - self.cheap_db
+
+    @property
+    def text(self) -> str:
+        """Return the trial on one line: ``1005 34.2011 34.3560``, or ``no trial``."""
+        if self.frame is None:
+            return NOTHING
+        return f"{self.frame} {self.cheap_db:.4f} {self.dear_db:.4f}"
+
+    @classmethod
+    def parsed(cls, text: str) -> Trial:
+        """Read `text` again; raises ValueError when it is no such text."""
+        if text == NOTHING:
+            return cls()
+        frame, cheap, dear = text.split(" ")
+        return cls.measured(int(frame), float(cheap), float(dear))
+
+    @classmethod
+    def measured(cls, frame: int, cheap_db: float, dear_db: float) -> Trial:
+        """Return a trial whose values are rounded as `text` keeps them.
+
+        So a run that resumes decides by what the header of its frames says.
+        """
+        if math.isnan(cheap_db) or math.isnan(dear_db):
+            raise ValueError(f"a trial of {cheap_db} and {dear_db} dB")
+        return cls(frame, round(cheap_db, 4), round(dear_db, 4))
