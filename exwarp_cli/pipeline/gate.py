@@ -6,7 +6,7 @@ holds, so chunks of a sequence agree.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import takewhile
 from typing import TYPE_CHECKING
@@ -29,9 +29,6 @@ if TYPE_CHECKING:
 
 NEGLIGIBLE = 1.0
 """Mean squared error of a tile, on the scale of 255, that is added to all: less is not seen."""
-
-PAST = HISTORY - 1
-"""Key frames before the last one that a network extrapolates from."""
 
 
 @dataclass(frozen=True)
@@ -65,14 +62,22 @@ class TrialReader:
         Of the run; the method has a gate.
     store
         Reads the key frames.
+    history
+        Returns the indices of the key frames that lead back from one, the newest first.
     reads_late
         True if the store keeps key frames without their surface.
     """
 
     def __init__(
-        self, source: Source, method: Method, store: KeyFrameStore, reads_late: bool
+        self,
+        source: Source,
+        method: Method,
+        store: KeyFrameStore,
+        history: Callable[[int], tuple[int, ...]],
+        reads_late: bool,
     ) -> None:
         self._source, self._store, self._shots = source, store, store.shots
+        self._history = history
         self._lookahead = method.lookahead
         self._reads_late = reads_late
         self._last_read: int | None = None
@@ -97,10 +102,17 @@ class TrialReader:
         """Return the indices of the key frames that a trial reads, ascending."""
         if self._lookahead:
             return (index - 1, index, index + 1)
-        return tuple(range(self._shots.begin(index - 1, PAST), index + 1))
+        return (*reversed(self._history(index - 1)), index - 1, index)
 
-    def slots(self, index: int) -> tuple[Slot, ...]:
+    def instants(self, index: int) -> tuple[Slot, ...]:
         """Return the instants with G-buffers of their own that a trial reads; often none."""
+        if self._source.slots is None:
+            return ()
+        older = () if self._lookahead else self._history(index - 1)
+        return (*self._slots(index), *(slot for i in older for slot in self._store.slots_after(i)))
+
+    def _slots(self, index: int) -> tuple[Slot, ...]:
+        """Return the instants with G-buffers between the key frames of a trial."""
         if self._source.slots is None:
             return ()
         after = self._store.slots_after(index) if self._lookahead else ()
@@ -127,7 +139,7 @@ class TrialReader:
         if index == self._last_read:
             return None
         alone = replace(
-            inputs, slots=tuple(map(self._store.get_slot, self.slots(index))), history=(),
+            inputs, slots=tuple(map(self._store.get_slot, self._slots(index))), history=(),
             lacks_history=False, observed=(), layers=None, older=None, views=(), trial=None,
             truth=type(inputs.truth)(), region=False, held=False, after_hold=False,
         )  # fmt: skip
@@ -163,8 +175,9 @@ class TrialReader:
             return False
         if self._source.slots is None:
             return True
-        steps = self._source.timeline.steps or 0
-        return len(self.slots(index)) == (2 * steps - 1 if self._lookahead else steps)
+        steps, slots = self._source.timeline.steps or 0, self._slots(index)
+        complete = len(slots) == (2 * steps - 1 if self._lookahead else steps)
+        return complete and self._store.unreadable.all_readable(slots)
 
     def _from_both_sides(self, index: int, alone: IntervalInputs) -> IntervalInputs:
         """Return an interval of twice the length: the key frame that it leaves out is a slot."""
@@ -188,14 +201,13 @@ class TrialReader:
         """Return the interval before a key frame, whose last slot is at that key frame."""
         store = self._store
         get = store.get_complete if self._reads_late else store.get_in_shot
-        frame, *older = (get(i) for i in reversed(self.keys(index)[:-1]))
         history = tuple(
-            HistoryFrame(past, store.get_way_back(i), self._shots.repeats(i + 1))
-            for i, past in zip(range(index - 2, -1, -1), older, strict=False)
+            HistoryFrame(get(i), store.get_way_back(i), self._shots.repeats(i + 1))
+            for i in self._history(index - 1)
         )
         times = tuple((i + 1) / FACTOR for i in range(FACTOR))
         return replace(
-            alone, key=index - 1, frame=frame, following=None, history=history, times=times
+            alone, key=index - 1, frame=get(index - 1), following=None, history=history, times=times
         )
 
 

@@ -249,7 +249,7 @@ class IntervalReader:
         if leader is not None:
             self._trials = leader._trials
         elif method.gated and settings.gate:
-            self._trials = TrialReader(source, method, self.store, self._reads_late)
+            self._trials = TrialReader(source, method, self.store, self._history, self._reads_late)
         if leader is not None:
             self.recipe_book.share(leader.recipe_book)
         if keep_going:
@@ -407,7 +407,7 @@ class IntervalReader:
             instants = [*slots_after(key), *way, *instants]
         keys += self._tried(key, keys)
         if self._trials is not None and (index := self._trials.choose(key)) is not None:
-            instants += self._trials.slots(index)
+            instants += self._trials.instants(index)
         return self.recipe_book.of(key, keys, instants, [*cuts, *self._windows_and_holds(key)])
 
     def _tried(self, key: int, keys: Collection[int]) -> list[int]:
