@@ -181,7 +181,8 @@ class TrialReader:
 
     def _from_both_sides(self, index: int, alone: IntervalInputs) -> IntervalInputs:
         """Return an interval of twice the length: the key frame that it leaves out is a slot."""
-        before, middle, after = (self._store.get_in_shot(i) for i in self.keys(index))
+        frames = (self._store.get_in_shot(i) for i in self.keys(index))
+        before, middle, after = map(_leading_both_ways, frames)
         slots = alone.slots
         if self._source.slots is None and middle.gbuffer is not None:
             slots = (middle.gbuffer,)
@@ -209,6 +210,19 @@ class TrialReader:
         return replace(
             alone, key=index - 1, frame=get(index - 1), following=None, history=history, times=times
         )
+
+
+def _leading_both_ways(frame: KeyFrame) -> KeyFrame:
+    """Return a key frame with vectors both ways: those that are missing at constant velocity."""
+    gbuffer = frame.gbuffer
+    if gbuffer is None or not gbuffer.has_motion:
+        return frame
+    if gbuffer.to_previous is None:
+        assert gbuffer.to_next is not None
+        return replace(frame, gbuffer=replace(gbuffer, to_previous=-gbuffer.to_next))
+    if gbuffer.to_next is None:
+        return replace(frame, gbuffer=replace(gbuffer, to_next=-gbuffer.to_previous))
+    return frame
 
 
 def _over_two(frame: KeyFrame) -> KeyFrame:

@@ -18,12 +18,12 @@ SLACK = 0.4
 one core 1.0 to 1.2 were seen, and 1.7 where nothing but the machine held them back."""
 
 CASES = {
-    "s6": ("-m", "s6"),
+    "s6": ("-m", "s6", "--frames", "1-5"),
     "softsplat": (
-        *("-m", "softsplat", "--frames", "1-6", "--ground-truth", MARKET / "truth"),
+        *("-m", "softsplat", "--frames", "1-3", "--ground-truth", MARKET / "truth"),
         *("--video", "video.mp4"),
     ),
-    "s3": ("-m", "s3", "--frames", "2-4"),
+    "s3": ("-m", "s3", "--frames", "2-3"),
 }
 
 LARGE = """

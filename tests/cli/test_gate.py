@@ -165,6 +165,14 @@ def test_no_key_frame_is_predicted_across_a_cut(gate, dimmed, nets):
     assert trials == {None: [1], 4: [3, 4, 5, 6, 7, 8], 9: [9]}
 
 
+@pytest.mark.parametrize("convention", ["previous=X,-Y", "next=-Z,W"])
+def test_vectors_may_lead_one_way_alone(upsample, dimmed, nets, tmp_path, convention):
+    for name, used in (("before", "lookahead"), ("after", "softsplat")):
+        net = ("--interpolator", nets[name], "--frames", "1-8", "--no-tail")
+        said = upsample(dimmed, tmp_path / name, "--motion", convention, *net).out
+        assert f"tried on the key frames themselves: {used} 8 of the key intervals" in said
+
+
 def test_slots_with_g_buffers_are_followed_across_both_intervals(gate, nets, tmp_path):
     street = Dimmed(48, 27, speed=0.3)
     keys = shots.sequence(tmp_path / "keys", shots.colour_only, range(1, 6), street)

@@ -59,21 +59,32 @@ def blender_with_surface(path: Path, street: Any, time: float) -> None:
 SURFACE = ("Diffuse Color", "Glossy Color")
 
 
-@pytest.mark.parametrize("cuts", ["auto", "none", "3", "4,5", "auto,6"])
-@pytest.mark.parametrize("method", ["softsplat", "s3", "causal"])
+@pytest.mark.parametrize(
+    ("method", "cuts"),
+    [
+        ("softsplat", "auto"),
+        ("softsplat", "4,5"),
+        ("exwarp", "none"),
+        ("exwarp", "auto,6"),
+        ("s3", "none"),
+        ("s3", "3"),
+        ("causal", "auto"),
+        ("causal", "4,5"),
+    ],
+)
 def test_several_lost_frames(split_alike, network, tmp_path, cuts, method):
     """Far enough apart that the history of one reaches to another, or not."""
     keys = shots.sequence(tmp_path / "keys", shots.plain, range(1, 11), SMALL)
     truncate(path_of(keys, 3))
     path_of(keys, 7).unlink()
-    model = () if method == "softsplat" else ("--extrapolator", network)
+    model = ("--extrapolator", network) if method in ("s3", "causal") else ()
     options = (*FORWARD, "-m", method, "--cuts", cuts, *model)
     made = split_alike(keys, range(10, 0, -1), *options)
     assert made == set(range(1, 41)) - set(range(9, 13)) - set(range(25, 29))
 
 
 @pytest.mark.parametrize("cuts", ["auto", "none"])
-@pytest.mark.parametrize("method", ["softsplat", "s6", "s3", "causal"])
+@pytest.mark.parametrize("method", ["exwarp", "s6", "s3", "causal"])
 def test_slots(split_alike, network, tmp_path, cuts, method):
     keys = shots.sequence(tmp_path / "keys", shots.colour_only, range(1, 9), SMALL)
     slots = shots.sequence(tmp_path / "slots", shots.slot_gbuffer, range(1, 30), SMALL, step=0.25)

@@ -162,7 +162,7 @@ def patched(tmp_path_factory) -> tuple[ExtrapolationNetwork, Path]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("size", [(240, 427), (360, 640)])
+@pytest.mark.parametrize("size", [(120, 213), (240, 427)])
 def test_threads_and_the_runtime_change_nothing(patched, size):
     network, path = patched
     height, width = (n + -n % STRIDE for n in size)

@@ -69,10 +69,11 @@ def test_another_network_is_refused(tmp_path, changed):
 class TestModel:
     """A network that begins with an exported one, in which normalisation is folded."""
 
-    @pytest.fixture
-    def other(self, tmp_path) -> Training:
-        """One whose layers have seen batches."""
-        made = Training(tmp_path / "other", TINY, said)
+    @pytest.fixture(scope="class")
+    @staticmethod
+    def other(tmp_path_factory) -> Training:
+        """One whose layers have seen batches; read only, as its export takes long."""
+        made = Training(tmp_path_factory.mktemp("other") / "other", TINY, said)
         made.average.train()
         with torch.no_grad():
             for seed in range(4):
