@@ -10,6 +10,7 @@ from exwarp_cli.domain.decision import CHOICES, NODES, PATHS, SOFTSPLAT, WARP
 from exwarp_cli.domain.gate import Trial
 from exwarp_cli.domain.lookahead import LOOKAHEAD
 from exwarp_cli.domain.results import FrameKind, FrameRecord, RunSummary
+from exwarp_cli.domain.wording import counted
 from exwarp_cli.report.quality import quality
 
 
@@ -80,9 +81,9 @@ def gate_line(trials: list[dict[str, Any]]) -> str:
     for trial in trials:
         used[trial["used"]] += len(trial["keys"])
     untried = sum(len(trial["keys"]) for trial in trials if trial["frame"] is None)
-    shares = ", ".join(f"{name} {count}" for name, count in used.items())
-    alone = f"; {untried} have no key frame that could be predicted" if untried else ""
-    return f"tried on the key frames themselves: {shares} of the key intervals{alone}"
+    shares = ", ".join(f"{name} in {counted(count, 'interval')}" for name, count in used.items())
+    alone = f"; {untried} of these without a key frame to try it on" if untried else ""
+    return f"network tried on the shot's own key frames: {shares}{alone}"
 
 
 def quality_by_decision(decides: bool, frames: tuple[FrameRecord, ...]) -> dict[str, Any]:

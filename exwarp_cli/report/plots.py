@@ -34,6 +34,7 @@ KINDS = {
     "softsplat": "s",
     "blend": "P",
     "interpolate": "v",
+    "lookahead": "*",
     "key": "D",
 }
 """What makes a frame, and the marker of its points."""

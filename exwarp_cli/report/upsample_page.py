@@ -10,7 +10,6 @@ from exwarp_cli.domain.results import FrameKind, FrameRecord, RunSummary
 from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.domain.wording import counted
 from exwarp_cli.metrics.display import PEAK
-from exwarp_cli.report.decisions import gate_line
 from exwarp_cli.report.gallery import Album, worst_of
 from exwarp_cli.report.page import (
     Block,
@@ -55,6 +54,11 @@ PLACES_NOTE = (
     "light: shadows, reflections or highlights differ between the key frames. holes: key frames do "
     "not show what is behind. motion: things move apart there, and outlines are uncertain. The "
     "viewer above shows the forecast as a map: choose Forecast under View."
+)
+
+TRIALS_NOTE = (
+    "Both predict a rendered key frame from the ones around it, and the better one makes the new "
+    "frames. dB: mean PSNR of the frame's tiles."
 )
 
 MOST_PLACES = 20
@@ -335,17 +339,15 @@ def _trials(trials: list[dict[str, Any]]) -> Table:
     rows: list[list[Cell]] = [
         [
             "none" if trial["frame"] is None else str(trial["frame"]),
-            number(trial[f"{cheap}_db"]),
-            number(trial[f"{dear}_db"]),
+            number(trial[f"{cheap}_db"], 2),
+            number(trial[f"{dear}_db"], 2),
             trial["used"],
             ranges(trial["keys"]),
         ]
         for trial in trials
     ]
-    columns = ("key frame predicted", f"{cheap}, dB", f"{dear}, dB", "used", "in key intervals")
-    return Table(
-        "Tried on the key frames themselves", columns, rows, gate_line(trials).capitalize()
-    )
+    columns = ("key frame", f"{cheap}, dB", f"{dear}, dB", "used", "intervals")
+    return Table("The network on the shot's own key frames", columns, rows, TRIALS_NOTE)
 
 
 def _strip(frames: tuple[FrameRecord, ...]) -> Figure:

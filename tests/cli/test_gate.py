@@ -155,7 +155,7 @@ def test_two_key_frames_leave_none_to_predict(gate, upsample, nets, tmp_path):
         "frame": None, "softsplat_db": None, "lookahead_db": None, "used": "softsplat", "keys": [1],
     }  # fmt: skip
     said = upsample(keys, tmp_path / "again", *VECTORS, *net, "--no-tail").out
-    assert "1 have no key frame that could be predicted" in said
+    assert "softsplat in 1 interval; 1 of these without a key frame to try it on" in said
 
 
 def test_no_key_frame_is_predicted_across_a_cut(gate, dimmed, nets):
@@ -170,7 +170,7 @@ def test_vectors_may_lead_one_way_alone(upsample, dimmed, nets, tmp_path, conven
     for name, used in (("before", "lookahead"), ("after", "softsplat")):
         net = ("--interpolator", nets[name], "--frames", "1-8", "--no-tail")
         said = upsample(dimmed, tmp_path / name, "--motion", convention, *net).out
-        assert f"tried on the key frames themselves: {used} 8 of the key intervals" in said
+        assert f"network tried on the shot's own key frames: {used} in 8 intervals" in said
 
 
 def test_slots_with_g_buffers_are_followed_across_both_intervals(gate, nets, tmp_path):

@@ -93,7 +93,16 @@ def test_long_series_keep_their_worst_and_best() -> None:
 
 def test_kinds_are_told_apart_by_colour_and_marker() -> None:
     svg = plots.points(LABELS, list(range(7)), [1.0] * 7, list(plots.KINDS)).svg
-    makers = {"warp", "extrapolate", "hold", "softsplat", "blend", "interpolate", "key"}
+    makers = {
+        "warp",
+        "extrapolate",
+        "hold",
+        "softsplat",
+        "blend",
+        "interpolate",
+        "lookahead",
+        "key",
+    }
     assert makers == set(plots.KINDS)
     assert len(set(plots.KINDS.values())) == len(plots.KINDS)
     for kind in plots.KINDS:
