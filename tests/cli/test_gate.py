@@ -68,7 +68,8 @@ def gate(upsample, tmp_path) -> Callable[..., tuple[Path, dict[str, Any]]]:
 
     def run(keys: Path, name: str, *options: object) -> tuple[Path, dict[str, Any]]:
         out, report = tmp_path / name, tmp_path / f"{name}-report"
-        vectors = () if "--estimate-motion" in options else VECTORS
+        named = "--estimate-motion" in options or "--motion" in options
+        vectors = () if named else VECTORS
         upsample(keys, out, *vectors, "--report", report, *options)
         return out, json.loads((report / "report.json").read_text())
 
@@ -124,6 +125,16 @@ def test_chunks_agree_with_the_whole(gate, dimmed, nets):
         parts, _ = gate(dimmed, "parts", *net, "--frames", chunk, "--overwrite")
     assert shots.contents(parts) == shots.contents(whole)
     assert [trial["used"] for trial in document["decisions"]["gate"]] == ["lookahead", "softsplat"]
+
+
+@pytest.mark.parametrize("setting", ["key", "slot"])
+def test_so_do_causal_ones(gate, shot, network, setting):
+    keys, *rest = shot[setting]
+    options = (*rest, "--causal", "--extrapolator", network)
+    whole, _ = gate(keys, "whole", *options)
+    for number in (5, 2, 4, 1, 3):
+        parts, _ = gate(keys, "parts", *options, "--frames", number, "--overwrite")
+    assert shots.contents(parts) == shots.contents(whole)
 
 
 def test_a_resumed_run_reports_the_same(gate, dimmed, nets):

@@ -34,7 +34,7 @@ def make(upsample, uneven, network, policies, tmp_path) -> Callable[..., Path]:
     def run(folder: str, *options: object, setting: str = "key", **more: Any) -> Path:
         keys, *rest = more.get("shot", uneven[setting])
         policy = more.get("policy", policies("watching"))
-        model = ("--causal", "--extrapolator", network, "--policy", policy)
+        model = ("--causal", "--no-gate", "--extrapolator", network, "--policy", policy)
         upsample(keys, tmp_path / folder, *rest, *model, *options)
         return tmp_path / folder
 
@@ -152,7 +152,14 @@ class TestResume:
             out = Path(shutil.copytree(whole, tmp_path / "out"))
             for number in missing:
                 (out / f"shot.{number:04d}.exr").unlink()
-            model = ("--causal", "--extrapolator", network, "--policy", policies("watching"))
+            model = (
+                "--causal",
+                "--no-gate",
+                "--extrapolator",
+                network,
+                "--policy",
+                policies("watching"),
+            )
             return take(uneven[setting], out, *model, "--skip-existing", *options)
 
         return run

@@ -84,7 +84,14 @@ class TestTable:
 
     def test_windows_that_change_too(self, features, policies, network, tmp_path, setting):
         given = moving_shots(tmp_path)[setting]
-        options = ("--causal", "--policy", policies("watching"), "--extrapolator", network)
+        options = (
+            "--causal",
+            "--no-gate",
+            "--policy",
+            policies("watching"),
+            "--extrapolator",
+            network,
+        )
         run = take(given, tmp_path / "out", *options)
         same_as_in_the_run(features(given), run.rows)
 
@@ -109,7 +116,14 @@ class TestTable:
             shots.sequence(slots, frame(_without_index), range(1, 10), street, 0.25)
             given = (keys, "--gbuffers", slots)
         given = (*given, *shots.VECTORS)
-        options = ("--causal", "--policy", policies("watching"), "--extrapolator", network)
+        options = (
+            "--causal",
+            "--no-gate",
+            "--policy",
+            policies("watching"),
+            "--extrapolator",
+            network,
+        )
         run = take(given, tmp_path / "out", *options)
         rows = features(given)
         same_as_in_the_run(rows, run.rows)
