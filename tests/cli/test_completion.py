@@ -47,7 +47,7 @@ class TestOffers:
 
     def test_options(self, offered):
         assert set(offered("upsample", "--me")) == {"--method", "--metrics"}
-        assert offered("upsample", "--no-") == ["--no-tail"]
+        assert offered("upsample", "--no-") == ["--no-gate", "--no-tail"]
         assert "--config" in offered("upsample", "-")
 
     @pytest.mark.parametrize(

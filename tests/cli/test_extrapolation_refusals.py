@@ -27,6 +27,9 @@ def of_opset(version: int) -> onnx.ModelProto:
     return made
 
 
+EXTRAPOLATING = "causal, s1, s2, s3, s4, s5, oracle, oracle-return"
+
+
 class TestRefusals:
     def refused(
         self,
@@ -73,12 +76,20 @@ class TestRefusals:
         self.refused(exwarp, shot, tmp_path, 7, ("--device cuda", "onnxruntime-gpu"), *options)
 
     @pytest.mark.parametrize(
-        ("options", "more"),
-        [(("--extrapolator", "x.onnx"), ""), (("--device", "cuda"), ", lookahead, onnx")],
+        ("options", "others", "able"),
+        [
+            (("--extrapolator", "x.onnx"), ("s6", "exwarp"), f"use one of {EXTRAPOLATING}"),
+            (
+                ("--device", "cuda"),
+                ("s6", "softsplat"),
+                f"use one of exwarp, {EXTRAPOLATING}, lookahead, onnx",
+            ),
+        ],
     )
-    def test_options_of_a_network_for_a_method_without(self, exwarp, shot, tmp_path, options, more):
-        able = f"use one of causal, s1, s2, s3, s4, s5, oracle, oracle-return{more}"
-        for method in ("s6", "exwarp"):
+    def test_options_of_a_network_for_a_method_without(
+        self, exwarp, shot, tmp_path, options, others, able
+    ):
+        for method in others:
             words = options[0], f"--method {method}", able
             self.refused(exwarp, shot, tmp_path, 2, words, "-m", method, *options)
 

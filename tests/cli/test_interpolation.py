@@ -141,7 +141,11 @@ class TestRefusals:
 
     @pytest.mark.parametrize("method", ["hold", "s3", "softsplat"])
     def test_a_network_for_another_method(self, exwarp, keys, tmp_path, model, method):
-        words = ("--interpolator is for", f"--method {method}", "or use one of lookahead, onnx")
+        words = (
+            "--interpolator is for",
+            f"--method {method}",
+            "or use one of exwarp, lookahead, onnx",
+        )
         options = ("-m", method, "--interpolator", model)
         self.refused(exwarp, keys, tmp_path, 2, words, *options)
 

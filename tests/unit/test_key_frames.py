@@ -68,7 +68,7 @@ def read(monkeypatch) -> Read:
 
 def reader(folder: Path, method: str) -> IntervalReader:
     settings = SourceSettings(str(folder))
-    asked = UpsampleSettings(settings, str(folder / "out"), method)
+    asked = UpsampleSettings(settings, str(folder / "out"), method, gate=False)
     return IntervalReader(open_source(settings), METHODS[method], asked)
 
 

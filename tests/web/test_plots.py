@@ -92,7 +92,7 @@ def test_long_series_keep_their_worst_and_best() -> None:
 
 
 def test_kinds_are_told_apart_by_colour_and_marker() -> None:
-    svg = plots.points(LABELS, list(range(7)), [1.0] * 7, list(plots.KINDS)).svg
+    svg = plots.points(LABELS, list(range(8)), [1.0] * 8, list(plots.KINDS)).svg
     makers = {
         "warp",
         "extrapolate",
