@@ -88,7 +88,7 @@ def _run(scene: RenderedScene, folder: Path, *options: object) -> dict[str, Any]
 def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data", type=Path, default=Path.home() / ".cache" / "exwarp" / "scenes")
-    parser.add_argument("--scenes", nargs="*", help="Names; default: all judged ones.")
+    parser.add_argument("--scenes", nargs="*", default=[], help="Names; default: all judged ones.")
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--causal", action="store_true", help="W and E, past key frames alone.")
     parser.add_argument(
