@@ -20,8 +20,8 @@ class Trial:
     frame
         Input number of the key frame that was predicted; None where none could be.
     cheap_db, dear_db
-        Mean PSNR of the tiles of the predictions by warping and by a network, dB; see
-        `exwarp_cli.pipeline.gate.mean_tile_psnr`. None where nothing was predicted.
+        PSNR of the predictions by warping and by a network, dB: of `causal`; between key frames the
+        mean of their tiles' PSNR, see `exwarp_cli.pipeline.gate`. None where nothing was predicted.
     """
 
     frame: int | None = None

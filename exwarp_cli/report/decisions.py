@@ -49,7 +49,7 @@ def gate(run: RunSummary) -> dict[str, Any]:
     -------
     dict
         ``gate``: a trial each, with the key frame that was predicted (None where none could be),
-        the mean PSNR of the tiles of both predictions, which of the two was used, and in which key
+        the PSNR of both predictions, which of the two was used, and in which key
         intervals; None without a gate. ``look_ahead``: the frames that warping and the network
         made; None where the method does not look ahead or has no gate.
     """

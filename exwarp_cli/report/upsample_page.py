@@ -58,7 +58,7 @@ PLACES_NOTE = (
 
 TRIALS_NOTE = (
     "Both predict a rendered key frame from the ones around it, and the better one makes the new "
-    "frames. dB: mean PSNR of the frame's tiles."
+    "frames. dB: PSNR; between key frames the mean of the frame's tiles."
 )
 
 MOST_PLACES = 20
