@@ -31,14 +31,9 @@ class Trial:
     @property
     def pays(self) -> bool:
         """True if the network's prediction was the better one."""
-        return self.gain_db is not None and self.gain_db > 0
-
-    @property
-    def gain_db(self) -> float | None:
-        """By how much the network's prediction was better, dB; None without a prediction."""
         if self.cheap_db is None or self.dear_db is None:
-            return None
-        return self.dear_db - self.cheap_db
+            return False
+        return self.dear_db > self.cheap_db
 
     @property
     def text(self) -> str:

@@ -12,13 +12,19 @@ from itertools import takewhile
 from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 
 from exwarp_cli.domain.extrapolator import HISTORY
-from exwarp_cli.domain.frame import Float32, Image, KeyFrame, Window, place
+from exwarp_cli.domain.frame import Image, KeyFrame, Window, place
 from exwarp_cli.domain.gate import BLOCK, Trial
 from exwarp_cli.domain.risk import ROWS, columns_of, edges
 from exwarp_cli.domain.timeline import FACTOR, Slot
-from exwarp_cli.pipeline.key_frames import HistoryFrame, KeyFrameStore, over_interval
+from exwarp_cli.pipeline.key_frames import (
+    HistoryFrame,
+    IntervalTruth,
+    KeyFrameStore,
+    over_interval,
+)
 from exwarp_cli.pipeline.without_vectors import Estimates
 from exwarp_cli.synthesis.methods import Method, predict_both_ways
 
@@ -26,6 +32,8 @@ if TYPE_CHECKING:
     from exwarp_cli.pipeline.interval_builder import IntervalBuilder
     from exwarp_cli.pipeline.interval_inputs import IntervalInputs
     from exwarp_cli.pipeline.source import Source
+
+Errors = npt.NDArray[np.floating]
 
 NEGLIGIBLE = 1.0
 """Mean squared error of a tile, on the scale of 255, that is added to all: less is not seen."""
@@ -38,19 +46,41 @@ class TrialInputs:
     Attributes
     ----------
     key
-        Its index; None where no key frame can be predicted, and the other parts are None.
+        Its index; None where no key frame can be predicted.
+    material
+        What the trial is computed from; None where an earlier interval brought it along.
+    """
+
+    key: int | None = None
+    material: TrialMaterial | None = None
+
+
+@dataclass(frozen=True)
+class TrialMaterial:
+    """What a trial is computed from.
+
+    Attributes
+    ----------
     around
-        The key frames around it, or before it, as one interval.
+        The key frames around the one that is predicted, or before it, as one interval.
     truth
         The key frame as it was rendered.
     number
         Its input number.
     """
 
-    key: int | None = None
-    around: IntervalInputs | None = None
-    truth: Image | None = None
-    number: int | None = None
+    around: IntervalInputs
+    truth: Image
+    number: int
+
+
+@dataclass(frozen=True)
+class TrialFrames:
+    """What frames depend on by their gate: indices of key frames, instants with G-buffers."""
+
+    keys: tuple[int, ...] = ()
+    instants: tuple[Slot, ...] = ()
+    text: str = "gate without a trial"
 
 
 class TrialReader:
@@ -80,7 +110,8 @@ class TrialReader:
         self._history = history
         self._lookahead = method.lookahead
         self._reads_late = reads_late
-        self._last_read: int | None = None
+        self.last_read: int | None = None
+        """The key frame whose trial an interval brought along last."""
 
     def choose(self, key: int) -> int | None:
         """Return the index of the key frame that is predicted for an interval.
@@ -93,18 +124,20 @@ class TrialReader:
         candidates = self._between(key) if self._lookahead else self._before(key)
         return next((index for index in candidates if self._is_able(index)), None)
 
-    def describe(self, key: int) -> str:
-        """Say for a fingerprint which key frame is predicted for an interval."""
+    def frames(self, key: int) -> TrialFrames:
+        """Return what the trial of an interval reads, for fingerprints."""
         index = self.choose(key)
-        return "gate without a trial" if index is None else f"gate {index - key}"
+        if index is None:
+            return TrialFrames()
+        return TrialFrames(self._keys(index), self._instants(index), f"gate {index - key}")
 
-    def keys(self, index: int) -> tuple[int, ...]:
+    def _keys(self, index: int) -> tuple[int, ...]:
         """Return the indices of the key frames that a trial reads, ascending."""
         if self._lookahead:
             return (index - 1, index, index + 1)
         return (*reversed(self._history(index - 1)), index - 1, index)
 
-    def instants(self, index: int) -> tuple[Slot, ...]:
+    def _instants(self, index: int) -> tuple[Slot, ...]:
         """Return the instants with G-buffers of their own that a trial reads; often none."""
         if self._source.slots is None:
             return ()
@@ -118,8 +151,8 @@ class TrialReader:
         after = self._store.slots_after(index) if self._lookahead else ()
         return (*self._store.slots_after(index - 1), Slot(index, 0), *after)
 
-    def read(self, key: int, inputs: IntervalInputs) -> TrialInputs | None:
-        """Read the trial of an interval; None where an earlier interval brought it along.
+    def read(self, key: int, inputs: IntervalInputs) -> TrialInputs:
+        """Read the trial of an interval, unless the one before brought the same along.
 
         Parameters
         ----------
@@ -134,14 +167,12 @@ class TrialReader:
             When a file cannot be read.
         """
         index = self.choose(key)
-        if index is None:
-            return TrialInputs()
-        if index == self._last_read:
-            return None
+        if index is None or index == self.last_read:
+            return TrialInputs(index)
         alone = replace(
             inputs, slots=tuple(map(self._store.get_slot, self._slots(index))), history=(),
             lacks_history=False, observed=(), layers=None, older=None, views=(), trial=None,
-            truth=type(inputs.truth)(), region=False, held=False, after_hold=False,
+            truth=IntervalTruth(), region=False, held=False, after_hold=False,
         )  # fmt: skip
         if not self._lookahead:
             around = self._from_before(index, alone)
@@ -149,9 +180,9 @@ class TrialReader:
             around = self._by_flow(index, alone)
         else:
             around = self._from_both_sides(index, alone)
-        self._last_read = index
-        number = self._source.timeline.numbers[index]
-        return TrialInputs(index, around, self._store.get(index).image, number)
+        truth, number = self._store.get(index).image, self._source.timeline.numbers[index]
+        self.last_read = index
+        return TrialInputs(index, TrialMaterial(around, truth, number))
 
     def _between(self, key: int) -> Iterator[int]:
         block = key // BLOCK * BLOCK
@@ -181,7 +212,7 @@ class TrialReader:
 
     def _from_both_sides(self, index: int, alone: IntervalInputs) -> IntervalInputs:
         """Return an interval of twice the length: the key frame that it leaves out is a slot."""
-        frames = (self._store.get_in_shot(i) for i in self.keys(index))
+        frames = (self._store.get_in_shot(i) for i in self._keys(index))
         before, middle, after = map(_leading_both_ways, frames)
         slots = alone.slots
         if self._source.slots is None and middle.gbuffer is not None:
@@ -246,50 +277,47 @@ class Gate:
 
     def __init__(self, method: Method, builder: IntervalBuilder, display: Window) -> None:
         self._method, self._builder, self._display = method, builder, display
-        self._pending: TrialInputs | None = None
-        self._trial = Trial()
+        self._received = TrialInputs()
+        self._known: tuple[int | None, Trial] = (None, Trial())
 
-    def receive(self, inputs: IntervalInputs) -> None:
-        """Take over the trial that an interval brings along, if any."""
-        if inputs.trial is not None:
-            self._pending = inputs.trial
+    def receive(self, inputs: TrialInputs) -> None:
+        """Keep what an interval brings along until its trial is asked for."""
+        if inputs.material is not None:
+            self._received = inputs
 
-    def decide(self) -> Trial:
-        """Return the trial of the interval whose inputs came last; it is computed once."""
-        if self._pending is not None:
-            self._trial = self._predict(self._pending)
-            self._pending = None
-        return self._trial
-
-    def _predict(self, trial: TrialInputs) -> Trial:
-        if trial.around is None or trial.truth is None or trial.number is None:
+    def decide(self, inputs: TrialInputs) -> Trial:
+        """Return the trial of an interval, of which it or one before brought the material along."""
+        if inputs.key is None:
             return Trial()
-        interval = self._builder.build(trial.around)
+        if inputs.key != self._known[0]:
+            assert self._received.key == inputs.key and self._received.material is not None
+            self._known = inputs.key, self._predict(self._received.material)
+            self._received = TrialInputs()
+        return self._known[1]
+
+    def _predict(self, material: TrialMaterial) -> Trial:
+        from exwarp_cli.metrics.display import encode
+        from exwarp_cli.metrics.psnr import measure
+
+        interval = self._builder.build(material.around)
         lookahead, count = self._method.lookahead, len(interval.times)
         slot = count // 2 + 1 if lookahead else count
         canvas = interval.key.image.data_window
-        truth = trial.truth.on(self._display).pixels
-        compare = mean_tile_psnr if lookahead else frame_psnr
-        cheap_db, dear_db = (
-            compare(truth, place(pixels, canvas, self._display))
+        truth = encode(material.truth.on(self._display).pixels)
+        cheap, dear = (
+            measure(truth, encode(place(pixels, canvas, self._display)))
             for pixels in predict_both_ways(interval, slot, lookahead)
         )
-        return Trial.measured(trial.number, cheap_db, dear_db)
+        if lookahead:
+            values = mean_tile_psnr(cheap.per_pixel), mean_tile_psnr(dear.per_pixel)
+        else:
+            # What extrapolation gains lies in holes: by the mean of tiles it was refused on the
+            # scene town, where it gains 0.8 dB.
+            values = cheap.overall(), dear.overall()
+        return Trial.measured(material.number, *values)
 
 
-def frame_psnr(truth: Float32, test: Float32) -> float:
-    """Return the PSNR of a frame, dB; both float32 [H, W, 3] or more, scene-linear.
-
-    What extrapolation gains lies in holes: with `mean_tile_psnr` it was refused on the scene town,
-    where it gains 0.8 dB.
-    """
-    from exwarp_cli.metrics.display import encode
-    from exwarp_cli.metrics.psnr import measure
-
-    return measure(encode(truth), encode(test)).overall()
-
-
-def mean_tile_psnr(truth: Float32, test: Float32) -> float:
+def mean_tile_psnr(error: Errors) -> float:
     """Return the mean of the PSNR of all tiles of a frame, dB.
 
     Over twice as long a gap errors are larger than between key frames, above all the largest ones,
@@ -298,13 +326,11 @@ def mean_tile_psnr(truth: Float32, test: Float32) -> float:
 
     Parameters
     ----------
-    truth, test
-        float32 [H, W, 3] or more, scene-linear.
+    error
+        [H, W]: squared errors on the scale of 255.
     """
-    from exwarp_cli.metrics.display import PEAK, encode
-    from exwarp_cli.metrics.psnr import measure
+    from exwarp_cli.metrics.display import PEAK
 
-    error = measure(encode(truth), encode(test)).per_pixel
     height, width = error.shape
     rows = edges(height, min(2 * ROWS, height))
     columns = edges(width, min(2 * columns_of(width, height), width))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import takewhile
@@ -131,7 +131,7 @@ class IntervalInputs:
     after_hold
         True if the key frame shows the same picture as the one before it.
     trial
-        What the gate decides by, where no earlier interval brought the same; None without a gate.
+        What the gate decides by; None without a gate.
     """
 
     key: int
@@ -245,11 +245,11 @@ class IntervalReader:
             self._observes, None if leader is None else leader.store,
         )  # fmt: skip
         self.shots = self.store.shots
-        self._trials: TrialReader | None = None
+        self.trials: TrialReader | None = None
         if leader is not None:
-            self._trials = leader._trials
+            self.trials = leader.trials
         elif method.gated and settings.gate:
-            self._trials = TrialReader(source, method, self.store, self._history, self._reads_late)
+            self.trials = TrialReader(source, method, self.store, self._history, self._reads_late)
         if leader is not None:
             self.recipe_book.share(leader.recipe_book)
         if keep_going:
@@ -319,8 +319,8 @@ class IntervalReader:
             held=self._held(key),
             after_hold=shots.repeats(key),
         )
-        if self._trials is not None and self._contents[0].leads:
-            inputs = replace(inputs, trial=self._trials.read(key, inputs))
+        if self.trials is not None and self._contents[0].leads:
+            inputs = replace(inputs, trial=self.trials.read(key, inputs))
         self.release(key)
         return inputs
 
@@ -382,8 +382,7 @@ class IntervalReader:
             if lookahead and self.store.is_followed(key + 1):
                 keys.append(key + 2)
             cuts = [*self.shots.told(key, 0, ()), f"flow {[index - key for index in keys]}"]
-            keys += self._tried(key, keys)
-            return self.recipe_book.of(key, keys, (), [*cuts, *self._windows_and_holds(key)])
+            return self._digest(key, keys, [], cuts)
         history = self._history(key)
         keys += history
         older = self._older(key, lookahead)
@@ -405,23 +404,24 @@ class IntervalReader:
             slots_after = self.store.slots_after
             way = (slot for i in history for slot in slots_after(i))
             instants = [*slots_after(key), *way, *instants]
-        keys += self._tried(key, keys)
-        if self._trials is not None and (index := self._trials.choose(key)) is not None:
-            instants += self._trials.instants(index)
-        return self.recipe_book.of(key, keys, instants, [*cuts, *self._windows_and_holds(key)])
+        return self._digest(key, keys, instants, cuts)
 
-    def _tried(self, key: int, keys: Collection[int]) -> list[int]:
-        """Return the key frames that a slot depends on by its gate alone."""
-        index = None if self._trials is None else self._trials.choose(key)
-        if self._trials is None or index is None:
-            return []
-        return [other for other in self._trials.keys(index) if other not in keys]
+    def _digest(
+        self, key: int, keys: list[int], instants: list[Slot], cuts: list[str]
+    ) -> dict[int, str]:
+        """Digest what slots are made of, and what their gate goes by."""
+        around = [*cuts, *self._windows_and_holds(key)]
+        if self.trials is not None:
+            tried = self.trials.frames(key)
+            keys = [*keys, *(index for index in tried.keys if index not in keys)]
+            instants = [*instants, *tried.instants]
+            around.append(tried.text)
+        return self.recipe_book.of(key, keys, instants, around)
 
     def _windows_and_holds(self, key: int) -> list[str]:
         """Say what slots depend on of key frames around; nothing where there is no such thing."""
         later = {key, *(index + 1 for index in self._history(key))}
         return [
-            *([] if self._trials is None else [self._trials.describe(key)]),
             *(["steady window"] if self._regions.is_steady(key) else []),
             *(["held"] if self._held(key) else []),
             *(f"repeats {i - key}" for i in sorted(later) if self.shots.repeats(i)),
@@ -518,6 +518,8 @@ class ViewsReader:
         Where frames may be unreadable it is read again when it meets one, without what lies behind.
         """
         unreadable, observed = self._leader.unreadable, self._leader.observed_keys
+        trials = self._leader.trials
+        tried = None if trials is None else trials.last_read
         if not unreadable.tolerant:
             return self._read_all(key, needed)
         while True:
@@ -526,6 +528,8 @@ class ViewsReader:
                 return self._read_all(key, needed)
             except InputError as error:
                 self._leader.observed_keys = observed  # no interval brought along what this did
+                if trials is not None:
+                    trials.last_read = tried
                 if len(unreadable) == count:
                     return self._skipped(key, str(error))
 

@@ -10,6 +10,7 @@ from exwarp_cli import __version__
 from exwarp_cli.domain.cores import working
 from exwarp_cli.domain.decision import ONLY_WARPS, Plan
 from exwarp_cli.domain.frame import Image, Window
+from exwarp_cli.domain.gate import Trial
 from exwarp_cli.domain.joining import Outcome
 from exwarp_cli.domain.results import FrameKind, FrameRecord, LeftOut, RunSummary
 from exwarp_cli.domain.settings import UpsampleSettings
@@ -264,18 +265,16 @@ class Run:
         method, slots = self._job.method, self._job.source.timeline.made_of(inputs.key)
         timing_ms: dict[str, float] = {}
         interval: Interval | None = None
+        if self._gate is not None and inputs.trial is not None:
+            self._gate.receive(inputs.trial)
         with record_time(timing_ms, "geometry", len(slots)):
             if inputs.frame is not None:
                 interval = self._builder.build(inputs)
         recipes = inputs.metadata.recipes
         existing = {slot for slot in slots if interval is None or self._exists(slot, recipes)}
         trial = None
-        if self._gate is not None:
-            self._gate.receive(inputs)
-            runs_network = interval is not None and not interval.held and len(existing) < len(slots)
-            if runs_network and (inputs.following is not None or not method.lookahead):
-                with record_time(timing_ms, "gate", len(slots)):
-                    trial = self._gate.decide()
+        if interval is not None and not interval.held and len(existing) < len(slots):
+            trial = self._try(inputs, timing_ms)
         choice = None
         # A policy looks at every interval: the states of later ones hold what it saw.
         looks = len(existing) < len(slots) or method.judge is Judge.POLICY
@@ -300,6 +299,14 @@ class Run:
             interval = interval.bare()  # slots are warped from the key frame
         prepared = replace(prepared, interval=interval, broken=self._broken)
         return prepared, inputs.without_geometry()
+
+    def _try(self, inputs: IntervalInputs, timing_ms: dict[str, float]) -> Trial | None:
+        """Return what the gate decides by; None where no network would make the frames."""
+        ends = self._job.method.lookahead and inputs.following is None
+        if self._gate is None or inputs.trial is None or ends:
+            return None
+        with record_time(timing_ms, "gate", len(self._job.source.timeline.made_of(inputs.key))):
+            return self._gate.decide(inputs.trial)
 
     def _choose(self, inputs: IntervalInputs, interval: Interval) -> Chosen | None:
         """Decide an interval's path; None where it is held, and nothing is to be decided.

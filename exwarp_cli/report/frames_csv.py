@@ -41,8 +41,8 @@ truth, whatever was measured. `replaced` is true where a file made way for the f
 against ground truth where `scored` is true, else against the key frames. `predicted_error` is the
 RMS error that a new frame is expected to have, in display levels of 0 to 255, and `risk` that of
 its tiles, see `exwarp_cli.domain.risk`. `gate` is what a network's use was decided by: the key
-frame that was predicted, and the PSNR of both predictions. After these columns
-come the timed steps, each as ``<step>_ms``.
+frame that was predicted, and the PSNR of both predictions. After these columns come the timed
+steps, each as ``<step>_ms``.
 """
 
 ADDED_COLUMNS = ("pulse", "predicted_error", "risk", "gate")

@@ -65,6 +65,9 @@ ADDED: dict[str, Any] = {
 }
 """What reports of earlier versions do not tell, as it was then."""
 
+ADDED_DECISIONS: dict[str, Any] = {"gate": None, "look_ahead": None}
+"""The same of their decisions."""
+
 MOST_KEYS = 10_000_000
 """Key frames of a sequence, as many as a range of frames can name."""
 
@@ -144,7 +147,7 @@ def _document(path: Path) -> dict[str, Any]:
             f"{path} is no report of schema {SCHEMA}; name folders that upsample --report wrote"
         )
     if isinstance(found.get("decisions"), dict):
-        found["decisions"] = {"gate": None, "look_ahead": None, **found["decisions"]}
+        found["decisions"] = {**ADDED_DECISIONS, **found["decisions"]}
     return {**ADDED, **found}
 
 

@@ -225,5 +225,5 @@ def read_checkpoint(path: Path, device: str) -> dict[str, Any]:
 def _damaged(path: Path) -> DamagedFileError:
     return DamagedFileError(
         f"{path} is damaged, or no checkpoint of this version; choose another folder, or remove "
-        "this one to begin anew"
+        "this one to start again"
     )

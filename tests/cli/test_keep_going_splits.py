@@ -107,7 +107,7 @@ def test_every_layer(split_alike, network, tmp_path, method):
     assert made == set(range(1, 25)) - set(range(13, 17))
 
 
-@pytest.mark.parametrize("method", ["softsplat", "s6", "s3"])
+@pytest.mark.parametrize("method", ["exwarp", "softsplat", "s6", "s3"])
 def test_every_view(split_alike, network, tmp_path, method):
     """The right eye's parts come last, and are lost with the end of the file."""
     keys = write_stereo(tmp_path / "keys", "parts", range(1, 6))

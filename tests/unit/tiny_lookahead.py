@@ -20,35 +20,30 @@ def nearer_side(gain: float = 1.0) -> onnx.ModelProto:
     nodes = [
         helper.make_node("Conv", ["colour", "taps"], ["logits"], pads=[1, 1, 1, 1]),
         helper.make_node("Softmax", ["logits"], ["soft"], axis=1),
-        helper.make_node("Mul", ["masks", "none"], ["nothing"]),
-        helper.make_node("ReduceSum", ["nothing", "channels"], ["zero"], keepdims=1),
-        helper.make_node("Mul", ["soft", "gain"], ["scaled"]),
-        helper.make_node("Add", ["scaled", "zero"], [LOOKS_AHEAD.output]),
+        helper.make_node("Mul", ["soft", "gain"], ["weights of all"]),
     ]
-    weights = {
-        "taps": taps,
-        "none": np.array(0, np.float32),
-        "channels": np.array([1], np.int64),
-        "gain": np.array(gain, np.float32),
-    }
-    takes = [tiny_models.picture(name, LOOKS_AHEAD.inputs[name]) for name in ("colour", "masks")]
-    gives = [tiny_models.picture(LOOKS_AHEAD.output, CANDIDATES, TensorProto.FLOAT)]
-    return tiny_models.model(nodes, takes, gives, weights)
+    return _answering(nodes, {"taps": taps, "gain": np.array(gain, np.float32)})
 
 
 def one_candidate(index: int) -> onnx.ModelProto:
     """Give all weight to one candidate: 0 is what `softsplat` makes, 1 the key frame before."""
     chosen = np.zeros((1, CANDIDATES, 1, 1), np.float32)
     chosen[0, index] = 1
+    return _answering([], {"weights of all": chosen})
+
+
+def _answering(nodes: list[onnx.NodeProto], weights: dict[str, np.ndarray]) -> onnx.ModelProto:
+    """Answer with ``weights of all``, at the size of the inputs."""
     nodes = [
+        *nodes,
         helper.make_node("Mul", ["masks", "none"], ["nothing"]),
         helper.make_node("ReduceSum", ["nothing", "channels"], ["zero"], keepdims=1),
-        helper.make_node("Add", ["zero", "chosen"], [LOOKS_AHEAD.output]),
+        helper.make_node("Add", ["weights of all", "zero"], [LOOKS_AHEAD.output]),
     ]
     weights = {
+        **weights,
         "none": np.array(0, np.float32),
         "channels": np.array([1], np.int64),
-        "chosen": chosen,
     }
     takes = [tiny_models.picture(name, LOOKS_AHEAD.inputs[name]) for name in ("colour", "masks")]
     gives = [tiny_models.picture(LOOKS_AHEAD.output, CANDIDATES, TensorProto.FLOAT)]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests.cli import shots
-from tests.cli.decisions.conftest import KEYS, SETTINGS, STREET, take
+from tests.cli.decisions.conftest import KEYS, SETTINGS, STREET, Done, take
 from tests.cli.decisions.windows import moving_shots
 from tests.reference import decisions as paper
 
@@ -32,6 +32,13 @@ def features(exwarp) -> Callable[..., Rows]:
         return list(csv.DictReader(io.StringIO(result.out)))
 
     return run
+
+
+@pytest.fixture
+def by_watching(policies, network, tmp_path) -> Callable[..., Done]:
+    """Upsample a shot by a policy that goes by what it sees, without a gate."""
+    options = ("--no-gate", "--policy", policies("watching"), "--extrapolator", network)
+    return lambda given: take(given, tmp_path / "out", "--causal", *options)
 
 
 def same_as_in_the_run(rows: Rows, run: Rows) -> None:
@@ -82,20 +89,12 @@ class TestTable:
             found = np.array(row["inputs"].split(), dtype=float)
             np.testing.assert_allclose(found, expected, atol=0.51)
 
-    def test_windows_that_change_too(self, features, policies, network, tmp_path, setting):
+    def test_windows_that_change_too(self, features, by_watching, tmp_path, setting):
         given = moving_shots(tmp_path)[setting]
-        options = (
-            "--causal",
-            "--no-gate",
-            "--policy",
-            policies("watching"),
-            "--extrapolator",
-            network,
-        )
-        run = take(given, tmp_path / "out", *options)
+        run = by_watching(given)
         same_as_in_the_run(features(given), run.rows)
 
-    def test_ids_from_motion_too(self, features, policies, network, tmp_path, setting):
+    def test_ids_from_motion_too(self, features, by_watching, tmp_path, setting):
         def frame(planes_of):
             def write(path, street, time):
                 planes = planes_of(street, time)
@@ -116,15 +115,7 @@ class TestTable:
             shots.sequence(slots, frame(_without_index), range(1, 10), street, 0.25)
             given = (keys, "--gbuffers", slots)
         given = (*given, *shots.VECTORS)
-        options = (
-            "--causal",
-            "--no-gate",
-            "--policy",
-            policies("watching"),
-            "--extrapolator",
-            network,
-        )
-        run = take(given, tmp_path / "out", *options)
+        run = by_watching(given)
         rows = features(given)
         same_as_in_the_run(rows, run.rows)
         assert "1" in {row["N_d"] for row in rows}
