@@ -36,13 +36,7 @@ def summary_lines(
             f"{frames['replaced']} replaced"
         )
     lines.extend(_lines_of_lists(document, ("cuts", "held")))
-    taken = {name: count for name, count in document["decisions"]["paths"].items() if count}
-    if taken:
-        listed = ", ".join(f"{name} {count}" for name, count in taken.items())
-        share = document["decisions"]["warp_share"]
-        lines.append(
-            f"paths of the key intervals: {listed}; {share:.0%} of the decisions are warps"
-        )
+    lines.extend(_decisions(document["decisions"]))
     if document["decisions"]["gate"]:
         from exwarp_cli.report.decisions import gate_line
 
@@ -65,6 +59,21 @@ def summary_lines(
     if document["render_time"] is not None:
         lines.append(_saved(document["render_time"]))
     return lines
+
+
+def _decisions(decisions: dict[str, Any]) -> Iterator[str]:
+    """Say which paths were taken; nothing outside the paper's decision tree."""
+    taken = {name: count for name, count in decisions["paths"].items() if count}
+    if not taken:
+        return
+    share, cost = decisions["warp_share"], decisions["cost"]
+    if cost is None:
+        listed = ", ".join(f"{name} {count}" for name, count in taken.items())
+        yield f"paths of the key intervals: {listed}; {share:.0%} of the decisions are warps"
+        return
+    count = sum(taken.values())
+    listed = ", ".join(f"{name} {number / count:.0%}" for name, number in taken.items())
+    yield f"paths of the tiles: {listed}; the network made {cost:.0%} of the new frames' area"
 
 
 def _lines_of_lists(document: dict[str, Any], keys: tuple[str, ...]) -> Iterator[str]:

@@ -16,6 +16,7 @@ from exwarp_cli.domain.line import one_line
 from exwarp_cli.training.settings import (
     LookAheadSettings,
     PolicySettings,
+    TilePolicySettings,
     TrainingSettings,
     require_sane_policy,
 )
@@ -24,6 +25,7 @@ FOLDER = click.Path(path_type=Path)
 DEFAULTS = TrainingSettings()
 AHEAD = LookAheadSettings()
 POLICY = PolicySettings()
+TILES = TilePolicySettings()
 
 
 @click.group("train", cls=HelpfulGroup)
@@ -193,6 +195,49 @@ def policy(
     else:
         with summary_of_files():
             for line in card(scores).split("\n"):
+                show(line)
+
+
+@command.command("tile-policy", context_settings={"show_default": True})
+@click.option("--data", type=FOLDER, help="Folder of rendered scenes to measure.")
+@click.option("--tables", type=FOLDER, help="Use these; default: those that come with ExWarp.")
+@click.option("-o", "--output", type=FOLDER, required=True, help="For the model and scores.")
+@click.option("--extrapolator", type=FOLDER, metavar="FILE", help="ONNX network for --data.")
+@click.option("--steps", type=click.IntRange(1), default=TILES.steps)
+@click.option("--batch", type=click.IntRange(1), default=TILES.batch, help="In tiles.")
+@click.option("--rate", type=float, default=TILES.rate, help="Of learning.")
+@click.option("--seed", type=click.IntRange(0), default=TILES.seed)
+@json_option
+def tile_policy(
+    data: Path | None,
+    tables: Path | None,
+    output: Path,
+    extrapolator: Path | None,
+    as_json: bool,
+    **options: object,
+) -> None:
+    """Train the policy that chooses tile by tile between warping and extrapolation.
+
+    With --data, every maker's frames of the benchmark scenes are measured first, and kept as tables
+    in the output folder. Each scene is left out of one training and judged by it.
+    """
+    from exwarp_cli.io.policy_files import SHIPPED_TILE_POLICY
+    from exwarp_cli.training.extra import require_train
+
+    require_train()
+    from exwarp_cli.training.policy_card import tile_card
+    from exwarp_cli.training.survey import find_tile_tables
+    from exwarp_cli.training.tile_policy import train_tile_policy
+
+    settings = TilePolicySettings(**options)  # type: ignore[arg-type]
+    require_sane_policy(settings)
+    found = find_tile_tables(data, extrapolator, tables, output, _say)
+    scores = train_tile_policy(found, output, settings, _say)
+    if as_json:
+        print_json(_result("tile-policy", output, output / SHIPPED_TILE_POLICY, scores))
+    else:
+        with summary_of_files():
+            for line in tile_card(scores).split("\n"):
                 show(line)
 
 

@@ -22,6 +22,7 @@ from exwarp_cli.commands.spread_options import spread_options
 from exwarp_cli.commands.threads_option import threads_option
 from exwarp_cli.domain.settings import (
     DEVICES,
+    USUAL_EFFORT,
     ClusterSettings,
     SourceSettings,
     UpsampleSettings,
@@ -81,8 +82,8 @@ class FrameRate(click.ParamType[Fraction]):
 @click.option(
     "--causal",
     is_flag=True,
-    help="Use past key frames alone, as a renderer in real time must: the paper's learned policy "
-    "chooses between warping and a network that extrapolates.",
+    help="Use past key frames alone, as a renderer in real time must: a learned policy "
+    "chooses, tile by tile, between warping and a network that extrapolates.",
 )
 @click.option(
     "--layers",
@@ -121,7 +122,17 @@ class FrameRate(click.ParamType[Fraction]):
     ".json, says what it takes. For exwarp and lookahead, one that weighs both; else ExWarp's own.",
 )
 @click.option(
-    "--policy", metavar="FILE", help="Policy that decides; else the one that comes with ExWarp."
+    "--policy",
+    metavar="FILE|paper",
+    help="Policy that decides with --causal; else ExWarp's own, tile by tile. paper: the paper's, "
+    "for whole frames.",
+)
+@click.option(
+    "--effort",
+    type=click.FloatRange(0, 1),
+    metavar="SHARE",
+    help="With --causal: share of the area that the network may compute, 0 to 1, on average over "
+    f"many shots; else {USUAL_EFFORT:g}. 0 only warps, 1 computes all.",
 )
 @click.option(
     "--gate/--no-gate",

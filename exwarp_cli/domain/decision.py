@@ -176,6 +176,11 @@ class Plan:
         steps = PATHS[path].choices.items()
         return cls(path, tuple(Decision(node, choice) for node, choice in steps))
 
+    @property
+    def extrapolates(self) -> bool:
+        """Whether the network makes any frame."""
+        return PATHS[self.path].extrapolates
+
     def decision_of(self, slot: int) -> Decision | None:
         """Return what was decided of a slot, 1 to 3; None for slot 2 after d1 = E."""
         return next((d for d in self.decisions if SLOTS[d.node] == slot), None)

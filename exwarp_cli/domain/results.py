@@ -13,6 +13,7 @@ from exwarp_cli.domain.extrapolator import INTERPOLATE
 from exwarp_cli.domain.gate import Trial
 from exwarp_cli.domain.metric import METRICS
 from exwarp_cli.domain.risk import Risk
+from exwarp_cli.domain.tiles import TileMakers
 from exwarp_cli.domain.timeline import FACTOR
 
 
@@ -124,6 +125,8 @@ class FrameRecord:
         How wrong a generated frame is expected to be; None where nothing tells.
     trial
         What the gate decided by; None without a gate.
+    tiles
+        What made each of its tiles; None where one maker made the whole frame by any choice.
     """
 
     number: int
@@ -147,6 +150,7 @@ class FrameRecord:
     key_pulse: float | None = None
     risk: Risk | None = None
     trial: Trial | None = None
+    tiles: TileMakers | None = None
 
     @property
     def pulse(self) -> float | None:

@@ -78,6 +78,10 @@ class SourceSettings:
     scan: str = "auto"
 
 
+USUAL_EFFORT = 0.5
+"""At half of the area nearly all is gained that the network gains everywhere."""
+
+
 @dataclass(frozen=True)
 class UpsampleSettings:
     """What `upsample` writes, and how.
@@ -127,6 +131,9 @@ class UpsampleSettings:
     gate
         Whether networks of the default and of `causal` make frames only where this makes the shot's
         own key frames better.
+    effort
+        Share of the frames' area that the network may compute, 0 to 1, on average over the scenes
+        that the policy was trained on; None for `USUAL_EFFORT`.
     layers
         Which layers generated frames hold: "beauty", "all", or names with wildcards.
     verify
@@ -153,11 +160,17 @@ class UpsampleSettings:
     policy: str | None = None
     interpolator: str | None = None
     gate: bool = True
+    effort: float | None = None
     metrics: tuple[str, ...] | None = None
     layers: str = "beauty"
     verify: bool = False
     keep_bytes: bool = False
     replaces_foreign: bool = False
+
+    @property
+    def spent(self) -> float:
+        """`effort`, or the usual one."""
+        return USUAL_EFFORT if self.effort is None else self.effort
 
     @property
     def measured(self) -> tuple[str, ...]:

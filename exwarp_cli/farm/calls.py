@@ -13,7 +13,7 @@ from exwarp_cli.domain.line import misleads, printable
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.errors import UsageError
-from exwarp_cli.farm.places import PURPOSES, Place, locate
+from exwarp_cli.farm.places import Place, locate, names_files
 from exwarp_cli.io.aov_files import parse_aovs
 from exwarp_cli.io.channel_map import read_channel_map
 from exwarp_cli.io.clip import is_clip
@@ -281,7 +281,7 @@ def open_farm_job(
 
 def _given(options: Iterable[tuple[str, str, str | None]]) -> Iterable[Given]:
     for parameter, flag, text in options:
-        if text is None or parameter not in PURPOSES:
+        if text is None or not names_files(parameter, text):
             yield Given(parameter, flag, text)
         else:
             yield Given(parameter, flag, locate(parameter, text))

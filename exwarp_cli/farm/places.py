@@ -15,6 +15,7 @@ from exwarp_cli.io.aov_files import parse_aovs
 from exwarp_cli.io.clip import is_clip
 from exwarp_cli.io.frame_names import NamePattern
 from exwarp_cli.io.model_weights import files_of
+from exwarp_cli.io.policy_files import PAPER
 
 if TYPE_CHECKING:
     from exwarp_cli.pipeline.job import Job
@@ -73,6 +74,11 @@ PURPOSES: Mapping[str, Purpose] = {
     "video": Purpose("Video", "Video", Form.FILE, Flow.WRITTEN),
 }
 """By the name of the parameter in `upsample`; all others name no files."""
+
+
+def names_files(parameter: str, value: object) -> bool:
+    """Whether the value of a parameter of `upsample` names files, none that come with ExWarp."""
+    return parameter in PURPOSES and value is not None and (parameter, value) != ("policy", PAPER)
 
 
 NETWORKS = ("extrapolator", "interpolator")
@@ -243,19 +249,19 @@ def _files(job: Job) -> Iterator[Path]:
         if purpose.form is Form.FILE and purpose.flow is Flow.READ:
             owner = job.settings if hasattr(job.settings, name) else job.settings.source
             named = getattr(owner, name)
-            if named is not None:
+            if names_files(name, named):
                 yield Path(named)
 
 
 def _placed_in(settings: UpsampleSettings | SourceSettings) -> dict[str, Any]:
     """Return the options of these settings that name files, each beginning at the root."""
-    given = {f.name: getattr(settings, f.name) for f in fields(settings) if f.name in PURPOSES}
+    given = {f.name: getattr(settings, f.name) for f in fields(settings)}
     return {
         name: tuple(map(_absolute_aov, value))
         if PURPOSES[name].form is Form.AOV
         else _placed(value)
         for name, value in given.items()
-        if value is not None
+        if names_files(name, value)
     }
 
 

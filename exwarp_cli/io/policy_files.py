@@ -31,6 +31,7 @@ import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli.accel.quantised_mlp import QuantisedLayer, QuantisedMlp, Requantisation
+from exwarp_cli.domain.tiles import TILE_STATE
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError
 from exwarp_cli.io.atomic import atomic_write_bytes
 from exwarp_cli.io.models import read_model
@@ -39,6 +40,12 @@ FORMAT = "exwarp.policy/1"
 
 SHIPPED_POLICY = "policy.npz"
 """Name of the policy that comes with ExWarp."""
+
+SHIPPED_TILE_POLICY = "tile-policy.npz"
+"""Name of the policy of tiles that comes with ExWarp, which `--causal` asks."""
+
+PAPER = "paper"
+"""What `--policy` takes for the paper's policy of whole frames, `SHIPPED_POLICY`."""
 
 OPTION = "--policy"
 """By which commands take another."""
@@ -76,6 +83,17 @@ class PolicyFile:
     network: QuantisedMlp
     metadata: dict[str, Any]
     floats: Floats
+
+    @property
+    def of_tiles(self) -> bool:
+        """Whether it decides tile by tile."""
+        return self.metadata.get("state") == TILE_STATE
+
+    @property
+    def efforts(self) -> tuple[tuple[float, float], ...]:
+        """Shares of the area, ascending, and the price of each; () where it does not say."""
+        stated = self.metadata.get("efforts")
+        return tuple((share, price) for share, price in stated) if stated else ()
 
     @property
     def trained_for(self) -> tuple[str, ...]:
@@ -128,13 +146,15 @@ def save_network(
     atomic_write_bytes(path, pack(arrays))
 
 
-def load_policy(path: Path | None) -> PolicyFile:
+def load_policy(path: Path | None, shipped: str = SHIPPED_POLICY) -> PolicyFile:
     """Read a policy.
 
     Parameters
     ----------
     path
-        The file; None for the one that comes with ExWarp, whose checksum is verified.
+        The file; None for one that comes with ExWarp, whose checksum is verified.
+    shipped
+        Name of that one.
 
     Raises
     ------
@@ -145,7 +165,7 @@ def load_policy(path: Path | None) -> PolicyFile:
     LayoutError
         When it holds something else than a policy, or numbers out of range.
     """
-    path, data = read_model(path, SHIPPED_POLICY, OPTION)
+    path, data = read_model(path, shipped, OPTION)
     try:
         arrays = unpack(data)
     except ArchiveError as error:

@@ -145,7 +145,10 @@ def other_extrapolator(policy: PolicyFile, network: OnnxExtrapolator) -> str | N
 def _policy_summary(
     policy: PolicyFile, source: Source, network: OnnxExtrapolator | None
 ) -> PolicySummary:
-    """Say what the policy sees of the input."""
+    """Say what the policy sees of the input: of tiles, what the warp itself goes by."""
+    note = None if network is None else other_extrapolator(policy, network)
+    if policy.of_tiles:
+        return PolicySummary(str(policy.path), policy.checksum, None, (), policy.trained_for, note)
     shot = source.slots or source.keys
     layout = shot.layout
     placed = Role.POSITION in layout or Role.DEPTH in layout
@@ -166,7 +169,7 @@ def _policy_summary(
         objects_from,
         tuple(missing),
         policy.trained_for,
-        None if network is None else other_extrapolator(policy, network),
+        note,
     )
 
 

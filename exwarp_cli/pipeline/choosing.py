@@ -14,6 +14,7 @@ from exwarp_cli.domain.decision import (
     CHOICES,
     EXTRAPOLATE,
     NODES,
+    ONLY_WARPS,
     PATHS,
     SLOTS,
     WARP,
@@ -21,14 +22,18 @@ from exwarp_cli.domain.decision import (
     Plan,
 )
 from exwarp_cli.domain.frame import Float32, Window, place
+from exwarp_cli.domain.risk import ROWS
+from exwarp_cli.domain.tiles import TilePlan
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.io.output import quantised
 from exwarp_cli.pipeline.interval_inputs import IntervalInputs
 from exwarp_cli.pipeline.scheduling import record_time
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import Judge, take
+from exwarp_cli.synthesis.tile_features import tile_features
 
 if TYPE_CHECKING:
+    from exwarp_cli.io.policy_files import PolicyFile
     from exwarp_cli.pipeline.observing import Observer
     from exwarp_cli.policy.state import LearnedPolicy
 
@@ -40,12 +45,12 @@ class Chosen:
     Attributes
     ----------
     plan
-        For one key interval.
+        For one key interval: a path, or one for each tile.
     timing_ms
         Milliseconds by step of the work.
     """
 
-    plan: Plan
+    plan: Plan | TilePlan
     timing_ms: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -67,6 +72,30 @@ def by_policy(policy: LearnedPolicy, observer: Observer) -> Chooser:
             surroundings = observer.of(inputs, interval)
         with record_time(timing_ms, "decide"):
             plan = policy.plan(surroundings)
+        return Chosen(plan, timing_ms)
+
+    return choose
+
+
+def by_tiles(policy: PolicyFile, effort: float) -> Chooser:
+    """Return who asks a policy of tiles, or at an effort of 0 or 1 nobody.
+
+    `effort` is the share of the area that is extrapolated on the scenes that it learned from.
+    """
+    from exwarp_cli.policy.tile_state import TilePolicy, price_of
+
+    settled = {0.0: "S6", 1.0: "S3"}.get(effort)
+    learned = TilePolicy(policy.network, price_of(policy.efforts, effort))
+
+    def choose(inputs: IntervalInputs, interval: Interval) -> Chosen:
+        tiles = interval.tiles
+        if settled is not None or not interval.has_motion:
+            return Chosen(TilePlan.fixed(tiles.columns, ROWS, settled or ONLY_WARPS))
+        timing_ms: dict[str, float] = {}
+        with record_time(timing_ms, "features"):
+            seen = [tile_features(interval, slot) for slot in range(1, FACTOR)]
+        with record_time(timing_ms, "decide"):
+            plan = learned.plan(seen, tiles.display.width)
         return Chosen(plan, timing_ms)
 
     return choose

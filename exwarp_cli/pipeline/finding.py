@@ -15,6 +15,7 @@ import numpy as np
 
 from exwarp_cli.domain.frame import Image, UInt8
 from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
+from exwarp_cli.domain.tiles import TILE_STATE
 from exwarp_cli.domain.timeline import FACTOR, Slot, Timeline
 from exwarp_cli.errors import InputError, LayoutError, UsageError
 from exwarp_cli.io.footage import find_frames, picture, picture_size
@@ -23,7 +24,7 @@ from exwarp_cli.io.soundness import first_of
 from exwarp_cli.io.video import to_display
 from exwarp_cli.io.views import expand
 from exwarp_cli.pipeline.source import FrameOf, Source, align
-from exwarp_cli.synthesis.methods import CAUSAL, EXWARP, METHODS, Judge, Method
+from exwarp_cli.synthesis.methods import CAUSAL, EXWARP, FRAMEWISE, METHODS, Judge, Method
 
 if TYPE_CHECKING:
     from exwarp_cli.io.interpolator import OnnxInterpolator
@@ -135,16 +136,42 @@ def find_policy(settings: UpsampleSettings, method: Method) -> PolicyFile | None
     InputError
         When it cannot be used.
     """
-    path = None if settings.policy is None else Path(settings.policy)
-    if method.judge is Judge.POLICY:
-        from exwarp_cli.io.policy_files import load_policy
+    if method.judge in (Judge.POLICY, Judge.TILES):
+        from exwarp_cli.io.policy_files import (
+            PAPER,
+            SHIPPED_POLICY,
+            SHIPPED_TILE_POLICY,
+            load_policy,
+        )
 
-        return require_state(load_policy(path))
-    if path is not None:
+        if settings.policy == PAPER:
+            return require_state(load_policy(None, SHIPPED_POLICY))
+        path = None if settings.policy is None else Path(settings.policy)
+        return require_state(load_policy(path, SHIPPED_TILE_POLICY))
+    if settings.policy is not None:
         raise UsageError(
             f"--policy is for --causal, and --method {method.name} asks no policy; leave it out"
         )
     return None
+
+
+def method_of(method: Method, policy: PolicyFile | None, settings: UpsampleSettings) -> Method:
+    """Return a method as its policy decides: for whole frames, or tile by tile.
+
+    Raises
+    ------
+    UsageError
+        For ``--effort`` where no policy decides tile by tile.
+    """
+    by_tiles = policy is not None and policy.of_tiles
+    if settings.effort is not None and not by_tiles:
+        chooser = (
+            "--policy chooses for whole frames" if policy else f"{method.name} chooses nothing"
+        )
+        raise UsageError(
+            f"--effort is for --causal with a policy of tiles, and {chooser}; leave it out"
+        )
+    return method if policy is None or by_tiles else FRAMEWISE
 
 
 def require_state(policy: PolicyFile) -> PolicyFile:
@@ -152,10 +179,10 @@ def require_state(policy: PolicyFile) -> PolicyFile:
     from exwarp_cli.policy.state import INPUTS, STATE_VERSION
 
     inputs, version = policy.network.sizes[0], policy.metadata.get("state")
-    if (inputs, version) != (INPUTS, STATE_VERSION):
+    if inputs != INPUTS or version not in (STATE_VERSION, TILE_STATE):
         raise LayoutError(
             f"{policy.path} takes {inputs} inputs of version {version!r}, and a state has {INPUTS} "
-            f"of version {STATE_VERSION}; train the policy again"
+            f"of version {STATE_VERSION}, or of {TILE_STATE!r} for tiles; train the policy again"
         )
     return policy
 

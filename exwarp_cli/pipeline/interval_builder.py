@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from exwarp_cli.domain.decision import PATHS, Plan
+from exwarp_cli.domain.decision import Plan
 from exwarp_cli.domain.extrapolator import HISTORY, Extrapolator, Interpolator
 from exwarp_cli.domain.frame import (
     SURFACE_PARTS,
@@ -20,6 +20,7 @@ from exwarp_cli.domain.frame import (
 )
 from exwarp_cli.domain.gate import Trial
 from exwarp_cli.domain.lookahead import LookAheadNetwork
+from exwarp_cli.domain.tiles import TilePlan
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.pipeline.choosing import Chosen
 from exwarp_cli.pipeline.interval_inputs import IntervalInputs
@@ -74,11 +75,11 @@ class PreparedInterval:
     @property
     def extrapolates(self) -> bool:
         """Whether its network makes any of the slots."""
-        return self.plan is not None and PATHS[self.plan.path].extrapolates
+        return self.plan is not None and self.plan.extrapolates
 
     @property
-    def plan(self) -> Plan | None:
-        """The path that was decided."""
+    def plan(self) -> Plan | TilePlan | None:
+        """The path that was decided, or one for each tile."""
         return None if self.choice is None else self.choice.plan
 
 

@@ -26,6 +26,7 @@ from exwarp_cli.pipeline.finding import (
     find_policy,
     find_truth,
     is_usual,
+    method_of,
     require_factor,
     require_gate,
     require_truth,
@@ -133,8 +134,11 @@ class Job:
     @property
     def depends_on(self) -> tuple[NetworkSummary | None, str | None, InterpolatorSummary | None]:
         """What networks and policy frames depend on, as `IntervalReader` takes it."""
-        checksum = None if self.policy is None else self.policy.checksum
-        return self.models.extrapolator, checksum, self.models.interpolator
+        decided = None
+        if self.policy is not None:
+            effort = f" effort {self.settings.spent:g}" if self.policy.of_tiles else ""
+            decided = f"{self.policy.checksum}{effort}"
+        return self.models.extrapolator, decided, self.models.interpolator
 
     def of(self, keys: tuple[int, ...]) -> Job:
         """Return the same job for other key frames."""
@@ -225,6 +229,7 @@ def open_job(settings: UpsampleSettings) -> Job:
     network = find_network(settings, method)
     interpolator = find_interpolator(settings, method)
     policy = find_policy(settings, method)
+    method = method_of(method, policy, settings)
     require_truth(settings, method)
     require_gate(settings, method)
     require_able(source, method, settings)

@@ -20,7 +20,7 @@ from exwarp_cli.policy.state import KEYS_BACK, Surroundings
 from exwarp_cli.runtime.stop import check_stop
 from exwarp_cli.synthesis.geometry import settle_motion
 from exwarp_cli.synthesis.interval import Interval
-from exwarp_cli.synthesis.methods import CAUSAL, METHODS
+from exwarp_cli.synthesis.methods import CAUSAL, FRAMEWISE
 from exwarp_cli.synthesis.movers import moving, of_moving
 
 MOVING = 1
@@ -202,7 +202,7 @@ def features(
     told = progress or NoProgress()
     keys = source.timeline.select(frames)
     asked = UpsampleSettings(settings, "", CAUSAL)
-    reader = IntervalReader(source, METHODS[CAUSAL], asked)
+    reader = IntervalReader(source, FRAMEWISE, asked)
     observer = Observer(source.keys.display, source.setting)
     told.start(len(keys))
     try:

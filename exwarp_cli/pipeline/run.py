@@ -14,6 +14,7 @@ from exwarp_cli.domain.gate import Trial
 from exwarp_cli.domain.joining import Outcome
 from exwarp_cli.domain.results import FrameKind, FrameRecord, LeftOut, RunSummary
 from exwarp_cli.domain.settings import UpsampleSettings
+from exwarp_cli.domain.tiles import TilePlan
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.errors import InputError
 from exwarp_cli.io.footage import picture
@@ -21,7 +22,7 @@ from exwarp_cli.io.output import PREFIX
 from exwarp_cli.io.threads import use_threads
 from exwarp_cli.kernels import _row_bands
 from exwarp_cli.pipeline.announcing import left_out, tell_left_out, unscored
-from exwarp_cli.pipeline.choosing import Chooser, Chosen, always, by_policy, by_truth
+from exwarp_cli.pipeline.choosing import Chooser, Chosen, always, by_policy, by_tiles, by_truth
 from exwarp_cli.pipeline.finding import is_usual
 from exwarp_cli.pipeline.frame_sizes import remark
 from exwarp_cli.pipeline.frame_writer import FRAMES_BEHIND, FrameWriter
@@ -282,7 +283,7 @@ class Run:
             choice = self._choose(inputs, interval)
         if trial is not None and not trial.pays and interval is not None:
             interval = replace(interval, interpolator=None)
-            choice = None if choice is None else replace(choice, plan=Plan.fixed(ONLY_WARPS))
+            choice = None if choice is None else replace(choice, plan=only_warps(choice.plan))
         if choice is not None:
             timing_ms |= {step: ms / len(slots) for step, ms in choice.timing_ms.items()}
         self._broken = count_broken(inputs, self._broken) if len(existing) < len(slots) else {}
@@ -491,11 +492,20 @@ class Run:
                 )
 
 
+def only_warps(plan: Plan | TilePlan) -> Plan | TilePlan:
+    """Return a plan of the same kind that runs no network."""
+    if isinstance(plan, TilePlan):
+        return TilePlan.fixed(plan.columns, plan.rows, ONLY_WARPS)
+    return Plan.fixed(ONLY_WARPS)
+
+
 def make_chooser(job: Job) -> Chooser | None:
     """Return what decides the path of each key interval; None outside the decision tree."""
     method, source = job.method, job.source
     if method.path is not None:
         return always(method.path) if is_usual(source) else None
+    if job.policy is not None and job.policy.of_tiles:
+        return by_tiles(job.policy, job.settings.spent)
     if job.policy is not None:
         from exwarp_cli.pipeline.observing import Observer
         from exwarp_cli.policy.state import LearnedPolicy

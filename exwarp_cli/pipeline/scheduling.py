@@ -65,10 +65,9 @@ def mode(
     alone = workers > 1 and pixels <= MAX_PIXELS_AHEAD and not has_layers
     # Optical flow takes as much memory as all the rest of a slot.
     warps = not (prepared.extrapolates or method.interpolates or method.finds_flow)
-    # Slots with G-buffers are led along those before; other paths repeat slots or mix them.
+    # Slots with G-buffers are led along those before.
     independent = interval is not None and not interval.slots
-    fixed = prepared.plan is None or prepared.plan.path == "S6"
-    return Mode.IN_POOL if alone and warps and independent and fixed else Mode.IN_LINE
+    return Mode.IN_POOL if alone and warps and independent else Mode.IN_LINE
 
 
 def read_depth(pixels: int) -> int:

@@ -19,6 +19,7 @@ from exwarp_cli.domain.gate import Trial
 from exwarp_cli.domain.results import FrameKind, FrameRecord
 from exwarp_cli.domain.risk import Risk
 from exwarp_cli.domain.settings import UpsampleSettings
+from exwarp_cli.domain.tiles import TileMakers, TilePlan
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.errors import OutputError
 from exwarp_cli.io.exr.template import Plane, PlaneKey, Template
@@ -38,7 +39,7 @@ from exwarp_cli.pipeline.layers import ExtraLayers, named_by_path
 from exwarp_cli.pipeline.scheduling import record_time
 from exwarp_cli.pipeline.source import Source
 from exwarp_cli.synthesis.interval import Interval
-from exwarp_cli.synthesis.methods import Method, Predicted, repeat_held, take
+from exwarp_cli.synthesis.methods import Method, Predicted, repeat_held, take, take_tiles
 
 PREDICTED_ERROR = "predictedError"
 """Attribute of generated frames; their tiles are in the one named risk."""
@@ -137,11 +138,12 @@ class SlotRenderer:
             nonfinite_pixels=sum(prepared.broken.get(n, 0) for n in predicted.sources),
             timing_ms=timing | (layers_timing if layers else {}),
             made_by=predicted.made_by,
-            path=None if plan is None else plan.path,
-            decision=None if plan is None else plan.decision_of(slot.index),
+            path=plan.path if isinstance(plan, Plan) else None,
+            decision=plan.decision_of(slot.index) if isinstance(plan, Plan) else None,
             replaced=self._writer.is_in_the_way(number),
             risk=predicted.risk if kind is FrameKind.GENERATED else None,
             trial=prepared.trial,
+            tiles=plan.makers(slot.index) if isinstance(plan, TilePlan) else None,
         )
         if in_pool:
             interval.forget(slot.index)
@@ -199,6 +201,7 @@ class SlotRenderer:
             decision=parse_decision(header.get("decision")),
             risk=parse_risk(header),
             trial=None if header.get("gate") is None else Trial.parsed(str(header["gate"])),
+            tiles=None if header.get("tiles") is None else TileMakers.parsed(str(header["tiles"])),
         )
 
     def _mask(self, interval: Interval, slot: Slot) -> Bool | None:
@@ -208,21 +211,27 @@ class SlotRenderer:
             return None
         return place(mask, interval.key.image.data_window, self._source.keys.display)
 
-    def _predict(self, interval: Interval, plan: Plan | None, slot: int) -> Predicted:
+    def _predict(self, interval: Interval, plan: Plan | TilePlan | None, slot: int) -> Predicted:
         if interval.held:
             return repeat_held(interval)
         if self._method.predict is not None:
             return self._method.predict(interval, slot)
         assert plan is not None
+        if isinstance(plan, TilePlan):
+            return take_tiles(plan, interval, slot)
         return replace(take(plan.path, interval, slot), method=self._method.name)
 
     def _make_layers(
-        self, slot: Slot, predicted: Predicted, inputs: IntervalInputs, plan: Plan | None
+        self,
+        slot: Slot,
+        predicted: Predicted,
+        inputs: IntervalInputs,
+        plan: Plan | TilePlan | None,
     ) -> Mapping[PlaneKey, Plane]:
         """Make what is written with a slot's beauty: further layers, and other views."""
         if not self._layers.any:
             return {}
-        path = None if plan is None else plan.path
+        path = plan.path if isinstance(plan, Plan) else None
 
         def predict(interval: Interval) -> Predicted:
             return named_by_path(self._predict(interval, plan, slot.index), path)
@@ -255,16 +264,7 @@ class SlotRenderer:
         if inputs.metadata.key_digests:
             named = (f"{number}:{digest}" for number, digest in inputs.metadata.key_digests.items())
             out[f"{PREFIX}{KEY_FRAMES}"] = ",".join(named)
-        if record.made_by is not None:
-            out[f"{PREFIX}madeBy"] = record.made_by
-        if record.path is not None:
-            out[f"{PREFIX}path"] = record.path
-        if record.decision is not None:
-            out[f"{PREFIX}decision"] = decision_text(record.decision)
-        if record.hole_fraction is not None:
-            out[f"{PREFIX}holeFraction"] = record.hole_fraction
-        if record.trial is not None:
-            out[f"{PREFIX}gate"] = record.trial.text
+        out |= {f"{PREFIX}{name}": value for name, value in _facts(record).items()}
         if record.risk is not None:
             out[f"{PREFIX}{PREDICTED_ERROR}"] = record.risk.error
             out[f"{PREFIX}risk"] = record.risk.text
@@ -275,6 +275,19 @@ class SlotRenderer:
         if compression is not None:
             out["compression"] = compression
         return out
+
+
+def _facts(record: FrameRecord) -> dict[str, Any]:
+    """Return what a frame's header says of how it was made, as far as that is known."""
+    found = {
+        "madeBy": record.made_by,
+        "path": record.path,
+        "decision": None if record.decision is None else decision_text(record.decision),
+        "holeFraction": record.hole_fraction,
+        "gate": None if record.trial is None else record.trial.text,
+        "tiles": None if record.tiles is None else record.tiles.text,
+    }
+    return {name: value for name, value in found.items() if value is not None}
 
 
 def rate_attribute(source: Source) -> dict[str, Any]:

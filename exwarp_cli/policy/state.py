@@ -76,6 +76,10 @@ class Scale:
         """Scale a value that is 0 or more."""
         return min(math.log1p(value / self.unit) / math.log1p(self.top / self.unit), 1.0)
 
+    def of_all(self, values: F64) -> F64:
+        """Scale many values that are 0 or more, float64 of any shape."""
+        return np.minimum(np.log1p(values / self.unit) / math.log1p(self.top / self.unit), 1.0)
+
 
 SCALES = {
     "N_d": Scale(1.0, 63.0),

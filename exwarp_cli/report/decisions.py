@@ -6,10 +6,11 @@ from collections import Counter
 from collections.abc import Iterable
 from typing import Any
 
-from exwarp_cli.domain.decision import CHOICES, NODES, PATHS, SOFTSPLAT, WARP
+from exwarp_cli.domain.decision import CHOICES, EXTRAPOLATE, NODES, PATHS, SOFTSPLAT, WARP
 from exwarp_cli.domain.gate import Trial
 from exwarp_cli.domain.lookahead import LOOKAHEAD
 from exwarp_cli.domain.results import FrameKind, FrameRecord, RunSummary
+from exwarp_cli.domain.tiles import paths_of
 from exwarp_cli.domain.wording import counted
 from exwarp_cli.report.quality import quality
 
@@ -20,8 +21,8 @@ def decisions(paths: Iterable[str] | None) -> dict[str, Any]:
     Parameters
     ----------
     paths
-        S1 to S6 of each key interval with all its slots; None for a method outside the paper's
-        decision tree, whose counts are all None.
+        S1 to S6 of each key interval with all its slots, or of each of its tiles; None for a
+        method outside the paper's decision tree, whose counts are all None.
     """
     if paths is None:
         return {
@@ -40,6 +41,29 @@ def decisions(paths: Iterable[str] | None) -> dict[str, Any]:
         "paths": {name: taken[name] for name in PATHS},
         "warp_share": warped / steps.total() if steps else None,
     }
+
+
+def paths_of_tiles(interval: Iterable[FrameRecord]) -> tuple[str, ...]:
+    """Return the path of each tile of a key interval; none where its tiles were not decided."""
+    tiles = {frame.slot: frame.tiles for frame in interval}
+    second, third = tiles.get(2), tiles.get(3)
+    return () if second is None or third is None else paths_of(second, third)
+
+
+def tile_shares(run: RunSummary) -> dict[str, Any]:
+    """Say how much of the new frames' area each maker made, where tiles were decided.
+
+    Returns
+    -------
+    dict
+        ``cost``: the share that the network computed, slot 1 included; None where no tiles were
+        decided. Where they were, also ``warp_share``: the rest.
+    """
+    costs = [frame.tiles.share(EXTRAPOLATE) for frame in run.frames if frame.tiles is not None]
+    if not costs:
+        return {"cost": None}
+    cost = sum(costs) / len(costs)
+    return {"cost": cost, "warp_share": 1 - cost}
 
 
 def gate(run: RunSummary) -> dict[str, Any]:

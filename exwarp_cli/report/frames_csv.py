@@ -31,7 +31,7 @@ COLUMNS = (
     *("render_s", "render_source", "rendered_width", "rendered_height", "distance"),
     *("scored", "scored_holes", "replaced", "pulse"),
     *("predicted_error", "risk"),
-    "gate",
+    *("gate", "tiles"),
 )
 """A column that is new goes to the end: a line of this table is read by position, too.
 
@@ -41,11 +41,13 @@ truth, whatever was measured. `replaced` is true where a file made way for the f
 against ground truth where `scored` is true, else against the key frames. `predicted_error` is the
 RMS error that a new frame is expected to have, in display levels of 0 to 255, and `risk` that of
 its tiles, see `exwarp_cli.domain.risk`. `gate` is what a network's use was decided by: the key
-frame that was predicted, and the PSNR of both predictions. After these columns come the timed
+frame that was predicted, and the PSNR of both predictions. `tiles` is what made each tile of a
+frame, row by row: w for warping, e for the network, r for warping what the network made of the slot
+before. After these columns come the timed
 steps, each as ``<step>_ms``.
 """
 
-ADDED_COLUMNS = ("pulse", "predicted_error", "risk", "gate")
+ADDED_COLUMNS = ("pulse", "predicted_error", "risk", "gate", "tiles")
 """Columns that tables of earlier versions may lack."""
 
 
@@ -154,5 +156,6 @@ def _row(frame: FrameRecord, steps: list[str]) -> list[Any]:
         *(frame.score is not None, frame.hole_score is not None, frame.replaced, frame.pulse),
         *((None, None) if frame.risk is None else (frame.risk.error, frame.risk.text)),
         None if frame.trial is None else frame.trial.text,
+        None if frame.tiles is None else frame.tiles.text,
         *(frame.timing_ms.get(step) for step in steps),
     ]

@@ -32,6 +32,7 @@ from exwarp_cli.domain.results import (
     WrittenFile,
 )
 from exwarp_cli.domain.risk import Risk
+from exwarp_cli.domain.tiles import TileMakers
 from exwarp_cli.domain.timeline import listed
 from exwarp_cli.errors import DamagedFileError, InputError
 from exwarp_cli.report.comparison import SCHEMA as COMPARISON
@@ -65,7 +66,7 @@ ADDED: dict[str, Any] = {
 }
 """What reports of earlier versions do not tell, as it was then."""
 
-ADDED_DECISIONS: dict[str, Any] = {"gate": None, "look_ahead": None}
+ADDED_DECISIONS: dict[str, Any] = {"gate": None, "look_ahead": None, "cost": None}
 """The same of their decisions."""
 
 MOST_KEYS = 10_000_000
@@ -337,6 +338,7 @@ def _frame(row: Mapping[str, str]) -> FrameRecord:
         key_pulse=pulse if score is None else None,
         risk=_risk(row),
         trial=Trial.parsed(row["gate"]) if row.get("gate") else None,
+        tiles=TileMakers.parsed(row["tiles"]) if row.get("tiles") else None,
     )
 
 

@@ -12,7 +12,13 @@ import numpy as np
 from exwarp_cli.domain.metric import GROUND_TRUTH, KEY_FRAMES
 from exwarp_cli.domain.results import FrameKind, FrameRecord, RunSummary
 from exwarp_cli.domain.timeline import ranges
-from exwarp_cli.report.decisions import decisions, gate, quality_by_decision
+from exwarp_cli.report.decisions import (
+    decisions,
+    gate,
+    paths_of_tiles,
+    quality_by_decision,
+    tile_shares,
+)
 from exwarp_cli.report.quality import mean, quality
 from exwarp_cli.report.render_time import render_time
 from exwarp_cli.report.review import review
@@ -43,7 +49,7 @@ def report(run: RunSummary) -> dict[str, Any]:
         "frames": _frames(run.frames),
         "fps": _fps(run),
         "holes": _holes(shown),
-        "decisions": decisions(_paths(run)) | gate(run),
+        "decisions": decisions(_paths(run)) | gate(run) | tile_shares(run),
         "quality": _quality(run.decides, shown),
         "pulse": _pulse(shown),
         "review": review(run),
@@ -180,10 +186,16 @@ def _holes(shown: tuple[FrameRecord, ...]) -> dict[str, Any]:
 
 
 def _paths(run: RunSummary) -> list[str] | None:
-    """Return the path of each complete interval whose path is known; None outside the tree."""
+    """Return the path of each complete interval whose path is known; None outside the tree.
+
+    Where tiles are decided, that of each tile.
+    """
     if not run.decides:
         return None
-    return [group[-1].path for group in complete_intervals(run) if group[-1].path]
+    paths: list[str] = []
+    for group in complete_intervals(run):
+        paths += [group[-1].path] if group[-1].path else paths_of_tiles(group)
+    return paths
 
 
 def _quality(decides: bool, shown: tuple[FrameRecord, ...]) -> dict[str, Any]:

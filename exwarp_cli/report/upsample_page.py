@@ -152,7 +152,11 @@ def headline(document: dict[str, Any]) -> list[Number]:
         found.append(Number("Holes", str(percent(holes["mean_fraction"])), note))
     if document["decisions"]["warp_share"] is not None:
         found.append(
-            Number("Warps", str(percent(document["decisions"]["warp_share"], 0)), "of decisions")
+            Number(
+                "Warps",
+                str(percent(document["decisions"]["warp_share"], 0)),
+                "of decisions" if document["decisions"]["cost"] is None else "of the area",
+            )
         )
     if fps["throughput"]:
         found.append(
@@ -329,7 +333,9 @@ def _decisions(run: RunSummary, document: dict[str, Any]) -> list[Block]:
     paths: list[list[Cell]] = [
         [name, number(count, 0)] for name, count in decisions["paths"].items()
     ]
-    found.append(Table("Paths of the key intervals", ("path", "intervals"), paths))
+    of_tiles = decisions["cost"] is not None
+    title, unit = ("tiles", "tiles") if of_tiles else ("key intervals", "intervals")
+    found.append(Table(f"Paths of the {title}", ("path", unit), paths))
     return found
 
 

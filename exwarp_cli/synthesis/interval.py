@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from threading import Lock
 
 import numpy as np
 
-from exwarp_cli.domain.extrapolator import Extrapolator, Interpolator
+from exwarp_cli.domain.extrapolator import Extrapolator, Inputs, Interpolator
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, KeyFrame, Window, place
 from exwarp_cli.domain.lookahead import LookAheadNetwork
 from exwarp_cli.domain.timeline import FACTOR
@@ -33,6 +34,7 @@ from exwarp_cli.synthesis.history import (
     step_back,
 )
 from exwarp_cli.synthesis.look_ahead import LookAhead
+from exwarp_cli.synthesis.mosaic import Mosaic, extrapolate_in
 from exwarp_cli.synthesis.risk import KeyResidual, Tiles, key_residual
 from exwarp_cli.synthesis.trajectory import displaced, displacement, reach_of, span_motion
 
@@ -106,6 +108,7 @@ class Interval:
     _residual: list[KeyResidual | None] = field(default_factory=list, init=False)
     _finding_residual: Lock = field(default_factory=Lock, init=False)
     _extrapolated: dict[int, Float32] = field(default_factory=dict, init=False)
+    _composed: dict[int, Float32] = field(default_factory=dict, init=False)
     _holes: dict[int, Bool] = field(default_factory=dict, init=False)
 
     @property
@@ -173,6 +176,11 @@ class Interval:
         """The tiles whose error is predicted."""
         canvas = self.key.image.data_window
         return Tiles(canvas, self.display or canvas)
+
+    @property
+    def mosaic(self) -> Mosaic:
+        """Where the pixels of `tiles` lie."""
+        return Mosaic.of(self.tiles)
 
     @property
     def residual(self) -> KeyResidual | None:
@@ -305,13 +313,35 @@ class Interval:
         """
         assert self.extrapolator is not None
         if slot not in self._extrapolated:
-            self._back[slot] = self.scratch.store(self.back(slot))
-            prepared = self.prepared(slot)
-            self._looked.pop(slot, None)
-            pool.clear()  # the network takes a gigabyte
-            answer = self.extrapolator(prepared.inputs)
-            self._extrapolated[slot] = self.scratch.store(prepared.finish(answer))
+            made = self._extrapolate(slot, self.extrapolator)
+            self._extrapolated[slot] = self.scratch.store(made)
         return self._extrapolated[slot]
+
+    def extrapolated_in(self, slot: int, chosen: Bool) -> Float32:
+        """E's frame for a slot, 2 or 3, of use in chosen tiles, bool [rows, columns], alone.
+
+        float32 [H, W, C], scene-linear; of all tiles it is what `extrapolated` makes.
+        """
+        network, mosaic = self.extrapolator, self.mosaic
+        assert network is not None
+
+        def answer(inputs: Inputs) -> Float32:
+            return extrapolate_in(mosaic, chosen, lambda *part: network(inputs.part(*part)))
+
+        return self._extrapolate(slot, network if chosen.all() else answer)
+
+    def composed(self, slot: int, make: Callable[[], Float32]) -> Float32:
+        """A slot's frame of several makers, made once; the slot after it may be warped from it."""
+        if slot not in self._composed:
+            self._composed[slot] = self.scratch.store(make())
+        return self._composed[slot]
+
+    def _extrapolate(self, slot: int, network: Callable[[Inputs], Float32]) -> Float32:
+        self._back[slot] = self.scratch.store(self.back(slot))
+        prepared = self.prepared(slot)
+        self._looked.pop(slot, None)
+        pool.clear()  # the network takes a gigabyte
+        return prepared.finish(network(prepared.inputs))
 
     def forget(self, slot: int) -> None:
         """Let go of what was worked out for a slot, but for its holes; it may be asked for again.
@@ -320,6 +350,7 @@ class Interval:
         """
         self._warps.pop(slot, None)
         self._mixers.pop(slot, None)
+        self._composed.pop(slot, None)
         if self.keeps:
             return
         if slot in self._back:

@@ -13,7 +13,9 @@ from exwarp_cli.domain.frame import Float32
 from exwarp_cli.domain.lookahead import LOOKAHEAD, LookAheadNetwork
 from exwarp_cli.domain.results import FrameKind
 from exwarp_cli.domain.risk import Risk
+from exwarp_cli.domain.tiles import REWARP, TilePlan
 from exwarp_cli.synthesis.interval import Interval
+from exwarp_cli.synthesis.mosaic import lay_over
 from exwarp_cli.synthesis.risk import (
     F64,
     FIRST_WARPED,
@@ -64,7 +66,10 @@ class Judge(Enum):
     """Who decides the path of a key interval, where it is not fixed."""
 
     POLICY = "policy"
-    """The learned policy."""
+    """The paper's learned policy, one path for whole frames."""
+
+    TILES = "tiles"
+    """A learned policy, a path for each tile."""
 
     PSNR = "psnr"
     """Ground truth: the path whose slots 1 to 3 have the best mean PSNR."""
@@ -190,6 +195,39 @@ def take(path: str, interval: Interval, slot: int) -> Predicted:
     return Predicted(pixels, FrameKind.GENERATED, name, sources, maker, risk)
 
 
+def take_tiles(plan: TilePlan, interval: Interval, slot: int) -> Predicted:
+    """Make the frame of a slot tile by tile, as each tile's path has it.
+
+    Where all tiles take one path, the frame is that of `take`.
+    """
+    makers = plan.makers(slot)
+    if not (makers.made_by(EXTRAPOLATE) | makers.made_by(REWARP)).any():
+        return replace(_warp(interval, slot), method=CAUSAL)
+    pixels = _composed(plan, interval, slot)
+    made_by = EXTRAPOLATE if makers.share(EXTRAPOLATE) else WARP
+    risk = _risk_of_warp(interval, slot, pixels)
+    return Predicted(pixels, FrameKind.GENERATED, CAUSAL, _seen(interval), made_by, risk)
+
+
+def _composed(plan: TilePlan, interval: Interval, slot: int) -> Float32:
+    """Make a slot of what warping and the network make in their tiles."""
+
+    def make() -> Float32:
+        makers = plan.makers(slot)
+        pixels = interval.warp(slot).make(interval.key.image.pixels)
+        warped_again, extrapolated = map(makers.made_by, (REWARP, EXTRAPOLATE))
+        if warped_again.any():
+            before = _composed(plan, interval, slot - 1)
+            again = Mover(interval.step_back(slot), interval.linear).warp_alone(before)
+            pixels = lay_over(pixels, again, interval.mosaic.weight(warped_again))
+        if extrapolated.any():
+            made = interval.extrapolated_in(slot, extrapolated)
+            pixels = lay_over(pixels, made, interval.mosaic.weight(extrapolated))
+        return pixels
+
+    return interval.composed(slot, make)
+
+
 def _warp(interval: Interval, slot: int) -> Predicted:
     """Warp the key frame, the paper's path S6, and let light move on as it did before."""
     if interval.estimated and not interval.has_motion:
@@ -305,11 +343,14 @@ def _judged(name: str, judge: Judge, gated: bool = False) -> Method:
     return Method(name, None, lookahead=False, needs_motion=True, judge=judge, gated=gated)
 
 
+FRAMEWISE = _judged(CAUSAL, Judge.POLICY, gated=True)
+"""`causal` as the paper has it: a policy chooses one path for whole frames."""
+
 METHODS: Mapping[str, Method] = {
     method.name: method
     for method in (
         _looking_ahead(EXWARP, weighs=True, gated=True),
-        _judged(CAUSAL, Judge.POLICY, gated=True),
+        _judged(CAUSAL, Judge.TILES, gated=True),
         *map(_fixed, PATHS),
         _judged("oracle", Judge.PSNR),
         _judged("oracle-return", Judge.RETURN),

@@ -156,7 +156,7 @@ def train_policy(
         "left_out": folds,
     }
     atomic_write_text(output / REPORT, json.dumps(report, separators=(",", ":")) + "\n")
-    _note_checksums(output, [SHIPPED_POLICY, FLOAT_MODEL, INTEGER_MODEL, *written])
+    note_checksums(output, [SHIPPED_POLICY, FLOAT_MODEL, INTEGER_MODEL, *written])
     return report
 
 
@@ -229,7 +229,7 @@ def _save(
     save_network(path, learned.network, metadata, learned.single if whole else ())
 
 
-def _note_checksums(folder: Path, names: Sequence[str]) -> None:
+def note_checksums(folder: Path, names: Sequence[str]) -> None:
     """Write the files' checksums beside those that are there."""
     path = folder / CHECKSUMS
     try:

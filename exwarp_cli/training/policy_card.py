@@ -75,3 +75,22 @@ def _head(*cells: str) -> str:
 
 def _rule(count: int) -> str:
     return "|" + "---|" * count
+
+
+def tile_card(report: dict[str, Any]) -> str:
+    """Return what ``tile-policy.json`` holds: what choices gain at some shares of the area.
+
+    In per cent of what E gains everywhere, in dB over all scenes.
+    """
+    curves = report["gain_percent"]
+    shares = list(next(iter(curves.values())))
+    lines = [_head("choice", *(f"{float(share):.0%} of the area" for share in shares))]
+    lines.append(_rule(1 + len(shares)))
+    lines += [
+        _head(name, *(f"{found[share]:.0f} %" for share in shares))
+        for name, found in curves.items()
+    ]
+    whole = ", ".join(
+        f"{scene} {gain:+.2f}" for scene, gain in report["extrapolator_gain_db"].items()
+    )
+    return "\n".join([*lines, "", f"E everywhere gains, in dB: {whole}."])

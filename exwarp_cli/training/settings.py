@@ -120,7 +120,20 @@ class PolicySettings:
     seed: int = 0
 
 
-def require_sane_policy(settings: PolicySettings) -> None:
+@dataclass(frozen=True)
+class TilePolicySettings:
+    """How the policy of tiles is trained; attributes as of `PolicySettings`."""
+
+    steps: int = 3000
+    batch: int = 128
+    rate: float = 1e-3
+    decay: float = 1e-3
+    jitter: float = 0.03
+    lag: int = 200
+    seed: int = 0
+
+
+def require_sane_policy(settings: PolicySettings | TilePolicySettings) -> None:
     """Refuse settings that no training of a policy can begin with; raises UsageError."""
     if not 0 < settings.rate < 1:
         raise UsageError(f"--rate {settings.rate:g} is not between 0 and 1; try 0.001")

@@ -15,6 +15,12 @@ from exwarp_cli.io.models import shipped_folder
 from exwarp_cli.pipeline.bench.side_by_side import follow_parent, side_by_side
 from exwarp_cli.training.measuring import VIEWS, Measured, View, fits, measure, network
 from exwarp_cli.training.policy_table import PolicyTable, joined, load_table, save_table
+from exwarp_cli.training.tile_table import (
+    TileTable,
+    load_tile_table,
+    measure_tiles,
+    save_tile_table,
+)
 
 Say = Callable[[str], None]
 
@@ -85,6 +91,43 @@ def find_tables(survey: Survey, tables: Path | None, output: Path, say: Say) -> 
         save_table(path, table)
     # Read back, so that a training from the files gives the same network.
     return [load_table(path) for path in paths]
+
+
+TILE_TABLES = "tiles"
+"""Folder of the tables of tiles, beside the models."""
+
+
+def find_tile_tables(
+    data: Path | None, model: Path | None, tables: Path | None, output: Path, say: Say
+) -> list[TileTable]:
+    """Measure the tiles of benchmark scenes and write their tables, or read those that are there.
+
+    A scene whose table is in the output folder, made with the same network, is not measured again.
+    Parameters and errors are those of `find_tables`.
+    """
+    if data is None:
+        if model is not None:
+            raise UsageError("--extrapolator is for measuring scenes; give --data too")
+        folder = tables or shipped_folder() / TILE_TABLES
+        found = [load_tile_table(path) for path in sorted(folder.glob("*.npz"))]
+        if not found:
+            raise InputError(f"{folder} holds no table of tiles; make some with --data")
+        return found
+    if tables is not None:
+        raise UsageError("--data makes tables and --tables takes those that are there; give one")
+    make_folder(output / TILE_TABLES)
+    return [_tiles_of(scene, model, output, say) for scene in find_scenes(data, BENCHMARK)]
+
+
+def _tiles_of(scene: RenderedScene, model: Path | None, output: Path, say: Say) -> TileTable:
+    """Return the table of a scene as its file has it, which is made where there is none."""
+    path = output / TILE_TABLES / f"{scene.name}.npz"
+    if path.exists():
+        known = load_tile_table(path)
+        if known.network == network(model).checksum:
+            return known
+    save_tile_table(path, measure_tiles(scene, network(model), say))
+    return load_tile_table(path)
 
 
 def build_tables(survey: Survey, say: Say) -> list[PolicyTable]:

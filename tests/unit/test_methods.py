@@ -58,7 +58,7 @@ class TestRegistry:
         table = {m.name: (m.lookahead, m.needs_motion, m.path, m.judge) for m in METHODS.values()}
         assert table == {
             "exwarp": (True, True, None, None),
-            "causal": (False, True, None, Judge.POLICY),
+            "causal": (False, True, None, Judge.TILES),
             **{f"s{i}": (False, True, f"S{i}", None) for i in range(1, 6)},
             "s6": (False, True, "S6", None),
             "oracle": (False, True, None, Judge.PSNR),

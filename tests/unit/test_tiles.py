@@ -1,203 +1,180 @@
-"""Cutting pictures into tiles, and how far networks see."""
+"""Frames that are made tile by tile: what is chosen, where the network is run, and no seams."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
-import onnx
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from onnx import helper
 
-from exwarp_cli.domain.extrapolator import INPUTS, OUTPUT, NetworkInputs, cut
-from exwarp_cli.io import models
-from exwarp_cli.io.models import OnnxExtrapolator, load_extrapolator, reach_of
-from tests.unit.tiny_models import blur, convolution, filled_warp, inputs, model, save
-
-STRIDE = 8
-TINY = 4096
-"""Pixels of a tile in these tests."""
+from exwarp_cli.domain.decision import EXTRAPOLATE, WARP
+from exwarp_cli.domain.extrapolator import Inputs
+from exwarp_cli.domain.frame import Float32, Window
+from exwarp_cli.domain.tiles import REWARP, TILE_PATHS, TileMakers, TilePlan, paths_of
+from exwarp_cli.synthesis.methods import take, take_tiles
+from exwarp_cli.synthesis.mosaic import HALO, Mosaic, extrapolate_in, lay_over
+from exwarp_cli.synthesis.risk import Tiles
+from tests.unit.test_paths import SLOTS, Painter, interval, painted
 
 
-@given(
-    st.tuples(st.integers(1, 60), st.integers(1, 60)),
-    st.sampled_from([1, 8, 16]),
-    st.integers(0, 100),
-    st.integers(256, 60000),
-)
-def test_tiles_cover_each_pixel_once_and_keep_off_borders_inside(cells, stride, seen, most):
-    size = (cells[0] * stride, cells[1] * stride)
-    count = np.zeros(size, int)
-    tiles = cut(size, stride, seen, most)
+@dataclass
+class Careful(Painter):
+    """Remembers how much of each frame it was shown."""
+
+    shapes: list[tuple[int, int]] = field(default_factory=list)
+
+    def __call__(self, inputs: Inputs) -> Float32:
+        self.shapes.append(inputs.shape)
+        return super().__call__(inputs)
+
+
+def mosaic(width: int = 427, height: int = 240) -> Mosaic:
+    window = Window(0, 0, width, height)
+    return Mosaic.of(Tiles(window, window))
+
+
+def marks(shown: Mosaic, *tiles: tuple[int, int]) -> np.ndarray:
+    chosen = np.zeros((len(shown.down), len(shown.across)), np.bool_)
     for tile in tiles:
-        count[tile[0].kept, tile[1].kept] += 1
-        for span, length in zip(tile, size, strict=True):
-            assert span.begin % stride == span.end % stride == 0
-            assert 0 <= span.begin <= span.first < span.last <= span.end <= length
-            assert span.begin == span.first == 0 or span.first - span.begin >= seen
-            assert span.end == span.last == length or span.end - span.last >= seen
-    assert (count == 1).all()
-    assert len({tuple(s.end - s.begin for s in tile) for tile in tiles}) == 1
+        chosen[tile] = True
+    return chosen
 
 
-@pytest.mark.parametrize("size", [(1088, 1920), (2160, 3840), (4320, 7680)])
-@pytest.mark.parametrize("most", [2**19, 2**20])
-def test_tiles_of_large_frames_fit_and_cost_little_more(size, most):
-    tiles = cut(size, 16, 80, most)
-    pixels = [(row.end - row.begin) * (column.end - column.begin) for row, column in tiles]
-    assert max(pixels) <= most
-    assert sum(pixels) <= 1.65 * size[0] * size[1]
+class TestChoices:
+    @pytest.mark.parametrize("path", TILE_PATHS)
+    def test_a_path_is_known_by_what_made_its_slots(self, path):
+        plan = TilePlan.fixed(3, 2, path)
+        assert paths_of(plan.makers(2), plan.makers(3)) == plan.paths
+        assert plan.makers(1).share(WARP) == 1
+
+    def test_what_is_written_is_read(self):
+        plan = TilePlan(2, 2, ("S3", "S4", "S5", "S6"))
+        assert plan.makers(3).text == "2x2:erew"
+        assert TileMakers.parsed("2x2:erew") == plan.makers(3)
+        assert plan.makers(3).made_by(REWARP).tolist() == [[False, True], [False, False]]
+        assert plan.makers(2).share(EXTRAPOLATE) == 0.5
+
+    @pytest.mark.parametrize("text", ["", "2x2:ere", "2x2:erex", "0x2:", "2x2", "x2:ee"])
+    def test_what_says_nothing_of_tiles_is_refused(self, text):
+        with pytest.raises(ValueError, match="says nothing of tiles"):
+            TileMakers.parsed(text)
 
 
-def test_a_picture_that_fits_is_one_tile():
-    assert len(cut((480, 864), 16, 80, 2**20)) == 1
+class TestMosaic:
+    @pytest.mark.parametrize("size", [(427, 240), (1920, 1080), (64, 48), (33, 7)])
+    def test_tiles_cover_the_frame_once(self, size):
+        shown = mosaic(*size)
+        width, height = size
+        assert [row for a, b in shown.down for row in range(a, b)] == list(range(height))
+        assert [column for a, b in shown.across for column in range(a, b)] == list(range(width))
+
+    def test_outer_tiles_reach_to_what_lies_around_the_display(self):
+        shown = Mosaic.of(Tiles(Window(-8, -4, 80, 56), Window(0, 0, 64, 48)))
+        assert shown.shape == (56, 80)
+        assert shown.down[0] == (0, 4 + 6) and shown.down[-1][1] == 56
+
+    def test_a_chosen_tile_counts_in_full_and_fades_beyond(self):
+        shown = mosaic()
+        weight = shown.weight(marks(shown, (3, 5)))
+        (top, bottom), (left, right) = shown.down[3], shown.across[5]
+        assert (weight[top:bottom, left:right] == 1).all()
+        row = weight[(top + bottom) // 2]
+        beyond = row[right : right + shown.ramp + 1]
+        assert (np.diff(beyond) < 0).all() and beyond[-1] == 0 and beyond[0] < 1
+        assert not weight[:, : left - shown.ramp].any()
+        assert shown.ramp < HALO
+
+    def test_neighbours_are_computed_together(self):
+        shown = mosaic()
+        chosen = marks(shown, *((r, c) for r in (2, 3) for c in (4, 5, 6)), (7, 13))
+        boxes = [box for box, _, _ in shown.parts(chosen)]
+        assert sorted((box.rows, box.columns) for box in boxes) == [
+            ((2, 4), (4, 7)), ((7, 8), (13, 14)),
+        ]  # fmt: skip
+
+    def test_scattered_tiles_take_the_whole_frame_where_that_is_less(self):
+        shown = mosaic()
+        chosen = np.indices((8, 14)).sum(axis=0) % 2 == 0
+        ((box, rows, columns),) = shown.parts(chosen)
+        assert (box.rows, box.columns) == ((0, 8), (0, 14))
+        assert (rows, columns) == (slice(0, 240), slice(0, 427))
+
+    def test_each_tile_has_what_was_made_for_it(self):
+        """A box may be looked at by its neighbour, whose own pixels are the better ones there."""
+        shown = mosaic()
+        chosen = marks(shown, (0, 0), (0, 1), (1, 1), (2, 1), (2, 2), (2, 3), (5, 9))
+        asked = []
+
+        def answer(rows: slice, columns: slice) -> Float32:
+            asked.append(rows)
+            shape = 3, rows.stop - rows.start, columns.stop - columns.start
+            return np.full(shape, len(asked), np.float32)
+
+        made = extrapolate_in(shown, chosen, answer)
+        boxes = shown.parts(chosen)
+        assert len(boxes) > 1
+        for number, (box, _, _) in enumerate(boxes, start=1):
+            assert (made[(slice(None), *shown.inside(box))] == number).all()
+        assert not made[:, shown.down[7][0] :, :].any()
+
+    def test_a_weight_of_one_or_none_is_exactly_one_of_the_frames(self):
+        below, above = (np.full((2, 2, 3), value, np.float32) for value in (1e9, 0.1))
+        weight = np.array([[0, 1], [0.5, 1]], np.float32)
+        made = lay_over(below, above, weight)
+        assert (made[0, 0] == below[0, 0]).all() and (made[:, 1] == above[:, 1]).all()
+        assert (made[1, 0] == np.float32(0.5e9)).all()
 
 
-def _shifted(pictures: Mapping[str, np.ndarray], by: int) -> np.ndarray:
-    """Answer with the sum of a picture and itself moved, which leaves 0 behind."""
-    colour = pictures["warped"][:3]
-    width = colour.shape[2]
-    moved = np.zeros_like(colour)
-    moved[..., max(by, 0) : width + min(by, 0)] = colour[..., max(-by, 0) : width - max(by, 0)]
-    return colour + moved
+class TestFrames:
+    @pytest.mark.parametrize("path", TILE_PATHS)
+    @pytest.mark.parametrize("slot", SLOTS)
+    def test_of_one_path_they_are_those_of_that_path(self, path, slot):
+        given = interval()
+        plan = TilePlan.fixed(given.tiles.columns, 8, path)
+        made, expected = take_tiles(plan, given, slot), take(path, interval(), slot)
+        np.testing.assert_array_equal(made.pixels, expected.pixels)
+        assert (made.made_by, made.sources) == (expected.made_by, expected.sources)
 
+    @pytest.mark.parametrize("slot", [2, 3])
+    def test_the_network_paints_the_chosen_tiles_alone(self, slot):
+        given = replace(interval(), extrapolator=Careful())
+        plan, tile = self.plan(given, "S3", (4, 2))
+        made = take_tiles(plan, given, slot).pixels
+        warped = take("S6", interval(), slot).pixels
+        rows, columns = self.pixels(given, tile)
+        np.testing.assert_allclose(made[rows, columns, :3], painted(slot), rtol=1e-5)
+        weight = given.mosaic.weight(plan.makers(slot).made_by(EXTRAPOLATE))
+        np.testing.assert_array_equal(made[weight == 0], warped[weight == 0])
+        assert isinstance(given.extrapolator, Careful)
+        (shape,) = given.extrapolator.shapes
+        assert np.prod(shape) < warped[..., 0].size
 
-def _normalised(pictures: Mapping[str, np.ndarray]) -> np.ndarray:
-    colour = pictures["warped"][:3]
-    return colour - colour.mean()
+    def test_what_the_network_made_is_warped_on(self):
+        given = interval()
+        plan, tile = self.plan(given, "S4", (4, 2))
+        made = take_tiles(plan, given, 3)
+        rows, columns = self.pixels(given, tile)
+        warped = take("S6", interval(), 3).pixels
+        assert not np.array_equal(made.pixels[rows, columns], warped[rows, columns])
+        assert made.made_by == WARP and len(made.sources) == 3
+        assert isinstance(given.extrapolator, Painter)
+        assert given.extrapolator.asked == [0.5]
 
+    def test_no_network_runs_where_no_tile_wants_it(self):
+        given = interval()
+        plan = TilePlan.fixed(given.tiles.columns, 8, "S6")
+        for slot in SLOTS:
+            take_tiles(plan, given, slot)
+        assert isinstance(given.extrapolator, Painter) and not given.extrapolator.asked
 
-def _placed(pictures: Mapping[str, np.ndarray]) -> np.ndarray:
-    colour = pictures["warped"][:3]
-    return colour + np.float32(1e-3) * np.arange(colour.shape[2], dtype=np.float32)
+    @staticmethod
+    def plan(given, path, tile):
+        columns = given.tiles.columns
+        paths = ["S6"] * (8 * columns)
+        paths[tile[0] * columns + tile[1]] = path
+        return TilePlan(columns, 8, tuple(paths)), tile
 
-
-def _swallowing(pictures: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Look 20 pixels away where NaN does not show."""
-    colour = pictures["warped"][:3]
-    return colour + np.nan_to_num(np.roll(colour, 20, axis=2))
-
-
-class TestReach:
-    @pytest.mark.parametrize(("by", "found"), [(0, 0), (1, 8), (8, 8), (9, 16), (-20, 24)])
-    def test_is_found_in_strides(self, by, found):
-        assert reach_of(lambda p: _shifted(p, by), STRIDE) == found
-
-    def test_a_larger_picture_is_tried_where_the_first_is_too_small(self):
-        first = models.SIDES[0]
-        assert reach_of(lambda p: _shifted(p, first * 3 // 4), STRIDE) is not None
-
-    @pytest.mark.parametrize("run", [_normalised, _placed, _swallowing])
-    def test_what_cannot_be_cut_up_is_told(self, run):
-        assert reach_of(run, STRIDE) is None
-
-
-@pytest.fixture
-def load(tmp_path, monkeypatch) -> Callable[[onnx.ModelProto], OnnxExtrapolator]:
-    monkeypatch.setattr(models, "MOST_PIXELS", TINY)
-
-    def run(made: onnx.ModelProto) -> OnnxExtrapolator:
-        return load_extrapolator(save(tmp_path / "model.onnx", made), 1, "cpu")
-
-    return run
-
-
-def given_inputs(height: int, width: int) -> NetworkInputs:
-    rng = np.random.default_rng(height)
-    planes = {name: rng.random((n, height, width), np.float32) for name, n in INPUTS.items()}
-    return NetworkInputs(**planes, time=0.75)
-
-
-def in_one(network: OnnxExtrapolator, given: NetworkInputs, monkeypatch) -> np.ndarray:
-    """Have a network make a frame whole."""
-    monkeypatch.setattr(models, "MOST_PIXELS", 2**30)
-    try:
-        return network(given)
-    finally:
-        monkeypatch.setattr(models, "MOST_PIXELS", TINY)
-
-
-def parts_of(network: OnnxExtrapolator, given: NetworkInputs, monkeypatch) -> int:
-    """Count the parts that a frame is made of."""
-    asked = []
-    whole = NetworkInputs.part
-
-    def part(self: NetworkInputs, rows: slice, columns: slice, *room: object) -> NetworkInputs:
-        asked.append((rows, columns))
-        return whole(self, rows, columns)
-
-    monkeypatch.setattr(NetworkInputs, "part", part)
-    network(given)
-    return len(asked)
-
-
-MADE = {
-    "convolution": lambda: convolution(),
-    "at half the size": lambda: convolution(scale=2, exwarp__stride="2"),
-    "a wide blur": lambda: blur(31),
-    "the warp": lambda: filled_warp(),
-}
-
-
-@pytest.mark.parametrize("size", [(96, 128), (101, 203), (40, 300)])
-@pytest.mark.parametrize("name", MADE)
-def test_there_are_no_seams(load, monkeypatch, name, size):
-    network, given = load(MADE[name]()), given_inputs(*size)
-    whole = in_one(network, given, monkeypatch)
-    np.testing.assert_allclose(network(given), whole, rtol=0, atol=1e-5)
-    assert parts_of(network, given, monkeypatch) > 1
-
-
-def test_a_margin_that_is_too_small_shows(load, monkeypatch):
-    """The comparison above can fail."""
-    network, given = load(blur(31)), given_inputs(96, 128)
-    whole = in_one(network, given, monkeypatch)
-    monkeypatch.setattr(network, "_reach", 8, raising=False)
-    assert np.abs(network(given) - whole).max() > 1e-3
-
-
-def test_a_network_that_sees_everything_is_given_everything(load, monkeypatch):
-    """Such as one that takes off the picture's mean."""
-    taken = filled_warp()
-    nodes = [
-        *(replace_output(node, OUTPUT, "own") for node in taken.graph.node),
-        helper.make_node("GlobalAveragePool", ["own"], ["mean"]),
-        helper.make_node("Sub", ["own", "mean"], [OUTPUT]),
-    ]
-    weights = {t.name: onnx.numpy_helper.to_array(t) for t in taken.graph.initializer}
-    network = load(model(nodes, inputs(["warped", "mask"]), weights=weights))
-    given = given_inputs(96, 128)
-    own = given.warped[3:]
-    mean = own.mean(axis=(1, 2), keepdims=True)
-    np.testing.assert_allclose(network(given), own - mean, rtol=0, atol=1e-5)
-    assert parts_of(network, given, monkeypatch) == 1
-
-
-def replace_output(node: onnx.NodeProto, old: str, new: str) -> onnx.NodeProto:
-    copy = onnx.NodeProto()
-    copy.CopyFrom(node)
-    copy.output[:] = [new if name == old else name for name in node.output]
-    return copy
-
-
-def test_the_shipped_network_has_no_seams(monkeypatch):
-    network = load_extrapolator(None, 2, "cpu")
-    given = given_inputs(330, 504)
-    whole = network(given)
-    monkeypatch.setattr(models, "MOST_PIXELS", 272 * 320)
-    found = network(given)
-    assert network._reach == 96
-    np.testing.assert_allclose(found, whole, rtol=0, atol=1e-5)
-    assert parts_of(network, given, monkeypatch) >= 4
-
-
-def test_a_part_of_the_inputs_is_that_of_the_planes():
-    whole = given_inputs(20, 30)
-    rows, columns = slice(3, 9), slice(11, 40)
-    part = replace(whole).part(rows, columns)
-    assert part.shape == (6, 19) and part.time == whole.time
-    for name, planes in part.pictures.items():
-        np.testing.assert_array_equal(planes, whole.pictures[name][:, rows, columns])
+    @staticmethod
+    def pixels(given, tile):
+        shown = given.mosaic
+        return slice(*shown.down[tile[0]]), slice(*shown.across[tile[1]])
