@@ -71,6 +71,9 @@ class BenchSettings:
         Key intervals that are measured side by side; None for one a core.
     device
         What networks run on.
+    clock
+        Out of `real_time.CLOCKS`, to measure what a display shows in real time as well; None for
+        the offline figures alone.
     """
 
     inputs: tuple[str, ...]
@@ -91,6 +94,7 @@ class BenchSettings:
     metrics: tuple[str, ...] = ()
     jobs: int | None = None
     device: str = "cpu"
+    clock: str | None = None
 
 
 def is_lookahead(system: str) -> bool:

@@ -21,7 +21,14 @@ from exwarp_cli.metrics import extranet
 from exwarp_cli.metrics.flicker import error
 from exwarp_cli.metrics.registry import score
 from exwarp_cli.pipeline.bench.opened import Opened
-from exwarp_cli.pipeline.bench.pictures import FIXED_PATHS, Pictures, makers_of, name_on, names_of
+from exwarp_cli.pipeline.bench.pictures import (
+    FIRST_SLOTS,
+    FIXED_PATHS,
+    Pictures,
+    makers_of,
+    name_on,
+    names_of,
+)
 from exwarp_cli.pipeline.interval_inputs import IntervalInputs
 from exwarp_cli.pipeline.scoring import SLOTS, Steps, flicker_of, steps_of, vmaf_of
 from exwarp_cli.policy.outcomes import METRICS as JUDGED
@@ -114,10 +121,13 @@ class Scores:
         return extranet.score(self.truth[MIDDLE], self.pictures[name])
 
     def _quality(self, node: str, choice: str) -> list[float]:
-        path = next(name for name, path in PATHS.items() if path.choices.get(node) == choice)
-        everywhere, _ = self.of(name_on(path, SLOT_OF[node]), SLOT_OF[node])
+        path = next(path for path in PATHS.values() if path.choices.get(node) == choice)
+        everywhere, _ = self.of(name_on(path.made_by, SLOT_OF[node]), SLOT_OF[node])
         return [getattr(everywhere, name) for name in JUDGED]
 
+
+SLOT_SCORES = "slot_scores"
+"""What a part has besides where a clock is asked for: see `_slot_scores`."""
 
 PART_VERSION = 1
 """Raised whenever the same input would give other numbers."""
@@ -148,7 +158,8 @@ def measure(opened: Opened, inputs: IntervalInputs) -> dict[str, Any]:
         ``key``, the key frame's number; ``holes``, the share of slots 1 to 3 that W cannot see;
         ``features`` of the three instants of decision; ``paths`` of the choosing systems;
         ``returns`` of S1 to S6; ``warp_psnr_db`` of W at slots 1 to 3; ``systems``, for each the
-        scores of its three frames; ``extranet``, scores of pictures by ExtraNet's procedure.
+        scores of its three frames; ``extranet``, scores of pictures by ExtraNet's procedure. With
+        a clock ``slot_scores`` as well.
     """
     interval = opened.interval(inputs)
     surroundings = opened.look(inputs, interval)
@@ -164,7 +175,7 @@ def measure(opened: Opened, inputs: IntervalInputs) -> dict[str, Any]:
     paths, gains = _paths(opened, scores, opened.decide(surroundings))
     shown = {name: names_of(name, paths.get(name)) for name in _systems(opened)}
     scores.add_vmaf(list(shown.values()))
-    return {
+    part = {
         "key": opened.number(inputs.key),
         "holes": [float(masks[slot].mean()) if slot in masks else None for slot in SLOTS],
         "features": [[float(v) for v in astuple(seen)] for seen in surroundings.now],
@@ -177,6 +188,34 @@ def measure(opened: Opened, inputs: IntervalInputs) -> dict[str, Any]:
         },
         "extranet": _by_extranet(scores, shown),
     }
+    if opened.settings.clock is not None:
+        part[SLOT_SCORES] = _slot_scores(opened, scores.pictures, scores.truth)
+    return part
+
+
+def measure_slots(opened: Opened, inputs: IntervalInputs) -> dict[str, Any]:
+    """Return what a part lacks for the real-time clock if it was measured without one."""
+    pictures = opened.pictures(inputs, opened.interval(inputs))
+    return {SLOT_SCORES: _slot_scores(opened, pictures, opened.truth(inputs.key))}
+
+
+def _slot_scores(
+    opened: Opened, pictures: Pictures, truth: Mapping[int, Float32]
+) -> dict[str, list[list[float] | None]]:
+    """Return PSNR and SSIM of each picture of the tree at slots 1 to 3, as if repeated there.
+
+    None stands before a picture's first slot. Without our network nothing is extrapolated.
+    """
+    return {
+        name: [_judged(truth[slot], pictures[name]) if slot >= first else None for slot in SLOTS]
+        for name, first in FIRST_SLOTS.items()
+        if opened.networks.own is not None or "E" not in name
+    }
+
+
+def _judged(truth: Float32, picture: Float32) -> list[float]:
+    over, _ = score(truth, picture, None, frozenset(JUDGED))
+    return [getattr(over, metric) for metric in JUDGED]
 
 
 def _systems(opened: Opened) -> tuple[str, ...]:

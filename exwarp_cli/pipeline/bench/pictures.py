@@ -8,7 +8,7 @@ is the key frame again, ``W2`` the key frame warped to slot 2, ``E3`` extrapolat
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -28,16 +28,26 @@ REPEATED = "F"
 IMPORTED = "extranet "
 """Before the names of pictures that the imported ExtraNet has made, or that come from those."""
 
+FIRST_SLOTS = {REPEATED: 1, "W1": 1, "W2": 2, "E2": 2, "W3": 3, "W(E2)": 3, "E3": 3}
+"""Every picture that a decision path shows, by the first slot at which it can stand."""
+
 FIXED_PATHS = {name: name.upper() for name in FIXED} | {EXTRANET: "S1", EXTRANET_FAST: "S3"}
 """The path that a system takes in every key interval."""
 
 
-def name_on(path: str, slot: int) -> str:
-    """Return the name of the picture that a path shows at a slot, 1 to 3."""
-    made_by = PATHS[path].made_by
+def name_on(made_by: Sequence[str], slot: int) -> str:
+    """Return the name of the picture that stands at a slot, 1 to 3.
+
+    Parameters
+    ----------
+    made_by
+        What makes the frames of slots 1 to 3 of a decision path: warp, extrapolate or hold.
+    slot
+        Which of them.
+    """
     maker = made_by[slot - 1]
     if maker == HOLD:
-        return REPEATED if slot == 1 else name_on(path, slot - 1)
+        return REPEATED if slot == 1 else name_on(made_by, slot - 1)
     if maker == WARP and slot == FACTOR - 1 and made_by[1] == EXTRAPOLATE:
         return "W(E2)"
     return f"{'E' if maker == EXTRAPOLATE else 'W'}{slot}"
@@ -54,7 +64,7 @@ def names_of(system: str, path: str | None) -> tuple[str, ...]:
         The path that it takes in this interval; None for one outside the decision tree.
     """
     if path is not None:
-        names = [name_on(path, slot) for slot in SLOTS]
+        names = [name_on(PATHS[path].made_by, slot) for slot in SLOTS]
         foreign = system in (EXTRANET, EXTRANET_FAST)
         return tuple(IMPORTED + name if foreign and "E" in name else name for name in names)
     if system == HOLD:

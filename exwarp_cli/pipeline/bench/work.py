@@ -22,7 +22,7 @@ from exwarp_cli.io.exr.template import render_seconds
 from exwarp_cli.io.machine import processors
 from exwarp_cli.io.threads import use_threads
 from exwarp_cli.pipeline.announcing import other_extrapolator
-from exwarp_cli.pipeline.bench.measure import identity, measure
+from exwarp_cli.pipeline.bench.measure import SLOT_SCORES, identity, measure, measure_slots
 from exwarp_cli.pipeline.bench.opened import Networks, Opened, load_networks
 from exwarp_cli.pipeline.bench.plan import Subject, subjects_of
 from exwarp_cli.pipeline.bench.side_by_side import follow_parent, side_by_side, tell
@@ -286,16 +286,22 @@ def _part(opened: Opened, key: int) -> tuple[dict[str, Any], bool]:
     known: dict[str, Any] | None = None
     token = ""
 
+    def is_complete(part: dict[str, Any]) -> bool:
+        return opened.settings.clock is None or SLOT_SCORES in part
+
     def needed(recipes: dict[int, str]) -> bool:
         nonlocal known, token
         token = identity(opened, key, recipes)
         known = _kept(path, token)
-        return known is None
+        return known is None or not is_complete(known)
 
     loaded = opened.load(key, needed)
-    if known is not None:
+    if known is None:
+        measured = measure(opened, loaded) | {"identity": token}
+    elif is_complete(known):
         return known, False
-    measured = measure(opened, loaded) | {"identity": token}
+    else:
+        measured = known | measure_slots(opened, loaded)
     atomic_write_text(path, json.dumps(measured) + "\n")
     return measured, True
 
