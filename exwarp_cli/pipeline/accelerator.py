@@ -70,8 +70,8 @@ class Trace:
     schedule: Schedule
 
 
-def clock_of(text: str) -> float:
-    """Read a clock rate, as ``500MHz``, ``1.5GHz`` or ``1e9``, in hertz.
+def clock_of(text: str, option: str = "--clock") -> float:
+    """Read a clock rate, as ``500MHz``, ``1.5GHz`` or ``1e9``, in hertz; errors name the option.
 
     Raises
     ------
@@ -84,7 +84,7 @@ def clock_of(text: str) -> float:
     except ValueError:
         hertz = math.nan
     if not (math.isfinite(hertz) and hertz > 0):
-        raise UsageError(f"--clock {text} is no clock rate; give one as 500MHz, 1.5GHz or 1e9")
+        raise UsageError(f"{option} {text} is no clock rate; give one as 500MHz, 1.5GHz or 1e9")
     return hertz
 
 

@@ -100,34 +100,37 @@ def choices(document: Document) -> Table:
         for system in ("exwarp", "oracle", "oracle-return"):
             if system not in row:
                 continue
-            found = row[system]
-            warp = found["warp_share"]
-            cells = {
-                "system": system,
-                "warp": warp,
-                "extrapolate": None if warp is None else 1 - warp,
-            }
-            nodes = {
-                node: _share(counts["warp"], counts["extrapolate"])
-                for node, counts in found["nodes"].items()
-            }
-            paths = {name.lower(): count for name, count in found["paths"].items()}
-            rows.append(what(row) | cells | nodes | paths)
+            rows.append(what(row) | {"system": system} | choice_cells(row[system]))
     return Table(
         "decisions",
         "Breakdown of the decisions (Figure 9)",
         f"Shares of warping among all decisions and at each node, and key intervals by path. The "
         f"paper's mean share of warps is {document['decisions'][0]['paper_warp_share']:.2%}.",
-        (
-            *WHAT,
-            SYSTEM,
-            Column("warp", "warp", ".1%"),
-            Column("extrapolate", "extrapolate", ".1%"),
-            *(Column(f"d{i}", f"d{i} warp", ".0%") for i in range(1, 6)),
-            *(Column(path, path.upper(), "d") for path in FIXED),
-        ),
+        (*WHAT, SYSTEM, *CHOICE_COLUMNS),
         tuple(rows),
     )
+
+
+CHOICE_COLUMNS = (
+    Column("warp", "warp", ".1%"),
+    Column("extrapolate", "extrapolate", ".1%"),
+    *(Column(f"d{i}", f"d{i} warp", ".0%") for i in range(1, 6)),
+    *(Column(path, path.upper(), "d") for path in FIXED),
+)
+
+
+def choice_cells(found: Document) -> Document:
+    """Return the cells of `CHOICE_COLUMNS` for what `report.decisions.decisions` counted."""
+    warp = found["warp_share"]
+    return {
+        "warp": warp,
+        "extrapolate": None if warp is None else 1 - warp,
+        **{
+            node: _share(counts["warp"], counts["extrapolate"])
+            for node, counts in found["nodes"].items()
+        },
+        **{name.lower(): count for name, count in found["paths"].items()},
+    }
 
 
 def _share(part: int, rest: int) -> float | None:

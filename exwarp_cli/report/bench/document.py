@@ -6,6 +6,7 @@ from exwarp_cli import __version__
 from exwarp_cli.accel.mac_array import Schedule
 from exwarp_cli.pipeline.bench.work import Benchmark, Measured
 from exwarp_cli.report.bench.choices import decisions_row, features_row, fps_row, holes_row
+from exwarp_cli.report.bench.clocked import real_time
 from exwarp_cli.report.bench.cost import predictor_cost, render_time_row, runtime_row
 from exwarp_cli.report.bench.naming import Document, about_system, identify
 from exwarp_cli.report.bench.quality import comparison_row, extranet_row, quality_row
@@ -33,6 +34,7 @@ def document(found: Benchmark, predictor: Schedule, clock_hz: float) -> Document
         stands under ``paper``.
     """
     rows = found.measured
+    clocked = {} if found.settings.clock is None else {"real_time": real_time(found)}
     plain: Document = finite(
         {
             "schema": SCHEMA,
@@ -52,6 +54,7 @@ def document(found: Benchmark, predictor: Schedule, clock_hz: float) -> Document
             "predictor": predictor_cost(predictor, clock_hz),
             "extranet_procedure": [extranet_row(one) for one in rows],
             "render_time": [render_time_row(one) for one in rows],
+            **clocked,
         }
     )
     return plain

@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 from typing import Any
 
-from exwarp_cli.domain.bench import FIXED, SYSTEMS
+from exwarp_cli.domain.bench import CHOOSERS, FIXED, POLICY, SYSTEMS
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.pipeline.bench.work import Benchmark
 from exwarp_cli.report.bench.choices import EFFECTIVE, feature_points
@@ -16,6 +16,8 @@ from exwarp_cli.report.plots import Panel, bars, scatter, stacked_bars
 COMPARED = ("exwarp", "s1", "s6", "softsplat", "minterpolate")
 """Systems in the figure of Table VII, of those that are always there."""
 
+RATED = (POLICY, "s1", "s2", "s3")
+"""Systems in the figures of the effective rate."""
 
 FEW = 3
 """Sequences that bars can stand beside each other for at every share of holes."""
@@ -129,7 +131,7 @@ def compared(document: Document) -> Figure | None:
 def fps(document: Document) -> Figure | None:
     """Draw Figure 8: the effective rate."""
     rows = document["fps"]
-    names = [name for name in ("exwarp", "s1", "s2", "s3") if name in rows[0]["effective"]]
+    names = [name for name in RATED if name in rows[0]["effective"]]
     if not names:
         return None
     labels = Labels(
@@ -154,3 +156,50 @@ def decisions(document: Document) -> Figure | None:
         "extrapolate": [None if share is None else 100 * (1 - share) for share in shares],
     }
     return stacked_bars(labels, labels_of(document), parts, kinds=True)
+
+
+def clocked_fps(document: Document) -> Figure | None:
+    """Draw Figure 8 under the clock."""
+    found = document["real_time"]
+    rows = [row["systems"] for row in found["rows"]]
+    names = [name for name in (*RATED, "oracle-return") if name in rows[0]]
+    if not names:
+        return None
+    labels = Labels(
+        "Effective rate in real time", "", "frames per second",
+        "Base rate and the new frames that are ready at their slots.",
+    )  # fmt: skip
+    values = {name: [row[name]["effective"] for row in rows] for name in names}
+    return bars(labels, labels_of(document), values)
+
+
+def clocked_decisions(document: Document) -> Figure | None:
+    """Draw Figure 9 under the clock: who knows the clock decides otherwise."""
+    rows = [row["systems"] for row in document["real_time"]["rows"]]
+    names = [name for name in CHOOSERS if name in rows[0]]
+    if not names:
+        return None
+    labels = Labels(
+        "Share of warping in real time", "", "% of the decisions",
+        "Of the policy, and of oracles that know the clock.",
+    )  # fmt: skip
+    shares = {name: [row[name]["decisions"]["warp_share"] for row in rows] for name in names}
+    percents = {
+        name: [None if share is None else 100 * share for share in values]
+        for name, values in shares.items()
+    }
+    return bars(labels, labels_of(document), percents)
+
+
+def clocked_slots(document: Document) -> Figure | None:
+    """Draw what comes of the policy's decisions under the clock."""
+    rows = [row["systems"].get(POLICY) for row in document["real_time"]["rows"]]
+    known = [row["slots"] for row in rows if row is not None]
+    if len(known) < len(rows):
+        return None
+    labels = Labels(
+        "Slots of the policy in real time", "% of the slots",
+        description="New frames by what makes them, and repeats by their reason.",
+    )  # fmt: skip
+    parts = {kind: [100 * row[kind] / sum(row.values()) for row in known] for kind in known[0]}
+    return stacked_bars(labels, labels_of(document), parts)

@@ -40,6 +40,13 @@ RUNTIME = {
     "SL3": Runtime(2.1, 2.91, 4.63, 13.78),
 }
 
+RUNTIME_SIZES = {
+    854 * 480: ("LB", "TR", "VL", "TN", "SL"),
+    1280 * 720: ("TN2", "SL2"),
+    1920 * 1080: ("TN3", "SL3"),
+}
+"""Applications of Table III by the pixels of their frames: 480p, 720p and 1080p."""
+
 _PSNR = {
     "LB": (20.63, 20.58, 20.05, 23.91, 21.43, 25.01, 28.65),
     "TR": (19.82, 19.18, 19.11, 22.60, 20.19, 23.68, 17.30),

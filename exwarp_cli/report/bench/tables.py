@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from exwarp_cli.report.bench import choice_tables, cost_tables, quality_tables
+from exwarp_cli.report.bench import choice_tables, clocked_tables, cost_tables, quality_tables
 from exwarp_cli.report.bench.columns import Column, Table, known_columns
 from exwarp_cli.report.bench.naming import Document
 
@@ -25,6 +25,15 @@ MAKERS: Sequence[Callable[[Document], Table]] = (
 )
 
 
+CLOCKED_MAKERS: Sequence[Callable[[Document], Table]] = (
+    clocked_tables.fps,
+    clocked_tables.paths,
+    clocked_tables.choices,
+    clocked_tables.slots,
+)
+
+
 def tables_of(document: Document) -> tuple[Table, ...]:
-    """Return every table of a benchmark, in the paper's order."""
-    return tuple(make(document) for make in MAKERS)
+    """Return every table of a benchmark, in the paper's order; then those of a clock."""
+    makers = (*MAKERS, *CLOCKED_MAKERS) if "real_time" in document else MAKERS
+    return tuple(make(document) for make in makers)

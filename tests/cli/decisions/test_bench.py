@@ -272,7 +272,8 @@ def test_tables_say_what_is_looked_ahead_and_what_the_paper_prints(exwarp, netwo
         (("--systems", "s7"), ("--systems", "'s7'", "softsplat")),
         (("--systems", " ,"), ("--systems is empty", "softsplat")),
         (("--metrics", "beauty"), ("--metrics", "'beauty'")),
-        (("--clock", "fast"), ("--clock fast",)),
+        (("--predictor-clock", "fast"), ("--predictor-clock fast",)),
+        (("--clock", "1GHz"), ("--clock", "table3", "measured")),
     ],
 )
 def test_options_that_make_no_sense(bench, options, words):
