@@ -56,8 +56,8 @@ FILE = click.Path(path_type=Path)
 @click.option(
     "--clock",
     type=click.Choice(CLOCKS),
-    help="Also show what a 120 Hz display shows in real time, by the paper's run times (table3) or "
-    "this machine's (measured).",
+    help="Add what a 120 Hz display shows in real time, with late frames dropped. Run times are "
+    "the paper's, by the size of the frames or as if they had another one, or this machine's.",
 )
 @click.option(
     "--predictor-clock", default="1GHz", metavar="RATE", help="Of the predictor's hardware."

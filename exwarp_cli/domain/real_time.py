@@ -22,9 +22,14 @@ BASE_FPS = REFRESH_HZ / FACTOR
 
 SLOT_MS = 1000 / REFRESH_HZ
 
+TABLE_PIXELS = {"480p": 854 * 480, "720p": 1280 * 720, "1080p": 1920 * 1080}
+"""Sizes of frames in the paper's Table III, in pixels."""
+
 TABLE, MEASURED = "table3", "measured"
-CLOCKS = (TABLE, MEASURED)
-"""Where latencies come from: the paper's Table III, or this machine's run times."""
+TABLE_AS = {f"{TABLE}-{size}": size for size in TABLE_PIXELS}
+CLOCKS = (TABLE, *TABLE_AS, MEASURED)
+"""Where latencies come from: Table III by the size of the frames, or as if they had one of its
+sizes; or this machine's run times."""
 
 BY_PATH, LATE, BUSY = "by path", "late", "busy"
 REASONS = (BY_PATH, LATE, BUSY)

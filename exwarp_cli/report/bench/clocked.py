@@ -13,10 +13,12 @@ from exwarp_cli.domain.bench import BEST_PSNR, BEST_RETURN, FIXED, POLICY
 from exwarp_cli.domain.decision import EXTRAPOLATE, PATHS, WARP
 from exwarp_cli.domain.real_time import (
     BASE_FPS,
+    MEASURED,
     REASONS,
     REFRESH_HZ,
     SLOT_MS,
-    TABLE,
+    TABLE_AS,
+    TABLE_PIXELS,
     ClockedInterval,
     Latencies,
     effective_fps,
@@ -55,10 +57,11 @@ def real_time(found: Benchmark) -> Document:
 
 def clocked_row(one: Measured, clock: str) -> Document:
     """Return what a sequence shows under a clock."""
-    if clock == TABLE:
-        latencies = table_latencies(one.about["width"] * one.about["height"])
-    else:
+    if clock == MEASURED:
         latencies = measured_latencies(one.timing["steps_ms"])
+    else:
+        own = one.about["width"] * one.about["height"]
+        latencies = table_latencies(TABLE_PIXELS[TABLE_AS[clock]] if clock in TABLE_AS else own)
     schedules = {path: play_interval(path, latencies) for path in PATHS}
     taken = _paths(one, schedules)
     return identify(one) | {
@@ -82,10 +85,10 @@ def table_latencies(pixels: int) -> Latencies:
     W is G-buffer generation and warping, E all four steps. Means over the applications of each size
     are interpolated by pixels; smaller frames count as 480p, larger ones in proportion to 1080p.
     """
-    sizes = list(paper.RUNTIME_SIZES)
+    sizes = [TABLE_PIXELS[size] for size in paper.RUNTIME_APPS]
     steps = [
         np.mean([astuple(paper.RUNTIME[app]) for app in apps], axis=0)
-        for apps in paper.RUNTIME_SIZES.values()
+        for apps in paper.RUNTIME_APPS.values()
     ]
     larger = max(pixels / sizes[-1], 1.0)
     warp, extrapolate = (

@@ -40,12 +40,12 @@ RUNTIME = {
     "SL3": Runtime(2.1, 2.91, 4.63, 13.78),
 }
 
-RUNTIME_SIZES = {
-    854 * 480: ("LB", "TR", "VL", "TN", "SL"),
-    1280 * 720: ("TN2", "SL2"),
-    1920 * 1080: ("TN3", "SL3"),
+RUNTIME_APPS = {
+    "480p": ("LB", "TR", "VL", "TN", "SL"),
+    "720p": ("TN2", "SL2"),
+    "1080p": ("TN3", "SL3"),
 }
-"""Applications of Table III by the pixels of their frames: 480p, 720p and 1080p."""
+"""Applications of Table III by the size of their frames."""
 
 _PSNR = {
     "LB": (20.63, 20.58, 20.05, 23.91, 21.43, 25.01, 28.65),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 import signal
 import subprocess
 import sys
@@ -47,20 +48,29 @@ def bench(exwarp, uneven, truth, network, tmp_path):
 
 
 @pytest.fixture(scope="session")
-def whole(tmp_path_factory, uneven, truth, network, policies) -> Callable[[str], Path]:
+def whole(tmp_path_factory, line) -> Callable[[str], Path]:
     """Return the folder of a benchmark with most systems, by setting; read only."""
     root = tmp_path_factory.mktemp("bench")
 
     def find(setting: str) -> Path:
         out = root / setting
         if not out.exists():
-            more = ("--extrapolator", network, "--policy", policies("watching"))
-            more += ("--systems", "exwarp,oracle,s1,s2,s4,s5,s6,hold,softsplat")
-            line = ("bench", *uneven[setting], "--ground-truth", truth, "-o", out, *QUICK, *more)
-            assert cli.run([str(argument) for argument in line]) == 0
+            assert cli.run([str(argument) for argument in line(setting, out)]) == 0
         return out
 
     return find
+
+
+@pytest.fixture(scope="session")
+def line(uneven, truth, network, policies) -> Callable[[str, Path], tuple[object, ...]]:
+    """Return the command line of a benchmark with most systems, by setting and folder."""
+
+    def words(setting: str, out: Path) -> tuple[object, ...]:
+        more = ("--extrapolator", network, "--policy", policies("watching"))
+        more += ("--systems", "exwarp,oracle,s1,s2,s4,s5,s6,hold,softsplat")
+        return ("bench", *uneven[setting], "--ground-truth", truth, "-o", out, *QUICK, *more)
+
+    return words
 
 
 def document_in(folder: Path) -> dict[str, Any]:
@@ -155,6 +165,30 @@ def test_a_second_run_measures_nothing_and_writes_the_same(bench, monkeypatch):
     second, _ = bench(*FEW)
     assert second == first
     assert {path: path.read_bytes() for path in before} == before
+
+
+def test_a_clock_adds_real_time_to_what_was_measured(exwarp, whole, line, tmp_path, monkeypatch):
+    out = tmp_path / "bench"
+    shutil.copytree(whole("key"), out)
+    monkeypatch.setattr(work, "measure", None)
+    monkeypatch.setattr(work, "time_subject", None)
+    result = exwarp(*line("key", out), "--clock", "table3")
+    assert result.code == 0, result.err
+    before, document = document_in(whole("key")), document_in(out)
+    (row,) = document.pop("real_time")["rows"]
+    assert document == before
+    # E takes less than a slot at this size: all is as offline.
+    (offline,) = before["quality"]
+    for name, system in row["systems"].items():
+        assert system["effective"] == before["fps"][0]["effective"][name]
+        for metric in ("psnr_db", "ssim"):
+            assert system[metric] == pytest.approx(offline["systems"][name]["all"][metric])
+        assert system["return"] == pytest.approx(offline["returns"][name]), name
+    assert set(row["systems"]) == {"exwarp", "oracle", "s1", "s2", "s4", "s5", "s6"}
+    assert len(rows(out / "real_time_slots.csv")) == 7
+    for folder, marked in ((out, True), (whole("key"), False)):
+        for file in ("bench.md", "report.html"):
+            assert ("in real time" in (folder / file).read_text()) == marked
 
 
 @pytest.mark.parametrize("kind", ["none", "openjd"])
