@@ -30,18 +30,13 @@ def clocked_returns(shown: F64, dropped: Sequence[int]) -> F64:
     names = list(PATHS)
     sums = DROP_PENALTY * np.asarray(dropped, np.float64)
     for i, path in enumerate(PATHS.values()):
-        for node in path.choices:
+        for node, choice in path.choices.items():
             slot = SLOTS[node] - 1
-            sums[i] += (shown[i, slot] - shown[names.index(_rival(path.choices, node)), slot]).sum()
+            rival = names.index(_rival(node, choice))
+            sums[i] += (shown[i, slot] - shown[rival, slot]).sum()
     return np.asarray(sums)
 
 
-def _rival(choices: dict[str, str], node: str) -> str:
-    """Name a path that comes to the same node and takes the other choice there."""
-    before = {key: choice for key, choice in choices.items() if SLOTS[key] < SLOTS[node]}
-    return next(
-        name
-        for name, path in PATHS.items()
-        if before.items() <= path.choices.items()
-        and path.choices.get(node, choices[node]) != choices[node]
-    )
+def _rival(node: str, choice: str) -> str:
+    """Name a path with the other choice at a node; one way leads to each, so both came alike."""
+    return next(name for name, path in PATHS.items() if path.choices.get(node, choice) != choice)

@@ -82,6 +82,17 @@ def test_oracles_know_the_clock():
     assert late["s2"]["return"] == pytest.approx(1.01 * -9 - 0.1)
 
 
+def test_alpha_outweighs_a_small_gain():
+    """S2 gains 0.02 dB at slot 3 and drops slot 1; S6 drops none."""
+    even = {name: [[30.0, 0.3] for _ in range(3)] for name in PSNR} | {"W(E2)": [[30.02, 0.3]] * 3}
+    benchmark = clocked("table3-720p")
+    for part in benchmark.measured[0].parts:
+        part["slot_scores"] = even
+    systems = told(benchmark)["real_time"]["rows"][0]["systems"]
+    assert systems["oracle"]["decisions"]["paths"]["S2"] == 2
+    assert systems["oracle-return"]["decisions"]["paths"]["S6"] == 2
+
+
 def test_latencies_of_the_papers_table():
     small, middle, large = (table_latencies(p) for p in (854 * 480, 1280 * 720, 1920 * 1080))
     assert [each.extrapolate_slots for each in (small, middle, large)] == [1, 2, 3]

@@ -38,6 +38,8 @@ from exwarp_cli.report.quality import mean
 SYSTEMS = (POLICY, *FIXED, BEST_PSNR, BEST_RETURN)
 """Systems that the clock runs, where they were measured: all with our W and E."""
 
+F64 = npt.NDArray[np.float64]
+
 Schedules = Mapping[str, ClockedInterval]
 """What each decision path shows in an interval that begins with a free engine."""
 
@@ -114,25 +116,30 @@ def _paths(one: Measured, schedules: Schedules) -> dict[str, list[str]]:
     taken = {name: [name.upper()] * len(one.parts) for name in FIXED}
     taken[POLICY] = [part["paths"][POLICY] for part in one.parts]
     if BEST_PSNR in one.parts[0]["paths"]:
-        qualities = [_quality(part[SLOT_SCORES], schedules) for part in one.parts]
-        dropped = [3 - each.generated for each in schedules.values()]
-        taken[BEST_PSNR] = [_best(each[..., 0].mean(axis=-1)) for each in qualities]
-        taken[BEST_RETURN] = [_best(clocked_returns(each, dropped)) for each in qualities]
+        psnr = [_quality(part, schedules)[..., 0].mean(axis=-1) for part in one.parts]
+        taken[BEST_PSNR] = [_best(values) for values in psnr]
+        taken[BEST_RETURN] = [_best(_returns(part, schedules)) for part in one.parts]
     return taken
 
 
-def _quality(slot_scores: Document, schedules: Schedules) -> npt.NDArray[np.float64]:
+def _quality(part: Document, schedules: Schedules) -> F64:
     """Return PSNR and SSIM of what slots 1 to 3 of each path show, float64 [6, 3, 2]."""
-    return np.array(
-        [
-            [slot_scores[name_on(schedules[path].made_by, slot)][slot - 1] for slot in SLOTS]
-            for path in PATHS
-        ],
-        np.float64,
-    )
+    return np.array([_shown(part, schedules[path]) for path in PATHS], np.float64)
 
 
-def _best(values: npt.NDArray[np.float64]) -> str:
+def _shown(part: Document, played: ClockedInterval) -> list[list[float]]:
+    """Return PSNR and SSIM of what slots 1 to 3 of a key interval show."""
+    scores = part[SLOT_SCORES]
+    return [scores[name_on(played.made_by, slot)][slot - 1] for slot in SLOTS]
+
+
+def _returns(part: Document, schedules: Schedules) -> F64:
+    """Return the sum of rewards of each path, float64 [6]."""
+    dropped = [len(SLOTS) - each.generated for each in schedules.values()]
+    return clocked_returns(_quality(part, schedules), dropped)
+
+
+def _best(values: F64) -> str:
     """Name the best path; of equal ones the last, which warps more."""
     return list(PATHS)[len(PATHS) - 1 - int(np.argmax(values[::-1]))]
 
@@ -149,9 +156,9 @@ def _system(
     )
     psnr, ssim = (
         mean(
-            part[SLOT_SCORES][name_on(schedules[path].made_by, slot)][slot - 1][metric]
-            for part, path in zip(one.parts, paths, strict=True)
-            for slot in SLOTS
+            score[metric]
+            for part, interval in zip(one.parts, played, strict=True)
+            for score in _shown(part, interval)
         )
         for metric in range(2)
     )
@@ -169,9 +176,8 @@ def _return(one: Measured, paths: Sequence[str], schedules: Schedules) -> float 
     """Return the mean return a key interval; None where nothing was extrapolated."""
     if one.parts[0]["returns"] is None:
         return None
-    dropped = [3 - each.generated for each in schedules.values()]
     names = list(PATHS)
     return mean(
-        clocked_returns(_quality(part[SLOT_SCORES], schedules), dropped)[names.index(path)]
+        float(_returns(part, schedules)[names.index(path)])
         for part, path in zip(one.parts, paths, strict=True)
     )

@@ -31,7 +31,7 @@ def document(found: Benchmark, predictor: Schedule, clock_hz: float) -> Document
     -------
     dict
         None is what was not measured, never 0; no number is NaN or infinite. What the paper prints
-        stands under ``paper``.
+        stands under ``paper``. ``real_time`` is there with a clock alone.
     """
     rows = found.measured
     clocked = {} if found.settings.clock is None else {"real_time": real_time(found)}
