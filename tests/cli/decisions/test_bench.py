@@ -261,6 +261,12 @@ def test_another_card_is_another_network(bench, tmp_path):
     assert found[0] != found[1]
 
 
+def test_a_lone_interval_with_gbuffers_of_every_slot(exwarp, line, tmp_path):
+    result = exwarp(*line("slot", tmp_path / "bench"), "--frames", 2, "--systems", "exwarp")
+    assert result.code == 0, result.err
+    assert document_in(tmp_path / "bench")["sequences"][0]["intervals"] == 1
+
+
 def test_every_nth_interval(bench):
     document, folder = bench(*QUICK, "--every", 2, "--systems", "s6")
     assert document["sequences"][0]["intervals"] == 3
