@@ -93,4 +93,5 @@ def tile_card(report: dict[str, Any]) -> str:
     whole = ", ".join(
         f"{scene} {gain:+.2f}" for scene, gain in report["extrapolator_gain_db"].items()
     )
-    return "\n".join([*lines, "", f"E everywhere gains, in dB: {whole}."])
+    s4 = f"Always S4, at half of the area, gains {report['always_s4_percent']:.0f} %."
+    return "\n".join([*lines, "", f"E everywhere gains, in dB: {whole}. {s4}"])

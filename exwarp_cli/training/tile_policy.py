@@ -188,14 +188,24 @@ def gain_at(
 ) -> float:
     """Return what a choice gains at a share of the area, in % of E's gain in dB over all scenes."""
     price = price_for(share, margins)
+    return _gain(tables, [choose(margin, price) for margin in margins])
+
+
+def _gain(tables: Sequence[TileTable], chosen: Sequence[Chosen]) -> float:
+    """Return what choices gain, in % of E's gain in dB over all scenes."""
     gained = whole = 0.0
-    for table, margin in zip(tables, margins, strict=True):
+    for table, choice in zip(tables, chosen, strict=True):
         nothing, everything = (
             error_of(table, _everywhere(len(table), value)) for value in (False, True)
         )
-        gained += np.log10(nothing / error_of(table, choose(margin, price)))
+        gained += np.log10(nothing / error_of(table, choice))
         whole += np.log10(nothing / everything)
     return 100 * float(gained / whole)
+
+
+def _always_s4(count: int) -> Chosen:
+    """Return the choice that extrapolates slot 2 alone, everywhere, and warps it on."""
+    return {node: np.full(count, node == "d2") for node in DECIDED}
 
 
 def _everywhere(count: int, value: bool) -> Chosen:
@@ -251,6 +261,7 @@ def train_tile_policy(
         "tiles": {table.scene: len(table) for table in tables},
         "extrapolator_gain_db": {table.scene: _whole_gain(table) for table in tables},
         "gain_percent": _curves(tables, unseen, settings.seed),
+        "always_s4_percent": round(_gain(tables, [_always_s4(len(table)) for table in tables]), 1),
     }
     atomic_write_text(output / REPORT, json.dumps(report, indent=1) + "\n")
     note_checksums(output, [SHIPPED_TILE_POLICY])
