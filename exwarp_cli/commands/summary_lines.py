@@ -23,11 +23,13 @@ def summary_lines(
     scored
         Whether ground truth was given; None to tell by the scores that are there.
     """
+    from exwarp_cli.report.page_parts import rendered_text
+
     frames, fps, quality = document["frames"], document["fps"], document["quality"]["all"]
     effective = "" if fps["effective"] is None else f", effective {fps['effective']:g}"
     lines = [
         f"{counted(frames['written'], 'frame')}{place and f' in {place}'}: "
-        f"{frames['key']} rendered, {frames['generated']} generated, {frames['dropped']} repeated",
+        f"{rendered_text(frames)}, {frames['generated']} generated, {frames['dropped']} repeated",
         f"{fps['base']:g} fps in, {fps['output']:g} out{effective}",
     ]
     if frames["resumed"] or frames["replaced"]:

@@ -169,6 +169,12 @@ class FrameRate(click.ParamType[Fraction]):
 @click.option(
     "--tail/--no-tail", default=True, help="Predict past the last key frame, or stop there."
 )
+@click.option(
+    "--rendered",
+    metavar="SEQ",
+    help="Frames that were rendered after all, by output number, as review.txt names them: they "
+    "take the place of generated frames.",
+)
 @click.option("--ground-truth", metavar="SEQ", help="Score against this sequence.")
 @metrics_option
 @click.option(

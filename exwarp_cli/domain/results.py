@@ -23,6 +23,9 @@ class FrameKind(Enum):
     KEY = "key"
     """A rendered frame, passed through."""
 
+    RENDERED = "rendered"
+    """Rendered after all, in the place of a generated one."""
+
     GENERATED = "generated"
     """Made by a method for this slot."""
 
@@ -90,10 +93,11 @@ class FrameRecord:
         Rendered, generated or repeated.
     method
         The method that made this very frame (a look-ahead run falls back to a causal method after
-        the last key frame); "key" for a rendered one, "held" between key frames that show the same
-        picture.
+        the last key frame); "key" and "rendered" for rendered ones, "held" between key frames that
+        show the same picture.
     sources
-        Input numbers of the rendered frames that its colour came from.
+        Input numbers of the rendered frames that its colour came from; of one that was rendered
+        after all its own number.
     hole_fraction
         Share of the frame's pixels, 0 to 1, that the warp from the key frame cannot see; None
         where there is no motion to tell.
@@ -183,12 +187,15 @@ class LeftOut:
     scores
         Numbers of the frames whose ground truth it is that cannot be used, ascending; they are made
         all the same.
+    rendered
+        Numbers of the frames whose rendered ones cannot be used, ascending; they are generated.
     """
 
     key: int
     frames: tuple[int, ...]
     reason: str
     scores: tuple[int, ...] = ()
+    rendered: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)

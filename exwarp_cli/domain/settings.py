@@ -98,6 +98,9 @@ class UpsampleSettings:
         Whether no frame may be made of a later key frame.
     frames
         Range of key frames by input number; None for all.
+    rendered
+        Sequence of output frames that were rendered after all, which take the place of generated
+        ones; None without.
     ground_truth
         Sequence at the output rate to score against.
     metrics
@@ -147,6 +150,7 @@ class UpsampleSettings:
     method: str | None = None
     causal: bool = False
     frames: str | None = None
+    rendered: str | None = None
     ground_truth: str | None = None
     compression: str | None = None
     skip_existing: bool = False

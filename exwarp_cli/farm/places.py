@@ -64,6 +64,7 @@ PURPOSES: Mapping[str, Purpose] = {
     "gbuffers": Purpose("GBuffers", "G-buffers at the output rate", Form.SEQUENCE),
     "aovs": Purpose("Aov", "AOV", Form.AOV),
     "channel_map": Purpose("ChannelMap", "Channel map", Form.FILE),
+    "rendered": Purpose("Rendered", "Rendered frames", Form.SEQUENCE),
     "ground_truth": Purpose("GroundTruth", "Ground truth", Form.SEQUENCE),
     "extrapolator": Purpose("Extrapolator", "Network that extrapolates", Form.FILE),
     "interpolator": Purpose("Interpolator", "Network that interpolates", Form.FILE),
@@ -242,8 +243,9 @@ def _files(job: Job) -> Iterator[Path]:
             # Where frames may be left out, those that are missing are listed, too.
             paths = shot.files(number).values()
             yield from (path for path in paths if not shot.keep_going or path.exists())
-    if job.truth is not None:
-        files = job.truth[0].files
+    others = [] if job.truth is None else [job.truth[0]]
+    others += [] if job.rendered is None else [job.rendered.sequence]
+    for files in (sequence.files for sequence in others):
         yield from (files[min(files)], files[max(files)])
     for name, purpose in PURPOSES.items():
         if purpose.form is Form.FILE and purpose.flow is Flow.READ:

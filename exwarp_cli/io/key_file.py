@@ -1,4 +1,4 @@
-"""A key frame's file as a run writes it: its bytes, but for the frame rate in its header.
+"""A rendered frame's file as a run writes it: its bytes, but for some attributes in its header.
 
 Only the header is rewritten. Chunks are copied as they are, so that no pixel is decoded and encoded
 again. OpenImageIO's `copy_image` was tried instead: it encodes B44 and DWA again, changes the type
@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import os
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
@@ -23,7 +23,7 @@ from exwarp_cli.io import checksum
 from exwarp_cli.io.atomic import PIECE, atomic_copy, atomic_path
 from exwarp_cli.io.exr.header import RawHeader
 from exwarp_cli.io.exr.reader import HeaderCache, damaged, parse_header
-from exwarp_cli.io.output import CHECKSUM, is_intact, seal
+from exwarp_cli.io.output import CHECKSUM, PREFIX, is_intact, seal
 from exwarp_cli.io.reading_retry import with_retries
 from exwarp_cli.io.sequence import EXR
 
@@ -198,6 +198,44 @@ def opened_key(source: Path, rate: Fraction | None) -> Iterator[KeyFile]:
         yield key
 
 
+def marked_file(source: Path, rate: Fraction | None, marks: Mapping[str, str | int]) -> KeyFile:
+    """Return what is written for a rendered EXR file that gets attributes of ExWarp's own.
+
+    Parameters
+    ----------
+    source
+        The file. What ExWarp may have written into its headers is left out.
+    rate
+        Frames per second; None to leave the file's own rate.
+    marks
+        Attributes of the first part, by name without prefix. A checksum of the file joins them.
+
+    Raises
+    ------
+    InputError
+        When there is no such file.
+    UnreadableError
+        When the system does not let it through.
+    DamagedFileError
+        When its header or its table of chunks is broken.
+    """
+
+    def read() -> KeyFile:
+        with source.open("rb", buffering=0) as file:
+            header = RawHeader.read(file, os.fstat(file.fileno()).st_size)
+            changes = [] if rate is None else _rate_changes(header, rate)
+            head, rest = _changed(file, header, [*changes, *_mark_changes(header, marks)])
+            file.seek(rest)
+            return KeyFile(source, bytes(seal(head, file.read())[0]), rest)
+
+    try:
+        return with_retries(source, read)
+    except OSError as error:
+        raise _missing(source, error) from error
+    except (ValueError, struct.error) as error:
+        raise damaged(source, str(error)) from error
+
+
 def digests(
     path: Path, rate: Fraction | None = None, headers: HeaderCache | None = None
 ) -> tuple[str, str | None]:
@@ -249,25 +287,35 @@ def digests(
 
 def _with_rate(file: BinaryIO, rate: Fraction) -> tuple[bytes, int]:
     """Return the header and table of chunks with a rate, and where the source goes on."""
-    size = os.fstat(file.fileno()).st_size
-    header = RawHeader.read(file, size)
-    data, end = header.data, len(header.data)
-    changes = _changes(header, rate)
+    header = RawHeader.read(file, os.fstat(file.fileno()).st_size)
+    changes = _rate_changes(header, rate)
     if not changes:
         return b"", 0
-    head, at, rest = b"", 0, end
-    for begin, stop, text in changes:
-        head, at = head + data[at:begin] + text, stop
-    head += data[at:]
-    if len(head) != end:
-        table = _table(file, size, end, _chunk_count(header) if header.is_multipart else None)
-        moved = [place + len(head) - end if place else 0 for place in table]
-        head, rest = head + struct.pack(f"<{len(moved)}Q", *moved), end + _ENTRY * len(table)
+    head, rest = _changed(file, header, changes)
     return (_sealed(file, head, rest) if CHECKSUM.encode() in head else head), rest
 
 
-def _changes(header: RawHeader, rate: Fraction) -> list[tuple[int, int, bytes]]:
-    """Return what bytes of the headers are replaced: from, to, and by what."""
+Change = tuple[int, int, bytes]
+"""Bytes of the headers that are replaced: from, to, and by what."""
+
+
+def _changed(file: BinaryIO, header: RawHeader, changes: list[Change]) -> tuple[bytes, int]:
+    """Return changed headers with their table of chunks, and where the source goes on."""
+    data, end = header.data, len(header.data)
+    head, at, rest = b"", 0, end
+    for begin, stop, text in sorted(changes):
+        head, at = head + data[at:begin] + text, stop
+    head += data[at:]
+    if len(head) != end:
+        size = os.fstat(file.fileno()).st_size
+        table = _table(file, size, end, _chunk_count(header) if header.is_multipart else None)
+        moved = [place + len(head) - end if place else 0 for place in table]
+        head, rest = head + struct.pack(f"<{len(moved)}Q", *moved), end + _ENTRY * len(table)
+    return head, rest
+
+
+def _rate_changes(header: RawHeader, rate: Fraction) -> list[Change]:
+    """Return what gives all parts a frame rate."""
     text = RATE + b"\0rational\0" + struct.pack("<Iii", 8, rate.numerator, rate.denominator)
     changes = []
     for part in range(header.part_count):
@@ -278,6 +326,25 @@ def _changes(header: RawHeader, rate: Fraction) -> list[tuple[int, int, bytes]]:
         elif _rate_of(own.kind, header.value(own)) != rate:
             changes.append((own.at, own.end, text))
     return changes
+
+
+def _mark_changes(header: RawHeader, marks: Mapping[str, str | int]) -> list[Change]:
+    """Return what gives the first part attributes of ExWarp's own in place of any earlier ones."""
+    named: dict[str, str | int] = {f"{PREFIX}{name}": value for name, value in marks.items()}
+    named[CHECKSUM] = checksum.ZEROS
+    text = b"".join(_attribute(name, value) for name, value in named.items())
+    own = [one for one in header.attributes if one.name.startswith(PREFIX.encode())]
+    end = next(one.end for one in reversed(header.attributes) if one.part == 0)
+    return [*((one.at, one.end, b"") for one in own), (end, end, text)]
+
+
+def _attribute(name: str, value: str | int) -> bytes:
+    """Return an attribute as it stands in a header."""
+    if isinstance(value, int):
+        kind, data = b"int", struct.pack("<i", value)
+    else:
+        kind, data = b"string", value.encode("utf-8", "surrogateescape")
+    return name.encode() + b"\0" + kind + b"\0" + struct.pack("<I", len(data)) + data
 
 
 def _rate_of(kind: bytes, value: bytes) -> Fraction | None:

@@ -339,10 +339,18 @@ def unscored(timeline: Timeline, key: int, reasons: Mapping[int, str]) -> Iterat
         yield LeftOut(timeline.numbers[key], (), reason, (number,))
 
 
+def unusable(timeline: Timeline, key: int, reasons: Mapping[int, str]) -> Iterator[LeftOut]:
+    """Yield what is recorded of an interval whose rendered frames cannot be used, by slot."""
+    for slot, reason in sorted(reasons.items()):
+        number = timeline.number(Slot(key, slot))
+        yield LeftOut(timeline.numbers[key], (), reason, rendered=(number,))
+
+
 def tell_left_out(progress: Progress, one: LeftOut) -> None:
     """Say at once what is left out, and why."""
-    what = f"left out {_named(one.frames)}" if one.frames else f"not scored {_named(one.scores)}"
-    progress.message(f"{what}: {one.reason}")
+    numbers = one.frames or one.scores or one.rendered
+    what = "left out" if one.frames else "not scored" if one.scores else "generated"
+    progress.message(f"{what} {_named(numbers)}: {one.reason}")
 
 
 def require_complete(run: RunSummary) -> None:
@@ -367,6 +375,11 @@ def require_complete(run: RunSummary) -> None:
     if scores:
         told.append(f"{_named(scores)} {'was' if len(scores) == 1 else 'were'} not scored")
         cause.append("the ground truth")
+    rendered = sorted({n for one in run.left_out for n in one.rendered})
+    if rendered:
+        verb = "was" if len(rendered) == 1 else "were"
+        told.append(f"{_named(rendered)} {verb} generated, although rendered")
+        cause.append("the rendered frames")
     raise IncompleteError(
         f"{', and '.join(told)}, see above or left_out in report.json; mend {' and '.join(cause)} "
         "and run again with --skip-existing"

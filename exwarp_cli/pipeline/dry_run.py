@@ -11,11 +11,11 @@ from pathlib import Path
 
 from exwarp_cli.domain.cuts import Cut
 from exwarp_cli.domain.joining import Outcome
-from exwarp_cli.domain.results import RunSummary
+from exwarp_cli.domain.results import FrameKind, RunSummary
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.io.atomic import is_there, output_error
 from exwarp_cli.pipeline.frame_writer import FrameWriter
-from exwarp_cli.pipeline.interval_inputs import IntervalInputs
+from exwarp_cli.pipeline.interval_inputs import IntervalInputs, SkippedInterval
 from exwarp_cli.pipeline.job import Job
 from exwarp_cli.pipeline.recipes import key_recipe
 from exwarp_cli.pipeline.run import make_reader, make_writer
@@ -43,14 +43,14 @@ class ForeseenFrame:
     ----------
     number
         Of the output.
-    rendered
-        Whether it is a key frame that passes through, and not made.
+    kind
+        A key frame or a rendered one, which pass through; else it is generated.
     fate
         Of its file, and of its hole mask if masks are written.
     """
 
     number: int
-    rendered: bool
+    kind: FrameKind
     fate: Fate
 
 
@@ -147,28 +147,32 @@ def _compared(job: Job) -> tuple[tuple[ForeseenFrame, ...], tuple[Cut, ...] | No
     """Foresee frames where good ones are kept; return the cuts that were met, too."""
     reader = make_reader(job)
     if job.targets.frames is None:
-        note = note_of(reader.leading_recipes, job.settings, job.keys)
+        note = note_of(reader.leading_recipes, job.settings, job.keys, job.rendered)
         kept = is_kept(job.targets, job.settings, note)
         return tuple(_foreseen(job, slot, kept) for slot in job.slots), None
     writer = make_writer(job)
     frames = []
     for key in job.keys:
         inputs = reader.read(key, lambda *_: False)
-        slots, recipes = job.source.timeline.slots_of(key), {}
-        if isinstance(inputs, IntervalInputs):
-            recipes = inputs.metadata.recipes
-        else:
+        slots = job.source.timeline.slots_of(key)
+        if not isinstance(inputs, IntervalInputs):
             slots = tuple(slot for slot in slots if inputs.passed is not None and not slot.index)
         for slot in slots:
-            frames.append(_foreseen(job, slot, _is_there(job, writer, slot, recipes)))
+            frames.append(_foreseen(job, slot, _is_there(job, writer, slot, inputs)))
     return tuple(frames), reader.cuts
 
 
-def _is_there(job: Job, writer: FrameWriter, slot: Slot, recipes: dict[int, str]) -> bool:
+def _is_there(
+    job: Job, writer: FrameWriter, slot: Slot, inputs: IntervalInputs | SkippedInterval
+) -> bool:
     """Whether a slot's files are there as this run would write them."""
     number = job.source.timeline.number(slot)
     if slot.index:
-        return writer.has(number, recipes[slot.index])
+        assert isinstance(inputs, IntervalInputs)
+        rendered = inputs.rendered.frames.get(slot.index)
+        if rendered is not None:
+            return writer.has_rendered(number, rendered.path, rendered.recipe)
+        return writer.has(number, inputs.metadata.recipes[slot.index])
     keys, key_number = job.source.keys, job.source.timeline.numbers[slot.key]
     path = keys.sequence.files[key_number]
     if writer.copies(path):
@@ -181,4 +185,7 @@ def _foreseen(job: Job, slot: Slot, kept: bool) -> ForeseenFrame:
     path = targets.video if targets.frames is None else targets.frames.path(number)
     there = path is not None and is_there(path)
     fate = Fate.KEEP if kept else Fate.REPLACE if there else Fate.WRITE
-    return ForeseenFrame(number, slot.index == 0, fate)
+    kind = FrameKind.GENERATED if slot.index else FrameKind.KEY
+    if slot.index and job.rendered is not None and job.rendered.has(number):
+        kind = FrameKind.RENDERED
+    return ForeseenFrame(number, kind, fate)

@@ -103,6 +103,28 @@ def require_truth_size(
             raise truth_of_another_size(timeline.number(slot), window, display)
 
 
+def require_rendered_size(sequence: Sequence, source: Source, keys: tuple[int, ...]) -> None:
+    """Refuse rendered frames, by output number, of another size than the key frames.
+
+    Raises
+    ------
+    LayoutError
+        Where that is so in some key intervals (indices), unless such frames are left out.
+    """
+    if source.keys.keep_going:
+        return
+    timeline, display = source.timeline, source.keys.display
+    made = (timeline.number(slot) for key in keys for slot in timeline.made_of(key))
+    numbers = [number for number in made if number in sequence.files]
+    windows = _displays((sequence, number) for number in numbers)
+    for number, window in zip(numbers, windows, strict=True):
+        if window is not None and window != display:
+            raise LayoutError(
+                f"frame {number} of --rendered is {window} and the input is {display}; render it "
+                "at the resolution and with the windows of the key frames"
+            )
+
+
 def _displays(frames: Iterable[tuple[Sequence, int]]) -> list[Window | None]:
     """Return the display window of each frame; None where its header cannot be read."""
 

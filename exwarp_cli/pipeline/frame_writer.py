@@ -22,7 +22,7 @@ from exwarp_cli.io.clip import is_clip
 from exwarp_cli.io.exr.template import Plane, PlaneKey
 from exwarp_cli.io.exr.writer import Buffer
 from exwarp_cli.io.footage import is_plain
-from exwarp_cli.io.key_file import KeyFile, key_file, opened_key
+from exwarp_cli.io.key_file import KeyFile, key_file, marked_file, opened_key
 from exwarp_cli.io.output import (
     PREFIX,
     FrameTemplate,
@@ -325,6 +325,23 @@ class FrameWriter(Held):
             self._writer.submit(partial(self._timed, number, partial(self._copy, number, source)))
         return resumed
 
+    def has_rendered(self, number: int, source: Path, recipe: str) -> bool:
+        """Whether an earlier run wrote a rendered frame of a slot, and it is kept."""
+        if self.copies(source) and not self._is_marked(source):
+            return self.has_copy(number, source)
+        return self.has(number, recipe, masked=False)
+
+    def pass_rendered(self, number: int, source: Path, marks: Mapping[str, str | int]) -> None:
+        """Copy the file of a rendered frame of a slot, all its layers and attributes.
+
+        Its header gets the output's frame rate and ExWarp's own attributes, `marks`, if it is EXR
+        and key frames get a rate, too.
+        """
+        copy = partial(self._copy, number, source)
+        if self._is_marked(source):
+            copy = partial(self._copy_marked, number, source, marks)
+        self._writer.submit(partial(self._timed, number, copy))
+
     def write(
         self,
         number: int,
@@ -401,6 +418,17 @@ class FrameWriter(Held):
             file.write(self._frame_path(number))
             if self._wants_sums:
                 self.sums[FRAME, number] = sum_of(file.pieces())
+
+    def _copy_marked(self, number: int, source: Path, marks: Mapping[str, str | int]) -> None:
+        """Copy a rendered frame's file, with ExWarp's own attributes in its header."""
+        file = marked_file(source, self._key_rate, marks)
+        file.write(self._frame_path(number))
+        if self._wants_sums:
+            self.sums[FRAME, number] = sum_of(file.pieces())
+
+    def _is_marked(self, source: Path) -> bool:
+        """Whether a rendered frame's header gets ExWarp's own attributes."""
+        return source.suffix.lower() in EXR and not self._settings.keep_bytes
 
     def _put(self, kind: str, number: int, write: Callable[[], list[Buffer]]) -> None:
         """Write a file; its checksum is that of what is in memory."""

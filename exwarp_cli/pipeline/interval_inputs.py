@@ -27,6 +27,7 @@ from exwarp_cli.pipeline.key_frames import (
     reads_late,
 )
 from exwarp_cli.pipeline.recipes import Recipes
+from exwarp_cli.pipeline.rendered_frames import IntervalRendered, RenderedFrames, RenderedReader
 from exwarp_cli.pipeline.scheduling import record_time
 from exwarp_cli.pipeline.shots import UnreadableFrames
 from exwarp_cli.pipeline.source import FrameOf, Source
@@ -74,7 +75,7 @@ class FrameMetadata:
     template
         What generated frames take over from the key frame's file.
     recipes
-        For each slot, what its frame depends on, digested.
+        For each slot that is made, what its frame depends on, digested.
     key_digests
         Digest of the key frames' files on both sides, by input number; the next one only for
         look-ahead methods.
@@ -132,6 +133,8 @@ class IntervalInputs:
         True if the key frame shows the same picture as the one before it.
     trial
         What the gate decides by; None without a gate.
+    rendered
+        Frames that take the place of generated ones.
     """
 
     key: int
@@ -153,6 +156,7 @@ class IntervalInputs:
     held: bool = False
     after_hold: bool = False
     trial: TrialInputs | None = None
+    rendered: IntervalRendered = field(default_factory=IntervalRendered)
 
     def without_geometry(self) -> IntervalInputs:
         """Return the interval with the colour of its key frames alone, once it is built.
@@ -208,6 +212,8 @@ class IntervalReader:
         What frames hold: of this view first, then of others in the same files; () for the beauty.
     leader
         Of the view that decides, where cuts are found too; None for that view itself.
+    rendered
+        Frames that take the place of generated ones; None without.
     """
 
     def __init__(
@@ -219,6 +225,7 @@ class IntervalReader:
         depends_on: Dependencies = (None, None, None),
         contents: tuple[Content, ...] = (),
         leader: IntervalReader | None = None,
+        rendered: RenderedFrames | None = None,
     ) -> None:
         self._source, self._method, self._output = source, method, settings.output
         self._contents = contents or (Content(source),)
@@ -256,6 +263,9 @@ class IntervalReader:
             self.recipe_book.reading = self.store.reading
         self._regions = Regions(source.keys.display, self.store.get_window)
         self._layers = LayerReader(content) if content.beside else None
+        self.rendered: RenderedReader | None = None
+        if rendered is not None:
+            self.rendered = RenderedReader(rendered, self._contents, source.written_fps, keep_going)
         if self._layers is not None:
             self.store.read_with(self._layers.require)
         self.observed_keys: frozenset[int] = frozenset()
@@ -279,12 +289,14 @@ class IntervalReader:
     def _read(self, key: int, needed: Needed) -> IntervalInputs:
         source, store, shots = self._source, self.store, self.shots
         lookahead = self._looks_ahead(key)
+        rendered = self._read_rendered(key)
         recipes = self.recipes(key)
         template = template_of(self._contents, self._output, source.timeline.numbers[key])
         if not needed(key, recipes):
             self.release(key)
             followed = store.is_followed(key)  # known by the recipes
-            return IntervalInputs(key, FrameMetadata(template, recipes), followed=followed)
+            metadata = FrameMetadata(template, recipes)
+            return IntervalInputs(key, metadata, followed=followed, rendered=rendered)
         frame = store.get_in_shot(key)
         following = store.get_in_shot(key + 1, before=True) if lookahead else None
         region = self._regions.is_region(
@@ -318,6 +330,7 @@ class IntervalReader:
             region=region,
             held=self._held(key),
             after_hold=shots.repeats(key),
+            rendered=rendered,
         )
         if self.trials is not None and self._contents[0].leads:
             inputs = replace(inputs, trial=self.trials.read(key, inputs))
@@ -373,7 +386,7 @@ class IntervalReader:
         self._regions.forget(key)
 
     def recipes(self, key: int) -> dict[int, str]:
-        """Digest what each slot's frame depends on."""
+        """Digest what the frame of each slot depends on, but for those that were rendered."""
         lookahead = self._looks_ahead(key)
         keys = [key, *((key + 1,) if lookahead else ())]
         if self._source.estimated:  # key frames on both sides tell the motion of theirs
@@ -416,7 +429,12 @@ class IntervalReader:
             keys = [*keys, *(index for index in tried.keys if index not in keys)]
             instants = [*instants, *tried.instants]
             around.append(tried.text)
-        return self.recipe_book.of(key, keys, instants, around)
+        recipes = self.recipe_book.of(key, keys, instants, around)
+        rendered = self._read_rendered(key).frames
+        return {slot: recipe for slot, recipe in recipes.items() if slot not in rendered}
+
+    def _read_rendered(self, key: int) -> IntervalRendered:
+        return IntervalRendered() if self.rendered is None else self.rendered.read(key)
 
     def _windows_and_holds(self, key: int) -> list[str]:
         """Say what slots depend on of key frames around; nothing where there is no such thing."""
@@ -511,6 +529,11 @@ class ViewsReader:
     def truth(self) -> TruthReader:
         """What reads ground truth."""
         return self._leader.truth
+
+    @property
+    def rendered(self) -> RenderedReader | None:
+        """What reads rendered frames; None without."""
+        return self._leader.rendered
 
     def read(self, key: int, needed: Needed) -> IntervalInputs | SkippedInterval:
         """Read an interval; see `IntervalReader.read`. A frame depends on all its views.

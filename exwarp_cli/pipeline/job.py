@@ -31,9 +31,14 @@ from exwarp_cli.pipeline.finding import (
     require_gate,
     require_truth,
 )
-from exwarp_cli.pipeline.frame_sizes import require_one_size_of, require_truth_size
+from exwarp_cli.pipeline.frame_sizes import (
+    require_one_size_of,
+    require_rendered_size,
+    require_truth_size,
+)
 from exwarp_cli.pipeline.frame_writer import OutputPlan
 from exwarp_cli.pipeline.ownership import require_own
+from exwarp_cli.pipeline.rendered_frames import find_rendered
 from exwarp_cli.pipeline.scoring import require_measurable
 from exwarp_cli.pipeline.source import open_sources
 from exwarp_cli.pipeline.without_vectors import require_able
@@ -49,6 +54,7 @@ if TYPE_CHECKING:
     from exwarp_cli.io.policy_files import PolicyFile
     from exwarp_cli.io.sequence import Sequence
     from exwarp_cli.pipeline.progress import Progress
+    from exwarp_cli.pipeline.rendered_frames import RenderedFrames
     from exwarp_cli.pipeline.source import FrameOf, Source
     from exwarp_cli.synthesis.methods import Method
 
@@ -77,6 +83,8 @@ class Job:
         The files to write.
     truth
         Ground truth and its frame for a slot; None without.
+    rendered
+        Frames that were rendered after all; None without.
     reported
         Whether a report tells of it, which has checksums of all files.
     """
@@ -92,6 +100,7 @@ class Job:
     keys: tuple[int, ...]
     targets: OutputPlan
     truth: tuple[Sequence, FrameOf] | None
+    rendered: RenderedFrames | None = None
     reported: bool = False
 
     @property
@@ -155,13 +164,19 @@ class Job:
             self.method.needs_truth or not self.settings.source.keep_going
         ):
             require_truth_size(self.truth, self.source, self.keys)
+        if self.rendered is not None:
+            self.rendered.require_apart(self.targets.frames)
+            require_rendered_size(self.rendered.sequence, self.source, self.keys)
         self.targets.check_conflicts(self.settings, self.source.timeline, self.slots)
         if self.settings.skip_existing and not self.settings.replaces_foreign:
-            require_own(self.targets, self.source, self.method, self.slots)
+            rendered = None if self.rendered is None else self.rendered.sequence
+            require_own(self.targets, self.source, self.method, self.slots, rendered)
 
     def announce(self, progress: Progress) -> None:
         """Say what was found, and what is going to happen."""
         announce(progress, self.settings, self.source, self.method, self.keys)
+        if self.rendered is not None:
+            progress.message(self.rendered.note(self.source.timeline))
         if self.truth is not None:
             announce_truth(progress, *self.truth, self.source)
         if self.targets.video is not None:
@@ -172,6 +187,8 @@ class Job:
     def close(self) -> None:
         """Close what reading left open; a later read opens it again."""
         close(self.source.keys.sequence, *(() if self.truth is None else self.truth[:1]))
+        if self.rendered is not None:
+            close(self.rendered.sequence)
 
     def summary(self, outcome: Outcome, seconds: float) -> RunSummary:
         """Put together what a run of this job found out.
@@ -243,7 +260,10 @@ def open_job(settings: UpsampleSettings) -> Job:
         bearable = settings.source.keep_going and not method.needs_truth
         truth = find_truth(settings.ground_truth, source, bearable, settings.source.scan)
     require_measurable(settings, source.keys.display, source.timeline.steps is not None)
+    rendered = None
+    if settings.rendered is not None:
+        rendered = find_rendered(settings.rendered, source, settings.source.scan)
     return Job(
         settings, method, sources, network, interpolator, policy, models, contents, keys, targets,
-        truth,
+        truth, rendered,
     )  # fmt: skip

@@ -28,6 +28,7 @@ from exwarp_cli.io.output import (
     authorship_of,
     file_digest,
 )
+from exwarp_cli.io.sequence import Sequence
 from exwarp_cli.io.video import video_note
 from exwarp_cli.pipeline.frame_writer import OutputPlan, key_is_there
 from exwarp_cli.pipeline.source import Source
@@ -54,7 +55,13 @@ Reason = str
 """Why a file is not the run's own, in words that stand in parentheses after its name."""
 
 
-def require_own(targets: OutputPlan, source: Source, method: Method, slots: list[Slot]) -> None:
+def require_own(
+    targets: OutputPlan,
+    source: Source,
+    method: Method,
+    slots: list[Slot],
+    rendered: Sequence | None = None,
+) -> None:
     """Refuse to replace what the run's earlier parts did not write.
 
     Parameters
@@ -68,6 +75,8 @@ def require_own(targets: OutputPlan, source: Source, method: Method, slots: list
     slots
         The output instants that it writes. No other frame is looked at, but for those next to a key
         frame that was rendered again.
+    rendered
+        Frames that were rendered after all, by output number; None without.
 
     Raises
     ------
@@ -76,7 +85,7 @@ def require_own(targets: OutputPlan, source: Source, method: Method, slots: list
     UnreadableError
         When the system does not let one of them through.
     """
-    examination = _Examination(targets, source, method)
+    examination = _Examination(targets, source, method, rendered)
     with ThreadPoolExecutor(min(cores.count(), READERS), "exwarp-own") as pool:
         found = list(pool.map(examination.others, slots))
     others = [other for some in found for other in some]
@@ -99,6 +108,7 @@ class _Examination:
     targets: OutputPlan
     source: Source
     method: Method
+    rendered: Sequence | None = None
     _known: dict[Path, Authorship | None] = field(default_factory=dict)
 
     def others(self, slot: Slot) -> list[tuple[Path, Reason]]:
@@ -116,7 +126,8 @@ class _Examination:
 
     def _frame(self, path: Path, slot: Slot) -> Reason | None:
         """Return why a frame is not the run's own; None if it is, or there is none."""
-        if not slot.index and _is_copy(path, self._key_file(slot.key)):
+        copied_from = self._rendered_file(slot)
+        if copied_from is not None and _is_copy(path, copied_from):
             return None
         authorship = self._authorship(path)
         if authorship is None:
@@ -143,6 +154,13 @@ class _Examination:
             return "changed since ExWarp wrote it"
         by = _other_method(authorship, self.method)
         return None if by is None else f"made by {by} and not by {self.method.name}"
+
+    def _rendered_file(self, slot: Slot) -> Path | None:
+        """Return the file that a slot's frame is a copy of, if it is one."""
+        if not slot.index:
+            return self._key_file(slot.key)
+        files = {} if self.rendered is None else self.rendered.files
+        return files.get(self.source.timeline.number(slot))
 
     def _key_file(self, key: int) -> Path:
         return self.source.keys.sequence.files[self.source.timeline.numbers[key]]
@@ -220,7 +238,7 @@ def _other_method(authorship: Authorship, method: Method) -> str | None:
     fallback of the run's.
     """
     facts = authorship.facts
-    if facts.get("kind") == FrameKind.KEY.value:
+    if facts.get("kind") in (FrameKind.KEY.value, FrameKind.RENDERED.value):
         return None
     requested = facts.get(REQUESTED_METHOD)
     if requested is not None:

@@ -21,7 +21,7 @@ from exwarp_cli.io.footage import picture
 from exwarp_cli.io.output import PREFIX
 from exwarp_cli.io.threads import use_threads
 from exwarp_cli.kernels import _row_bands
-from exwarp_cli.pipeline.announcing import left_out, tell_left_out, unscored
+from exwarp_cli.pipeline.announcing import left_out, tell_left_out, unscored, unusable
 from exwarp_cli.pipeline.choosing import Chooser, Chosen, always, by_policy, by_tiles, by_truth
 from exwarp_cli.pipeline.finding import is_usual
 from exwarp_cli.pipeline.frame_sizes import remark
@@ -110,7 +110,7 @@ def write_intervals(job: Job, progress: Progress, listener: FrameListener | None
     reader = make_reader(job)
     note = ""
     if job.targets.frames is None:
-        note = note_of(reader.leading_recipes, settings, job.keys)
+        note = note_of(reader.leading_recipes, settings, job.keys, job.rendered)
     try:
         if listener is None and is_kept(job.targets, settings, note):
             return Outcome(cuts=reader.cuts)
@@ -121,7 +121,7 @@ def write_intervals(job: Job, progress: Progress, listener: FrameListener | None
             frames,
             reader.cuts,
             tuple(run.left_out),
-            nonfinite=broken_pixels_of(job, reader.truth.nonfinite),
+            nonfinite=broken_pixels_of(job, reader.truth.nonfinite, reader.rendered),
         )
         return _verified(outcome, job, run.writer.sums)
     finally:
@@ -233,9 +233,7 @@ class Run:
         timeline, interval = self._job.source.timeline, prepared.interval
         self._replace_key(inputs)
         self._take_gradient(inputs)
-        for skipped in unscored(timeline, inputs.key, inputs.truth.unscored):
-            self.left_out.append(skipped)
-            tell_left_out(self._progress, skipped)
+        self._tell_unusable(inputs)
         if timeline.shows(inputs.key):
             self._pass_key(inputs)
         slots = timeline.made_of(inputs.key)
@@ -248,7 +246,9 @@ class Run:
         rendered = self._slots.render(render, missing, how)
         first_record = len(self._records)
         for slot in slots:
-            if slot in prepared.existing:
+            if slot.index in inputs.rendered.frames:
+                self._record(self._renderer.pass_rendered(slot, inputs), inputs, scores)
+            elif slot in prepared.existing:
                 masked = self._listener is not None
                 self._record(self._renderer.resume(slot, interval, inputs, masked), inputs, scores)
             else:
@@ -261,6 +261,16 @@ class Run:
             self._complete_scores(first_record, inputs, scores)
         self._layers.begin(inputs, None)
 
+    def _tell_unusable(self, inputs: IntervalInputs) -> None:
+        """Record and say which ground truth and which rendered frames cannot be used."""
+        timeline = self._job.source.timeline
+        for found in (
+            *unscored(timeline, inputs.key, inputs.truth.unscored),
+            *unusable(timeline, inputs.key, inputs.rendered.unusable),
+        ):
+            self.left_out.append(found)
+            tell_left_out(self._progress, found)
+
     def _prepare(self, inputs: IntervalInputs) -> tuple[PreparedInterval, IntervalInputs]:
         """Build an interval, and decide its path; return it with what is left of its inputs."""
         method, slots = self._job.method, self._job.source.timeline.made_of(inputs.key)
@@ -271,8 +281,7 @@ class Run:
         with record_time(timing_ms, "geometry", len(slots)):
             if inputs.frame is not None:
                 interval = self._builder.build(inputs)
-        recipes = inputs.metadata.recipes
-        existing = {slot for slot in slots if interval is None or self._exists(slot, recipes)}
+        existing = {slot for slot in slots if interval is None or self._exists(slot, inputs)}
         trial = None
         if interval is not None and not interval.held and len(existing) < len(slots):
             trial = self._try(inputs, timing_ms)
@@ -324,11 +333,15 @@ class Run:
         settings = self._job.settings
         if not settings.skip_existing or settings.ground_truth is not None:
             return True
-        return not all(self._exists(Slot(key, i), recipes) for i in recipes)
+        number = self._job.source.timeline.number
+        return not all(self.writer.has(number(Slot(key, i)), recipes[i]) for i in recipes)
 
-    def _exists(self, slot: Slot, recipes: dict[int, str]) -> bool:
-        """Return True if an earlier run wrote this slot's files as this one would."""
-        return self.writer.has(self._job.source.timeline.number(slot), recipes[slot.index])
+    def _exists(self, slot: Slot, inputs: IntervalInputs) -> bool:
+        """Return True if nothing makes a slot's frame: it was rendered, or an earlier run did."""
+        if slot.index in inputs.rendered.frames:
+            return True
+        number, recipe = self._job.source.timeline.number(slot), inputs.metadata.recipes[slot.index]
+        return self.writer.has(number, recipe)
 
     def _skip(self, skipped: SkippedInterval) -> None:
         """Pass the key frame through if it can be read, and record what is missing."""
@@ -531,7 +544,13 @@ def make_reader(job: Job) -> ViewsReader:
     """Return what reads the views that are written; the first decides, and is scored."""
     contents, method, settings = job.contents, job.method, job.settings
     leader = IntervalReader(
-        contents[0].source, method, settings, job.truth, job.depends_on, contents
+        contents[0].source,
+        method,
+        settings,
+        job.truth,
+        job.depends_on,
+        contents,
+        rendered=job.rendered,
     )
     others = (
         IntervalReader(content.source, method, settings, None, job.depends_on, (content,), leader)

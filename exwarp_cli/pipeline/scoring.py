@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import takewhile
 from typing import TYPE_CHECKING
@@ -23,6 +23,7 @@ from exwarp_cli.synthesis.interval import Interval
 if TYPE_CHECKING:
     from exwarp_cli.io.soundness import NonFinite
     from exwarp_cli.pipeline.job import Job
+    from exwarp_cli.pipeline.rendered_frames import RenderedReader
     from exwarp_cli.pipeline.source import Source
 
 Scores = tuple[Score, Score | None]
@@ -239,7 +240,9 @@ class IntervalScores:
         return {slot: v for slot, v in zip(video, values, strict=True) if slot in self._shown}
 
 
-def broken_pixels_of(job: Job, truth: NonFinite) -> tuple[BrokenPixels, ...]:
+def broken_pixels_of(
+    job: Job, truth: NonFinite, rendered: RenderedReader | None = None
+) -> tuple[BrokenPixels, ...]:
     """Return what was found in the selected key frames, and in what the slots after them have.
 
     Frames around that were read as well are told of by the chunks that they belong to.
@@ -250,17 +253,23 @@ def broken_pixels_of(job: Job, truth: NonFinite) -> tuple[BrokenPixels, ...]:
         All of whose frames were read.
     truth
         What was found in ground truth, by output frame.
+    rendered
+        What read rendered frames; None without.
     """
-    return tuple(
-        one
-        for key in job.keys
-        for source in job.sources
-        for one in _in_interval(source, key, truth if source is job.source else None)
-    )
+    in_rendered = {} if rendered is None else rendered.nonfinite
+    found: list[BrokenPixels] = []
+    for key in job.keys:
+        for source in job.sources:
+            others = [truth] if source is job.source else []
+            others += [in_rendered[source.keys.view]] if in_rendered else []
+            found += _in_interval(source, key, others)
+    return tuple(found)
 
 
-def _in_interval(source: Source, key: int, truth: NonFinite | None) -> Iterator[BrokenPixels]:
-    """Yield what was found in one view of a key interval."""
+def _in_interval(
+    source: Source, key: int, by_output: Iterable[NonFinite]
+) -> Iterator[BrokenPixels]:
+    """Yield what was found in one view of a key interval; the last by number of the output."""
     timeline, view = source.timeline, source.keys.view
     number = timeline.numbers[key]
     for channels, pixels in source.keys.nonfinite.of(number):
@@ -270,6 +279,6 @@ def _in_interval(source: Source, key: int, truth: NonFinite | None) -> Iterator[
         if instant is not None and source.slots is not None:
             for channels, pixels in source.slots.nonfinite.of(instant):
                 yield BrokenPixels(number, slot.index, view, channels, pixels)
-        if truth is not None:
-            for channels, pixels in truth.of(timeline.number(slot)):
+        for other in by_output:
+            for channels, pixels in other.of(timeline.number(slot)):
                 yield BrokenPixels(number, slot.index, view, channels, pixels)

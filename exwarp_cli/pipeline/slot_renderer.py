@@ -174,6 +174,34 @@ class SlotRenderer:
         mask = None if interval is None or not (scored or masked) else self._mask(interval, slot)
         return RenderedSlot(record, image, mask=mask, gradient=gradient)
 
+    def pass_rendered(self, slot: Slot, inputs: IntervalInputs) -> RenderedSlot:
+        """Pass a frame through that was rendered in the place of a generated one."""
+        frame, writer = inputs.rendered.frames[slot.index], self._writer
+        timeline = self._source.timeline
+        number, key = timeline.number(slot), timeline.numbers[slot.key]
+        resumed = writer.has_rendered(number, frame.path, frame.recipe)
+        replaced = not resumed and writer.is_in_the_way(number)
+        marks: dict[str, str | int] = {
+            "version": __version__,
+            "method": FrameKind.RENDERED.value,
+            "kind": FrameKind.RENDERED.value,
+            "sources": frame.path.name,
+            "key": key,
+            "slot": slot.index,
+            "recipe": frame.recipe,
+        }
+        if not resumed and writer.copies(frame.path):
+            writer.pass_rendered(number, frame.path, marks)
+        elif not resumed and writer.keeps_frames:
+            own = {f"{PREFIX}{name}": value for name, value in marks.items()}
+            attributes = {**rate_attribute(self._source), **own}
+            writer.write(number, frame.image, None, inputs.metadata.template, attributes)
+        record = FrameRecord(
+            number, writer.name(number), key, slot.index, FrameKind.RENDERED,
+            FrameKind.RENDERED.value, (number,), resumed=resumed, replaced=replaced,
+        )  # fmt: skip
+        return RenderedSlot(record, frame.image)
+
     def _measures(self, kind: FrameKind, slot: Slot, inputs: IntervalInputs) -> bool:
         """Return True if a frame's gradient is compared with those of its key frames."""
         is_new = kind is FrameKind.GENERATED

@@ -180,7 +180,8 @@ Listed = tuple[str, int | None, Path, bool]
 def _listed(targets: OutputPlan, frames: Iterable[FrameRecord]) -> Iterator[Listed]:
     """Yield the files of a run; a video beside frames can be made of them at any time."""
     for frame in frames:
-        sealed = frame.resumed and frame.kind is not FrameKind.KEY
+        copied = frame.kind in (FrameKind.KEY, FrameKind.RENDERED)  # maybe byte for byte
+        sealed = frame.resumed and not copied
         if targets.frames is not None:
             yield FRAME, frame.number, targets.frames.path(frame.number), sealed
         if targets.holes is not None and frame.hole_fraction is not None:

@@ -13,7 +13,7 @@ from exwarp_cli.domain.frame import GBuffer, KeyFrame, Window, place, require_ca
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.errors import LayoutError, UsageError
-from exwarp_cli.io.footage import is_plain, look_of, own_rate
+from exwarp_cli.io.footage import digest_of, is_plain, look_of, own_rate
 from exwarp_cli.io.layers import BEAUTY
 from exwarp_cli.io.video import VideoLook, video_note
 from exwarp_cli.pipeline.recipes import Recipes, key_recipe
@@ -24,6 +24,7 @@ from exwarp_cli.synthesis.optical_flow import Flow, estimate, moving
 
 if TYPE_CHECKING:
     from exwarp_cli.pipeline.frame_writer import OutputPlan
+    from exwarp_cli.pipeline.rendered_frames import RenderedFrames
 
 BY_EXWARP = "ExWarp"
 """How the comment of every written video begins."""
@@ -82,7 +83,12 @@ def video_look(source: Source, keys: tuple[int, ...], note: str = "") -> VideoLo
     return look_of(source.keys, begin, end, note, apart)
 
 
-def note_of(recipes: Recipes, settings: UpsampleSettings, keys: tuple[int, ...]) -> str:
+def note_of(
+    recipes: Recipes,
+    settings: UpsampleSettings,
+    keys: tuple[int, ...],
+    rendered: RenderedFrames | None = None,
+) -> str:
     """Digest what a video depends on that is written alone; it keeps that as its comment.
 
     "" where it may lack something whose files are as they were: it is made again then.
@@ -103,6 +109,9 @@ def note_of(recipes: Recipes, settings: UpsampleSettings, keys: tuple[int, ...])
         "tail": settings.source.tail,
         "cuts": repr(source.cuts),
     }
+    if rendered is not None:
+        sequence = rendered.sequence
+        found["rendered"] = [[n, digest_of(sequence, n)] for n in sequence.numbers]
     look = video_look(source, keys)
     if look.pixel_aspect != 1 or look.primaries is not None:
         found["look"] = [str(look.pixel_aspect), repr(look.primaries)]

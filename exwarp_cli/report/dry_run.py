@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
+from exwarp_cli.domain.results import FrameKind
 from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.domain.wording import counted
 from exwarp_cli.pipeline.dry_run import DryRun, Fate, ForeseenFrame
@@ -18,6 +19,13 @@ SCHEMA = "exwarp.dry-run/1"
 
 LONGEST = 60
 """Characters of a list of frames in a line; generated ones lie between all others."""
+
+KINDS = {
+    FrameKind.KEY: "rendered",
+    FrameKind.RENDERED: "rendered after all",
+    FrameKind.GENERATED: "generated",
+}
+"""Kinds of frames that are foreseen, and what lines call them."""
 
 _SAME = ("version", "method", "setting", "lookahead", "input", "views", "layers")
 _MODELS = ("extrapolator", "policy", "interpolator")
@@ -71,8 +79,7 @@ def dry_run_lines(found: DryRun) -> list[str]:
 def _frames(frames: tuple[ForeseenFrame, ...]) -> dict[str, Any]:
     """Count frames by kind and by fate, and name them."""
     kinds = {
-        "key": [frame for frame in frames if frame.rendered],
-        "generated": [frame for frame in frames if not frame.rendered],
+        **{kind.value: [frame for frame in frames if frame.kind is kind] for kind in KINDS},
         **{fate.value: [frame for frame in frames if frame.fate is fate] for fate in Fate},
     }
     numbers = {name: ranges([frame.number for frame in some]) for name, some in kinds.items()}
@@ -83,13 +90,8 @@ def _frames(frames: tuple[ForeseenFrame, ...]) -> dict[str, Any]:
 
 
 def _kinds(frames: tuple[ForeseenFrame, ...]) -> list[str]:
-    rendered = [frame for frame in frames if frame.rendered]
-    made = [frame for frame in frames if not frame.rendered]
-    return [
-        f"{len(some)} {kind}: {_ranges(some)}"
-        for kind, some in (("rendered", rendered), ("generated", made))
-        if some
-    ]
+    kinds = {kind: [frame for frame in frames if frame.kind is kind] for kind in KINDS}
+    return [f"{len(some)} {KINDS[kind]}: {_ranges(some)}" for kind, some in kinds.items() if some]
 
 
 def _cuts(found: DryRun) -> str:

@@ -148,15 +148,25 @@ def held_line(held: Sequence[int]) -> str:
     )
 
 
+def rendered_text(frames: Mapping[str, int]) -> str:
+    """Say how many frames were rendered, as `report.json` counts them."""
+    after_all = frames["rendered"]
+    if not after_all:
+        return f"{frames['key']} rendered"
+    return f"{frames['key'] + after_all} rendered ({after_all} of them after all)"
+
+
 def left_out_line(left_out: Sequence[Mapping[str, Any]]) -> str:
     """Say what was left out, as `report.json` lists it; at least one."""
     missing = [one for one in left_out if one["frames"]]
-    frames, scores = (
+    frames, scores, rendered = (
         ranges(sorted({number for one in left_out for number in one[what]}))
-        for what in ("frames", "scores")
+        for what in ("frames", "scores", "rendered")
     )
     told = [f"{counted(len(missing), 'key interval')} left out: frames {frames}"] if missing else []
-    return "; ".join([*told, *([f"not scored: frames {scores}"] if scores else [])])
+    told += [f"not scored: frames {scores}"] if scores else []
+    told += [f"generated, although rendered: frames {rendered}"] if rendered else []
+    return "; ".join(told)
 
 
 def nonfinite_line(found: Sequence[Mapping[str, Any]]) -> str:

@@ -22,7 +22,7 @@ SERIES = 7
 
 ROLES = (
     *("fg", "muted", "grid", "warp", "extrapolate", "hold", "blend", "interpolate", "key", "mark"),
-    *("bg", "softsplat", "lookahead"),
+    *("bg", "softsplat", "lookahead", "rendered"),
 )
 """Further colours of the style sheet that plots use."""
 

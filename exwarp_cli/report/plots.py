@@ -36,6 +36,7 @@ KINDS = {
     "interpolate": "v",
     "lookahead": "*",
     "key": "D",
+    "rendered": "d",
 }
 """What makes a frame, and the marker of its points."""
 

@@ -66,8 +66,11 @@ ADDED: dict[str, Any] = {
 }
 """What reports of earlier versions do not tell, as it was then."""
 
-ADDED_DECISIONS: dict[str, Any] = {"gate": None, "look_ahead": None, "cost": None}
-"""The same of their decisions."""
+ADDED_IN: dict[str, dict[str, Any]] = {
+    "decisions": {"gate": None, "look_ahead": None, "cost": None},
+    "frames": {"rendered": 0},
+}
+"""The same of their parts."""
 
 MOST_KEYS = 10_000_000
 """Key frames of a sequence, as many as a range of frames can name."""
@@ -147,8 +150,11 @@ def _document(path: Path) -> dict[str, Any]:
         raise InputError(
             f"{path} is no report of schema {SCHEMA}; name folders that upsample --report wrote"
         )
-    if isinstance(found.get("decisions"), dict):
-        found["decisions"] = {**ADDED_DECISIONS, **found["decisions"]}
+    for part, added in ADDED_IN.items():
+        if isinstance(found.get(part), dict):
+            found[part] = {**added, **found[part]}
+    if isinstance(found.get("left_out"), list):
+        found["left_out"] = [{"rendered": [], **one} for one in found["left_out"]]
     return {**ADDED, **found}
 
 
@@ -238,7 +244,10 @@ def _run(document: Mapping[str, Any], frames: tuple[FrameRecord, ...]) -> RunSum
         keys=_selected(document),
         version=document["version"],
         left_out=tuple(
-            LeftOut(one["key"], tuple(one["frames"]), one["reason"], tuple(one["scores"]))
+            LeftOut(
+                *(one["key"], tuple(one["frames"]), one["reason"]),
+                *(tuple(one["scores"]), tuple(one["rendered"])),
+            )
             for one in document["left_out"]
         ),
         files=tuple(WrittenFile(**one) for one in document["files"]),

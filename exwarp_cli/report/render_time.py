@@ -30,7 +30,8 @@ def render_time(run: RunSummary) -> dict[str, Any] | None:
     if each is None or not made:
         return None
     worked = {frame.key for frame in run.frames if not frame.resumed}
-    keys = sum(frame.kind is FrameKind.KEY and frame.key in worked for frame in run.frames)
+    rendered = (FrameKind.KEY, FrameKind.RENDERED)
+    keys = sum(frame.kind in rendered and frame.key in worked for frame in run.frames)
     spent = max(run.wall_seconds - _scoring_s(run), 0.0)
     shown = {frame.key for frame in run.frames if frame.kind is FrameKind.KEY}
     unseen = len({frame.key for frame in run.frames if not frame.resumed} - shown)

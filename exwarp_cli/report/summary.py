@@ -128,6 +128,8 @@ def _input(run: RunSummary) -> dict[str, Any]:
 def _frames(frames: tuple[FrameRecord, ...]) -> dict[str, int]:
     """Count the output frames; `written` counts those of an earlier run (`resumed`) too.
 
+    `rendered` are those that were rendered after all, in the place of generated ones.
+
     `resumed`, `made` and `replaced` add up to `written`: replaced are those that took the place of
     a file.
     """
@@ -138,6 +140,7 @@ def _frames(frames: tuple[FrameRecord, ...]) -> dict[str, int]:
         "written": len(frames),
         "generated": kinds.count(FrameKind.GENERATED),
         "dropped": kinds.count(FrameKind.DROPPED),
+        "rendered": kinds.count(FrameKind.RENDERED),
         "resumed": resumed,
         "made": len(frames) - resumed - replaced,
         "replaced": replaced,
@@ -194,12 +197,14 @@ def _paths(run: RunSummary) -> list[str] | None:
         return None
     paths: list[str] = []
     for group in complete_intervals(run):
-        paths += [group[-1].path] if group[-1].path else paths_of_tiles(group)
+        taken = [frame.path for frame in group if frame.path]
+        paths += taken[-1:] or paths_of_tiles(group)
     return paths
 
 
 def _quality(decides: bool, shown: tuple[FrameRecord, ...]) -> dict[str, Any]:
-    """Mean scores over the frames shown between key frames, repeats included."""
+    """Mean scores over the frames between key frames that were not rendered, repeats included."""
+    shown = tuple(frame for frame in shown if frame.kind is not FrameKind.RENDERED)
     return {
         "all": quality(f.score for f in shown),
         "holes": quality(f.hole_score for f in shown),

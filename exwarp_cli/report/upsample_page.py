@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from exwarp_cli.domain.decision import FEATURES, HOLD, KEY, NODES
+from exwarp_cli.domain.decision import FEATURES, HOLD, NODES
 from exwarp_cli.domain.metric import KEY_FRAMES
 from exwarp_cli.domain.results import FrameKind, FrameRecord, RunSummary
 from exwarp_cli.domain.timeline import ranges
@@ -35,6 +35,7 @@ from exwarp_cli.report.page_parts import (
     percent,
     quality_numbers,
     quality_table,
+    rendered_text,
     time_text,
     worst_table,
 )
@@ -116,8 +117,8 @@ def _start_at_worst(album: Album, frames: tuple[FrameRecord, ...]) -> None:
 
 def made_by(frame: FrameRecord) -> str:
     """Say what made a frame, as `plots.KINDS` names it."""
-    if frame.kind is FrameKind.KEY:
-        return KEY
+    if frame.kind in (FrameKind.KEY, FrameKind.RENDERED):
+        return str(frame.kind.value)
     if frame.kind is FrameKind.DROPPED:
         return HOLD
     return frame.made_by or frame.method
@@ -127,7 +128,7 @@ def headline(document: dict[str, Any]) -> list[Number]:
     """Return the numbers on top: what a farm saved first, where the headers told it."""
     frames, fps, holes = document["frames"], document["fps"], document["holes"]
     found = _saved(document.get("render_time"))
-    parts = f"{frames['key']} rendered, {frames['generated']} generated"
+    parts = f"{rendered_text(frames)}, {frames['generated']} generated"
     if frames["dropped"]:
         parts += f", {frames['dropped']} repeated"
     found.append(Number("Frames", f"{frames['written']:,}", parts))
@@ -136,14 +137,7 @@ def headline(document: dict[str, Any]) -> list[Number]:
         found.append(Number("Effective", f"{fps['effective']:.1f} fps", "new frames alone"))
     found += quality_numbers(document["quality"]["all"])
     found += _pulse_number(document["pulse"])
-    if document["left_out"]:
-        missing = sum(len(one["frames"]) for one in document["left_out"])
-        unscored = sum(len(one["scores"]) for one in document["left_out"])
-        if missing:
-            found.append(Number("Left out", f"{missing:,}", "frames whose input cannot be used"))
-        if unscored:
-            told = "frames whose ground truth cannot be used"
-            found.append(Number("Not scored", f"{unscored:,}", told))
+    found += _left_out_numbers(document["left_out"])
     if document["input"]["motion"]["source"] == "estimated":
         told = "from colour by optical flow, far less exact than a renderer's vectors"
         found.append(Number("Motion", "estimated", told))
@@ -163,6 +157,21 @@ def headline(document: dict[str, Any]) -> list[Number]:
             Number("Time", str(time_text(1 / fps["throughput"])), "per written frame, all threads")
         )
     return found
+
+
+def _left_out_numbers(left_out: list[dict[str, Any]]) -> list[Number]:
+    """Return how many frames lack their input, their rendered frame or their ground truth."""
+    told = {
+        "frames": ("Left out", "frames whose input cannot be used"),
+        "rendered": ("Not used", "rendered frames, which are generated"),
+        "scores": ("Not scored", "frames whose ground truth cannot be used"),
+    }
+    counts = {name: sum(len(one[name]) for one in left_out) for name in told}
+    return [
+        Number(label, f"{counts[name]:,}", note)
+        for name, (label, note) in told.items()
+        if counts[name]
+    ]
 
 
 def _pulse_number(block: dict[str, Any] | None) -> list[Number]:
@@ -450,14 +459,20 @@ def _timing(frames: tuple[FrameRecord, ...], document: dict[str, Any]) -> list[B
 def _left_out(document: dict[str, Any]) -> list[Block]:
     """List what was left out as its input cannot be used."""
     rows: list[list[Cell]] = [
-        [str(one["key"]), ranges(one["frames"]), ranges(one["scores"]), one["reason"]]
+        [
+            *(str(one["key"]), ranges(one["frames"]), ranges(one["scores"])),
+            *(ranges(one["rendered"]), one["reason"]),
+        ]
         for one in document["left_out"]
     ]
     if not rows:
         return []
-    columns = ("key frame", "frames", "not scored", "why")
-    whole = all(one["scores"] for one in document["left_out"])
-    return [Table("Not scored" if whole else "Key intervals left out", columns, rows)]
+    columns = ("key frame", "frames", "not scored", "rendered, not used", "why")
+    title = "Key intervals left out"
+    if not any(one["frames"] for one in document["left_out"]):
+        unused = any(one["rendered"] for one in document["left_out"])
+        title = "Rendered frames that are not used" if unused else "Not scored"
+    return [Table(title, columns, rows)]
 
 
 def _nonfinite(document: dict[str, Any]) -> list[Block]:

@@ -45,6 +45,7 @@ class TestTelling:
         nothing = {"replace": "", "keep": ""}
         assert numbers(found) == {
             "key": "1-9x4",
+            "rendered": "",
             "generated": generated,
             "write": "1-12",
             **nothing,

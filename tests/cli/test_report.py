@@ -122,7 +122,7 @@ class TestReport:
             False,
         )
         assert document["frames"] == {
-            "key": 3, "written": 12, "generated": 9, "dropped": 0, "resumed": 0,
+            "key": 3, "written": 12, "generated": 9, "dropped": 0, "rendered": 0, "resumed": 0,
             "made": 12, "replaced": 0,
         }  # fmt: skip
         assert (document["fps"]["base"], document["fps"]["effective"]) == (30, 120)

@@ -30,7 +30,7 @@ CONTRACT: dict[str, Any] = {
         **dict.fromkeys(("dynamic", "depth", "step", "selected")),
     },
     "frames": dict.fromkeys(
-        ("key", "written", "generated", "dropped", "resumed", "made", "replaced")
+        ("key", "written", "generated", "dropped", "rendered", "resumed", "made", "replaced")
     ),
     "fps": dict.fromkeys(("base", "effective", "output", "throughput", "source", "factor")),
     "holes": dict.fromkeys(("mean_fraction", "p95_fraction", "histogram")),
@@ -195,7 +195,8 @@ def test_throughput_counts_what_this_run_wrote() -> None:
     found = report(run(frames))
     assert found["fps"]["throughput"] == 2 / 2.0
     assert found["frames"] == {
-        "key": 1, "written": 4, "generated": 3, "dropped": 0, "resumed": 2, "made": 2, "replaced": 0
+        "key": 1, "written": 4, "generated": 3, "dropped": 0, "rendered": 0,
+        "resumed": 2, "made": 2, "replaced": 0,
     }  # fmt: skip
     done = [replace(f, resumed=True) for f in frames]
     assert report(run(done))["fps"]["throughput"] is None

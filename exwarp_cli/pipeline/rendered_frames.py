@@ -1,0 +1,238 @@
+"""Frames that were rendered after all, which take the place of generated ones as they are."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
+from pathlib import Path
+
+from exwarp_cli import __version__
+from exwarp_cli.domain.frame import Image
+from exwarp_cli.domain.results import FrameKind
+from exwarp_cli.domain.settings import SourceSettings
+from exwarp_cli.domain.timeline import Slot, Timeline, ranges
+from exwarp_cli.errors import InputError, LayoutError, OutputError
+from exwarp_cli.io.channels import Role
+from exwarp_cli.io.clip import is_clip
+from exwarp_cli.io.footage import digest_of, find_frames, is_plain, key_picture
+from exwarp_cli.io.frames import read_raw
+from exwarp_cli.io.output import State, authorship_of
+from exwarp_cli.io.sequence import EXR, OutputPattern, Sequence, find_sequence
+from exwarp_cli.io.shot import Shot
+from exwarp_cli.io.soundness import NonFinite, require_sound
+from exwarp_cli.io.views import expand
+from exwarp_cli.pipeline.contents import Content, LayerStore
+from exwarp_cli.pipeline.source import Source
+
+NEW = (FrameKind.GENERATED.value, FrameKind.DROPPED.value)
+"""Kinds of frames that no renderer made."""
+
+
+@dataclass(frozen=True)
+class RenderedFrames:
+    """Frames of the output, between key frames, that were rendered after all.
+
+    Attributes
+    ----------
+    sequence
+        Their files by output number; no others.
+    unused
+        Numbers that the user's sequence has beside these: of key frames, and outside the output.
+    """
+
+    sequence: Sequence
+    unused: tuple[int, ...]
+
+    def has(self, number: int) -> bool:
+        """Return True if an output frame was rendered."""
+        return number in self.sequence.files
+
+    def note(self, timeline: Timeline) -> str:
+        """Say which frames are used, and which are not."""
+        used = f"rendered frames of {self.sequence.pattern}: {ranges(self.sequence.numbers)}"
+        if not self.unused:
+            return used
+        return (
+            f"{used}; not used are {ranges(self.unused)}, which are numbers of key frames or not "
+            f"in the output, {_output_range(timeline)}"
+        )
+
+    def require_apart(self, frames: OutputPattern | None) -> None:
+        """Refuse to write over the rendered frames themselves; raises OutputError."""
+        for number, path in self.sequence.files.items():
+            if frames is not None and frames.path(number).resolve() == path.resolve():
+                raise OutputError(
+                    f"--rendered {path} is where this run would write; name another folder in -o, "
+                    "or move the rendered frames"
+                )
+
+
+def find_rendered(spec: str, source: Source, scan: str = SourceSettings.scan) -> RenderedFrames:
+    """Find rendered frames by their output numbers; any of them may be there.
+
+    Key frames that are EXR are joined by EXR alone, as others lack channels.
+
+    Raises
+    ------
+    InputError
+        When there is no such sequence, or none of its frames is a new one of the output.
+    """
+    named = expand(spec, source.keys.view or None)[0]
+    plain = is_plain(source.keys.sequence)
+    found = find_frames(named, scan=scan) if plain else find_sequence(named)
+    timeline = source.timeline
+    slots = [slot for key in range(len(timeline.numbers)) for slot in timeline.made_of(key)]
+    new = {timeline.number(slot) for slot in slots}
+    used = [number for number in found.numbers if number in new]
+    if not used:
+        raise InputError(
+            f"--rendered {found.pattern} has frames {ranges(found.numbers)}, and none of them is a "
+            f"new frame of the output, {_output_range(timeline)}; number them as review.txt does"
+        )
+    return RenderedFrames(found.over(used), tuple(n for n in found.numbers if n not in new))
+
+
+def _output_range(timeline: Timeline) -> str:
+    """Return the first and the last number of the whole output."""
+    slots = [slot for key in range(len(timeline.numbers)) for slot in timeline.slots_of(key)]
+    return f"{timeline.number(slots[0])}-{timeline.number(slots[-1])}"
+
+
+@dataclass(frozen=True)
+class RenderedFrame:
+    """A rendered frame that takes the place of a generated one.
+
+    Attributes
+    ----------
+    path
+        Its file.
+    image
+        Its colour.
+    recipe
+        Digest of what its written file depends on.
+    """
+
+    path: Path
+    image: Image
+    recipe: str
+
+
+@dataclass(frozen=True)
+class IntervalRendered:
+    """Rendered frames of one interval, by slot.
+
+    Attributes
+    ----------
+    frames
+        Those that are used.
+    unusable
+        Why others cannot be used; these slots are generated.
+    """
+
+    frames: Mapping[int, RenderedFrame] = field(default_factory=dict)
+    unusable: Mapping[int, str] = field(default_factory=dict)
+
+
+class RenderedReader:
+    """Reads rendered frames, interval by interval.
+
+    Parameters
+    ----------
+    rendered
+        The frames.
+    contents
+        What frames hold, of every view: a rendered frame must have all of it.
+    rate
+        The frame rate that headers get; None where it is not known.
+    tolerant
+        Whether to generate frames whose rendered ones cannot be used.
+    """
+
+    def __init__(
+        self,
+        rendered: RenderedFrames,
+        contents: tuple[Content, ...],
+        rate: Fraction | None,
+        tolerant: bool = False,
+    ) -> None:
+        self._sequence = rendered.sequence
+        self._plain = is_plain(contents[0].source.keys.sequence)
+        self._timeline = contents[0].source.timeline
+        self._rate = rate
+        self._tolerant = tolerant
+        self._shots = [
+            replace(content.source.keys, sequence=rendered.sequence, aovs={})
+            for content in contents
+        ]
+        pairs = zip(self._shots, contents, strict=True)
+        self._layers = [LayerStore(shot, content.beside) for shot, content in pairs]
+        self._last: tuple[int, IntervalRendered] | None = None
+
+    @property
+    def nonfinite(self) -> dict[str, NonFinite]:
+        """What was found in the frames by output number, of each view."""
+        return {shot.view: shot.nonfinite for shot in self._shots}
+
+    def read(self, key: int) -> IntervalRendered:
+        """Read those of an interval, by the index of its key frame; the last one is kept.
+
+        Raises
+        ------
+        InputError
+            When a frame cannot be used, unless tolerant.
+        """
+        if self._last is None or self._last[0] != key:
+            self._last = key, self._read(key)
+        return self._last[1]
+
+    def _read(self, key: int) -> IntervalRendered:
+        frames: dict[int, RenderedFrame] = {}
+        unusable: dict[int, str] = {}
+        for slot in self._timeline.made_of(key):
+            number = self._timeline.number(slot)
+            if number not in self._sequence.files:
+                continue
+            try:
+                frames[slot.index] = self._frame(slot, number)
+            except InputError as error:
+                told = f"frame {number} of --rendered cannot be used: {error}"
+                if not self._tolerant:
+                    raise type(error)(told) from error
+                unusable[slot.index] = told
+        return IntervalRendered(frames, unusable)
+
+    def _frame(self, slot: Slot, number: int) -> RenderedFrame:
+        path = self._sequence.files[number]
+        if path.suffix.lower() in EXR:
+            require_sound((path,))
+        _require_rendered(path)
+        images = [self._colour(shot, number) for shot in self._shots]
+        for layers in self._layers:
+            layers.frame(number)
+            layers.keep(())
+        digest = digest_of(self._sequence, number)
+        facts = [__version__, FrameKind.RENDERED.value, digest, str(self._rate)]
+        text = json.dumps([*facts, slot.key, slot.index])
+        return RenderedFrame(path, images[0], hashlib.sha256(text.encode()).hexdigest())
+
+    def _colour(self, shot: Shot, number: int) -> Image:
+        """Read a frame's colour as that of a key frame; raises InputError where that fails."""
+        if self._plain:
+            return key_picture(shot, number)
+        image = read_raw(shot, number, (Role.COLOUR,)).image
+        assert image is not None  # the layout of key frames has colour
+        return image
+
+
+def _require_rendered(path: Path) -> None:
+    """Refuse a frame that ExWarp made; raises LayoutError."""
+    authorship = None if is_clip(str(path)) else authorship_of(path)
+    if authorship is None or authorship.state is not State.INTACT:
+        return
+    if authorship.facts.get("kind") in NEW:
+        raise LayoutError(
+            f"{path} was not rendered but made by ExWarp; name a folder of rendered frames alone"
+        )

@@ -1,0 +1,228 @@
+"""Frames that were rendered after all take the place of generated ones."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+import pytest
+
+from exwarp_cli import cli
+from tests.cli import shots
+from tests.cli.documents import document_of
+from tests.cli.reports import album, rows, unmeasured
+from tests.cli.shots import FORWARD, SMALL
+
+HOW = ("-m", "softsplat", *FORWARD, "--cuts", "none")
+GIVEN = range(1, 6)
+"""Numbers of the rendered sequence, of which 1 and 5 are key frames."""
+
+USED = (2, 3, 4)
+GENERATED = {6, 7, 8, 10, 11, 12}
+
+
+@pytest.fixture(scope="module")
+def keys(tmp_path_factory) -> Path:
+    """Three key frames; read only."""
+    return shots.sequence(tmp_path_factory.mktemp("shot") / "keys", street=SMALL)
+
+
+@pytest.fixture(scope="module")
+def rendered(tmp_path_factory) -> Path:
+    """Rendered output frames, whose vectors lead over a key interval; read only."""
+    folder = tmp_path_factory.mktemp("rendered") / "frames"
+    return shots.sequence(folder, numbers=GIVEN, street=SMALL, step=0.25)
+
+
+@pytest.fixture(scope="module")
+def done(keys, rendered, tmp_path_factory) -> Path:
+    """A folder of a run that writes everything there is; read only."""
+    root = tmp_path_factory.mktemp("done")
+    truth = shots.truth(root / "truth", street=SMALL)
+    words = ["upsample", keys, "-o", root / "out", *HOW, "--rendered", rendered]
+    words += ["--report", root / "report", "--ground-truth", truth, "--video", root / "a.mp4"]
+    words += ["--write-holes", root / "holes", "--verify", "--threads", 1, "--progress", "none"]
+    assert cli.run([str(word) for word in words]) == 0
+    return root
+
+
+@pytest.fixture
+def one_frame(rendered, tmp_path) -> Path:
+    """A folder of the rendered frame 3 alone."""
+    return copied(rendered, tmp_path / "one", 3)
+
+
+def copied(folder: Path, to: Path, *numbers: int) -> Path:
+    """Copy some frames into another folder."""
+    to.mkdir()
+    for number in numbers:
+        name = f"shot.{number:04d}.exr"
+        (to / name).write_bytes((folder / name).read_bytes())
+    return to
+
+
+def facts(path: Path) -> dict[str, object]:
+    """Return what a frame says of itself."""
+    header, _ = shots.read(path)
+    return {k.removeprefix("exwarp:"): v for k, v in header.items() if k.startswith("exwarp:")}
+
+
+def kinds(folder: Path) -> list[str]:
+    return [row["kind"] for row in rows(folder)]
+
+
+class TestOneRun:
+    def test_the_pixels_and_the_layers_are_the_rendered_ones(self, done, rendered):
+        for number in USED:
+            name = f"shot.{number:04d}.exr"
+            _, planes = shots.read(done / "out" / name)
+            _, source = shots.read(rendered / name)
+            assert planes.keys() == source.keys()
+            for channel, plane in source.items():
+                np.testing.assert_array_equal(planes[channel], plane)
+
+    def test_the_header_tells(self, done):
+        header, _ = shots.read(done / "out" / "shot.0003.exr")
+        assert header["framesPerSecond"] == 120 and header["owner"] == "Ada"
+        told = facts(done / "out" / "shot.0003.exr")
+        assert (told["kind"], told["sources"], told["slot"]) == ("rendered", "shot.0003.exr", 2)
+
+    def test_they_are_counted_apart(self, done):
+        document = unmeasured(done / "report")
+        counts = document["frames"]
+        assert [counts[n] for n in ("key", "rendered", "generated", "written")] == [3, 3, 6, 12]
+        assert document["fps"]["effective"] == 120
+        assert document["quality"]["all"]["frames"] == 3, "of 6, 7 and 8, which have ground truth"
+        assert kinds(done / "report")[:5] == ["key", "rendered", "rendered", "rendered", "key"]
+        assert [row["sources"] for row in rows(done / "report")][1:4] == ["2", "3", "4"]
+        shown = {frame["number"]: frame["kind"] for frame in album(done / "report")["frames"]}
+        assert shown[3] == "rendered" and shown[6] == "softsplat"
+
+    def test_they_are_in_no_list_of_doubtful_frames(self, done):
+        assert all(not row["risk"] for row in rows(done / "report") if row["kind"] == "rendered")
+        assert unmeasured(done / "report")["review"]["predicted_error"]["frames"] < 9
+
+    def test_they_have_no_hole_masks(self, done):
+        assert {int(name[5:9]) for name in shots.names(done / "holes")} == GENERATED
+
+    def test_other_frames_are_as_without(self, done, upsample, keys, tmp_path):
+        upsample(keys, tmp_path / "out", *HOW, "--frames", "2-3")
+        for name, data in shots.contents(tmp_path / "out").items():
+            assert data == (done / "out" / name).read_bytes()
+
+    def test_chunks_have_the_same_bytes_and_report(
+        self, done, exwarp, upsample, keys, rendered, tmp_path
+    ):
+        truth = ("--ground-truth", done / "truth", "--report", tmp_path / "report", "--as-chunk")
+        for chunk in ("1", "2-3"):
+            options = (*HOW, "--rendered", rendered, *truth, "--frames", chunk)
+            upsample(keys, tmp_path / "out", *options)
+        assert shots.contents(tmp_path / "out") == shots.contents(done / "out")
+        assert exwarp("merge-reports", tmp_path / "report").code == 0
+        joined, whole = (unmeasured(f / "report") for f in (tmp_path, done))
+        for name in ("frames", "quality", "review", "fps"):
+            assert joined[name] == whole[name]
+
+    def test_going_on_keeps_everything(self, done, upsample, keys, rendered):
+        def again() -> None:
+            upsample(keys, done / "out", *HOW, "--rendered", rendered, "--skip-existing")
+
+        assert shots.changed_by(again, done / "out") == set()
+
+    def test_compare_takes_them_for_rendered(self, done, exwarp):
+        result = exwarp("compare", done / "truth", done / "out", "--json", "--progress", "none")
+        assert document_of(result)["quality"]["generated"]["frames"] == 3
+
+
+class TestGoingOn:
+    @pytest.fixture
+    def run(self, upsample, keys, tmp_path) -> Callable[..., set[int]]:
+        """Upsample with --skip-existing; return the numbers of the frames that changed."""
+        out = tmp_path / "out"
+
+        def do(*options: object) -> set[int]:
+            words = (*HOW, "--frames", "1", "--skip-existing", *options)
+            return shots.changed_by(lambda: upsample(keys, out, *words), out)
+
+        return do
+
+    def test_a_frame_that_comes_later_replaces_a_generated_one(self, run, one_frame, tmp_path):
+        run()
+        generated = (tmp_path / "out" / "shot.0003.exr").read_bytes()
+        assert run("--rendered", one_frame) == {3}
+        assert run("--rendered", one_frame) == set()
+        assert run() == {3}, "it is generated again"
+        assert (tmp_path / "out" / "shot.0003.exr").read_bytes() == generated
+
+    def test_a_frame_that_was_rendered_again_replaces_the_earlier_one(self, run, one_frame):
+        run("--rendered", one_frame)
+        shots.plain(one_frame / "shot.0003.exr", SMALL, 0.6)
+        assert run("--rendered", one_frame) == {3}
+
+    def test_copies_byte_for_byte_are_kept(self, run, one_frame, tmp_path):
+        kept = ("--rendered", one_frame, "--keep-bytes")
+        assert 3 in run(*kept)
+        source = one_frame / "shot.0003.exr"
+        assert (tmp_path / "out" / source.name).read_bytes() == source.read_bytes()
+        assert run(*kept, "--verify") == set()
+
+    def test_a_dry_run_tells_them_apart(self, exwarp, run, keys, one_frame, tmp_path):
+        run("--rendered", one_frame)
+        words = (*HOW, "--rendered", one_frame, "--skip-existing", "--dry-run", "--json")
+        found = document_of(exwarp("upsample", keys, "-o", tmp_path / "out", *words))["frames"]
+        assert (found["rendered"]["numbers"], found["keep"]["numbers"]) == ("3", "1-4")
+
+
+class TestRefusals:
+    @pytest.fixture
+    def run(self, exwarp, keys, tmp_path):
+        def do(folder: object, *options: object):
+            words = (*HOW, "--frames", "1", "--rendered", folder, *options)
+            return exwarp("upsample", keys, "-o", tmp_path / "out", *words, "--progress", "none")
+
+        return do
+
+    def test_numbers_that_are_not_used_are_said_once(self, exwarp, keys, rendered, tmp_path):
+        words = (*HOW, "--rendered", rendered, "--dry-run")
+        told = exwarp("upsample", keys, "-o", tmp_path / "out", *words).err
+        lines = [line for line in told.splitlines() if "not used" in line]
+        assert len(lines) == 1 and "not used are 1,5" in lines[0] and ": 2-4;" in lines[0]
+
+    def test_a_sequence_without_a_new_frame(self, run, rendered, tmp_path):
+        run(copied(rendered, tmp_path / "keys", 1, 5)).refused(3, "1,5", "1-12", "review.txt")
+
+    def test_a_damaged_frame(self, run, one_frame):
+        shots.truncate(one_frame / "shot.0003.exr")
+        run(one_frame).refused(3, "frame 3 of --rendered", "shot.0003.exr")
+
+    def test_a_frame_of_another_size(self, run, one_frame, tmp_path):
+        shots.plain(one_frame / "shot.0003.exr", shots.Street(32, 27), 0.5)
+        run(one_frame).refused(3, "frame 3 of --rendered", "32x27")
+        assert shots.names(tmp_path / "out") == []
+
+    def test_a_frame_without_the_channels(self, run, one_frame):
+        planes = {name: np.zeros((27, 48), np.float16) for name in ("R", "G", "Z")}
+        OpenEXR.File(shots.header(), planes).write(str(one_frame / "shot.0003.exr"))
+        run(one_frame).refused(3, "frame 3 of --rendered", "'B'")
+
+    def test_a_frame_without_a_layer_that_new_frames_hold(self, run, one_frame):
+        shots.colour_only(one_frame / "shot.0003.exr", SMALL, 0.5)
+        run(one_frame, "--layers", "all").refused(3, "frame 3 of --rendered", "no channel")
+
+    def test_a_frame_that_was_generated(self, run, upsample, keys, tmp_path):
+        upsample(keys, tmp_path / "made", *HOW, "--frames", "1")
+        run(tmp_path / "made").refused(3, "frame 2 of --rendered", "made by ExWarp")
+
+    def test_frames_in_the_folder_of_the_output(self, run, one_frame, tmp_path):
+        one_frame.rename(tmp_path / "out")
+        run(tmp_path / "out", "--overwrite").refused(5, "--rendered", "shot.0003.exr", "-o")
+
+    def test_keep_going_generates_what_is_damaged(self, run, one_frame, tmp_path):
+        shots.truncate(one_frame / "shot.0003.exr")
+        result = run(one_frame, "--keep-going", "--report", tmp_path / "report")
+        assert result.code == 12 and "generated frame 3" in result.err
+        assert facts(tmp_path / "out" / "shot.0003.exr")["kind"] == "generated"
+        (left,) = unmeasured(tmp_path / "report")["left_out"]
+        assert (left["frames"], left["rendered"]) == ([], [3])
