@@ -14,8 +14,8 @@ import pytest
 
 from exwarp_cli.errors import DamagedFileError, InputError
 from exwarp_cli.io.exr.header import MULTIPART, attributes_in
-from exwarp_cli.io.key_file import key_file
-from exwarp_cli.io.output import COMPRESSIONS, is_intact, seal
+from exwarp_cli.io.key_file import key_file, marked_file
+from exwarp_cli.io.output import COMPRESSIONS, is_intact, recipe_of, seal
 
 RATE = Fraction(96)
 
@@ -176,6 +176,40 @@ def test_a_key_frame_that_has_a_checksum_keeps_a_valid_one(tmp_path):
         source.write_bytes(data)
         key_file(source, RATE).write(target)
         assert is_intact(source.read_bytes()) == is_intact(target.read_bytes()) == valid
+
+
+MARKS: dict[str, str | int] = {"kind": "rendered", "slot": 2, "recipe": "ab12"}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_marks_and_a_checksum_join_the_first_header(tmp_path, kind):
+    source, target = tmp_path / "a.exr", tmp_path / "b.exr"
+    KINDS[kind](source)
+    marked_file(source, RATE, MARKS).write(target)
+    (before, places, chunks), (after, moved, copied) = map(
+        layout, (source.read_bytes(), target.read_bytes())
+    )
+    assert (moved, copied) == (places, chunks)
+    own = {name: value for part, name, _, value in after if name.startswith(b"exwarp:")}
+    assert own[b"exwarp:kind"] == b"rendered" and own[b"exwarp:slot"] == struct.pack("<i", 2)
+    assert {part for part, name, *_ in after if name in own} == {0}
+    new = {b"framesPerSecond", *own}
+    kept = [[one for one in told if one[1] not in new] for told in (before, after)]
+    assert kept[0] == kept[1]
+    assert is_intact(target.read_bytes()) and recipe_of(target) == "ab12"
+
+
+def test_marks_take_the_place_of_earlier_ones(tmp_path):
+    source, target = tmp_path / "a.exr", tmp_path / "b.exr"
+    earlier = {"exwarp:kind": "generated", "exwarp:xxh128": "0" * 32, "exwarp:key": 1}
+    parts = [OpenEXR.Part(header(**earlier), planes(), name) for name in "ab"]
+    OpenEXR.File(parts).write(str(source))
+    marked_file(source, None, MARKS).write(target)
+    names = [one.name for one in attributes_in(target.read_bytes())]
+    assert names.count(b"exwarp:kind") == 1 and b"exwarp:key" not in names
+    assert is_intact(target.read_bytes())
+    for one, other in zip(decoded(source), decoded(target), strict=True):
+        assert np.array_equal(one, other)
 
 
 def test_broken_files_are_refused_before_anything_is_written(tmp_path):
