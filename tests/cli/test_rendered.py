@@ -10,10 +10,14 @@ import OpenEXR
 import pytest
 
 from exwarp_cli import cli
+from exwarp_cli.io.video import to_display
 from tests.cli import shots
 from tests.cli.documents import document_of
+from tests.cli.pictures import frame, stills
 from tests.cli.reports import album, rows, unmeasured
-from tests.cli.shots import FORWARD, SMALL
+from tests.cli.shots import FORWARD, SMALL, VECTORS
+from tests.stereo_layouts import single, write_single
+from tests.stereo_shots import eyes_at, write_stereo
 
 HOW = ("-m", "softsplat", *FORWARD, "--cuts", "none")
 GIVEN = range(1, 6)
@@ -34,6 +38,12 @@ def rendered(tmp_path_factory) -> Path:
     """Rendered output frames, whose vectors lead over a key interval; read only."""
     folder = tmp_path_factory.mktemp("rendered") / "frames"
     return shots.sequence(folder, numbers=GIVEN, street=SMALL, step=0.25)
+
+
+@pytest.fixture(scope="module")
+def pan(tmp_path_factory) -> Path:
+    """Two stills; read only."""
+    return stills(tmp_path_factory.mktemp("pan") / "keys", map(frame, range(2)))
 
 
 @pytest.fixture(scope="module")
@@ -226,3 +236,63 @@ class TestRefusals:
         assert facts(tmp_path / "out" / "shot.0003.exr")["kind"] == "generated"
         (left,) = unmeasured(tmp_path / "report")["left_out"]
         assert (left["frames"], left["rendered"]) == ([], [3])
+
+
+class TestOtherInput:
+    def test_stills_are_copied(self, upsample, pan, tmp_path):
+        (still,) = stills(tmp_path / "more", [frame(0.5)], first=3).iterdir()
+        words = ("--no-tail", "--rendered", tmp_path / "more", "--skip-existing", "--verify")
+        upsample(pan, tmp_path / "out", *words)
+        assert (tmp_path / "out" / "pan.0003.png").read_bytes() == still.read_bytes()
+
+        def again() -> None:
+            upsample(pan, tmp_path / "out", *words)
+
+        assert shots.changed_by(again, tmp_path / "out") == set()
+
+    def test_stills_become_exr(self, upsample, pan, tmp_path):
+        stills(tmp_path / "more", [frame(0.5)], first=3)
+        words = ("--no-tail", "--rendered", tmp_path / "more", "--skip-existing")
+        out = tmp_path / "out.####.exr"
+        upsample(pan, out, *words)
+        assert facts(tmp_path / "out.0003.exr")["kind"] == "rendered"
+        shown = to_display(shots.colour_of(tmp_path / "out.0003.exr").astype(np.float32))
+        assert np.abs(shown.astype(int) - frame(0.5)).max() <= 1
+        before = (tmp_path / "out.0003.exr").stat().st_mtime_ns
+        upsample(pan, out, *words)
+        assert (tmp_path / "out.0003.exr").stat().st_mtime_ns == before
+
+    def test_a_video_alone_is_made_again_for_another_frame(self, upsample, pan, tmp_path):
+        stills(tmp_path / "more", [frame(0.5)], first=3)
+        video, words = tmp_path / "a.mp4", ("--skip-existing", "--no-tail")
+        upsample(pan, video, *words)
+        plain = video.read_bytes()
+        upsample(pan, video, *words, "--rendered", tmp_path / "more")
+        changed = video.read_bytes()
+        assert changed != plain
+        upsample(pan, video, *words, "--rendered", tmp_path / "more")
+        assert video.read_bytes() == changed
+
+    def test_both_eyes_are_needed_where_both_are_written(self, exwarp, tmp_path):
+        keys = write_stereo(tmp_path / "keys", "single", (1, 2))
+        more = tmp_path / "more" / "shot.0002.exr"
+        more.parent.mkdir()
+        single(more, eyes_at(0.25), 2)
+        words = ("upsample", keys, *HOW[:2], *VECTORS, "--view", "all", "--frames", 1)
+        words += ("--rendered", more, "--progress", "none")
+        assert exwarp(*words, "-o", tmp_path / "out").code == 0
+        _, planes = shots.read(more)
+        _, written = shots.read(tmp_path / "out" / more.name)
+        assert all((written[name] == plane).all() for name, plane in planes.items())
+        write_single(more, eyes_at(0.25), named_hero=False, views=("left",))
+        exwarp(*words, "-o", tmp_path / "other").refused(3, "frame 2 of --rendered", "no channel")
+
+
+def test_a_farm_passes_the_frames_on(exwarp, keys, one_frame, tmp_path):
+    words = (keys, "-o", tmp_path / "out", *HOW, "--rendered", one_frame, "--video", "a.mp4")
+    told = exwarp("farm", "commands", *words, "--chunk-size", 2, "--json")
+    document = document_of(told)
+    calls = [chunk["command"] for chunk in document["chunks"]] + document["afterwards"]
+    assert len(calls) == 3
+    for call in calls:
+        assert call[call.index("--rendered") + 1] == str(one_frame)
