@@ -131,6 +131,8 @@ class FrameRecord:
         What the gate decided by; None without a gate.
     tiles
         What made each of its tiles; None where one maker made the whole frame by any choice.
+    rendered_sources
+        Output numbers of frames rendered after all that a generated frame's colour came from.
     """
 
     number: int
@@ -155,6 +157,7 @@ class FrameRecord:
     risk: Risk | None = None
     trial: Trial | None = None
     tiles: TileMakers | None = None
+    rendered_sources: tuple[int, ...] = ()
 
     @property
     def pulse(self) -> float | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -31,6 +31,7 @@ from exwarp_cli.synthesis.history import Past
 from exwarp_cli.synthesis.holds import around_holds
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.movers import chosen, moving, those
+from exwarp_cli.synthesis.sub_intervals import SubSlot
 from exwarp_cli.synthesis.trajectory import displacement, span_motion
 
 Ids = frozenset[int]
@@ -63,6 +64,8 @@ class PreparedInterval:
         How many pixels of the frames around are NaN or infinite, by the frame's number.
     trial
         What the gate decided by; None where it decides nothing.
+    parts
+        How slots are made that lie beside frames which were rendered after all.
     """
 
     interval: Interval | None
@@ -71,6 +74,7 @@ class PreparedInterval:
     timing_ms: Mapping[str, float]
     broken: Mapping[int, int]
     trial: Trial | None = None
+    parts: Mapping[int, SubSlot] = field(default_factory=dict)
 
     @property
     def extrapolates(self) -> bool:
@@ -142,6 +146,9 @@ class IntervalBuilder:
         canvas = window if inputs.region else self._display.union(window)
         if inputs.following is not None and not inputs.region:
             canvas = canvas.union(inputs.following.image.data_window)
+        for rendered in inputs.rendered.frames.values():
+            if rendered.leads and not inputs.region:
+                canvas = canvas.union(rendered.frame.image.data_window)
         require_canvas(f"frame {inputs.frame.number} and the next one", canvas)
         ids = self._moving.find(inputs, canvas)
         return self._settled(with_stencils(inputs, ids), (canvas, ids))
@@ -198,7 +205,20 @@ class IntervalBuilder:
             scratch=self._scratch,
             linear=self._linear,
             display=self._display,
+            rendered=self._rendered(inputs, basis[0]),
         )
+
+    def _rendered(self, inputs: IntervalInputs, window: Window) -> dict[int, KeyFrame]:
+        """Settle the frames of slots that were rendered after all, as far as they have motion."""
+        found = {}
+        for slot, rendered in inputs.rendered.frames.items():
+            frame = rendered.frame
+            if rendered.leads and window.covers(frame.image.data_window):
+                placed = frame.extended(window)
+                assert placed.gbuffer is not None
+                settled = settle_motion(placed.gbuffer)
+                found[slot] = replace(placed, gbuffer=settled.bare() if self._bare else settled)
+        return found
 
     def _frame(self, index: int, frame: KeyFrame, basis: Basis) -> KeyFrame:
         if self._estimated:  # the flows of an interval are its own
@@ -341,6 +361,7 @@ def with_stencils(inputs: IntervalInputs, ids: Ids | None) -> IntervalInputs:
             HistoryFrame(with_stencil(older.frame), tuple(map(marked, older.instants)))
             for older in inputs.history
         ),
+        rendered=inputs.rendered.map_frames(with_stencil),
     )
 
 

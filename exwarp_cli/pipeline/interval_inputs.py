@@ -27,7 +27,12 @@ from exwarp_cli.pipeline.key_frames import (
     reads_late,
 )
 from exwarp_cli.pipeline.recipes import Recipes
-from exwarp_cli.pipeline.rendered_frames import IntervalRendered, RenderedFrames, RenderedReader
+from exwarp_cli.pipeline.rendered_frames import (
+    IntervalRendered,
+    RenderedFrames,
+    RenderedReader,
+    leads_on,
+)
 from exwarp_cli.pipeline.scheduling import record_time
 from exwarp_cli.pipeline.shots import UnreadableFrames
 from exwarp_cli.pipeline.source import FrameOf, Source
@@ -175,6 +180,7 @@ class IntervalInputs:
             history=tuple(HistoryFrame(colour(past.frame), (), past.held) for past in self.history),
             observed=(),
             trial=None,
+            rendered=self.rendered.map_frames(colour),
         )
 
 
@@ -265,7 +271,10 @@ class IntervalReader:
         self._layers = LayerReader(content) if content.beside else None
         self.rendered: RenderedReader | None = None
         if rendered is not None:
-            self.rendered = RenderedReader(rendered, self._contents, source.written_fps, keep_going)
+            self.rendered = RenderedReader(
+                rendered, self._contents, source.written_fps, keep_going,
+                leads_on(source, method, self._contents),
+            )  # fmt: skip
         if self._layers is not None:
             self.store.read_with(self._layers.require)
         self.observed_keys: frozenset[int] = frozenset()
@@ -429,8 +438,9 @@ class IntervalReader:
             keys = [*keys, *(index for index in tried.keys if index not in keys)]
             instants = [*instants, *tried.instants]
             around.append(tried.text)
-        recipes = self.recipe_book.of(key, keys, instants, around)
         rendered = self._read_rendered(key).frames
+        around += [f"rendered {i} {one.recipe}" for i, one in rendered.items() if one.leads]
+        recipes = self.recipe_book.of(key, keys, instants, around)
         return {slot: recipe for slot, recipe in recipes.items() if slot not in rendered}
 
     def _read_rendered(self, key: int) -> IntervalRendered:

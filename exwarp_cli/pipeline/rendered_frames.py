@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
+from functools import cached_property
 from pathlib import Path
 
 from exwarp_cli import __version__
-from exwarp_cli.domain.frame import Image
+from exwarp_cli.domain.frame import KeyFrame
 from exwarp_cli.domain.results import FrameKind
 from exwarp_cli.domain.settings import SourceSettings
 from exwarp_cli.domain.timeline import Slot, Timeline, ranges
@@ -18,14 +20,18 @@ from exwarp_cli.errors import InputError, LayoutError, OutputError
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.clip import is_clip
 from exwarp_cli.io.footage import digest_of, find_frames, is_plain, key_picture
-from exwarp_cli.io.frames import read_raw
+from exwarp_cli.io.frames import GEOMETRY, read_raw
 from exwarp_cli.io.output import State, authorship_of
 from exwarp_cli.io.sequence import EXR, OutputPattern, Sequence, find_sequence
 from exwarp_cli.io.shot import Shot
-from exwarp_cli.io.soundness import NonFinite, require_sound
+from exwarp_cli.io.soundness import NonFinite, count_broken, require_sound
 from exwarp_cli.io.views import expand
 from exwarp_cli.pipeline.contents import Content, LayerStore
 from exwarp_cli.pipeline.source import Source
+from exwarp_cli.synthesis.methods import Method
+
+LEADING = tuple(role for role in GEOMETRY if role is not Role.NORMAL)
+"""Roles by which frames lead to the slots around them."""
 
 NEW = (FrameKind.GENERATED.value, FrameKind.DROPPED.value)
 """Kinds of frames that no renderer made."""
@@ -109,15 +115,26 @@ class RenderedFrame:
     ----------
     path
         Its file.
-    image
-        Its colour.
+    frame
+        Its colour; and its geometry, as read, where that leads to the slots around it.
     recipe
         Digest of what its written file depends on.
     """
 
     path: Path
-    image: Image
+    frame: KeyFrame
     recipe: str
+
+    @property
+    def leads(self) -> bool:
+        """True if its vectors may lead to the slots around it."""
+        return self.frame.gbuffer is not None and self.frame.gbuffer.has_motion
+
+    @cached_property
+    def broken(self) -> int:
+        """How many pixels of its colour are NaN or infinite."""
+        known = self.frame.broken
+        return count_broken((self.frame.image.pixels,)) if known is None else known
 
 
 @dataclass(frozen=True)
@@ -135,6 +152,11 @@ class IntervalRendered:
     frames: Mapping[int, RenderedFrame] = field(default_factory=dict)
     unusable: Mapping[int, str] = field(default_factory=dict)
 
+    def map_frames(self, change: Callable[[KeyFrame], KeyFrame]) -> IntervalRendered:
+        """Return the same with changed frames."""
+        frames = {i: replace(one, frame=change(one.frame)) for i, one in self.frames.items()}
+        return replace(self, frames=frames)
+
 
 class RenderedReader:
     """Reads rendered frames, interval by interval.
@@ -149,6 +171,8 @@ class RenderedReader:
         The frame rate that headers get; None where it is not known.
     tolerant
         Whether to generate frames whose rendered ones cannot be used.
+    leads
+        Whether slots around are made from them, too; see `leads_on`.
     """
 
     def __init__(
@@ -157,7 +181,10 @@ class RenderedReader:
         contents: tuple[Content, ...],
         rate: Fraction | None,
         tolerant: bool = False,
+        leads: bool = False,
     ) -> None:
+        self._convention = contents[0].source.convention
+        self._leads = leads
         self._sequence = rendered.sequence
         self._plain = is_plain(contents[0].source.keys.sequence)
         self._timeline = contents[0].source.timeline
@@ -209,22 +236,34 @@ class RenderedReader:
         if path.suffix.lower() in EXR:
             require_sound((path,))
         _require_rendered(path)
-        images = [self._colour(shot, number) for shot in self._shots]
+        frames = [self._key_frame(shot, number) for shot in self._shots]
         for layers in self._layers:
             layers.frame(number)
             layers.keep(())
         digest = digest_of(self._sequence, number)
         facts = [__version__, FrameKind.RENDERED.value, digest, str(self._rate)]
         text = json.dumps([*facts, slot.key, slot.index])
-        return RenderedFrame(path, images[0], hashlib.sha256(text.encode()).hexdigest())
+        return RenderedFrame(path, frames[0], hashlib.sha256(text.encode()).hexdigest())
 
-    def _colour(self, shot: Shot, number: int) -> Image:
-        """Read a frame's colour as that of a key frame; raises InputError where that fails."""
+    def _key_frame(self, shot: Shot, number: int) -> KeyFrame:
+        """Read a frame as if it were a key frame; raises InputError where that fails."""
         if self._plain:
-            return key_picture(shot, number)
-        image = read_raw(shot, number, (Role.COLOUR,)).image
-        assert image is not None  # the layout of key frames has colour
-        return image
+            return KeyFrame(number, key_picture(shot, number), None)
+        if self._leads:
+            with suppress(LayoutError):  # a frame without geometry takes its place all the same
+                raw = read_raw(shot, number, (Role.COLOUR, *LEADING), objects=True)
+                return raw.key(self._convention)
+        return replace(read_raw(shot, number, (Role.COLOUR,)).key(None), gbuffer=None)
+
+
+def leads_on(source: Source, method: Method, contents: tuple[Content, ...]) -> bool:
+    """Return True if slots around rendered frames are made from these, too.
+
+    Only the beauty is, from both sides, and along key frames' vectors.
+    """
+    alone = len(contents) == 1 and not contents[0].beside
+    along = source.finding is not None and source.slots is None and not source.keys.aovs
+    return alone and along and method.lookahead and method.needs_motion
 
 
 def _require_rendered(path: Path) -> None:

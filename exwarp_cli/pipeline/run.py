@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from time import perf_counter
@@ -15,7 +16,7 @@ from exwarp_cli.domain.joining import Outcome
 from exwarp_cli.domain.results import FrameKind, FrameRecord, LeftOut, RunSummary
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.tiles import TilePlan
-from exwarp_cli.domain.timeline import Slot
+from exwarp_cli.domain.timeline import Slot, ranges
 from exwarp_cli.errors import InputError
 from exwarp_cli.io.footage import picture
 from exwarp_cli.io.output import PREFIX
@@ -38,6 +39,7 @@ from exwarp_cli.pipeline.job import Job, open_job
 from exwarp_cli.pipeline.layers import ExtraLayers
 from exwarp_cli.pipeline.progress import FrameListener, NoProgress, Progress, kind_of, kinds_of
 from exwarp_cli.pipeline.recipes import key_recipe
+from exwarp_cli.pipeline.rendered_frames import leads_on
 from exwarp_cli.pipeline.scheduling import (
     Mode,
     ParallelSlots,
@@ -55,6 +57,7 @@ from exwarp_cli.runtime.frame_pool import pool
 from exwarp_cli.runtime.stop import check_stop
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import Judge
+from exwarp_cli.synthesis.sub_intervals import SubSlot, sub_slots, vector_spans
 
 MAX_BYTES_BEHIND = 80 * 10**6
 """Bytes of frames that wait to be written, beside those that are being written."""
@@ -307,8 +310,25 @@ class Run:
             prepared.extrapolates or inputs.slots or inputs.truth.frames or self._layers.any
         ):
             interval = interval.bare()  # slots are warped from the key frame
-        prepared = replace(prepared, interval=interval, broken=self._broken)
+        parts = self._split(interval, inputs) if len(existing) < len(slots) else {}
+        prepared = replace(prepared, interval=interval, broken=self._broken, parts=parts)
         return prepared, inputs.without_geometry()
+
+    def _split(self, interval: Interval | None, inputs: IntervalInputs) -> Mapping[int, SubSlot]:
+        """Return how slots beside rendered frames are made, and say where these are of no use."""
+        source, rendered = self._job.source, inputs.rendered.frames
+        if interval is None or not rendered or self._job.rendered is None:
+            return {}
+        if not leads_on(source, self._job.method, self._job.contents):
+            return {}
+        spans = vector_spans(interval, float(1 / source.timeline.factor))
+        numbers = [source.timeline.number(Slot(inputs.key, i)) for i in rendered if i not in spans]
+        if numbers:
+            self._progress.message(
+                f"frame {ranges(numbers)} of --rendered has no vectors like those of the key "
+                "frames: the frames beside it are made from key frames alone"
+            )
+        return sub_slots(interval, spans)
 
     def _try(self, inputs: IntervalInputs, timing_ms: dict[str, float]) -> Trial | None:
         """Return what the gate decides by; None where no network would make the frames."""

@@ -40,9 +40,13 @@ from exwarp_cli.pipeline.scheduling import record_time
 from exwarp_cli.pipeline.source import Source
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import Method, Predicted, repeat_held, take, take_tiles
+from exwarp_cli.synthesis.sub_intervals import SubSlot
 
 PREDICTED_ERROR = "predictedError"
 """Attribute of generated frames; their tiles are in the one named risk."""
+
+RENDERED_SOURCES = "renderedSources"
+"""Attribute of generated frames: numbers of those of ``--rendered`` that they are made from."""
 
 
 @dataclass(frozen=True)
@@ -105,10 +109,14 @@ class SlotRenderer:
         """
         interval, plan = prepared.interval, prepared.plan
         assert interval is not None
+        part = prepared.parts.get(slot.index)
+        around, index = (interval, slot.index) if part is None else (part.interval, part.index)
         timing = dict(prepared.timing_ms)
         layers_timing: dict[str, float] = {}
         with record_time(timing, "render"):
-            predicted = self._predict(interval, plan, slot.index)
+            predicted = self._predict(around, plan, index)
+        if part is not None:
+            around.forget(index)
         timing[step_of(predicted.made_by)] = timing.pop("render")
         image = Image(predicted.pixels, interval.key.image.data_window, self._source.keys.display)
         with record_time(layers_timing, "layers"):
@@ -130,12 +138,13 @@ class SlotRenderer:
             slot=slot.index,
             kind=kind,
             method=predicted.method,
-            sources=predicted.sources,
+            sources=predicted.sources if part is None else part.keys,
+            rendered_sources=self._rendered_sources(slot, part),
             # Rounded to float32 as the header of the frame keeps it.
             hole_fraction=(
                 None if mask is None else float(np.float32(np.count_nonzero(mask) / mask.size))
             ),
-            nonfinite_pixels=sum(prepared.broken.get(n, 0) for n in predicted.sources),
+            nonfinite_pixels=_broken(prepared, inputs, predicted, part),
             timing_ms=timing | (layers_timing if layers else {}),
             made_by=predicted.made_by,
             path=plan.path if isinstance(plan, Plan) else None,
@@ -195,12 +204,12 @@ class SlotRenderer:
         elif not resumed and writer.keeps_frames:
             own = {f"{PREFIX}{name}": value for name, value in marks.items()}
             attributes = {**rate_attribute(self._source), **own}
-            writer.write(number, frame.image, None, inputs.metadata.template, attributes)
+            writer.write(number, frame.frame.image, None, inputs.metadata.template, attributes)
         record = FrameRecord(
             number, writer.name(number), key, slot.index, FrameKind.RENDERED,
             FrameKind.RENDERED.value, (number,), resumed=resumed, replaced=replaced,
         )  # fmt: skip
-        return RenderedSlot(record, frame.image)
+        return RenderedSlot(record, frame.frame.image)
 
     def _measures(self, kind: FrameKind, slot: Slot, inputs: IntervalInputs) -> bool:
         """Return True if a frame's gradient is compared with those of its key frames."""
@@ -221,7 +230,8 @@ class SlotRenderer:
             slot=slot.index,
             kind=FrameKind(header["kind"]),
             method=str(header["method"]),
-            sources=tuple(int(n) for n in str(header["sources"]).split(",")),
+            sources=_numbers(str(header["sources"])),
+            rendered_sources=_numbers(str(header.get(RENDERED_SOURCES, ""))),
             hole_fraction=None if holes is None else float(holes),
             resumed=True,
             made_by=maker_of(header.get("madeBy"), str(header["method"])),
@@ -231,6 +241,12 @@ class SlotRenderer:
             trial=None if header.get("gate") is None else Trial.parsed(str(header["gate"])),
             tiles=None if header.get("tiles") is None else TileMakers.parsed(str(header["tiles"])),
         )
+
+    def _rendered_sources(self, slot: Slot, part: SubSlot | None) -> tuple[int, ...]:
+        """Return the output numbers of rendered frames that a slot's colour comes from."""
+        if part is None:
+            return ()
+        return tuple(self._source.timeline.number(Slot(slot.key, i)) for i in part.rendered)
 
     def _mask(self, interval: Interval, slot: Slot) -> Bool | None:
         """Return the hole mask of a slot on the display window."""
@@ -277,6 +293,7 @@ class SlotRenderer:
 
     def _attributes(self, record: FrameRecord, inputs: IntervalInputs) -> dict[str, Any]:
         """Header attributes of a generated frame."""
+        rendered = ",".join(map(str, record.rendered_sources))
         out: dict[str, Any] = {
             **rate_attribute(self._source),
             f"{PREFIX}version": __version__,
@@ -288,6 +305,7 @@ class SlotRenderer:
             f"{PREFIX}setting": self._source.setting,
             f"{PREFIX}recipe": inputs.metadata.recipes[record.slot],
             f"{PREFIX}{REQUESTED_METHOD}": self._method.name,
+            **({f"{PREFIX}{RENDERED_SOURCES}": rendered} if rendered else {}),
         }
         if inputs.metadata.key_digests:
             named = (f"{number}:{digest}" for number, digest in inputs.metadata.key_digests.items())
@@ -316,6 +334,20 @@ def _facts(record: FrameRecord) -> dict[str, Any]:
         "tiles": None if record.tiles is None else record.tiles.text,
     }
     return {name: value for name, value in found.items() if value is not None}
+
+
+def _broken(
+    prepared: PreparedInterval, inputs: IntervalInputs, predicted: Predicted, part: SubSlot | None
+) -> int:
+    """Count the pixels that are NaN or infinite in the frames that a slot is made from."""
+    if part is None:
+        return sum(prepared.broken.get(number, 0) for number in predicted.sources)
+    rendered = (inputs.rendered.frames[slot].broken for slot in part.rendered)
+    return sum(prepared.broken.get(number, 0) for number in part.keys) + sum(rendered)
+
+
+def _numbers(text: str) -> tuple[int, ...]:
+    return tuple(int(number) for number in text.split(",") if number)
 
 
 def rate_attribute(source: Source) -> dict[str, Any]:

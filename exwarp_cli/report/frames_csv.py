@@ -31,7 +31,7 @@ COLUMNS = (
     *("render_s", "render_source", "rendered_width", "rendered_height", "distance"),
     *("scored", "scored_holes", "replaced", "pulse"),
     *("predicted_error", "risk"),
-    *("gate", "tiles"),
+    *("gate", "tiles", "rendered_sources"),
 )
 """A column that is new goes to the end: a line of this table is read by position, too.
 
@@ -43,11 +43,11 @@ RMS error that a new frame is expected to have, in display levels of 0 to 255, a
 its tiles, see `exwarp_cli.domain.risk`. `gate` is what a network's use was decided by: the key
 frame that was predicted, and the PSNR of both predictions. `tiles` is what made each tile of a
 frame, row by row: w for warping, e for the network, r for warping what the network made of the slot
-before. After these columns come the timed
-steps, each as ``<step>_ms``.
+before. `rendered_sources` are the numbers of frames that were rendered after all. After these
+columns come the timed steps, each as ``<step>_ms``.
 """
 
-ADDED_COLUMNS = ("pulse", "predicted_error", "risk", "gate", "tiles")
+ADDED_COLUMNS = ("pulse", "predicted_error", "risk", "gate", "tiles", "rendered_sources")
 """Columns that tables of earlier versions may lack."""
 
 
@@ -157,5 +157,6 @@ def _row(frame: FrameRecord, steps: list[str]) -> list[Any]:
         *((None, None) if frame.risk is None else (frame.risk.error, frame.risk.text)),
         None if frame.trial is None else frame.trial.text,
         None if frame.tiles is None else frame.tiles.text,
+        " ".join(map(str, frame.rendered_sources)) or None,
         *(frame.timing_ms.get(step) for step in steps),
     ]

@@ -348,6 +348,7 @@ def _frame(row: Mapping[str, str]) -> FrameRecord:
         risk=_risk(row),
         trial=Trial.parsed(row["gate"]) if row.get("gate") else None,
         tiles=TileMakers.parsed(row["tiles"]) if row.get("tiles") else None,
+        rendered_sources=_integers(row.get("rendered_sources", "")),
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from threading import Lock
 
@@ -80,6 +80,9 @@ class Interval:
         Whether colour is moved and mixed in linear light, as layers that add up to it go along.
     display
         The window whose tiles get a predicted error; None for that of the frames.
+    rendered
+        Frames of slots, by index, that were rendered after all, with settled motion; their vectors
+        may lead over another time than the key frames' do.
     """
 
     key: KeyFrame
@@ -96,6 +99,7 @@ class Interval:
     scratch: ScratchFrames = IN_MEMORY
     linear: bool = False
     display: Window | None = None
+    rendered: Mapping[int, KeyFrame] = field(default_factory=dict)
     _warps: dict[int, CarriedLight] = field(default_factory=dict, init=False)
     _mixers: dict[int, LookAhead] = field(default_factory=dict, init=False)
     _back: dict[int, SlotField] = field(default_factory=dict, init=False)

