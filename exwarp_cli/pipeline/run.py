@@ -328,6 +328,8 @@ class Run:
                 f"frame {ranges(numbers)} of --rendered has no vectors like those of the key "
                 "frames: the frames beside it are made from key frames alone"
             )
+        if self._gate is not None and interval.following is None:
+            interval = replace(interval, interpolator=None)  # the gate tried nothing here
         return sub_slots(interval, spans)
 
     def _try(self, inputs: IntervalInputs, timing_ms: dict[str, float]) -> Trial | None:

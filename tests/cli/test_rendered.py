@@ -79,6 +79,12 @@ def facts(path: Path) -> dict[str, object]:
     return {k.removeprefix("exwarp:"): v for k, v in header.items() if k.startswith("exwarp:")}
 
 
+def error(folder: Path, number: int) -> float:
+    """Return the RMS error of an output frame."""
+    made = shots.colour_of(folder / f"shot.{number:04d}.exr")
+    return float(np.sqrt(np.mean((made - SMALL.colour((number - 1) / 4)) ** 2)))
+
+
 def kinds(folder: Path) -> list[str]:
     return [row["kind"] for row in rows(folder)]
 
@@ -117,7 +123,7 @@ class TestOneRun:
     def test_they_have_no_hole_masks(self, done):
         assert {int(name[5:9]) for name in shots.names(done / "holes")} == GENERATED
 
-    def test_other_frames_are_as_without(self, done, upsample, keys, tmp_path):
+    def test_other_intervals_are_as_without(self, done, upsample, keys, tmp_path):
         upsample(keys, tmp_path / "out", *HOW, "--frames", "2-3")
         for name, data in shots.contents(tmp_path / "out").items():
             assert data == (done / "out" / name).read_bytes()
@@ -141,6 +147,11 @@ class TestOneRun:
 
         assert shots.changed_by(again, done / "out") == set()
 
+    def test_a_dry_run_tells_them_apart(self, done, exwarp, keys, rendered):
+        words = (*HOW, "--rendered", rendered, "--skip-existing", "--dry-run", "--json")
+        found = document_of(exwarp("upsample", keys, "-o", done / "out", *words))["frames"]
+        assert (found["rendered"]["numbers"], found["keep"]["numbers"]) == ("2-4", "1-12")
+
     def test_compare_takes_them_for_rendered(self, done, exwarp):
         result = exwarp("compare", done / "truth", done / "out", "--json", "--progress", "none")
         assert document_of(result)["quality"]["generated"]["frames"] == 3
@@ -158,18 +169,31 @@ class TestGoingOn:
 
         return do
 
-    def test_a_frame_that_comes_later_replaces_a_generated_one(self, run, one_frame, tmp_path):
+    def test_a_frame_that_comes_later_is_used_and_so_is_a_newer_one(self, run, one_frame, tmp_path):
         run()
-        generated = (tmp_path / "out" / "shot.0003.exr").read_bytes()
-        assert run("--rendered", one_frame) == {3}
-        assert run("--rendered", one_frame) == set()
-        assert run() == {3}, "it is generated again"
-        assert (tmp_path / "out" / "shot.0003.exr").read_bytes() == generated
+        generated = shots.contents(tmp_path / "out")
+        before = {n: error(tmp_path / "out", n) for n in (2, 4)}
+        assert run("--rendered", one_frame) == {2, 3, 4}, "and those beside it"
+        for number in (2, 4):
+            assert error(tmp_path / "out", number) < before[number]
+            assert facts(tmp_path / "out" / f"shot.{number:04d}.exr")["renderedSources"] == "3"
+        report = tmp_path / "report"
+        assert run("--rendered", one_frame, "--report", report) == set()
+        assert [row["rendered_sources"] for row in rows(report)] == ["", "3", "", "3"]
+        shots.plain(one_frame / "shot.0003.exr", SMALL, 0.55)
+        assert run("--rendered", one_frame) == {2, 3, 4}
+        assert run() == {2, 3, 4}, "they are generated again"
+        assert shots.contents(tmp_path / "out") == generated
 
-    def test_a_frame_that_was_rendered_again_replaces_the_earlier_one(self, run, one_frame):
-        run("--rendered", one_frame)
-        shots.plain(one_frame / "shot.0003.exr", SMALL, 0.6)
-        assert run("--rendered", one_frame) == {3}
+    def test_a_frame_without_vectors_leaves_those_beside_it(
+        self, run, exwarp, keys, one_frame, tmp_path
+    ):
+        run()
+        shots.colour_only(one_frame / "shot.0003.exr", SMALL, 0.5)
+        words = (*HOW, "--frames", 1, "--rendered", one_frame)
+        assert run(*words) == {3}
+        told = exwarp("upsample", keys, "-o", tmp_path / "other", *words).err
+        assert "frame 3 of --rendered has no vectors like those" in told
 
     def test_copies_byte_for_byte_are_kept(self, run, one_frame, tmp_path):
         kept = ("--rendered", one_frame, "--keep-bytes")
@@ -177,12 +201,6 @@ class TestGoingOn:
         source = one_frame / "shot.0003.exr"
         assert (tmp_path / "out" / source.name).read_bytes() == source.read_bytes()
         assert run(*kept, "--verify") == set()
-
-    def test_a_dry_run_tells_them_apart(self, exwarp, run, keys, one_frame, tmp_path):
-        run("--rendered", one_frame)
-        words = (*HOW, "--rendered", one_frame, "--skip-existing", "--dry-run", "--json")
-        found = document_of(exwarp("upsample", keys, "-o", tmp_path / "out", *words))["frames"]
-        assert (found["rendered"]["numbers"], found["keep"]["numbers"]) == ("3", "1-4")
 
 
 class TestRefusals:
