@@ -317,7 +317,7 @@ class Run:
     def _split(self, interval: Interval | None, inputs: IntervalInputs) -> Mapping[int, SubSlot]:
         """Return how slots beside rendered frames are made, and say where these are of no use."""
         source, rendered = self._job.source, inputs.rendered.frames
-        if interval is None or not rendered or self._job.rendered is None:
+        if interval is None or not interval.has_motion or not rendered:
             return {}
         if not leads_on(source, self._job.method, self._job.contents):
             return {}
@@ -325,8 +325,8 @@ class Run:
         numbers = [source.timeline.number(Slot(inputs.key, i)) for i in rendered if i not in spans]
         if numbers:
             self._progress.message(
-                f"frame {ranges(numbers)} of --rendered has no vectors like those of the key "
-                "frames: the frames beside it are made from key frames alone"
+                f"--rendered has no vectors like the key frames' in {ranges(numbers)}: frames "
+                "beside are made from key frames alone"
             )
         if self._gate is not None and interval.following is None:
             interval = replace(interval, interpolator=None)  # the gate tried nothing here

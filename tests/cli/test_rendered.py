@@ -193,7 +193,7 @@ class TestGoingOn:
         words = (*HOW, "--frames", 1, "--rendered", one_frame)
         assert run(*words) == {3}
         told = exwarp("upsample", keys, "-o", tmp_path / "other", *words).err
-        assert "frame 3 of --rendered has no vectors like those" in told
+        assert "--rendered has no vectors like the key frames' in 3" in told
 
     def test_copies_byte_for_byte_are_kept(self, run, one_frame, tmp_path):
         kept = ("--rendered", one_frame, "--keep-bytes")
@@ -239,9 +239,8 @@ class TestRefusals:
         shots.colour_only(one_frame / "shot.0003.exr", SMALL, 0.5)
         run(one_frame, "--layers", "all").refused(3, "frame 3 of --rendered", "no channel")
 
-    def test_a_frame_that_was_generated(self, run, upsample, keys, tmp_path):
-        upsample(keys, tmp_path / "made", *HOW, "--frames", "1")
-        run(tmp_path / "made").refused(3, "frame 2 of --rendered", "made by ExWarp")
+    def test_a_frame_that_was_generated(self, run, done):
+        run(done / "out", "--frames", "2").refused(3, "frame 6 of --rendered", "made by ExWarp")
 
     def test_frames_in_the_folder_of_the_output(self, run, one_frame, tmp_path):
         one_frame.rename(tmp_path / "out")
@@ -286,10 +285,7 @@ class TestOtherInput:
         upsample(pan, video, *words)
         plain = video.read_bytes()
         upsample(pan, video, *words, "--rendered", tmp_path / "more")
-        changed = video.read_bytes()
-        assert changed != plain
-        upsample(pan, video, *words, "--rendered", tmp_path / "more")
-        assert video.read_bytes() == changed
+        assert video.read_bytes() != plain
 
     def test_both_eyes_are_needed_where_both_are_written(self, exwarp, tmp_path):
         keys = write_stereo(tmp_path / "keys", "single", (1, 2))

@@ -114,14 +114,20 @@ def test_every_value_has_its_cell() -> None:
     assert key["psnr_db"] == key["hole_fraction"] == key["warp_ms"] == ""
     assert (key["kind"], key["resumed"]) == ("key", "false")
     assert key["scored"] == key["scored_holes"] == "false"
-    assert all(key[name] == "" for name in COLUMNS[COLUMNS.index("made_by") : -7])
+    assert all(
+        key[name] == "" for name in COLUMNS[COLUMNS.index("made_by") : COLUMNS.index("scored")]
+    )
 
 
 def test_a_decision_without_features_has_no_cells_for_them() -> None:
     frame = interval(1001, "ggg", 1001)[1]
     bare = Decision("d2", "warp", outputs=(34.5, 30.25))
     (row,) = rows_of(frames_csv((replace(frame, decision=bare),)))
-    filled = {name: row[name] for name in COLUMNS[COLUMNS.index("made_by") : -7] if row[name]}
+    filled = {
+        name: row[name]
+        for name in COLUMNS[COLUMNS.index("made_by") : COLUMNS.index("scored")]
+        if row[name]
+    }
     assert filled == {
         "node": "d2", "choice": "warp", "output_warp": "34.5", "output_extrapolate": "30.25"
     }  # fmt: skip

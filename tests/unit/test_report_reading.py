@@ -89,6 +89,7 @@ all_records = st.builds(
     key_pulse=maybe(values),
     risk=maybe(risks),
     trial=maybe(trials),
+    rendered_sources=st.lists(numbers, max_size=2).map(tuple),
 )
 records = all_records.map(  # key frames are compared with only where there is no ground truth
     lambda one: one if one.score is None else replace(one, key_pulse=None)
