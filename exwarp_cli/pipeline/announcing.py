@@ -134,10 +134,11 @@ def other_extrapolator(policy: PolicyFile, network: OnnxExtrapolator) -> str | N
     if policy.path.parent == network.path.parent == shipped_folder():
         return None
     known = " or ".join(digest[:8] for digest in policy.trained_for)
+    kind = "tile-policy" if policy.of_tiles else "policy"
     used = f"{network.path.name} has {network.checksum[:8]}"
     return (
         f"{policy.path.name} was trained for the extrapolator with sha256 {known}, and {used}: its "
-        "decisions may be wrong; train a policy for this one with 'exwarp train policy', and name "
+        f"decisions may be wrong; train a policy for this one with 'exwarp train {kind}', and name "
         "it with --policy"
     )
 

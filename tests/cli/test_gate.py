@@ -213,7 +213,7 @@ def test_causal_extrapolates_where_that_predicts_key_frames_better(gate, setting
     """The fourth key frame is darker, and so is all that the network makes."""
     street = DimmedLater(48, 27, speed=0.3)
     model = tiny_models.save(tmp_path / "dark.onnx", tiny_models.filled_warp(0.8))
-    options: tuple[object, ...] = ("--causal", "--extrapolator", model)
+    options: tuple[object, ...] = ("--causal", "--policy", "paper", "--extrapolator", model)
     if setting == "key":
         keys = keys_of(tmp_path, street, 6)
     else:

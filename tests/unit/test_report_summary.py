@@ -40,6 +40,7 @@ CONTRACT: dict[str, Any] = {
         "warp_share": None,
         "gate": None,
         "look_ahead": None,
+        "cost": None,
     },
     "quality": {
         "all": QUALITY,

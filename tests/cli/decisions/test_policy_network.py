@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from exwarp_cli.io.policy_files import load_policy, save_network
+from exwarp_cli.io.policy_files import SHIPPED_TILE_POLICY, load_policy, save_network
 from exwarp_cli.policy.state import STATE_VERSION
 from tests.cli.decisions.conftest import take
 from tests.unit import tiny_policies
@@ -50,10 +50,10 @@ def start(exwarp, uneven, tmp_path):
 def test_another_network_under_the_shipped_policy(start, network):
     said = start("--extrapolator", network)
     (line,) = (line for line in said.splitlines() if TOLD in line)
-    (known,) = load_policy(None).trained_for
-    assert f"policy.npz {TOLD} {known[:8]}" in line
+    (known,) = load_policy(None, SHIPPED_TILE_POLICY).trained_for
+    assert f"tile-policy.npz {TOLD} {known[:8]}" in line
     assert f"{network.name} has {digest(network)[:8]}" in line
-    assert "exwarp train policy" in line
+    assert "exwarp train tile-policy" in line
 
 
 def test_a_policy_for_another_network(start, trained_for):

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from exwarp_cli.accel.quantised_mlp import infer_reference
-from exwarp_cli.io.policy_files import load_policy
+from exwarp_cli.io.policy_files import SHIPPED_TILE_POLICY, load_policy
 from tests.cli import shots
 from tests.cli.decisions.conftest import KEYS, SETTINGS, Done, take
 from tests.reference.decisions import DROPS, NEW, NODES_OF, PATHS, SHOWN, E, W
@@ -152,13 +152,12 @@ def test_what_comes_with_exwarp_decides_by_default(uneven, exwarp, tmp_path):
     result = exwarp("upsample", keys, "-o", tmp_path / "out", *rest, *options)
     assert result.code == 0, result.err
     report = json.loads((tmp_path / "report" / "report.json").read_text())
-    assert report["method"] == "causal" and report["policy"]["file"].endswith("policy.npz")
-    shipped = load_policy(None)
+    assert report["method"] == "causal" and report["policy"]["file"].endswith("tile-policy.npz")
+    shipped = load_policy(None, SHIPPED_TILE_POLICY)
     assert report["policy"]["sha256"] == shipped.checksum
-    told = f"decisions by policy.npz (sha256 {shipped.checksum[:8]}), 8-bit integers\n"
+    told = f"decisions by tile-policy.npz (sha256 {shipped.checksum[:8]}), 8-bit integers\n"
     assert told in result.err
-    (path,) = [name for name, count in report["decisions"]["paths"].items() if count]
-    assert f"paths of the key intervals: {path} 1; " in result.out
+    assert "paths of the tiles: " in result.out
 
 
 class TestMissing:

@@ -1,0 +1,128 @@
+"""`--causal` chooses tile by tile, and `--effort` says how much the network may compute."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import OpenEXR
+import pytest
+
+from exwarp_cli.domain.tiles import TileMakers
+from tests.cli import shots
+from tests.cli.street import Street
+
+COUNT = 4
+STREET = Street(96, 54, speed=0.5)
+
+
+@dataclass(frozen=True)
+class Done:
+    """A run's frames and its report."""
+
+    folder: Path
+    report: dict[str, Any]
+    rows: list[dict[str, str]]
+
+    @property
+    def tiles(self) -> list[TileMakers]:
+        """Of new frames in order."""
+        return [TileMakers.parsed(row["tiles"]) for row in self.rows if row["slot"] != "0"]
+
+
+@pytest.fixture(scope="module")
+def keys(tmp_path_factory) -> Path:
+    """Key frames of a street in motion; read only."""
+    folder = tmp_path_factory.mktemp("tiles") / "keys"
+    return shots.sequence(folder, shots.blender5, range(1, COUNT + 1), STREET)
+
+
+@pytest.fixture
+def take(upsample, keys, network, tmp_path) -> Callable[..., Done]:
+    """Upsample the street by W and a tiny E."""
+
+    def run(name: str, *options: object) -> Done:
+        out, report = tmp_path / name, tmp_path / f"{name}-report"
+        upsample(keys, out, "--extrapolator", network, "--report", report, *options)
+        document = json.loads((report / "report.json").read_text(encoding="utf-8"))
+        with (report / "frames.csv").open(newline="", encoding="utf-8") as file:
+            return Done(out, document, list(csv.DictReader(file)))
+
+    return run
+
+
+def test_tiles_of_one_frame_differ(take):
+    """No policy that chooses alike everywhere does this; and all that is said of it agrees."""
+    done = take("out", "--causal", "--no-gate")
+    assert all({"w", "e"} <= set(tiles.letters) for tiles in done.tiles[1::3])
+    assert all(set(tiles.letters) == {"w"} for tiles in done.tiles[::3])
+    cost = sum(tiles.share("extrapolate") for tiles in done.tiles) / len(done.tiles)
+    decisions = done.report["decisions"]
+    assert decisions["cost"] == pytest.approx(cost)
+    assert decisions["warp_share"] == pytest.approx(1 - cost)
+    count = len(done.tiles[0].letters)
+    assert sum(decisions["paths"].values()) == COUNT * count
+    assert decisions["nodes"]["d1"] == {"warp": COUNT * count, "extrapolate": 0}
+    assert sum(decisions["nodes"]["d2"].values()) == COUNT * count
+    with OpenEXR.File(str(done.folder / "shot.0003.exr"), header_only=True) as file:
+        assert file.header()["exwarp:tiles"] == done.tiles[1].text
+
+
+@pytest.mark.parametrize(("effort", "path"), [(0, "s6"), (1, "s3")])
+def test_the_ends_of_effort_are_fixed_paths(take, upsample, keys, network, effort, path, tmp_path):
+    done = take("out", "--causal", "--no-gate", "--effort", effort)
+    model = () if path == "s6" else ("--extrapolator", network)
+    upsample(keys, tmp_path / "fixed", "-m", path, *model)
+    for name in shots.names(done.folder):
+        made, fixed = (shots.colour_of(at / name) for at in (done.folder, tmp_path / "fixed"))
+        np.testing.assert_array_equal(made, fixed)
+    assert done.report["decisions"]["cost"] == pytest.approx(effort * 2 / 3)
+
+
+def test_more_effort_computes_more(take):
+    costs = [
+        take(f"e{share}", "--causal", "--no-gate", "--effort", share).report["decisions"]["cost"]
+        for share in (0.05, 0.5, 0.95)
+    ]
+    assert costs == sorted(costs) and costs[0] < costs[2]
+
+
+def test_chunks_and_threads_change_nothing(take):
+    whole = shots.contents(take("whole", "--causal").folder)
+    parts: dict[str, bytes] = {}
+    for frames in ("1-2", "3", "4"):
+        part = take(frames, "--causal", "--frames", frames, "--threads", 1).folder
+        parts |= shots.contents(part)
+    assert parts == whole
+
+
+def test_another_effort_makes_frames_again(take):
+    take("out", "--causal", "--no-gate", "--effort", 0.3)
+    kept = take("out", "--causal", "--no-gate", "--effort", 0.3, "--skip-existing")
+    assert kept.report["frames"]["resumed"] == 4 * COUNT
+    assert kept.report["decisions"]["cost"] > 0
+    made = take("out", "--causal", "--no-gate", "--effort", 0.9, "--skip-existing")
+    assert made.report["frames"]["resumed"] == COUNT  # key frames
+
+
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [(("-m", "s3"), "s3 chooses nothing"), ((), "exwarp chooses nothing"),
+     (("--causal", "--policy", "paper"), "--policy chooses for whole frames")],
+)  # fmt: skip
+def test_effort_is_refused_where_no_tiles_are_chosen(exwarp, keys, tmp_path, options, why):
+    result = exwarp("upsample", keys, "-o", tmp_path / "out", *options, "--effort", 0.5)
+    result.refused(2, "--effort is for --causal with a policy of tiles", why)
+
+
+def test_the_paper_s_policy_chooses_for_whole_frames(take):
+    done = take("out", "--causal", "--policy", "paper", "--no-gate")
+    assert done.report["policy"]["file"].endswith("policy.npz")
+    assert {row["tiles"] for row in done.rows} == {""}
+    assert sum(done.report["decisions"]["paths"].values()) == COUNT
+    assert done.report["decisions"]["cost"] is None
