@@ -12,9 +12,9 @@
 # make scenes   render the benchmark scenes and the training shots with Blender's module (hours;
 #               goes on where it stopped); SCENES='lab town' for some, OPTIONS='--resolution 480p'
 # make things   take shapes and textures for training shots out of Debian's packages (330 MB)
-# make train    train the extrapolation network on the training shots (hours; goes on where it
-#               stopped); DATA=folder of rendered scenes, OPTIONS='--steps 2000'
-# make policy   train the policy from the tables under models/ (2 minutes); OPTIONS='--seed 1'
+# make train    train all networks and policies by models/recipe.toml (many hours; goes on where it
+#               stopped); DATA=folder of rendered scenes, STAGES='lookahead' for some
+# make policy   train the policies from the tables under models/ (10 minutes); OPTIONS='--seed 1'
 # make hardware simulate the predictor's Verilog on 2,000 states and synthesise it, in 15 minutes;
 #               wants Icarus Verilog, Verilator and Yosys, and writes examples/HARDWARE.md
 # make judge    score every method, with the network of MODEL=file, on the benchmark scenes
@@ -37,6 +37,7 @@ BLENDER ?= .blender
 BLENDER_PYTHON ?= python3.11
 SCENES ?= slum town lab tropical village arena courtyard variety
 OPTIONS ?=
+STAGES ?=
 BENCHES ?=
 DATA ?= $(HOME)/.cache/exwarp/scenes
 TRAINING ?= $(HOME)/.cache/exwarp/training
@@ -86,10 +87,11 @@ demo: $(STAMP)
 	@echo "video   $(DEMO)/$(EXAMPLE).mp4"
 
 train: $(STAMP)
-	$(BIN)/exwarp train extrapolator --data $(DATA) -o $(TRAINING) $(OPTIONS)
+	$(BIN)/python models/train.py --data $(DATA) -o $(TRAINING) $(STAGES)
 
 policy: $(STAMP)
 	$(BIN)/exwarp train policy -o $(POLICY) $(OPTIONS)
+	$(BIN)/exwarp train tile-policy -o $(POLICY) $(OPTIONS)
 
 judge: $(STAMP)
 	$(BIN)/python -m tests.bench.paths --data $(DATA) --model $(MODEL) --out build/judge $(OPTIONS)
