@@ -52,6 +52,20 @@ def test_the_worst_tenth_is_named_for_rendering():
     assert worth_rendering([replace(f, risk=None) for f in frames]) == []
 
 
+def test_the_middle_of_an_interval_is_rendered_for_those_beside_it():
+    """Where the frames between two key frames are made from both, and are about as wrong."""
+    frames = [
+        replace(risky(4 * key + slot, 9.0 + slot / 4, {}), key=key, slot=slot, made_by="softsplat")
+        for key in range(10)
+        for slot in (1, 2, 3)
+    ]
+    assert worth_rendering(frames) == [2, 6, 10]
+    worse = [replace(f, risk=replace(f.risk, error=19.0)) if f.number == 7 else f for f in frames]
+    assert 7 in worth_rendering(worse) and 6 not in worth_rendering(worse)
+    alone = [replace(frame, made_by="warp") for frame in frames]
+    assert worth_rendering(alone) == [3, 7, 11]
+
+
 def test_frames_that_are_right_are_not_named():
     assert review_txt([risky(number, 1.0, {}) for number in range(1, 31)]) == ""
 
