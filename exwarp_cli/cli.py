@@ -169,7 +169,7 @@ def _parted(args: list[str]) -> int:
         end = part(_say)
     except OSError as error:
         return _failed(error, args, {})
-    return run(args, is_last=True) if end is None else _told(end, args)
+    return run(args, is_last=True) if end is None else _ended(end, args)
 
 
 def _use_utf8() -> None:
@@ -197,7 +197,7 @@ def _leave(codes: list[int]) -> None:
         os._exit(code)
 
 
-def _told(end: End, args: list[str]) -> int:
+def _ended(end: End, args: list[str]) -> int:
     """Say how the process that worked ended, where it could not; return the exit code."""
     if end.code >= 0:
         return end.code
@@ -272,7 +272,7 @@ def _failed(error: BaseException, args: list[str], origins: Mapping[str, str]) -
 
 
 def _stopped(number: int, args: list[str]) -> int:
-    """Say that somebody wanted a command to end; return the exit code."""
+    """Say that a command was asked to end; return the exit code."""
     if _debugs():
         traceback.print_exc()
     click.echo(_last_words(args, number), err=True)

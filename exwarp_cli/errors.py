@@ -131,14 +131,14 @@ class IncompleteError(ExwarpError):
 
 
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG)
-"""What only who writes is told."""
+"""Error numbers that only writing causes."""
 
 
 def system_error(error: OSError) -> ExwarpError | None:
     """Put into a sentence what the system refuses, where nothing nearer to the file did.
 
     A folder that may not be entered, a network share that went away and a name that is too long
-    are met wherever somebody looks whether a file is there.
+    are met wherever code looks whether a file is there.
 
     Returns
     -------

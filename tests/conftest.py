@@ -20,7 +20,7 @@ settings.load_profile("exwarp")
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-# What whoever runs the tests has set for themselves is no part of them.
+# Settings in the environment of the shell are no part of the tests.
 for name in [name for name in os.environ if name.startswith("EXWARP_")]:
     if name not in ("EXWARP_ARTEFACTS", "EXWARP_BLENDER", "EXWARP_CHROMIUM", "EXWARP_FAULTS"):
         del os.environ[name]

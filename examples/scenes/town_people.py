@@ -69,7 +69,7 @@ class Crowd:
         return {name: shared(mesh, name) for name, mesh in parts.items()}
 
     def walk(self, index: int, start: tuple[float, float], heading: float, last: int) -> None:
-        """Let somebody walk, all parts with one object id."""
+        """Animate a walking person, all parts with one object id."""
         meshes = self._outfits[index % len(self._outfits)]
         speed, phase = self._chance.uniform(1.2, 1.7), self._chance.uniform(0, 6.28)
         rate, tall = 4.4 * speed, self._chance.uniform(0.93, 1.08)
@@ -110,7 +110,7 @@ class Crowd:
         motion.keyed(shin, bend, last)
 
     def cycle(self, index: int, ride: Ride, made: Materials, last: int) -> None:
-        """Let somebody ride a bicycle, with pedalling legs."""
+        """Animate a person on a bicycle, with pedalling legs."""
         meshes = self._outfits[3]
         mesh = MeshBuilder()
         tubes = [

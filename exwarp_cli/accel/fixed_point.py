@@ -42,8 +42,8 @@ def to_fixed(values: npt.ArrayLike) -> I32:
     Parameters
     ----------
     values
-        float64 of any shape. What lies beyond +-32768 saturates, infinities included; NaN gives 0,
-        and whoever must not take it for a number asks before.
+        float64 of any shape. What lies beyond +-32768 saturates, infinities included; NaN gives 0;
+        callers that must not take it for a number check before.
 
     Returns
     -------

@@ -244,7 +244,7 @@ def checked_states(network: QuantisedMlp, fixed_states: npt.ArrayLike) -> I32:
 
 
 def _own(holder: Any, name: str, dtype: type, axes: int) -> None:
-    """Replace an array by a copy that nobody can change, once its type and shape are right."""
+    """Replace an array by a read-only copy, once its type and shape are right."""
     array = np.asarray(getattr(holder, name))
     if array.dtype != dtype or array.ndim != axes or array.size == 0:
         raise ValueError(

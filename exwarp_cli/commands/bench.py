@@ -91,7 +91,7 @@ def command(
     from exwarp_cli.pipeline.progress import reporting
     from exwarp_cli.report.bench.folder import what_is_where, write_benchmark
 
-    with reporting(progress, results_on_stdout=as_json) as told:
+    with reporting(progress, results_on_stdout=as_json) as reporter:
         hertz = clock_of(predictor_clock, "--predictor-clock")
         settings = BenchSettings(
             scenes=listed(scenes),
@@ -101,7 +101,9 @@ def command(
             fps=fps,
             **options,  # type: ignore[arg-type]
         )
-        written = write_benchmark(settings.output, run_benchmark(settings, told), hertz, told)
+        written = write_benchmark(
+            settings.output, run_benchmark(settings, reporter), hertz, reporter
+        )
     if as_json:
         print_json(written)
         return

@@ -105,12 +105,12 @@ def command(
 
     allow(max_pixels)
     kind = progress or ("bar" if sys.stderr.isatty() else "none")
-    with reporting(kind, results_on_stdout=as_json) as told:
+    with reporting(kind, results_on_stdout=as_json) as reporter:
         if folder is not None:
             prepare_comparison(folder)
         measuring = MeasureSettings(metrics, preset, (*fail_below, *fail_above), view, scan)
         gallery = None if folder is None else Gallery(True, TEST, REFERENCE)
-        result = evaluate(reference, test, frames, holes, told, measuring, gallery)
+        result = evaluate(reference, test, frames, holes, reporter, measuring, gallery)
         if folder is not None and gallery is not None:
             write_comparison(folder, result, gallery.album)
         if as_json:

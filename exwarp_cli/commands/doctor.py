@@ -67,14 +67,14 @@ def _configuration(ctx: click.Context) -> Check:
         "environment": environment,
     }
     count = len(there.settings)
-    told = ", ".join(files) or "no exwarp.toml"
-    told += f"; {count or 'no'} option{'' if count == 1 else 's'} set"
+    summary = ", ".join(files) or "no exwarp.toml"
+    summary += f"; {count or 'no'} option{'' if count == 1 else 's'} set"
     remarks = (*map(failure, there.problems), *map(warning, there.warnings))
-    return Check(told, remarks, facts, tuple(lines))
+    return Check(summary, remarks, facts, tuple(lines))
 
 
 def _print(heading: str, page: list[Row], verdict: str | None) -> None:
-    """Print the page, in colour and wrapped where somebody looks at it."""
+    """Print the page, in colour and wrapped on a terminal."""
     from exwarp_cli.report.doctor import plain
 
     if not sys.stdout.isatty() or find_spec("rich") is None:

@@ -137,8 +137,8 @@ def openjd(
     elif bundle is None:
         click.echo(yaml_text(template.document).encode(), nl=False)  # UTF-8 wherever it goes
     else:
-        told = f"job bundle in {bundle}: deadline bundle submit {shlex.quote(str(bundle))}"
-        show(told)
+        message = f"job bundle in {bundle}: deadline bundle submit {shlex.quote(str(bundle))}"
+        show(message)
 
 
 @command.command("commands", params=_shared())

@@ -57,12 +57,12 @@ def command(
     from exwarp_cli.report.frames_csv import table
 
     use_threads(threads)
-    with reporting(progress, results_on_stdout=True) as told:
+    with reporting(progress, results_on_stdout=True) as reporter:
         settings = SourceSettings(
             sequence, gbuffers, motion, view=view, aovs=aovs, channel_map=channel_map, cuts=cuts,
             dynamic=dynamic, max_pixels=max_pixels,
         )  # fmt: skip
-        rows = features(settings, frames, told)
+        rows = features(settings, frames, reporter)
         if as_json:
             print_json(document(rows))
             return

@@ -165,15 +165,15 @@ _ESTIMATED = (
 )
 
 
-def _pictures(told: dict[str, Any]) -> str:
+def _pictures(pictures: dict[str, Any]) -> str:
     """Say in a line what a video or stills are like."""
-    line = f"{told['kind']} of {told['bits']} bits, {told['colour']}"
-    if told["pixel_aspect"] != 1:
-        line += f", pixel aspect {told['pixel_aspect']:g}"
-    if told["alpha"] is not None:
-        line += f", alpha {told['alpha']}"
-    if told["kind"] == "video":
-        line += f", sound {', '.join(told['sound'])}" if told["sound"] else ", no sound"
+    line = f"{pictures['kind']} of {pictures['bits']} bits, {pictures['colour']}"
+    if pictures["pixel_aspect"] != 1:
+        line += f", pixel aspect {pictures['pixel_aspect']:g}"
+    if pictures["alpha"] is not None:
+        line += f", alpha {pictures['alpha']}"
+    if pictures["kind"] == "video":
+        line += f", sound {', '.join(pictures['sound'])}" if pictures["sound"] else ", no sound"
     return line
 
 

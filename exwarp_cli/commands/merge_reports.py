@@ -34,7 +34,7 @@ NAMED = 3
 )
 @click.option("--overwrite", is_flag=True, help="Replace a report that is there.")
 @json_option
-@progress_option("How programs are told why it fails: openjd for farms, json for others.")
+@progress_option("How programs learn why it fails: openjd for farms, json for others.")
 def command(
     folders: tuple[Path, ...], output: Path | None, overwrite: bool, as_json: bool, progress: str
 ) -> None:

@@ -68,5 +68,5 @@ def interpolator_card(model: Path, shape: str, overwrite: bool, as_json: bool) -
         about = {"schema": SCHEMA, "kind": "interpolator", "model": str(model), "card": str(card)}
         print_json(about)
     else:
-        told = f"{card}: look it over, then give {model} to exwarp upsample --interpolator"
-        show(told)
+        message = f"{card}: look it over, then give {model} to exwarp upsample --interpolator"
+        show(message)

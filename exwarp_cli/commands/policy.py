@@ -150,5 +150,5 @@ def export(
             }
         )
     else:
-        told = f"{folder}: {len(files)} files, {vectors} test vectors; see README.txt"
-        show(told)
+        message = f"{folder}: {len(files)} files, {vectors} test vectors; see README.txt"
+        show(message)

@@ -255,20 +255,20 @@ def command(
     if runs and settings.threads != 1:
         with suppress(RuntimeError):  # no more threads: what needs one says so
             Thread(target=_import_run, name="exwarp-import").start()
-    with _going_on(progress), reporting(progress, results_on_stdout=as_json) as told:
+    with _going_on(progress), reporting(progress, results_on_stdout=as_json) as reporter:
         job = replace(open_job(settings), reported=as_json or report_folder is not None)
         place = _report_place(report_folder, as_chunk, job)
         if dry_run:
-            _tell(_foreseen(job, where, place, told), as_json)
+            _tell(_foreseen(job, where, place, reporter), as_json)
             return
-        summary = _run(job, where, place, told)
+        summary = _run(job, where, place, reporter)
         _print(summary, settings, place, as_json)
         _require_complete(summary)
 
 
 @contextmanager
 def _going_on(progress: str) -> Iterator[None]:
-    """Let a task of a farm succeed that left out what it was told to leave out.
+    """Let a task of a farm succeed that left out what its options let it leave out.
 
     Engines of Open Job Description know success and failure alone. One that fails they try again,
     and the steps after it, which join the reports and make the video, never begin.
@@ -290,7 +290,7 @@ def settings_of(options: Mapping[str, Any]) -> UpsampleSettings:
 def _import_run() -> None:
     """Import what makes frames, while the main thread waits for the frames that motion is found by.
 
-    What fails here fails again where it is used, and is told there.
+    What fails here fails again where it is used, and is reported there.
     """
     with suppress(Exception):
         import_module("exwarp_cli.pipeline.run")
@@ -309,17 +309,17 @@ def _report_place(folder: Path | None, as_chunk: bool, job: Job) -> Path | None:
     return chunk_folder(folder, job.key_numbers)
 
 
-def _run(job: Job, where: ClusterSettings, place: Path | None, told: Progress) -> RunSummary:
+def _run(job: Job, where: ClusterSettings, place: Path | None, reporter: Progress) -> RunSummary:
     """Do the job, and write its report."""
     if place is None:
-        return _done(job, where, told)
+        return _done(job, where, reporter)
     from exwarp_cli.report.folder import prepare_report, write_report
     from exwarp_cli.report.gallery import Gallery
 
     settings = job.settings
     prepare_report(place, replace=settings.overwrite or settings.skip_existing)
     gallery = Gallery(settings.ground_truth is not None)
-    summary = _done(job, where, told, gallery)
+    summary = _done(job, where, reporter, gallery)
     write_report(place, summary, gallery.album)
     return summary
 
@@ -333,19 +333,19 @@ def _require_complete(summary: RunSummary) -> None:
 
 
 def _done(
-    job: Job, where: ClusterSettings, told: Progress, gallery: Gallery | None = None
+    job: Job, where: ClusterSettings, reporter: Progress, gallery: Gallery | None = None
 ) -> RunSummary:
     """Do the job, in this process or others."""
     if where.spread:
         from exwarp_cli.farm.cluster import run_on_cluster
 
-        return run_on_cluster(job, where, told, gallery)
+        return run_on_cluster(job, where, reporter, gallery)
     from exwarp_cli.pipeline.run import run_job
 
-    return run_job(job, told, gallery)
+    return run_job(job, reporter, gallery)
 
 
-def _foreseen(job: Job, where: ClusterSettings, place: Path | None, told: Progress) -> DryRun:
+def _foreseen(job: Job, where: ClusterSettings, place: Path | None, reporter: Progress) -> DryRun:
     """Find out what the job would do."""
     from exwarp_cli.pipeline.dry_run import foresee, require_writable
 
@@ -359,7 +359,7 @@ def _foreseen(job: Job, where: ClusterSettings, place: Path | None, told: Progre
         from exwarp_cli.farm.cluster import foresee_on_cluster
 
         found = foresee_on_cluster(job, where, found)
-    job.announce(told)
+    job.announce(reporter)
     return replace(found, report=place)
 
 
@@ -399,8 +399,8 @@ def _print_summary(
             return
         kept = f"{settings.output} is there already, as this run would write it"
         # A video without frames is an error, so it was kept.
-        told = kept if is_clip(settings.output) else f"no frame falls to {settings.output}"
-        show(told)
+        message = kept if is_clip(settings.output) else f"no frame falls to {settings.output}"
+        show(message)
         return
     for line in summary_lines(document, settings.output, settings.ground_truth is not None):
         show(line)

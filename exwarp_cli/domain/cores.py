@@ -6,7 +6,7 @@ threads back: with one core, three worked at a time. So each takes a core for wh
 gives it back while it waits for others or for a disk.
 
 A kernel's threads count as the one that started them, and so do OpenImageIO's. Another process,
-such as ffmpeg, works beside: whoever feeds it keeps the core until it has taken a frame.
+such as ffmpeg, works beside: the thread that feeds it keeps the core until it has taken a frame.
 
 Whatever the number, threads that make a frame each keep a core busy, and what is read and staged
 beside them is shared out among the cores that are left.

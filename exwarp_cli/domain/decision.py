@@ -218,9 +218,9 @@ def step_of(maker: str) -> str:
     return STEPS.get(maker, maker)
 
 
-def maker_of(told: str | None, method: str | None) -> str | None:
+def maker_of(made_by: str | None, method: str | None) -> str | None:
     """Return what made a frame, from what its header or its row in a table says.
 
     ExWarp 0.1 wrote "warp" for frames of `softsplat` and `blend`.
     """
-    return method if told == WARP and method in STEPS else told
+    return method if made_by == WARP and method in STEPS else made_by

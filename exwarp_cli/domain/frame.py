@@ -224,7 +224,7 @@ class KeyFrame:
     gbuffer
         Geometry of the same instant, on the same window as `image`; None without AOVs.
     broken
-        How many pixels of the rendered colour are NaN or infinite; None where nobody counted.
+        How many pixels of the rendered colour are NaN or infinite; None if they were not counted.
     """
 
     number: int
@@ -284,7 +284,7 @@ def broken_pixels(pixels: npt.NDArray[np.floating[Any]]) -> Bool:
 
 
 def are_finite(pixels: npt.NDArray[np.floating[Any]]) -> bool:
-    """Whether no channel of pixels [H, W, C] is NaN or infinite, as far as that is told at once.
+    """Whether no channel of pixels [H, W, C] is NaN or infinite, as far as a sum shows it.
 
     In a thirtieth of the time that looking at each pixel takes; numbers beyond 1e19, whose squares
     overflow, and halfs leave it open: False.

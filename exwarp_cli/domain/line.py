@@ -1,4 +1,4 @@
-"""Text on one line: what logs, terminals and the programs that read them are told."""
+"""Text on one line, for logs, terminals and the programs that read them."""
 
 from __future__ import annotations
 

@@ -77,7 +77,7 @@ METRICS = (
 BY_OPTION = {metric.option: metric for metric in METRICS}
 
 DEFAULT_METRICS = ("psnr_db", "ssim", "flip", "pulse")
-"""What is measured where nobody chooses."""
+"""What is measured by default."""
 
 WITHOUT_TRUTH = ("pulse",)
 """What is measured against the key frames where there is no ground truth."""

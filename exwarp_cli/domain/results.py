@@ -352,8 +352,8 @@ class PolicySummary:
     sha256
         Of the network's file, hexadecimal.
     objects_from
-        What told moving objects: "ids", "cryptomatte" (what moves of it, by name or by motion), or
-        "motion" where there are none.
+        What identified moving objects: "ids", "cryptomatte" (what moves of it, by name or by
+        motion), or "motion" where there are none.
     missing
         Features that are 0 throughout, as the AOVs they come from are missing.
     trained_for
@@ -416,7 +416,7 @@ class RunSummary:
     left_out
         The key intervals that were left out, ascending.
     files
-        What was written, with checksums; () where nobody asked.
+        What was written, with checksums; () where that was not asked.
     verified
         How many files were read back and found as they were made; None where that was not asked.
     nonfinite
@@ -448,7 +448,7 @@ class RunSummary:
 
     @property
     def selected(self) -> tuple[int, ...]:
-        """Input numbers of the selected key frames; where none were told, those with frames."""
+        """Input numbers of the selected key frames; where none are stated, those with frames."""
         return self.keys or tuple(sorted({frame.key for frame in self.frames}))
 
     @property

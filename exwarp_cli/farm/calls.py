@@ -132,7 +132,7 @@ class FarmJob:
 
 
 DEFAULT_SIZE = 10
-"""Key frames of a chunk where nobody chooses: starting ExWarp takes about as long as one of 2K."""
+"""Key frames of a chunk by default: starting ExWarp takes about as long as one of 2K."""
 
 
 def split(numbers: Sequence[int], size: int) -> tuple[tuple[int, ...], ...]:

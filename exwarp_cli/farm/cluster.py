@@ -109,9 +109,10 @@ def run_on_cluster(
     where
         Which cluster.
     progress
-        Told of every frame.
+        Receives every frame.
     watcher
-        Shown frames that it wants to see, by parts of it in the workers; None for nobody.
+        Shown frames that it wants to see, by parts of it in the workers; None where no frame is
+        shown.
 
     Returns
     -------

@@ -29,7 +29,7 @@ STOP_S = 6.0
 """Seconds that they have to end before they are killed."""
 
 _LATE = (OSError, TimeoutError, RuntimeError)
-"""What Dask raises where somebody does not answer in time, or its event loop has ended."""
+"""What Dask raises where an answer does not come in time, or its event loop has ended."""
 
 
 def require_cluster() -> Any:
@@ -99,7 +99,7 @@ def _client(distributed: Any, address: Any) -> Iterator[Any]:
 
 
 def _join(distributed: Any, address: Any) -> Any:
-    """Make a client, once somebody has answered: one that fails half way holds on to its loop."""
+    """Make a client, once a server has answered: one that fails half way holds on to its loop."""
     if isinstance(address, str):
         asyncio.run(asyncio.wait_for(_greet(distributed, address), CONNECT_S))
     return distributed.Client(address, timeout=CONNECT_S, set_as_default=False)
@@ -107,9 +107,9 @@ def _join(distributed: Any, address: Any) -> Any:
 
 async def _greet(distributed: Any, address: str) -> None:
     """Ask who listens at an address; raises ValueError where it is no scheduler."""
-    told = distributed.Security().get_connection_args("client")
-    async with distributed.rpc(address, connection_args=told) as somebody:
-        kind = (await somebody.identity())["type"]
+    connection_args = distributed.Security().get_connection_args("client")
+    async with distributed.rpc(address, connection_args=connection_args) as server:
+        kind = (await server.identity())["type"]
     if kind != "Scheduler":
         raise ValueError(f"a {kind.lower()} of a cluster listens there")
 
@@ -132,7 +132,7 @@ def _local(distributed: Any, workers: int, threads: int | None) -> Iterator[Any]
         resource_tracker.ensure_running()
     with ExitStack() as stack:
         folder = str(stack.enter_context(scratch_folder()))
-        # Else some of its parts make a folder for all runs, which nobody removes.
+        # Else some of its parts make a folder for all runs, which is never removed.
         stack.enter_context(dask.config.set({"temporary-directory": folder}))
         try:
             with blocked(signal.SIGINT):  # this process ends its workers itself
@@ -188,7 +188,7 @@ def _quiet() -> Iterator[None]:
     handlers = [(handler, handler.level) for handler in logging.getLogger("distributed").handlers]
     settings = {
         "distributed.comm.timeouts.connect": f"{CONNECT_S}s",
-        # Of processes of our own: nobody looks at their pages.
+        # Of processes of our own: no user looks at their pages.
         "distributed.scheduler.http.routes": [],
         "distributed.worker.http.routes": [],
     }

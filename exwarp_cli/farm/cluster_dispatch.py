@@ -43,7 +43,7 @@ ANSWER_S = 10.0
 """Seconds that workers have to say whether they are fit, once one has; the rest join later."""
 
 _GONE = (OSError, TimeoutError)
-"""What Dask raises when nobody answers; its CommClosedError is an OSError."""
+"""What Dask raises when no answer comes; its CommClosedError is an OSError."""
 
 
 @dataclass
@@ -90,7 +90,7 @@ class Dispatch:
     _losses: Counter[int] = field(default_factory=Counter)
     _news: queue.SimpleQueue[tuple[Any, ...]] = field(default_factory=queue.SimpleQueue)
     _topics: set[str] = field(default_factory=set)
-    _told: set[int] = field(default_factory=set)
+    _counted: set[int] = field(default_factory=set)
     _looked_at: float = -float("inf")
     _alone_since: float | None = None
     _unanswered_since: float | None = None
@@ -255,21 +255,21 @@ class Dispatch:
         except queue.Empty:
             return
 
-    def _event(self, told: dict[str, Any]) -> None:
+    def _event(self, event: dict[str, Any]) -> None:
         """Take in what a worker tells: that it begins or ends a chunk, or has done a frame."""
-        if "frame" in told:
-            self._count(told["frame"], told["note"], told["kind"], told["made"])
+        if "frame" in event:
+            self._count(event["frame"], event["note"], event["kind"], event["made"])
             return
         for task in self._tasks.values():
-            if (task.chunk.index, task.chunk.attempt) != (told["chunk"], told["attempt"]):
+            if (task.chunk.index, task.chunk.attempt) != (event["chunk"], event["attempt"]):
                 continue
-            if task.is_begun and "begin" in told:  # its worker came back under the same address
+            if task.is_begun and "begin" in event:  # its worker came back under the same address
                 self._lost(task, again=False)
-            task.is_begun = "begin" in told
+            task.is_begun = "begin" in event
 
     def _count(self, frame: int, note: str | None, kind: str, made: bool) -> None:
-        if frame not in self._told:
-            self._told.add(frame)
+        if frame not in self._counted:
+            self._counted.add(frame)
             self.on_frame(frame, note, kind, made)
 
     def _finished(self, worker: str, future: Any) -> None:
@@ -309,7 +309,7 @@ class Dispatch:
             self._waiting.appendleft(task.chunk)
 
     def _call_off(self) -> None:
-        """Stop what is under way, and wait until it has: then nobody writes any more."""
+        """Stop what is under way, and wait until it has: then no worker writes any more."""
         under_way = {task.chunk.index for task in self._tasks.values() if task.is_begun}
         futures = [task.future for task in self._tasks.values()]
         self._tasks.clear()
@@ -317,7 +317,7 @@ class Dispatch:
             return
         try:
             self._ask("cancel", futures)
-        except ClusterError:  # workers notice themselves that nobody waits for them
+        except ClusterError:  # workers notice themselves that no client waits for them
             return
         deadline = time.monotonic() + CALL_OFF_S
         while under_way and (left := deadline - time.monotonic()) > 0:

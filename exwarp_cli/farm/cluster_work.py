@@ -75,7 +75,7 @@ class Chunk:
     run
         Names the run, one of its kind.
     topic
-        Where progress is told.
+        Where progress is reported.
     index
         Of the chunk in the run.
     attempt
@@ -85,7 +85,7 @@ class Chunk:
     keys
         Indices of the key frames.
     watcher
-        Sees the frames; None for nobody.
+        Sees the frames; None where no frame is shown.
     reported
         As in `Job`.
     """
@@ -121,7 +121,7 @@ class CalledOff(Exception):
 
 
 class Telling:
-    """Tells the coordinator of frames, and stops when nobody wants them: a `Progress`."""
+    """Tells the coordinator of frames, and stops when it does not want them: a `Progress`."""
 
     def __init__(self, chunk: Chunk) -> None:
         self._chunk = chunk
@@ -129,7 +129,7 @@ class Telling:
         self._task = self._worker.get_current_task()
 
     def begin(self) -> None:
-        """Tell that the work begins: told twice, a worker was lost on the way."""
+        """Tell that the work begins; if this comes twice, a worker was lost on the way."""
         self.require_wanted()
         self._tell(begin=True)
 
@@ -159,7 +159,7 @@ class Telling:
     def require_wanted(self) -> None:
         """Stop if the task was cancelled, as it is when the coordinator is no more.
 
-        Dask never breaks off a thread, but it does note that nobody waits for its result.
+        Dask never breaks off a thread, but it does note that no client waits for its result.
         """
         task = self._worker.state.tasks.get(self._task)
         if task is None or task.state != "executing":

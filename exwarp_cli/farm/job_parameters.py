@@ -51,8 +51,14 @@ class JobParameters:
         group, hidden = more.pop("group"), more.pop("hidden", False)
         _require_length(str(default), label)
         shown = {"label": label, "groupLabel": group} | ({"control": "HIDDEN"} if hidden else {})
-        told = {"name": name, "type": kind, "default": default, **more, "userInterface": shown}
-        self.definitions.append(told)
+        definition = {
+            "name": name,
+            "type": kind,
+            "default": default,
+            **more,
+            "userInterface": shown,
+        }
+        self.definitions.append(definition)
         return _reference(name)
 
     def of_text(self, text: str) -> str:
@@ -85,7 +91,7 @@ class JobParameters:
 
     def _path(self, name: str, path: Path, is_file: bool, place: Place, label: str) -> str:
         flow = place.purpose.flow
-        told = {
+        definition = {
             "name": name,
             "type": "PATH",
             "objectType": "FILE" if is_file else "DIRECTORY",
@@ -96,9 +102,9 @@ class JobParameters:
         if default is None:
             self.values[name] = str(path)
         else:
-            told["default"] = default
+            definition["default"] = default
         _require_length(str(path), label)
-        self.definitions.append(told)
+        self.definitions.append(definition)
         return _reference(name)
 
 

@@ -305,10 +305,10 @@ def _has_ended(pid: int) -> bool:
     """
     try:
         status = Path(f"/proc/{pid}/stat").read_bytes().rpartition(b")")[2].split()
-        told = Path(f"/proc/{pid}/status").read_text(encoding="utf-8", errors="replace")
+        text = Path(f"/proc/{pid}/status").read_text(encoding="utf-8", errors="replace")
     except OSError:  # no Linux, or it has just gone
         return False
-    pending = re.findall(r"^(?:SigPnd|ShdPnd):\s*([0-9a-f]+)$", told, re.MULTILINE)
+    pending = re.findall(r"^(?:SigPnd|ShdPnd):\s*([0-9a-f]+)$", text, re.MULTILINE)
     killed = any(int(mask, 16) & _KILL for mask in pending)
     return killed or status[0] in (b"Z", b"X") or bool(int(status[6]) & _EXITING)
 
@@ -354,8 +354,8 @@ def await_file(path: Path, patience: float = SHOWS_S) -> None:
 def shows(path: Path) -> bool:
     """Whether a file shows by now.
 
-    Shares keep in mind that a file was not there when somebody looked, NFS for half a minute; it is
-    the opening of the folder that makes them ask again.
+    Shares remember that a file was not there when a process looked, NFS for half a minute. To open
+    the folder makes them ask again.
     """
     if path.exists():
         return True

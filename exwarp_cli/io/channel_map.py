@@ -39,7 +39,7 @@ _TABLES = ("channels", "aovs")
 
 @dataclass(frozen=True)
 class ChannelMap:
-    """What a shot's channels hold, as far as somebody says so.
+    """What a shot's channels hold, as far as the file says so.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ def read_channel_map(path: Path) -> ChannelMap:
         When a role, or its number of channels, cannot be.
     """
     try:
-        told = read_toml(path)
+        document = read_toml(path)
     except OSError as error:
         raise InputError(
             f"cannot read the channel map {path}: {error.strerror or error}; check the path"
@@ -91,9 +91,9 @@ def read_channel_map(path: Path) -> ChannelMap:
             f"the channel map {path} is not TOML ({error}); correct it, or write a "
             "new one with 'exwarp inspect SEQ --write-channel-map FILE'"
         ) from error
-    _check(told, path)
+    _check(document, path)
     channels: dict[Role, tuple[str, ...]] = {}
-    for name, value in told.get("channels", {}).items():
+    for name, value in document.get("channels", {}).items():
         option = f"channels.{name} in the channel map {path}"
         role = role_of(name, option)
         if role in channels:
@@ -101,7 +101,7 @@ def read_channel_map(path: Path) -> ChannelMap:
         channels[role] = (value,) if isinstance(value, str) else tuple(value)
         if channels[role]:
             check_count(role, channels[role], option)
-    aovs = _aovs(told.get("aovs", {}), path)
+    aovs = _aovs(document.get("aovs", {}), path)
     for aov in aovs:
         if channels.get(aov.role):
             raise UsageError(
@@ -112,10 +112,10 @@ def read_channel_map(path: Path) -> ChannelMap:
         path,
         channels,
         aovs,
-        told.get("producer"),
-        told.get("view"),
-        told.get("motion"),
-        _kind(told, path),
+        document.get("producer"),
+        document.get("view"),
+        document.get("motion"),
+        _kind(document, path),
     )
 
 
@@ -190,21 +190,21 @@ def quoted(text: str) -> str:
     return json.dumps(plain, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
-def _check(told: Mapping[str, Any], path: Path) -> None:
+def _check(document: Mapping[str, Any], path: Path) -> None:
     """Refuse unknown keys and other types."""
     known = ("schema", *_TEXTS, *_TABLES)
-    for key, value in told.items():
+    for key, value in document.items():
         if key not in known:
             raise _wrong(path, key, f"is unknown; the keys are {', '.join(known)}")
         if key in _TABLES and not isinstance(value, dict):
             raise _wrong(path, key, f"has to be a table; write [{key}] on a line of its own")
         if key not in _TABLES and not (isinstance(value, str) and value):
             raise _wrong(path, key, "has to be a text in quotes; correct it, or leave it out")
-    if told.get("schema", SCHEMA) != SCHEMA:
+    if document.get("schema", SCHEMA) != SCHEMA:
         raise _wrong(path, "schema", f"is not {SCHEMA}; this version of ExWarp reads that alone")
-    for name, value in told.get("channels", {}).items():
+    for name, value in document.get("channels", {}).items():
         _check_type(path, f"channels.{name}", value, _are_names, "a list of channel names")
-    for name, value in told.get("aovs", {}).items():
+    for name, value in document.get("aovs", {}).items():
         _check_type(path, f"aovs.{name}", value, _is_name, "a text such as PATTERN:R,G")
 
 
@@ -227,15 +227,15 @@ def _wrong(path: Path, key: str, what: str) -> DamagedFileError:
     return DamagedFileError(f"{key} in the channel map {path} {what}")
 
 
-def _aovs(told: Mapping[str, str], path: Path) -> tuple[AovFile, ...]:
+def _aovs(table: Mapping[str, str], path: Path) -> tuple[AovFile, ...]:
     try:
-        return parse_aovs(f"{role}={text}" for role, text in told.items())
+        return parse_aovs(f"{role}={text}" for role, text in table.items())
     except ExwarpError as error:
         raise type(error)(f"in [aovs] of the channel map {path}: {error}") from error
 
 
-def _kind(told: Mapping[str, Any], path: Path) -> DepthKind | None:
-    text = told.get("depth_kind")
+def _kind(document: Mapping[str, Any], path: Path) -> DepthKind | None:
+    text = document.get("depth_kind")
     if text is None or text in [kind.value for kind in DepthKind]:
         return None if text is None else DepthKind(text)
     known = ", ".join(kind.value for kind in DepthKind)

@@ -73,22 +73,22 @@ def primaries_of(header: Mapping[str, Any]) -> Primaries | None:
         None for Rec. 709, for a header without chromaticities, where OpenEXR assumes Rec. 709, and
         for chromaticities that no colours can have.
     """
-    told = _numbers(header.get("chromaticities"), 8)
-    if told is None:
+    stated = _numbers(header.get("chromaticities"), 8)
+    if stated is None:
         return None
     neutral = _numbers(header.get("adoptedNeutral"), 2)
     if neutral is None or not neutral[1] > 0:
-        neutral = told[6:]
-    if np.allclose([*told[:6], *neutral], REC709, rtol=0, atol=NEAR):
+        neutral = stated[6:]
+    if np.allclose([*stated[:6], *neutral], REC709, rtol=0, atol=NEAR):
         return None
     try:
-        matrix = np.linalg.inv(_to_xyz(np.array(REC709))) @ _adapted(neutral) @ _to_xyz(told)
+        matrix = np.linalg.inv(_to_xyz(np.array(REC709))) @ _adapted(neutral) @ _to_xyz(stated)
     except np.linalg.LinAlgError:
         return None
     if not np.isfinite(matrix).all():
         return None
-    known = (n for n, xy in KNOWN.items() if np.allclose(told, xy, rtol=0, atol=NEAR))
-    listed = " ".join(f"{value:.4g}" for value in told)
+    known = (n for n, xy in KNOWN.items() if np.allclose(stated, xy, rtol=0, atol=NEAR))
+    listed = " ".join(f"{value:.4g}" for value in stated)
     name = next(known, f"the chromaticities {listed}")
     return Primaries(name, tuple(tuple(map(float, row)) for row in matrix))
 

@@ -35,7 +35,7 @@ from exwarp_cli.io.clip_timing import (
     pace,
     read_packets,
 )
-from exwarp_cli.io.ffmpeg import EXACT, Drain, FfmpegError, told
+from exwarp_cli.io.ffmpeg import EXACT, Drain, FfmpegError, run_ffmpeg
 from exwarp_cli.io.reading_retry import system_failure, with_retries
 from exwarp_cli.io.video import (
     MATRICES,
@@ -445,7 +445,7 @@ def _opaque(pixels: str) -> int:
 def _require_picture(path: Path) -> None:
     """Refuse a file of sound alone; raises InputError."""
     with suppress(FfmpegError):
-        _, said = told(["-v", "info", "-i", f"file:{path}", "-f", "ffmetadata", "-"])
+        _, said = run_ffmpeg(["-v", "info", "-i", f"file:{path}", "-f", "ffmetadata", "-"])
         streams = re.findall(r"^\s*Stream #0:.*", _input_part(said), re.MULTILINE)
         # A cover is no video.
         seen = any(": Video: " in line and "(attached pic)" not in line for line in streams)

@@ -12,7 +12,7 @@ from itertools import pairwise
 from pathlib import Path
 from statistics import median
 
-from exwarp_cli.io.ffmpeg import Drain, FfmpegError, told
+from exwarp_cli.io.ffmpeg import Drain, FfmpegError, run_ffmpeg
 
 DISCARD = 4
 """ffmpeg's flag of packets that an edit list hides."""
@@ -83,7 +83,7 @@ class Packets:
     positions: tuple[int, ...] = ()
 
     def time(self, index: int) -> Fraction:
-        """Return when a frame is shown, in seconds; 0 where no times are told."""
+        """Return when a frame is shown, in seconds; 0 where no times are known."""
         return self.times[index] * self.tick if self.times else Fraction(0)
 
     @property
@@ -156,7 +156,9 @@ def read_packets(path: Path) -> Packets:
     FfmpegError
         When there is none, or the file cannot be read.
     """
-    listed, _ = told(["-i", f"file:{path}", "-map", "0:V:0", "-c", "copy", "-f", "framecrc", "-"])
+    listed, _ = run_ffmpeg(
+        ["-i", f"file:{path}", "-map", "0:V:0", "-c", "copy", "-f", "framecrc", "-"]
+    )
     return parse_packets(listed.decode("ascii", "replace"))
 
 
@@ -399,7 +401,7 @@ def first_interlaced(path: Path, packets: Packets, indexed: bool) -> Fraction | 
 def frame_info(path: Path, *options: str, decoder: tuple[str, ...] = ()) -> str:
     """Return what ffmpeg says of a file and of frames."""
     source = ["-v", "info", "-hide_banner", *decoder, "-i", f"file:{path}", "-map", "0:V:0"]
-    _, said = told([*source, *options, "-vf", "showinfo=checksum=0", "-f", "null", "-"])
+    _, said = run_ffmpeg([*source, *options, "-vf", "showinfo=checksum=0", "-f", "null", "-"])
     return said
 
 

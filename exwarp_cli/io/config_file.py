@@ -138,7 +138,7 @@ def _named(named: str, how: str) -> Path:
             return path
         found = "is a folder" if path.is_dir() else "does not exist"
     except RuntimeError as error:
-        raise UsageError(f"{how} names {named}, and nobody has that home; {remedy}") from error
+        raise UsageError(f"{how} names {named}, and no user has that home; {remedy}") from error
     except OSError as error:
         raise UsageError(
             f"{how} names {named}, which cannot be reached: {error.strerror or error}; {remedy}"

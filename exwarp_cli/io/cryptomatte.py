@@ -108,7 +108,7 @@ class Cryptomatte:
         if not self.exact:
             raise LayoutError(
                 f"{where} does not hold the ids of its Cryptomatte {self.name!r} as 32-bit floats, "
-                "so they cannot be told apart; write that pass as 32-bit float, not half"
+                "so they cannot be distinguished; write that pass as 32-bit float, not half"
             )
 
 
@@ -133,9 +133,9 @@ def find_cryptomattes(
     """
     found = []
     for aov, members in channels.items():
-        told = _told(headers.get(aov, ()))
+        entries = _entries(headers.get(aov, ()))
         for family in _families(aov, members):
-            entry = _entry(family.name, told)
+            entry = _entry(family.name, entries)
             if entry is not None or any(word in _last(family.name) for word in _USUAL):
                 found.append(family.cryptomatte(entry or {}, headers.get(aov, ())))
     parent = _parents(beside)
@@ -226,7 +226,7 @@ def _families(aov: str, channels: Iterable[Channel]) -> Iterator[_Family]:
     return (family for family in families.values() if family.whole())
 
 
-def _told(headers: Iterable[Mapping[str, object]]) -> list[dict[str, str]]:
+def _entries(headers: Iterable[Mapping[str, object]]) -> list[dict[str, str]]:
     """Return what headers tell of Cryptomattes; what the first part says of a key counts."""
     entries: dict[str, dict[str, str]] = {}
     for header in headers:
@@ -237,17 +237,17 @@ def _told(headers: Iterable[Mapping[str, object]]) -> list[dict[str, str]]:
     return [entry for entry in entries.values() if entry.get("name")]
 
 
-def _entry(name: str, told: list[dict[str, str]]) -> dict[str, str] | None:
+def _entry(name: str, entries: list[dict[str, str]]) -> dict[str, str] | None:
     """Return the header's entry for layers of a name.
 
     An entry of the same name, else one whose name ends in the layers', or theirs in its: writers
     put view layers, parts and views before it, or leave them out.
     """
     words = _words(name)
-    for entry in told:
+    for entry in entries:
         if "".join(_words(entry["name"])) == "".join(words):
             return entry
-    near = [entry for entry in told if _ends_alike(_words(entry["name"]), words)]
+    near = [entry for entry in entries if _ends_alike(_words(entry["name"]), words)]
     # The longest says most: "Crypto Object Material" is not the entry "Material".
     return max(near, key=lambda entry: len(entry["name"]), default=None)
 

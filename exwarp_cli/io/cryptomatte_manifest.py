@@ -76,13 +76,13 @@ def read_manifest(cryptomatte: Cryptomatte, path: Path) -> Manifest:
     return Manifest(ids, problem, cryptomatte.hashed)
 
 
-def _beside(told: str, path: Path) -> tuple[str, str, str]:
+def _beside(sidecar: str, path: Path) -> tuple[str, str, str]:
     """Read a manifest's own file: its text, where that is, and why there is none."""
-    if not told:
+    if not sidecar:
         return "", "", "its header has no manifest"
-    found = _sidecar(path, told)
+    found = _sidecar(path, sidecar)
     if found is None:
-        return "", told, f"its manifest {shown(told)} is not there"
+        return "", sidecar, f"its manifest {shown(sidecar)} is not there"
     try:
         if found.stat().st_size > MAX_SIZE:
             return "", str(found), f"{found} is larger than {MAX_SIZE >> 20} MiB"
@@ -91,13 +91,17 @@ def _beside(told: str, path: Path) -> tuple[str, str, str]:
         return "", str(found), f"{found} cannot be read ({error.strerror})"
 
 
-def _sidecar(path: Path, told: str) -> Path | None:
+def _sidecar(path: Path, sidecar: str) -> Path | None:
     """Find a manifest's own file: where the header says, else beside the image.
 
     Paths are written on other systems, and frames are moved with their manifests.
     """
-    plain = told.replace("\\", "/")
-    for candidate in (path.parent / told, path.parent / plain, path.parent / plain.split("/")[-1]):
+    plain = sidecar.replace("\\", "/")
+    for candidate in (
+        path.parent / sidecar,
+        path.parent / plain,
+        path.parent / plain.split("/")[-1],
+    ):
         try:
             if candidate.is_file():
                 return candidate

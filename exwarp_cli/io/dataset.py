@@ -349,7 +349,7 @@ def select(
     unwanted
         Glob patterns of names to leave out.
     say
-        Told of scenes that are left out because they are not rendered to the end.
+        Receives every scene that is left out because it is not rendered to the end.
 
     Raises
     ------

@@ -65,7 +65,7 @@ class DepthReading:
         card's depth has a scale below 0, and 1 for background), ``d = offset + scale z`` for
         normalised and reversed ones. Not used for the others.
     measured
-        Whether world positions told, rather than a name or a person.
+        Whether world positions showed this, rather than a name or a person.
     evidence
         What a user should know of how it is read, or why it is left out; "" for nothing.
     """

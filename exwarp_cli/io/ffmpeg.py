@@ -71,7 +71,7 @@ def filtered(options: Sequence[str], data: bytes) -> bytes:
     return done.stdout
 
 
-def told(options: Sequence[str]) -> tuple[bytes, str]:
+def run_ffmpeg(options: Sequence[str]) -> tuple[bytes, str]:
     """Run ffmpeg without input from here, and return what it writes and what it says.
 
     Parameters

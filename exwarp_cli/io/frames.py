@@ -58,7 +58,7 @@ class RawFrame:
     motion
         float32 [H, W, C]: the motion channels as written; None without.
     broken
-        How many pixels of the colour are NaN or infinite; None where that is not told at once.
+        How many pixels of the colour are NaN or infinite; None where that is not known at once.
     """
 
     number: int

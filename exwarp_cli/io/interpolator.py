@@ -85,8 +85,8 @@ class Seen:
     first, second
         float32 [H, W, 3], encoded.
     made
-        The same of frames between them, by time, that a network which is not told the time has
-        made.
+        The same of frames between them, by time, that a network without an input for
+        the time has made.
     """
 
     before: Float32
@@ -127,7 +127,7 @@ class OnnxInterpolator(OnnxNetwork):
             See `reaches`.
         """
         if not self.reaches(time):
-            raise ValueError(f"a network that is not told the time does not reach {time}")
+            raise ValueError(f"a network without an input for the time does not reach {time}")
         seen = self._see(before, after)
         if self.card.timed:
             shown = self._make(seen.first, seen.second, time)
@@ -140,7 +140,7 @@ class OnnxInterpolator(OnnxNetwork):
     def reaches(self, time: float | Fraction) -> bool:
         """Whether it makes a frame at this time.
 
-        A network that is not told the time reaches multiples of 1/8 only, by using it thrice.
+        A network without an input for the time reaches multiples of 1/8 only, by using it thrice.
         """
         return self.card.timed or MOST * time % 1 == 0
 
@@ -397,9 +397,9 @@ def begun(path: Path, inputs: Mapping[str, Any], output: str, shape: str) -> dic
     elif len(counts) == 1 and next(iter(counts.values())) in BY_CHANNELS:
         given |= {name: BY_CHANNELS[count] for name, count in counts.items()}
     if len(given) != len(inputs) or list(given.values()).count(TIME) > 1:
-        told = ", ".join(f"{name} {written_shape(node.shape)}" for name, node in inputs.items())
+        listed = ", ".join(f"{name} {written_shape(node.shape)}" for name, node in inputs.items())
         raise LayoutError(
-            f"{path} has the inputs {told}, which are not those of a {shape} export; write its "
+            f"{path} has the inputs {listed}, which are not those of a {shape} export; write its "
             "card by hand, as models/README.md tells"
         )
     return {

@@ -157,7 +157,7 @@ class Card:
 
     @property
     def timed(self) -> bool:
-        """Whether the network is told the time; else it makes the middle frame."""
+        """Whether the network has an input for the time; else it makes the middle frame."""
         return any(TIME in parts for parts in self.inputs.values())
 
 

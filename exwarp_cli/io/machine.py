@@ -101,8 +101,8 @@ def processors() -> Processors:
 
 def memory() -> Memory:
     """Measure the memory."""
-    told = dict(_meminfo())
-    there, available = told.get("MemTotal"), told.get("MemAvailable")
+    meminfo = dict(_meminfo())
+    there, available = meminfo.get("MemTotal"), meminfo.get("MemAvailable")
     limits = list(_memory_limits(there))
     rooms = [room for _, room in limits] + ([] if available is None else [available])
     return Memory(there, min(rooms, default=None), min((most for most, _ in limits), default=None))

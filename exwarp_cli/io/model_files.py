@@ -32,7 +32,7 @@ def read_whole(path: Path) -> bytes:
         When it cannot be read, is too large, or is a folder, a pipe or a device, some of which
         never end and others never begin.
     """
-    # Without waiting, as a pipe into which nobody writes would keep whoever opens it.
+    # Without waiting: to open a pipe into which no process writes would never end.
     flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
     with open(path, "rb", opener=lambda name, _: os.open(name, flags)) as file:
         status = os.fstat(file.fileno())

@@ -138,16 +138,16 @@ class _Weights:
         # Numbers of 64 bits are cut to the 32 that such a value has.
         if not any(f.number == WHERE and f.value & 0xFFFFFFFF == 1 for f in fields):
             return None
-        told = dict(_entry(f.content) for f in fields if f.number == APART and f.kind == BYTES)
+        entries = dict(_entry(f.content) for f in fields if f.number == APART and f.kind == BYTES)
         kept = [field.whole for field in fields if field.number not in (RAW, APART, WHERE)]
-        return kept + _joined(RAW, [self._bytes(told)])
+        return kept + _joined(RAW, [self._bytes(entries)])
 
-    def _bytes(self, told: Mapping[str, str]) -> memoryview:
+    def _bytes(self, entries: Mapping[str, str]) -> memoryview:
         """Return the part of a file that a tensor names."""
-        location = told.get("location", "")
+        location = entries.get("location", "")
         content = self._file(location)
-        begin = self._number(told, "offset", 0)
-        end = begin + self._number(told, "length", max(0, len(content) - begin))
+        begin = self._number(entries, "offset", 0)
+        end = begin + self._number(entries, "length", max(0, len(content) - begin))
         if end > len(content):
             raise DamagedFileError(
                 f"{self._path.parent / location}, where {self._path.name} keeps weights, has "
@@ -161,8 +161,8 @@ class _Weights:
             )
         return content[begin:end]
 
-    def _number(self, told: Mapping[str, str], key: str, default: int) -> int:
-        text = told.get(key, str(default))
+    def _number(self, entries: Mapping[str, str], key: str, default: int) -> int:
+        text = entries.get(key, str(default))
         if not (text.isascii() and text.isdecimal() and len(text) < 20):
             raise DamagedFileError(
                 f"{self._path} keeps weights in another file at {key} {text[:40]!r}, which is no "

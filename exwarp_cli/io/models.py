@@ -239,8 +239,9 @@ class PictureNetwork(OnnxNetwork):
     def _taken_room(self, size: tuple[int, int]) -> Float32:
         """Return room for the planes of a part; that of the last one where it is as large.
 
-        Lent in between, it made room for frames' arrays, and they for it: to be mapped and cleared
-        anew took three times as long as writing the planes.
+        The room does not go back to the pool in between. When it did, frames' arrays took its
+        memory and it took theirs: to map and clear it anew took three times as long as writing the
+        planes.
         """
         shape = self._interface.channels, *size
         room, self._room = self._room, None

@@ -262,8 +262,10 @@ def _open(found: Looks, wish: _Wish, named_view: str, views: tuple[str, ...]) ->
     for aov in wish.aovs:
         shot = _joined(shot, aov)
     shot = _by_bits(shot)
-    told = wish.channel_map
-    shot = replace(shot, depth=_depth(shot, told), channel_map=told, aov_files=wish.aovs)
+    channel_map = wish.channel_map
+    shot = replace(
+        shot, depth=_depth(shot, channel_map), channel_map=channel_map, aov_files=wish.aovs
+    )
     return replace(shot, by_hand=_by_hand(shot, own))
 
 
@@ -376,10 +378,10 @@ def _led(shot: Shot, aov: str) -> Shot:
     )
 
 
-def _depth(shot: Shot, told: ChannelMap | None) -> DepthReading:
+def _depth(shot: Shot, channel_map: ChannelMap | None) -> DepthReading:
     """Return how depth is read: as the map says, else as the channel's name does."""
-    if told is not None and told.depth_kind is not None:
-        return DepthReading.of(told.depth_kind)
+    if channel_map is not None and channel_map.depth_kind is not None:
+        return DepthReading.of(channel_map.depth_kind)
     return depth_named(ref.name for ref in shot.layout.roles.get(Role.DEPTH, ()))
 
 
@@ -398,7 +400,7 @@ def _by_hand(shot: Shot, own: Layout) -> dict[str, Any]:
 
 
 def corrected(
-    layout: Layout, channels: Mapping[str, Mapping[str, Channel]], told: ChannelMap
+    layout: Layout, channels: Mapping[str, Mapping[str, Channel]], channel_map: ChannelMap
 ) -> Layout:
     """Put a channel map's roles in place of those that were recognised."""
     known = {
@@ -407,16 +409,16 @@ def corrected(
         for name in members
     }
     roles = dict(layout.roles)
-    for role, names in told.channels.items():
+    for role, names in channel_map.channels.items():
         roles.pop(role, None)
-        option = told.option(f"channels.{role.value}")
+        option = channel_map.option(f"channels.{role.value}")
         refs = tuple(known[named(name, known, option, "the shot")] for name in names)
         if refs:
             roles[role] = refs
     same = roles.get(Role.MOTION) == layout.roles.get(Role.MOTION)
-    producer = told.producer or layout.producer
+    producer = channel_map.producer or layout.producer
     guess = layout.guess if same else None
-    alphas = () if Role.COLOUR in told.channels else layout.alphas
+    alphas = () if Role.COLOUR in channel_map.channels else layout.alphas
     return replace(layout, roles=_ordered(roles), guess=guess, producer=producer, alphas=alphas)
 
 

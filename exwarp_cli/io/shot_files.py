@@ -127,7 +127,7 @@ def _own_roles(colour: Sequence) -> set[Role]:
     for path in colour.files.values():
         try:
             parts = look(path, HeaderCache()).parts
-        except InputError:  # it is told when that frame is read
+        except InputError:  # reported when that frame is read
             continue
         views = views_of(parts)
         channels = channels_of(parts, views[0] if views else "")

@@ -34,14 +34,14 @@ def first_of(numbers: Iterable[int], made_of: Callable[[int], T]) -> T:
     InputError
         That of the very first frame, where all are of no use.
     """
-    told: InputError | None = None
+    first_error: InputError | None = None
     for number in numbers:
         try:
             return made_of(number)
         except InputError as error:
-            told = told or error
-    assert told is not None
-    raise told
+            first_error = first_error or error
+    assert first_error is not None
+    raise first_error
 
 
 def require_sound(paths: Iterable[Path]) -> None:

@@ -1,6 +1,6 @@
 """The standard streams of the process, made fit for whatever is printed.
 
-Whoever starts the command decides where they lead: nowhere, to a disk that is full, to a program
+The caller of the command decides where they lead: nowhere, to a disk that is full, to a program
 that reads the first lines and goes, to a terminal that lacks characters.
 """
 
@@ -124,7 +124,7 @@ def _taken_over(stream: Any, kind: type[StandardOutput | StandardError]) -> Any:
 
 
 def _open_closed() -> None:
-    """Open the streams that whoever started the process closed.
+    """Open the streams that the parent process closed.
 
     Else the next file that is opened takes the place of one of them, and gets what is printed.
     """

@@ -266,8 +266,8 @@ def _template(path: Path, spec: Any) -> StillTemplate:
             "without alpha; write such images"
         )
     dtype = np.dtype(_DTYPES.get(spec.format.basetype, np.float32))
-    told = spec.get_int_attribute("oiio:BitsPerSample", 0)
-    if (path.suffix.lower(), told, spec.nchannels) == (".dpx", 10, 4):
+    bits = spec.get_int_attribute("oiio:BitsPerSample", 0)
+    if (path.suffix.lower(), bits, spec.nchannels) == (".dpx", 10, 4):
         raise LayoutError(
             f"{path} is a DPX of 10 bits with alpha, whose pixels OpenImageIO does not read right; "
             "write it with 16 bits"
@@ -281,7 +281,7 @@ def _template(path: Path, spec: Any) -> StillTemplate:
     return StillTemplate(
         kept,
         dtype,
-        told if dtype == np.uint16 and 8 < told < whole else whole,
+        bits if dtype == np.uint16 and 8 < bits < whole else whole,
         spec.nchannels,
         _curve(spec, dtype),
         not spec.get_int_attribute("oiio:UnassociatedAlpha", 0),

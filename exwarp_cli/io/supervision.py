@@ -64,7 +64,7 @@ class End:
     overdue
         Whether it was ended because one of them took too long.
     stopped
-        The signal by which somebody wanted it to end; 0 where nobody did.
+        The signal that asked it to end; 0 without one.
     skippable
         Those of the files without which the command can start again.
     """
@@ -159,10 +159,10 @@ def _part(skipped: Mapping[Path, str], usual: Mapping[int, Any]) -> End | None:
 def limit() -> float:
     """Return after how many seconds at one file the child is ended."""
     try:
-        told = float(os.environ.get(LIMIT_VARIABLE, ""))
+        seconds = float(os.environ.get(LIMIT_VARIABLE, ""))
     except ValueError:
         return LIMIT_S
-    return told if told > 0 else float("inf")
+    return seconds if seconds > 0 else float("inf")
 
 
 def _await(child: int, notes: int, handed_on: list[tuple[int, float]]) -> End:
@@ -189,7 +189,7 @@ def _await(child: int, notes: int, handed_on: list[tuple[int, float]]) -> End:
                     handed_on[0][0] if handed_on else 0,
                     tuple({registry.files[number] for number in skippable}),
                 )
-        # Whoever stops both processes for an hour does not want them ended afterwards.
+        # A user who suspends both processes for an hour does not want them ended afterwards.
         passed = min(time.monotonic() - begin, 2 * tick)
         seconds = {number: seconds.get(number, 0.0) + passed for number in registry.files}
         overdue = [] if handed_on else [n for n, spent in seconds.items() if spent > most]

@@ -1,8 +1,8 @@
 """The one place that tells libraries how many threads they may have.
 
-`domain.cores` knows the number, for whom it is told at each use: onnxruntime's sessions, ffmpeg,
-and what runs threads here. OpenCV always has one, and BLAS, which numpy starts as it is imported,
-is told by `exwarp_cli.cli`.
+`domain.cores` knows the number. onnxruntime's sessions, ffmpeg, and what runs threads here receive
+it at each use. OpenCV always has one. numpy starts BLAS as it is imported, so `exwarp_cli.cli` sets
+the number for BLAS.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from exwarp_cli.io.ffmpeg import FfmpegError, told
+from exwarp_cli.io.ffmpeg import FfmpegError, run_ffmpeg
 
 COPIED_AUDIO: Mapping[str, frozenset[str]] = {
     "mp4": frozenset({"aac", "ac3", "alac", "eac3", "flac", "mp3", "opus"}),
@@ -121,7 +121,7 @@ def _works(
 ) -> bool:
     """Write tracks nowhere, and return True if that succeeds."""
     try:
-        told([*part, *_mapped(kept, 0), "-f", container, f"file:{os.devnull}"])
+        run_ffmpeg([*part, *_mapped(kept, 0), "-f", container, f"file:{os.devnull}"])
     except FfmpegError:
         return False
     return True

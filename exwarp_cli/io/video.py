@@ -18,7 +18,7 @@ from exwarp_cli.domain.frame import Float32, UInt8
 from exwarp_cli.errors import OutputError, UsageError
 from exwarp_cli.io.atomic import atomic_path
 from exwarp_cli.io.chromaticities import Primaries
-from exwarp_cli.io.ffmpeg import EXACT, RAW_INPUT, Feed, FfmpegError, even, told
+from exwarp_cli.io.ffmpeg import EXACT, RAW_INPUT, Feed, FfmpegError, even, run_ffmpeg
 from exwarp_cli.io.track_coding import SOUND, SUBTITLES, Track, TrackPlan, plan_tracks
 
 UInt16 = npt.NDArray[np.uint16]
@@ -27,7 +27,7 @@ CONTAINERS = {".mp4": "mp4", ".mov": "mov"}
 """ffmpeg's name of the container by file suffix."""
 
 QUALITY_CRF = 16
-"""Constant rate factor of libx264, 0 to 51: 16 cannot be told from the frames by eye."""
+"""Constant rate factor of libx264, 0 to 51: at 16 the eye sees no difference from the frames."""
 
 WIDEST = 255
 """Largest width of a pixel by its height that a video is labelled with, and its inverse."""
@@ -220,7 +220,7 @@ def video_note(path: Path) -> str | None:
     if not path.is_file():
         return None
     try:
-        listed, _ = told(["-i", f"file:{path}", "-f", "ffmetadata", "-"])
+        listed, _ = run_ffmpeg(["-i", f"file:{path}", "-f", "ffmetadata", "-"])
     except FfmpegError:
         return None
     found = re.search(r"^comment=(.*)$", listed.decode("utf-8", "replace"), re.MULTILINE)

@@ -3,8 +3,8 @@
 OpenEXR writes views in two ways. In a single part, the attribute ``multiView`` lists them, the hero
 first: a channel has its view's name before its last element (``right.R``, ``forward.right.u``), but
 the hero's may go without. Nuke writes the view first (``right.forward.u``). In several parts, each
-part has a ``view``. A third way is a sequence for each view, told in patterns by ``%V`` for the
-view's name, and ``%v`` for its first letter.
+part has a ``view``. A third way is a sequence for each view: in patterns, ``%V`` is the view's
+name, and ``%v`` its first letter.
 
 A channel is known by its name without view: so names, channel maps and ``--motion`` are the same
 for every view of a shot.

@@ -86,7 +86,7 @@ def run(kernel: Callable[..., None], arguments: Sequence[Any], threads: int) -> 
 def _take(
     kernel: Callable[..., None], arguments: Sequence[Any], left: Iterator[int], shares: int
 ) -> None:
-    """Take shares while any are left; where one fails, nobody takes another."""
+    """Take shares while any are left; where one fails, no thread takes another."""
     try:
         for number in left:
             kernel(*arguments, (number, shares))
@@ -96,7 +96,7 @@ def _take(
 
 
 def _end(begun: Sequence[Future[None]]) -> None:
-    """Wait until nothing is under way, whoever interrupts."""
+    """Wait until nothing is under way, even if interrupted."""
     try:
         wait(begun)
     except BaseException:

@@ -146,8 +146,8 @@ def distances(before: Values, after: Values) -> F64:
     """
     found = np.stack([before.range, after.range])
     low, high = found[..., 0].min(axis=0), found[..., 1].max(axis=0)
-    told = (found[..., 0] <= found[..., 1]).all(axis=0) & (low < high)
-    ranges = np.where(told[:, None], np.stack([low, high], axis=-1), 0.0)
+    usable = (found[..., 0] <= found[..., 1]).all(axis=0) & (low < high)
+    ranges = np.where(usable[:, None], np.stack([low, high], axis=-1), 0.0)
     first, second = before.shares(ranges), after.shares(ranges)
     areas: F64 = np.abs(first - second).sum(axis=-1) * (ranges[:, 1] - ranges[:, 0]) / BINS
     return areas

@@ -51,8 +51,8 @@ def copy_between(values: F32, shown: B8, low: float, high: float, out: F32) -> N
 
 
 @part
-def pick_some(values: F32, shown: B8, low: float, high: float, out: F32, told: I64) -> None:
-    """Do as `pick_between` with a band's values [N]; `out` has N + 1, `told` 3."""
+def pick_some(values: F32, shown: B8, low: float, high: float, out: F32, counts: I64) -> None:
+    """Do as `pick_between` with a band's values [N]; `out` has N + 1, `counts` 3."""
     total, below, count = 0, 0, 0
     for begin in range(0, values.size, SPAN):
         some, mask = values[begin : begin + SPAN], shown[begin : begin + SPAN]
@@ -60,7 +60,7 @@ def pick_some(values: F32, shown: B8, low: float, high: float, out: F32, told: I
         if between > 0:
             copy_between(some, mask, low, high, out[count:])
         total, below, count = total + counting, below + lower, count + between
-    told[0], told[1], told[2] = total, below, count
+    counts[0], counts[1], counts[2] = total, below, count
 
 
 @parallel
@@ -70,7 +70,7 @@ def pick_between(
     low: np.float32,
     high: np.float32,
     out: F32,
-    told: I64,
+    counts: I64,
     share: Share,
 ) -> None:
     """Copy values above 0 that lie from `low` to `high`, by bands.
@@ -86,14 +86,14 @@ def pick_between(
     out
         float32 [B, M + 1] for bands of M values, of which the last may have fewer; the beginning of
         each is written.
-    told
+    counts
         int64 [B, 3], written: how many of a band count in all, how many of them lie below `low`,
         and how many were copied.
     """
     step = out.shape[1] - 1
     for band in turns(out.shape[0], share):
         some = slice(min(band * step, values.size), min((band + 1) * step, values.size))
-        pick_some(values[some], shown[some], low, high, out[band], told[band])
+        pick_some(values[some], shown[some], low, high, out[band], counts[band])
 
 
 def positive(values: F32, shown: B8) -> np.float32:
@@ -118,12 +118,12 @@ def positive(values: F32, shown: B8) -> np.float32:
             some[min(some.size // 2 + near, len(some) - 1)],
         )
     out = np.empty((BANDS, -(-flat.size // BANDS) + 1), np.float32)
-    told = np.empty((BANDS, 3), np.int64)
-    pick_between(flat, mask, low, high, out, told)
-    total, below, count = told.sum(axis=0).tolist()
+    counts = np.empty((BANDS, 3), np.int64)
+    pick_between(flat, mask, low, high, out, counts)
+    total, below, count = counts.sum(axis=0).tolist()
     # An even number has two in the middle, whose mean is the median.
     first, last = (total - 1) // 2 - below, total // 2 - below
     if first < 0 or last >= count:
         return np.float32(np.median(flat[mask & (flat > 0)])) if total else np.float32(np.nan)
-    picked = np.concatenate([some[:many] for some, many in zip(out, told[:, 2], strict=True)])
+    picked = np.concatenate([some[:many] for some, many in zip(out, counts[:, 2], strict=True)])
     return np.float32(np.partition(picked, (first, last))[first : last + 1].mean())

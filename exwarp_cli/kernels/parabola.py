@@ -56,13 +56,13 @@ def parabola(before: F32, after: F32, time: np.float32, out: F32, reach: F32, sh
         where unknown: then t n or -t p alone, constant velocity.
     time
         t, in steps of the vectors, either sign. Between -1 and 1 points are led between places that
-        are known; beyond, what an older frame showed is foretold (up to 2.75 key intervals), and
+        are known; beyond, what an older frame showed is predicted (up to 2.75 key intervals), and
         half the sum of both vectors counts t² times.
     out
         float32 [H, W, 2], written; NaN where both are unknown.
     reach
         Written as by :func:`~exwarp_cli.kernels.reach.row_reach`, row by row, which finds each
-        in the processor's cache; [0, 0, 2] where nobody asks.
+        in the processor's cache; [0, 0, 2] where it is not needed.
     """
     for i in turns(after.shape[0], share):
         line = out[i].reshape(-1)

@@ -133,12 +133,12 @@ def take_over(
 
 
 @parallel
-def go_on(foretold: F32, moved: F32, lost: B8, share: Share) -> None:
-    """Give points that are not known where they come from the place that is foretold.
+def go_on(predicted: F32, moved: F32, lost: B8, share: Share) -> None:
+    """Give points that are not known where they come from the place that is predicted.
 
     Parameters
     ----------
-    foretold
+    predicted
         float32 [H, W, 2], pixels; NaN where nothing is.
     moved
         float32 [H, W, 2], pixels, changed where it is NaN.
@@ -148,6 +148,6 @@ def go_on(foretold: F32, moved: F32, lost: B8, share: Share) -> None:
     height, width, _ = moved.shape
     for i in turns(height, share):
         for j in range(width):
-            if math.isnan(moved[i, j, 0]) and not math.isnan(foretold[i, j, 0]):
-                moved[i, j, 0], moved[i, j, 1] = foretold[i, j, 0], foretold[i, j, 1]
+            if math.isnan(moved[i, j, 0]) and not math.isnan(predicted[i, j, 0]):
+                moved[i, j, 0], moved[i, j, 1] = predicted[i, j, 0], predicted[i, j, 1]
                 lost[i, j] = False

@@ -211,8 +211,8 @@ def announce(
             "--gbuffers is left out: it has no readable vectors to the previous slot, and "
             f"{method.name} does without"
         )
-    if source.motion_told is not None:
-        progress.message("motion {}: {}".format(*source.motion_told))
+    if source.motion_origin is not None:
+        progress.message("motion {}: {}".format(*source.motion_origin))
     if (depth := _depth(source)) is not None:
         progress.message(f"depth {depth}")
     if (names := _dynamic(source)) is not None:
@@ -300,7 +300,7 @@ def announce_contents(progress: Progress, contents: tuple[Content, ...]) -> None
 
 def input_summary(source: Source) -> InputSummary:
     """Return the input as the report names it."""
-    motion = source.motion_told
+    motion = source.motion_origin
     return InputSummary(
         pattern=source.keys.sequence.pattern,
         first=source.timeline.numbers[0],
@@ -367,23 +367,23 @@ def require_complete(run: RunSummary) -> None:
     missing = [one for one in run.left_out if one.frames]
     many, frames = len(missing), [n for one in missing for n in one.frames]
     scores = sorted({n for one in run.left_out for n in one.scores})
-    told, cause = [], []
+    clauses, cause = [], []
     if missing:
         verb = "was" if many == 1 else "were"
         whole = counted(len(run.selected), "key interval")
-        told.append(f"{many} of {whole} {verb} left out ({_named(frames)})")
+        clauses.append(f"{many} of {whole} {verb} left out ({_named(frames)})")
         cause.append("the input")
     if scores:
-        told.append(f"{_named(scores)} {'was' if len(scores) == 1 else 'were'} not scored")
+        clauses.append(f"{_named(scores)} {'was' if len(scores) == 1 else 'were'} not scored")
         cause.append("the ground truth")
     rendered = sorted({n for one in run.left_out for n in one.rendered})
     if rendered:
         verb = "was" if len(rendered) == 1 else "were"
-        told.append(f"{_named(rendered)} {verb} generated, although rendered")
+        clauses.append(f"{_named(rendered)} {verb} generated, although rendered")
         cause.append("the rendered frames")
     raise IncompleteError(
-        f"{', and '.join(told)}, see above or left_out in report.json; mend {' and '.join(cause)} "
-        "and run again with --skip-existing"
+        f"{', and '.join(clauses)}, see above or left_out in report.json; "
+        f"mend {' and '.join(cause)} and run again with --skip-existing"
     )
 
 

@@ -1,4 +1,4 @@
-"""Who decides the path of each key interval: nobody, the learned policy, or the truth."""
+"""What decides the path of each key interval: nothing, the learned policy, or the truth."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def by_policy(policy: LearnedPolicy, observer: Observer) -> Chooser:
 
 
 def by_tiles(policy: PolicyFile, effort: float) -> Chooser:
-    """Return who asks a policy of tiles, or at an effort of 0 or 1 nobody.
+    """Return a chooser that asks a policy of tiles, or at an effort of 0 or 1 none.
 
     `effort` is the share of the area that is extrapolated on the scenes that it learned from.
     """
@@ -104,7 +104,7 @@ def by_tiles(policy: PolicyFile, effort: float) -> Chooser:
 def by_truth(judge: Judge, display: Window) -> Chooser:
     """Return who looks at the ground truth: exact over the six paths of each interval.
 
-    Where a slot has no ground truth nothing can be told, and the interval is warped.
+    Where a slot has no ground truth no path can be judged, and the interval is warped.
     """
     from exwarp_cli.policy import outcomes
 

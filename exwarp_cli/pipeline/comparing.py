@@ -238,10 +238,10 @@ class ExtranetScores(Held):
     def notes(self) -> tuple[str, ...]:
         """Which frames counted."""
         by = "by their headers" if self._generated else "as their pixels are not those of the truth"
-        told = f"{self._counted} of {len(self._scores)} frames count as generated, {by}"
+        note = f"{self._counted} of {len(self._scores)} frames count as generated, {by}"
         if self._vmaf is None:
-            return (told,)
-        return (told, f"VMAF is of {len(self._video)} frames in H.264, rendered ones included")
+            return (note,)
+        return (note, f"VMAF is of {len(self._video)} frames in H.264, rendered ones included")
 
     def add(self, pair: Pair) -> Scores:
         """Score the next frame, if it counts, and append it to the videos."""
@@ -314,8 +314,8 @@ def origins_of(files: Listed[Path]) -> list[Origin]:
 
 
 def _origin(known: dict[str, Any]) -> Origin:
-    told = (known.get(name) for name in ("kind", "madeBy", "path", "method"))
-    kind, made_by, path, method = (value if isinstance(value, str) else None for value in told)
+    values = (known.get(name) for name in ("kind", "madeBy", "path", "method"))
+    kind, made_by, path, method = (value if isinstance(value, str) else None for value in values)
     return Origin(kind, maker_of(made_by, method), path)
 
 

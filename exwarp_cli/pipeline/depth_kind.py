@@ -46,19 +46,19 @@ def with_depth_measured(shot: Shot) -> Shot:
         When the first frame cannot be read.
     """
     shot = _with_sign(shot)
-    told = shot.depth.kind
-    known = told in (DepthKind.AXIS, DepthKind.RAY, DepthKind.NEGATIVE) or (
-        told is DepthKind.UNKNOWN and shot.layout.producer in KNOWN
+    stated = shot.depth.kind
+    known = stated in (DepthKind.AXIS, DepthKind.RAY, DepthKind.NEGATIVE) or (
+        stated is DepthKind.UNKNOWN and shot.layout.producer in KNOWN
     )
     if known or not {Role.DEPTH, Role.POSITION} <= set(shot.layout.roles):
         return shot
-    # As written, whatever kind is told.
+    # As written, whatever kind is stated.
     plain = replace(shot, depth=DepthReading())
     raw = read_raw(plain, shot.first, (Role.DEPTH, Role.POSITION))
     depth, position = raw.gbuffer.depth, raw.gbuffer.position
     assert depth is not None and position is not None
     found = measured(depth, position)
-    agrees = found is not None and told in (DepthKind.UNKNOWN, found.kind)
+    agrees = found is not None and stated in (DepthKind.UNKNOWN, found.kind)
     return replace(shot, depth=found) if found is not None and agrees else shot
 
 

@@ -127,11 +127,11 @@ def evaluate(
     frames
         Frame range in the reference's numbers; None for all.
     progress
-        Told of every frame.
+        Receives every frame.
     measuring
         What is measured, and how; None for the defaults.
     watcher
-        Shown frames that it wants to see; None for nobody.
+        Shown frames that it wants to see; None where no frame is shown.
 
     Raises
     ------
@@ -148,7 +148,7 @@ def evaluate(
         for spec in (reference, test)
     )
     masks = None if holes is None else find_sequence(holes)
-    matched_by, paired, told = pair(truth, judged, measuring.view)
+    matched_by, paired, pairing_notes = pair(truth, judged, measuring.view)
     pairs = _select(paired, frames)
     mask_files = {} if masks is None else _mask_files(masks, judged, paired)
     files = [
@@ -163,7 +163,7 @@ def evaluate(
         close(truth, judged)
     if measuring.preset is None:  # which has its own rule for rendered frames
         notes = (*rendered_note(origins), *notes)
-    notes = (*told, *notes)
+    notes = (*pairing_notes, *notes)
     compared = tuple(replace(f, origin=o) for f, o in zip(compared, origins, strict=True))
     found = Comparison(
         *(truth, judged, masks, matched_by, shape[1], shape[0], compared),
@@ -335,7 +335,7 @@ def _mask_files(masks: Sequence, test: Sequence, paired: dict[int, int]) -> dict
 
 
 def _show(watcher: FrameListener | None, number: int, one: Pair, score: Score | None) -> None:
-    """Show the test's frame to whoever wants it."""
+    """Show the test's frame to the watcher if it wants it."""
     if watcher is not None and watcher.wants(number, score):
         watcher.frame(number, one.test, one.truth, one.mask, is_key=False)
 

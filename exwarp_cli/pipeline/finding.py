@@ -226,9 +226,9 @@ def require_factor(
     times = {timeline.time(slot) for key in range(3) for slot in timeline.between(key)}
     if out := sorted(t for t in times if not interpolator.reaches(t)):
         raise UsageError(
-            f"--interpolator {interpolator.name} is not told the time and makes the middle frame "
-            f"only, so it does not reach {out[0]} of a key interval; give --factor 2, 4 or 8, or a "
-            "network with an input for the time"
+            f"--interpolator {interpolator.name} has no input for the time and makes the middle "
+            f"frame only, so it does not reach {out[0]} of a key interval; give "
+            "--factor 2, 4 or 8, or a network with an input for the time"
         )
 
 

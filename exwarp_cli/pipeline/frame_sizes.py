@@ -7,8 +7,8 @@ over the edge is unknown, and new frames have the window of their key frame.
 
 A window is a region if its picture is opaque everywhere and a neighbouring key frame has the same
 window. Objects have transparent pixels around them, or windows that go with them. So an opaque
-window that moves with every key frame counts as an object's: a crop that follows something cannot
-be told from a card that fills its window. Only key frames next to the interval's own decide, so any
+window that moves with every key frame counts as an object's: a crop that follows something looks
+the same as a card that fills its window. Only key frames next to the interval's own decide, so any
 part of a sequence decides alike.
 """
 

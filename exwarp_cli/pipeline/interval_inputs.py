@@ -403,7 +403,7 @@ class IntervalReader:
                 keys.append(key - 1)
             if lookahead and self.store.is_followed(key + 1):
                 keys.append(key + 2)
-            cuts = [*self.shots.told(key, 0, ()), f"flow {[index - key for index in keys]}"]
+            cuts = [*self.shots.cut_facts(key, 0, ()), f"flow {[index - key for index in keys]}"]
             return self._digest(key, keys, [], cuts)
         history = self._history(key)
         keys += history
@@ -421,7 +421,7 @@ class IntervalReader:
             else 0
         )
         back = max(back, int(older is not None))
-        cuts = self.shots.told(key, back, (*keys, *self._starts(key)))
+        cuts = self.shots.cut_facts(key, back, (*keys, *self._starts(key)))
         if self._source.slots is not None:
             slots_after = self.store.slots_after
             way = (slot for i in history for slot in slots_after(i))

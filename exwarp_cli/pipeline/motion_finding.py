@@ -150,9 +150,9 @@ class _Measuring:
             raise zero_vectors_error(self._names, frames, layout.producer)
         if moving := self._moving_pairs(firsts, by_colour=False):
             return self._by(moving, guess, by_colour=False)
-        told = f"the vectors of frames {frames} are 0, and nothing moves there"
+        evidence = f"the vectors of frames {frames} are 0, and nothing moves there"
         convention = MotionConvention(AxisMap(0, 1, 1.0, -1.0)) if guess is None else guess
-        return MotionFinding(convention, "untested", told, resting=True)
+        return MotionFinding(convention, "untested", evidence, resting=True)
 
     def _moves(self, first: int, detect: bool) -> bool:
         """Return True if the picture of a pair moves; what changes at a cut is no motion."""

@@ -189,7 +189,7 @@ def features(
     frames
         Range of key frames by input number; None for all.
     progress
-        Told of every key frame.
+        Receives every key frame.
 
     Raises
     ------
@@ -199,12 +199,12 @@ def features(
         When the convention of its motion vectors cannot be settled.
     """
     source = open_source(settings)
-    told = progress or NoProgress()
+    progress = progress or NoProgress()
     keys = source.timeline.select(frames)
     asked = UpsampleSettings(settings, "", CAUSAL)
     reader = IntervalReader(source, FRAMEWISE, asked)
     observer = Observer(source.keys.display, source.setting)
-    told.start(len(keys))
+    progress.start(len(keys))
     try:
         for key in keys:
             observed, slots = reader.read_observed(key)
@@ -219,7 +219,7 @@ def features(
                     surroundings.now[SLOTS[node] - 1],
                     tuple(int(x) for x in to_fixed(surroundings.inputs(node))),
                 )
-            told.advance(number)
+            progress.advance(number)
             check_stop()
     finally:
-        told.finish()
+        progress.finish()

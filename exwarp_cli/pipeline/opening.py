@@ -50,20 +50,20 @@ def open_keys(settings: SourceSettings) -> tuple[Shot, SourceSettings]:
     shot = open_shot(settings.sequence, settings.view, *said)
     require_seen(shot)
     shot = _measured(shot)
-    told = shot.channel_map
-    if told is None or told.motion is None or settings.motion or settings.gbuffers:
+    channel_map = shot.channel_map
+    if channel_map is None or channel_map.motion is None or settings.motion or settings.gbuffers:
         return shot, settings
     if Role.MOTION not in shot.layout:
         raise LayoutError(
-            f"{told.option('motion')} is of no use, as no motion channels are recognised in "
+            f"{channel_map.option('motion')} is of no use, as no motion channels are recognised in "
             f"{shot.sequence.pattern}; name them in channels.motion"
         )
     try:
         size = (shot.display.width, shot.display.height)
-        parse_motion(told.motion, motion_names(shot), size)
+        parse_motion(channel_map.motion, motion_names(shot), size)
     except UsageError as error:
-        raise UsageError(f"{told.option('motion')} is wrong: {error}") from error
-    return shot, replace(settings, motion=told.motion)
+        raise UsageError(f"{channel_map.option('motion')} is wrong: {error}") from error
+    return shot, replace(settings, motion=channel_map.motion)
 
 
 def open_plain(settings: SourceSettings) -> Shot | None:
@@ -80,7 +80,7 @@ def open_plain(settings: SourceSettings) -> Shot | None:
     sequence = find_plain(settings.sequence, settings.keep_going, settings.scan)
     if sequence is None:
         return None
-    told = {
+    options = {
         "--gbuffers": settings.gbuffers,
         "--motion": settings.motion,
         "--view": settings.view,
@@ -88,7 +88,7 @@ def open_plain(settings: SourceSettings) -> Shot | None:
         "--channel-map": settings.channel_map,
         "--dynamic": settings.dynamic,
     }
-    for option, value in told.items():
+    for option, value in options.items():
         if value:
             raise UsageError(
                 f"{option} is for rendered EXR frames, and {sequence.pattern} has nothing but "
@@ -115,8 +115,8 @@ def open_slots(settings: SourceSettings, keys: Shot) -> Shot | None:
     """
     if settings.gbuffers is None:
         return None
-    told = keys.channel_map
-    asked = settings.view or (None if told is None else told.view)
+    channel_map = keys.channel_map
+    asked = settings.view or (None if channel_map is None else channel_map.view)
     slots = open_shot(settings.gbuffers, asked, keep_going=settings.keep_going)
     if slots.view != keys.view and keys.view in slots.views:
         # Another view is first there.

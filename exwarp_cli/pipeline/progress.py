@@ -42,7 +42,7 @@ INTERVAL_S = 5.0
 Clock = Callable[[], float]
 
 ANY = ""
-"""The kind of frames that are not told apart."""
+"""The kind of all frames where kinds are not distinguished."""
 
 
 @dataclass
@@ -81,7 +81,7 @@ class Estimate:
         self._rest: Counter[str] = Counter()
         self._costs: dict[str, _Cost] = {}
         self._at_once = 1
-        self._told_at = self._last
+        self._logged_at = self._last
         self.total = 0
         self.done = 0
 
@@ -100,7 +100,7 @@ class Estimate:
         self.total, self.done = total, 0
         self._rest = Counter({ANY: total} if kinds is None else kinds)
         self._costs, self._at_once = {}, at_once
-        self._last = self._told_at = self._clock()
+        self._last = self._logged_at = self._clock()
 
     def advance(self, kind: str = ANY, made: bool = True) -> None:
         """Count one frame; what an earlier run wrote, or what is left out, took no work."""
@@ -154,9 +154,9 @@ class Estimate:
         The first and the last one always are, others when `INTERVAL_S` has gone by.
         """
         now = self._clock()
-        if self.done not in (1, self.total) and now - self._told_at < INTERVAL_S:
+        if self.done not in (1, self.total) and now - self._logged_at < INTERVAL_S:
             return False
-        self._told_at = now
+        self._logged_at = now
         return True
 
     def state(self, frame: int, note: str | None) -> str:
@@ -198,7 +198,7 @@ class Progress(Protocol):
     ) -> None:
         """One more frame is done: its output number, and a word on it such as "skipped".
 
-        `kind` is one of those that `start` was told of; `made` is false where no work was done.
+        `kind` is one of those that `start` received; `made` is false where no work was done.
         """
 
     def message(self, text: str) -> None:
@@ -305,7 +305,7 @@ class OpenJdProgress(PlainProgress):
 
     ``openjd_progress: 25.0`` and ``openjd_status: 10/40, frame 1010, 1:20 left`` come together, as
     often as plain lines; ``openjd_fail: SENTENCE`` at the end of a command that fails, but for one
-    that left out what it was told to leave out: its sentence is the last status. Messages are
+    that left out what it was allowed to leave out: its sentence is the last status. Messages are
     plain lines of the log: as a status each would stand there until the next one, though it is no
     state. The specification lets actions write to stdout or stderr ("How Jobs Are Run", Stdout and
     Stderr Messages), and there are runners that read stdout alone.
@@ -472,9 +472,9 @@ def make_progress(kind: str = "auto", *, results_on_stdout: bool = False) -> Pro
 
 @contextmanager
 def reporting(kind: str = "auto", *, results_on_stdout: bool = False) -> Iterator[Progress]:
-    """Make a reporter for a block, which is told why when the block raises.
+    """Make a reporter for a block; it receives the reason when the block raises.
 
-    Interruptions are no failure: whoever sent them knows. Parameters and errors are those of
+    Interruptions are no failure: the sender knows of them. Parameters and errors are those of
     :func:`make_progress`; what the block raises goes on.
     """
     progress = make_progress(kind, results_on_stdout=results_on_stdout)
@@ -487,7 +487,7 @@ def reporting(kind: str = "auto", *, results_on_stdout: bool = False) -> Iterato
 
 
 def _reason(error: Exception) -> tuple[str, int]:
-    """Return a sentence and the exit code; those of defects are told in full on stderr."""
+    """Return a sentence and the exit code; stderr shows those of defects in full."""
     known = known_error(error)
     if known is not None:
         return str(known), known.exit_code

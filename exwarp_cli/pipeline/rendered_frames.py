@@ -225,10 +225,10 @@ class RenderedReader:
             try:
                 frames[slot.index] = self._frame(slot, number)
             except InputError as error:
-                told = f"frame {number} of --rendered cannot be used: {error}"
+                problem = f"frame {number} of --rendered cannot be used: {error}"
                 if not self._tolerant:
-                    raise type(error)(told) from error
-                unusable[slot.index] = told
+                    raise type(error)(problem) from error
+                unusable[slot.index] = problem
         return IntervalRendered(frames, unusable)
 
     def _frame(self, slot: Slot, number: int) -> RenderedFrame:

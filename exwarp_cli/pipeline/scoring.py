@@ -245,7 +245,7 @@ def broken_pixels_of(
 ) -> tuple[BrokenPixels, ...]:
     """Return what was found in the selected key frames, and in what the slots after them have.
 
-    Frames around that were read as well are told of by the chunks that they belong to.
+    The chunks to which the frames around belong report those, although they were read here too.
 
     Parameters
     ----------

@@ -88,8 +88,8 @@ class UnreadableFrames:
 class Shots:
     """Tells where shots begin, of every pair of key frames from those two alone.
 
-    So any part of the sequence finds the same, and so does every method: whoever reads key frames
-    shows them with the same channels.
+    So any part of the sequence finds the same, and so does every method: all code that reads
+    key frames shows them with the same channels.
 
     Parameters
     ----------
@@ -225,7 +225,7 @@ class Shots:
         crossing = self._leading_across(key)
         return gbuffer.without(crossing) if crossing else gbuffer
 
-    def told(self, key: int, back: int, used: Iterable[int]) -> list[str]:
+    def cut_facts(self, key: int, back: int, used: Iterable[int]) -> list[str]:
         """Say what frames after a key frame depend on; nothing where no cut is near.
 
         Parameters
@@ -244,7 +244,7 @@ class Shots:
         return found + [f"{name} {offset}" for offset, name in crossing.items() if name]
 
     def forget(self, oldest: int) -> None:
-        """Drop glances at key frames before one; what they told stays known."""
+        """Drop glances at key frames before one; what they showed stays known."""
         self._glances = {key: glance for key, glance in self._glances.items() if key >= oldest}
 
     def _at_given(self, key: int) -> bool:
@@ -362,8 +362,8 @@ def pairs_within(count: int, is_cut: Callable[[int], bool]) -> list[int]:
     count
         Number of frames.
     is_cut
-        Told a frame's index, says whether a cut lies before it. A pair across one gives way to the
-        nearest that is not.
+        Takes a frame's index and returns whether a cut lies before it. A pair across one gives
+        way to the nearest that is not.
 
     Returns
     -------

@@ -121,7 +121,7 @@ class Source:
         return None if self.finding is None else self.finding.convention
 
     @property
-    def motion_told(self) -> tuple[str, str] | None:
+    def motion_origin(self) -> tuple[str, str] | None:
         """Where motion is from, in a word and in a sentence; None without motion."""
         if self.estimated:
             name, how = ESTIMATED
@@ -342,8 +342,8 @@ def align(timeline: Timeline, sequence: Sequence, what: str) -> FrameOf:
     try:
         numbers = Timeline.of(sequence.numbers).numbers
     except MissingFrameError as error:
-        told = f"{what} needs every frame, those at the key frames' instants too: {error}"
-        raise MissingFrameError(told) from error
+        message = f"{what} needs every frame, those at the key frames' instants too: {error}"
+        raise MissingFrameError(message) from error
     known = set(numbers)
     count = math.floor((len(timeline.numbers) - 1) * timeline.factor) + 1
     expected = range(timeline.start, timeline.start + count)

@@ -123,9 +123,9 @@ def _require_sound(checks: list[_Check]) -> None:
     for check in bad:
         with suppress(OSError):
             check.path.unlink()
-    told = " and ".join(filter(None, (_named(bad, kind) for kind in (FRAME, HOLES, VIDEO))))
+    names = " and ".join(filter(None, (_named(bad, kind) for kind in (FRAME, HOLES, VIDEO))))
     raise OutputError(
-        f"{told} in {bad[0].path.parent} {'is' if len(bad) == 1 else 'are'} not on the disk as "
+        f"{names} in {bad[0].path.parent} {'is' if len(bad) == 1 else 'are'} not on the disk as "
         "written, and removed; check the disk or the network share, and run again with "
         "--skip-existing"
     )

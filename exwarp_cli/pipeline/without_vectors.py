@@ -45,10 +45,10 @@ def require_able(source: Source, method: Method, settings: UpsampleSettings) -> 
         raise UsageError(f"--layers is for EXR, and {pattern} has colour alone; leave it out")
     if not source.estimated:
         return
-    told = f"{pattern} has no motion vectors that are recognised; render the motion pass"
+    problem = f"{pattern} has no motion vectors that are recognised; render the motion pass"
     if method.extrapolates:
         if not plain:
-            raise LayoutError(f"{told}, or use --method softsplat, for which it is estimated")
+            raise LayoutError(f"{problem}, or use --method softsplat, for which it is estimated")
         raise LayoutError(
             f"--method {method.name} goes by depth, normals and materials, and {pattern} has "
             "colour alone; use --method softsplat or s6"
@@ -102,7 +102,7 @@ def note_of(
         instants = [slot for key in range(count) for slot in source.timeline.between(key)]
     found = {
         "frames": recipes.of(keys[0], range(count), instants),
-        # Nothing may be made after the first one, and so nothing be told of it.
+        # Needed as "frames" is empty where no frame is made after the first key frame.
         "key": key_recipe(source.keys, source.timeline.numbers[keys[0]]),
         "keys": list(keys),
         "exposure": settings.exposure,

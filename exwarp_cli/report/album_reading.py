@@ -70,7 +70,7 @@ class PageAlbums:
         unreadable = []
         for i, page in enumerate(pages):
             try:
-                numbers = [int(frame["number"]) for frame in _told(page)["frames"]]
+                numbers = [int(frame["number"]) for frame in _plain_album(page)["frames"]]
             except _NONSENSE:
                 unreadable.append(page)
             else:
@@ -118,7 +118,7 @@ class PageAlbums:
         return set() if worst is None else {worst}
 
 
-def _told(page: Path) -> dict[str, Any]:
+def _plain_album(page: Path) -> dict[str, Any]:
     """Return the album in a page, as `Album.plain` made it; empty where the page has no viewer."""
     text = page.read_text(encoding="utf-8")
     if GENERATOR not in text[:HEAD]:
@@ -134,17 +134,17 @@ def _told(page: Path) -> dict[str, Any]:
 def _frames(page: Path, numbers: Collection[int], room: int) -> Iterator[Shown]:
     """Read the frames of these numbers from a page; leave out what is no picture."""
     try:
-        told = _told(page)
+        plain = _plain_album(page)
     except _NONSENSE:
         return
     loaded: dict[tuple[int, int], Picture] = {}
 
     def picture(index: int, room: int) -> Picture:
         if (index, room) not in loaded:
-            loaded[index, room] = Picture.of(told["images"][index]).within(room)
+            loaded[index, room] = Picture.of(plain["images"][index]).within(room)
         return loaded[index, room]
 
-    for frame in told["frames"]:
+    for frame in plain["frames"]:
         try:
             number, holes = int(frame["number"]), frame["holes"]
             if number not in numbers:

@@ -130,9 +130,9 @@ def _limits(verdicts: list[dict[str, Any]]) -> Table | None:
 def _input(document: dict[str, Any]) -> Table:
     rows: list[list[Cell]] = []
     for name in ("reference", "test", "masks"):
-        told = document[name]
-        if told is not None:
-            rows.append([name, told["pattern"], f"{told['first']}-{told['last']}"])
+        sequence = document[name]
+        if sequence is not None:
+            rows.append([name, sequence["pattern"], f"{sequence['first']}-{sequence['last']}"])
     rows.append(["size", f"{document['width']}x{document['height']}", ""])
     if document["preset"] is not None:
         rows.append(["preset", document["preset"], ""])

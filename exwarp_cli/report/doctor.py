@@ -40,9 +40,9 @@ class Row:
 def heading(checkup: Checkup) -> str:
     """Return the first line: what runs on what."""
     facts = checkup.checks["machine"].facts if "machine" in checkup.checks else {}
-    told = [facts[name] for name in ("system", "architecture") if facts.get(name)]
+    machine = [facts[name] for name in ("system", "architecture") if facts.get(name)]
     python = f", {facts['implementation']} {facts['python']}" if "python" in facts else ""
-    return f"exwarp {checkup.version}{' on ' if told else ''}{' '.join(told)}{python}"
+    return f"exwarp {checkup.version}{' on ' if machine else ''}{' '.join(machine)}{python}"
 
 
 def rows(checkup: Checkup, verbose: bool) -> list[Row]:

@@ -89,7 +89,7 @@ def cell(value: Any) -> str:
 
 
 def name_cell(name: str | None) -> str | None:
-    """Write what somebody else named so that no spreadsheet takes it for a formula, and runs it.
+    """Write a name that others chose so that no spreadsheet takes it for a formula and runs it.
 
     An apostrophe in front says that it is text; `named` takes it away.
     """

@@ -51,7 +51,7 @@ class Merged:
 
     @property
     def document(self) -> dict[str, Any]:
-        """What report.json holds, and as ``merged`` what is told of the merging."""
+        """What report.json holds, and as ``merged`` facts about the merging."""
         merged = {
             "reports": self.reports,
             "missing": self.missing,

@@ -42,8 +42,8 @@ class Asked:
 def newest(folders: Sequence[Path]) -> tuple[list[Asked], list[Path]]:
     """Deal key frames to the reports of chunks: each to the newest that tells of it.
 
-    Reports of the very same moment are all asked, so that whoever joins them sees what is told
-    twice.
+    Reports of the very same moment are all asked, so that the code that joins them sees which key
+    frames are in two of them.
 
     Parameters
     ----------
@@ -62,14 +62,14 @@ def newest(folders: Sequence[Path]) -> tuple[list[Asked], list[Path]]:
     InputError
         When a report cannot be read.
     """
-    told: frozenset[int] = frozenset()
+    reported: frozenset[int] = frozenset()
     keys: dict[Path, frozenset[int]] = {}
     left: dict[Path, frozenset[int]] = {}
     for _, moment in groupby(sorted(folders, key=_written, reverse=True), key=_written):
         for folder in (together := list(moment)):
             keys[folder] = reported_keys(folder)
-            left[folder] = keys[folder] - told
-        told = told.union(*(keys[folder] for folder in together))
+            left[folder] = keys[folder] - reported
+        reported = reported.union(*(keys[folder] for folder in together))
     asked = [
         Asked(folder, None if left[folder] == keys[folder] else left[folder])
         for folder in folders

@@ -134,9 +134,9 @@ def cuts_line(cuts: Sequence[Mapping[str, Any]]) -> str:
     by_source: dict[str, list[str]] = {}
     for cut in cuts:
         by_source.setdefault(cut["source"], []).append(str(cut["frame"]))
-    told = ", ".join(f"{', '.join(frames)} ({source})" for source, frames in by_source.items())
+    places = ", ".join(f"{', '.join(frames)} ({source})" for source, frames in by_source.items())
     many = "s" if len(cuts) > 1 else ""
-    return f"cut{many} before key frame{many} {told}; nothing is interpolated across"
+    return f"cut{many} before key frame{many} {places}; nothing is interpolated across"
 
 
 def held_line(held: Sequence[int]) -> str:
@@ -163,10 +163,12 @@ def left_out_line(left_out: Sequence[Mapping[str, Any]]) -> str:
         ranges(sorted({number for one in left_out for number in one[what]}))
         for what in ("frames", "scores", "rendered")
     )
-    told = [f"{counted(len(missing), 'key interval')} left out: frames {frames}"] if missing else []
-    told += [f"not scored: frames {scores}"] if scores else []
-    told += [f"generated, although rendered: frames {rendered}"] if rendered else []
-    return "; ".join(told)
+    notes = (
+        [f"{counted(len(missing), 'key interval')} left out: frames {frames}"] if missing else []
+    )
+    notes += [f"not scored: frames {scores}"] if scores else []
+    notes += [f"generated, although rendered: frames {rendered}"] if rendered else []
+    return "; ".join(notes)
 
 
 def nonfinite_line(found: Sequence[Mapping[str, Any]]) -> str:
@@ -174,9 +176,9 @@ def nonfinite_line(found: Sequence[Mapping[str, Any]]) -> str:
     by_channels: dict[str, int] = {}
     for one in found:
         by_channels[one["channels"]] = by_channels.get(one["channels"], 0) + one["pixels"]
-    told = ", ".join(f"{channels} in {counted(n, 'pixel')}" for channels, n in by_channels.items())
+    text = ", ".join(f"{channels} in {counted(n, 'pixel')}" for channels, n in by_channels.items())
     frames = counted(len({(one["key"], one["slot"]) for one in found}), "frame")
-    return f"NaN or infinite in {frames} of the input: {told}; nothing is made of them"
+    return f"NaN or infinite in {frames} of the input: {text}; nothing is made of them"
 
 
 def worst_table(

@@ -60,19 +60,19 @@ class Picture:
         return {"url": self.url, "width": self.width, "height": self.height, "peak": self.peak}
 
     @classmethod
-    def of(cls, told: Mapping[str, Any]) -> Picture:
-        """Return the picture that `plain` told of.
+    def of(cls, plain: Mapping[str, Any]) -> Picture:
+        """Return the picture that `plain` described.
 
         Raises
         ------
         KeyError, TypeError, ValueError
-            When it tells of none.
+            When it describes none.
         """
-        media, _, text = told["url"].removeprefix("data:").partition(";base64,")
+        media, _, text = plain["url"].removeprefix("data:").partition(";base64,")
         if media not in (WEBP, PNG):
             raise ValueError(f"{media} is no kind of picture")
         data = base64.b64decode(text, validate=True)
-        return cls(media, data, int(told["width"]), int(told["height"]), int(told["peak"]))
+        return cls(media, data, int(plain["width"]), int(plain["height"]), int(plain["peak"]))
 
     def within(self, room: int) -> Picture:
         """Return the same in at most about `room` bytes; what is larger is encoded once more."""

@@ -291,33 +291,33 @@ def _fits(value: Any, kind: Any) -> bool:
     return type(value) is kind
 
 
-def _input(told: Mapping[str, Any]) -> InputSummary:
-    motion, dynamic = told["motion"], told["dynamic"]
-    numbers = {name: int(told[name]) for name in ("first", "last", "width", "height", "step")}
+def _input(block: Mapping[str, Any]) -> InputSummary:
+    motion, dynamic = block["motion"], block["dynamic"]
+    numbers = {name: int(block[name]) for name in ("first", "last", "width", "height", "step")}
     if numbers["step"] < 1:
         raise ValueError(f"key frames in steps of {numbers['step']}")
     if (numbers["last"] - numbers["first"]) // numbers["step"] >= MOST_KEYS:
         raise ValueError(f"key frames up to {numbers['last']}")
     return InputSummary(
-        pattern=told["pattern"],
-        producer=told["producer"],
+        pattern=block["pattern"],
+        producer=block["producer"],
         **numbers,
         motion_source=motion["source"],
         motion_evidence=motion["evidence"],
         dynamic=None if dynamic is None else tuple(dynamic),
-        depth=told.get("depth"),
+        depth=block.get("depth"),
     )
 
 
-def _model(kind: Callable[..., Model], told: Mapping[str, Any] | None) -> Model | None:
-    return None if told is None else kind(**told)
+def _model(kind: Callable[..., Model], block: Mapping[str, Any] | None) -> Model | None:
+    return None if block is None else kind(**block)
 
 
-def _policy(told: Mapping[str, Any] | None) -> PolicySummary | None:
-    if told is None:
+def _policy(block: Mapping[str, Any] | None) -> PolicySummary | None:
+    if block is None:
         return None
-    lists = {"missing": told["missing"], "trained_for": told.get("trained_for", ())}
-    return PolicySummary(**{**told, **{name: tuple(values) for name, values in lists.items()}})
+    lists = {"missing": block["missing"], "trained_for": block.get("trained_for", ())}
+    return PolicySummary(**{**block, **{name: tuple(values) for name, values in lists.items()}})
 
 
 def _frame(row: Mapping[str, str]) -> FrameRecord:

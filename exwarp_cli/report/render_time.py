@@ -12,21 +12,21 @@ def render_time(run: RunSummary) -> dict[str, Any] | None:
     """Return what a run saved, from the render times in the headers of its key frames.
 
     Frames of an earlier run are left out, as this one spent no time on them, and so are key frames
-    of intervals that it kept whole; so are repeats, which
-    nobody would call rendered. Key frames that fall on no output instant were rendered too.
+    of intervals that it kept whole; so are repeats, which do not count as rendered. Key frames
+    that fall on no output instant were rendered too.
 
     Returns
     -------
     dict or None
-        ``key_frame_s``, mean render time of a key frame; ``key_frames``, how many headers told it;
+        ``key_frame_s``, mean render time of a key frame; ``key_frames``, how many headers state it;
         ``source``, the attribute; ``generated_frame_s``, this run's time for each generated frame,
         reading and writing included, scoring not; ``saved_s``, what rendering the generated frames
         would have taken beyond the key frames, less the run's time; ``saved_share``, that as a
         share of rendering all frames. None where no header tells, or nothing was generated.
     """
-    told = [frame.render for frame in run.frames if frame.render is not None]
+    render_times = [frame.render for frame in run.frames if frame.render is not None]
     made = sum(frame.kind is FrameKind.GENERATED and not frame.resumed for frame in run.frames)
-    each = mean(seconds for seconds, _ in told)
+    each = mean(seconds for seconds, _ in render_times)
     if each is None or not made:
         return None
     worked = {frame.key for frame in run.frames if not frame.resumed}
@@ -38,8 +38,8 @@ def render_time(run: RunSummary) -> dict[str, Any] | None:
     saved = (made - unseen) * each - spent
     return {
         "key_frame_s": each,
-        "key_frames": len(told),
-        "source": told[0][1],
+        "key_frames": len(render_times),
+        "source": render_times[0][1],
         "generated_frame_s": spent / made,
         "saved_s": saved,
         "saved_share": saved / ((made + keys) * each),
@@ -47,7 +47,7 @@ def render_time(run: RunSummary) -> dict[str, Any] | None:
 
 
 def _scoring_s(run: RunSummary) -> float:
-    """Return the seconds that went into scores, which nobody takes who has no ground truth.
+    """Return the seconds that went into scores, which a run without ground truth does not need.
 
     Frames are scored one after the other, between those that are made.
     """

@@ -18,7 +18,7 @@ LEFT, WIDTH, ROW, LEGEND = 46, 520, 22, 18
 
 @dataclass(frozen=True)
 class Cell:
-    """What stands in one cell: a kind out of `plots.KINDS`, and what is told on hover."""
+    """What stands in one cell: a kind out of `plots.KINDS`, and the text shown on hover."""
 
     kind: str
     hint: str
@@ -90,5 +90,5 @@ def _most(cells: Sequence[Cell | None]) -> Cell | None:
     if not known:
         return None
     counts = Counter(cell.kind for cell in known).most_common()
-    told = ", ".join(f"{kind} {count}" for kind, count in counts)
-    return Cell(counts[0][0], f"{known[0].hint} and {len(known) - 1} more: {told}")
+    kinds = ", ".join(f"{kind} {count}" for kind, count in counts)
+    return Cell(counts[0][0], f"{known[0].hint} and {len(known) - 1} more: {kinds}")

@@ -125,7 +125,7 @@ def made_by(frame: FrameRecord) -> str:
 
 
 def headline(document: dict[str, Any]) -> list[Number]:
-    """Return the numbers on top: what a farm saved first, where the headers told it."""
+    """Return the numbers on top: the saved time first, where the headers state it."""
     frames, fps, holes = document["frames"], document["fps"], document["holes"]
     found = _saved(document.get("render_time"))
     parts = f"{rendered_text(frames)}, {frames['generated']} generated"
@@ -139,8 +139,8 @@ def headline(document: dict[str, Any]) -> list[Number]:
     found += _pulse_number(document["pulse"])
     found += _left_out_numbers(document["left_out"])
     if document["input"]["motion"]["source"] == "estimated":
-        told = "from colour by optical flow, far less exact than a renderer's vectors"
-        found.append(Number("Motion", "estimated", told))
+        note = "from colour by optical flow, far less exact than a renderer's vectors"
+        found.append(Number("Motion", "estimated", note))
     if holes["mean_fraction"] is not None:
         note = f"of the pixels of {counted(sum(holes['histogram']['counts']), 'frame')}, on average"
         found.append(Number("Holes", str(percent(holes["mean_fraction"])), note))
@@ -161,15 +161,15 @@ def headline(document: dict[str, Any]) -> list[Number]:
 
 def _left_out_numbers(left_out: list[dict[str, Any]]) -> list[Number]:
     """Return how many frames lack their input, their rendered frame or their ground truth."""
-    told = {
+    labels = {
         "frames": ("Left out", "frames whose input cannot be used"),
         "rendered": ("Not used", "rendered frames, which are generated"),
         "scores": ("Not scored", "frames whose ground truth cannot be used"),
     }
-    counts = {name: sum(len(one[name]) for one in left_out) for name in told}
+    counts = {name: sum(len(one[name]) for one in left_out) for name in labels}
     return [
         Number(label, f"{counts[name]:,}", note)
-        for name, (label, note) in told.items()
+        for name, (label, note) in labels.items()
         if counts[name]
     ]
 
@@ -281,11 +281,11 @@ def _quality(run: RunSummary, document: dict[str, Any], shown: tuple[int, ...]) 
     blocks = {name: part for name, part in blocks.items() if part["frames"] or name == "all pixels"}
     numbers, scores = [f.number for f in scored], [f.score for f in scored]
     made = [made_by(f) for f in scored]
-    told = quality_table(
+    table = quality_table(
         "Against ground truth", blocks, "Means over the frames between key frames."
     )
     values = [None if score is None else score.psnr_db for score in scores]
-    found: list[Block] = [told]
+    found: list[Block] = [table]
     cuts = after_cuts(run)
     if len(scored) > 1 and any(value is not None for value in values):
         labels = Labels(
@@ -511,9 +511,9 @@ def _settings(document: dict[str, Any]) -> list[Block]:
         ["uses the next key frame", "yes" if document["lookahead"] else "no"],
     ]
     for name in ("extrapolator", "interpolator", "policy"):
-        told = document.get(name) or {}
+        network = document.get(name) or {}
         rows += [
-            [f"{name} {key}", _plain(value)] for key, value in told.items() if value is not None
+            [f"{name} {key}", _plain(value)] for key, value in network.items() if value is not None
         ]
     if document["verified"] is not None:
         rows.append(["files read back, all as written", str(document["verified"])])

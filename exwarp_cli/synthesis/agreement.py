@@ -167,8 +167,8 @@ def correlation(
 ) -> float | None:
     """Return the mean of :func:`correlations`; None with too few blocks that have structure."""
     found = correlations(here, there, known, contrast, relative)
-    told = np.isfinite(found)
-    return float(found[told].mean()) if np.count_nonzero(told) >= LEAST_BLOCKS else None
+    finite = np.isfinite(found)
+    return float(found[finite].mean()) if np.count_nonzero(finite) >= LEAST_BLOCKS else None
 
 
 def correlations(

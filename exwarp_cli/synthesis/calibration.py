@@ -384,7 +384,7 @@ class _Verdict:
         `presets` are those that read as this convention does, and as the names say; "" without.
         """
         read = self.convention.describe(names)
-        told = None if guess is None else guess.describe(names)
+        stated = None if guess is None else guess.describe(names)
         if not self.explains:
             if self.hardly(guess):
                 return _untested(guess, f"frames {frames} hold too little motion to measure")
@@ -395,7 +395,7 @@ class _Verdict:
         if self.convention != guess and not self.alone:
             if guess is not None and self._nearly(guess, measured):
                 return _untested(guess, f"frames {frames} do not tell it and others apart")
-            known = "are not known" if told is None else f"say {told}, which is worse"
+            known = "are not known" if stated is None else f"say {stated}, which is worse"
             raise MotionError(
                 f"frames {frames} do not tell the conventions {read} and others apart and the "
                 f"channel names {known}; give --motion{looks_like(presets[0])}"
@@ -406,7 +406,7 @@ class _Verdict:
             f"{read} measured on frames {frames}: error {self.error:.3f}, {self.rival:.3f} for the "
             f"next best reading, {self.still:.3f} without motion"
             + ("; the factor is none of the usual ones and was fitted" if fitted else "")
-            + (f"; the names say {told}" if corrected else "")
+            + (f"; the names say {stated}" if corrected else "")
         )
         errors = self.error, self.still, self.rival
         source = "corrected" if corrected else "calibrated"

@@ -217,10 +217,10 @@ def gain_of_shifts(before: Float32, after: Float32) -> float | None:
 def _best_of(shifts: list[tuple[int, int]], before: Float32, after: Float32) -> float | None:
     """Return the mean over blocks of the best correlation that one of the shifts gives."""
     found = [correlations(before[..., None], *_shifted(after, x, y), CONTRAST) for x, y in shifts]
-    told = np.isfinite(found).any(axis=0)
-    if np.count_nonzero(told) < LEAST_BLOCKS:
+    measured = np.isfinite(found).any(axis=0)
+    if np.count_nonzero(measured) < LEAST_BLOCKS:
         return None
-    return float(np.nanmax(np.stack(found)[:, told], axis=0).mean())
+    return float(np.nanmax(np.stack(found)[:, measured], axis=0).mean())
 
 
 def _shifted(image: Float32, x: int, y: int) -> tuple[Float32, Bool]:

@@ -269,7 +269,7 @@ class Evidence:
         return self.error(best[1]), best[1]
 
     def differ(self, a: AxisMap, b: AxisMap) -> bool:
-        """Whether two candidates move the samples differently enough to be told apart."""
+        """Whether two candidates move the samples differently enough to be distinguished."""
         gaps = []
         for one in self.probes:
             moved_a, moved_b = one.shifts([a, b], COARSE).astype(np.float64)

@@ -21,8 +21,8 @@ from exwarp_cli.synthesis.warp import Mover, fill_holes
 UNKNOWN_DEPTH = 0.5
 UNKNOWN_ROUGHNESS = 0.5
 UNKNOWN_METALLIC = 0.0
-"""What the network is told of a slot whose G-buffer lacks depth, roughness or metallic; an unknown
-normal is 0, as that of the background."""
+"""What the network receives for a slot whose G-buffer lacks depth, roughness or metallic; an
+unknown normal is 0, as that of the background."""
 
 COLOUR_PLANES = ((3, 3), (13, 3), (17, 3), (21, 3))
 """Which of a network's planes, in the order of INPUTS, hold colour: the first, and how many. The
@@ -112,7 +112,7 @@ class SlotInputs:
     def warped(self) -> Float32:
         """As `NetworkInputs` has it, of the whole frame, as the other planes are.
 
-        Whoever wants several of them asks for one `part`: each is made with all the others.
+        Callers that need several of them take one `part`: each is made with all the others.
         """
         return self.part(ALL, ALL).warped
 

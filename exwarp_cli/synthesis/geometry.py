@@ -270,7 +270,8 @@ def unmatched(slot: GBuffer, key: GBuffer, field: Float32, count: int) -> Bool:
     )
     none = np.zeros((0, 0, 3), np.float32)
     positions = (none, none)
-    # Without ids a moving point cannot be told from another one: its world position changes too.
+    # Without ids a moving point is not distinguishable from another one: its world position
+    # changes too.
     if stencils[0].size and slot.position is not None and key.position is not None:
         positions = (slot.position, key.position)
     normals = (none, none)

@@ -271,11 +271,11 @@ def _reprojected(slot: int, back: SlotField, between: BetweenKeys) -> LookBack:
         follow_shown(step.motion, stencil_of(newer), gone, moved, lost, led, missed)
         moved, lost = led, missed
         if older.has_motion:
-            motion = _foretold(step, count + time, camera, count > 1)
+            motion = _predicted_motion(step, count + time, camera, count > 1)
             between.scratch.page_out()
-            foretold = moved_on(older, motion).field
-            go_on(foretold, moved, lost)
-            sources.append((older, foretold))
+            predicted = moved_on(older, motion).field
+            go_on(predicted, moved, lost)
+            sources.append((older, predicted))
         fields.append(moved)
         hidden.append(lost)
         newer = older
@@ -284,7 +284,7 @@ def _reprojected(slot: int, back: SlotField, between: BetweenKeys) -> LookBack:
     return LookBack(surface, tuple(fields), tuple(hidden), unknown)
 
 
-def _foretold(past: Past, time: float, camera: Camera | None, still: bool) -> Float32:
+def _predicted_motion(past: Past, time: float, camera: Camera | None, still: bool) -> Float32:
     """Return where an older key frame's pixels move to, float32 [H, W, 2].
 
     Parameters
@@ -356,7 +356,7 @@ NEAREST = ("depth", "normal", "roughness", "metallic")
 """Taken from the nearest pixel."""
 
 SHOWN = (*NEAREST, *SMOOTH)
-"""What is taken over: what networks are told of a surface, and depth to fill holes by."""
+"""What is taken over: what networks receive of a surface, and depth to fill holes by."""
 
 
 def reprojected(sources: Sequence[tuple[GBuffer, Float32]]) -> tuple[GBuffer, Bool]:

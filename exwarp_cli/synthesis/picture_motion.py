@@ -36,7 +36,7 @@ WIDTHS = (512, 128)
 """Cells of a row at which shifts are tried, so that they reach to a sixteenth of the frame."""
 
 TEXTURE = 0.01
-"""Deviation of a block's texture, relative to its light, from which on its shift can be told."""
+"""Deviation of a block's texture, relative to its light, from which on its shift is measurable."""
 
 FITS = 0.8
 """Correlation from which on a block is found again."""
@@ -62,7 +62,7 @@ def geometry_moves(before: Sampled, after: Sampled) -> bool | None:
     if before.position is not None and after.position is not None:
         change = np.linalg.norm(after.position - before.position, axis=-1)
         limit = np.maximum(*(_footprint(frame.position) for frame in (before, after)))
-        return _told(change > limit, change > 0.25 * limit)
+        return _verdict(change > limit, change > 0.25 * limit)
     first, second = before.depth, after.depth
     if first is None or second is None:
         return None
@@ -71,7 +71,7 @@ def geometry_moves(before: Sampled, after: Sampled) -> bool | None:
         change[first == second] = 0  # background is infinite in both
         footprint = np.maximum(*(_footprint(depth[..., None]) for depth in (first, second)))
         limit = FAR_SIDE * np.minimum(first, second) + footprint
-        found = _told(~(change <= limit), ~(change <= 0.1 * limit))
+        found = _verdict(~(change <= limit), ~(change <= 0.1 * limit))
     return None if found is False and not _has_steps(first) else found
 
 
@@ -90,7 +90,7 @@ def colour_moves(before: Float32, after: Float32) -> bool:
     )
 
 
-def _told(changed: Bool, differs: Bool) -> bool | None:
+def _verdict(changed: Bool, differs: Bool) -> bool | None:
     """Return True for much change in one place, False for nearly none, None in between."""
     if np.count_nonzero(_eroded(changed)) > max(CHANGED_SHARE * changed.size, LEAST_CHANGED):
         return True
@@ -156,7 +156,7 @@ def _texture(light: Float32) -> Float32:
 
 @dataclass(frozen=True)
 class _Blocks:
-    """Blocks of a picture: their values about the mean [N, B²], and whether a shift can be told."""
+    """Blocks of a picture: their values about the mean [N, B²], from which a shift is found."""
 
     values: Float32
 

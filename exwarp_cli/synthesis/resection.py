@@ -204,7 +204,7 @@ class _System:
 
 
 def _mostly_positive(values: F64) -> bool:
-    """Whether the median is above 0: mostly told by counting alone."""
+    """Whether the median is above 0: mostly decided by counting alone."""
     above = int(np.count_nonzero(values > 0))
     if 2 * above in (len(values) - 1, len(values), len(values) + 1):
         return bool(np.median(values) > 0)

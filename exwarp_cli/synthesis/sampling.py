@@ -68,8 +68,8 @@ class Sampled:
         bool [G]: pixels of the regular grid, and pixels whose vectors are not at rest. Where few
         move, the pixels beyond the regular grid are further moving ones.
     position, depth, perceived
-        float32 [H, W, ...]: what a point is told by; None without. Where there are positions they
-        tell it alone.
+        float32 [H, W, ...]: what identifies a point; None without. Where there are positions, they
+        alone identify it.
     noise
         How far two frames' colours are apart by noise alone.
     size
@@ -112,8 +112,8 @@ def sampled(frame: Instant) -> Sampled:
         # World positions of what moves are not found again. In leaves that move over
         # half of the frame no reading was better than none.
         still = usable & (buffer.stencil[y, x] == 0)
-    told = buffer.position is not None
-    seen = None if told or frame.colour is None else _perceived(frame.colour)
+    positioned = buffer.position is not None
+    seen = None if positioned or frame.colour is None else _perceived(frame.colour)
     return Sampled(
         frame.number,
         y,
@@ -124,7 +124,7 @@ def sampled(frame: Instant) -> Sampled:
         moving,
         still,
         buffer.position,
-        None if told else buffer.depth,
+        None if positioned else buffer.depth,
         None if seen is None else seen[0],
         0.0 if seen is None else seen[1],
         (width, height),

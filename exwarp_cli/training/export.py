@@ -1,4 +1,4 @@
-"""Networks as ONNX models, for whoever has no torch."""
+"""Networks as ONNX models, for computers without torch."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def export_network(
     stride
         Height and width that the network is run with are multiples of this.
     about
-        One line for whoever looks at the file.
+        One line for readers of the file.
 
     Raises
     ------

@@ -190,7 +190,7 @@ def train_extrapolator(
     threads
         For torch and what prepares crops; None for all cores.
     say
-        Told what happens, in lines.
+        Receives what happens, in lines.
     start
         Another training's checkpoint or model, to begin with its weights; None for random ones.
     """

@@ -223,7 +223,7 @@ def train_lookahead(
     threads
         For torch and what prepares samples; None for all cores.
     say
-        Told what happens, in lines.
+        Receives what happens, in lines.
     start
         Another training's checkpoint, to begin with its weights; None for random ones.
     """

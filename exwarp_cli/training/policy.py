@@ -111,7 +111,7 @@ def train_policy(
     settings
         Of every one of the trainings.
     say
-        Told what is being done.
+        Receives what is being done, in lines.
 
     Returns
     -------

@@ -63,7 +63,7 @@ def find_tables(survey: Survey, tables: Path | None, output: Path, say: Say) -> 
     output
         Folder of the training; tables of measured scenes go to its folder `TABLES`.
     say
-        Told of each view that is measured.
+        Receives a line for each view that is measured.
 
     Raises
     ------

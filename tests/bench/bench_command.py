@@ -34,7 +34,7 @@ BASES = (
     (DECIDED, S6_NORMALS),
     (DECIDED, "s6"),
 )
-"""What is told, and what each is told beside."""
+"""What is reported, and what each is compared with."""
 GOALS = {
     # 1.25 times what was measured when ExWarp had its own compiler and allocator: 1.10 and 1.21.
     ("s6", FLOOR): 1.25 * 1.10,
@@ -73,7 +73,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         f"\nupsample, {options.count} key frames of {options.height} lines, {options.threads} "
         f"threads, {options.rounds} rounds; an interval is a key frame and 3 new ones"
     )
-    return goals.finish([*_told(runs, options), extrapolated], options)
+    return goals.finish([*_figures(runs, options), extrapolated], options)
 
 
 def _measure(keys: Path, out: Path, policy: Path, options: argparse.Namespace) -> Runs:
@@ -141,7 +141,7 @@ def _commands(keys: Path, out: Path, policy: Path, threads: int) -> dict[str, Co
     }
 
 
-def _told(runs: Runs, options: argparse.Namespace) -> list[goals.Figure]:
+def _figures(runs: Runs, options: argparse.Namespace) -> list[goals.Figure]:
     """Print a table and return its figures."""
     intervals = options.count - options.count // 3
     print(
@@ -168,9 +168,9 @@ def _told(runs: Runs, options: argparse.Namespace) -> list[goals.Figure]:
             continue
         kinds = (f"{name} / {base}", "cpu", "a further interval", "a further interval, cpu")
         for kind, values in zip(kinds, columns, strict=True):
-            told = kind if kind == kinds[0] else f"{kinds[0]}, {kind}"
+            label = kind if kind == kinds[0] else f"{kinds[0]}, {kind}"
             ends = (statistics.median(values), min(values), max(values))
-            figures.append(goals.Figure("command", told, *ends, goal if told == kind else None))
+            figures.append(goals.Figure("command", label, *ends, goal if label == kind else None))
     return figures
 
 

@@ -38,9 +38,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         pairs = [_pair(method, options) for _ in range(options.rounds)]
         extra = [cold.cpu - warm.cpu for cold, warm in pairs]
         columns = [statistics.median(x) for x in zip(*map(_columns, pairs), strict=True)]
-        told = "{:12.2f}{:8.2f}{:12.2f}{:8.2f}".format(*columns)
+        cells = "{:12.2f}{:8.2f}{:12.2f}{:8.2f}".format(*columns)
         compiling = statistics.median(extra)
-        print(f"{method:12}{told}{compiling:12.2f}  goal {GOAL:g}", flush=True)
+        print(f"{method:12}{cells}{compiling:12.2f}  goal {GOAL:g}", flush=True)
         name = f"compiling for {method}"
         ends = (compiling, min(extra), max(extra))
         figures.append(goals.Figure("compile", name, *ends, GOAL, "s"))

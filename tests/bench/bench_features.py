@@ -126,7 +126,7 @@ def _planes(file: Path) -> dict[str, np.ndarray]:
 
 
 def _parts(before: GBuffer, now: GBuffer) -> dict[str, tuple[Work, Work]]:
-    """Features without one of their parts, so that the part's share is told by what is missing."""
+    """Features without one of their parts, so that what is missing shows the part's share."""
 
     def whole() -> object:
         return observe(now, before, SPAN)

@@ -3,7 +3,7 @@
 ``python -m tests.bench.bench_scaling``: s6 on three key frames from 480 to 2160 lines; on 3 to 24
 key frames of 480 lines; and two runs of one thread each, on chunks of their own, at once instead of
 one after the other. The last is compared with what the codec floor loses by that, which is kept to
-one core: cores share memory and caches, whoever uses them, but a run that took more than one when
+one core: cores share memory and caches in any case, but a run that took more than one when
 it is alone would lose the rest.
 """
 

@@ -33,7 +33,7 @@ class Figure:
     value, low, high
         Median, least and greatest of the rounds; less is better.
     goal
-        The value it should not exceed; None where it is only told.
+        The value it should not exceed; None where it is only reported.
     unit
         Of the value and its goal; `RATIO` for a multiple of something run beside it.
     """
@@ -53,10 +53,10 @@ class Figure:
 
     def __str__(self) -> str:
         unit = self.unit if self.unit == RATIO else f" {self.unit}"
-        told = f"{self.bench}: {self.name}: {self.value:.3g}{unit}"
+        text = f"{self.bench}: {self.name}: {self.value:.3g}{unit}"
         if self.goal is None:
-            return told
-        return f"{told}, goal {self.goal:.3g}{unit}, {_distance(self.value / self.goal - 1)}"
+            return text
+        return f"{text}, goal {self.goal:.3g}{unit}, {_distance(self.value / self.goal - 1)}"
 
 
 def table(
@@ -82,9 +82,9 @@ def parser_of(
     module, about
         Its name after ``python -m``, and what its help says.
     rounds
-        How often it measures unless told; None where it is not told.
+        How often it measures by default; None where there is no such option.
     threads
-        Whether it is told how many threads to use; all cores unless told.
+        Whether the number of threads is an option; all cores by default.
     """
     parser = argparse.ArgumentParser(f"python -m {module}", description=about)
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write the figures there")

@@ -29,8 +29,8 @@ KEYS = {480: 5, 1080: 4, 2160: 3}
 
 COMPRESSIONS = ("none", "zip", "piz", "dwaa")
 LARGE, ONLY = 2160, "zip"
-"""Where the network takes minutes, a method that has one is run on one input: decoding is told by
-the others."""
+"""Where the network takes minutes, a method that has one is run on one input: the others
+show what decoding takes."""
 
 STEPS = ("read", "geometry", "warp", "features", "decide", "extrapolate", "write")
 SECONDS = 300
@@ -120,8 +120,8 @@ def _write(options: argparse.Namespace, known: dict[str, Case]) -> None:
     load = statistics.median(case["load"] for case in known.values())
     if load > BUSY * options.threads:
         ran += f" Load average {load:.0f}: other work took most of the machine; go by cpu alone."
-    told = "\n".join([options.label, "", ran, "", *_rows(known), ""])
-    sections = [section.rstrip("\n") + "\n" for section in (head, *kept, told)]
+    entry = "\n".join([options.label, "", ran, "", *_rows(known), ""])
+    sections = [section.rstrip("\n") + "\n" for section in (head, *kept, entry)]
     options.out.write_text("\n## ".join(sections))
 
 
@@ -161,9 +161,9 @@ def _rows(known: dict[str, Case]) -> Iterator[str]:
 def _inside(inside: Case) -> list[str]:
     """Return milliseconds of a new frame: wall, processor, by step, and of other steps."""
     new, steps = inside["new"], dict(inside["steps"])
-    told = [1e3 * inside["wall"] / new, 1e3 * inside["cpu"] / new]
-    told += [steps.pop(step, 0.0) / new for step in STEPS]
-    return [f"{ms:.0f}" if ms else "" for ms in [*told, sum(steps.values()) / new]]
+    columns = [1e3 * inside["wall"] / new, 1e3 * inside["cpu"] / new]
+    columns += [steps.pop(step, 0.0) / new for step in STEPS]
+    return [f"{ms:.0f}" if ms else "" for ms in [*columns, sum(steps.values()) / new]]
 
 
 if __name__ == "__main__":

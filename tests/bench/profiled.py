@@ -1,4 +1,4 @@
-"""One run of `upsample` in this process, told as JSON: what its steps took.
+"""One run of `upsample` in this process, reported as JSON: what its steps took.
 
 ``python profiled.py KEYS OUT METHOD THREADS``, with the tree to be profiled on the path: apart from
 that tree's `exwarp_cli` nothing is imported, so an older state can be profiled too.
@@ -31,14 +31,14 @@ def main() -> int:
     steps: Counter[str] = Counter()
     for frame in made.frames:
         steps.update({step: took for step, took in frame.timing_ms.items() if took is not None})
-    told = {
+    document = {
         "version": made.version,
         "wall": time.perf_counter() - wall,
         "cpu": time.process_time() - cpu,
         "new": sum(frame.kind.value == "generated" for frame in made.frames),
         "steps": dict(steps),
     }
-    Path(out, "profile.json").write_text(json.dumps(told), encoding="utf-8")
+    Path(out, "profile.json").write_text(json.dumps(document), encoding="utf-8")
     return 0
 
 

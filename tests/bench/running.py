@@ -85,7 +85,7 @@ def run(
             ending.start()
         try:
             _, status, usage = os.wait4(running.pid, 0)
-        except BaseException:  # nobody would wait for it after a Ctrl-C
+        except BaseException:  # else it would run on after a Ctrl-C
             running.kill()
             raise
         finally:
@@ -103,10 +103,10 @@ def run(
 def lend_memory(size: int = MEMORY) -> None:
     """Have the machine hold so many bytes of free memory, before something is measured.
 
-    The host of a virtual machine takes back what has been free for seconds. Lent anew, a page took
-    twenty times as long at its first touch as one that the machine still held: who uses more memory
-    was charged for the host, and for how long nothing had run. Where half of what is available is
-    less, it is that.
+    The host of a virtual machine takes back what has been free for seconds. Provided anew, a page
+    took twenty times as long at its first touch as one that the machine still held: who uses more
+    memory was charged for the host, and for how long nothing had run. Where half of what is
+    available is less, it is that.
     """
     run([sys.executable, "-c", TOUCH, str(size)])
 

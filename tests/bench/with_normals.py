@@ -1,6 +1,6 @@
 """The command ``exwarp`` with every method reading normals, ``python -m tests.bench.with_normals``.
 
-What decoding them takes is told so from what a policy's features take, for which they are read.
+So the cost of decoding them is known apart from that of a policy's features, which read them.
 """
 
 from __future__ import annotations

@@ -45,9 +45,9 @@ def data(script, tmp_path_factory) -> Path:
 def test_a_shot_is_complete_and_of_training(data):
     (scene,) = find_scenes(data, TRAINING)
     scene.require_complete()
-    told = scene.manifest
-    assert (told.scene, told.seed, told.width, told.height) == (NAME, SHOT, 64, 36)
-    assert told.renderer.startswith("Blender 5") and told.samples == 2
+    manifest = scene.manifest
+    assert (manifest.scene, manifest.seed, manifest.width, manifest.height) == (NAME, SHOT, 64, 36)
+    assert manifest.renderer.startswith("Blender 5") and manifest.samples == 2
     roles = set(Role)
     assert set(scene.instants.layout.roles) == roles == set(scene.keys.layout.roles)
     leftovers = [p.name for p in data.rglob(".*")]

@@ -28,13 +28,13 @@ class Result:
     def refused(self, code: int, *words: str) -> None:
         """Judge a failure: its exit code, and one sentence that holds these words."""
         assert self.code == code, self.err
-        told = [line for line in self.err.splitlines() if line.startswith("exwarp: error: ")]
-        assert len(told) == 1, self.err
+        errors = [line for line in self.err.splitlines() if line.startswith("exwarp: error: ")]
+        assert len(errors) == 1, self.err
         rest = [line for line in self.err.splitlines() if not line.startswith("exwarp: ")]
         assert rest == [] and self.out == "", self.err + self.out
-        assert "Traceback" not in self.err and "unexpected" not in told[0]
+        assert "Traceback" not in self.err and "unexpected" not in errors[0]
         for word in words:
-            assert word in told[0]
+            assert word in errors[0]
 
 
 Command = Callable[..., Result]
@@ -77,7 +77,7 @@ def exwarp(capfd, monkeypatch) -> Command:
 def upsample(exwarp) -> Command:
     """Run ``exwarp upsample`` on a sequence into a folder, in silence, and expect success.
 
-    One thread, unless told: on frames this small more of them only wait for each other.
+    One thread, unless an option says otherwise: more only wait for each other on small frames.
     """
 
     def run(sequence: object, output: object, *options: object) -> Result:

@@ -63,15 +63,15 @@ def checked(text: str) -> dict[str, Any]:
 
 def parameters(template: dict[str, Any]) -> dict[str, dict[str, Any]]:
     """Return the job parameters by name."""
-    return {told["name"]: told for told in template["parameterDefinitions"]}
+    return {definition["name"]: definition for definition in template["parameterDefinitions"]}
 
 
 def call(template: dict[str, Any], step: str) -> list[str]:
     """Return the words of a step's command, with the values of the job's parameters filled in."""
-    (found,) = (told for told in template["steps"] if told["name"] == step)
+    (found,) = (entry for entry in template["steps"] if entry["name"] == step)
     action = found["script"]["actions"]["onRun"]
     words = [action["command"], *action["args"]]
-    for name, told in parameters(template).items():
-        if "default" in told:
-            words = [w.replace(f"{{{{Param.{name}}}}}", str(told["default"])) for w in words]
+    for name, definition in parameters(template).items():
+        if "default" in definition:
+            words = [w.replace(f"{{{{Param.{name}}}}}", str(definition["default"])) for w in words]
     return words

@@ -28,5 +28,5 @@ def rows(folder: Path) -> list[dict[str, str]]:
 def album(folder: Path) -> dict[str, Any]:
     """Return what the viewer of a page reads."""
     begin, text = '<script type="application/json">', (folder / "report.html").read_text()
-    told: dict[str, Any] = json.loads(text.split(begin)[1].split("</script>")[0])
-    return told
+    document: dict[str, Any] = json.loads(text.split(begin)[1].split("</script>")[0])
+    return document

@@ -75,8 +75,8 @@ class TestUnwritable:
         environment = os.environ | {"NUMBA_DISABLE_JIT": "1"}
         done = subprocess.run(command + options, capture_output=True, text=True, env=environment)
         assert done.returncode == 5, done.stderr
-        told = [x for x in done.stderr.splitlines() if x.startswith("exwarp: error: ")]
-        assert len(told) == 1 and "cannot write" in told[0] and "Traceback" not in done.stderr
+        errors = [x for x in done.stderr.splitlines() if x.startswith("exwarp: error: ")]
+        assert len(errors) == 1 and "cannot write" in errors[0] and "Traceback" not in done.stderr
         assert done.stdout == ""
         for name, data in shots.contents(out).items():
             assert MARK not in name and is_intact(data)

@@ -70,12 +70,12 @@ def test_what_is_to_be_done_last_is_done(parted):
         import atexit, threading, time
         atexit.register(print, "handled")
         threading.Thread(target=lambda: (time.sleep(0.3), print("threaded"))).start()
-        sys.stderr.write("told")
+        sys.stderr.write("written")
         raise click.exceptions.Exit(7)
     """
     environment = os.environ | {"EXWARP_SUPERVISE": parted}
     result = subprocess.run(script(body), capture_output=True, text=True, env=environment)
-    assert (result.returncode, result.stderr) == (7, "told")
+    assert (result.returncode, result.stderr) == (7, "written")
     assert result.stdout.split() == ["threaded", "handled"]
 
 
@@ -139,9 +139,10 @@ class TestErrors:
     def test_a_defect_asks_for_a_report(self, fails_with, capsys):
         fails_with(ZeroDivisionError("oops"))
         assert cli.run(["upsample"]) == 1
-        told = capsys.readouterr().err
-        assert told.startswith("exwarp: error: unexpected ZeroDivisionError: oops; ")
-        assert "EXWARP_DEBUG=1" in told and "Traceback" not in told and told.count("\n") == 1
+        message = capsys.readouterr().err
+        assert message.startswith("exwarp: error: unexpected ZeroDivisionError: oops; ")
+        assert "EXWARP_DEBUG=1" in message and "Traceback" not in message
+        assert message.count("\n") == 1
 
     def test_the_traceback_comes_on_demand(self, fails_with, capsys, monkeypatch):
         monkeypatch.setenv("EXWARP_DEBUG", "1")
@@ -171,20 +172,20 @@ class TestErrors:
     def test_what_an_interruption_leaves(self, fails_with, capsys, command, resumes, before):
         fails_with(KeyboardInterrupt())
         assert cli.run([*before, command]) == 130
-        told = capsys.readouterr().err
-        assert resumes in told and ("goes on" in told) == bool(resumes)
+        message = capsys.readouterr().err
+        assert resumes in message and ("goes on" in message) == bool(resumes)
 
     @pytest.mark.parametrize(
-        ("arguments", "told"),
+        ("arguments", "words"),
         [
             (["up"], "no command 'up'; the commands are upsample, inspect, features, compare"),
             (["--bogus"], "--bogus"),
         ],
     )
-    def test_mistakes_in_the_command_line(self, arguments, told, capsys):
+    def test_mistakes_in_the_command_line(self, arguments, words, capsys):
         assert cli.run(arguments) == 2
         err = capsys.readouterr().err
-        assert err.startswith("exwarp: error: ") and told in err
+        assert err.startswith("exwarp: error: ") and words in err
         assert err.endswith("; see exwarp --help\n") and err.count("\n") == 1
 
     def test_a_command_may_exit_with_its_own_code(self, monkeypatch):

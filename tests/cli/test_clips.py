@@ -179,8 +179,8 @@ class TestFrames:
 
     def test_the_first_interval_of_a_causal_method_repeats(self, upsample, keys, tmp_path):
         upsample(keys, tmp_path / "out", "-m", "s6", "--report", tmp_path / "report")
-        told = json.loads((tmp_path / "report" / "report.json").read_text())
-        assert told["frames"]["dropped"] == 3 and told["decisions"]["warp_share"] is None
+        document = json.loads((tmp_path / "report" / "report.json").read_text())
+        assert document["frames"]["dropped"] == 3 and document["decisions"]["warp_share"] is None
         moved = pictures.codes_of(tmp_path / "out" / "pan.0007.png")
         assert psnr(frame(1.5), moved) > 30
 
@@ -277,8 +277,8 @@ class TestCuts:
         report = tmp_path / "report"
         said = upsample(source, tmp_path / "out", "--report", report).out
         assert "cut before key frame 5 (detected)" in said
-        told = json.loads((report / "report.json").read_text())
-        assert told["cuts"] == [{"frame": 5, "source": "detected"}]
+        document = json.loads((report / "report.json").read_text())
+        assert document["cuts"] == [{"frame": 5, "source": "detected"}]
         for name, seed, first in (("before", 0, 0), ("after", 7, 16)):
             alone = clip(tmp_path / f"{name}.mp4", panned(4, seed=seed), sound=False)
             upsample(alone, tmp_path / name)
@@ -296,12 +296,12 @@ class TestSaying:
 
     def test_in_the_report(self, made):
         report = made / "report"
-        told = json.loads((report / "report.json").read_text())
-        assert told["method"] == "exwarp" and told["fps"]["source"] == "file"
-        assert told["input"]["motion"]["source"] == "estimated"
-        assert told["input"]["producer"] == "video"
-        assert told["quality"]["all"]["frames"] == 3 * (KEYS - 1)
-        assert told["quality"]["all"]["psnr_db"] > 25
+        document = json.loads((report / "report.json").read_text())
+        assert document["method"] == "exwarp" and document["fps"]["source"] == "file"
+        assert document["input"]["motion"]["source"] == "estimated"
+        assert document["input"]["producer"] == "video"
+        assert document["quality"]["all"]["frames"] == 3 * (KEYS - 1)
+        assert document["quality"]["all"]["psnr_db"] > 25
         page = (report / "report.html").read_text()
         assert "from colour by optical flow" in page
 
@@ -310,8 +310,8 @@ class TestSaying:
         assert said.code == 0, said.err
         for words in ("5 frames (1-5), 64x48, 24 fps (file)", "sound aac", "estimates motion"):
             assert words in said.out
-        told = json.loads(exwarp("inspect", keys, "--json").out)
-        assert told["motion"] is None and told["pictures"]["kind"] == "video"
+        document = json.loads(exwarp("inspect", keys, "--json").out)
+        assert document["motion"] is None and document["pictures"]["kind"] == "video"
 
 
 class TestRefusals:

@@ -66,7 +66,7 @@ def test_it_runs_without_a_flag_and_as_with_one(upsample, shot, tmp_path):
     keys, slots = shot
     common = ("-m", "s6", "--gbuffers", slots, "--report")
     upsample(keys, tmp_path / "plain", *common, tmp_path / "a")
-    upsample(keys, tmp_path / "told", *common, tmp_path / "b", "--motion", "unreal")
+    upsample(keys, tmp_path / "given", *common, tmp_path / "b", "--motion", "unreal")
     motion = motion_of(tmp_path / "a")
     assert motion["source"] == "calibrated"
     assert motion["evidence"].startswith("previous=-R,G measured on frames 1-2")
@@ -74,8 +74,8 @@ def test_it_runs_without_a_flag_and_as_with_one(upsample, shot, tmp_path):
     assert motion_of(tmp_path / "b")["evidence"] == "previous=-R,G given by --motion"
     for number in (2, 3, 4, 6):
         name = f"shot.{number:04d}.exr"
-        plain, told = (shots.colour_of(tmp_path / folder / name) for folder in ("plain", "told"))
-        np.testing.assert_array_equal(plain, told)
+        plain, given = (shots.colour_of(tmp_path / folder / name) for folder in ("plain", "given"))
+        np.testing.assert_array_equal(plain, given)
 
 
 def test_names_that_are_wrong_are_still_overruled(upsample, tmp_path):

@@ -24,7 +24,7 @@ from tests.unit.cryptomatte_files import Style, attributes_of, planes_of
 SMALL = shots.SMALL
 NAMES = ("the box", "floor", "wall")
 INDEX = "Object Index.X"
-PLAIN = Style("CryptoObject", told="CryptoObject")
+PLAIN = Style("CryptoObject", "CryptoObject")
 
 
 def shares(street: Street, time: float) -> dict[str, np.ndarray]:
@@ -52,8 +52,8 @@ def matte(street: Street, time: float, style: Style = PLAIN) -> shots.Planes:
 
 def with_matte(planes, style: Style = PLAIN, **header) -> shots.FrameWriter:
     def write(path: Path, street: Street, time: float) -> None:
-        told = shots.header(**attributes_of(NAMES, style), **header)
-        shots.write(path, {"": planes(street, time) | matte(street, time, style)}, told)
+        attributes = shots.header(**attributes_of(NAMES, style), **header)
+        shots.write(path, {"": planes(street, time) | matte(street, time, style)}, attributes)
 
     return write
 
@@ -129,9 +129,9 @@ class TestNamed:
     def test_it_comes_before_an_object_index(self, upsample, tmp_path):
         def both(path: Path, street: Street, time: float) -> None:
             wrong = {INDEX: np.ones((street.height, street.width), np.float32)}
-            told = shots.header(**attributes_of(NAMES, PLAIN))
+            attributes = shots.header(**attributes_of(NAMES, PLAIN))
             planes = key_planes(street, time) | matte(street, time) | wrong
-            shots.write(path, {"": planes}, told)
+            shots.write(path, {"": planes}, attributes)
 
         index = keys(tmp_path / "index", with_index(key_planes))
         shot = open_shot(str(keys(tmp_path / "both", both)))
@@ -160,7 +160,7 @@ class TestNamed:
 
 
 class TestUnnamed:
-    """Nobody says what moves: it is decided by what an interval reads."""
+    """No option says what moves: what an interval reads decides it."""
 
     @pytest.mark.parametrize("method", ["s6", "softsplat"])
     def test_what_moves_is_the_stencil(self, upsample, only_matte, tmp_path, method):
@@ -202,8 +202,8 @@ class TestManifests:
 
         def frame(path: Path, street: Street, time: float) -> None:
             known = NAMES if time == 2 else NAMES[1:]
-            told = shots.header(**attributes_of(known, PLAIN))
-            shots.write(path, {"": key_planes(street, time) | matte(street, time)}, told)
+            attributes = shots.header(**attributes_of(known, PLAIN))
+            shots.write(path, {"": key_planes(street, time) | matte(street, time)}, attributes)
 
         return keys(folder, frame)
 
@@ -228,11 +228,11 @@ class TestManifests:
     def test_names_that_are_no_utf8(self, upsample, only_matte, tmp_path):
         """As a program wrote it that took the artist's letters for Latin-1."""
         sequence = keys(tmp_path / "keys", with_matte(key_planes))
-        told = b'"the box"', b'"th\xe9 box"'
+        spellings = b'"the box"', b'"th\xe9 box"'
         for path in sequence.iterdir():
             data = path.read_bytes()
-            assert told[0] in data
-            path.write_bytes(data.replace(*told))
+            assert spellings[0] in data
+            path.write_bytes(data.replace(*spellings))
         given = ("-m", "s6", *VECTORS)
         upsample(only_matte, tmp_path / "a", *given)
         again = lambda *more: upsample(sequence, tmp_path / "b", *given, "--layers", "all", *more)  # noqa: E731
@@ -240,7 +240,7 @@ class TestManifests:
         assert shots.names(tmp_path / "a") == shots.names(tmp_path / "b")
         for name in shots.names(tmp_path / "b"):
             written = tmp_path / "b" / name
-            assert told[1] in written.read_bytes()
+            assert spellings[1] in written.read_bytes()
             expected = read_image(tmp_path / "a" / name).pixels
             np.testing.assert_array_equal(read_image(written).pixels, expected)
         assert shots.changed_by(lambda: again("--skip-existing"), tmp_path / "b") == set()
@@ -290,7 +290,7 @@ class TestFeatures:
         assert set(counted("matte", with_matte, "--dynamic", "the box,wall")) == {"2"}
 
     def test_the_report_says_where_ids_came_from(self, exwarp, upsample, only_matte, tmp_path):
-        def told(name: str, *options: str) -> tuple[str, list[str] | None, str]:
+        def reported(name: str, *options: str) -> tuple[str, list[str] | None, str]:
             out = tmp_path / name
             given = (
                 only_matte,
@@ -307,10 +307,10 @@ class TestFeatures:
             assert ("moving by name" in page) and ("the box" in page) == bool(options)
             return document["policy"]["objects_from"], document["input"]["dynamic"], run.err
 
-        source, names, err = told("a", "--dynamic", "the*,wall")
+        source, names, err = reported("a", "--dynamic", "the*,wall")
         assert (source, names) == ("cryptomatte", ["the box", "wall"])
         assert "moving by name: 'the box', 'wall'" in err
-        source, names, err = told("b")
+        source, names, err = reported("b")
         assert (source, names) == ("cryptomatte", None)
         assert "count as moving; --dynamic says by name" in err and "by name:" not in err
         assert "of the Cryptomatte's objects those count as moving" in err
@@ -331,8 +331,8 @@ def lossy(folder: Path) -> Path:
         some = {name: part * noise for name, part in shares(street, time).items()}
         layers = planes_of(some, style).values()
         planes = {name: plane for group in layers for name, plane in group.items()}
-        told = shots.header(**attributes_of(NAMES, style)) | header
-        shots.write(path, {"": key_planes(street, time) | planes}, told)
+        attributes = shots.header(**attributes_of(NAMES, style)) | header
+        shots.write(path, {"": key_planes(street, time) | planes}, attributes)
 
     return keys(folder, frame)
 
@@ -350,15 +350,15 @@ class TestUnusable:
         given = ("upsample", sequence, "-o", tmp_path / "out", *VECTORS, "--dynamic", "the box")
         exwarp(*given).refused(3, "shot.0001.exr", *words)
         assert shots.names(tmp_path / "out") == []
-        # Nobody asked for them: they are left alone, and inspect says so.
+        # No option asks for the ids: they are left alone, and inspect says so.
         upsample(sequence, tmp_path / "b", "-m", "s6", *VECTORS)
         found = exwarp("features", sequence, *VECTORS, "--progress", "none")
         assert found.code == 0 and {row["N_d"] for row in rows(found.out)[5:]} == {"1"}
         shown = exwarp("inspect", sequence, "--json").out
-        (told,) = json.loads(shown)["cryptomattes"]
-        assert told["names"] == [] and words[-1] in told["problem"]
+        (cryptomatte,) = json.loads(shown)["cryptomattes"]
+        assert cryptomatte["names"] == [] and words[-1] in cryptomatte["problem"]
         assert (
-            f"Cryptomatte CryptoObject (object): {told['problem']}"
+            f"Cryptomatte CryptoObject (object): {cryptomatte['problem']}"
             in exwarp("inspect", sequence).out
         )
 
@@ -378,15 +378,15 @@ class TestUnusable:
 def test_inspect_lists_names(exwarp, only_matte):
     found = exwarp("inspect", only_matte).out
     assert "Cryptomatte CryptoObject (object), 3 names: 'floor', 'the box', 'wall'" in found
-    told = json.loads(exwarp("inspect", only_matte, "--json", "--dynamic", "*o*").out)
-    assert told["dynamic"] == ["floor", "the box"]
-    assert told["cryptomattes"][0]["names"] == ["floor", "the box", "wall"]
+    document = json.loads(exwarp("inspect", only_matte, "--json", "--dynamic", "*o*").out)
+    assert document["dynamic"] == ["floor", "the box"]
+    assert document["cryptomattes"][0]["names"] == ["floor", "the box", "wall"]
     assert "moving by name: floor\n" in exwarp("inspect", only_matte, "--dynamic", "fl*").out
 
 
 def test_a_layer_that_only_the_header_knows_is_no_colour(exwarp, tmp_path):
     """Its channels look like a beauty's, and the sequence has none."""
-    style = Style("light", told="light", spelling="upper")
+    style = Style("light", "light", spelling="upper")
 
     def frame(path: Path, street: Street, time: float) -> None:
         (layer,) = planes_of(shares(street, time), style, ranks=2).values()

@@ -88,7 +88,7 @@ def run(upsample, network, tmp_path) -> Callable[..., Path]:
     return run
 
 
-def told(path: Path) -> tuple[dict[str, Any], dict[str, bytes]]:
+def content_of(path: Path) -> tuple[dict[str, Any], dict[str, bytes]]:
     """What a frame's file holds, but for what tells how it came about and when to make it anew."""
     header, planes = shots.read(path)
     known = {k: str(v) for k, v in header.items() if k not in ("exwarp:recipe", "exwarp:xxh128")}
@@ -120,7 +120,7 @@ def test_each_shot_is_made_as_if_it_were_alone(run, two, tmp_path, method, setti
         alone = run(f"out{keys[0]}", mine, method, *start, slots=around)
         for number in numbers:
             name = f"shot.{number:04d}.exr"
-            assert told(whole / name) == told(alone / name), name
+            assert content_of(whole / name) == content_of(alone / name), name
 
 
 @pytest.mark.parametrize(

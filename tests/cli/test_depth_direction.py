@@ -98,8 +98,8 @@ class TestSaid:
         assert f"depth {words}" in exwarp("inspect", keys, *FORWARD).out
         options = ("-m", "s6", *FORWARD, "--report", report)
         assert f"depth {words}" in exwarp("upsample", keys, "-o", tmp_path / "o", *options).err
-        told = json.loads((report / "report.json").read_text())
-        assert told["input"]["depth"].startswith(words)
+        document = json.loads((report / "report.json").read_text())
+        assert document["input"]["depth"].startswith(words)
 
     @pytest.mark.parametrize("name", ["Z", "depth.V"])
     def test_nothing_of_a_distance(self, exwarp, tmp_path, name):

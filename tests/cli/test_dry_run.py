@@ -1,4 +1,4 @@
-"""What a run would do: told without writing, and refused where the run itself would refuse."""
+"""A dry run reports what a run would do, writes nothing, and refuses what the run would refuse."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ def foresee(exwarp, plain_shot, tmp_path):
 
     def run(out: Path, *options: object) -> dict[str, Any]:
         before = sorted(tmp_path.rglob("*"))
-        told = ("--dry-run", "--json", "--progress", "none")
-        result = exwarp("upsample", plain_shot, "-o", out, *(options or HOW), *told)
+        dry_run = ("--dry-run", "--json", "--progress", "none")
+        result = exwarp("upsample", plain_shot, "-o", out, *(options or HOW), *dry_run)
         assert result.code == 0, result.err
         assert sorted(tmp_path.rglob("*")) == before
         found: dict[str, Any] = json.loads(result.out)

@@ -39,7 +39,7 @@ def documented() -> dict[str, tuple[str, int]]:
 
 
 @pytest.fixture(params=["README", "exwarp --help"])
-def told(request, capsys) -> dict[int, str]:
+def meanings(request, capsys) -> dict[int, str]:
     """Return the codes of the sentence on exit codes, with what it says of them."""
     if request.param == "README":
         text = README.read_text(encoding="utf-8")
@@ -74,14 +74,14 @@ def test_the_docstring_has_the_codes_of_no_class():
     assert {int(code) for code in re.findall(r"\d+", prose)} == NO_ERRORS | {1}
 
 
-def test_users_are_told_every_code_and_no_other(told):
-    assert set(told) == {e.exit_code for e in every_error()} | NO_ERRORS
+def test_every_code_and_no_other_is_documented(meanings):
+    assert set(meanings) == {e.exit_code for e in every_error()} | NO_ERRORS
 
 
-def test_they_are_told_what_it_means(told):
+def test_the_meaning_of_codes_is_documented(meanings):
     words = {0: "done", 9: "cluster", 10: "installation", 130: "interrupted", 143: "terminated"}
     for code, word in words.items():
-        assert word in told[code]
+        assert word in meanings[code]
 
 
 def test_130_and_143_are_those_of_shells():

@@ -181,13 +181,13 @@ class TestReport:
             make(method, method, "--report", report, "--ground-truth", truth)
             reports[method] = load(report)
         s1, s4 = reports["s1"], reports["s4"]
-        told = {
+        expected = {
             "file": str(network),
             "sha256": hashlib.sha256(network.read_bytes()).hexdigest(),
             "device": "cpu",
             "demodulated": False,
         }
-        assert s1["extrapolator"] == s4["extrapolator"] == told
+        assert s1["extrapolator"] == s4["extrapolator"] == expected
         scored = KEYS - 1
         by = s4["quality"]["by_decision"]
         assert (by["warp"]["frames"], by["extrapolate"]["frames"]) == (2 * scored, scored)
@@ -219,7 +219,7 @@ class TestReport:
         assert all(line.startswith("exwarp: ") for line in result.err.splitlines())
 
     @pytest.mark.parametrize(
-        ("passes", "told"),
+        ("passes", "missing"),
         [
             (("Diffuse Color", "Glossy Color"), None),
             (("Diffuse Color",), "no glossy colour"),
@@ -228,8 +228,8 @@ class TestReport:
         ],
     )
     @pytest.mark.parametrize("setting", SETTINGS)
-    def test_whether_surface_colour_is_divided_out_is_told(
-        self, exwarp, network, tmp_path, setting, passes, told
+    def test_whether_surface_colour_is_divided_out_is_reported(
+        self, exwarp, network, tmp_path, setting, passes, missing
     ):
         def with_passes(planes_of: Callable[[Street, float], Planes]) -> shots.FrameWriter:
             def frame(path: Path, street: Street, time: float) -> None:
@@ -251,10 +251,10 @@ class TestReport:
         options += ("--threads", 1, "--progress", "none", "--frames", "1")
         result = exwarp("upsample", keys, "-o", tmp_path / "out", *options)
         assert result.code == 0, result.err
-        assert load(tmp_path / "report")["extrapolator"]["demodulated"] is (told is None)
-        sentence = f"exwarp: {told}: shading is extrapolated together with surface colour\n"
-        assert (sentence in result.err) == (told is not None)
-        assert ("surface colour" in result.err) == (told is not None)
+        assert load(tmp_path / "report")["extrapolator"]["demodulated"] is (missing is None)
+        sentence = f"exwarp: {missing}: shading is extrapolated together with surface colour\n"
+        assert (sentence in result.err) == (missing is not None)
+        assert ("surface colour" in result.err) == (missing is not None)
 
 
 class TestHistory:

@@ -16,7 +16,7 @@ from tests.unit.tiny_models import filled_warp, save
 
 
 def as_pipe(path: Path) -> None:
-    """Put a pipe in a model's place, into which nobody writes."""
+    """Put a pipe that has no writer in a model's place."""
     path.unlink()
     os.mkfifo(path)
 

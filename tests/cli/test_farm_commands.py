@@ -40,7 +40,7 @@ class TestLines:
             result = exwarp("farm", "commands", NAME, "-o", "out", *more, *FORWARD)
             assert ("--keep-going" in result.out) == asked
 
-    def test_what_comes_afterwards_is_told(self, shot, exwarp, tmp_path):
+    def test_what_comes_afterwards_is_printed(self, shot, exwarp, tmp_path):
         more = ("--report", "report", "--video", "a.mp4")
         result = exwarp("farm", "commands", NAME, "-o", "out", *more, *FORWARD)
         assert "--as-chunk" in result.out and "--video" not in result.out

@@ -48,9 +48,10 @@ class TestChunks:
         (frames,) = step["parameterSpace"]["taskParameterDefinitions"]
         assert frames["type"] == "CHUNK[INT]" and frames["range"] == "{{Param.Frames}}"
         assert frames["chunks"]["rangeConstraint"] == "CONTIGUOUS"
-        told = parameters(made)
-        assert told["Frames"]["default"] == "1-4" and told["ChunkSize"]["default"] == 3
-        assert told["ChunkSeconds"]["default"] == 0
+        definitions = parameters(made)
+        assert definitions["Frames"]["default"] == "1-4"
+        assert definitions["ChunkSize"]["default"] == 3
+        assert definitions["ChunkSeconds"]["default"] == 0
 
     def test_frames_in_steps_are_no_contiguous_ranges(self, tmp_path, monkeypatch, template):
         monkeypatch.chdir(tmp_path)
@@ -173,10 +174,10 @@ class TestPlaces:
             "--video",
             "a.mp4",
         )
-        told = parameters(made)
+        definitions = parameters(made)
         places = {
             name: (p["objectType"], p["dataFlow"], p["default"])
-            for name, p in told.items()
+            for name, p in definitions.items()
             if p["type"] == "PATH"
         }
         assert places == {
@@ -187,7 +188,7 @@ class TestPlaces:
             "ReportFolder": ("DIRECTORY", "OUT", "r"),
             "VideoFile": ("FILE", "OUT", "a.mp4"),
         }
-        assert told["SequencePattern"]["default"] == "shot.####.exr"
+        assert definitions["SequencePattern"]["default"] == "shot.####.exr"
         words = call(made, "Upsample")
         assert {"keys/shot.####.exr", "out/new.####.exr", "depth=vectors/shot.####.exr:Z"} < set(
             words
@@ -204,17 +205,18 @@ class TestPlaces:
     def test_paths_elsewhere_are_given_at_submission(self, shot, template, tmp_path_factory):
         elsewhere = tmp_path_factory.mktemp("else where")
         made = template("keys", "-o", elsewhere, said=f"-p 'OutputFolder={elsewhere}'")
-        told = parameters(made)
-        assert "default" not in told["OutputFolder"] and told["SequenceFolder"]["default"] == "keys"
+        definitions = parameters(made)
+        assert "default" not in definitions["OutputFolder"]
+        assert definitions["SequenceFolder"]["default"] == "keys"
 
     def test_a_view_for_a_folder(self, tmp_path, monkeypatch, template):
         monkeypatch.chdir(tmp_path)
         for view in ("left", "right"):
             shots.sequence(tmp_path / "eyes" / view, shots.plain, (1, 2), SMALL)
         made = template("eyes/%V/shot.####.exr", "-o", "out", "--view", "right")
-        told = parameters(made)
-        assert told["SequenceFolder"]["default"] == "eyes"
-        assert told["SequencePattern"]["default"] == "%V/shot.####.exr"
+        definitions = parameters(made)
+        assert definitions["SequenceFolder"]["default"] == "eyes"
+        assert definitions["SequencePattern"]["default"] == "%V/shot.####.exr"
 
     def test_hostile_names_are_taken_as_they_are(self, tmp_path, monkeypatch, template):
         monkeypatch.chdir(tmp_path)
@@ -228,10 +230,10 @@ class TestPlaces:
             "--name",
             HOSTILE,
         )
-        told = parameters(made)
-        assert told["SequenceFolder"]["default"] == HOSTILE
-        assert told["SequencePattern"]["default"] == f"{HOSTILE}.####.exr"
-        assert told["OutputFolder"]["default"] == f"out {HOSTILE}"
+        definitions = parameters(made)
+        assert definitions["SequenceFolder"]["default"] == HOSTILE
+        assert definitions["SequencePattern"]["default"] == f"{HOSTILE}.####.exr"
+        assert definitions["OutputFolder"]["default"] == f"out {HOSTILE}"
         literal = json.dumps(made["steps"]).replace("{{Param.", "").replace("{{Task.Param.", "")
         assert "{{" not in literal and "{{" not in made["name"]
 
@@ -242,9 +244,9 @@ class TestPlaces:
         for more in ((), ("--plain",), ("--json",)):
             result = exwarp("farm", "openjd", f"./{name}", "-o", f"out{name}/", *FORWARD, *more)
             assert result.code == 0 and result.out.replace("\n", "").isprintable()
-            told = parameters(checked(result.out))
-            assert told["SequenceFolder"]["default"] == name
-            assert told["OutputFolder"]["default"] == f"out{name}"
+            definitions = parameters(checked(result.out))
+            assert definitions["SequenceFolder"]["default"] == name
+            assert definitions["OutputFolder"]["default"] == f"out{name}"
         bundle = exwarp("farm", "openjd", f"./{name}", "-o", "o/", *FORWARD, "--bundle", f"b{name}")
         assert bundle.out.rstrip("\n").isprintable()
         made = checked((tmp_path / f"b{name}" / "template.yaml").read_text("utf-8"))
@@ -252,7 +254,7 @@ class TestPlaces:
         values = yaml.safe_load(
             (tmp_path / f"b{name}" / "parameter_values.yaml").read_text("utf-8")
         )
-        assert str(tmp_path / name) in [told["value"] for told in values["parameterValues"]]
+        assert str(tmp_path / name) in [value["value"] for value in values["parameterValues"]]
 
     def test_texts_that_readers_take_for_numbers_are_quoted(self, tmp_path, monkeypatch, exwarp):
         monkeypatch.chdir(tmp_path)

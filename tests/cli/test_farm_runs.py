@@ -160,9 +160,9 @@ class TestTrouble:
             monkeypatch.delenv(f"EXWARP_UPSAMPLE_{name}")
         upsample(keys, tmp_path / "single", *FORWARD, "-m", "s6", "--report", tmp_path / "whole")
         assert shots.contents(tmp_path / "out") == shots.contents(tmp_path / "single")
-        told = ("frame", "kind", "hole_fraction")  # kept frames tell no times
+        columns = ("frame", "kind", "hole_fraction")  # kept frames tell no times
         merged, whole = (
-            [[row[name] for name in told] for row in rows(tmp_path / folder)]
+            [[row[name] for name in columns] for row in rows(tmp_path / folder)]
             for folder in ("report", "whole")
         )
         assert merged == whole and len(whole) == 48
@@ -190,8 +190,8 @@ class TestTrouble:
         (keys / "shot.0009.exr").write_bytes(b"damaged")
         ended = openjd("run", template, cwd=tmp_path)
         assert ended.code != 0
-        (told,) = (line for line in ended.log.splitlines() if "openjd_fail: " in line)
-        assert "shot.0009.exr" in told and "openjd_progress" in ended.log
+        (failure,) = (line for line in ended.log.splitlines() if "openjd_fail: " in line)
+        assert "shot.0009.exr" in failure and "openjd_progress" in ended.log
 
 
 def strike(output: Path) -> None:

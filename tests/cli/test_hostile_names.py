@@ -35,11 +35,11 @@ def hostile(folder: Path, name: str) -> Path:
         planes = shots.plain_planes(SMALL, number)
         odd = "".join(c for c in name if c not in "\0.")[:60]
         planes[f"{odd}.X"] = planes["Z"] * 0.5
-        told = shots.header(
+        attributes = shots.header(
             software=f"Blender {name}", comments=name, owner=name, cameraModel=name,
             Camera=name, Scene=name, RenderTime=name,
         )  # fmt: skip
-        shots.write(folder / f"{name}.{number:04d}.exr", {"": planes}, told)
+        shots.write(folder / f"{name}.{number:04d}.exr", {"": planes}, attributes)
     return folder
 
 

@@ -164,10 +164,10 @@ class TestChannelMaps:
         # The same shot by the map alone.
         shown = json.loads(exwarp("inspect", sequence, *options, "--json").out)
         mapped = exwarp("inspect", sequence, "--channel-map", tmp_path / "m.toml", "--json")
-        told = json.loads(mapped.out)
+        document = json.loads(mapped.out)
         for key in ("roles", "aovs", "view"):
-            assert told[key] == shown[key]
-        assert told["motion"]["convention"] == shown["motion"]["convention"]
+            assert document[key] == shown[key]
+        assert document["motion"]["convention"] == shown["motion"]["convention"]
 
     def test_a_colour_sequence_that_leads_is_in_it(self, split, exwarp, tmp_path):
         sequence, options = split
@@ -218,8 +218,8 @@ class TestChannelMaps:
             shots.sequence(keys, writer, (1, 2), shots.SMALL)
         found = self.write(exwarp, tmp_path / "m.toml", keys)
         assert "motion" in found
-        for name, told in (("without", None), ("with", str(tmp_path / "m.toml"))):
-            settings = SourceSettings(str(keys), channel_map=told)
+        for name, channel_map in (("without", None), ("with", str(tmp_path / "m.toml"))):
+            settings = SourceSettings(str(keys), channel_map=channel_map)
             out = str(tmp_path / name)
             upsample(UpsampleSettings(settings, out, method="softsplat", threads=1))
         assert shots.contents(tmp_path / "with") == shots.contents(tmp_path / "without")

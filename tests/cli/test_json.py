@@ -61,8 +61,8 @@ def test_what_is_no_number_is_null(capsys):
 def test_names_that_are_no_unicode(capsys):
     """As file systems have them; the document is ASCII, and parses to the same name."""
     print_json({"pattern": "caf\udce9\n.exr"})
-    told = capsys.readouterr().out
-    assert told.isascii() and strict(told)["pattern"] == "caf\udce9\n.exr"
+    text = capsys.readouterr().out
+    assert text.isascii() and strict(text)["pattern"] == "caf\udce9\n.exr"
 
 
 class TestFeatures:
@@ -83,10 +83,10 @@ class TestFeatures:
     def test_a_farm_s_lines_keep_off_the_results(self, exwarp, plain_shot, json):
         line = ("features", plain_shot, *self.OPTIONS, *json)
         quiet = exwarp(*line, "--progress", "none")
-        told = exwarp(*line, "--progress", "openjd")
-        assert told.out == quiet.out
-        assert told.err.splitlines()[0] == "openjd_progress: 0.0"
-        assert "openjd_status: 3 frames done" in told.err.splitlines()
+        openjd = exwarp(*line, "--progress", "openjd")
+        assert openjd.out == quiet.out
+        assert openjd.err.splitlines()[0] == "openjd_progress: 0.0"
+        assert "openjd_status: 3 frames done" in openjd.err.splitlines()
 
     def test_a_failure_prints_no_part_of_it(self, exwarp, tmp_path):
         keys = shots.sequence(tmp_path / "keys", shots.plain, (1, 2, 3), shots.SMALL)

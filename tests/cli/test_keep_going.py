@@ -161,7 +161,7 @@ def test_vectors_are_measured_in_sound_frames(kept, tmp_path):
     assert numbered(out) == set(range(5, FRAMES + 1))
 
 
-def test_where_all_are_lost_the_first_is_told(exwarp, keys, tmp_path):
+def test_where_all_are_lost_the_first_is_named(exwarp, keys, tmp_path):
     for path in keys.iterdir():
         scribble(path)
     quiet = ("--progress", "none", "--threads", 1, "--keep-going")
@@ -251,12 +251,12 @@ class TestReport:
         remove(damaged_at(keys, 4))
         report = tmp_path / "report"
         kept("out", keys, *FORWARD, "--report", report)
-        told = json.loads((report / "report.json").read_text())["left_out"]
-        assert [(one["key"], one["frames"]) for one in told] == [
+        left_out = json.loads((report / "report.json").read_text())["left_out"]
+        assert [(one["key"], one["frames"]) for one in left_out] == [
             (2, [5, 6, 7, 8]),
             (4, [13, 14, 15, 16]),
         ]
-        assert all("shot.000" in one["reason"] for one in told)
+        assert all("shot.000" in one["reason"] for one in left_out)
         assert "Key intervals left out" in (report / "report.html").read_text()
 
     def test_chunks_are_joined(self, exwarp, kept, keys, tmp_path):
@@ -270,9 +270,9 @@ class TestReport:
         )
         assert result.code == 0, result.err
         assert exwarp("merge-reports", report).code == 0
-        told = json.loads((report / "report.json").read_text())
-        assert [one["key"] for one in told["left_out"]] == [2]
-        assert told["frames"]["written"] == FRAMES - 4
+        document = json.loads((report / "report.json").read_text())
+        assert [one["key"] for one in document["left_out"]] == [2]
+        assert document["frames"]["written"] == FRAMES - 4
 
     def test_reports_of_before_are_read(self, exwarp, upsample, keys, tmp_path):
         report = tmp_path / "report"
@@ -324,5 +324,5 @@ def test_processes_leave_out_the_same(kept, keys, tmp_path):
     many, err = kept("many", keys, *FORWARD, *report, *spread)
     assert contents(many) == contents(one)
     assert err.count("left out frames 9-12") == 1
-    told = json.loads((tmp_path / "report" / "report.json").read_text())
-    assert [one["key"] for one in told["left_out"]] == [3]
+    document = json.loads((tmp_path / "report" / "report.json").read_text())
+    assert [one["key"] for one in document["left_out"]] == [3]

@@ -251,14 +251,14 @@ class TestValues:
         seen = set()
         for number in (6, 7, 8):
             path = out / f"shot.{number:04d}.exr"
-            told = parts_of(path)[0][2]
+            header = parts_of(path)[0][2]
             # A repeat shows the slot before, in all layers.
-            shown = number if told["exwarp:kind"] == "generated" else number - 1
+            shown = number if header["exwarp:kind"] == "generated" else number - 1
             ours, warped = planes_of(path), planes_of(made("s6") / f"shot.{shown:04d}.exr")
             for name in set(ours) - {f"Combined.{c}" for c in "RGBA"}:
                 np.testing.assert_array_equal(ours[name], warped[name])
             seen.add(
-                (told["exwarp:madeBy"], np.array_equal(ours["Combined.R"], warped["Combined.R"]))
+                (header["exwarp:madeBy"], np.array_equal(ours["Combined.R"], warped["Combined.R"]))
             )
         assert ("extrapolate", False) in seen, seen
 
@@ -314,8 +314,8 @@ class TestRuns:
         out, report = tmp_path / "out", tmp_path / "report"
         more = ("--ground-truth", plain_truth, "--report", report)
         upsample(keys, out, "-m", "softsplat", "--layers", "all", "--frames", "1-2", *more)
-        told = (report / "report.json").read_text()
-        assert '"ViewLayer.Depth"' in told and '"ViewLayer.Combined"' not in told
+        text = (report / "report.json").read_text()
+        assert '"ViewLayer.Depth"' in text and '"ViewLayer.Combined"' not in text
         alone = tmp_path / "alone"
         upsample(keys, alone, "-m", "softsplat", "--frames", "1-2")
         scores = [exwarp("compare", folder, plain_truth, "--json") for folder in (out, alone)]
@@ -350,7 +350,7 @@ class TestRefusals:
         result.refused(2, "--layers 'Difuse*' matches no layer", "ViewLayer.Diffuse Direct")
         assert not (tmp_path / "o").exists()
 
-    def test_layers_in_files_of_their_own_are_told(self, exwarp, tmp_path):
+    def test_layers_in_files_of_their_own_are_reported(self, exwarp, tmp_path):
         for number in (1, 2):
             shots.unreal(tmp_path / "keys", STREET, number - 1, number)
         given = ("-m", "s6", "--layers", "all", "--no-tail", "--motion", "backward")

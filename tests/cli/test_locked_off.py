@@ -172,8 +172,8 @@ class TestGivenByHand:
         assert result.code == 0
         line = next(line for line in result.err.splitlines() if "motion given" in line)
         assert "next=x,y given by --motion, but the frames contradict it" in line
-        told = json.loads((report / "report.json").read_text())["input"]["motion"]
-        assert told["source"] == "given" and told["evidence"] in line
+        motion = json.loads((report / "report.json").read_text())["input"]["motion"]
+        assert motion["source"] == "given" and motion["evidence"] in line
 
     def test_what_agrees_is_not_doubted(self, exwarp, tmp_path):
         keys = written(tmp_path / "keys", unknown)

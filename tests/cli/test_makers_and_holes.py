@@ -64,8 +64,9 @@ class TestMakers:
 
     def test_frames_of_an_earlier_version_have_the_same_name(self):
         """ExWarp 0.1 wrote "warp" for both."""
-        told = [maker_of("warp", method) for method in ("softsplat", "blend", "s6", "causal", None)]
-        assert told == ["softsplat", "blend", "warp", "warp", "warp"]
+        methods = ("softsplat", "blend", "s6", "causal", None)
+        makers = [maker_of("warp", method) for method in methods]
+        assert makers == ["softsplat", "blend", "warp", "warp", "warp"]
         assert maker_of(None, "key") is None and maker_of("hold", "blend") == "hold"
 
 

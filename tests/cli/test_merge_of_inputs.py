@@ -69,7 +69,7 @@ def test_chunks_tell_what_a_single_run_tells(exwarp, upsample, tmp_path, case):
 
 
 def test_the_cases_are_what_they_are_called(upsample, tmp_path):
-    def told(case: Callable[[Path], Shot], *more: object) -> dict[str, object]:
+    def document_of(case: Callable[[Path], Shot], *more: object) -> dict[str, object]:
         folder = tmp_path / case.__name__
         folder.mkdir()
         keys, *options = case(folder)
@@ -77,10 +77,10 @@ def test_the_cases_are_what_they_are_called(upsample, tmp_path):
         found: dict[str, object] = json.loads((folder / "report" / "report.json").read_text())
         return found
 
-    assert told(of_stills)["input"]["producer"] == "PNG images"
-    found = told(of_both_eyes)
+    assert document_of(of_stills)["input"]["producer"] == "PNG images"
+    found = document_of(of_both_eyes)
     assert len(found["views"]) == 2 and found["layers"]
-    assert told(of_a_network_of_others)["interpolator"]["name"] == "Tiny"
-    assert told(without_frames, "--frames", "4")["frames"]["written"] == 0
-    found = told(without_new_frames)
+    assert document_of(of_a_network_of_others)["interpolator"]["name"] == "Tiny"
+    assert document_of(without_frames, "--frames", "4")["frames"]["written"] == 0
+    found = document_of(without_new_frames)
     assert found["frames"]["generated"] == 0 and len(found["cuts"]) == 3

@@ -135,7 +135,7 @@ def test_cases_are_what_they_are_called(do, options):
     assert found["fps"]["factor"] == "5/2" and found["frames"]["key"] == 3
 
 
-def test_frames_that_were_kept_are_told_alike(exwarp, do, options, tmp_path):
+def test_frames_that_were_kept_are_reported_alike(exwarp, do, options, tmp_path):
     chosen = (*options("s6 without tail"), "--skip-existing")
     for name in ("single", "parts"):
         do(name, "-m", "s6", "--no-tail")
@@ -193,7 +193,7 @@ def test_chunks_are_joined_where_they_lie(exwarp, chunks):
     assert exwarp("merge-reports", report, "--overwrite").out == result.out
 
 
-def test_json_is_the_document_and_what_is_told_of_the_merging(exwarp, chunks, tmp_path):
+def test_json_is_the_document_and_the_facts_of_the_merging(exwarp, chunks, tmp_path):
     report, folders = chunks
     (folders[1] / "report.html").unlink()
     result = exwarp("merge-reports", report, "--json", "-o", tmp_path / "joined")
@@ -236,9 +236,9 @@ def test_pages_that_cannot_be_read_leave_out_their_pictures(exwarp, chunks, harm
         page.write_text(text.replace(*(change if harm == "version" else ('"frames":', '"f":'))))
     result = exwarp("merge-reports", report)
     assert result.code == 0 and result.err == ""
-    told = any(line.startswith("without pictures") for line in result.out.splitlines())
-    assert told == (harm not in ("picture", "no viewer"))
-    assert str(folders[0]) in result.out or not told
+    listed = any(line.startswith("without pictures") for line in result.out.splitlines())
+    assert listed == (harm not in ("picture", "no viewer"))
+    assert str(folders[0]) in result.out or not listed
     shown = album(report)
     assert [frame["number"] for frame in shown["frames"]] == [*range(9, 13), *range(17, 25)]
     assert (shown["before"], shown["after"]) == (OUTPUT, TRUTH)
@@ -285,7 +285,7 @@ class TestRefusals:
         named = exwarp("merge-reports", tmp_path, "-o", tmp_path / "joined")
         named.refused(3, f"{tmp_path} holds no report.json")
 
-    def test_farms_are_told_why(self, exwarp, tmp_path):
+    def test_farms_receive_the_reason(self, exwarp, tmp_path):
         result = exwarp("merge-reports", tmp_path, "--progress", "openjd")
         assert result.code == 3
         (line,) = result.out.splitlines()
@@ -350,8 +350,8 @@ class TestSubmittedAgain:
         merged = tmp_path / "parts-report"
         result = exwarp("merge-reports", merged, "--json")
         assert result.code == 0
-        told = strict(result.out)["merged"]
-        assert told["superseded"] == [str(older)] and told["reports"] == 2
+        facts = strict(result.out)["merged"]
+        assert facts["superseded"] == [str(older)] and facts["reports"] == 2
         single = do("single", *options("s6 without tail"))
         assert unmeasured(merged) == unmeasured(single) and rows(merged) == rows(single)
         assert album(merged) == album(single)

@@ -107,13 +107,13 @@ def test_a_still_does_not_flicker(upsample, tmp_path):
     }  # fmt: skip
 
 
-def test_a_truth_that_has_no_new_frame_is_told(upsample, plain_shot, plain_truth, tmp_path):
+def test_a_truth_that_has_no_new_frame_is_reported(upsample, plain_shot, plain_truth, tmp_path):
     truth = tmp_path / "truth"
     truth.mkdir()
     shutil.copy(min(plain_truth.iterdir()), truth)
     arguments = (plain_shot, tmp_path / "out", "-m", "hold", *FORWARD, "--ground-truth", truth)
-    told = upsample(*arguments).out
-    assert "against ground truth: it has none of the frames between the rendered ones\n" in told
+    output = upsample(*arguments).out
+    assert "against ground truth: it has none of the frames between the rendered ones\n" in output
 
 
 REFUSALS = {

@@ -88,8 +88,8 @@ class TestEstimating:
         keys = shots.sequence(tmp_path / "keys", renamed({"Z": "Depth.Z"}), street=SMALL)
         options = ("--estimate-motion", *method, "--report", tmp_path / "report")
         upsample(keys, tmp_path / "out", *options)
-        told = json.loads((tmp_path / "report" / "report.json").read_text())
-        assert told["input"]["motion"]["source"] == "estimated"
+        document = json.loads((tmp_path / "report" / "report.json").read_text())
+        assert document["input"]["motion"]["source"] == "estimated"
 
     def test_vectors_that_are_there_are_used(self, exwarp, tmp_path):
         keys = shots.sequence(tmp_path / "keys")

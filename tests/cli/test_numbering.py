@@ -245,8 +245,8 @@ class TestFrameRate:
 
     def test_inspect_says_so_too(self, exwarp, colours):
         keys = colours((1, 5, 9))
-        assert "7.5 fps (header)" in (told := exwarp("inspect", keys).out)
-        assert "if the key frames themselves come at 30 fps, give --fps 30" in told
+        assert "7.5 fps (header)" in (output := exwarp("inspect", keys).out)
+        assert "if the key frames themselves come at 30 fps, give --fps 30" in output
         found = json.loads(exwarp("inspect", keys, "--json").out)["fps"]
         assert (found["base"], found["source"]) == (7.5, "header")
 

@@ -22,12 +22,12 @@ def test_a_vector_of_which_some_channels_are_read(upsample, tmp_path):
         shots.write(path, {"": shots.colour_planes(street, time) | vectors})
 
     keys = shots.sequence(tmp_path / "keys", velocity, (1, 2), shots.SMALL)
-    told = tmp_path / "map.toml"
-    told.write_text(
+    channel_map = tmp_path / "map.toml"
+    channel_map.write_text(
         'schema = "exwarp.channel-map/1"\nmotion = "next=R,-G"\n'
         '[channels]\nmotion = ["velocity.R", "velocity.G"]\n'
     )
-    more = ("--layers", "all", "--no-tail", "--channel-map", told)
+    more = ("--layers", "all", "--no-tail", "--channel-map", channel_map)
     upsample(keys, tmp_path / "out", "-m", "softsplat", *more)
     _, planes = shots.read(tmp_path / "out" / "shot.0003.exr")
     assert set(np.unique(planes["velocity.B"])) == {7, 8}
@@ -53,14 +53,14 @@ def test_frames_of_ours_are_upsampled_again(upsample, tmp_path):
     """What they tell of how they were made is not taken for the new frames', nor resumed."""
 
     def old(path: Path, street: Street, time: float) -> None:
-        told = {"exwarp:path": "S3", "exwarp:decision": "x", "exwarp:holeFraction": 0.5}
-        shots.write(path, {"": shots.plain_planes(street, time)}, shots.header(**told))
+        attributes = {"exwarp:path": "S3", "exwarp:decision": "x", "exwarp:holeFraction": 0.5}
+        shots.write(path, {"": shots.plain_planes(street, time)}, shots.header(**attributes))
 
     keys = shots.sequence(tmp_path / "keys", old, (1, 2), shots.SMALL)
     for more in ((), ("--skip-existing",)):
         upsample(keys, tmp_path / "out", "-m", "hold", "--no-tail", *more)
-    told, _ = shots.read(tmp_path / "out" / "shot.0003.exr")
-    assert "exwarp:path" not in told and "exwarp:decision" not in told
+    header, _ = shots.read(tmp_path / "out" / "shot.0003.exr")
+    assert "exwarp:path" not in header and "exwarp:decision" not in header
 
 
 def test_layers_of_one_name_in_two_parts(upsample, tmp_path):
@@ -110,6 +110,6 @@ def test_a_layer_that_ends_at_a_cut(exwarp, tmp_path):
     keys = shots.sequence(tmp_path / "keys", ending, (1, 2), shots.SMALL)
     more = ("--layers", "diff", "--cuts", "2", *shots.FORWARD, "--progress", "none")
     result = exwarp("upsample", keys, "-o", tmp_path / "out", "-m", "softsplat", *more)
-    told = [line for line in result.err.splitlines() if "error:" in line]
-    assert result.code == 3 and len(told) == 1
-    assert "shot.0002.exr has no channel 'diff." in told[0] and "--layers" in told[0]
+    errors = [line for line in result.err.splitlines() if "error:" in line]
+    assert result.code == 3 and len(errors) == 1
+    assert "shot.0002.exr has no channel 'diff." in errors[0] and "--layers" in errors[0]

@@ -86,8 +86,8 @@ def test_with_keep_going_only_its_score_is_left_out(
     result = exwarp("upsample", plain_shot, "-o", out, *options, *more)
     assert result.code == 12, result.err
     assert contents(out) == contents(undisturbed / "out")
-    told, end = result.err.splitlines()[-2:]
-    assert told.startswith(f"exwarp: not scored frame {ODD}: ") and DAMAGES[damage] in told
+    message, end = result.err.splitlines()[-2:]
+    assert message.startswith(f"exwarp: not scored frame {ODD}: ") and DAMAGES[damage] in message
     assert f"frame {ODD} was not scored, see above or left_out in report.json" in end
     assert f"not scored: frames {ODD}" in result.out
     (one,) = json.loads((report / "report.json").read_text())["left_out"]

@@ -87,7 +87,7 @@ def test_repeated_frames_are_not_new(softened):
     assert set(pulses(folder).values()) == {""} and report_of(folder)["pulse"] is None
 
 
-def test_a_method_that_keeps_frames_softer_is_told(softened, upsample, plain_shot, tmp_path):
+def test_a_method_that_keeps_frames_softer_is_reported(softened, upsample, plain_shot, tmp_path):
     result = upsample(plain_shot, tmp_path / "a", "-m", "blend", "--metrics", "pulse", "--no-tail")
     (line,) = (line for line in result.out.splitlines() if line.startswith("pulse"))
     assert line.startswith("pulse against key frames (6 frames): -")

@@ -166,7 +166,7 @@ def test_all_layers_at_any_rate(upsample, keys, tmp_path, rate):
         assert planes.keys() == shots.read(keys / "shot.0001.exr")[1].keys()
 
 
-def test_that_there_is_no_next_key_frame_is_told_at_any_rate(exwarp, keys, tmp_path):
+def test_that_there_is_no_next_key_frame_is_reported_at_any_rate(exwarp, keys, tmp_path):
     """The fourth key frame is no output instant of 24 to 30, and one frame is made after it."""
     few = tmp_path / "keys"
     few.mkdir()

@@ -78,8 +78,8 @@ def test_a_region_is_made_as_the_same_pixels_alone(upsample, tmp_path, region, c
     display = (x + 8, y, 64, 40) if x < 0 else DISPLAY
     keys = write_shot(tmp_path / "keys", lambda _: kept, channels, display)
     alone = write_shot(tmp_path / "alone", lambda _: kept, channels, None)
-    told = upsample(keys, tmp_path / "out", "-m", method).err
-    assert told.count("is a region of the picture") == 1
+    messages = upsample(keys, tmp_path / "out", "-m", method).err
+    assert messages.count("is a region of the picture") == 1
     upsample(alone, tmp_path / "right", "-m", method)
     assert set(windows(tmp_path / "out")) == {kept}
     for found, expected in zip(pixels(tmp_path / "out"), pixels(tmp_path / "right"), strict=True):
@@ -112,8 +112,8 @@ def test_a_cropped_object_moves_out_of_its_window(upsample, tmp_path, steady):
 
 def test_an_opaque_window_that_moves_is_an_objects(upsample, tmp_path):
     keys = write_shot(tmp_path / "keys", lambda i: (12 + 3 * i, 6, 40, 30))
-    told = upsample(keys, tmp_path / "out", "-m", "s6").err
-    assert told.count("taken for a cropped object") == 1
+    messages = upsample(keys, tmp_path / "out", "-m", "s6").err
+    assert messages.count("taken for a cropped object") == 1
     assert len(set(windows(tmp_path / "out"))) > 3
 
 
@@ -132,7 +132,7 @@ def test_a_region_that_changes_stays_until_it_does(upsample, tmp_path):
 
 
 def test_frames_are_made_again_where_a_neighbours_window_changes(upsample, tmp_path):
-    """A region is told by neighbouring key frames, from which the slots may have no colour."""
+    """Neighbouring key frames decide on a region, even where the slots have no colour from them."""
     keys = write_shot(tmp_path / "keys", lambda _: REGION, count=2)
     upsample(keys, tmp_path / "out", "-m", "s6")
     write_shot(tmp_path / "others", lambda i: (REGION[0] + 2 * i, *REGION[1:]), count=2)

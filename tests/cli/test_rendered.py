@@ -102,8 +102,8 @@ class TestOneRun:
     def test_the_header_tells(self, done):
         header, _ = shots.read(done / "out" / "shot.0003.exr")
         assert header["framesPerSecond"] == 120 and header["owner"] == "Ada"
-        told = facts(done / "out" / "shot.0003.exr")
-        assert (told["kind"], told["sources"], told["slot"]) == ("rendered", "shot.0003.exr", 2)
+        found = facts(done / "out" / "shot.0003.exr")
+        assert (found["kind"], found["sources"], found["slot"]) == ("rendered", "shot.0003.exr", 2)
 
     def test_they_are_counted_apart(self, done):
         document = unmeasured(done / "report")
@@ -192,8 +192,8 @@ class TestGoingOn:
         shots.colour_only(one_frame / "shot.0003.exr", SMALL, 0.5)
         words = (*HOW, "--frames", 1, "--rendered", one_frame)
         assert run(*words) == {3}
-        told = exwarp("upsample", keys, "-o", tmp_path / "other", *words).err
-        assert "--rendered has no vectors like the key frames' in 3" in told
+        messages = exwarp("upsample", keys, "-o", tmp_path / "other", *words).err
+        assert "--rendered has no vectors like the key frames' in 3" in messages
 
     def test_copies_byte_for_byte_are_kept(self, run, one_frame, tmp_path):
         kept = ("--rendered", one_frame, "--keep-bytes")
@@ -214,8 +214,8 @@ class TestRefusals:
 
     def test_numbers_that_are_not_used_are_said_once(self, exwarp, keys, rendered, tmp_path):
         words = (*HOW, "--rendered", rendered, "--dry-run")
-        told = exwarp("upsample", keys, "-o", tmp_path / "out", *words).err
-        lines = [line for line in told.splitlines() if "not used" in line]
+        messages = exwarp("upsample", keys, "-o", tmp_path / "out", *words).err
+        lines = [line for line in messages.splitlines() if "not used" in line]
         assert len(lines) == 1 and "not used are 1,5" in lines[0] and ": 2-4;" in lines[0]
 
     def test_a_sequence_without_a_new_frame(self, run, rendered, tmp_path):
@@ -304,8 +304,8 @@ class TestOtherInput:
 
 def test_a_farm_passes_the_frames_on(exwarp, keys, one_frame, tmp_path):
     words = (keys, "-o", tmp_path / "out", *HOW, "--rendered", one_frame, "--video", "a.mp4")
-    told = exwarp("farm", "commands", *words, "--chunk-size", 2, "--json")
-    document = document_of(told)
+    result = exwarp("farm", "commands", *words, "--chunk-size", 2, "--json")
+    document = document_of(result)
     calls = [chunk["command"] for chunk in document["chunks"]] + document["afterwards"]
     assert len(calls) == 3
     for call in calls:

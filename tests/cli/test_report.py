@@ -207,7 +207,7 @@ class TestVideo:
 
 class TestProgress:
     @pytest.fixture
-    def told(self, exwarp, plain_shot, tmp_path):
+    def with_progress(self, exwarp, plain_shot, tmp_path):
         def run(kind: str):
             options = ("-m", "hold", "--progress", kind)
             result = exwarp("upsample", plain_shot, "-o", tmp_path / kind, *options)
@@ -218,8 +218,8 @@ class TestProgress:
 
         return run
 
-    def test_json(self, told):
-        events = [json.loads(line) for line in told("json").err.splitlines()]
+    def test_json(self, with_progress):
+        events = [json.loads(line) for line in with_progress("json").err.splitlines()]
         frames = [event for event in events if event["event"] == "frame"]
         assert [event["frame"] for event in frames] == list(range(1, 13))
         assert [event["done"] for event in frames] == list(range(1, 13))
@@ -237,20 +237,20 @@ class TestProgress:
         assert (finish["event"], fail["event"], fail["exit_code"]) == ("finish", "fail", 5)
         assert last == f"exwarp: error: {fail['text']}"
 
-    def test_plain(self, told):
-        lines = told("plain").err.splitlines()
+    def test_plain(self, with_progress):
+        lines = with_progress("plain").err.splitlines()
         assert all(line.startswith("exwarp: ") for line in lines)
         assert any("100% 12/12, frame 12" in line for line in lines)
 
-    def test_auto_is_plain_without_a_terminal(self, told):
-        assert "100% 12/12" in told("auto").err
+    def test_auto_is_plain_without_a_terminal(self, with_progress):
+        assert "100% 12/12" in with_progress("auto").err
 
-    def test_none_tells_of_no_frame(self, told):
-        err = told("none").err
+    def test_none_tells_of_no_frame(self, with_progress):
+        err = with_progress("none").err
         assert "%" not in err and "frame 12" not in err
 
-    def test_bar(self, told):
-        assert "12/12" in told("bar").err
+    def test_bar(self, with_progress):
+        assert "12/12" in with_progress("bar").err
 
 
 class TestHelp:

@@ -190,7 +190,7 @@ def test_what_frames_say_of_themselves_may_be_forged(
     """Their checksum is no signature."""
     options = ("-m", "s6", *FORWARD, "--progress", "none")
     upsample(nine, tmp_path / "out", *options)
-    told = frame_writer.facts_in
-    monkeypatch.setattr(frame_writer, "facts_in", lambda path: told(path) | change)
+    facts_in = frame_writer.facts_in
+    monkeypatch.setattr(frame_writer, "facts_in", lambda path: facts_in(path) | change)
     result = exwarp("upsample", nine, "-o", tmp_path / "out", *options, "--skip-existing")
     result.refused(5, "shot.0002.exr says of itself")

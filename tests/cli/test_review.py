@@ -84,19 +84,19 @@ def test_the_page_shows_the_list_and_the_map(run):
     report = run("page")
     text = (report / "report.html").read_text()
     assert "Worth a look" in text and "Places worth a look" in text
-    told = album(report)
-    risks = [frame["risk"] for frame in told["frames"] if frame["kind"] != "key"]
+    document = album(report)
+    risks = [frame["risk"] for frame in document["frames"] if frame["kind"] != "key"]
     assert all(len(one["levels"]) == one["rows"] * one["columns"] for one in risks)
     found = json.loads((report / "report.json").read_text())["review"]
-    assert told["start"] == found["predicted_error"]["worst_frame"]
+    assert document["start"] == found["predicted_error"]["worst_frame"]
 
 
 def test_a_run_that_goes_on_has_the_same_lists(run, tmp_path):
     whole = run("out")
     for number in (2, 7):
         (tmp_path / "out" / f"shot.{number:04d}.exr").unlink()
-    told, before = lists(whole), rows(whole)
-    assert lists(run("out", "--skip-existing")) == told
+    expected, before = lists(whole), rows(whole)
+    assert lists(run("out", "--skip-existing")) == expected
     names = ("frame", "predicted_error", "risk")
     assert [[r[n] for n in names] for r in rows(whole)] == [[r[n] for n in names] for r in before]
 
@@ -129,8 +129,8 @@ def test_methods_without_motion_say_nothing(run, method):
 
 
 def test_the_summary_has_one_line_of_it(upsample, keys, tmp_path):
-    told = upsample(keys, tmp_path / "out", "-m", "s6", *VECTORS, "--cuts", "none").out
-    assert sum(line.startswith("predicted error") for line in told.splitlines()) == 1
+    summary = upsample(keys, tmp_path / "out", "-m", "s6", *VECTORS, "--cuts", "none").out
+    assert sum(line.startswith("predicted error") for line in summary.splitlines()) == 1
 
 
 def test_the_forecast_does_not_depend_on_the_layers_beside(run):

@@ -51,8 +51,8 @@ class TestTermination:
             out, err = process.communicate(timeout=60)
         assert process.returncode == code and out == ""
         # a blank line may come first: it parts the sentence from the terminal's own "^C"
-        told = [line for line in err.splitlines() if line and not line.startswith("exwarp: ")]
-        assert told == [] and "Traceback" not in err
+        others = [line for line in err.splitlines() if line and not line.startswith("exwarp: ")]
+        assert others == [] and "Traceback" not in err
         errors = [line for line in err.splitlines() if line.startswith("exwarp: error: ")]
         assert len(errors) == 1 and word in errors[0] and "--skip-existing" in errors[0]
         rendered = {shots.passed_through(path, 120) for path in keys.iterdir()}

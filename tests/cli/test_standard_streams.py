@@ -1,4 +1,4 @@
-"""What is printed where nobody takes it: closed, full and broken streams, and other encodings."""
+"""Output that no reader takes: closed, full and broken streams, and other encodings."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tests.cli import shots
 COMMAND = [sys.executable, "-m", "exwarp_cli"]
 FULL = Path("/dev/full")
 
-TOLD = [("--help",), ("policy", "cycles"), ("policy", "cycles", "--json")]
+PRINTED = [("--help",), ("policy", "cycles"), ("policy", "cycles", "--json")]
 """Printed by click, by rich, and as JSON."""
 
 
@@ -30,7 +30,7 @@ def shell(line: str, *arguments: str, **environment: str) -> subprocess.Complete
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("arguments", TOLD)
+@pytest.mark.parametrize("arguments", PRINTED)
 def test_a_closed_stream_takes_everything(arguments):
     found = shell('"$@" >&-', *arguments)
     assert (found.returncode, found.stderr) == (0, "")
@@ -42,7 +42,7 @@ def test_exit_codes_are_those_of_other_streams(closed):
     assert (found.returncode, found.stdout, found.stderr) == (3, "", "")
 
 
-@pytest.mark.parametrize("arguments", TOLD)
+@pytest.mark.parametrize("arguments", PRINTED)
 def test_who_breaks_off_hears_nothing_of_it(arguments):
     with subprocess.Popen(
         [*COMMAND, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
@@ -54,8 +54,8 @@ def test_who_breaks_off_hears_nothing_of_it(arguments):
 
 
 @pytest.mark.skipif(not FULL.exists(), reason="the system has no full device")
-@pytest.mark.parametrize("arguments", TOLD)
-def test_a_full_disk_is_told(arguments):
+@pytest.mark.parametrize("arguments", PRINTED)
+def test_a_full_disk_is_reported(arguments):
     found = shell(f'"$@" >{FULL}', *arguments)
     assert found.returncode == 5
     sentence = "exwarp: error: cannot write to the standard output: No space left on device"
@@ -80,8 +80,8 @@ def test_names_that_are_no_unicode_are_printed_as_they_are(plain_shot, tmp_path)
     assert out in os.fsencode(found.stdout)
 
 
-def test_a_farm_s_lines_that_nobody_reads_hide_no_failure(exwarp, monkeypatch):
-    """What the command fails of is told on stderr, and its exit code stays."""
+def test_a_farm_s_unread_lines_hide_no_failure(exwarp, monkeypatch):
+    """The reason of the failure goes to stderr, and the exit code stays."""
 
     class Unread(io.StringIO):
         def write(self, text: str, /) -> int:

@@ -127,9 +127,9 @@ class TestStructure:
                 for key, (pixels, start) in one.items():
                     np.testing.assert_array_equal(every[key][0], pixels)
                     assert every[key][1] == start
-                told = headers(out / name)
-                assert {h["view"] for h in told if "view" in h} <= {view}
-                assert all(h.get("multiView", [view]) == [view] for h in told)
+                every_part = headers(out / name)
+                assert {h["view"] for h in every_part if "view" in h} <= {view}
+                assert all(h.get("multiView", [view]) == [view] for h in every_part)
 
     def test_key_frames_hold_all_views(self, single, upsample, tmp_path):
         upsample(single, tmp_path / "o", "-m", "hold", "--view", "right", "--no-tail")
@@ -163,7 +163,7 @@ class TestDecisions:
             more = ("--view", view, "--ground-truth", truth, "--report", report, "--overwrite")
             upsample(single, tmp_path / view, "-m", "softsplat", "--no-tail", *more)
             found[view] = json.loads((report / "report.json").read_text())
-        psnr = {view: told["quality"]["all"]["psnr_db"] for view, told in found.items()}
+        psnr = {view: document["quality"]["all"]["psnr_db"] for view, document in found.items()}
         assert psnr["all"] == psnr["left"] != psnr["right"]
         assert min(psnr.values()) > 30
         assert found["all"]["views"] == ["left", "right"]

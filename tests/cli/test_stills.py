@@ -31,10 +31,12 @@ class TestPng:
         assert names(out) == [f"pan.{n:04d}.png" for n in range(1, 4 * KEYS - 2)]
         found = [codes_of(path) for path in sorted(out.iterdir())]
         assert min(psnr(frame(i / 4), found[i]) for i in range(4, 8)) > 38
-        told = json.loads((report / "report.json").read_text())
-        assert told["quality"]["all"]["frames"] == 9 and told["quality"]["all"]["psnr_db"] > 30
-        assert told["input"]["producer"] == "PNG images" and told["fps"]["source"] == "assumed"
-        assert told["input"]["motion"]["source"] == "estimated"
+        document = json.loads((report / "report.json").read_text())
+        quality = document["quality"]["all"]
+        assert quality["frames"] == 9 and quality["psnr_db"] > 30
+        assert document["input"]["producer"] == "PNG images"
+        assert document["fps"]["source"] == "assumed"
+        assert document["input"]["motion"]["source"] == "estimated"
 
     def test_given_ones_pass_through_and_new_ones_say_what_they_are(self, upsample, keys, tmp_path):
         upsample(keys / "pan.####.png", tmp_path / "out", "--factor", 2)
@@ -60,7 +62,7 @@ class TestPng:
         assert made == {2, 5} and contents(whole) == contents(parts)
 
     def test_another_neighbour_makes_other_frames(self, upsample, keys, tmp_path):
-        """Motion is told by the key frames around an interval's, so those are in its recipe."""
+        """Motion depends also on the key frames around an interval's, which are in its recipe."""
         copy = stills(tmp_path / "keys", map(frame, range(KEYS)))
         out = tmp_path / "out"
         upsample(copy, out)
@@ -179,8 +181,8 @@ class TestBeautyAlone:
         keys, report = self.panned(tmp_path / "keys"), tmp_path / "report"
         said = exwarp("upsample", keys, "-o", tmp_path / "out", "--report", report)
         assert said.code == 0 and "no motion vectors" in said.err
-        told = json.loads((report / "report.json").read_text())
-        assert told["input"]["motion"]["source"] == "estimated"
+        document = json.loads((report / "report.json").read_text())
+        assert document["input"]["motion"]["source"] == "estimated"
         assert "estimates motion from colour" in exwarp("inspect", keys).out
 
     def test_data_windows_may_differ(self, upsample, tmp_path):

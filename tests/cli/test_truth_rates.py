@@ -69,19 +69,19 @@ def run(exwarp, keys, tmp_path):
 def test_of_a_faster_truth_the_frames_of_the_same_instant(run, tmp_path, factor, rate, tail, first):
     right, _, _ = run(truth_at(tmp_path / "right", factor), "--factor", factor)
     truth = truth_at(tmp_path / "truth", rate, first, tail)
-    made, compared, told = run(truth, "--factor", factor, "--overwrite")
+    made, compared, output = run(truth, "--factor", factor, "--overwrite")
     assert {n: made[n] for n in right} == right
     assert {n: compared[n] for n in right} == pytest.approx(right)
-    assert f"has {rate} frames for each key frame and the output {factor}" in told
-    assert "those of the same instant are compared" in told
+    assert f"has {rate} frames for each key frame and the output {factor}" in output
+    assert "those of the same instant are compared" in output
 
 
 def test_of_a_slower_truth_what_there_is(run, tmp_path):
     right, _, _ = run(truth_at(tmp_path / "right", 4))
-    made, compared, told = run(truth_at(tmp_path / "truth", 2), "--overwrite")
+    made, compared, output = run(truth_at(tmp_path / "truth", 2), "--overwrite")
     assert made == {n: right[n] for n in (3, 7, 11, 15)}
     assert {n: compared[n] for n in made} == pytest.approx(made)
-    assert "new frames at whose instant it has none are not scored" in told
+    assert "new frames at whose instant it has none are not scored" in output
 
 
 def test_a_longer_truth_at_the_output_s_rate_is_taken_as_it_is(exwarp, keys, run, tmp_path):
@@ -89,10 +89,10 @@ def test_a_longer_truth_at_the_output_s_rate_is_taken_as_it_is(exwarp, keys, run
     numbers = range(1, 38)
     truth = shots.sequence(tmp_path / "truth", shots.colour_only, numbers, SMALL, step=0.25)
     right, _, _ = run(truth_at(tmp_path / "right", 4))
-    made, compared, told = run(truth, "--overwrite")
+    made, compared, output = run(truth, "--overwrite")
     assert {n: made[n] for n in right} == right
     assert {n: compared[n] for n in right} == pytest.approx(right)
-    assert "for each key frame" not in told
+    assert "for each key frame" not in output
 
 
 def test_a_rate_that_no_new_frame_shares_is_refused(exwarp, keys, tmp_path):
@@ -105,10 +105,10 @@ def test_a_rate_that_no_new_frame_shares_is_refused(exwarp, keys, tmp_path):
 
 @pytest.mark.parametrize("first", [1, 501])
 def test_compare_takes_a_tail_that_the_truth_has_not(run, tmp_path, first):
-    made, compared, told = run(truth_at(tmp_path / "truth", 4, first))
+    made, compared, output = run(truth_at(tmp_path / "truth", 4, first))
     assert {n: compared[n] for n in made} == pytest.approx(made)
     assert sorted(compared) == list(range(1, 18))
-    assert ("the last 3 frames of the longer sequence have no partner" in told) == (first > 1)
+    assert ("the last 3 frames of the longer sequence have no partner" in output) == (first > 1)
 
 
 @pytest.mark.parametrize("first", [1, 501])

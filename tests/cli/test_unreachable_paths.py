@@ -58,7 +58,7 @@ def test_a_comparison_s_report(exwarp, plain_truth, tmp_path):
     exwarp(*line, tmp_path).refused(6, str(tmp_path), "another --report")
 
 
-def test_a_farm_is_told_the_same(exwarp):
+def test_a_farm_receives_the_same_message(exwarp):
     result = exwarp("upsample", LONG, "-o", "out", "--progress", "openjd")
     assert result.code == 3 and "defect" not in result.err
     sentence = result.err.removeprefix("exwarp: error: ")
@@ -74,7 +74,7 @@ def test_a_farm_is_told_the_same(exwarp):
         (errno.EROFS, OutputError),
     ],
 )
-def test_what_only_writers_are_told_is_of_the_output(number: int, kind: type[ExwarpError]):
+def test_an_error_that_only_writers_get_is_of_the_output(number: int, kind: type[ExwarpError]):
     found = system_error(OSError(number, "why", "/a/b"))
     assert type(found) is kind
     assert str(found) == "cannot use /a/b: why; check the path and its rights"

@@ -48,10 +48,10 @@ class TestChecksums:
         out, report = tmp_path / "out", tmp_path / "report"
         more = ("--report", report, "--write-holes", tmp_path / "holes")
         upsample(keys, out, "-m", method, *rest, *more)
-        told = files_in(report)
-        frames = {one["file"]: one["sha256"] for one in told if one["kind"] == "frame"}
+        files = files_in(report)
+        frames = {one["file"]: one["sha256"] for one in files if one["kind"] == "frame"}
         assert frames == {name: digest(out / name) for name in names(out)}
-        masks = {one["file"]: one["sha256"] for one in told if one["kind"] == "holes"}
+        masks = {one["file"]: one["sha256"] for one in files if one["kind"] == "holes"}
         assert masks == {n: digest(tmp_path / "holes" / n) for n in names(tmp_path / "holes")}
         assert len(frames) == FRAMES and masks
 
@@ -72,7 +72,9 @@ class TestChecksums:
         assert exwarp("merge-reports", tmp_path / "report").code == 0
         assert [one["frame"] for one in files_in(tmp_path / "report")] == list(range(1, 21))
 
-    def test_nobody_pays_for_what_nobody_asked(self, upsample, shot, tmp_path, monkeypatch):
+    def test_checksums_that_are_not_asked_for_are_not_computed(
+        self, upsample, shot, tmp_path, monkeypatch
+    ):
         keys, *rest = shot["key"]
         for module in (frame_writer, verifying):
             monkeypatch.setattr(module, "sum_of", None)

@@ -99,7 +99,7 @@ def test_a_cut_between_still_shots_is_no_motion(upsample, tmp_path):
     assert "cut before key frame 3" in result.out
 
 
-def test_another_program_is_told_its_own_setting(exwarp, tmp_path):
+def test_the_message_names_the_setting_of_another_program(exwarp, tmp_path):
     keys = frames(tmp_path / "keys", MOVING, steady, ("depth",), motion="forward")
     result = exwarp("upsample", keys, "-o", tmp_path / "out", "-m", "s6", "--progress", "none")
     result.refused(4, "the motion channels u, v", "switch it off in the renderer's settings")

@@ -48,7 +48,7 @@ class Outcome:
     alone: bool = False
 
     @property
-    def told(self) -> list[str]:
+    def error_lines(self) -> list[str]:
         """The sentences that say what went wrong."""
         return [line for line in self.err.splitlines() if line.startswith("exwarp: error: ")]
 
@@ -59,7 +59,7 @@ class Outcome:
         assert "unexpected" not in self.err, self.err
         other = [line for line in self.err.splitlines() if line and line[:8] != "exwarp: "]
         assert other == [], self.err
-        assert len(self.told) == (self.code != 0), (self.code, self.err)
+        assert len(self.error_lines) == (self.code != 0), (self.code, self.err)
 
 
 def started(

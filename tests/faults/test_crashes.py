@@ -55,7 +55,7 @@ def read_well():
         begun.set()
         time.sleep(60)
 
-end = part(lambda told: print(told, flush=True))
+end = part(lambda line: print(line, flush=True))
 if end is not None:
     sys.exit(end.code)
 enable_restart()
@@ -86,8 +86,8 @@ class TestCrash:
         # So many decodes measure vectors and depth, and make the first frames.
         outcome = failing(how, 18, "upsample", keys, "-o", out, *PLAIN)
         outcome.judge(INPUT)
-        assert how in outcome.told[0] and "--skip-existing" in outcome.told[0]
-        assert f"{keys}/shot.000" in outcome.told[0]
+        assert how in outcome.error_lines[0] and "--skip-existing" in outcome.error_lines[0]
+        assert f"{keys}/shot.000" in outcome.error_lines[0]
         require_whole(out, rendered)
         assert shots.names(out)
         run("upsample", keys, "-o", out, *PLAIN, "--skip-existing").judge(0)
@@ -95,24 +95,26 @@ class TestCrash:
 
     def test_a_decoder_never_comes_back(self, keys, rendered, tmp_path):
         out = tmp_path / "out"
-        told = ("upsample", keys, "-o", out, *PLAIN)
-        outcome = failing("hang", 5, *told, EXWARP_FILE_TIMEOUT="1.5")
+        command = ("upsample", keys, "-o", out, *PLAIN)
+        outcome = failing("hang", 5, *command, EXWARP_FILE_TIMEOUT="1.5")
         outcome.judge(INPUT)
-        assert "EXWARP_FILE_TIMEOUT" in outcome.told[0] and "shot.000" in outcome.told[0]
+        assert (
+            "EXWARP_FILE_TIMEOUT" in outcome.error_lines[0] and "shot.000" in outcome.error_lines[0]
+        )
         require_whole(out, rendered)
 
     def test_the_system_runs_out_of_memory(self, keys, rendered, tmp_path):
         out = tmp_path / "out"
         outcome = failing("SIGKILL", 5, "upsample", keys, "-o", out, *PLAIN)
         outcome.judge(MEMORY)
-        assert f"while it read {keys}/shot.000" in outcome.told[0]
+        assert f"while it read {keys}/shot.000" in outcome.error_lines[0]
         require_whole(out, rendered)
 
     def test_before_anything_is_written(self, keys, tmp_path):
-        told = ("--config", "none", "upsample", keys, "-o", tmp_path / "out", *PLAIN)
-        outcome = failing("SIGSEGV", 0, *told)
+        command = ("--config", "none", "upsample", keys, "-o", tmp_path / "out", *PLAIN)
+        outcome = failing("SIGSEGV", 0, *command)
         outcome.judge(INPUT)
-        assert "shot.0001.exr" in outcome.told[0]
+        assert "shot.0001.exr" in outcome.error_lines[0]
 
     @pytest.mark.parametrize("command", ["compare", *(["features", "inspect"] if FULL else [])])
     def test_other_commands_too(self, keys, command):
@@ -121,8 +123,8 @@ class TestCrash:
 
     def test_alone(self, keys, tmp_path):
         """As a debugger wants it, and as it is where processes cannot be parted."""
-        told = ("upsample", keys, "-o", tmp_path / "out", *PLAIN)
-        outcome = failing("SIGSEGV", 3, *told, EXWARP_SUPERVISE="0")
+        command = ("upsample", keys, "-o", tmp_path / "out", *PLAIN)
+        outcome = failing("SIGSEGV", 3, *command, EXWARP_SUPERVISE="0")
         assert outcome.code == -signal.SIGSEGV
 
 
@@ -144,9 +146,9 @@ class TestKeepGoing:
         out, report = tmp_path / "out", tmp_path / "report"
         out.mkdir()
         if "--overwrite" in options:
-            (out / "shot.0001.exr").write_bytes(b"of somebody")
-        told = ("upsample", keys, "-o", out, *GOING, "--report", report, *options)
-        outcome = failing(how, f"{keys.name}/{BAD}", *told, EXWARP_FILE_TIMEOUT="1.5")
+            (out / "shot.0001.exr").write_bytes(b"of another user")
+        command = ("upsample", keys, "-o", out, *GOING, "--report", report, *options)
+        outcome = failing(how, f"{keys.name}/{BAD}", *command, EXWARP_FILE_TIMEOUT="1.5")
         assert outcome.code == INCOMPLETE, outcome.err
         assert outcome.err.count("; beginning again without it") == 1
         assert shots.contents(out) == without
@@ -169,9 +171,9 @@ class TestKeepGoing:
         )  # fmt: skip
         outcome = ended(process)
         assert outcome.code == 0, outcome.err
-        told, *refused = outcome.out.splitlines()
+        line, *refused = outcome.out.splitlines()
         why = "a library crashed (SIGABRT) while it read a.exr or model.onnx or b.exr"
-        assert told == f"{why}; beginning again without them"
+        assert line == f"{why}; beginning again without them"
         assert refused == 2 * [f"{why}; render or copy it again"]
 
     def test_who_is_interrupted_does_not_begin_again(self, keys, tmp_path):
@@ -197,7 +199,7 @@ class TestModel:
     def test_one_that_never_comes_to_an_end_is_named(self, keys, tmp_path):
         """And nothing of it is written."""
         path = save(tmp_path / "endless.onnx", endless())
-        told = (
+        command = (
             "upsample",
             keys,
             "-o",
@@ -208,9 +210,9 @@ class TestModel:
             "--extrapolator",
             path,
         )
-        outcome = run(*told, environment={"EXWARP_FILE_TIMEOUT": "1.5"})
+        outcome = run(*command, environment={"EXWARP_FILE_TIMEOUT": "1.5"})
         outcome.judge(INPUT)
-        assert f"reading {path} took longer" in outcome.told[0]
+        assert f"reading {path} took longer" in outcome.error_lines[0]
         assert not (tmp_path / "out").exists()
 
 
@@ -229,10 +231,10 @@ class TestParent:
             time.sleep(0.01)
         pytest.fail("it lived on")
 
-    def test_a_defect_of_the_program_is_told_as_one(self, keys, tmp_path):
+    def test_a_defect_of_the_program_is_reported_as_one(self, keys, tmp_path):
         """No file is being read while frames are waited for."""
         process = started("upsample", keys, "-o", tmp_path / "out", *PLAIN)
         os.kill(child_of(process), signal.SIGSEGV)  # while it imports
         outcome = ended(process)
         outcome.judge(DEFECT)
-        assert "defect" in outcome.told[0]
+        assert "defect" in outcome.error_lines[0]

@@ -51,7 +51,7 @@ class TestFaults:
         injected = {"LD_PRELOAD": str(shim), "FAULT_PATH": f"{out}/", **fault}
         outcome = run("upsample", keys, "-o", out, *PLAIN, environment=injected)
         outcome.judge(OUTPUT)
-        assert str(out) in outcome.told[0]
+        assert str(out) in outcome.error_lines[0]
         require_whole(out, rendered)
         require_no_leftovers(out)
         run("upsample", keys, "-o", out, *PLAIN, "--skip-existing").judge(0)
@@ -81,7 +81,7 @@ class TestDisks:
         out = small_disk / "out"
         outcome = run("upsample", keys, "-o", out, *PLAIN)
         outcome.judge(OUTPUT)
-        assert "no space is left" in outcome.told[0]
+        assert "no space is left" in outcome.error_lines[0]
         require_whole(out, rendered)
         require_no_leftovers(out)
         shutil.copytree(out, tmp_path / "out")
@@ -113,7 +113,7 @@ class TestDisks:
         out.rename(tmp_path / "elsewhere")
         outcome = ended(process)
         outcome.judge(OUTPUT)
-        assert str(out) in outcome.told[0]
+        assert str(out) in outcome.error_lines[0]
         assert not out.exists()
 
 

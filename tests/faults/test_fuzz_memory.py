@@ -53,7 +53,7 @@ def test_more_than_that_is_a_finding(tmp_path, alone):
         case.judge(Outcome(0, "", "", base + 1, alone))
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="the peak is told by Linux")
+@pytest.mark.skipif(sys.platform != "linux", reason="Linux alone reports the peak")
 def test_the_peak_of_a_block_is_its_own():
     for size in (200, 20):
         with watched() as growth, mmap.mmap(-1, size * 2**20) as room:

@@ -36,7 +36,7 @@ def test_a_task_fails_even_where_it_goes_on_without_frames(
     how = (*PLAIN[:-2], "--progress", "openjd", "--keep-going")
     outcome = run("upsample", keys, "-o", tmp_path / "out", *how, environment=fault)
     outcome.judge(INPUT)
-    (sentence,) = outcome.told
+    (sentence,) = outcome.error_lines
     assert f"cannot read {keys / 'shot.0003.exr'}: " in sentence
     assert MENDS.get(number, "network share") in sentence
     assert "damaged" not in sentence and "copy it again" not in sentence

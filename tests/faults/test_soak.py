@@ -43,10 +43,12 @@ class Sample:
         """Look at a process; None where it has just ended."""
         about = Path(f"/proc/{number}")
         try:
-            told = dict(line.split(":", 1) for line in (about / "status").read_text().splitlines())
+            status = dict(
+                line.split(":", 1) for line in (about / "status").read_text().splitlines()
+            )
             handles = len(list((about / "fd").iterdir()))
-            memory = int(told["RssAnon"].split()[0]) * 1024
-            return cls(len(shots.names(folder)), memory, handles, int(told["Threads"]))
+            memory = int(status["RssAnon"].split()[0]) * 1024
+            return cls(len(shots.names(folder)), memory, handles, int(status["Threads"]))
         except (OSError, KeyError):
             return None
 

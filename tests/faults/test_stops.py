@@ -62,7 +62,7 @@ def test_a_second_signal_ends_it_at_once(keys, rendered, tmp_path, number, code,
     outcome = ended(process)
     assert time.monotonic() - begin < STALLED_S
     outcome.judge(code)
-    assert word in outcome.told[0] and "--skip-existing" in outcome.told[0]
+    assert word in outcome.error_lines[0] and "--skip-existing" in outcome.error_lines[0]
     require_whole(out, rendered)
     require_no_leftovers(out)
     require_no_leftovers(tmp_path)
@@ -78,5 +78,5 @@ def test_what_does_not_end_is_ended(grace_s, signals):
         if signals > 1:
             time.sleep(1.2)
             process.send_signal(signal.SIGTERM)
-        told, _ = process.communicate(timeout=BOUND_S)
-    assert told == f"{-signal.SIGKILL} {signal.SIGTERM.value} False\n"
+        output, _ = process.communicate(timeout=BOUND_S)
+    assert output == f"{-signal.SIGKILL} {signal.SIGTERM.value} False\n"

@@ -30,7 +30,7 @@ class Style:
     """
 
     name: str = "crypto_object"
-    told: str | None = None
+    header_name: str | None = None
     key: str = "d593dd7"
     spelling: str = "lower"
     dtype: type = np.float32
@@ -75,7 +75,7 @@ def attributes_of(names: Sequence[str], style: Style) -> dict[str, str]:
         return {}
     base = f"cryptomatte/{style.key}"
     out = {
-        f"{base}/name": style.name if style.told is None else style.told,
+        f"{base}/name": style.name if style.header_name is None else style.header_name,
         f"{base}/hash": "MurmurHash3_32",
         f"{base}/conversion": "uint32_to_float32",
     }
@@ -102,17 +102,17 @@ def write_cryptomatte(
     """Write a frame with a Cryptomatte and other channels; in parts, as Blender does it."""
     style = style or Style()
     layers = planes_of(shares, style)
-    told = attributes_of(list(shares), style)
+    cryptomatte = attributes_of(list(shares), style)
     if not multipart:
         together: dict[str, np.ndarray] = dict(others or {})
         for planes in layers.values():
             together |= planes
-        return write_single(path, together, **told, **attributes)
+        return write_single(path, together, **cryptomatte, **attributes)
     parts: dict[str, tuple[Planes, Mapping[str, Any]]] = {}
     if others:
-        parts["beauty"] = (others, told | attributes)
+        parts["beauty"] = (others, cryptomatte | attributes)
     for layer, planes in layers.items():
-        parts[layer] = (planes, attributes if parts else told | attributes)
+        parts[layer] = (planes, attributes if parts else cryptomatte | attributes)
     return write_parts(path, parts)
 
 

@@ -329,10 +329,10 @@ def scaled(
 
 def picked(values: np.ndarray, shown: np.ndarray, ends: Pair, serial: bool = False) -> Arrays:
     out = np.full((medians.BANDS, -(-values.size // medians.BANDS) + 1), -1, np.float32)
-    told = np.full((medians.BANDS, 3), -1, np.int64)
-    build(medians, "pick_between", serial)(values, shown, *ends, out, told)
+    counts = np.full((medians.BANDS, 3), -1, np.int64)
+    build(medians, "pick_between", serial)(values, shown, *ends, out, counts)
     # What lies beyond is whatever was passed over last.
-    return told, *(some[:count] for some, count in zip(out, told[:, 2], strict=True))
+    return counts, *(some[:count] for some, count in zip(out, counts[:, 2], strict=True))
 
 
 def rounded(values: np.ndarray) -> Arrays:

@@ -47,9 +47,9 @@ def random_features(rng: np.random.Generator, count: int) -> np.ndarray:
 def tempting(count: int, seed: int, scene: str = "made") -> PolicyTable:
     """A table where what looks worse at first may lead to more.
 
-    At d1 warping always loses 1 dB. Half of the rows, told by large normals' distances, then have
+    At d1 warping always loses 1 dB. Half of the rows, known by large normals' distances, then have
     3 dB to gain at d2 and at the node after it; by a coin that the variance in x tells, by
-    extrapolation or by warping. The other rows gain a tenth there, and nobody gains after d1 = E.
+    extrapolation or by warping. The other rows gain a tenth there, and no row gains after d1 = E.
     So at best half of the returns are 5 dB, and of the others 0.9 dB, as the repeat costs 0.1.
     """
     rng = np.random.default_rng(seed)

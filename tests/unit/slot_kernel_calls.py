@@ -61,10 +61,10 @@ def taken_over(
 
 
 def gone_on(
-    foretold: np.ndarray, moved: np.ndarray, lost: np.ndarray, serial: bool = False
+    predicted: np.ndarray, moved: np.ndarray, lost: np.ndarray, serial: bool = False
 ) -> Arrays:
     out, missed = moved.copy(), lost.copy()
-    build(surface, "go_on", serial)(foretold, out, missed)
+    build(surface, "go_on", serial)(predicted, out, missed)
     return out, missed
 
 

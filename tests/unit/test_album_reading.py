@@ -139,9 +139,9 @@ def test_pictures_come_back() -> None:
     ],
 )
 def test_what_is_no_picture_is_refused(change: dict[str, object]) -> None:
-    told = mask_picture(np.ones((4, 4), np.bool_)).plain()
+    plain = mask_picture(np.ones((4, 4), np.bool_)).plain()
     with pytest.raises((TypeError, ValueError)):
-        Picture.of(told | change)
+        Picture.of(plain | change)
 
 
 @pytest.mark.parametrize(

@@ -38,7 +38,7 @@ class TestParse:
         assert parse_aovs([text]) == (AovFile(role, pattern, names),)
 
     @pytest.mark.parametrize(
-        ("texts", "told"),
+        ("texts", "message"),
         [
             (["depth"], "not understood; write ROLE=PATTERN"),
             (["depth="], "not understood"),
@@ -52,10 +52,10 @@ class TestParse:
             (["motion=a.exr:R,R"], "names the channel 'R' of motion twice"),
         ],
     )
-    def test_what_is_refused(self, texts, told):
+    def test_what_is_refused(self, texts, message):
         with pytest.raises(UsageError, match=r"^--aov") as caught:
             parse_aovs(texts)
-        assert told in str(caught.value) and "\n" not in str(caught.value)
+        assert message in str(caught.value) and "\n" not in str(caught.value)
 
     def test_counts_of_roles(self):
         for role, fits in ((Role.COLOUR, {3, 4}), (Role.NORMAL, {3}), (Role.STENCIL, {1})):
@@ -106,8 +106,10 @@ class TestRecognise:
         there = channels("mv.R", "mv.G", "other.B", "a.X", "b.X")
         found = recognise(AovFile(Role.MOTION, "p", ("R", "mv.G")), there, "it")
         assert [ref.name for ref in found.roles[Role.MOTION]] == ["mv.R", "mv.G"]
-        for name, told in (("Q", "it has only mv.R, mv.G"), ("X", "several of that name")):
-            with pytest.raises(LayoutError, match=f"--aov motion=p names .*{told}.*; correct it"):
+        for name, message in (("Q", "it has only mv.R, mv.G"), ("X", "several of that name")):
+            with pytest.raises(
+                LayoutError, match=f"--aov motion=p names .*{message}.*; correct it"
+            ):
                 recognise(AovFile(Role.MOTION, "p", (name, "G")), there, "it")
 
     def test_nothing_to_recognise(self):

@@ -1,4 +1,4 @@
-"""The benches' goals: what misses one, how that is told, and what is kept of it."""
+"""The benches' goals: what misses one, how that is reported, and what is kept of it."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_the_check_passes_where_all_goals_are_met(capsys: pytest.CaptureFixture[
     assert not capsys.readouterr().err
 
 
-def test_without_the_check_a_miss_is_only_told() -> None:
+def test_without_the_check_a_miss_is_only_reported() -> None:
     assert goals.finish([_figure(3.0)], _options()) == 0
 
 
@@ -113,9 +113,9 @@ def test_every_bench_can_be_judged(name: str, capsys: pytest.CaptureFixture[str]
     bench = importlib.import_module(f"tests.bench.bench_{name}")
     with pytest.raises(SystemExit, match="0"):
         bench.main(["--help"])
-    told = capsys.readouterr().out
-    assert "--check" in told
-    assert "--json" in told
+    output = capsys.readouterr().out
+    assert "--check" in output
+    assert "--json" in output
 
 
 def test_rounds_and_threads_are_offered_where_they_mean_something() -> None:
@@ -134,8 +134,8 @@ def test_children_keep_bytecode_and_the_rest_of_the_environment(
     found = environment({"MORE": "too"})
     assert "PYTHONDONTWRITEBYTECODE" not in found
     assert (found["KEPT"], found["MORE"]) == ("yes", "too")
-    told = "import sys; sys.exit(sys.dont_write_bytecode)"
-    run([sys.executable, "-c", told])
+    code = "import sys; sys.exit(sys.dont_write_bytecode)"
+    run([sys.executable, "-c", code])
 
 
 def test_an_unknown_bench_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
@@ -144,7 +144,7 @@ def test_an_unknown_bench_is_refused(capsys: pytest.CaptureFixture[str]) -> None
     assert "there is no bench kernel; name command, compile" in capsys.readouterr().err
 
 
-def test_a_straight_line_is_told_from_a_bend() -> None:
+def test_a_straight_line_is_distinguished_from_a_bend() -> None:
     sizes = [3.0, 6.0, 12.0, 24.0]
     line, bent, r2 = fitted(sizes, [2 + 0.5 * size for size in sizes])
     assert line == pytest.approx([3.5, 5.0, 8.0, 14.0])
@@ -155,7 +155,7 @@ def test_a_straight_line_is_told_from_a_bend() -> None:
     assert r2 < 0.99
 
 
-def test_memory_is_lent_by_a_program_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_memory_comes_from_a_program_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
     took: dict[str, float] = {}
     monkeypatch.setattr(running, "run", lambda c: took.update({c[-1]: run(c).peak_mb}))
     lend_memory(1 << 20)

@@ -62,7 +62,7 @@ def part(key: int, path: str, psnr: float) -> dict[str, Any]:
 
 def measured(name: str = "town", **about: Any) -> Measured:
     subject = Subject(name, SourceSettings("keys"), "truth", "slot", None, True)
-    told = {
+    facts = {
         "width": 854, "height": 480, "fps": 30.0, "producer": "Blender",
         "policy": {"file": "p.npz", "sha256": "0", "trained_without_it": True},
         "render_s": {"key": 2.0, "gbuffer": 0.25},
@@ -73,7 +73,7 @@ def measured(name: str = "town", **about: Any) -> Measured:
         "machine": {"processor": "a processor", "cores": 2},
     }
     parts = (part(1, "S3", 30.0), part(2, "S1", 20.0))
-    return Measured(subject, told | about, timing, parts)
+    return Measured(subject, facts | about, timing, parts)
 
 
 def benchmark_of(*rows: Measured) -> Benchmark:
@@ -81,13 +81,13 @@ def benchmark_of(*rows: Measured) -> Benchmark:
     return Benchmark(settings, {}, SYSTEMS, rows)
 
 
-def told(benchmark: Benchmark) -> dict[str, Any]:
+def document_of(benchmark: Benchmark) -> dict[str, Any]:
     return document(benchmark, schedule(MacArray(), PAPER_SIZES), 1e9)
 
 
 @pytest.fixture
 def found() -> dict[str, Any]:
-    return told(benchmark_of(measured(), measured("pier")))
+    return document_of(benchmark_of(measured(), measured("pier")))
 
 
 def test_quality_is_the_mean_over_all_frames_and_split_by_what_made_them(found):
@@ -151,7 +151,7 @@ def test_correlation_is_none_where_a_feature_does_not_vary(found):
     assert found["features"][-1]["name"] == "all" and found["features"][-1]["points"] == 12
 
 
-def test_markdown_leaves_out_what_nobody_measured(found):
+def test_markdown_leaves_out_what_was_not_measured(found):
     text = markdown(found)
     assert "VMAF |" not in text and "FLIP |" not in text
     assert "| town | 854x480 | slot | measured |" in text and "| TN | - | slot | paper |" in text
@@ -159,7 +159,7 @@ def test_markdown_leaves_out_what_nobody_measured(found):
 
 
 def test_markdown_escapes_names():
-    found = told(benchmark_of(measured("a|b_c*<script>")))
+    found = document_of(benchmark_of(measured("a|b_c*<script>")))
     assert "a\\|b\\_c\\*\\<script\\>" in markdown(found)
 
 
@@ -221,9 +221,9 @@ def test_saved_is_what_new_frames_would_have_cost_less_the_time_of_every_slot(fo
     # exwarp shows 3 new frames in one interval and 1 in the other, s6 always 3.
     assert row["saved_share"]["exwarp"] == pytest.approx((2 * 2.0 - 3 * 0.1) / (3 * 2.0))
     assert row["saved_share"]["s6"] == pytest.approx((3 * 2.0 - 3 * 0.01) / (4 * 2.0))
-    untold = told(benchmark_of(measured(render_s={"key": None, "gbuffer": None})))
-    assert untold["render_time"][0]["saved_share"] is None
-    assert untold["render_time"][0]["times_faster"] is None
+    untimed = document_of(benchmark_of(measured(render_s={"key": None, "gbuffer": None})))
+    assert untimed["render_time"][0]["saved_share"] is None
+    assert untimed["render_time"][0]["times_faster"] is None
 
 
 def test_points_tell_the_rendered_pixels():
@@ -233,7 +233,7 @@ def test_points_tell_the_rendered_pixels():
 
 def test_the_subtitle_tells_all_sizes_and_rates():
     rows = (measured(), measured("pier", width=1280, height=720, fps=24.0))
-    text = about(told(benchmark_of(*rows)))
+    text = about(document_of(benchmark_of(*rows)))
     assert "2 sequences of 854x480, 1280x720 pixels, 4 key intervals" in text
     assert "30 to 120 and 24 to 96 frames per second, G-buffers for every slot" in text
 
@@ -241,7 +241,7 @@ def test_the_subtitle_tells_all_sizes_and_rates():
 def page_of(*rows: Measured) -> Page:
     benchmark = benchmark_of(*rows)
     albums = [Album(("a",), "a", "a") for _ in rows]
-    return bench_page(benchmark, told(benchmark), albums)
+    return bench_page(benchmark, document_of(benchmark), albums)
 
 
 def tables_in(page: Page, section: str) -> list[Table]:
@@ -272,8 +272,8 @@ def test_the_page_leaves_out_columns_that_say_the_same_of_all_sequences():
 def test_the_headline_begins_with_what_is_saved_where_headers_tell_it():
     labels = [number.label for number in page_of(measured()).numbers]
     assert labels[:3] == ["Render time saved", "Rendered frame", "Generated frame"]
-    untold = page_of(measured(render_s={"key": None, "gbuffer": None}))
-    assert [n.label for n in untold.numbers] == labels[3:]
+    untimed = page_of(measured(render_s={"key": None, "gbuffer": None}))
+    assert [n.label for n in untimed.numbers] == labels[3:]
 
 
 @pytest.mark.parametrize(
@@ -286,7 +286,7 @@ def test_the_headline_begins_with_what_is_saved_where_headers_tell_it():
 )
 def test_short_names_of_sequences(sizes, labels):
     rows = (measured(n, width=w, height=h) for n, (w, h) in zip("ab", sizes, strict=True))
-    assert figures.labels_of(told(benchmark_of(*rows))) == labels
+    assert figures.labels_of(document_of(benchmark_of(*rows))) == labels
 
 
 def test_figures_without_anything_measured_are_left_out(found):

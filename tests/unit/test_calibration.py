@@ -210,7 +210,7 @@ class TestClear:
         assert not calibrate(pairs_of(still), BLENDER, XYZW).clear
 
 
-def test_premultiplied_vectors_are_told_by_their_alpha():
+def test_premultiplied_vectors_are_recognised_by_their_alpha():
     truth = MotionConvention(to_previous=AxisMap(0, 1, 1.0, -1.0, alpha=2))
     rng = np.random.default_rng(4)
     frames = []
@@ -241,7 +241,7 @@ class TestAgainstTheNames:
         ],
         ids=["y flipped", "previous flipped", "pairs exchanged"],
     )
-    def test_names_that_are_wrong_are_corrected_and_both_are_told(self, truth):
+    def test_names_that_are_wrong_are_corrected_and_both_are_named(self, truth):
         found = calibrate(pairs(truth, 4), BLENDER, XYZW)
         assert (found.convention, found.source) == (truth, "corrected")
         assert truth.describe(XYZW) in found.evidence
@@ -249,7 +249,7 @@ class TestAgainstTheNames:
 
     @pytest.mark.parametrize(("slower", "source"), [(30, "calibrated"), (60, "untested")])
     def test_a_slow_motion_does_not_unseat_the_names(self, slower, source):
-        # Sixty times slower, signs can hardly be told; the names then stand.
+        # Sixty times slower, signs can hardly be determined; the names then stand.
         scene = town()
         slow = [
             Instant(

@@ -52,8 +52,8 @@ class TestRead:
             Role.STENCIL: (),
         }
         assert found.aovs == (AovFile(Role.MOTION, r"C:\vec\mv.####.exr", ("R", "G")),)
-        told = (found.producer, found.view, found.motion, found.depth_kind)
-        assert told == ("House renderer", "right", "previous=X,-Y", DepthKind.RAY)
+        stated = (found.producer, found.view, found.motion, found.depth_kind)
+        assert stated == ("House renderer", "right", "previous=X,-Y", DepthKind.RAY)
 
     def test_the_mark_that_some_editors_begin_with(self, tmp_path):
         assert read(tmp_path, "\ufeff" + FULL) == read(tmp_path, FULL)
@@ -62,7 +62,7 @@ class TestRead:
         assert read(tmp_path, "") == ChannelMap(tmp_path / "map.toml")
 
     @pytest.mark.parametrize(
-        ("text", "told"),
+        ("text", "message"),
         [
             ("chanels = 1", "chanels in the channel map {} is unknown; the keys are schema, "),
             ("view = 3", "view in the channel map {} has to be a text in quotes"),
@@ -99,10 +99,10 @@ class TestRead:
             ('view = "a"\nview = "b"', "the channel map {} is not TOML (cannot overwrite"),
         ],
     )
-    def test_what_is_wrong_is_said_with_file_and_key(self, tmp_path, text, told):
+    def test_what_is_wrong_is_said_with_file_and_key(self, tmp_path, text, message):
         with pytest.raises(ExwarpError) as caught:
             read(tmp_path, text)
-        assert told.format(tmp_path / "map.toml") in str(caught.value)
+        assert message.format(tmp_path / "map.toml") in str(caught.value)
         assert "\n" not in str(caught.value) and caught.value.exit_code in (2, 3)
 
     def test_files_that_cannot_be_read(self, tmp_path):

@@ -219,11 +219,11 @@ class TestPace:
         found = pace(ticks(*times), Fraction(2983, 100))
         assert found.rate == 30 and found.shown == tuple(range(60))
 
-    def test_one_frame_and_untold_times_take_the_header(self):
+    def test_one_frame_and_unknown_times_take_the_header(self):
         assert pace(ticks(0), Fraction(24)).shown == (0,)
         assert pace(ticks(0), None).rate == 30
-        untold = pace(Packets((), Fraction(1), (), 5), Fraction(25))
-        assert untold.rate == 25 and untold.shown == (0, 1, 2, 3, 4)
+        untimed = pace(Packets((), Fraction(1), (), 5), Fraction(25))
+        assert untimed.rate == 25 and untimed.shown == (0, 1, 2, 3, 4)
 
     @pytest.mark.parametrize(
         ("rate", "usual"),
@@ -260,7 +260,7 @@ class TestOpenClip:
             (("-vf", "setparams=colorspace=bt2020nc"), "bt2020nc"),
         ],
     )
-    def test_the_matrix_is_as_told_or_as_usual_for_the_size(self, tmp_path, options, matrix):
+    def test_the_matrix_is_as_stated_or_as_usual_for_the_size(self, tmp_path, options, matrix):
         clip = open_clip(make(tmp_path / "a.mp4", *options, *H264, frames=1))
         assert clip.look.colour.matrix == matrix
 
@@ -269,7 +269,7 @@ class TestOpenClip:
         colour = open_clip(make(tmp_path / "a.mkv", *coded, frames=1)).look.colour
         assert colour.matrix == "bt709" and not colour.full_range
 
-    def test_an_untold_matrix_is_that_of_the_size(self, tmp_path):
+    def test_an_unstated_matrix_is_that_of_the_size(self, tmp_path):
         for size, matrix in (("1280x720", "bt709"), ("720x576", "smpte170m")):
             flat = f"color=0x30a0d0:s={size},scale=out_color_matrix={matrix}:{EXACT}"
             path = tmp_path / f"{size}.mkv"
@@ -607,7 +607,7 @@ class TestBadFiles:
             away = to_display(frame).astype(int) - (0x20, 0x60, 0xC0)
             assert np.abs(away).max() <= 8  # a palette, or coarse 4:2:0
 
-    def test_a_truncated_file_is_told_where_it_ends(self, tmp_path):
+    def test_the_end_of_a_truncated_file_is_reported(self, tmp_path):
         path = make(tmp_path / "a.mp4", *H264, "-movflags", "+faststart")
         clip, data = open_clip(path), path.read_bytes()
         path.write_bytes(data[: len(data) * 2 // 3])

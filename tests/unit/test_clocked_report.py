@@ -14,7 +14,7 @@ from exwarp_cli.report.bench.page import bench_page
 from exwarp_cli.report.bench.tables import tables_of
 from exwarp_cli.report.gallery import Album
 from exwarp_cli.report.plot_style import Figure
-from tests.unit.test_bench_report import benchmark_of, frames, measured, told
+from tests.unit.test_bench_report import benchmark_of, document_of, frames, measured
 
 SYSTEMS = ("exwarp", "oracle", "oracle-return", "s1", "s2", "s6")
 
@@ -43,7 +43,7 @@ def clocked(clock: str, **about: Any) -> Any:
 
 
 def row_of(clock: str, **about: Any) -> Any:
-    return told(clocked(clock, **about))["real_time"]["rows"][0]
+    return document_of(clocked(clock, **about))["real_time"]["rows"][0]
 
 
 def test_rates_and_reasons_where_extrapolation_takes_two_slots():
@@ -88,7 +88,7 @@ def test_alpha_outweighs_a_small_gain():
     benchmark = clocked("table3-720p")
     for part in benchmark.measured[0].parts:
         part["slot_scores"] = even
-    systems = told(benchmark)["real_time"]["rows"][0]["systems"]
+    systems = document_of(benchmark)["real_time"]["rows"][0]["systems"]
     assert systems["oracle"]["decisions"]["paths"]["S2"] == 2
     assert systems["oracle-return"]["decisions"]["paths"]["S6"] == 2
 
@@ -122,7 +122,7 @@ def test_measured_times_decide_what_is_late():
     benchmark = clocked("measured")
     timing = benchmark.measured[0].timing
     timing["steps_ms"] |= {"inputs": 0.0, "network": 30.0}
-    row = told(benchmark)["real_time"]["rows"][0]
+    row = document_of(benchmark)["real_time"]["rows"][0]
     assert row["latency_ms"] == {"warp": 5.0, "extrapolate": 35.0}
     assert row["systems"]["exwarp"]["slots"] == {
         "warp": 1, "extrapolate": 0, "by path": 2, "late": 1, "busy": 2,
@@ -133,7 +133,7 @@ def test_measured_times_decide_what_is_late():
 def test_tables_say_which_times_they_are_from(clock):
     benchmark = clocked(clock)
     benchmark.measured[0].timing["steps_ms"]["inputs"] = 1.0
-    document = told(benchmark)
+    document = document_of(benchmark)
     text = markdown(document)
     assert f"(Figure 8, clock {clock})" in text and f"(Figure 9, clock {clock})" in text
     assert ("this machine's" in text) == (clock == "measured")
@@ -146,12 +146,12 @@ def test_tables_say_which_times_they_are_from(clock):
 
 def test_the_page_has_figures_under_the_clock():
     benchmark = clocked("table3-1080p")
-    page = bench_page(benchmark, told(benchmark), [Album(("a",), "a", "a")])
+    page = bench_page(benchmark, document_of(benchmark), [Album(("a",), "a", "a")])
     (section,) = (each for each in page.sections if each.title == "Real time")
     assert sum(isinstance(block, Figure) for block in section.blocks) == 3
 
 
 def test_without_a_clock_nothing_is_said_of_it():
-    document = told(benchmark_of(measured()))
+    document = document_of(benchmark_of(measured()))
     assert "real_time" not in document
     assert not [table for table in tables_of(document) if table.name.startswith("real_time")]

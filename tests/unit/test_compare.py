@@ -237,34 +237,34 @@ def test_broken_pixels_are_scored_as_black_and_white(tmp_path: Path, truth: str)
 
 
 class Recorder:
-    """A progress that remembers what it was told."""
+    """A progress that remembers its calls."""
 
     def __init__(self) -> None:
-        self.told: list[object] = []
+        self.calls: list[object] = []
 
     def start(self, total: int, kinds: object = None, at_once: int = 1) -> None:
-        self.told.append(("start", total))
+        self.calls.append(("start", total))
 
     def advance(
         self, frame: int, note: str | None = None, kind: str = "", made: bool = True
     ) -> None:
-        self.told.append(frame)
+        self.calls.append(frame)
 
     def message(self, text: str) -> None:
-        self.told.append(text)
+        self.calls.append(text)
 
     def finish(self) -> None:
-        self.told.append("finish")
+        self.calls.append("finish")
 
 
-def test_progress_is_told_of_every_frame_and_of_the_end(tmp_path: Path, truth: str) -> None:
+def test_progress_receives_every_frame_and_the_end(tmp_path: Path, truth: str) -> None:
     progress = Recorder()
     test = shifted(tmp_path, 101)
     evaluate(truth, test, progress=progress)
-    assert progress.told == [("start", 4), 101, 102, 103, 104, "finish"]
+    assert progress.calls == [("start", 4), 101, 102, 103, 104, "finish"]
     damaged = Path(test) / "shot.0102.exr"
     damaged.write_bytes(damaged.read_bytes()[:-100])
     progress = Recorder()
     with pytest.raises(ExwarpError):
         evaluate(truth, test, progress=progress)
-    assert progress.told == [("start", 4), 101, "finish"]
+    assert progress.calls == [("start", 4), 101, "finish"]

@@ -120,7 +120,7 @@ def test_flicker_in_holes_is_what_comes_in(moving: tuple[str, str], tmp_path: Pa
     assert inside[0] is inside[2] is None
 
 
-def test_without_vectors_it_is_told_why_there_is_no_flicker(tmp_path: Path) -> None:
+def test_without_vectors_a_note_says_why_there_is_no_flicker(tmp_path: Path) -> None:
     a = sequence(tmp_path / "a", {n: picture(n, SIZE) for n in (1, 2)})
     found = evaluate(a, a, measuring=measure("ssim", "flicker"))
     assert [frame.score.flicker for frame in found.frames] == [None, None]
@@ -189,7 +189,7 @@ def test_the_preset_counts_generated_frames(tmp_path: Path, headers: bool) -> No
     assert "6 frames in H.264" in found.notes[1]
 
 
-def test_rendered_frames_in_the_means_are_told(tmp_path: Path) -> None:
+def test_rendered_frames_in_the_means_are_noted(tmp_path: Path) -> None:
     a = sequence(tmp_path / "a", {n: picture(n, SIZE) for n in (1, 2, 3)})
     for n, kind in ((1, None), (2, "generated"), (3, "dropped")):
         save(named(tmp_path / "b", n), picture(n, SIZE), kind)

@@ -35,10 +35,10 @@ FRAMES = {
 """Kind, maker and path in the header of each frame; each is a little darker than the one before."""
 
 
-def save(path: Path, pixels: np.ndarray, *told: object) -> None:
+def save(path: Path, pixels: np.ndarray, *origin: object) -> None:
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     names = ("exwarp:kind", "exwarp:madeBy", "exwarp:path")
-    header |= {name: value for name, value in zip(names, told, strict=False) if value is not None}
+    header |= {name: value for name, value in zip(names, origin, strict=False) if value is not None}
     path.parent.mkdir(exist_ok=True)
     OpenEXR.File(header, {"RGB": np.ascontiguousarray(pixels)}).write(str(path))
 
@@ -47,8 +47,8 @@ def save(path: Path, pixels: np.ndarray, *told: object) -> None:
 def shots(tmp_path_factory) -> tuple[str, str]:
     root = tmp_path_factory.mktemp("origins")
     a = sequence(root / "a", {n: picture(n, SIZE) for n in FRAMES})
-    for n, told in FRAMES.items():
-        save(root / "b" / f"shot.{n:04d}.exr", picture(n, SIZE) * np.float32(1 - 0.05 * n), *told)
+    for n, origin in FRAMES.items():
+        save(root / "b" / f"shot.{n:04d}.exr", picture(n, SIZE) * np.float32(1 - 0.05 * n), *origin)
     return a, str(root / "b")
 
 
@@ -76,11 +76,11 @@ def test_means_are_taken_apart_by_what_headers_tell(compared: Comparison) -> Non
     assert set(quality["by_decision"]) == {"warp", "extrapolate"}
 
 
-@pytest.mark.parametrize("told", [(), (7,)])
+@pytest.mark.parametrize("origin", [(), (7,)])
 def test_headers_that_tell_nothing_leave_nulls(
-    tmp_path: Path, shots: tuple[str, str], told: tuple[object, ...]
+    tmp_path: Path, shots: tuple[str, str], origin: tuple[object, ...]
 ) -> None:
-    save(tmp_path / "b" / "shot.0002.exr", picture(2, SIZE), *told)
+    save(tmp_path / "b" / "shot.0002.exr", picture(2, SIZE), *origin)
     found = evaluate(shots[0], str(tmp_path / "b"))
     assert found.frames[0].origin == comparing.Origin()
     quality = comparison(found)["quality"]
@@ -111,8 +111,8 @@ def test_table_rows_and_columns(shots: tuple[str, str], tmp_path: Path) -> None:
     ]
     rows = list(csv.DictReader((tmp_path / "report" / "frames.csv").read_text().splitlines()))
     assert list(rows[0])[-3:] == ["kind", "made_by", "pulse"]
-    told = {int(row["frame"]): (row["kind"], row["made_by"]) for row in rows}
-    assert told == {n: (kind or "", maker or "") for n, (kind, maker, _) in FRAMES.items()}
+    listed = {int(row["frame"]): (row["kind"], row["made_by"]) for row in rows}
+    assert listed == {n: (kind or "", maker or "") for n, (kind, maker, _) in FRAMES.items()}
 
 
 def test_the_page_has_rows_and_a_number_of_generated_frames(
@@ -125,8 +125,8 @@ def test_the_page_has_rows_and_a_number_of_generated_frames(
     assert "pulse, generated" in text
     assert f"{mean(compared, 2, 3, 4, 7):.2f} dB" in text
     plain = evaluate(shots[0], shots[0])
-    untold = render(compare_page(plain, comparison(plain)))
-    assert ", generated" not in untold and "made by" not in untold and ">repeated<" not in untold
+    page = render(compare_page(plain, comparison(plain)))
+    assert ", generated" not in page and "made by" not in page and ">repeated<" not in page
     only = evaluate(*shots, frames="2-4")
     assert "PSNR, generated" not in render(compare_page(only, comparison(only)))
 

@@ -1,4 +1,4 @@
-"""Cores that threads of a command share: never too many at work, and nobody waits for ever."""
+"""Cores that threads of a command share: never too many at work, and no thread waits for ever."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_no_more_work_than_there_are_cores_for(count):
     assert busy.most == count
 
 
-def test_without_a_bound_nobody_waits():
+def test_without_a_bound_no_thread_waits():
     shared, meeting = Cores(None), threading.Barrier(6)
 
     def work() -> None:

@@ -66,7 +66,7 @@ class TestLayers:
         np.testing.assert_array_equal(surfaces(ranks_in(path, found)), EXPECTED)
 
     @pytest.mark.parametrize(
-        ("name", "told"),
+        ("name", "stated"),
         [
             ("ViewLayer.CryptoObject", "ViewLayer.CryptoObject"),  # Blender
             ("ViewLayer.CryptoObject", "CryptoObject"),
@@ -79,16 +79,18 @@ class TestLayers:
             ("crypto_object", ""),  # the header was lost
         ],
     )
-    def test_names(self, tmp_path, name, told):
-        path = write(tmp_path / "a.exr", Style(name, told, key="abc" if told else ""))
+    def test_names(self, tmp_path, name, stated):
+        path = write(tmp_path / "a.exr", Style(name, stated, key="abc" if stated else ""))
         (found,) = found_in(path)
         assert found.name == name
-        assert (found.manifest is not None) == bool(told)
+        assert (found.manifest is not None) == bool(stated)
 
     def test_a_header_that_a_compositor_wrote_on(self, tmp_path):
-        told = {f"exr/{name}": text for name, text in attributes_of(["left"], Style()).items()}
+        attributes = {
+            f"exr/{name}": text for name, text in attributes_of(["left"], Style()).items()
+        }
         planes = planes_of(SHARES, Style())["crypto_object00"] | rgba(6, 8)
-        path = write_single(tmp_path / "a.exr", planes, **told)
+        path = write_single(tmp_path / "a.exr", planes, **attributes)
         (found,) = found_in(path)
         assert list(read_manifest(found, path).ids) == ["left"]
 
@@ -98,8 +100,8 @@ class TestLayers:
         others |= {f"crypto_asset00.{c}": plane(6, 8, 1) for c in "RGB"}  # a channel is missing
         others |= {f"crypto_material01.{c}": plane(6, 8, 1) for c in "RGBA"}  # no first layer
         others |= {f"grid00.{c}": plane(6, 8, 1) for c in "RGBA"}
-        told = {"cryptomatte/abc/name": "id"}  # whose layers are not there
-        assert names_of(write_single(tmp_path / "a.exr", others, **told)) == []
+        attributes = {"cryptomatte/abc/name": "id"}  # whose layers are not there
+        assert names_of(write_single(tmp_path / "a.exr", others, **attributes)) == []
         assert names_of(write_single(tmp_path / "b.exr", rgba(6, 8))) == []
 
     def test_ranks_end_at_a_gap(self, tmp_path):
@@ -124,13 +126,13 @@ class TestLayers:
 class TestChoice:
     def write_all(self, path: Path, names: list[str]) -> Path:
         planes = rgba(6, 8)
-        told: dict[str, str] = {}
+        attributes: dict[str, str] = {}
         for i, name in enumerate(names):
             style = Style(name, key=f"key{i}")
             for layer in planes_of(SHARES, style, 2).values():
                 planes |= layer
-            told |= attributes_of([name], style)
-        return write_single(path, planes, **told)
+            attributes |= attributes_of([name], style)
+        return write_single(path, planes, **attributes)
 
     def test_objects_come_first(self, tmp_path):
         names = ["crypto_material", "crypto_asset", "crypto_wood", "crypto_object"]
@@ -152,17 +154,17 @@ class TestChoice:
     def test_names_that_contain_each_other(self, tmp_path):
         names = ["Object", "CryptoObject", "CryptoObjectMaterial", "Material"]
         path = self.write_all(tmp_path / "a.exr", names)
-        told = {one.name: list(read_manifest(one, path).ids) for one in found_in(path)}
-        assert told == {name: [name] for name in names}
+        listed = {one.name: list(read_manifest(one, path).ids) for one in found_in(path)}
+        assert listed == {name: [name] for name in names}
 
     def test_the_entry_that_says_most(self, tmp_path):
         planes = rgba(6, 8)
         for layer in planes_of(SHARES, Style("A.crypto_object"), 2).values():
             planes |= layer
-        told: dict[str, str] = {}
+        attributes: dict[str, str] = {}
         for key, name in (("1", "object"), ("2", "crypto_object")):
-            told |= attributes_of([name], Style(name, key=key))
-        path = write_single(tmp_path / "a.exr", planes, **told)
+            attributes |= attributes_of([name], Style(name, key=key))
+        path = write_single(tmp_path / "a.exr", planes, **attributes)
         (found,) = found_in(path)
         assert list(read_manifest(found, path).ids) == ["crypto_object"]
 
@@ -176,7 +178,7 @@ class TestPrecision:
             found.require_exact(str(path))
         assert str(caught.value) == (
             f"{path} does not hold the ids of its Cryptomatte 'crypto_object' as 32-bit floats, so "
-            "they cannot be told apart; write that pass as 32-bit float, not half"
+            "they cannot be distinguished; write that pass as 32-bit float, not half"
         )
 
     def test_floats_are_exact(self, tmp_path):

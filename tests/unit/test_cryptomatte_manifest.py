@@ -149,7 +149,7 @@ class TestReading:
         assert found.names() == {identity(bits): name for name, bits in IDS.items()}
 
     @pytest.mark.parametrize(
-        ("told", "place"),
+        ("sidecar", "place"),
         [
             ("./m.json", "m.json"),
             ("../m.json", "../m.json"),
@@ -158,7 +158,7 @@ class TestReading:
             ("/renders/shot/m.json", "m.json"),
         ],
     )
-    def test_from_a_file_beside(self, tmp_path, told, place):
+    def test_from_a_file_beside(self, tmp_path, sidecar, place):
         folder = tmp_path / "frames"
         (folder / place).parent.mkdir(parents=True, exist_ok=True)
         folder.mkdir(exist_ok=True)
@@ -166,10 +166,10 @@ class TestReading:
         path = folder / "a.exr"
         write_cryptomatte(path, SHARES, Style(manifest="none"))
         (found,) = found_in(path)
-        assert read_manifest(replace(found, sidecar=told), path).ids == IDS
+        assert read_manifest(replace(found, sidecar=sidecar), path).ids == IDS
 
     @pytest.mark.parametrize(
-        ("told", "problem"),
+        ("sidecar", "problem"),
         [
             ("gone.json", "its manifest 'gone.json' is not there"),
             (".", "its manifest '.' is not there"),
@@ -177,11 +177,11 @@ class TestReading:
             ("a\0b", "its manifest 'a?b' is not there"),
         ],
     )
-    def test_files_that_are_not_there(self, tmp_path, told, problem):
+    def test_files_that_are_not_there(self, tmp_path, sidecar, problem):
         path = tmp_path / "a.exr"
         write_cryptomatte(path, SHARES, Style(manifest="none"))
         (found,) = found_in(path)
-        assert read_manifest(replace(found, sidecar=told), path) == Manifest({}, problem)
+        assert read_manifest(replace(found, sidecar=sidecar), path) == Manifest({}, problem)
 
     def test_without_any(self, tmp_path):
         found = self.manifest(tmp_path / "a.exr", Style(manifest="none"))
@@ -209,8 +209,8 @@ class TestReading:
     @pytest.mark.parametrize("attribute", ["hash", "conversion"])
     def test_another_hash_is_known_by_its_manifest_alone(self, tmp_path, attribute):
         path = tmp_path / "a.exr"
-        told = {f"cryptomatte/d593dd7/{attribute}": "another"}
-        write_cryptomatte(path, SHARES, Style(key=""), **told, **{
+        entry = {f"cryptomatte/d593dd7/{attribute}": "another"}
+        write_cryptomatte(path, SHARES, Style(key=""), **entry, **{
             "cryptomatte/d593dd7/name": "crypto_object"
         })  # fmt: skip
         (found,) = found_in(path)

@@ -31,7 +31,7 @@ KNOWN = {
 
 
 def is_cut(before: KeyFrame, after: KeyFrame) -> CutEvidence:
-    """What is found, which is the same where nobody asks for the evidence."""
+    """What is found; it is the same where no evidence is requested."""
     found = cuts.is_cut(before, after)
     assert is_cut_between(glance_at(before), glance_at(after)) == found.found
     return found
@@ -280,9 +280,9 @@ def test_a_glance_is_the_mean_of_its_cells() -> None:
     assert np.count_nonzero(light) == 1
 
 
-def test_evidence_is_told() -> None:
-    told = str(CutEvidence(True, 0.02, 0.11, "position", -0.01))
-    assert told == (
+def test_evidence_is_described() -> None:
+    text = str(CutEvidence(True, 0.02, 0.11, "position", -0.01))
+    assert text == (
         "colour agrees to 2 % along the vectors, position to 11 %, shifts of the frame explain 0 %"
     )
     assert str(CutEvidence(False)) == "there is no structure to compare"

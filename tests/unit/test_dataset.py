@@ -23,14 +23,14 @@ def scene(tmp_path_factory) -> Path:
 
 def test_a_scene_is_what_its_manifest_says(scene):
     found = open_scene(scene)
-    told = found.manifest
-    assert found.name == told.scene == "analytic"
-    assert (told.role, told.seed, told.samples, told.denoiser) == (BENCHMARK, 1, 1, "")
-    assert (told.width, told.height, told.fps, told.key_fps) == (128, 80, 120, 30)
-    assert told.instants.numbers == range(1, 6) and told.instants.step == 1
-    assert told.keys.numbers == range(1, 3) and told.keys.step == 4
-    assert told.dynamic == {3: "box"}
-    assert found.path(told.instants, 5) == scene / "instants" / "analytic.0005.exr"
+    facts = found.manifest
+    assert found.name == facts.scene == "analytic"
+    assert (facts.role, facts.seed, facts.samples, facts.denoiser) == (BENCHMARK, 1, 1, "")
+    assert (facts.width, facts.height, facts.fps, facts.key_fps) == (128, 80, 120, 30)
+    assert facts.instants.numbers == range(1, 6) and facts.instants.step == 1
+    assert facts.keys.numbers == range(1, 3) and facts.keys.step == 4
+    assert facts.dynamic == {3: "box"}
+    assert found.path(facts.instants, 5) == scene / "instants" / "analytic.0005.exr"
     assert found.instants.sequence.numbers == [1, 2, 3, 4, 5]
     assert found.keys.sequence.numbers == [1, 2]
     found.require_complete()
@@ -151,22 +151,22 @@ def described(writer, **changes):
 
 def test_what_the_scripts_write_is_what_is_read(writer, tmp_path):
     writer.write(tmp_path, described(writer))
-    told = open_scene(tmp_path).manifest
+    facts = open_scene(tmp_path).manifest
     for name in ("scene", "role", "about", "fps", "key_fps", "width", "height", "renderer"):
-        assert getattr(told, name) == getattr(described(writer), name)
+        assert getattr(facts, name) == getattr(described(writer), name)
     for name in ("samples", "denoiser", "seed", "motion"):
-        assert getattr(told, name) == getattr(described(writer), name)
-    assert told.instants.numbers == range(1, 242) and told.keys.numbers == range(1, 62)
-    assert told.keys.step == 4 and told.dynamic == {1: "arm"}
-    assert [i for i in range(250) if told.has_key(i)] == list(range(0, 241, 4))
+        assert getattr(facts, name) == getattr(described(writer), name)
+    assert facts.instants.numbers == range(1, 242) and facts.keys.numbers == range(1, 62)
+    assert facts.keys.step == 4 and facts.dynamic == {1: "arm"}
+    assert [i for i in range(250) if facts.has_key(i)] == list(range(0, 241, 4))
     assert [path.name for path in tmp_path.iterdir()] == ["manifest.json"]
 
 
 def test_key_frames_may_be_written_for_every_instant(writer, tmp_path):
     writer.write(tmp_path, described(writer, instants=13, key_step=1))
-    told = open_scene(tmp_path).manifest
-    assert told.keys.numbers == range(1, 14) and told.keys.step == 1
-    assert [i for i in range(20) if told.has_key(i)] == list(range(13))
+    facts = open_scene(tmp_path).manifest
+    assert facts.keys.numbers == range(1, 14) and facts.keys.step == 1
+    assert [i for i in range(20) if facts.has_key(i)] == list(range(13))
 
 
 def test_a_piece_from_the_middle_keeps_its_numbers(writer, tmp_path):

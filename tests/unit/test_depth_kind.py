@@ -67,19 +67,19 @@ def test_without_positions_nothing_is_measured(tmp_path, distance):
 
 def test_what_is_known_stands(tmp_path, distance):
     opened = shot(tmp_path, "Z", 1 / distance)
-    told = replace(opened, depth=DepthReading.of(DepthKind.RAY))
-    assert with_depth_measured(told) is told
+    given = replace(opened, depth=DepthReading.of(DepthKind.RAY))
+    assert with_depth_measured(given) is given
     blender = replace(opened, layout=replace(opened.layout, producer="Blender"))
     assert with_depth_measured(blender) is blender
 
 
-def test_a_kind_that_is_told_stands(tmp_path, distance):
+def test_a_kind_that_is_given_stands(tmp_path, distance):
     opened = shot(tmp_path, "Z", 1 / distance)
-    told = replace(opened, depth=DepthReading.of(DepthKind.NORMALISED))
-    assert with_depth_measured(told) is told
+    given = replace(opened, depth=DepthReading.of(DepthKind.NORMALISED))
+    assert with_depth_measured(given) is given
 
 
-def test_the_range_of_a_kind_that_is_told_is_measured(tmp_path, distance):
+def test_the_range_of_a_kind_that_is_given_is_measured(tmp_path, distance):
     # A graphics card's depth is an inverse that grows with the distance: its kind alone misleads.
     opened = shot(tmp_path, "Z", 40 / 39 * (1 - 1 / distance))
     found = with_depth_measured(replace(opened, depth=DepthReading.of(DepthKind.INVERSE)))

@@ -92,23 +92,23 @@ def quick(monkeypatch) -> None:
 
 
 @dataclass
-class Told:
+class Reports:
     done: list[int] = field(default_factory=list)
     frames: list[int] = field(default_factory=list)
     said: list[str] = field(default_factory=list)
 
 
-def dispatch(cluster: Cluster) -> tuple[Dispatch, Told]:
-    told = Told()
+def dispatch(cluster: Cluster) -> tuple[Dispatch, Reports]:
+    reports = Reports()
     made = Dispatch(
         cluster,
         Needs("1", ()),
-        lambda frame, *_: told.frames.append(frame),
-        lambda chunk, _: told.done.append(chunk.index),
-        told.said.append,
+        lambda frame, *_: reports.frames.append(frame),
+        lambda chunk, _: reports.done.append(chunk.index),
+        reports.said.append,
         lambda chunk: f"of chunk {chunk.index}",
     )
-    return made, told
+    return made, reports
 
 
 def chunks(count: int) -> list[Chunk]:
@@ -119,50 +119,50 @@ def chunks(count: int) -> list[Chunk]:
 class TestWork:
     def test_everybody_gets_some(self):
         cluster = Cluster(["a", "b"], lambda *_: DONE)
-        made, told = dispatch(cluster)
+        made, reports = dispatch(cluster)
         assert made.muster() == 2
         made.run(chunks(5))
-        assert sorted(told.done) == [0, 1, 2, 3, 4]
-        assert {worker for worker, _ in cluster.given} == {"a", "b"} and told.said == []
+        assert sorted(reports.done) == [0, 1, 2, 3, 4]
+        assert {worker for worker, _ in cluster.given} == {"a", "b"} and reports.said == []
 
     def test_who_comes_late_is_used(self):
         cluster = Cluster(["a"], lambda worker, chunk: DONE if worker == "b" else None)
-        made, told = dispatch(cluster)
+        made, reports = dispatch(cluster)
         made.muster()
         cluster.workers.append("b")
 
         def give_back(chunk: Chunk, _: Done) -> None:
-            told.done.append(chunk.index)
-            if len(told.done) == 2:
+            reports.done.append(chunk.index)
+            if len(reports.done) == 2:
                 cluster.workers.remove("a")  # which never comes to an end
 
         made.on_chunk = give_back
         made.run(chunks(3))
-        assert sorted(told.done) == [0, 1, 2]
-        assert told.said == ["worker a was lost; frames of chunk 0 are done again"]
+        assert sorted(reports.done) == [0, 1, 2]
+        assert reports.said == ["worker a was lost; frames of chunk 0 are done again"]
 
     def test_the_first_error_ends_it_and_calls_off_the_others(self):
         error = OutputError("cannot write it")
         cluster = Cluster(["a", "b"], lambda _, chunk: error if chunk.index == 1 else None)
-        made, told = dispatch(cluster)
+        made, reports = dispatch(cluster)
         made.muster()
         with pytest.raises(OutputError, match="cannot write it"):
             made.run(chunks(4))
-        assert len(cluster.cancelled) == 1 and told.done == []
+        assert len(cluster.cancelled) == 1 and reports.done == []
         assert [index for _, index in cluster.given] == [0, 1]
 
     def test_frames_count_once(self):
         def does(worker: str, chunk: Chunk) -> Any:
             for frame in (1, 2, 1):
-                told = {"frame": frame, "note": None, "kind": "key", "made": True}
-                cluster.handler((0.0, {"chunk": 0, "attempt": 0} | told))
+                event = {"frame": frame, "note": None, "kind": "key", "made": True}
+                cluster.handler((0.0, {"chunk": 0, "attempt": 0} | event))
             return DONE
 
         cluster = Cluster(["a"], does)
-        made, told = dispatch(cluster)
+        made, reports = dispatch(cluster)
         made.muster()
         made.run(chunks(1))
-        assert told.frames == [1, 2]
+        assert reports.frames == [1, 2]
 
 
 class TestLosses:
@@ -174,12 +174,12 @@ class TestLosses:
             return None
 
         cluster = Cluster(["a", "b"], does)
-        made, told = dispatch(cluster)
+        made, reports = dispatch(cluster)
         made.muster()
         with pytest.raises(ClusterError, match=f"of chunk 1 lost their worker {ATTEMPTS} times"):
             made.run(chunks(3))
         assert [index for _, index in cluster.given].count(1) == ATTEMPTS
-        assert len(told.said) == ATTEMPTS - 1 and sorted(told.done) == [0, 2]
+        assert len(reports.said) == ATTEMPTS - 1 and sorted(reports.done) == [0, 2]
 
     def test_a_worker_that_comes_back_under_its_address(self):
         """Dask gives it its task again by itself, which shows by a second beginning."""
@@ -190,18 +190,18 @@ class TestLosses:
             return DONE
 
         cluster = Cluster(["a"], does)
-        made, told = dispatch(cluster)
+        made, reports = dispatch(cluster)
         made.muster()
         made.run(chunks(1))
-        assert told.done == [0] and len(cluster.given) == 1
-        assert told.said == ["worker a was lost; frames of chunk 0 are done again"]
+        assert reports.done == [0] and len(cluster.given) == 1
+        assert reports.said == ["worker a was lost; frames of chunk 0 are done again"]
 
     def test_a_cluster_without_workers(self, monkeypatch):
         monkeypatch.setattr(cluster_dispatch, "PATIENCE_S", 0.05)
-        made, told = dispatch(Cluster([], lambda *_: DONE))
+        made, reports = dispatch(Cluster([], lambda *_: DONE))
         with pytest.raises(ClusterError, match="no worker that can do this for"):
             made.muster()
-        assert told.said == ["waiting for a worker to join the cluster"]
+        assert reports.said == ["waiting for a worker to join the cluster"]
 
     def test_a_scheduler_that_goes_away(self):
         cluster = Cluster(["a"], lambda *_: None)
@@ -225,9 +225,9 @@ class TestUnfit:
     def test_one_of_them(self):
         answers = {"a": ModuleNotFoundError("No module named 'exwarp_cli'"), "b": None}
         cluster = Cluster(["a", "b"], lambda *_: DONE, answers.get)
-        made, told = dispatch(cluster)
+        made, reports = dispatch(cluster)
         assert made.muster() == 1
         made.run(chunks(2))
         assert {worker for worker, _ in cluster.given} == {"b"}
-        (said,) = told.said
+        (said,) = reports.said
         assert "worker a is left out" in said and "No module named" in said

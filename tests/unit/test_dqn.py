@@ -72,7 +72,7 @@ def test_it_takes_the_first_step_that_looks_worse():
 
 
 def test_looking_at_the_next_reward_only_fails():
-    """The reward at d1 speaks for E in every row, and so does whoever looks no further."""
+    """The reward at d1 speaks for E in every row, and so does a policy that looks no further."""
     fixed, oracle = bounds()
     greedy = values(learned(discount=0.0), UNSEEN)
     for found in (predicted(regress([KNOWN]), UNSEEN), greedy):

@@ -20,13 +20,13 @@ def seen(monkeypatch) -> list[tuple[float, float]]:
 
     def estimate(before: np.ndarray, after: np.ndarray) -> tuple[Flow, Flow]:
         pairs.append((float(before.max()), float(after.max())))
-        return _told(before), _told(after)
+        return _flow_in(before), _flow_in(after)
 
     monkeypatch.setattr(without_vectors, "estimate", estimate)
     return pairs
 
 
-def _told(pixels: np.ndarray) -> Flow:
+def _flow_in(pixels: np.ndarray) -> Flow:
     return Flow(pixels[..., :2].copy(), pixels[..., 2].copy())
 
 

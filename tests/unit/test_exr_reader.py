@@ -148,7 +148,7 @@ def test_attributes_of_every_part(tmp_path):
 
 class TestPixels:
     def test_what_the_header_calls_ids_is_no_colour(self, tmp_path):
-        style = Style("rgb", told="rgb", spelling="upper")
+        style = Style("rgb", header_name="rgb", spelling="upper")
         path = write_cryptomatte(tmp_path / "a.exr", {"box": np.ones((4, 5))}, style, rgba(4, 5))
         np.testing.assert_array_equal(read_image(path).pixels[..., 0], rgba(4, 5)["R"])
         (layer,) = planes_of({"box": np.ones((4, 5))}, style, ranks=2).values()
@@ -325,8 +325,8 @@ class TestBadFiles:
     def test_a_subsampled_channel_beside_colour_is_named(self, tmp_path):
         channels = (("B", 1), ("G", 1), ("R", 1), ("ao.Y", 2))
         path = write_subsampled(tmp_path / "a.exr", channels)
-        told = r"subsampled .* others: ao\.Y \(1 pixel in 2x2\); render .* full resolution"
-        with pytest.raises(LayoutError, match=told) as caught:
+        message = r"subsampled .* others: ao\.Y \(1 pixel in 2x2\); render .* full resolution"
+        with pytest.raises(LayoutError, match=message) as caught:
             ExrFile(path)
         assert one_sentence(caught.value, path) and "luminance" not in str(caught.value)
 

@@ -108,8 +108,8 @@ def test_a_card_goes_with_its_network(tmp_path):
     (tmp_path / "net.json").write_text("{}")
     found = locate("interpolator", str(tmp_path / "net.onnx"))
     made = job_template(job(Given("interpolator", "--interpolator", found)), Workers(), tmp_path)
-    told = {p["name"]: p.get("default") for p in made.document["parameterDefinitions"]}
-    assert told["InterpolatorFile"] == "net.onnx" and told["InterpolatorCard"] == "net.json"
+    defaults = {p["name"]: p.get("default") for p in made.document["parameterDefinitions"]}
+    assert defaults["InterpolatorFile"] == "net.onnx" and defaults["InterpolatorCard"] == "net.json"
 
 
 def test_weights_go_with_their_network(tmp_path):
@@ -117,9 +117,9 @@ def test_weights_go_with_their_network(tmp_path):
     onnx.save(convolution(), str(tmp_path / "net.onnx"), **options)
     found = locate("extrapolator", str(tmp_path / "net.onnx"))
     made = job_template(job(Given("extrapolator", "--extrapolator", found)), Workers(), tmp_path)
-    told = {p["name"]: p.get("default") for p in made.document["parameterDefinitions"]}
-    assert told["ExtrapolatorFile"] == "net.onnx"
-    assert told["ExtrapolatorWeights1"] == "w {{x}}.data"
+    defaults = {p["name"]: p.get("default") for p in made.document["parameterDefinitions"]}
+    assert defaults["ExtrapolatorFile"] == "net.onnx"
+    assert defaults["ExtrapolatorWeights1"] == "w {{x}}.data"
     words_of(made)
 
 

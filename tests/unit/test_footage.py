@@ -127,8 +127,10 @@ def assert_shows(footage: Footage, k: int) -> None:
     order = variant.order(INSTANTS)
     shown = [view(index, variant.mirror) for index in order[4 * k : 4 * k + 5]]
     for i, here in enumerate(shown[:4]):
-        told = here.surface != SKY if variant.mirror else here.surface >= SKY
-        np.testing.assert_allclose(footage.truth(k, i).pixels[told], here.colour[told], atol=2e-3)
+        compared = here.surface != SKY if variant.mirror else here.surface >= SKY
+        np.testing.assert_allclose(
+            footage.truth(k, i).pixels[compared], here.colour[compared], atol=2e-3
+        )
     frames = [(footage.key(k), 0, 4), (footage.key(k + 1), 4, 0)]
     frames += [(footage.slot(k, i), i, i + 1) for i in (1, 2, 3)]
     for frame, i, there in frames:

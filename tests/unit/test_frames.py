@@ -231,7 +231,7 @@ class TestBadFrames:
         with pytest.raises(MissingFrameError, match=r"a\.####\.exr lacks frame 3; finish"):
             read_raw(shot, 3)
 
-    def test_broken_colour_of_channels_that_lie_apart_is_not_told_at_once(self, tmp_path):
+    def test_broken_colour_of_channels_that_lie_apart_is_not_known_at_once(self, tmp_path):
         display = {"displayWindow": box(0, 0, 6, 6)}
         alpha = np.full((4, 4), np.nan, np.float32)
         colour = {name: one for name, one in rgba(6, 6).items() if name != "A"}
@@ -242,8 +242,8 @@ class TestBadFrames:
                 "a": ({"A": alpha}, display | {"dataWindow": box(1, 1, 4, 4)}),
             },
         )
-        told = ChannelMap(tmp_path / "m", {Role.COLOUR: ("R", "G", "B", "a.A")})
-        raw = read_raw(open_shot(str(tmp_path), channel_map=told), 1)
+        channel_map = ChannelMap(tmp_path / "m", {Role.COLOUR: ("R", "G", "B", "a.A")})
+        raw = read_raw(open_shot(str(tmp_path), channel_map=channel_map), 1)
         assert raw.image is not None and np.isnan(raw.image.pixels).sum() == 16
         assert raw.broken is None
 

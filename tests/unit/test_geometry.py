@@ -109,7 +109,7 @@ class TestReproject:
         assert 0 < found.hole.mean() < 0.06
 
     @pytest.mark.parametrize("time", [0.25, 0.75])
-    def test_at_silhouettes_nobody_is_between_two_surfaces(self, time):
+    def test_at_silhouettes_no_point_is_between_two_surfaces(self, time):
         slot = view(time)
         found = reproject(settled(0.0), time)
         rim = ~slot.inside(1) & ~found.hole & (slot.surface != SKY)

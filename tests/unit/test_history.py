@@ -44,9 +44,9 @@ def test_the_past_is_where_the_scene_says(interval, slot):
     for count, (field, hidden) in enumerate(zip(found.fields, found.hidden, strict=True), 1):
         there = view(K - count)
         through_key = seen_in(here, view(K)) & seen_in(here, view(K - 1))
-        told = seen_in(here, there) & through_key & ~hidden
-        assert told.mean() > 0.5
-        gap = np.linalg.norm(field - here.motion_to(there.time), axis=-1)[told]
+        known = seen_in(here, there) & through_key & ~hidden
+        assert known.mean() > 0.5
+        gap = np.linalg.norm(field - here.motion_to(there.time), axis=-1)[known]
         assert np.percentile(gap, 99) < 0.3
         truly = seen_in(here, there)
         assert (hidden & truly & through_key).mean() < 0.03

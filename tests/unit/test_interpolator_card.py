@@ -74,7 +74,7 @@ SENSELESS: list[tuple[Any, tuple[str, ...]]] = [
 ]
 
 
-def told(caught: pytest.ExceptionInfo[Exception]) -> str:
+def message_of(caught: pytest.ExceptionInfo[Exception]) -> str:
     text = str(caught.value)
     assert "\n" not in text and ("; " in text or " or " in text)
     return text
@@ -86,7 +86,7 @@ class TestCards:
         with pytest.raises(LayoutError) as caught:
             parse_card(PATH, document)
         for word in ("the card net.json", *words):
-            assert word in told(caught)
+            assert word in message_of(caught)
 
     def test_defaults(self):
         found = parse_card(PATH, card())
@@ -108,7 +108,7 @@ class TestCards:
         path = save(tmp_path / "net.onnx", untimed())
         with pytest.raises(InputError) as caught:
             load_interpolator(path, 1, "cpu")
-        assert "net.onnx has no card net.json beside it" in told(caught)
+        assert "net.onnx has no card net.json beside it" in message_of(caught)
 
     @pytest.mark.parametrize("data", [b"", b"{", b"\xff\xfe{}", b"[" * 100_000])
     def test_no_json(self, tmp_path, data):
@@ -200,7 +200,7 @@ class TestNetworks:
         with pytest.raises(LayoutError) as caught:
             load_interpolator(path, 1, "cpu")
         for word in ("net.onnx", "net.json", *words):
-            assert word in told(caught)
+            assert word in message_of(caught)
         assert capfd.readouterr() == ("", "")
 
     @pytest.mark.parametrize("gain", [np.nan, np.inf, 255])

@@ -83,7 +83,7 @@ def test_missing_key_frames_are_found_by_the_sequence_s_steps() -> None:
     assert missing_keys(one) == [1002, 1003, 1004, 1006, 1007, 1008]
     stepped = replace(one, input=replace(one.input, first=1001, last=1009, step=4))
     assert missing_keys(stepped) == [1009]
-    assert missing_keys(replace(stepped, keys=())) == [1009], "told by the frames"
+    assert missing_keys(replace(stepped, keys=())) == [1009], "known from the frames"
 
 
 def test_a_frame_twice_is_refused_by_the_names_of_both() -> None:
@@ -146,15 +146,17 @@ def test_long_values_are_cut_in_messages() -> None:
 def test_where_machines_differ_the_first_part_tells() -> None:
     """Folders, and the last digits of what is measured."""
     one = whole()
-    told = "read so: error 0.340, 0.896 for the next"
+    evidence = "read so: error 0.340, 0.896 for the next"
     first = part(one, 1001)
-    first = replace(first, input=replace(first.input, motion_evidence=told))
+    first = replace(first, input=replace(first.input, motion_evidence=evidence))
     elsewhere = replace(
         part(one, 1002),
         extrapolator=replace(NETWORK, file="C:\\e.onnx"),
         policy=replace(POLICY, file="C:\\p.npz"),
         input=replace(
-            first.input, pattern="Z:\\in\\shot.####.exr", motion_evidence=told.replace("340", "341")
+            first.input,
+            pattern="Z:\\in\\shot.####.exr",
+            motion_evidence=evidence.replace("340", "341"),
         ),
     )
     found = join([elsewhere, first])

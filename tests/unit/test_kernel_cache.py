@@ -203,7 +203,7 @@ def test_a_function_that_another_one_makes_is_not_kept(folder):
 
 
 class TestUnused:
-    """Builds that nobody loads are removed."""
+    """Builds that no process loads are removed."""
 
     def test_old_ones_are_removed_as_another_is_kept(self, folder, monkeypatch):
         monkeypatch.setattr(_compile, "remove_unused", _compile.remove_unused.__wrapped__)

@@ -64,10 +64,10 @@ def test_where_nothing_counts_there_is_none(values):
 
 
 def test_most_values_are_left_where_they_are(monkeypatch):
-    told = []
+    counts = []
     true = medians.pick_between
-    monkeypatch.setattr(medians, "pick_between", lambda *a: (true(*a), told.append(a[-1])))
+    monkeypatch.setattr(medians, "pick_between", lambda *a: (true(*a), counts.append(a[-1])))
     values = values_of("noisy", (400, 500))
     positive(values, np.ones(values.shape, bool))
-    total, _, count = told[0].sum(axis=0)
+    total, _, count = counts[0].sum(axis=0)
     assert total == values.size and count < 0.1 * total

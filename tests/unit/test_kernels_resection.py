@@ -70,9 +70,9 @@ def test_medians_are_numpys(count):
 @pytest.mark.parametrize("count", [1, 2, 7, 8])
 def test_the_sign_of_a_median_is_mostly_counted(count):
     rng = np.random.default_rng(count)
-    told = set()
+    signs = set()
     for _ in range(300):
         values = np.round(rng.normal(0, 1.2, count))
-        told.add(_mostly_positive(values))
+        signs.add(_mostly_positive(values))
         assert _mostly_positive(values) == bool(np.median(values) > 0)
-    assert told == {True, False}
+    assert signs == {True, False}

@@ -50,10 +50,10 @@ def test_points_follow_what_is_shown_where_they_are(seed):
     np.testing.assert_array_equal(found, same)
 
 
-def test_points_that_are_lost_go_on_where_it_is_foretold():
-    moved, foretold = np.zeros((2, 2, 2), np.float32), np.ones((2, 2, 2), np.float32)
-    moved[0], foretold[:, 0] = np.nan, np.nan
-    found, lost = calls.gone_on(foretold, moved, np.ones((2, 2), bool))
+def test_points_that_are_lost_go_on_where_a_place_is_predicted():
+    moved, predicted = np.zeros((2, 2, 2), np.float32), np.ones((2, 2, 2), np.float32)
+    moved[0], predicted[:, 0] = np.nan, np.nan
+    found, lost = calls.gone_on(predicted, moved, np.ones((2, 2), bool))
     np.testing.assert_array_equal(found[..., 0], [[np.nan, 1], [0, 0]])
     np.testing.assert_array_equal(lost, [[True, False], [True, True]])
 

@@ -27,14 +27,14 @@ def planes(seed: int = 0) -> dict[str, np.ndarray]:
 
 
 def header(rate: object = Fraction(24), **more: object) -> dict[str, object]:
-    told = {} if rate is None else {"framesPerSecond": rate}
+    stated = {} if rate is None else {"framesPerSecond": rate}
     return {
         "type": OpenEXR.scanlineimage,
         "compression": OpenEXR.ZIP_COMPRESSION,
         "owner": "Ada",
         "shot:take": 3,
         "chromaticities": (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329),
-        **told,
+        **stated,
         **more,
     }
 
@@ -140,7 +140,7 @@ def test_chunks_are_copied_and_only_the_rate_changes(tmp_path, kind):
         layout, (source.read_bytes(), target.read_bytes())
     )
     assert (moved, copied) == (places, chunks)
-    others = [[one for one in told if one[1] != b"framesPerSecond"] for told in (before, after)]
+    others = [[one for one in items if one[1] != b"framesPerSecond"] for items in (before, after)]
     assert others[0] == others[1]
     rates = [one for one in after if one[1] == b"framesPerSecond"]
     value = struct.pack("<ii", 96, 1)
@@ -153,10 +153,10 @@ def test_chunks_are_copied_and_only_the_rate_changes(tmp_path, kind):
     assert hashlib.sha256(b"".join(file.pieces())).digest() == digest
 
 
-@pytest.mark.parametrize("told", [Fraction(96), 96, 96.0, "96", Fraction(96_000_001, 1_000_000)])
-def test_a_rate_that_does_not_contradict_is_left_as_it_is(tmp_path, told):
+@pytest.mark.parametrize("rate", [Fraction(96), 96, 96.0, "96", Fraction(96_000_001, 1_000_000)])
+def test_a_rate_that_does_not_contradict_is_left_as_it_is(tmp_path, rate):
     source = tmp_path / "a.exr"
-    OpenEXR.File(header(told), planes()).write(str(source))
+    OpenEXR.File(header(rate), planes()).write(str(source))
     assert b"".join(key_file(source, RATE).pieces()) == source.read_bytes()
 
 
@@ -194,7 +194,7 @@ def test_marks_and_a_checksum_join_the_first_header(tmp_path, kind):
     assert own[b"exwarp:kind"] == b"rendered" and own[b"exwarp:slot"] == struct.pack("<i", 2)
     assert {part for part, name, *_ in after if name in own} == {0}
     new = {b"framesPerSecond", *own}
-    kept = [[one for one in told if one[1] not in new] for told in (before, after)]
+    kept = [[one for one in items if one[1] not in new] for items in (before, after)]
     assert kept[0] == kept[1]
     assert is_intact(target.read_bytes()) and recipe_of(target) == "ab12"
 

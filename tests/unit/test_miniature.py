@@ -46,8 +46,8 @@ def test_the_manifest_names_every_object(scene):
 
 def test_the_manifest_says_what_the_channel_names_say(scene):
     for shot in (scene.keys, scene.instants):
-        told = parse_motion(scene.manifest.motion, motion_names(shot))
-        assert find_motion(shot, None).convention == told
+        stated = parse_motion(scene.manifest.motion, motion_names(shot))
+        assert find_motion(shot, None).convention == stated
 
 
 def test_key_frames_show_their_instants(scene):

@@ -1,4 +1,4 @@
-"""ffmpeg's interpolation of one key interval, and how its failures are told."""
+"""ffmpeg's interpolation of one key interval, and how its failures are reported."""
 
 from __future__ import annotations
 

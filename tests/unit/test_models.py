@@ -214,10 +214,10 @@ class TestRefusals:
     def test_a_model_that_does_not_fit(self, load, tmp_path, capfd, build, words):
         with pytest.raises(LayoutError) as caught:
             load(build())
-        told = str(caught.value)
+        message = str(caught.value)
         for word in (str(tmp_path / "model.onnx"), *words):
-            assert word in told
-        assert "; " in told and "\n" not in told
+            assert word in message
+        assert "; " in message and "\n" not in message
         assert capfd.readouterr() == ("", "")
 
     @pytest.mark.parametrize("gain", [np.nan, np.inf, 1e6])

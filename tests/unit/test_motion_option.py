@@ -96,8 +96,8 @@ class TestParseMotion:
     def test_what_is_not_understood(self, text):
         with pytest.raises(UsageError) as caught:
             parse_motion(text, XYZW)
-        told = str(caught.value)
-        assert repr(text) in told and "previous=X,-Y" in told and "blender" in told
+        message = str(caught.value)
+        assert repr(text) in message and "previous=X,-Y" in message and "blender" in message
 
     @pytest.mark.parametrize("text", ["", "   "])
     def test_nothing(self, text):

@@ -90,7 +90,7 @@ class TestPenalty:
 
 
 def least(step_values: dict[tuple[str, str], float]) -> np.ndarray:
-    """Outcomes whose PSNR is 20 but where it is told; SSIM is 0.5 throughout."""
+    """Outcomes whose PSNR is 20 except where it is given; SSIM is 0.5 throughout."""
     found = np.full((5, 2, 2), [20.0, 0.5])
     for (node, choice), value in step_values.items():
         found[NODES.index(node), CHOICES.index(choice), 0] = value

@@ -69,11 +69,11 @@ def test_the_first_unbroken_run_counts(tmp_path, instants, keys, wanted):
     found = scene(tmp_path, instants, keys).as_far_as_rendered()
     assert numbers(found) == wanted
     found.require_complete()
-    told = found.manifest
-    assert told.instants.count == 4 * (told.keys.count - 1) + 1 and told.keys.step == 4
-    assert [i for i in range(40) if told.has_key(i)] == list(range(0, told.instants.count, 4))
-    for index in range(told.keys.count):  # a key frame still is the instant that it was
-        assert told.keys.first + index - 1 == (told.instants.first + 4 * index - 1) / 4
+    facts = found.manifest
+    assert facts.instants.count == 4 * (facts.keys.count - 1) + 1 and facts.keys.step == 4
+    assert [i for i in range(40) if facts.has_key(i)] == list(range(0, facts.instants.count, 4))
+    for index in range(facts.keys.count):  # a key frame still is the instant that it was
+        assert facts.keys.first + index - 1 == (facts.instants.first + 4 * index - 1) / 4
 
 
 @pytest.mark.parametrize(

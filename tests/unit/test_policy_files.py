@@ -1,4 +1,4 @@
-"""Policy files: what is written comes back, the same bytes every time, and damage is told."""
+"""Policy files: what is written comes back, the same bytes every time, and damage is reported."""
 
 from __future__ import annotations
 
@@ -116,18 +116,18 @@ class TestRefused:
                 load_policy(saved)
 
     def test_a_flipped_bit_anywhere(self, saved):
-        """Either it is told, or it was one that means nothing, as in a timestamp."""
+        """Either it is reported, or it was one that means nothing, as in a timestamp."""
         data = saved.read_bytes()
-        told = 0
+        refused = 0
         for at in range(0, len(data), 13):
             saved.write_bytes(data[:at] + bytes([data[at] ^ 4]) + data[at + 1 :])
             try:
                 found = load_policy(saved).network
             except InputError:
-                told += 1
+                refused += 1
             else:
                 same(found, network(4, SIZES))
-        assert told > 0.8 * len(data) / 13
+        assert refused > 0.8 * len(data) / 13
 
     def test_other_files(self, tmp_path):
         (tmp_path / "text").write_text("policy\n")
@@ -200,11 +200,11 @@ class TestRefused:
         ],
     )
     def test_what_is_no_policy(self, saved, arrays, words):
-        with pytest.raises(LayoutError) as told:
+        with pytest.raises(LayoutError) as caught:
             load_policy(changed(saved, **arrays))
-        assert words in str(told.value)
-        assert "is no policy that ExWarp can run: " in str(told.value)
-        assert "\n" not in str(told.value)
+        assert words in str(caught.value)
+        assert "is no policy that ExWarp can run: " in str(caught.value)
+        assert "\n" not in str(caught.value)
 
 
 class TestShipped:

@@ -27,8 +27,8 @@ SOME = np.arange(len(TABLE)) % 3 == 1
 
 
 def same(found: object, wanted: dict[str, float]) -> None:
-    told = asdict(found)  # type: ignore[call-overload]
-    assert {name: told[name] for name in wanted} == pytest.approx(wanted, rel=1e-12)
+    values = asdict(found)  # type: ignore[call-overload]
+    assert {name: values[name] for name in wanted} == pytest.approx(wanted, rel=1e-12)
 
 
 @pytest.mark.parametrize("rows", [EVERY, SOME], ids=["all", "some"])

@@ -28,7 +28,7 @@ TABLE = random_table(14, 3, "lab", GROUPS)
 STARTS = (0, 4, 8)
 
 
-def told(row: int, instant: int) -> Features:
+def features_of(row: int, instant: int) -> Features:
     """The features of a row as a run would have computed them."""
     n, en, ep, vx, vy, w, h, d = TABLE.features[row, instant].tolist()
     return Features(int(n), en, ep, vx, vy, int(w), int(h), d)
@@ -41,8 +41,10 @@ class TestStates:
     @pytest.mark.parametrize("row", [0, 1, 3, 4, 6, 7, 8, 12, 13])
     def test_they_are_what_a_run_gives_to_the_policy(self, row):
         start = max(first for first in STARTS if first <= row)
-        before = tuple(told(k, 0) for k in range(row - 1, max(start, row - 3) - 1, -1))
-        around = Surroundings((told(row, 0), told(row, 1), told(row, 2)), before)
+        before = tuple(features_of(k, 0) for k in range(row - 1, max(start, row - 3) - 1, -1))
+        around = Surroundings(
+            (features_of(row, 0), features_of(row, 1), features_of(row, 2)), before
+        )
         passed = {"d1": [], "d2": ["d1"], "d3": ["d1"], "d4": ["d1", "d2"], "d5": ["d1", "d2"]}
         assert {node: list(nodes) for node, nodes in PASSED.items()} == passed
         found = TABLE.states

@@ -82,10 +82,10 @@ class TestFiles:
     def test_what_a_policy_tells_of_itself(self, trained):
         folder, _, _ = trained
         for name, left_out in zip((*WITHOUT, "policy.npz"), (*SCENES, None), strict=True):
-            told = load_policy(folder / name).metadata
-            assert told["scenes"] == [scene for scene in SCENES if scene != left_out]
-            assert told["state"] == STATE_VERSION and told["settings"] == asdict(SETTINGS)
-            assert told["extrapolator"] == [NETWORK]
+            metadata = load_policy(folder / name).metadata
+            assert metadata["scenes"] == [scene for scene in SCENES if scene != left_out]
+            assert metadata["state"] == STATE_VERSION and metadata["settings"] == asdict(SETTINGS)
+            assert metadata["extrapolator"] == [NETWORK]
 
     def test_only_the_final_policy_keeps_its_floats(self, trained):
         folder, _, _ = trained
@@ -148,10 +148,10 @@ class TestReport:
         assert report["schema"] == SCHEMA and report["settings"] == asdict(SETTINGS)
         assert list(report["tables"]) == list(report["left_out"]) == list(SCENES)
         for table in tables:
-            told = report["tables"][table.scene]
-            assert told["intervals"] == len(table) and told["points"] == 5 * len(table)
-            assert told["groups"] == {name: len(table) // 3 for name in GROUPS}
-            assert told["extrapolator"] == NETWORK
+            entry = report["tables"][table.scene]
+            assert entry["intervals"] == len(table) and entry["points"] == 5 * len(table)
+            assert entry["groups"] == {name: len(table) // 3 for name in GROUPS}
+            assert entry["extrapolator"] == NETWORK
 
     def test_scores_are_those_of_the_left_out_scene(self, trained, tables):
         folder, report, _ = trained
@@ -175,7 +175,7 @@ class TestReport:
                 for policy, taken_by in paths.items():
                     assert scores[policy] == asdict(score_paths(table, taken_by, rows)), policy
 
-    def test_integers_and_floats_are_told_apart(self, tables, tmp_path, monkeypatch):
+    def test_integers_and_floats_are_distinguished(self, tables, tmp_path, monkeypatch):
         """Weights are rounded to sixteenths first, as honest integers decide alike in all rows."""
 
         def crude(weights, biases, states):
@@ -193,13 +193,13 @@ class TestReport:
             for row, path in enumerate(taken(whole)):
                 met[row] = [node in tuple(PATHS.values())[path].choices for node in NODES]
             for part, rows in parts_of(table).items():
-                told = report["left_out"][table.scene][part]
-                assert told["agreement"] == pytest.approx(same[rows].mean())
-                assert told["agreement_met"] == pytest.approx(same[rows][met[rows]].mean())
+                entry = report["left_out"][table.scene][part]
+                assert entry["agreement"] == pytest.approx(same[rows].mean())
+                assert entry["agreement_met"] == pytest.approx(same[rows][met[rows]].mean())
                 for name, outputs in (("exwarp", whole), ("float", real)):
                     wanted = score_paths(table, taken(outputs), rows)
-                    assert told["scores"][name] == asdict(wanted)
-                shares |= {told["agreement"], told["agreement_met"]}
+                    assert entry["scores"][name] == asdict(wanted)
+                shares |= {entry["agreement"], entry["agreement_met"]}
         assert len(shares) > 4 and 0.2 < min(shares) < 1
 
     def test_honest_integers_agree(self, trained):
@@ -248,7 +248,7 @@ def test_the_card_has_every_scene_and_part(trained):
     assert f"| {30 * (1 + own['new_frames']):.1f} |" in row and f"{own['warp_share']:.1%}" in row
 
 
-def test_a_scene_of_one_part_is_told_once(tables, tmp_path):
+def test_a_scene_of_one_part_is_listed_once(tables, tmp_path):
     plain = [replace(t, groups=GROUPS[:1], group=t.group * 0) for t in tables[:2]]
     report = train_policy(plain, tmp_path, replace(SETTINGS, steps=1), lambda line: None)
     assert set(report["left_out"]["hall"]) == {ALL, "key 64x36"}

@@ -258,7 +258,7 @@ class TestOpenJd:
             "openjd_status: 3 frames done",
         ]
 
-    def test_what_was_left_out_as_it_was_told_is_no_failure(self):
+    def test_what_was_left_out_as_requested_is_no_failure(self):
         stream = io.StringIO()
         OpenJdProgress(stream).fail("1 of 5 key intervals was left out", 12)
         assert stream.getvalue() == "openjd_status: 1 of 5 key intervals was left out\n"
@@ -271,9 +271,9 @@ class TestOpenJd:
             clock.now += 4 * INTERVAL_S / 1000
             progress.advance(frame)
         lines = stream.getvalue().splitlines()
-        told = [line for line in lines if line.startswith("openjd_progress: ")]
-        assert 2 * len(told) == len(lines)
-        assert 5 <= len(told) <= 7
+        percentages = [line for line in lines if line.startswith("openjd_progress: ")]
+        assert 2 * len(percentages) == len(lines)
+        assert 5 <= len(percentages) <= 7
         assert lines[-2:] == ["openjd_progress: 100.0", "openjd_status: 1000 frames done"]
 
     def test_nothing_to_do(self):
@@ -318,9 +318,9 @@ class TestBar:
         progress.advance(1002, "skipped")
         progress.finish()
         progress.finish()
-        told = stream.getvalue()
-        assert "exwarp: before" in told and "exwarp: [not] markup or \\x1b[2J lines\n" in told
-        assert "2/2" in told and "frame 1002 (skipped)" in told
+        output = stream.getvalue()
+        assert "exwarp: before" in output and "exwarp: [not] markup or \\x1b[2J lines\n" in output
+        assert "2/2" in output and "frame 1002 (skipped)" in output
 
 
 class TestMakeProgress:
@@ -329,14 +329,14 @@ class TestMakeProgress:
     def test_each_kind_works_from_start_to_end_on_one_stream(self, kind, results, capsys):
         progress = make_progress(kind, results_on_stdout=results)
         progress.start(1)
-        progress.message("told")
+        progress.message("notice")
         progress.advance(1)
         progress.finish()
         progress.fail("wrong", 1)
         out, err = capsys.readouterr()
         if kind == "openjd" and not results:
             out, err = err, out
-        assert out == "" and "told" in err
+        assert out == "" and "notice" in err
         assert ("wrong" in err) == (kind in ("json", "openjd"))
 
     @pytest.mark.parametrize("kind", [kind for kind in REPORTERS if kind != "json"])
@@ -382,7 +382,7 @@ class TestReporting:
         with reporting("json") as progress:
             progress.start(1)
             progress.finish()
-        assert [told["event"] for told in self.events(capsys)] == ["start", "finish"]
+        assert [event["event"] for event in self.events(capsys)] == ["start", "finish"]
 
     @pytest.mark.parametrize(
         ("error", "text", "code"),
@@ -396,7 +396,7 @@ class TestReporting:
             (MemoryError(), "the memory does not suffice", 11),
         ],
     )
-    def test_what_goes_wrong_is_told_last_and_goes_on(self, capsys, error, text, code):
+    def test_what_goes_wrong_is_reported_last_and_goes_on(self, capsys, error, text, code):
         with pytest.raises(type(error)) as raised, reporting("json") as progress:
             progress.start(1)
             try:

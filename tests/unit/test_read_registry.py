@@ -48,7 +48,7 @@ def reported() -> Iterator[Reported]:
     os.close(writer)
 
 
-def test_nothing_is_reported_where_nobody_watches():
+def test_nothing_is_reported_without_a_watcher():
     with being_read(Path("a.exr")):
         pass
     assert not is_restarted()

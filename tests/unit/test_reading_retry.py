@@ -1,4 +1,4 @@
-"""Reads that the system makes fail: repeated, and told apart from damage."""
+"""Reads that the system makes fail: repeated, and distinguished from damage."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def at_once(monkeypatch) -> list[float]:
 
 
 class Reader:
-    """Raises what it is told to, one after the other, and then reads."""
+    """Raises the given errors, one after the other, and then reads."""
 
     def __init__(self, *errors: Exception) -> None:
         self.errors = list(errors)

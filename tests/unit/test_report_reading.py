@@ -1,4 +1,4 @@
-"""Reports read back from their files: nothing is lost on the way, and damage is told."""
+"""Reports read back from their files: nothing is lost on the way, and damage is reported."""
 
 from __future__ import annotations
 
@@ -269,7 +269,7 @@ def test_files_that_cannot_be_read(tmp_path: Path, name: str, data: bytes | None
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("{", "is damaged"),
         ("[" * 200_000, "is damaged"),
@@ -279,9 +279,9 @@ def test_files_that_cannot_be_read(tmp_path: Path, name: str, data: bytes | None
         ('{"schema": "exwarp.compare/1"}', "of a comparison"),
     ],
 )
-def test_other_files_are_told(tmp_path: Path, text: str, told: str) -> None:
+def test_other_files_are_refused(tmp_path: Path, text: str, message: str) -> None:
     (tmp_path / "report.json").write_text(text)
-    with pytest.raises(InputError, match=told):
+    with pytest.raises(InputError, match=message):
         read_report(tmp_path)
 
 

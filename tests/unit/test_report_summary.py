@@ -115,11 +115,11 @@ def test_pulse_is_that_of_new_frames_by_what_there_is() -> None:
 def test_the_network_is_named() -> None:
     network = NetworkSummary("/models/a.onnx", "0" * 64, "cuda", demodulated=True)
     found = report(run(interval(1001, "ggg", 1001), extrapolator=network))
-    told = {"file": "/models/a.onnx", "sha256": "0" * 64, "device": "cuda", "demodulated": True}
-    assert found["extrapolator"] == told
+    expected = {"file": "/models/a.onnx", "sha256": "0" * 64, "device": "cuda", "demodulated": True}
+    assert found["extrapolator"] == expected
 
 
-def test_the_policy_is_told_with_what_it_lacked() -> None:
+def test_the_policy_is_listed_with_what_it_lacked() -> None:
     policy = PolicySummary("/models/p.npz", "1" * 64, "motion", ("EMD_Wn", "EMD_Wp"))
     found = report(run(interval(1001, "ggg", 1001), policy=policy))
     assert json.loads(to_json(found))["policy"] == {

@@ -66,7 +66,7 @@ def test_kernels_give_the_same_in_any_number_of_shares(name, monkeypatch):
 class TestThreads:
     """Who takes which share, and what happens where one fails."""
 
-    def test_the_caller_takes_what_nobody_comes_to(self, monkeypatch):
+    def test_the_caller_takes_what_no_worker_takes(self, monkeypatch):
         takers: list[int] = []
         with ThreadPoolExecutor(1) as busy:
             released = threading.Event()
@@ -77,7 +77,7 @@ class TestThreads:
         assert takers == [threading.get_ident()] * LEAST_SHARES
 
     @pytest.mark.parametrize("bad", [0, 1, 2])
-    def test_an_error_is_raised_once_nobody_works_any_more(self, bad):
+    def test_an_error_is_raised_once_no_thread_works_any_more(self, bad):
         ended: list[int] = []
 
         def fail(share: Share) -> None:
@@ -89,7 +89,7 @@ class TestThreads:
         with pytest.raises(MemoryError):
             _row_bands.run(fail, (), 3)
         seen = list(ended)
-        assert len(seen) < LEAST_SHARES - 1  # nobody took another after that
+        assert len(seen) < LEAST_SHARES - 1  # no thread took another after that
         threading.Event().wait(0.06)
         assert ended == seen
 

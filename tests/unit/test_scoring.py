@@ -141,5 +141,5 @@ def test_flicker_of_agrees_with_the_scores_of_a_run() -> None:
     assert steps is not None
     errors = {slot: error(TRUTH[slot], TEST[slot]) for slot in TEST}
     found = scored()
-    told = [(found[i][0].flicker, found[i][1].flicker) for i in (1, 2, 3)]
-    assert flicker_of(errors, MASKS, steps) == told
+    expected = [(found[i][0].flicker, found[i][1].flicker) for i in (1, 2, 3)]
+    assert flicker_of(errors, MASKS, steps) == expected

@@ -79,10 +79,10 @@ def test_the_scores_come_from_the_files_beside_them(report, scene):
     outputs, _ = MlpKernel(policy.network).decide_many(states)
     paths = taken(outputs.astype(float).reshape(-1, len(NODES), 2))
     found = score_paths(table, paths, np.ones(len(table), np.bool_))
-    told = report["left_out"][scene][ALL]["scores"]["exwarp"]
-    assert found.psnr_db == pytest.approx(told["psnr_db"], abs=1e-6)
-    assert found.reward == pytest.approx(told["reward"], abs=1e-6)
-    assert list(found.paths) == told["paths"]
+    scores = report["left_out"][scene][ALL]["scores"]["exwarp"]
+    assert found.psnr_db == pytest.approx(scores["psnr_db"], abs=1e-6)
+    assert found.reward == pytest.approx(scores["reward"], abs=1e-6)
+    assert list(found.paths) == scores["paths"]
 
 
 def test_all_forms_of_it_agree():

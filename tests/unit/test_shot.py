@@ -204,7 +204,7 @@ class TestAovs:
         for number in (1, 2):
             others = {"Z": plane(4, 5, 3)}
             path = split / "z" / f"a.{number:04d}.exr"
-            write_cryptomatte(path, one, Style("uCryptoThing", told="uCryptoThing"), others)
+            write_cryptomatte(path, one, Style("uCryptoThing", header_name="uCryptoThing"), others)
         shot = self.open(split, "colour=main", spec="z")
         (found,) = shot.cryptomattes
         assert {ref.aov for ref in found.refs} == {found.aov} == {"main"}
@@ -238,8 +238,8 @@ class TestAovs:
 class TestChannelMap:
     def test_roles_are_replaced_left_out_and_kept(self, split, tmp_path):
         channels = {Role.DEPTH: ("A",), Role.COLOUR: ("B", "G", "R"), Role.NORMAL: ()}
-        told = ChannelMap(tmp_path / "m", channels, producer="house")
-        shot = open_shot(str(split / "main"), channel_map=told)
+        channel_map = ChannelMap(tmp_path / "m", channels, producer="house")
+        shot = open_shot(str(split / "main"), channel_map=channel_map)
         names = {r.value: [c.name for c in refs] for r, refs in shot.layout.roles.items()}
         assert names == {"colour": ["B", "G", "R"], "depth": ["A"]}
         assert shot.by_hand == {"colour": ["B", "G", "R"], "depth": ["A"]}
@@ -251,36 +251,36 @@ class TestChannelMap:
         vectors = {f"{layer}.{c}": plane(2, 2, 1) for layer in ("forward", "odd") for c in "uv"}
         write_single(tmp_path / "a.0001.exr", rgba(2, 2) | vectors)
         for layer, known in (("forward", True), ("odd", False)):
-            told = ChannelMap(tmp_path / "m", {Role.MOTION: (f"{layer}.u", f"{layer}.v")})
-            shot = open_shot(str(tmp_path), channel_map=told)
+            channel_map = ChannelMap(tmp_path / "m", {Role.MOTION: (f"{layer}.u", f"{layer}.v")})
+            shot = open_shot(str(tmp_path), channel_map=channel_map)
             assert (shot.layout.guess is not None) == known
 
     def test_what_changes_nothing_is_nothing_by_hand(self, split, tmp_path):
-        told = ChannelMap(tmp_path / "m", {Role.DEPTH: ("Z",)}, motion="next=u,v")
-        assert open_shot(str(split / "main"), channel_map=told).by_hand == {}
+        channel_map = ChannelMap(tmp_path / "m", {Role.DEPTH: ("Z",)}, motion="next=u,v")
+        assert open_shot(str(split / "main"), channel_map=channel_map).by_hand == {}
 
     def test_the_kind_of_depth(self, tmp_path):
         planes = rgba(2, 2) | {"Z": np.array([[0.5, 0.25], [0, 2]], np.float32)}
         write_single(tmp_path / "a.0001.exr", planes)
-        told = ChannelMap(tmp_path / "m", depth_kind=DepthKind.INVERSE)
-        shot = open_shot(str(tmp_path), channel_map=told)
+        channel_map = ChannelMap(tmp_path / "m", depth_kind=DepthKind.INVERSE)
+        shot = open_shot(str(tmp_path), channel_map=channel_map)
         assert read_raw(shot, 1).gbuffer.depth.tolist() == [[2, 4], [np.inf, 0.5]]
         assert shot.by_hand == {"depth_kind": "inverse"}
         plain = read_raw(open_shot(str(tmp_path)), 1).gbuffer.depth
         assert plain.tolist() == [[0.5, 0.25], [np.inf, 2]]
 
     def test_an_absent_channel_is_named_with_file_and_key(self, split, tmp_path):
-        told = ChannelMap(tmp_path / "m.toml", {Role.DEPTH: ("zz.Q",)})
+        channel_map = ChannelMap(tmp_path / "m.toml", {Role.DEPTH: ("zz.Q",)})
         with pytest.raises(LayoutError) as caught:
-            open_shot(str(split / "main"), channel_map=told)
+            open_shot(str(split / "main"), channel_map=channel_map)
         message = f"channels.depth in the channel map {tmp_path / 'm.toml'} names the channel"
         assert str(caught.value).startswith(message) and "only" in str(caught.value)
 
     def test_options_come_before_the_map(self, split, tmp_path):
         own = parse_aovs([f"motion={split / 'mv'}:R,G"])
-        told = ChannelMap(tmp_path / "m", {}, parse_aovs([f"motion={split / 'mv'}:B,A"]))
+        channel_map = ChannelMap(tmp_path / "m", {}, parse_aovs([f"motion={split / 'mv'}:B,A"]))
         for given, taken in ((own, ["R", "G"]), ((), ["B", "A"])):
-            shot = open_shot(str(split / "main"), None, given, told)
+            shot = open_shot(str(split / "main"), None, given, channel_map)
             assert [ref.name for ref in shot.layout.roles[Role.MOTION]] == taken
         folder = write_stereo(tmp_path / "single", "single", (1,))
         right = ChannelMap(tmp_path / "m", view="right")

@@ -77,10 +77,10 @@ class TestStarts:
         assert footage.seen == [0, 1]
 
     @pytest.mark.parametrize(
-        ("wish", "told"), [(NONE, None), (AUTO, ()), (CutWish(False, (1001,)), ())]
+        ("wish", "expected"), [(NONE, None), (AUTO, ()), (CutWish(False, (1001,)), ())]
     )
-    def test_none_by_will_is_no_list(self, wish, told):
-        assert Footage(wish).shots.cuts == told
+    def test_none_by_will_is_no_list(self, wish, expected):
+        assert Footage(wish).shots.cuts == expected
 
     def test_a_given_one_has_to_be_there(self):
         with pytest.raises(MissingFrameError, match="frame 1010 of --cuts"):
@@ -147,8 +147,8 @@ class TestVectorsAtACut:
     def test_so_does_a_camera_that_starts_brakes_or_turns_back(self, to_next, to_previous):
         """Reversing, what it did last is as far from what it does next as both together."""
         vectors = {"to_next": field(to_next), "to_previous": field(to_previous)}
-        told = self.left(3, **vectors)
-        assert told == ("previous" if to_next == -8.0 else "previous next")
+        left = self.left(3, **vectors)
+        assert left == ("previous" if to_next == -8.0 else "previous next")
 
     @pytest.mark.parametrize("key", [1, 2, 5, 6])
     def test_away_from_a_cut_nothing_goes(self, key):
@@ -187,17 +187,17 @@ class TestVectorsAtACut:
 
 class TestRecipes:
     @pytest.mark.parametrize(
-        ("key", "back", "told"),
+        ("key", "back", "changes"),
         [(1, 3, []), (3, 3, ["end"]), (4, 0, ["begin 0"]), (5, 3, ["begin -1"]), (5, 0, [])],
     )
-    def test_what_a_cut_changes_is_told(self, key, back, told):
+    def test_what_a_cut_changes_is_listed(self, key, back, changes):
         footage = Footage(CutWish(False, (1005,)))
-        assert footage.shots.told(key, back, (key,)) == told
+        assert footage.shots.cut_facts(key, back, (key,)) == changes
 
     def test_vectors_too(self):
         footage = Footage(CutWish(False, (1005,)), lambda k: frame(k, to_next=field(40.0)))
-        assert footage.shots.told(3, 0, (3,)) == ["end", "to_next 0"]
-        assert footage.shots.told(2, 0, (2, 3)) == ["to_next 1"]
+        assert footage.shots.cut_facts(3, 0, (3,)) == ["end", "to_next 0"]
+        assert footage.shots.cut_facts(2, 0, (2, 3)) == ["to_next 1"]
 
 
 @pytest.mark.parametrize(

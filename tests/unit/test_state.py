@@ -104,7 +104,7 @@ class TestScaling:
         np.testing.assert_allclose(scaled(large)[3:5], scaled(SEEN)[3:5], rtol=1e-12)
 
     @pytest.mark.parametrize("size", [(854, 480), (1920, 1080), (3840, 2160), (7680, 4320)])
-    def test_resolutions_of_film_and_video_are_told_apart(self, size):
+    def test_resolutions_of_film_and_video_are_distinguished(self, size):
         one, more = (scaled(replace(SEEN, width=size[0] + k, height=size[1]))[5] for k in (-200, 0))
         assert 0 < one < more <= 1
         assert list(SCALES) == list(FEATURES)

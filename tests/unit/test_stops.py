@@ -17,7 +17,7 @@ from exwarp_cli.runtime.stop import StopRequested, check_stop, cleaned_up, grace
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 
 LONG_S = 60
-"""Seconds after which nobody came."""
+"""Seconds after which a test gives up waiting."""
 
 IN_A_LIBRARY = """
 import sys, time
@@ -45,7 +45,7 @@ def words(number: int) -> str:
 
 
 def loop() -> None:
-    """Work until somebody wants it to end."""
+    """Work until a stop is requested."""
     end = time.monotonic() + LONG_S
     while time.monotonic() < end:
         check_stop()

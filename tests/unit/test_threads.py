@@ -1,4 +1,4 @@
-"""What --threads says is told to every library, and to every thread that starts kernels."""
+"""What --threads says reaches every library, and every thread that starts kernels."""
 
 from __future__ import annotations
 
@@ -40,18 +40,18 @@ def test_decoders_and_ffmpeg(asked, count):
 
 
 @pytest.mark.parametrize(("given", "count"), [(None, 3), (1, 1)])
-def test_networks_have_as_many_unless_told(monkeypatch, given, count):
+def test_networks_have_as_many_by_default(monkeypatch, given, count):
     use_threads(3)
     opened = SimpleNamespace(judge=lambda: None)
-    told: list[int] = []
+    counts: list[int] = []
 
     def network(_path: object, _data: bytes, most: int, _device: str) -> SimpleNamespace:
-        told.append(most)
+        counts.append(most)
         return opened
 
     monkeypatch.setattr(models, "OnnxExtrapolator", network)
     assert models.load_extrapolator(None, given, "cpu") is opened
-    assert told == [count]
+    assert counts == [count]
 
 
 def test_kernels_of_readers_and_writers_have_no_more_than_those_of_the_caller():

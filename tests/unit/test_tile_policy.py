@@ -213,7 +213,7 @@ class TestTables:
         np.testing.assert_allclose(found.features, tables[0].features, rtol=1e-6)
         np.testing.assert_allclose(found.errors, tables[0].errors, rtol=1e-6)
 
-    def test_damage_is_told(self, tables, tmp_path):
+    def test_damage_is_reported(self, tables, tmp_path):
         (tmp_path / "a.npz").write_bytes(b"nothing")
         with pytest.raises(DamagedFileError, match="make it again with --data"):
             load_tile_table(tmp_path / "a.npz")

@@ -103,7 +103,7 @@ def same(a: dict[str, torch.Tensor], b: dict[str, torch.Tensor]) -> bool:
 
 
 @pytest.fixture
-def told(tmp_path) -> Callable[..., SceneManifest]:
+def manifest_with(tmp_path) -> Callable[..., SceneManifest]:
     """The manifest of the analytic scene, with changes."""
 
     def read(**changes: object) -> SceneManifest:
@@ -113,24 +113,24 @@ def told(tmp_path) -> Callable[..., SceneManifest]:
     return read
 
 
-def test_frames_are_chosen_by_the_seed_and_mostly_with_history(told):
-    many = choices(told(), 400, 0)
-    assert choices(told(), 400, 0) == many != choices(told(), 400, 1)
+def test_frames_are_chosen_by_the_seed_and_mostly_with_history(manifest_with):
+    many = choices(manifest_with(), 400, 0)
+    assert choices(manifest_with(), 400, 0) == many != choices(manifest_with(), 400, 1)
     assert {c.slot for c in many} == {1, 2, 3}
     assert {c.setting for c in many} == {"key", "slot"}
     assert len({c.look for c in many}) > 50
     assert {c.variant.backwards for c in many} == {True, False}
-    assert choices(told(name="lab"), 400, 0) != choices(told(name="town"), 400, 0)
+    assert choices(manifest_with(name="lab"), 400, 0) != choices(manifest_with(name="town"), 400, 0)
     for choice in many:
         shown = len(choice.variant.order(INSTANTS))
         last = FACTOR * choice.k + (FACTOR if choice.setting == "key" else choice.slot)
         assert last < shown  # the next key frame is rendered, or the slot alone
-    few = choices(told(), 40, 0)
+    few = choices(manifest_with(), 40, 0)
     assert np.mean([c.k >= 2 for c in few]) > 0.6
 
 
-def test_where_every_instant_is_a_key_frame_too_the_last_one_may_be_chosen(told):
-    chosen = [c for c in choices(told(key_step=1), 800, 0) if c.setting == "key"]
+def test_where_every_instant_is_a_key_frame_too_the_last_one_may_be_chosen(manifest_with):
+    chosen = [c for c in choices(manifest_with(key_step=1), 800, 0) if c.setting == "key"]
     ends = {(c.variant.phase, FACTOR * (c.k + 1) - len(c.variant.order(INSTANTS))) for c in chosen}
     assert {phase for phase, beyond in ends if beyond == 0} == {1}  # slot 3 is the last instant
     assert max(beyond for _, beyond in ends) == 0

@@ -81,8 +81,8 @@ class TestShots:
         with pytest.raises(InputError):
             shots.starts_at(3)
         assert [key for key in range(9) if shots.starts_at(key)] == [3, 4]
-        assert shots.told(2, 0, ()) == ["end"]
-        assert shots.told(4, 0, ()) == ["begin 0"]
+        assert shots.cut_facts(2, 0, ()) == ["end"]
+        assert shots.cut_facts(4, 0, ()) == ["begin 0"]
 
     def test_which_is_no_cut(self, unreadable):
         shots = self.shots(unreadable, CutWish(False, (1006,)), 3)

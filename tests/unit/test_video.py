@@ -104,8 +104,8 @@ class TestLook:
 
     def test_colour_and_pixels_are_labelled(self, tmp_path):
         colour = VideoColour("smpte170m", "smpte170m", "unknown", full_range=True)
-        told = self.written(tmp_path / "a.mp4", VideoLook(colour, Fraction(4, 3)))
-        assert "(pc, smpte170m/smpte170m/unknown" in told and "SAR 4:3" in told
+        output = self.written(tmp_path / "a.mp4", VideoLook(colour, Fraction(4, 3)))
+        assert "(pc, smpte170m/smpte170m/unknown" in output and "SAR 4:3" in output
 
     @pytest.mark.parametrize(
         ("codec", "name", "target", "becomes"),
@@ -119,8 +119,8 @@ class TestLook:
     )
     def test_sound_is_copied_where_players_know_it(self, tmp_path, codec, name, target, becomes):
         source = self.sound(tmp_path / "s.mkv", codec)
-        told = self.written(tmp_path / target, VideoLook(sound=Soundtrack(source, (name,))))
-        assert re.search(rf"Audio: {becomes}\b", told) and "title           : Night" in told
+        output = self.written(tmp_path / target, VideoLook(sound=Soundtrack(source, (name,))))
+        assert re.search(rf"Audio: {becomes}\b", output) and "title           : Night" in output
 
     def test_the_sound_of_a_part(self, tmp_path):
         source = self.sound(tmp_path / "s.mkv", "pcm_s16le")
@@ -130,8 +130,8 @@ class TestLook:
         rest = Soundtrack(source, ("pcm_s16le",), Fraction(1, 2), Fraction(7, 4))
         cases = ((whole, "02.0"), (part, "01.0"), (end, "00.5"), (rest, "01.5"))
         for sound, seconds in cases:
-            told = self.written(tmp_path / "a.mov", VideoLook(sound=sound), frames=3)
-            assert f"Duration: 00:00:{seconds}" in told
+            output = self.written(tmp_path / "a.mov", VideoLook(sound=sound), frames=3)
+            assert f"Duration: 00:00:{seconds}" in output
 
     def test_a_track_that_no_player_knows_is_left_out_alone(self, tmp_path):
         """As phones write it: ffmpeg cannot decode the second track."""
@@ -243,8 +243,8 @@ class TestLook:
 
     def test_silence(self, tmp_path):
         source = self.sound(tmp_path / "s.mkv", "aac")
-        told = self.written(tmp_path / "a.mp4", VideoLook(sound=Soundtrack(source, ())))
-        assert "Audio" not in told and "Night" not in told
+        output = self.written(tmp_path / "a.mp4", VideoLook(sound=Soundtrack(source, ())))
+        assert "Audio" not in output and "Night" not in output
 
 
 class TestVideoWriter:
@@ -267,9 +267,9 @@ class TestVideoWriter:
         with VideoWriter(path, 32, 32, Fraction(30000, 1001) * 4) as video:
             for _ in range(8):
                 video.write(flat(32, 32, 9, 9, 9))
-        told = ffmpeg("-i", str(path)).stderr.decode()
-        assert "119.88 fps" in told and "120k tbn" in told
-        assert re.search(r"h264.*yuv420p\(tv, bt709/bt709/iec61966-2-1", told)
+        output = ffmpeg("-i", str(path)).stderr.decode()
+        assert "119.88 fps" in output and "120k tbn" in output
+        assert re.search(r"h264.*yuv420p\(tv, bt709/bt709/iec61966-2-1", output)
 
     @pytest.mark.parametrize(("fps", "rate"), [(23.976023976, "24000/1001"), (96.0, "96")])
     def test_a_float_rate_becomes_the_fraction_that_is_meant(self, tmp_path, fps, rate):

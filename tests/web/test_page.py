@@ -287,7 +287,7 @@ def test_a_gallery_without_psnr_keeps_the_worst_by_what_there_is() -> None:
         ("of a later version", "warp", "warp"),
     ],
 )
-def test_what_made_a_frame_is_told_apart(method: str, maker: str, kind: str) -> None:
+def test_what_made_a_frame_is_distinguished(method: str, maker: str, kind: str) -> None:
     frame = replace(long_run(1).frames[1], method=method, made_by=maker)
     assert made_by(frame) == kind
 

@@ -91,7 +91,7 @@ def test_long_series_keep_their_worst_and_best() -> None:
     assert plots.thinned(values[:2000]) == list(range(2000))
 
 
-def test_kinds_are_told_apart_by_colour_and_marker() -> None:
+def test_kinds_are_distinguished_by_colour_and_marker() -> None:
     svg = plots.points(LABELS, list(range(8)), [1.0] * 8, list(plots.KINDS)).svg
     makers = {
         "warp",
@@ -124,9 +124,9 @@ def test_no_tick_stands_between_two_frames(x: list[int], draw: str) -> None:
         "points": lambda: plots.points(Labels("T"), x, y, ["warp"] * len(x)),
         "panels": lambda: plots.series_panels(Labels("T"), x, {"a": y}),
     }[draw]().svg
-    told = ET.fromstring(svg.replace(IDS, "")).iter("text")
+    texts = ET.fromstring(svg.replace(IDS, "")).iter("text")
     # The y axis is around 1.5, so what is 5 and more belongs to x.
-    large = [text for e in told if (text := "".join(e.itertext())) and text[0].isdigit()]
+    large = [text for e in texts if (text := "".join(e.itertext())) and text[0].isdigit()]
     across = [float(text) for text in large if float(text) >= 5]
     assert across and all(value in x for value in across)
 

@@ -203,10 +203,10 @@ def test_the_forecast_lies_over_the_grey_frame(visit):
     assert "of 255 levels" in seen.part("scale").inner_text()
     assert seen.part("left-tag").inner_text() == "predicted error"
     album = json.loads(seen.page.locator(".viewer script").text_content())
-    told = next(frame for frame in album["frames"] if frame["number"] == 4)["risk"]
-    columns = np.arange(SIZE[1]) * told["columns"] // SIZE[1]
-    rows = np.arange(SIZE[0]) * told["rows"] // SIZE[0]
-    levels = np.array(told["levels"]).reshape(told["rows"], -1)[rows][:, columns]
+    risk = next(frame for frame in album["frames"] if frame["number"] == 4)["risk"]
+    columns = np.arange(SIZE[1]) * risk["columns"] // SIZE[1]
+    rows = np.arange(SIZE[0]) * risk["rows"] // SIZE[0]
+    levels = np.array(risk["levels"]).reshape(risk["rows"], -1)[rows][:, columns]
     tint = image(seen.canvas()) - 0.3 * plain.mean(axis=-1, keepdims=True)
     worst, best = (tint[levels == level].mean() for level in (levels.max(), levels.min()))
     assert worst > best

@@ -111,7 +111,7 @@ class Manifest:
 
 
 def default_data() -> Path:
-    """Return where rendered scenes go unless told: the user's cache folder."""
+    """Return where rendered scenes go by default: the user's cache folder."""
     cache = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
     return Path(cache).expanduser() / "exwarp" / "scenes"
 

@@ -19,9 +19,9 @@ from exwarp_cli.commands.config.layers import (
     Layer,
     Setting,
     configurable,
+    describe,
     environment_layer,
     in_force,
-    told,
     unknown_variables,
     variable_name,
 )
@@ -299,7 +299,7 @@ def _announcing(callback: Callable[..., Any]) -> Callable[..., Any]:
         meta = click.get_current_context().meta
         settings, lines = meta.get(_SETTINGS, ()), list(meta.get(_WARNINGS, ()))
         if settings:
-            lines.append(f"options {told(settings)}")
+            lines.append(f"options {describe(settings)}")
         for line in lines:
             _tell(line, parameters.get("progress"))
         return callback(**parameters)

@@ -291,7 +291,7 @@ def _arguments(option: click.Option, value: Value | None) -> tuple[str, ...]:
     return (name, *value)
 
 
-def told(settings: Iterable[Setting]) -> str:
+def describe(settings: Iterable[Setting]) -> str:
     """Say what each source adds to a command line, in one line."""
     by_source: dict[str, list[str]] = {}
     for setting in settings:

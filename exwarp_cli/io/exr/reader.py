@@ -148,7 +148,7 @@ def parse_header(path: Path, file: BinaryIO) -> FileHeader:
             if not _is_usual(part, sum(layout.sizes)):
                 return header
             parts.append(part)
-        # OpenImageIO opens what OpenEXR opens: so a file is judged alike, whoever reads it.
+        # OpenImageIO opens what OpenEXR opens: so a file is judged alike by both readers.
         with being_read(path):
             if len(raw.typed) == len(parts):
                 return replace(header, parts=with_distinct_names(parts))

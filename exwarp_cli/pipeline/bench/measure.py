@@ -136,7 +136,7 @@ PART_VERSION = 1
 def identity(opened: Opened, key: int, recipes: Mapping[int, str]) -> str:
     """Return what a part depends on, digested: files, networks, systems and metrics."""
     settings = opened.settings
-    told = {
+    dependencies = {
         "version": [PART_VERSION, __version__],
         "recipes": sorted(recipes.items()),
         "truth": opened.truth_digests(key),
@@ -146,7 +146,7 @@ def identity(opened: Opened, key: int, recipes: Mapping[int, str]) -> str:
         "metrics": sorted(settings.metrics),
         "device": settings.device,
     }
-    return hashlib.sha256(json.dumps(told).encode()).hexdigest()
+    return hashlib.sha256(json.dumps(dependencies).encode()).hexdigest()
 
 
 def measure(opened: Opened, inputs: IntervalInputs) -> dict[str, Any]:

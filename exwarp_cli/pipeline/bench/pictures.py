@@ -141,7 +141,7 @@ class Pictures:
                 return tuple(_predicted(HOLD, interval, slot) for slot in SLOTS)
             older = interval.past[0].frame.image.pixels if interval.past else None
             before, after = interval.key.image.pixels, interval.following.image.pixels
-            alpha = before[..., 3:]  # which ffmpeg does not make, and nobody judges
+            alpha = before[..., 3:]  # which ffmpeg does not make, and no score judges
             self._between = tuple(
                 np.concatenate([made, alpha], axis=-1)
                 for made in minterpolate(older, before, after)

@@ -53,7 +53,7 @@ def subjects_of(settings: BenchSettings, say: Say) -> tuple[Subject, ...]:
     settings
         What was asked.
     say
-        Told of scenes that are left out, as hardly anything of them is rendered.
+        Receives a line on each scene that is left out, as hardly anything of it is rendered.
 
     Raises
     ------

@@ -85,7 +85,7 @@ def side_by_side(
 
 
 def tell(what: object) -> None:
-    """Tell the process that gave the work; what is told can be pickled."""
+    """Send something that can be pickled to the process that gave the work."""
     if _news is not None:
         _news.put(what)
 
@@ -100,7 +100,7 @@ def _begin(begin: Callable[[], None], news: Any) -> None:
 def follow_parent() -> None:
     """Prepare a process to end with its parent, however that ends, and only then.
 
-    Interruptions are the parent's business. Where it is killed, nobody else would tell a process
+    Interruptions are the parent's business. Where it is killed, nothing else would end a process
     that waits for work.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)

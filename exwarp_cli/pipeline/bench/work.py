@@ -93,32 +93,32 @@ def run_benchmark(settings: BenchSettings, progress: Progress | None = None) -> 
     settings
         What is asked. Its output folder gets a folder `PARTS`.
     progress
-        Told of every key interval.
+        Receives every key interval.
 
     Raises
     ------
     ExwarpError
         For anything that a user can cause; what was measured until then is kept.
     """
-    told = progress or NoProgress()
-    subjects = subjects_of(settings, told.message)
+    progress = progress or NoProgress()
+    subjects = subjects_of(settings, progress.message)
     networks = load_networks(settings, None)
     opened = {subject: Opened(subject, settings, networks) for subject in subjects}
     _make_folders(opened.values())
-    timings = {subject: _timing(one, told) for subject, one in opened.items()}
+    timings = {subject: _timing(one, progress) for subject, one in opened.items()}
     keys = {subject: one.keys for subject, one in opened.items()}
     about = {subject: about_subject(one) for subject, one in opened.items()}
     del opened
     notes = [one["policy"]["note"] for one in about.values()]
     for note in dict.fromkeys(note for note in notes if note is not None):
-        told.message(note)
+        progress.message(note)
     counts = {_kind(subject): len(chosen) for subject, chosen in keys.items()}
-    told.start(sum(counts.values()), counts, _jobs(settings))
+    progress.start(sum(counts.values()), counts, _jobs(settings))
     try:
-        with closing(_parts(settings, keys, told)) as found:
+        with closing(_parts(settings, keys, progress)) as found:
             parts = dict(found)
     finally:
-        told.finish()
+        progress.finish()
     return Benchmark(
         settings,
         networks.checksums,
@@ -161,14 +161,14 @@ def _make_folders(opened: Iterable[Opened]) -> None:
 def _timing(opened: Opened, progress: Progress) -> dict[str, Any]:
     """Take run times that were measured before with the same networks and systems, or measure."""
     settings = opened.settings
-    told = {
+    dependencies = {
         "version": [TIMING_VERSION, __version__],
         "networks": sorted(opened.networks.checksums.items()),
         "systems": [*settings.systems, *opened.networks.systems],
         "device": settings.device,
         "keys": opened.keys,
     }
-    token = hashlib.sha256(json.dumps(told).encode()).hexdigest()
+    token = hashlib.sha256(json.dumps(dependencies).encode()).hexdigest()
     path = folder_of(opened) / "timing.json"
     known = _kept(path, token)
     if known is None:

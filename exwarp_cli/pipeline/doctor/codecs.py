@@ -18,7 +18,7 @@ from exwarp_cli.domain.wording import counted, first_line
 from exwarp_cli.errors import ExwarpError, UsageError
 from exwarp_cli.io.exr.reader import ExrFile
 from exwarp_cli.io.exr.writer import COMPRESSIONS, encode_by_openexr, scanline_structure
-from exwarp_cli.io.ffmpeg import FfmpegError, told
+from exwarp_cli.io.ffmpeg import FfmpegError, run_ffmpeg
 from exwarp_cli.io.stills import STILLS, require_writer
 from exwarp_cli.pipeline.doctor.examine import Check, failure, warning
 from exwarp_cli.runtime.stop import scratch_folder
@@ -89,7 +89,7 @@ def check_video() -> Check:
     """Ask ffmpeg for its version, encoders and filters."""
     try:
         path = imageio_ffmpeg.get_ffmpeg_exe()
-        listed, _ = told(["-version"])
+        listed, _ = run_ffmpeg(["-version"])
         encoders, filters = ffmpeg_has("encoders"), ffmpeg_has("filters")
     except (FfmpegError, OSError, RuntimeError) as error:
         text = f"videos can be neither written nor read: {first_line(error)}; {_FFMPEG}"
@@ -119,7 +119,7 @@ def check_video() -> Check:
 
 def ffmpeg_has(kind: str) -> frozenset[str]:
     """Return the names of ffmpeg's "encoders" or "filters"; raises FfmpegError."""
-    listed, _ = told(["-hide_banner", f"-{kind}"])
+    listed, _ = run_ffmpeg(["-hide_banner", f"-{kind}"])
     rows = (line.split() for line in listed.decode("utf-8", "replace").splitlines())
     return frozenset(row[1] for row in rows if len(row) > 1)
 

@@ -74,12 +74,12 @@ def check_network() -> Check:
     runs = (
         f"runs the extrapolator on {enumerated(good)}" if good else "does not run the extrapolator"
     )
-    told = f"onnxruntime {runtime_version()} {runs}"
+    found = f"onnxruntime {runtime_version()} {runs}"
     lines = [f"offers {', '.join(_PROVIDERS.get(name, name) for name in offered)}"]
     if CUDA not in offered:
-        told += "; no CUDA"
+        found += "; no CUDA"
         lines.append("for CUDA put onnxruntime-gpu in the place of onnxruntime")
-    return Check(told, remarks, facts, tuple(lines))
+    return Check(found, remarks, facts, tuple(lines))
 
 
 def check_policy() -> Check:

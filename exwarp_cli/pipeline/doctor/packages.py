@@ -120,9 +120,9 @@ def check_extras() -> Check:
     there = [name for name, packages in extras.items() if all(p.installed for p in packages)]
     missing = [name for name, packages in extras.items() if not any(p.installed for p in packages)]
     remarks = [remark for name in names for remark in _extra_remarks(name, extras[name])]
-    told = [f"{enumerated(there)} installed"] if there else []
+    parts = [f"{enumerated(there)} installed"] if there else []
     if missing:
-        told.append(f"{enumerated(missing)} not ({pip_command(missing)})")
+        parts.append(f"{enumerated(missing)} not ({pip_command(missing)})")
     facts = {
         "extras": {
             name: {
@@ -134,7 +134,7 @@ def check_extras() -> Check:
         }
     }
     lines = tuple(f"{name}: {'; '.join(p.line for p in extras[name])}" for name in names)
-    return Check(", ".join(told) or "there are none", tuple(remarks), facts, lines)
+    return Check(", ".join(parts) or "there are none", tuple(remarks), facts, lines)
 
 
 def pip_command(extras: list[str]) -> str:

@@ -36,7 +36,7 @@ RIGHT, DOWN = 2, -1
 DEPTH, FOCAL = 5.0, 80.0
 
 MARGIN = FACTOR * max(abs(RIGHT), abs(DOWN)) + 4
-"""Pixels along the rim that are not judged: what comes into the picture is known to nobody."""
+"""Pixels along the rim that are not judged: what comes into the picture is not known."""
 
 EXTRAPOLATED = 0.05
 """Most that a network may be off by there, scene-linear; it was 0.006."""
@@ -87,14 +87,14 @@ def check_self_test() -> Check:
         },
     }
     many = "is" if len(good) == 1 else "are"
-    told = f"{enumerated(good)} {many} right" if good else "nothing is right"
-    told += f"; {seconds:.1f} s"
+    found = f"{enumerated(good)} {many} right" if good else "nothing is right"
+    found += f"; {seconds:.1f} s"
     if compiled:
-        told += f", {counted(compiled, 'kernel')} compiled"
+        found += f", {counted(compiled, 'kernel')} compiled"
     lines = tuple(
         f"{n}: {counted(t.frames, 'frame')}, {t.seconds:.2f} s" for n, t in trials.items()
     )
-    return Check(told, remarks, facts, lines)
+    return Check(found, remarks, facts, lines)
 
 
 def write_shot(folder: Path) -> None:

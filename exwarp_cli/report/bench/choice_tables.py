@@ -31,12 +31,12 @@ def holes(document: Document) -> Table:
         rows.append(what(row) | values | bins)
     edges = next((r["histogram"]["edges"] for r in document["holes"] if r["histogram"]), (0.0,))
     printed = {row["app"]: row["paper"] for row in document["holes"] if row.get("paper")}
-    told = "".join(f" The paper, {app}: {text}." for app, text in printed.items())
+    paper = "".join(f" The paper, {app}: {text}." for app, text in printed.items())
     return Table(
         "holes",
         "Share of holes in warped frames (Figure 2)",
         "How many of the frames at slots 1 to 3 have that share of their pixels unseen in the key "
-        "frame." + told,
+        "frame." + paper,
         (
             *WHAT,
             Column("mean", "mean", ".1%"),

@@ -81,7 +81,7 @@ def saved_share(one: Measured, system: str, rendered: float, made: float) -> flo
     ----------
     rendered, made
         Seconds of a key frame, and of a slot of the system. Repeats cost time and save none, as
-        nobody would have rendered them.
+        they would not have been rendered.
     """
     new: float = sum(frame["made_by"] != HOLD for frame in shown(one, system)) / len(one.parts)
     return (new * rendered - len(SLOTS) * made) / ((1 + new) * rendered)

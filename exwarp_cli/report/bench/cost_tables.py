@@ -20,8 +20,8 @@ from exwarp_cli.report.bench.columns import (
 )
 from exwarp_cli.report.bench.naming import Document
 
-TOLD = ("exwarp", "s6", "softsplat")
-"""Systems whose savings are told, with all that options add."""
+LISTED = ("exwarp", "s6", "softsplat")
+"""Systems whose savings are listed, with all that options add."""
 
 
 def render_time(document: Document) -> Table:
@@ -29,7 +29,7 @@ def render_time(document: Document) -> Table:
     rows: list[Row] = []
     for row in document["render_time"]:
         for name, made in row["generated_frame_s"].items():
-            if name in SYSTEMS and name not in TOLD:
+            if name in SYSTEMS and name not in LISTED:
                 continue
             cells = {"system": name, "key": row["key_frame_s"], "made": made}
             for key, source in (("saved", "saved_share"), ("faster", "times_faster")):

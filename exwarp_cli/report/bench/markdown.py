@@ -29,7 +29,7 @@ def about(document: Document) -> str:
         f"{row['machine']['processor']}, {row['machine']['cores']} cores" for row in sequences
     )
     unseen = [row for row in sequences if row["policy"]["trained_without_it"]]
-    told = (
+    sentences = (
         f"{_counted(len(sequences), 'sequence')} of {', '.join(sizes)} pixels, "
         f"{_counted(intervals, 'key interval')}, "
         + " and ".join(f"{rate:g} to {FACTOR * rate:g}" for rate in rates)
@@ -38,8 +38,8 @@ def about(document: Document) -> str:
     )
     if unseen:
         names = ", ".join(dict.fromkeys(row["name"] for row in unseen))
-        told += f" The policy of each scene was trained without it ({names})."
-    return told
+        sentences += f" The policy of each scene was trained without it ({names})."
+    return sentences
 
 
 def _counted(count: int, what: str) -> str:

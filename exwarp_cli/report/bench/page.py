@@ -118,12 +118,12 @@ def _groups(table: Rows) -> list[list[Row]]:
 
 
 def _table(title: str, table: Rows, rows: Sequence[Row], note: str = "") -> Table:
-    columns = _told(table, rows)
+    columns = _shown_columns(table, rows)
     cells = [[None if row.get(c.key) is None else c.text(row) for c in columns] for row in rows]
     return Table(title, [column.title for column in columns], cells, note)
 
 
-def _told(table: Rows, rows: Sequence[Row]) -> list[Column]:
+def _shown_columns(table: Rows, rows: Sequence[Row]) -> list[Column]:
     """Leave out columns that say the same of all rows: the subtitle has it, or the title.
 
     Rows still begin with a name: that of the sequence, or where it is left out, of the system.
@@ -156,10 +156,10 @@ def _numbers(document: Document) -> list[Number]:
 
 
 def _saved(document: Document) -> list[Number]:
-    """Return what was saved against rendering, where headers told how long that took."""
-    told = [row for row in document["render_time"] if row["saved_share"] is not None]
+    """Return what was saved against rendering, where headers state how long that took."""
+    rows = [row for row in document["render_time"] if row["saved_share"] is not None]
     for name, label in HEADLINE:
-        known = [row for row in told if name in row["saved_share"]]
+        known = [row for row in rows if name in row["saved_share"]]
         if not known:
             continue
         share = mean(row["saved_share"][name] for row in known)

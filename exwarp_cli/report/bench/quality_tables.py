@@ -46,7 +46,7 @@ def _paths(document: Document, metric: str, name: str, title: str, style: str) -
         name,
         title,
         "Means over all frames shown at slots 1 to 3, repeats included. S1 is ExtraNet's way, S6 "
-        "warping alone; the oracles are told by ground truth. Paper: other scenes of the same "
+        "warping alone; the oracles choose by ground truth. Paper: other scenes of the same "
         "themes; 240p stands beside its 480p.",
         (
             *WHAT,
@@ -79,7 +79,7 @@ def comparison(document: Document) -> Table:
     return Table(
         "comparison",
         "Comparison with interpolation (Table VII)",
-        "Look-ahead systems wait for the next key frame, so that whoever watches live sees "
+        "Look-ahead systems wait for the next key frame, so that a live viewer sees "
         "everything a key interval late. Time is that of one generated frame, files apart. s1 to "
         "s5 and exwarp run our E; s1 is what ExtraNet does. PSNR, SSIM and VMAF: more is better; "
         "FLIP, HDR-FLIP and flicker: less; pulse: 0. (holes): the pixels that W cannot see.",

@@ -158,10 +158,10 @@
     // The stored error of one of the two, else how far they are apart on the display.
     async error(names, pair) {
       const found = names.find((name) => this.frame.errors[name] !== undefined);
-      let codes, told;
+      let codes, tag;
       if (found !== undefined) {
         codes = await this.pixels(this.frame.errors[found]);
-        told = `error of ${found}`;
+        tag = `error of ${found}`;
       } else {
         if (!pair[0] || !pair[1]) return [null, "error"];
         codes = new ImageData(pair[0].width, pair[0].height);
@@ -170,14 +170,14 @@
           for (let c = 0; c < 3; c++) sum += Math.abs(pair[0].data[i + c] - pair[1].data[i + c]);
           codes.data[i] = Math.round(255 * Math.sqrt(sum / 765));
         }
-        told = `${names[0]} against ${names[1]}`;
+        tag = `${names[0]} against ${names[1]}`;
       }
       const out = new ImageData(codes.width, codes.height);
       for (let i = 0; i < out.data.length; i += 4) {
         out.data.set(this.heat[codes.data[i]], i);
         out.data[i + 3] = 255;
       }
-      return [out, told];
+      return [out, tag];
     }
 
     // The predicted error of the frame's tiles over its grey picture, in the error map's colours.
@@ -216,21 +216,21 @@
       const names = [parts.before.value, parts.after.value];
       const stops = Number(parts.exposure.value);
       let pair = await Promise.all(names.map((name) => this.shown(name, stops)));
-      let told = names;
+      let tags = names;
       if (mode === "error") {
         const [image, text] = await this.error(names, pair);
         pair = [image, image];
-        told = [text, ""];
+        tags = [text, ""];
       }
       if (mode === "forecast") {
         const image = this.forecast(pair.find(Boolean) ?? null);
         pair = [image, image];
-        told = ["predicted error", ""];
+        tags = ["predicted error", ""];
       }
       pair = [await this.tint(pair[0]), pair[0] === pair[1] ? pair[0] : await this.tint(pair[1])];
       if (turn !== this.asked) return;
       this.paint(pair, mode);
-      this.label(pair, told, mode, stops);
+      this.label(pair, tags, mode, stops);
     }
 
     paint([left, right], mode) {
@@ -261,9 +261,9 @@
       if (right) this.context.putImageData(right, 0, 0, at, 0, width - at, height);
     }
 
-    label(pair, told, mode, stops) {
+    label(pair, tags, mode, stops) {
       const { parts, frame, root } = this;
-      const name = (i) => told[i] + (pair[i] ? "" : " (not in this frame)");
+      const name = (i) => tags[i] + (pair[i] ? "" : " (not in this frame)");
       parts["left-tag"].textContent = name(0);
       parts["right-tag"].textContent = mode === "slider" || mode === "side" ? name(1) : "";
       parts["right-tag"].hidden = parts["right-tag"].textContent === "";
@@ -272,7 +272,7 @@
       parts.stops.textContent = (stops > 0 ? "+" : "") + stops;
       parts.seek.value = this.index;
       parts.seek.setAttribute("aria-valuetext", frame.label);
-      parts.canvas.setAttribute("aria-label", `${frame.label}: ${told.filter(Boolean).join(" and ")}`);
+      parts.canvas.setAttribute("aria-label", `${frame.label}: ${tags.filter(Boolean).join(" and ")}`);
       parts.scale.textContent = mode === "forecast" ? `${FORECAST} of 255 levels, by square root`
         : "100 % of the display range, by square root";
       const forecast = this.modes.find((input) => input.value === "forecast");

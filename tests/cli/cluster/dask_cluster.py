@@ -23,26 +23,26 @@ class DaskCluster(Held):
 
     def _open(self, stack: ExitStack) -> None:
         self._folder.mkdir(parents=True, exist_ok=True)
-        told = self._folder / "scheduler.json"
-        where = ("--host", "127.0.0.1", "--port", "0", "--scheduler-file", told)
+        address_file = self._folder / "scheduler.json"
+        where = ("--host", "127.0.0.1", "--port", "0", "--scheduler-file", address_file)
         self._scheduler = self._start(stack, "scheduler", *where)
         deadline = time.monotonic() + 60
-        while not told.exists() or not told.read_text():
+        while not address_file.exists() or not address_file.read_text():
             assert time.monotonic() < deadline, (self._folder / "log").read_text()
             time.sleep(0.05)
-        self.address: str = json.loads(told.read_text())["address"]
+        self.address: str = json.loads(address_file.read_text())["address"]
 
     def start_worker(
         self, *options: object, cwd: Path | None = None, preload: str = ""
     ) -> subprocess.Popen[bytes]:
         """Start a worker with one thread, and code of its own that runs before all."""
-        told: list[object] = ["--nthreads", "1", "--no-nanny", "--death-timeout", "30"]
+        arguments: list[object] = ["--nthreads", "1", "--no-nanny", "--death-timeout", "30"]
         if preload:
             script = self._folder / f"preload_{len(self.workers)}.py"
             script.write_text(preload)
-            told += ["--preload", script]
-        told += ["--local-directory", self._folder, *options, self.address]
-        self.workers.append(self._start(self._stack, "worker", *told, cwd=cwd))
+            arguments += ["--preload", script]
+        arguments += ["--local-directory", self._folder, *options, self.address]
+        self.workers.append(self._start(self._stack, "worker", *arguments, cwd=cwd))
         return self.workers[-1]
 
     def kill_scheduler(self) -> None:

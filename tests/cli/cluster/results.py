@@ -21,5 +21,5 @@ def agree(one: Path, other: Path) -> None:
     if (one / "a.mp4").exists():
         assert (one / "a.mp4").read_bytes() == (other / "a.mp4").read_bytes()
     if (one / "report").exists():
-        for told in (unmeasured, rows, album):
-            assert told(one / "report") == told(other / "report")
+        for read in (unmeasured, rows, album):
+            assert read(one / "report") == read(other / "report")

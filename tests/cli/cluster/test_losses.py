@@ -100,9 +100,9 @@ class TestLosses:
 
 def start(keys: Path, out: Path, *options: object) -> subprocess.Popen[str]:
     """Start the command in a session of its own, as a terminal would."""
-    told = [sys.executable, "-m", "exwarp_cli", "upsample", keys, "-o", out, *options]
+    command = [sys.executable, "-m", "exwarp_cli", "upsample", keys, "-o", out, *options]
     return subprocess.Popen(
-        [str(word) for word in told],
+        [str(word) for word in command],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

@@ -28,7 +28,7 @@ class TestRefusals:
     def run(self, exwarp, keys: Path, out: object, *options: object) -> Any:
         return exwarp("upsample", keys, "-o", out, "-m", "s6", *FORWARD, *options)
 
-    def test_nobody_listens(self, exwarp, keys, tmp_path, monkeypatch):
+    def test_no_server_listens(self, exwarp, keys, tmp_path, monkeypatch):
         monkeypatch.setattr(cluster_client, "CONNECT_S", 1.0)
         begin = time.monotonic()
         result = self.run(exwarp, keys, tmp_path / "out", "--cluster", "tcp://127.0.0.1:9")
@@ -45,7 +45,7 @@ class TestRefusals:
         self.run(exwarp, keys, tmp_path / "out", "--cluster", address).refused(9, address)
 
     @pytest.mark.parametrize("greeting", [b"HTTP/1.0 400 Bad Request\r\n\r\n" + 80 * b"x", b""])
-    def test_somebody_else_listens(self, exwarp, keys, tmp_path, monkeypatch, greeting):
+    def test_another_server_listens(self, exwarp, keys, tmp_path, monkeypatch, greeting):
         monkeypatch.setattr(cluster_client, "CONNECT_S", 1.0)
         with socket.create_server(("127.0.0.1", 0)) as server:
             threading.Thread(target=greet, args=(server, greeting), daemon=True).start()
@@ -162,13 +162,13 @@ class TestRefusals:
 
 
 def greet(server: socket.socket, greeting: bytes) -> None:
-    """Answer whoever comes, or never; ends with the server."""
+    """Answer every client, or never; ends with the server."""
     silent = []
     with suppress(OSError):
         while True:
-            somebody, _ = server.accept()
-            somebody.sendall(greeting)
+            client, _ = server.accept()
+            client.sendall(greeting)
             if greeting:
-                somebody.close()
+                client.close()
             else:
-                silent.append(somebody)
+                silent.append(client)

@@ -56,8 +56,8 @@ class TestSame:
     def test_methods_that_decide(self, both, shot, network, tmp_path_factory, method):
         sequence, *rest = shot["slot"]
         truth = shots.truth(tmp_path_factory.mktemp("five") / "truth", shots.KEYS, 1, SMALL)
-        told = (*rest, "-m", method, "--extrapolator", network, "--ground-truth", truth)
-        one, other = both(sequence, *told, "--report", "@report", size=1)
+        options = (*rest, "-m", method, "--extrapolator", network, "--ground-truth", truth)
+        one, other = both(sequence, *options, "--report", "@report", size=1)
         assert any(unmeasured(one / "report")["decisions"]["paths"].values())
         agree(one, other)
 
@@ -70,9 +70,9 @@ class TestSame:
     @pytest.mark.slow
     def test_layers_and_views_of_every_kind(self, both, tmp_path_factory):
         folder = write_stereo(tmp_path_factory.mktemp("stereo") / "keys", "parts")
-        sequence, told = arguments(folder, "parts")
+        sequence, options = arguments(folder, "parts")
         everything = ("--view", "all", "--layers", "all", "--video", "@a.mp4")
-        agree(*both(sequence, *told, "-m", "softsplat", *everything, size=1))
+        agree(*both(sequence, *options, "-m", "softsplat", *everything, size=1))
 
     @pytest.mark.slow
     def test_a_video_with_sound(self, both, tmp_path_factory):
@@ -123,10 +123,10 @@ class TestSame:
         options = ("-m", "s6", *FORWARD, "--progress", "json", "--json", "--cluster", farm)
         done = exwarp("upsample", keys, "-o", tmp_path / "out", *options)
         assert json.loads(done.out)["frames"]["written"] == 4 * KEYS
-        told = [json.loads(line) for line in done.err.splitlines()]
-        frames = [event["frame"] for event in told if event["event"] == "frame"]
+        events = [json.loads(line) for line in done.err.splitlines()]
+        frames = [event["frame"] for event in events if event["event"] == "frame"]
         assert sorted(frames) == list(range(1, 4 * KEYS + 1))
-        messages = [event["text"] for event in told if event["event"] == "message"]
+        messages = [event["text"] for event in events if event["event"] == "message"]
         assert len(messages) == len(set(messages))
 
     def test_a_dry_run_counts_the_workers(self, exwarp, farm, keys, tmp_path):

@@ -67,7 +67,7 @@ class TestMistakes:
             ("nope.toml", "does not exist"),
             (".", "folder"),
             ("a" * 300, "cannot be reached: File name too long"),
-            ("~nobody-of-that-name/x.toml", "nobody has that home"),
+            ("~no-user-of-that-name/x.toml", "has that home"),
         ],
     )
     def test_files_that_are_none(self, name, found, exwarp, project, monkeypatch):

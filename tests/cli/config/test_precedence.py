@@ -81,7 +81,7 @@ class TestIsolated:
         capsys.readouterr()
         assert parse(*BEGIN, "--isolated") == usual
         assert parse("merge-reports", "--isolated", "report")["overwrite"] is False
-        assert capsys.readouterr().err == "", "and nobody is told of them"
+        assert capsys.readouterr().err == "", "and no message is about them"
 
     def test_a_machine_has_its_own_threads_and_progress(self, parse, monkeypatch):
         monkeypatch.setenv("EXWARP_UPSAMPLE_THREADS", "3")

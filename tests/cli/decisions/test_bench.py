@@ -201,7 +201,7 @@ def test_its_document_is_that_of_the_file(exwarp, uneven, truth, tmp_path, kind)
 
 
 def test_each_key_interval_moves_the_bar(exwarp, uneven, truth, tmp_path, monkeypatch):
-    """At the start of each interval those before are told, with the time that the rest takes."""
+    """At the start of each interval, progress counts those before and has the time for the rest."""
 
     def measure(*given: Any) -> dict[str, Any]:
         sys.stderr.write(json.dumps({"event": "measuring"}) + "\n")
@@ -212,10 +212,10 @@ def test_each_key_interval_moves_the_bar(exwarp, uneven, truth, tmp_path, monkey
     how = ("--jobs", 1, "--metrics", "psnr", "--systems", "hold", "--progress", "json")
     line = ("bench", *uneven["key"], "--ground-truth", truth, "-o", tmp_path / "bench", *how)
     events = [json.loads(text) for text in exwarp(*line, "--frames", "1-3").err.splitlines()]
-    told = [one for one in events if one["event"] in ("measuring", "frame")]
-    assert [one["event"] for one in told] == ["measuring", "frame"] * 3
-    assert [(one["done"], one["total"]) for one in told[1::2]] == [(1, 3), (2, 3), (3, 3)]
-    assert told[1]["eta_s"] > 0 and told[-1]["eta_s"] == 0
+    seen = [one for one in events if one["event"] in ("measuring", "frame")]
+    assert [one["event"] for one in seen] == ["measuring", "frame"] * 3
+    assert [(one["done"], one["total"]) for one in seen[1::2]] == [(1, 3), (2, 3), (3, 3)]
+    assert seen[1]["eta_s"] > 0 and seen[-1]["eta_s"] == 0
     events = [json.loads(text) for text in exwarp(*line, "--frames", "1-4").err.splitlines()]
     kept = [one["eta_s"] for one in events if one["event"] == "frame"]
     assert kept == [None, None, None, 0]
@@ -235,17 +235,17 @@ def test_only_what_is_damaged_or_asked_for_anew_is_measured(bench, monkeypatch):
     first, folder = bench(*FEW)
     part = next(iter(folder.glob("parts/*/2.json")))
     part.write_text(part.read_text()[:100])
-    measure, told = work.measure, []
+    measure, measured = work.measure, []
 
     def counted(opened, loaded):
-        told.append(loaded.key)
+        measured.append(loaded.key)
         return measure(opened, loaded)
 
     monkeypatch.setattr(work, "measure", counted)
     again, _ = bench(*FEW)
-    assert again["quality"] == first["quality"] and told == [1]
+    assert again["quality"] == first["quality"] and measured == [1]
     fewer, _ = bench(*QUICK, "--systems", "s3,hold", "--frames", "2")
-    assert set(fewer["quality"][0]["systems"]) == {"s3", "hold"} and told == [1, 1]
+    assert set(fewer["quality"][0]["systems"]) == {"s3", "hold"} and measured == [1, 1]
 
 
 def test_another_card_is_another_network(bench, tmp_path):
@@ -363,8 +363,8 @@ def test_terminated_it_says_so_at_once_and_its_workers_end(tmp_path):
         process.send_signal(signal.SIGTERM)
         _, err = process.communicate(timeout=60)
     assert process.returncode == 143 and "Traceback" not in err
-    (told,) = (line for line in err.splitlines() if line.startswith("exwarp: error: "))
-    assert "terminated" in told and "same command goes on" in told
+    (error,) = (line for line in err.splitlines() if line.startswith("exwarp: error: "))
+    assert "terminated" in error and "same command goes on" in error
     until(lambda: not any(map(is_running, workers)))
 
 
@@ -403,7 +403,7 @@ def children(pid: int) -> list[int]:
 
 
 def is_running(pid: int) -> bool:
-    """Whether a process lives; one that nobody has reaped does not."""
+    """Whether a process lives; one that ended and was not reaped does not."""
     try:
         status = Path(f"/proc/{pid}/stat").read_text()
     except OSError:

@@ -1,4 +1,4 @@
-"""The oracles: by ground truth no path is better, and what they weighed is told."""
+"""The oracles: by ground truth no path is better, and the report has what they weighed."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ class TestBest:
             known = quality(judged, key, setting)
             means = {path: mean_psnr(known, path) for path in PATHS}
             assert means[done.paths[key]] >= max(means.values()) - ROUNDING
-            for node, told in weighed(done, key).items():
-                assert told == pytest.approx([known[node, c][0] for c in (W, E)], abs=ROUNDING)
+            for node, scores in weighed(done, key).items():
+                assert scores == pytest.approx([known[node, c][0] for c in (W, E)], abs=ROUNDING)
         for path in PATHS:
             other = judged(path.lower(), setting).report["quality"]["all"]["psnr_db"]
             assert done.report["quality"]["all"]["psnr_db"] >= other - ROUNDING
@@ -55,9 +55,9 @@ class TestBest:
             known = quality(judged, key, setting)
             totals = {path: total(known, path) for path in PATHS}
             assert totals[done.paths[key]] >= max(totals.values()) - ROUNDING
-            for node, told in weighed(done, key).items():
+            for node, rewards in weighed(done, key).items():
                 expected = [reward(known, node, choice) for choice in (W, E)]
-                assert told == pytest.approx(expected, abs=ROUNDING)
+                assert rewards == pytest.approx(expected, abs=ROUNDING)
 
     def test_each_is_better_at_its_own(self, judged, setting):
         one, other = (judged(name, setting) for name in ("oracle", "oracle-return"))

@@ -12,7 +12,7 @@ from exwarp_cli.policy.state import STATE_VERSION
 from tests.cli.decisions.conftest import take
 from tests.unit import tiny_policies
 
-TOLD = "was trained for the extrapolator with sha256"
+NOTE = "was trained for the extrapolator with sha256"
 SHIPPED = Path(__file__).parents[3] / "models" / "extrapolator.onnx"
 
 
@@ -49,42 +49,42 @@ def start(exwarp, uneven, tmp_path):
 
 def test_another_network_under_the_shipped_policy(start, network):
     said = start("--extrapolator", network)
-    (line,) = (line for line in said.splitlines() if TOLD in line)
+    (line,) = (line for line in said.splitlines() if NOTE in line)
     (known,) = load_policy(None, SHIPPED_TILE_POLICY).trained_for
-    assert f"tile-policy.npz {TOLD} {known[:8]}" in line
+    assert f"tile-policy.npz {NOTE} {known[:8]}" in line
     assert f"{network.name} has {digest(network)[:8]}" in line
     assert "exwarp train tile-policy" in line
 
 
 def test_a_policy_for_another_network(start, trained_for):
     said = start("--policy", trained_for(["0123456789abcdef" * 4]))
-    assert f"mine.npz {TOLD} 01234567, and extrapolator.onnx has {digest(SHIPPED)[:8]}" in said
+    assert f"mine.npz {NOTE} 01234567, and extrapolator.onnx has {digest(SHIPPED)[:8]}" in said
 
 
 def test_of_the_shipped_network_and_policy_nothing_is_said(start):
-    assert TOLD not in start()
+    assert NOTE not in start()
 
 
 def test_where_both_fit_nothing_is_said(start, network, trained_for):
     both = ["0" * 64, digest(network)]
-    assert TOLD not in start("--extrapolator", network, "--policy", trained_for(both))
+    assert NOTE not in start("--extrapolator", network, "--policy", trained_for(both))
 
 
 @pytest.mark.parametrize("stated", [None, 7, {}])
 def test_a_policy_that_does_not_say(start, network, trained_for, stated):
-    assert TOLD not in start("--extrapolator", network, "--policy", trained_for(stated))
+    assert NOTE not in start("--extrapolator", network, "--policy", trained_for(stated))
 
 
 def test_the_report_says_it_too(uneven, network, trained_for, tmp_path):
     given = ("--causal", "--extrapolator", network, "--policy", trained_for(["ab" * 32]))
     policy = take(uneven["key"], tmp_path / "out", *given).report["policy"]
-    assert policy["trained_for"] == ["ab" * 32] and f"{TOLD} abababab" in policy["note"]
-    assert TOLD in (tmp_path / "out-report" / "report.html").read_text()
+    assert policy["trained_for"] == ["ab" * 32] and f"{NOTE} abababab" in policy["note"]
+    assert NOTE in (tmp_path / "out-report" / "report.html").read_text()
 
 
 def test_a_benchmark_says_it_too(exwarp, uneven, truth, network, tmp_path):
     line = ("bench", *uneven["key"], "--ground-truth", truth, "-o", tmp_path / "bench")
     how = ("--systems", "exwarp", "--metrics", "psnr", "--frames", 1, "--jobs", 1)
     result = exwarp(*line, *how, "--extrapolator", network)
-    assert result.code == 0 and result.err.count(TOLD) == 1
-    assert TOLD in (tmp_path / "bench" / "bench.json").read_text()
+    assert result.code == 0 and result.err.count(NOTE) == 1
+    assert NOTE in (tmp_path / "bench" / "bench.json").read_text()

@@ -155,8 +155,8 @@ def test_what_comes_with_exwarp_decides_by_default(uneven, exwarp, tmp_path):
     assert report["method"] == "causal" and report["policy"]["file"].endswith("tile-policy.npz")
     shipped = load_policy(None, SHIPPED_TILE_POLICY)
     assert report["policy"]["sha256"] == shipped.checksum
-    told = f"decisions by tile-policy.npz (sha256 {shipped.checksum[:8]}), 8-bit integers\n"
-    assert told in result.err
+    sentence = f"decisions by tile-policy.npz (sha256 {shipped.checksum[:8]}), 8-bit integers\n"
+    assert sentence in result.err
     assert "paths of the tiles: " in result.out
 
 

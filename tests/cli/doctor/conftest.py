@@ -13,7 +13,7 @@ from exwarp_cli.pipeline.doctor import examine
 
 @pytest.fixture(autouse=True)
 def plain_environment(monkeypatch, tmp_path) -> None:
-    """Neither files nor variables of whoever runs the tests."""
+    """Hide the files and variables of the user who runs the tests."""
     for name in list(os.environ):
         if name.startswith(("EXWARP_", "NUMBA_CACHE_DIR", "IMAGEIO_")):
             monkeypatch.delenv(name)
@@ -33,8 +33,8 @@ def examined(exwarp, monkeypatch):
         document = json.loads(result.out)
         assert list(document["checks"]) == ["configuration", *names]
         if result.code:
-            told = result.err.splitlines()
-            assert len(told) == 1 and told[0].startswith("exwarp: error: "), result.err
+            errors = result.err.splitlines()
+            assert len(errors) == 1 and errors[0].startswith("exwarp: error: "), result.err
         return result.code, document
 
     return run

@@ -116,8 +116,8 @@ class TestCodecs:
         monkeypatch.setitem(codecs.COMPRESSIONS, "dwab", "nonsense")
         found = examined("exr")
         failed(found, "exr", "EXR with dwab does not work")
-        told = found[1]["checks"]["exr"]["facts"]["compressions"]
-        assert [name for name, good in told.items() if not good] == ["dwab"]
+        compressions = found[1]["checks"]["exr"]["facts"]["compressions"]
+        assert [name for name, good in compressions.items() if not good] == ["dwab"]
 
     def test_pixels_that_come_back_changed(self, examined, monkeypatch):
         real = codecs.read_exr

@@ -88,9 +88,9 @@ class TestKernels:
         assert facts["kernels"] >= 1 and facts["bytes"] > 1000
         monkeypatch.setattr(kernels, "cache_use", lambda: (5, 3))
         _, document = examined("kernel_cache")
-        told = document["checks"]["kernel_cache"]
-        assert told["found"].startswith("partly cold until now;")
-        assert told["facts"]["warm"] is False and told["facts"]["compiled"] == 3
+        check = document["checks"]["kernel_cache"]
+        assert check["found"].startswith("partly cold until now;")
+        assert check["facts"]["warm"] is False and check["facts"]["compiled"] == 3
         monkeypatch.setattr(kernels, "cache_use", lambda: (0, 3))
         _, document = examined("kernel_cache")
         assert document["checks"]["kernel_cache"]["found"].startswith("cold until now;")

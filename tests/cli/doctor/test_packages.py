@@ -123,9 +123,9 @@ class TestPackages:
         )
         found = examined("extras")
         healthy(found, "extras")
-        told = found[1]["checks"]["extras"]
-        assert told["found"] == "two installed, one not (pip install 'exwarp[one]')"
-        installed = {name: extra["installed"] for name, extra in told["facts"]["extras"].items()}
+        check = found[1]["checks"]["extras"]
+        assert check["found"] == "two installed, one not (pip install 'exwarp[one]')"
+        installed = {name: extra["installed"] for name, extra in check["facts"]["extras"].items()}
         assert installed == {"one": False, "two": True}
 
     def test_an_extra_that_is_half_there(self, examined, required):

@@ -26,9 +26,9 @@ class TestHealthy:
         assert result.code == 0, result.out
         lines = result.out.splitlines()
         assert lines[0].startswith(f"exwarp {__version__} on ")
-        told = [line for line in lines[1:-1] if not line.startswith(" ")]
-        assert len(told) == len(NAMES)
-        for name, line in zip(NAMES, told, strict=True):
+        checks = [line for line in lines[1:-1] if not line.startswith(" ")]
+        assert len(checks) == len(NAMES)
+        for name, line in zip(NAMES, checks, strict=True):
             title = name.replace("_", " ")
             assert re.match(rf"(ok|warning) +{title}  ", line, re.IGNORECASE), line
         assert "s6, softsplat, exwarp, causal and chunks are right" in result.out

@@ -1,1 +1,1 @@
-"""Shots that are damaged in every way that somebody thought of, and commands that read them."""
+"""Shots that are damaged in every way that is known, and commands that read them."""

@@ -6,7 +6,7 @@ In process, cases are drawn by hypothesis, and by atheris, which looks for input
 input reached before. Through the command each has a process of its own. Every one has to end in
 success, or in one sentence and a documented exit code, in time, without partial files and within
 the memory that its frames need. Cases come in batches; a batch that went well is noted in FOLDER
-and not run again. What failed is told there too, and at the end, with what makes it again.
+and not run again. What failed is noted there too, and at the end, with what makes it again.
 """
 
 from __future__ import annotations

@@ -66,7 +66,7 @@ class Growth:
 def watched() -> Iterator[Growth]:
     """Watch by how much this process grows in a block; by nothing where the system tells nothing.
 
-    The peak is the block's own: Linux forgets the one before when it is told to.
+    The peak is the block's own: Linux forgets the one before on request.
     """
     growth = Growth()
     try:

@@ -1,4 +1,4 @@
-"""What users are told of settings that hold: by commands, by help pages and by doctor."""
+"""Where users read of settings that hold: messages of commands, help pages and doctor."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class TestWhatIsSaid:
 
 
 class TestFindings:
-    """What `exwarp doctor` is told."""
+    """The configuration that `exwarp doctor` reads."""
 
     def look(self) -> configured.Configuration:
         root = click.Context(cli.exwarp, info_name="exwarp")
@@ -71,11 +71,11 @@ class TestFindings:
             (near, "nearest folder"),
             (own, "user's own"),
         ]
-        told = {(*one.command, one.option): (one.text, one.origin) for one in found.settings}
-        assert told["upsample", "method"] == ("s6", f"method in [upsample] of {near}")
-        assert told["upsample", "threads"] == ("2", f"threads in [upsample] of {own}")
-        assert told["train", "policy", "steps"][0] == "7"
-        assert told["bench", "every"] == ("3", "EXWARP_BENCH_EVERY")
+        settings = {(*one.command, one.option): (one.text, one.origin) for one in found.settings}
+        assert settings["upsample", "method"] == ("s6", f"method in [upsample] of {near}")
+        assert settings["upsample", "threads"] == ("2", f"threads in [upsample] of {own}")
+        assert settings["train", "policy", "steps"][0] == "7"
+        assert settings["bench", "every"] == ("3", "EXWARP_BENCH_EVERY")
         assert found.problems == () and found.warnings == ()
 
     def test_problems(self, project, monkeypatch):
@@ -92,8 +92,8 @@ class TestFindings:
     def test_options_of_upsample_count_once(self, project):
         """Though commands that write runs of it into jobs take them over."""
         write(project, '[upsample]\nmethod = "s6"\nlayers = "all"\n[farm.openjd]\nlayers = "a"')
-        told = [(*one.command, one.option, one.text) for one in self.look().settings]
-        assert told == [
+        settings = [(*one.command, one.option, one.text) for one in self.look().settings]
+        assert settings == [
             ("upsample", "method", "s6"),
             ("upsample", "layers", "all"),
             ("farm", "openjd", "layers", "a"),
@@ -105,8 +105,8 @@ class TestFindings:
         monkeypatch.setenv("EXWARP_INSPECT_JSON", "1")
         monkeypatch.setenv("EXWARP_BENCH_EVERY", "often")
         found = self.look()
-        told = ("--factor", "--metrics", "--every")
-        for name, sentence in zip(told, found.problems, strict=True):
+        options = ("--factor", "--metrics", "--every")
+        for name, sentence in zip(options, found.problems, strict=True):
             assert f"{name} is set by " in sentence
         assert "99 is not in the range" in found.problems[0] and str(file) in found.problems[0]
         assert "no metric" in found.problems[1]
