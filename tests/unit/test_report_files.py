@@ -27,7 +27,7 @@ COLUMNS = [
     *("hdr_flip", "vmaf", "flicker", "hdr_flip_holes", "flicker_holes"),
     *("render_s", "render_source", "rendered_width", "rendered_height", "distance"),
     *("scored", "scored_holes", "replaced", "pulse", "predicted_error", "risk", "gate"),
-    "rendered_sources",
+    *("tiles", "rendered_sources"),
 ]
 STEPS = ("read", "features", "decide", "warp", "holes", "extrapolate", "write")
 TIMES = [f"{step}_ms" for step in STEPS]

@@ -30,7 +30,7 @@ EVERY_OPTION = [
     for option in configurable(command)
 ]
 SAMPLES = (
-    "s6", "psnr", "psnr=30", "flip=0.1", "2", "17", "0.5", "motion=a/b.exr", "10MHz", "tcp://a:1"
+    "s6", "psnr", "psnr=30", "flip=0.1", "2", "17", "1", "0.5", "motion=a/b.exr", "10MHz", "tcp://a:1"
 )  # fmt: skip
 
 
