@@ -296,6 +296,8 @@ class TestFeatures:
                 only_matte,
                 out / "frames",
                 "--causal",
+                "--policy",
+                "paper",
                 *VECTORS,
                 "--report",
                 out / "report",

@@ -379,7 +379,7 @@ def sample(option: click.Option) -> list[str]:
     if isinstance(option.type, click.Choice):
         other = next(choice for choice in option.type.choices if choice != option.default)
         return [option.opts[-1], other]
-    values = {"fps": "23.976", "float": "-1.5", "path": "a b"}
+    values = {"fps": "23.976", "float": "-1.5", "float range": "0.5", "path": "a b"}
     value = values.get(option.type.name, "3" if "integer" in option.type.name else "x {{y}}")
     many = ["--aov", "depth=b"] if option.multiple else []
     return [option.opts[-1], value, *many]

@@ -52,6 +52,7 @@ def test_slots_lie_where_they_should_in_time(upsample, keys, tmp_path, factor, m
         "written": 4 * factor + 1,
         "generated": 4 * (factor - 1),
         "dropped": 0,
+        "rendered": 0,
         "resumed": 0,
         "made": 4 * factor + 1,
         "replaced": 0,

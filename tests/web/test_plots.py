@@ -101,6 +101,7 @@ def test_kinds_are_distinguished_by_colour_and_marker() -> None:
         "blend",
         "interpolate",
         "lookahead",
+        "rendered",
         "key",
     }
     assert makers == set(plots.KINDS)
