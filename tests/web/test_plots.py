@@ -92,7 +92,8 @@ def test_long_series_keep_their_worst_and_best() -> None:
 
 
 def test_kinds_are_distinguished_by_colour_and_marker() -> None:
-    svg = plots.points(LABELS, list(range(8)), [1.0] * 8, list(plots.KINDS)).svg
+    count = len(plots.KINDS)
+    svg = plots.points(LABELS, list(range(count)), [1.0] * count, list(plots.KINDS)).svg
     makers = {
         "warp",
         "extrapolate",
