@@ -112,6 +112,7 @@ class Interval:
     _residual: list[KeyResidual | None] = field(default_factory=list, init=False)
     _finding_residual: Lock = field(default_factory=Lock, init=False)
     _extrapolated: dict[int, Float32] = field(default_factory=dict, init=False)
+    _warped: dict[int, Float32] = field(default_factory=dict, init=False)
     _composed: dict[int, Float32] = field(default_factory=dict, init=False)
     _holes: dict[int, Bool] = field(default_factory=dict, init=False)
 
@@ -225,6 +226,13 @@ class Interval:
             coverage = Coverage((side,), (field,), time, linear)
         return CarriedLight(field, time, self.light, linear, coverage)
 
+    def warped(self, slot: int) -> Float32:
+        """W's frame of a slot, float32 [H, W, C], light moved as it is shown; made once."""
+        if slot not in self._warped:
+            made = self._warp(slot, linear=False).make(self.key.image.pixels)
+            self._warped[slot] = self.scratch.store(made)
+        return self._warped[slot]
+
     def look_ahead(self, slot: int, weighs: bool = False) -> LookAhead:
         """Return what mixes the key frames around a slot; one for all layers of the slot.
 
@@ -307,8 +315,9 @@ class Interval:
     def prepared(self, slot: int) -> Prepared:
         """What a network needs to extrapolate to a slot, 1 to 3."""
         seen = self.look_back(slot)
-        warped = self._warp(slot, linear=False).make(self.key.image.pixels)
-        return prepare(slot, warped, self.back(slot), seen, self.key, self.past, self.scratch)
+        return prepare(
+            slot, self.warped(slot), self.back(slot), seen, self.key, self.past, self.scratch
+        )
 
     def extrapolated(self, slot: int) -> Float32:
         """E's frame for a slot, 2 or 3: float32 [H, W, C], scene-linear; made once.
@@ -354,6 +363,7 @@ class Interval:
         """
         self._warps.pop(slot, None)
         self._mixers.pop(slot, None)
+        self._warped.pop(slot, None)
         self._composed.pop(slot, None)
         if self.keeps:
             return

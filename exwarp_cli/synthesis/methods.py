@@ -214,7 +214,10 @@ def _composed(plan: TilePlan, interval: Interval, slot: int) -> Float32:
 
     def make() -> Float32:
         makers = plan.makers(slot)
-        pixels = interval.warp(slot).make(interval.key.image.pixels)
+        if interval.linear:
+            pixels = interval.warp(slot).make(interval.key.image.pixels)
+        else:  # what the network sees of it as well
+            pixels = interval.warped(slot)
         warped_again, extrapolated = map(makers.made_by, (REWARP, EXTRAPOLATE))
         if warped_again.any():
             before = _composed(plan, interval, slot - 1)
