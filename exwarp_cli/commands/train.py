@@ -190,12 +190,7 @@ def policy(
     survey = Survey(data, extrapolator, cache, jobs)
     found = find_tables(survey, tables, output, _say)
     scores = train_policy(found, output, settings, _say)
-    if as_json:
-        print_json(_result("policy", output, output / SHIPPED_POLICY, scores))
-    else:
-        with summary_of_files():
-            for line in card(scores).split("\n"):
-                show(line)
+    _print_scores(_result("policy", output, output / SHIPPED_POLICY, scores), card, as_json)
 
 
 @command.command("tile-policy", context_settings={"show_default": True})
@@ -233,12 +228,8 @@ def tile_policy(
     require_sane_policy(settings)
     found = find_tile_tables(data, extrapolator, tables, output, _say)
     scores = train_tile_policy(found, output, settings, _say)
-    if as_json:
-        print_json(_result("tile-policy", output, output / SHIPPED_TILE_POLICY, scores))
-    else:
-        with summary_of_files():
-            for line in tile_card(scores).split("\n"):
-                show(line)
+    result = _result("tile-policy", output, output / SHIPPED_TILE_POLICY, scores)
+    _print_scores(result, tile_card, as_json)
 
 
 def _result(kind: str, folder: Path, model: Path, scores: dict[str, Any]) -> dict[str, Any]:
@@ -250,6 +241,18 @@ def _result(kind: str, folder: Path, model: Path, scores: dict[str, Any]) -> dic
         "model": str(model),
         "scores": scores,
     }
+
+
+def _print_scores(
+    result: dict[str, Any], card: Callable[[dict[str, Any]], str], as_json: bool
+) -> None:
+    """Print what a training of a policy came to: as JSON, or its scores as Markdown."""
+    if as_json:
+        print_json(result)
+        return
+    with summary_of_files():
+        for line in card(result["scores"]).split("\n"):
+            show(line)
 
 
 def _say(line: str) -> None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import os
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
@@ -189,13 +189,7 @@ def opened_key(source: Path, rate: Fraction | None) -> Iterator[KeyFile]:
             file = stack.enter_context(source.open("rb", buffering=0))
             return KeyFile(source, *_with_rate(file, rate), file)
 
-        try:
-            key = with_retries(source, opened)
-        except OSError as error:
-            raise _missing(source, error) from error
-        except (ValueError, struct.error) as error:
-            raise damaged(source, str(error)) from error
-        yield key
+        yield _sound(source, opened)
 
 
 def marked_file(source: Path, rate: Fraction | None, marks: Mapping[str, str | int]) -> KeyFile:
@@ -228,6 +222,11 @@ def marked_file(source: Path, rate: Fraction | None, marks: Mapping[str, str | i
             file.seek(rest)
             return KeyFile(source, bytes(seal(head, file.read())[0]), rest)
 
+    return _sound(source, read)
+
+
+def _sound(source: Path, read: Callable[[], KeyFile]) -> KeyFile:
+    """Return what reading a file gives; errors are those of `opened_key`."""
     try:
         return with_retries(source, read)
     except OSError as error:

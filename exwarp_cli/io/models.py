@@ -240,7 +240,7 @@ class PictureNetwork(OnnxNetwork):
         """Return room for the planes of a part; that of the last one where it is as large.
 
         The room does not go back to the pool in between. When it did, frames' arrays took its
-        memory and it took theirs: to map and clear it anew took three times as long as writing the
+        memory and it took theirs: to map and clear it again took three times as long as writing the
         planes.
         """
         shape = self._interface.channels, *size

@@ -136,7 +136,7 @@ def find_policy(settings: UpsampleSettings, method: Method) -> PolicyFile | None
     InputError
         When it cannot be used.
     """
-    if method.judge in (Judge.POLICY, Judge.TILES):
+    if method.judge is Judge.TILES:
         from exwarp_cli.io.policy_files import (
             PAPER,
             SHIPPED_POLICY,

@@ -21,7 +21,7 @@ from exwarp_cli.accel.quantised_mlp import QuantisedMlp
 from exwarp_cli.domain.decision import NODES, SLOTS
 from exwarp_cli.domain.tiles import TILE_FEATURES, TilePlan
 from exwarp_cli.domain.timeline import FACTOR
-from exwarp_cli.policy.state import INPUTS, PASSED, STATES, Scale
+from exwarp_cli.policy.state import PASSED, STATES, Scale
 
 F64 = npt.NDArray[np.float64]
 
@@ -94,8 +94,6 @@ class TilePolicy:
     """
 
     def __init__(self, network: QuantisedMlp, price: int = 0) -> None:
-        if network.sizes[0] != INPUTS:
-            raise ValueError(f"the network takes {network.sizes[0]} inputs, not {INPUTS}")
         self._kernel = MlpKernel(priced(network, price))
 
     def plan(self, features: Sequence[F64], width: int) -> TilePlan:

@@ -85,11 +85,12 @@ def worth_rendering(frames: Iterable[FrameRecord]) -> list[int]:
     of frames beside it, which `--rendered` makes from it, too. So the middle of an interval comes
     before the frames around it, unless these are much worse.
     """
-    known = [frame for _, frame in predicted(frames)]
+    ordered = predicted(frames)
+    known = [frame for _, frame in ordered]
     beside: dict[int, list[FrameRecord]] = {}
     for frame in known:
         beside.setdefault(frame.key, []).append(frame)
-    squares = {frame.number: error**2 for error, frame in predicted(known)}
+    squares = {frame.number: error**2 for error, frame in ordered}
     shares = {frame.number: _shares(frame, beside[frame.key]) for frame in known}
     values = {number: _value(shares[number], squares) for number in squares}
     chosen: list[int] = []

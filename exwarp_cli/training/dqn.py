@@ -8,7 +8,8 @@ is known at every node of the table, each sampled state trains both outputs.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from itertools import pairwise
 
 import numpy as np
@@ -58,13 +59,26 @@ def train(tables: Sequence[PolicyTable], settings: PolicySettings) -> Layers:
         Weights float64 [out, in] and biases [out] of each layer; the same for the same tables and
         settings on one kind of processor.
     """
-    # Batches are small: two threads took 3 times the processor's time, and no less time in all.
+    with one_thread():
+        return layers_of(_trained(tables, settings))
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Train in one thread.
+
+    Batches are small: two threads took 3 times the processor's time, and no less time in all.
+    """
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
-        network = _trained(tables, settings)
+        yield
     finally:
         torch.set_num_threads(threads)
+
+
+def layers_of(network: nn.Sequential) -> Layers:
+    """Return the weights and biases of a network's layers."""
     linear = [layer for layer in network if isinstance(layer, nn.Linear)]
     return tuple(
         (layer.weight.detach().double().numpy(), layer.bias.detach().double().numpy())

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -131,7 +132,7 @@ def load_table(path: Path) -> PolicyTable:
     InputError
         When there is none, or it is damaged.
     """
-    try:
+    with reading_table(path, "policy table"):
         kept = unpack(path.read_bytes())
         about = json.loads(kept["about"].tobytes())
         if about["schema"] != SCHEMA:
@@ -155,14 +156,29 @@ def load_table(path: Path) -> PolicyTable:
                 raise ValueError("a number is not finite")
         if table.group.min() < 0 or table.group.max() >= len(table.groups):
             raise ValueError("a group has no name")
+    return table
+
+
+@contextmanager
+def reading_table(path: Path, kind: str) -> Iterator[None]:
+    """Say of a table what its reader means by the errors that it meets.
+
+    Raises
+    ------
+    InputError
+        When there is none.
+    DamagedFileError
+        When it cannot be read.
+    """
+    try:
+        yield
     except FileNotFoundError as error:
-        raise InputError(f"there is no policy table {path}; check the path") from error
+        raise InputError(f"there is no {kind} {path}; check the path") from error
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         reason = (str(error) or type(error).__name__).splitlines()[0]
         raise DamagedFileError(
-            f"{path} is no policy table that can be read ({reason}); make it again with --data"
+            f"{path} is no {kind} that can be read ({reason}); make it again with --data"
         ) from error
-    return table
 
 
 def _features(fields: F64) -> Features:

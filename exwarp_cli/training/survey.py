@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 from exwarp_cli.errors import InputError, UsageError
 from exwarp_cli.io.atomic import make_folder
@@ -23,6 +24,8 @@ from exwarp_cli.training.tile_table import (
 )
 
 Say = Callable[[str], None]
+
+Table = TypeVar("Table", PolicyTable, TileTable)
 
 TABLES = "tables"
 """Folder of tables, beside the models."""
@@ -77,13 +80,8 @@ def find_tables(survey: Survey, tables: Path | None, output: Path, say: Say) -> 
         given = {"--extrapolator": survey.model, "--cache": survey.cache, "--jobs": survey.jobs}
         if vain := [option for option, value in given.items() if value is not None]:
             raise UsageError(f"{vain[0]} is for measuring scenes; give --data too, or leave it out")
-        folder = tables or shipped_folder() / TABLES
-        found = [load_table(path) for path in sorted(folder.glob("*.npz"))]
-        if not found:
-            raise InputError(f"{folder} holds no policy table; make some with --data")
-        return found
-    if tables is not None:
-        raise UsageError("--data makes tables and --tables takes those that are there; give one")
+        return _tables_in(tables or shipped_folder() / TABLES, load_table, "policy table")
+    _require_no_tables(tables)
     made = build_tables(survey, say)
     make_folder(output / TABLES)
     paths = [output / TABLES / f"{table.scene}.npz" for table in made]
@@ -91,6 +89,20 @@ def find_tables(survey: Survey, tables: Path | None, output: Path, say: Say) -> 
         save_table(path, table)
     # Read back, so that a training from the files gives the same network.
     return [load_table(path) for path in paths]
+
+
+def _tables_in(folder: Path, load: Callable[[Path], Table], kind: str) -> list[Table]:
+    """Read all tables of a folder; raises InputError where it has none."""
+    found = [load(path) for path in sorted(folder.glob("*.npz"))]
+    if not found:
+        raise InputError(f"{folder} holds no {kind}; make some with --data")
+    return found
+
+
+def _require_no_tables(tables: Path | None) -> None:
+    """Refuse tables where scenes are measured; raises UsageError."""
+    if tables is not None:
+        raise UsageError("--data makes tables and --tables takes those that are there; give one")
 
 
 TILE_TABLES = "tiles"
@@ -109,12 +121,8 @@ def find_tile_tables(
         if model is not None:
             raise UsageError("--extrapolator is for measuring scenes; give --data too")
         folder = tables or shipped_folder() / TILE_TABLES
-        found = [load_tile_table(path) for path in sorted(folder.glob("*.npz"))]
-        if not found:
-            raise InputError(f"{folder} holds no table of tiles; make some with --data")
-        return found
-    if tables is not None:
-        raise UsageError("--data makes tables and --tables takes those that are there; give one")
+        return _tables_in(folder, load_tile_table, "table of tiles")
+    _require_no_tables(tables)
     make_folder(output / TILE_TABLES)
     return [_tiles_of(scene, model, output, say) for scene in find_scenes(data, BENCHMARK)]
 

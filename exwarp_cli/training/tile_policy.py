@@ -29,7 +29,7 @@ from exwarp_cli.io.policy_files import SHIPPED_TILE_POLICY, save_network
 from exwarp_cli.policy.state import INPUTS
 from exwarp_cli.policy.tile_state import DECIDED, tile_paths
 from exwarp_cli.runtime.stop import check_stop
-from exwarp_cli.training.dqn import FEATURE, make_network
+from exwarp_cli.training.dqn import FEATURE, layers_of, make_network, one_thread
 from exwarp_cli.training.policy import note_checksums, quantise
 from exwarp_cli.training.settings import TilePolicySettings
 from exwarp_cli.training.tile_table import TileTable
@@ -77,17 +77,10 @@ def train_tiles(tables: Sequence[TileTable], settings: TilePolicySettings) -> Qu
 
     The same on one kind of processor.
     """
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        network = _trained(tables, settings)
-    finally:
-        torch.set_num_threads(threads)
-    linear = [layer for layer in network if isinstance(layer, nn.Linear)]
-    weights = [layer.weight.detach().double().numpy() for layer in linear]
-    biases = [layer.bias.detach().double().numpy() for layer in linear]
+    with one_thread():
+        layers = layers_of(_trained(tables, settings))
     states = np.concatenate([table.states.reshape(-1, INPUTS) for table in tables])
-    return quantise(weights, biases, states)
+    return quantise([w for w, _ in layers], [b for _, b in layers], states)
 
 
 def _trained(tables: Sequence[TileTable], settings: TilePolicySettings) -> nn.Sequential:

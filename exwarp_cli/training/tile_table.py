@@ -17,7 +17,6 @@ import numpy.typing as npt
 from exwarp_cli.domain.decision import EXTRAPOLATE, WARP
 from exwarp_cli.domain.tiles import REWARP, TILE_FEATURES
 from exwarp_cli.domain.timeline import FACTOR
-from exwarp_cli.errors import DamagedFileError, InputError
 from exwarp_cli.io.atomic import atomic_write_bytes
 from exwarp_cli.io.dataset import RenderedScene
 from exwarp_cli.io.models import OnnxExtrapolator
@@ -30,6 +29,7 @@ from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import take
 from exwarp_cli.synthesis.tile_features import tile_features
 from exwarp_cli.training.footage import Footage
+from exwarp_cli.training.policy_table import reading_table
 from exwarp_cli.training.variant import Variant
 
 F64 = npt.NDArray[np.float64]
@@ -168,7 +168,7 @@ def load_tile_table(path: Path) -> TileTable:
     DamagedFileError
         When it cannot be read.
     """
-    try:
+    with reading_table(path, "table of tiles"):
         kept = unpack(path.read_bytes())
         about = json.loads(kept["about"].tobytes())
         if about["schema"] != SCHEMA:
@@ -182,13 +182,6 @@ def load_tile_table(path: Path) -> TileTable:
             about["network"],
         )
         _require_sound(table)
-    except FileNotFoundError as error:
-        raise InputError(f"there is no table of tiles {path}; check the path") from error
-    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
-        reason = (str(error) or type(error).__name__).splitlines()[0]
-        raise DamagedFileError(
-            f"{path} is no table of tiles that can be read ({reason}); make it again with --data"
-        ) from error
     return table
 
 

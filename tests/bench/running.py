@@ -103,7 +103,7 @@ def run(
 def lend_memory(size: int = MEMORY) -> None:
     """Have the machine hold so many bytes of free memory, before something is measured.
 
-    The host of a virtual machine takes back what has been free for seconds. Provided anew, a page
+    The host of a virtual machine takes back what has been free for seconds. Provided again, a page
     took twenty times as long at its first touch as one that the machine still held: who uses more
     memory was charged for the host, and for how long nothing had run. Where half of what is
     available is less, it is that.

@@ -48,7 +48,7 @@ def time_subject(opened: Opened) -> dict[str, Any]:
     chosen = _chosen(opened.keys)
     for count, key in enumerate(chosen):
         check_stop()
-        if count and key == chosen[count - 1]:  # a lone interval is read anew: features, too
+        if count and key == chosen[count - 1]:  # a lone interval is read again, with its features
             opened.restart()
         inputs = opened.load(key, lambda recipes: True)
         found = _interval(opened, inputs)
