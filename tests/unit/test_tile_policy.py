@@ -165,6 +165,16 @@ class TestTraining:
         again = train_tiles(tables[:2], SETTINGS)
         np.testing.assert_array_equal(outputs(again, tables[2]), margins)
 
+    def test_it_extrapolates_where_only_the_slot_after_gains(self, tables):
+        """What E makes of slot 2 is worse there, and slot 3 is best warped from it."""
+        holes = tables[0].features[:, 0, 0] > 0
+        errors = np.tile([100.0, 130.0, 150.0, 180.0, 180.0], (len(holes), 1))
+        errors[holes] = [100.0, 110.0, 150.0, 160.0, 20.0]
+        delayed = replace(tables[0], errors=errors)
+        margins = outputs(train_tiles([delayed], replace(SETTINGS, steps=500)), delayed)
+        assert margins[holes, 0].min() > 0 > margins[~holes, 0].max()
+        assert (margins[holes, 1] < 0).all()
+
     def test_cost_and_error_by_hand(self, tables):
         one = tables[0]
         holes = one.features[:, 0, 0] > 0

@@ -93,16 +93,17 @@ class TestMosaic:
         ]  # fmt: skip
 
     def test_scattered_tiles_take_the_whole_frame_where_that_is_less(self):
-        shown = mosaic()
+        shown = mosaic(854, 480)
         chosen = np.indices((8, 14)).sum(axis=0) % 2 == 0
         ((box, rows, columns),) = shown.parts(chosen)
         assert (box.rows, box.columns) == ((0, 8), (0, 14))
-        assert (rows, columns) == (slice(0, 240), slice(0, 427))
+        assert (rows, columns) == (slice(0, 480), slice(0, 854))
 
     def test_each_tile_has_what_was_made_for_it(self):
         """A box may be looked at by its neighbour, whose own pixels are the better ones there."""
         shown = mosaic()
-        chosen = marks(shown, (0, 0), (0, 1), (1, 1), (2, 1), (2, 2), (2, 3), (5, 9))
+        below = ((row, 13) for row in range(1, 5))  # beside the row, and computed after it
+        chosen = marks(shown, *((0, column) for column in range(14)), *below)
         asked = []
 
         def answer(rows: slice, columns: slice) -> Float32:
