@@ -16,7 +16,8 @@
 #               stopped); DATA=folder of rendered scenes, STAGES='lookahead' for some
 # make policy   train the policies from the tables under models/ (10 minutes); OPTIONS='--seed 1'
 # make hardware simulate the predictor's Verilog on 2,000 states and synthesise it, in 15 minutes;
-#               wants Icarus Verilog, Verilator and Yosys, and writes examples/HARDWARE.md
+#               wants Icarus Verilog, Verilator and Yosys, and writes docs/hardware.md
+# make docs     build the documentation as a site in build/site, and check its links
 # make judge    score every method, with the network of MODEL=file, on the benchmark scenes
 # make paper    every table and figure of the paper on the benchmark scenes, as build/bench/bench.md
 #               and report.html beside it; goes on where it stopped; OPTIONS='--every 4'
@@ -44,7 +45,7 @@ TRAINING ?= $(HOME)/.cache/exwarp/training
 POLICY ?= build/policy
 MODEL ?= models/extrapolator.onnx
 
-.PHONY: test check golden faults hardware bench bench-check profile demo scenes things blender train policy judge paper clean
+.PHONY: test check golden faults hardware bench bench-check profile demo scenes things blender train policy judge paper docs clean
 
 test: check
 	$(BIN)/pytest --numprocesses auto --dist worksteal
@@ -98,6 +99,12 @@ judge: $(STAMP)
 
 paper: $(STAMP)
 	$(BIN)/exwarp bench $(DATA) -o build/bench $(OPTIONS)
+
+docs: $(STAMP)
+	$(BIN)/pip install --quiet --group docs
+	$(BIN)/python docs/settings_page.py
+	$(BIN)/mkdocs build --quiet --strict
+	@echo "site  build/site/index.html"
 
 blender: $(BLENDER)/.installed
 

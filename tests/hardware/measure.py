@@ -2,7 +2,7 @@
 
 ``python -m tests.hardware.measure --out build/hardware`` needs Icarus Verilog, Verilator and Yosys;
 with nextpnr for ECP5 (or YoWASP's build of it) the clock rate is measured, with the open cell
-library osu018 (Debian's qflow-tech-osu018) area and delay. Writes examples/HARDWARE.md, and
+library osu018 (Debian's qflow-tech-osu018) area and delay. Writes docs/hardware.md, and
 measured.json beside the design, which `exwarp bench` shows.
 """
 
@@ -26,7 +26,7 @@ from exwarp_cli.io.policy_files import load_policy
 from tests.hardware.designs import DEFAULT, REFILLED, missing_tools, result, run, write
 
 MEASURED = Path(design.__file__).with_name("measured.json")
-PAGE = Path(__file__).parents[2] / "examples" / "HARDWARE.md"
+PAGE = Path(__file__).parents[2] / "docs" / "hardware.md"
 TEMPLATE = Path(__file__).with_name("page.md")
 LIBRARY = Path("/usr/share/qflow/tech/osu018/osu018_stdcells.lib")
 SOURCES = "exwarp_predictor.v exwarp_core.v"
