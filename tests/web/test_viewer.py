@@ -210,3 +210,29 @@ def test_the_forecast_lies_over_the_grey_frame(visit):
     tint = image(seen.canvas()) - 0.3 * plain.mean(axis=-1, keepdims=True)
     worst, best = (tint[levels == level].mean() for level in (levels.max(), levels.min()))
     assert worst > best
+
+
+@pytest.mark.parametrize("width", [390, 820, 1400])
+def test_frames_are_enlarged_pixel_by_pixel_within_the_page(visit, artefacts, width):
+    """At 1:1 a pixel of the frame is one of the screen; what does not fit scrolls in its box."""
+    seen = visit(width=width)
+    canvas, stage = seen.part("canvas"), seen.part("stage")
+    own = canvas.evaluate("canvas => canvas.width")
+    fitting = canvas.bounding_box()["width"]
+    seen.page.keyboard.press("z")
+    assert canvas.bounding_box()["width"] == own
+    for _ in range(3):
+        seen.page.keyboard.press("z")
+    assert canvas.bounding_box()["width"] == 8 * own
+    sizes = stage.evaluate("box => [box.scrollWidth, box.clientWidth]")
+    assert (sizes[0] > sizes[1]) == (8 * own > sizes[1])
+    if width == 390:
+        assert sizes[0] == 8 * own > sizes[1], "it scrolls"
+    seen.page.screenshot(path=artefacts / f"enlarged-{width}.png")
+    assert seen.page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    divider = seen.part("divider")
+    divider.focus()
+    seen.page.keyboard.press("Home")
+    assert divider.get_attribute("aria-valuenow") == "0"
+    seen.part("zoom").select_option("0")
+    assert canvas.bounding_box()["width"] == fitting

@@ -56,6 +56,8 @@
       parts.ramp.style.background = `linear-gradient(to right, ${ramp})`;
       for (const mode of this.modes) mode.addEventListener("change", () => this.draw());
       for (const name of ["holes", "exposure"]) parts[name].addEventListener("input", () => this.draw());
+      parts.zoom.addEventListener("change", () => this.zoom());
+      addEventListener("resize", () => this.zoom());
       parts.seek.addEventListener("input", () => this.show(Number(parts.seek.value)));
       parts.back.addEventListener("click", () => this.step(-1));
       parts.forth.addEventListener("click", () => this.step(1));
@@ -109,6 +111,24 @@
     help() {
       this.parts.keys.hidden = !this.parts.keys.hidden;
       this.parts.help.setAttribute("aria-expanded", String(!this.parts.keys.hidden));
+    }
+
+    // One pixel of the frame on that many of the screen, about the middle of what is in view; 0 fits.
+    zoom() {
+      const { stage, sheet, canvas, zoom } = this.parts;
+      const at = [stage.scrollLeft + stage.clientWidth / 2, stage.scrollTop + stage.clientHeight / 2];
+      const middle = [at[0] / (sheet.offsetWidth || 1), at[1] / (sheet.offsetHeight || 1)];
+      const factor = Number(zoom.value);
+      sheet.style.width = factor ? `${(canvas.width * factor) / devicePixelRatio}px` : "";
+      stage.parentElement.classList.toggle("enlarged", factor > 0);
+      stage.scrollLeft = middle[0] * sheet.offsetWidth - stage.clientWidth / 2;
+      stage.scrollTop = middle[1] * sheet.offsetHeight - stage.clientHeight / 2;
+    }
+
+    zoomBy(by) {
+      const { zoom } = this.parts;
+      zoom.selectedIndex = Math.max(0, Math.min(zoom.selectedIndex + by, zoom.options.length - 1));
+      this.zoom();
     }
 
     expose(by) {
@@ -241,6 +261,7 @@
       if (canvas.width !== width || canvas.height !== size.height) {
         canvas.width = width;
         canvas.height = size.height;
+        this.zoom();
       }
       this.context.fillStyle = "#000";
       this.context.fillRect(0, 0, width, size.height);
@@ -297,23 +318,23 @@
     }
 
     watchDivider() {
-      const { stage, divider } = this.parts;
+      const { sheet, divider } = this.parts;
       let held = false;
       const move = (event) => {
-        const box = stage.getBoundingClientRect();
+        const box = sheet.getBoundingClientRect();
         this.divide((100 * (event.clientX - box.left)) / box.width);
       };
-      stage.addEventListener("pointerdown", (event) => {
+      sheet.addEventListener("pointerdown", (event) => {
         // A touch beside the handle scrolls the page.
         if (this.mode !== "slider" || (event.pointerType === "touch" && event.target !== divider)) return;
         held = true;
-        stage.setPointerCapture(event.pointerId);
+        sheet.setPointerCapture(event.pointerId);
         divider.focus({ preventScroll: true });
         event.preventDefault();
         move(event);
       });
-      stage.addEventListener("pointermove", (event) => { if (held) move(event); });
-      for (const end of ["pointerup", "pointercancel"]) stage.addEventListener(end, () => { held = false; });
+      sheet.addEventListener("pointermove", (event) => { if (held) move(event); });
+      for (const end of ["pointerup", "pointercancel"]) sheet.addEventListener(end, () => { held = false; });
       divider.addEventListener("keydown", (event) => {
         const by = event.shiftKey ? 10 : 2;
         const to = { ArrowLeft: this.split - by, ArrowRight: this.split + by, Home: 0, End: 100 }[event.key];
@@ -333,6 +354,7 @@
         " ": () => this.play(), "?": () => this.help(), x: () => this.swap(),
         h: () => { this.parts.holes.checked = !this.parts.holes.checked; this.draw(); },
         e: () => this.expose(-0.5), E: () => this.expose(0.5),
+        z: () => this.zoomBy(1), Z: () => this.zoomBy(-1),
       };
       this.modes.forEach((input, i) => { own[i + 1] = () => { if (!input.disabled) this.mode = input.value; }; });
       if (!Object.hasOwn(own, event.key)) return false;
