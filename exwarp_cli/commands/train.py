@@ -8,10 +8,15 @@ from typing import Any
 
 import click
 
-from exwarp_cli.commands.group import HelpfulGroup
-from exwarp_cli.commands.json_option import json_option, print_json
-from exwarp_cli.commands.printing import show, summary_of_files
-from exwarp_cli.commands.threads_option import threads_option
+from exwarp_cli.commands.options import (
+    FILE,
+    HelpfulGroup,
+    json_option,
+    print_json,
+    show,
+    summary_of_files,
+    threads_option,
+)
 from exwarp_cli.domain.line import one_line
 from exwarp_cli.training.settings import (
     LookAheadSettings,
@@ -21,7 +26,6 @@ from exwarp_cli.training.settings import (
     require_sane_policy,
 )
 
-FOLDER = click.Path(path_type=Path)
 DEFAULTS = TrainingSettings()
 AHEAD = LookAheadSettings()
 POLICY = PolicySettings()
@@ -44,9 +48,9 @@ def _scene_options(function: Any) -> Any:
             help="Names to learn from; else all made for it.",
         ),
         click.option(
-            "-o", "--output", type=FOLDER, required=True, help="For checkpoints and the model."
+            "-o", "--output", type=FILE, required=True, help="For checkpoints and the model."
         ),
-        click.option("--data", type=FOLDER, required=True, help="Folder of rendered scenes."),
+        click.option("--data", type=FILE, required=True, help="Folder of rendered scenes."),
     ):
         function = option(function)
     return function
@@ -65,12 +69,12 @@ def _scene_options(function: Any) -> Any:
 @click.option("--seed", type=click.IntRange(0), default=DEFAULTS.seed)
 @click.option(
     "--start",
-    type=FOLDER,
+    type=FILE,
     metavar="FILE",
     help="Checkpoint to begin with, whose network may be smaller, or model.",
 )
 @click.option("--every", type=click.IntRange(1), default=500, help="Checkpoint.")
-@click.option("--cache", type=FOLDER, help="For crops; default: in the data folder's parent.")
+@click.option("--cache", type=FILE, help="For crops; default: in the data folder's parent.")
 @threads_option
 @json_option
 def extrapolator(**options: Any) -> None:
@@ -95,9 +99,9 @@ def extrapolator(**options: Any) -> None:
 @click.option("--batch", type=click.IntRange(2), default=AHEAD.batch, help="In patches.")
 @click.option("--rate", type=float, default=AHEAD.rate, help="Of learning.")
 @click.option("--seed", type=click.IntRange(0), default=AHEAD.seed)
-@click.option("--start", type=FOLDER, metavar="FILE", help="Checkpoint to begin with.")
+@click.option("--start", type=FILE, metavar="FILE", help="Checkpoint to begin with.")
 @click.option("--every", type=click.IntRange(1), default=1000, help="Checkpoint.")
-@click.option("--cache", type=FOLDER, help="For samples; default: in the data folder's parent.")
+@click.option("--cache", type=FILE, help="For samples; default: in the data folder's parent.")
 @threads_option
 @json_option
 def lookahead(**options: Any) -> None:
@@ -148,18 +152,18 @@ def _train_network(
 @command.command("policy", context_settings={"show_default": True})
 @click.option(
     "--data",
-    type=FOLDER,
+    type=FILE,
     multiple=True,
     help="Folder of rendered scenes to measure; several for several sizes.",
 )
-@click.option("--tables", type=FOLDER, help="Use these; default: those that come with ExWarp.")
-@click.option("-o", "--output", type=FOLDER, required=True, help="For the models and scores.")
-@click.option("--extrapolator", type=FOLDER, metavar="FILE", help="ONNX network for --data.")
+@click.option("--tables", type=FILE, help="Use these; default: those that come with ExWarp.")
+@click.option("-o", "--output", type=FILE, required=True, help="For the models and scores.")
+@click.option("--extrapolator", type=FILE, metavar="FILE", help="ONNX network for --data.")
 @click.option("--steps", type=click.IntRange(1), default=POLICY.steps)
 @click.option("--batch", type=click.IntRange(1), default=POLICY.batch, help="In states.")
 @click.option("--rate", type=float, default=POLICY.rate, help="Of learning.")
 @click.option("--seed", type=click.IntRange(0), default=POLICY.seed)
-@click.option("--cache", type=FOLDER, help="For --data; default: in the data folder's parent.")
+@click.option("--cache", type=FILE, help="For --data; default: in the data folder's parent.")
 @click.option("--jobs", type=click.IntRange(1), help="Scenes at a time; default: all cores.")
 @json_option
 def policy(
@@ -194,10 +198,10 @@ def policy(
 
 
 @command.command("tile-policy", context_settings={"show_default": True})
-@click.option("--data", type=FOLDER, help="Folder of rendered scenes to measure.")
-@click.option("--tables", type=FOLDER, help="Use these; default: those that come with ExWarp.")
-@click.option("-o", "--output", type=FOLDER, required=True, help="For the model and scores.")
-@click.option("--extrapolator", type=FOLDER, metavar="FILE", help="ONNX network for --data.")
+@click.option("--data", type=FILE, help="Folder of rendered scenes to measure.")
+@click.option("--tables", type=FILE, help="Use these; default: those that come with ExWarp.")
+@click.option("-o", "--output", type=FILE, required=True, help="For the model and scores.")
+@click.option("--extrapolator", type=FILE, metavar="FILE", help="ONNX network for --data.")
 @click.option("--steps", type=click.IntRange(1), default=TILES.steps)
 @click.option("--batch", type=click.IntRange(1), default=TILES.batch, help="In tiles.")
 @click.option("--rate", type=float, default=TILES.rate, help="Of learning.")
