@@ -90,27 +90,13 @@ def variable_name(command: Sequence[str], name: str = "") -> str:
 
 @dataclass(frozen=True)
 class Setting:
-    """The value of an option, from a config file or the environment.
+    """The value of an option, from a config file or the environment."""
 
-    Attributes
-    ----------
-    command
-        Names of the groups and the command: ("train", "policy").
-    parameter
-        The option, as the command has it.
-    value
-        As the command line would give it; None resets what weaker sources set.
-    source
-        The file's path or the variable's name.
-    origin
-        The same with the key, for messages.
-    """
-
-    command: CommandPath
-    parameter: click.Option
-    value: Value | None
-    source: str
-    origin: str
+    command: CommandPath  # Names of the groups and the command: ("train", "policy").
+    parameter: click.Option  # The option, as the command has it
+    value: Value | None  # As the command line would give it; None resets what weaker sources set.
+    source: str  # The file's path or the variable's name
+    origin: str  # The same with the key, for messages
 
     @property
     def option(self) -> str:
@@ -147,36 +133,16 @@ Layer = dict[str, Setting]
 
 @dataclass(frozen=True)
 class Configuration:
-    """What files and the environment set, for all commands.
+    """What files and the environment set, for all commands."""
 
-    Attributes
-    ----------
-    files
-        The config files, the strongest first.
-    settings
-        What holds; what something stronger hides is left out.
-    problems
-        What stops commands, a sentence each.
-    warnings
-        Variables that no command knows.
-    """
-
-    files: tuple[FoundFile, ...]
-    settings: tuple[Setting, ...]
-    problems: tuple[str, ...]
-    warnings: tuple[str, ...]
+    files: tuple[FoundFile, ...]  # The config files, the strongest first
+    settings: tuple[Setting, ...]  # What holds; what something stronger hides is left out.
+    problems: tuple[str, ...]  # What stops commands, a sentence each
+    warnings: tuple[str, ...]  # Variables that no command knows
 
 
 def configured_command(command: click.Command, path: CommandPath) -> click.Command:
-    """Return a copy of a command whose options files and the environment set too.
-
-    Parameters
-    ----------
-    command
-        No group.
-    path
-        Names of its groups, and its own.
-    """
+    """Return a copy of a command, no group, whose options files and the environment set too."""
     configured = copy.copy(command)
     options = configurable(command)
     if options:
@@ -451,12 +417,7 @@ def settings_in_force(
 ) -> list[Setting]:
     """Choose what holds out of layers, the strongest first.
 
-    Parameters
-    ----------
-    layers
-        Settings of the environment, then of the files.
-    on_command_line
-        Long names of the options that it names; False where one is switched off or reset.
+    `on_command_line` has the long names of options; False where one is switched off or reset.
     """
     settled = set(on_command_line)
     active = {name for name, is_on in on_command_line.items() if is_on}

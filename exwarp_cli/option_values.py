@@ -153,19 +153,8 @@ def require_usable_paths(
 ) -> None:
     """Refuse paths that would be read as something else than the user means.
 
-    Parameters
-    ----------
-    parameters
-        Of the command.
-    values
-        What they are set to, by name.
-
-    Raises
-    ------
-    UsageError
-        For ``-``, for a path of Windows on another system, for a ``~`` that no shell replaced.
-    InputError, OutputError
-        For a loop of links.
+    Raises UsageError for ``-``, for a path of Windows on another system, and for a ``~`` that no
+    shell replaced; InputError or OutputError for a loop of links.
     """
     for parameter in parameters:
         # Arguments that are plain text are sequences.

@@ -29,12 +29,12 @@ def import_extranet(checkpoint: Path, model: Path, overwrite: bool, as_json: boo
     divides by diffuse and glossy colour together, knows frames of one engine only, and wants
     G-buffers with normals; slot 3 lies further ahead than what it was trained on.
     """
-    from exwarp_cli.training.extra import require_train
+    from exwarp_cli.research.training.training_settings import require_train
 
     require_train()
-    from exwarp_cli.training import checkpoint as release
+    from exwarp_cli.research.training import extranet_import
 
-    release.import_extranet(checkpoint, model, overwrite=overwrite)
+    extranet_import.import_extranet(checkpoint, model, overwrite=overwrite)
     if as_json:
         print_json({"schema": SCHEMA, "kind": "extrapolator", "model": str(model)})
     else:

@@ -30,14 +30,8 @@ def with_settings(
 ) -> click.Command:
     """Return a copy of a command or group whose options files and the environment set too.
 
-    Parameters
-    ----------
-    command
-        A command, or a group with all that is below it.
-    path
-        Names of its groups, and its own.
-    completing
-        Whether a shell asks for completions; only then do its parameters have some to offer.
+    `path` has the names of its groups, and its own. With `completing`, for a shell that asks for
+    completions, its parameters have some to offer.
     """
     if isinstance(command, click.Group):
         group = copy.copy(command)

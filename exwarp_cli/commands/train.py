@@ -18,15 +18,16 @@ from exwarp_cli.commands.options import (
     threads_option,
 )
 from exwarp_cli.domain.line import one_line
-from exwarp_cli.training.settings import (
+from exwarp_cli.research.training.training_settings import (
+    ExtrapolatorSettings,
     LookAheadSettings,
     PolicySettings,
     TilePolicySettings,
-    TrainingSettings,
     require_sane_policy,
+    require_train,
 )
 
-DEFAULTS = TrainingSettings()
+DEFAULTS = ExtrapolatorSettings()
 AHEAD = LookAheadSettings()
 POLICY = PolicySettings()
 TILES = TilePolicySettings()
@@ -83,13 +84,11 @@ def extrapolator(**options: Any) -> None:
     Stopped at any time, the same command goes on from the last checkpoint. The output folder gets
     checkpoint.pt, curve.csv (validation on scenes held out), settings.json and extrapolator.onnx.
     """
-    from exwarp_cli.training.extra import require_train
-
     require_train()
-    from exwarp_cli.training.extrapolator import train_extrapolator
+    from exwarp_cli.research.training.extrapolator_training import ExtrapolatorTraining
 
     use = "--extrapolator"
-    _train_network("extrapolator", train_extrapolator, TrainingSettings, use, **options)
+    _train_network("extrapolator", ExtrapolatorTraining.train, ExtrapolatorSettings, use, **options)
 
 
 @command.command("lookahead", context_settings={"show_default": True})
@@ -110,19 +109,17 @@ def lookahead(**options: Any) -> None:
     Stopped at any time, the same command goes on from the last checkpoint. The output folder gets
     checkpoint.pt, curve.csv (validation on scenes held out), settings.json and lookahead.onnx.
     """
-    from exwarp_cli.training.extra import require_train
-
     require_train()
-    from exwarp_cli.training.lookahead import train_lookahead
+    from exwarp_cli.research.training.lookahead_training import LookAheadTraining
 
     use = "--method lookahead --interpolator"
-    _train_network("lookahead", train_lookahead, LookAheadSettings, use, **options)
+    _train_network("lookahead", LookAheadTraining.train, LookAheadSettings, use, **options)
 
 
 def _train_network(
     kind: str,
     train: Callable[..., Path],
-    make: type[TrainingSettings] | type[LookAheadSettings],
+    settings: type[ExtrapolatorSettings] | type[LookAheadSettings],
     use: str,
     *,
     data: Path,
@@ -138,11 +135,11 @@ def _train_network(
 ) -> None:
     """Train a network of a kind, and say by which options of upsample it is used."""
     from exwarp_cli.io.dataset import select
-    from exwarp_cli.training.settings import CURVE, last_row
+    from exwarp_cli.research.training.resumable_training import CURVE, last_row
 
     chosen = select(data, scenes, exclude, _say)
     crops = cache or data.resolve().parent / "crops"
-    model = train(chosen, output, crops, make(**options), every, threads, _say, start)
+    model = train(chosen, output, crops, settings(**options), every, threads, _say, start)
     if as_json:
         print_json(_result(kind, output, model, last_row(output / CURVE)))
     else:
@@ -182,19 +179,19 @@ def policy(
     as tables in the output folder. Each scene is left out of one training and judged by it.
     """
     from exwarp_cli.io.policy_files import SHIPPED_POLICY
-    from exwarp_cli.training.extra import require_train
 
     require_train()
-    from exwarp_cli.training.policy import train_policy
-    from exwarp_cli.training.policy_card import card
-    from exwarp_cli.training.survey import Survey, find_tables
+    from exwarp_cli.research.training.outcome_tables import Survey, find_tables
+    from exwarp_cli.research.training.policy_scores import policy_card
+    from exwarp_cli.research.training.policy_training import train_policy
 
     settings = PolicySettings(**options)  # type: ignore[arg-type]
     require_sane_policy(settings)
     survey = Survey(data, extrapolator, cache, jobs)
-    found = find_tables(survey, tables, output, _say)
-    scores = train_policy(found, output, settings, _say)
-    _print_scores(_result("policy", output, output / SHIPPED_POLICY, scores), card, as_json)
+    scenes = find_tables(survey, tables, output, _say)
+    scores = train_policy(scenes, output, settings, _say)
+    result = _result("policy", output, output / SHIPPED_POLICY, scores)
+    _print_scores(result, policy_card, as_json)
 
 
 @command.command("tile-policy", context_settings={"show_default": True})
@@ -221,19 +218,18 @@ def tile_policy(
     in the output folder. Each scene is left out of one training and judged by it.
     """
     from exwarp_cli.io.policy_files import SHIPPED_TILE_POLICY
-    from exwarp_cli.training.extra import require_train
 
     require_train()
-    from exwarp_cli.training.policy_card import tile_card
-    from exwarp_cli.training.survey import find_tile_tables
-    from exwarp_cli.training.tile_policy import train_tile_policy
+    from exwarp_cli.research.training.policy_scores import tile_policy_card
+    from exwarp_cli.research.training.tile_policy_training import train_tile_policy
+    from exwarp_cli.research.training.tile_tables import find_tile_tables
 
     settings = TilePolicySettings(**options)  # type: ignore[arg-type]
     require_sane_policy(settings)
-    found = find_tile_tables(data, extrapolator, tables, output, _say)
-    scores = train_tile_policy(found, output, settings, _say)
+    scenes = find_tile_tables(data, extrapolator, tables, output, _say)
+    scores = train_tile_policy(scenes, output, settings, _say)
     result = _result("tile-policy", output, output / SHIPPED_TILE_POLICY, scores)
-    _print_scores(result, tile_card, as_json)
+    _print_scores(result, tile_policy_card, as_json)
 
 
 def _result(kind: str, folder: Path, model: Path, scores: dict[str, Any]) -> dict[str, Any]:

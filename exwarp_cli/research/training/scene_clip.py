@@ -18,30 +18,28 @@ from exwarp_cli.io.dataset import RenderedScene
 from exwarp_cli.io.frames import GEOMETRY, SURFACE, Shot, read_raw
 from exwarp_cli.pipeline.key_frames import over_interval
 from exwarp_cli.pipeline.motion_option import motion_names, parse_motion
+from exwarp_cli.research.training.augmentation import (
+    PLAIN,
+    Look,
+    Variant,
+    deliver,
+    mirror,
+    reverse_time,
+    with_tones,
+)
 from exwarp_cli.synthesis.geometry import settle_motion
 from exwarp_cli.synthesis.history import past_of
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.trajectory import span_motion
-from exwarp_cli.training.looks import PLAIN, Look, delivered, meant
-from exwarp_cli.training.variant import Variant, backwards, mirrored
 
+# Instants that are kept in memory: enough for one interval and its history.
 KEPT = 24
-"""Instants that are kept in memory: enough for one interval and its history."""
 
 
-class Footage:
-    """Key frames, slots and ground truth of one scene as one variant shows them.
+class SceneClip:
+    """Key frames, slots and ground truth of one scene as a variant plays and a look delivers it.
 
     Frames are read when they are asked for, the latest ones are kept.
-
-    Parameters
-    ----------
-    scene
-        Rendered as far as it will be used.
-    variant
-        How it is played; None for as it was rendered.
-    look
-        How its frames are delivered.
     """
 
     def __init__(
@@ -58,11 +56,11 @@ class Footage:
                 f"{scene.folder} has {count} instants, too few for {variant}; leave it out"
             )
 
-    def seen_as(self, variant: Variant, look: Look = PLAIN) -> Footage:
+    def seen_as(self, variant: Variant, look: Look = PLAIN) -> SceneClip:
         """Return the same scene in another variant and look, sharing what was read."""
-        other = Footage(self.scene, variant, look)
-        other._frames = self._frames
-        return other
+        clip = SceneClip(self.scene, variant, look)
+        clip._frames = self._frames
+        return clip
 
     @property
     def intervals(self) -> range:
@@ -74,42 +72,33 @@ class Footage:
 
         Motion to a key frame that lies outside the render is None, unless the render has it.
         """
-        index = self._order[FACTOR * k]
-        return self._moving(index, *self._key_motion(index))
+        index, manifest = self._order[FACTOR * k], self.scene.manifest
+        if self.variant.speed == 1 and manifest.has_key(index):
+            gbuffer = self._rendered_key(index // manifest.keys.step)
+            return self._play(index, gbuffer.to_previous, gbuffer.to_next, gbuffer.bend)
+        return self._play(index, *self._motion(index, FACTOR * self.variant.speed))
 
     def slot(self, k: int, i: int) -> KeyFrame:
         """Return slot i of key frame k: ground truth, and settled motion to neighbouring slots."""
         index = self._order[FACTOR * k + i]
-        return self._moving(index, self._motion(index, self.variant.speed))
+        return self._play(index, *self._motion(index, self.variant.speed))
 
     def truth(self, k: int, i: int) -> Image:
         """Return what slot i of key frame k is to show."""
-        frame = self._load(self._order[FACTOR * k + i])
-        return meant(self._shown(replace(frame, gbuffer=None)).image, self.look)
+        frame = replace(self._load(self._order[FACTOR * k + i]), gbuffer=None)
+        shown = mirror(frame) if self.variant.mirror else frame
+        return with_tones(shown.image, self.look)
 
     def interval(self, k: int, setting: str) -> Interval:
         """Return key interval k for synthesis.
 
-        Parameters
-        ----------
-        k
-            Out of `intervals`.
-        setting
-            "key", or "slot" for G-buffers of the slots.
+        The setting is "key", or "slot" for G-buffers of the slots.
         """
         key, following = (self._key(index, setting) for index in (k, k + 1))
         return Interval(key, following, self._slots(k, setting))
 
     def causal(self, k: int, setting: str) -> Interval:
-        """Return key interval k for causal synthesis, with its past but without the next key frame.
-
-        Parameters
-        ----------
-        k
-            Out of `predictable`.
-        setting
-            "key", or "slot" for G-buffers of the slots.
-        """
+        """Return key interval k for causal synthesis: with its past, without the next key frame."""
         keys = [self._causal_key(k - j, setting) for j in range(HISTORY) if k >= j]
         return Interval(self._key(k, setting), None, self._slots(k, setting), past_of(keys))
 
@@ -125,64 +114,50 @@ class Footage:
         """Return key frame k; with slot G-buffers, with motion to the one before through those."""
         if setting == "key":
             return self.key(k)
-        index, way = self._order[FACTOR * k], 1 if self.variant.backwards else -1
-        motion = self._spanned(index, FACTOR * self.variant.speed, way)
-        return self._moving(index, (motion, None) if way < 0 else (None, motion))
+        index, span = self._order[FACTOR * k], FACTOR * self.variant.speed
+        if self.variant.backwards:
+            return self._play(index, None, self._spanned(index, span, 1))
+        return self._play(index, self._spanned(index, span, -1), None)
 
     def _slots(self, k: int, setting: str) -> tuple[GBuffer, ...]:
         if setting == "key":
             return ()
-        found = (self.slot(k, i).gbuffer for i in range(1, FACTOR))
-        return tuple(gbuffer for gbuffer in found if gbuffer is not None)
+        gbuffers = (self.slot(k, i).gbuffer for i in range(1, FACTOR))
+        return tuple(gbuffer for gbuffer in gbuffers if gbuffer is not None)
 
-    def _moving(
+    def _play(
         self,
         index: int,
-        motion: tuple[Float32 | None, Float32 | None],
+        to_previous: Float32 | None,
+        to_next: Float32 | None,
         bend: Float32 | None = None,
     ) -> KeyFrame:
-        """Return an instant as the variant shows it, with this motion to previous and to next."""
-        frame = self._load(index)
-        before, after = motion
-        gbuffer = replace(self._gbuffer(index), to_previous=before, to_next=after, bend=bend)
-        shown = self._shown(replace(frame, gbuffer=gbuffer))
+        """Return an instant in the variant and look, with motion in rendered order."""
+        gbuffer = replace(self._gbuffer(index), to_previous=to_previous, to_next=to_next, bend=bend)
+        if self.variant.backwards:
+            gbuffer = reverse_time(gbuffer)
+        frame = replace(self._load(index), gbuffer=gbuffer)
+        if self.variant.mirror:
+            frame = mirror(frame)
         if self.look == PLAIN:
-            return shown
+            return frame
         noise = np.random.default_rng((zlib.crc32(self.scene.name.encode()), index))
-        return delivered(shown, self.look, noise)
-
-    def _shown(self, frame: KeyFrame) -> KeyFrame:
-        """Apply what the variant does to a single frame."""
-        if self.variant.backwards and frame.gbuffer is not None:
-            frame = replace(frame, gbuffer=backwards(frame.gbuffer))
-        return mirrored(frame) if self.variant.mirror else frame
-
-    def _key_motion(
-        self, index: int
-    ) -> tuple[tuple[Float32 | None, Float32 | None], Float32 | None]:
-        """Motion of an instant to the key frames before and after it, and how it bends.
-
-        In rendered order.
-        """
-        manifest = self.scene.manifest
-        if self.variant.speed == 1 and manifest.has_key(index):
-            gbuffer = self._rendered_key(index // manifest.keys.step)
-            return (gbuffer.to_previous, gbuffer.to_next), gbuffer.bend
-        return self._motion(index, FACTOR * self.variant.speed), None
+        return deliver(frame, self.look, noise)
 
     def _motion(self, index: int, span: int) -> tuple[Float32 | None, Float32 | None]:
-        """Motion of an instant over `span` instants to both sides, in rendered order."""
+        """Return the motion of an instant over `span` instants to both sides, in rendered order."""
         if span == 1:
             gbuffer = self._gbuffer(index)
             return gbuffer.to_previous, gbuffer.to_next
         return self._spanned(index, span, -1), self._spanned(index, span, 1)
 
-    def _spanned(self, index: int, span: int, way: int) -> Float32 | None:
-        """Motion of an instant over `span` instants one way; None beyond the render."""
-        end = index + way * span
+    def _spanned(self, index: int, span: int, direction: int) -> Float32 | None:
+        """Return the motion over `span` instants in one direction; None beyond the render."""
+        end = index + direction * span
         if not 0 <= end < self.scene.manifest.instants.count:
             return None
-        return span_motion([self._gbuffer(i) for i in range(index, end + way, way)], way)
+        gbuffers = [self._gbuffer(i) for i in range(index, end + direction, direction)]
+        return span_motion(gbuffers, direction)
 
     def _gbuffer(self, index: int) -> GBuffer:
         gbuffer = self._load(index).gbuffer

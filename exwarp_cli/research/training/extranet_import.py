@@ -1,4 +1,4 @@
-"""ExtraNet as it was released, to run its checkpoint behind ExWarp's interface.
+"""ExtraNet as it was released, and its checkpoint as a model behind ExWarp's interface.
 
 Guo, Fu, Lin, Ma, Guo, Liu, Yan: ExtraNet: Real-time Extrapolated Rendering for Low-latency Temporal
 Supersampling, ACM Transactions on Graphics 40 (6), 2021; https://github.com/fuxihao66/ExtraNet.
@@ -19,23 +19,32 @@ What is known, and from where:
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
 from exwarp_cli.domain.extrapolator import HISTORY
+from exwarp_cli.errors import DamagedFileError, LayoutError, OutputExistsError, UsageError
+from exwarp_cli.io.atomic import make_folder
+from exwarp_cli.research.training.onnx_export import export_extrapolator
+from exwarp_cli.research.training.resumable_training import read_tensors
 
+# Height and width must be multiples of this: the network halves them three times.
 STRIDE = 8
-"""Height and width must be multiples of this: the network halves them three times."""
 
+# Channels of the two pictures, of the features, and of one frame of the history.
 PICTURES = 6
 FEATURES = 6
 PAST = 4
-"""Channels of the two pictures, of the features, and of one frame of the history."""
 
 
-class GatedConvolution(nn.Module):
+# Before every name where the network was trained on several devices.
+DATA_PARALLEL = "module."
+
+
+class ReleasedGate(nn.Module):
     """A 3x3 convolution whose features are weighted by a single learned mask."""
 
     def __init__(self, inputs: int, outputs: int, step: int = 1) -> None:
@@ -54,10 +63,10 @@ class StepDown(nn.Module):
 
     def __init__(self, inputs: int, outputs: int) -> None:
         super().__init__()
-        self.downsample = GatedConvolution(inputs, inputs, step=2)
-        self.conv1 = GatedConvolution(inputs, outputs)
+        self.downsample = ReleasedGate(inputs, inputs, step=2)
+        self.conv1 = ReleasedGate(inputs, outputs)
         self.bn1 = nn.BatchNorm2d(outputs)
-        self.conv2 = GatedConvolution(outputs, outputs)
+        self.conv2 = ReleasedGate(outputs, outputs)
         self.bn2 = nn.BatchNorm2d(outputs)
 
     def forward(self, x: Tensor) -> Tensor:
@@ -109,10 +118,10 @@ class ExtraNet(nn.Module):
         self.convHis1 = _history_block(PAST, 24)
         self.convHis2 = _history_block(24, 32)
         self.convHis3 = _history_block(32, 32)
-        self.lowlevelGated = GatedConvolution(32 * HISTORY, 32)
-        self.conv1 = GatedConvolution(2 * PICTURES + FEATURES, 24)
+        self.lowlevelGated = ReleasedGate(32 * HISTORY, 32)
+        self.conv1 = ReleasedGate(2 * PICTURES + FEATURES, 24)
         self.bn1 = nn.BatchNorm2d(24)
-        self.conv2 = GatedConvolution(24, 24)
+        self.conv2 = ReleasedGate(24, 24)
         self.bn2 = nn.BatchNorm2d(24)
         self.down1 = StepDown(24, 24)
         self.down2 = StepDown(24, 32)
@@ -151,8 +160,8 @@ class ExtraNet(nn.Module):
 
     def _motion(self, history: Sequence[Tensor]) -> Tensor:
         """Return what the history tells, [N, 32, H / 8, W / 8]."""
-        seen = self.convHis3(self.convHis2(self.convHis1(torch.cat(list(history)))))
-        motion: Tensor = self.lowlevelGated(torch.cat(seen.chunk(HISTORY), dim=1))
+        encoded = self.convHis3(self.convHis2(self.convHis1(torch.cat(list(history)))))
+        motion: Tensor = self.lowlevelGated(torch.cat(encoded.chunk(HISTORY), dim=1))
         return motion
 
 
@@ -193,17 +202,17 @@ class ExtraNetAdapter(nn.Module):
         """
         newest_first = torch.relu(history).chunk(HISTORY, dim=1)
         pictures = torch.cat([newest_first[0][:, :3], torch.relu(warped[:, 3:])], dim=1)
-        answer = self.network(pictures, mask, their_features(features), newest_first[::-1])
+        answer = self.network(pictures, mask, release_features(features), newest_first[::-1])
         return torch.relu(answer)
 
 
-def their_features(ours: Tensor) -> Tensor:
+def release_features(ours: Tensor) -> Tensor:
     """Translate features, [N, 6, H, W], from ours to what the release was trained with."""
     normal, depth, material = ours[:, :3], ours[:, 3:4], ours[:, 4:]
-    nothing = (normal == 0).all(dim=1, keepdim=True)
-    normal = torch.where(nothing, torch.full_like(normal, -1), normal)
-    shown = depth < 1
-    distance = torch.where(shown, depth, 0) / torch.where(shown, 1 - depth, 1)
+    is_background = (normal == 0).all(dim=1, keepdim=True)
+    normal = torch.where(is_background, torch.full_like(normal, -1), normal)
+    is_finite = depth < 1
+    distance = torch.where(is_finite, depth, 0) / torch.where(is_finite, 1 - depth, 1)
     nearest = distance.amin(dim=(2, 3), keepdim=True)
     furthest = distance.amax(dim=(2, 3), keepdim=True)
     distance = (distance - nearest) / (furthest - nearest + 1e-6)
@@ -219,9 +228,71 @@ def _convolution(inputs: int, outputs: int, step: int = 1) -> list[nn.Module]:
 
 
 def _history_block(inputs: int, outputs: int) -> nn.Sequential:
-    """Half the size: three convolutions, the first with a step of 2."""
     return nn.Sequential(
         *_convolution(inputs, outputs, step=2),
         *_convolution(outputs, outputs),
         *_convolution(outputs, outputs),
     )
+
+
+def import_extranet(checkpoint: Path, model: Path, *, overwrite: bool) -> None:
+    """Turn a checkpoint of the release into a model for ``exwarp upsample --extrapolator``.
+
+    Raises InputError when the checkpoint cannot be used, and OutputExistsError or OutputError when
+    the model is there, or cannot be written.
+    """
+    if model.exists():
+        if not overwrite:
+            raise OutputExistsError(f"{model} exists; choose another name, or add --overwrite")
+        if checkpoint.exists() and model.samefile(checkpoint):
+            raise UsageError(f"{model} is the checkpoint itself; choose another name for the model")
+    network = read_extranet(checkpoint)
+    make_folder(model.parent)
+    about = f"ExtraNet (Guo et al. 2021), imported from {checkpoint.name}"
+    export_extrapolator(ExtraNetAdapter(network), model, stride=STRIDE, about=about)
+
+
+def read_extranet(path: Path) -> ExtraNet:
+    """Read a network from a checkpoint: a dict with ``state_dict``, or that alone.
+
+    Only tensors are read, nothing that could run code. Raises InputError when there is no such
+    file, DamagedFileError when it is no checkpoint, and LayoutError when its tensors are not
+    ExtraNet's.
+    """
+    damaged = DamagedFileError(
+        f"{path} is damaged, is no PyTorch checkpoint, or holds more than tensors, which is "
+        "not read because it could run code; give the file of ExtraNet's release"
+    )
+    content = read_tensors(path, "cpu", damaged)
+    state = content.get("state_dict", content) if isinstance(content, dict) else None
+    if not isinstance(state, dict):
+        raise LayoutError(f"{path} holds no state dict; give the file of ExtraNet's release")
+    tensors = {
+        str(name).removeprefix(DATA_PARALLEL): tensor
+        for name, tensor in state.items()
+        if isinstance(tensor, Tensor)
+    }
+    network = ExtraNet()
+    _require_same_layers(path, tensors, network.state_dict())
+    network.load_state_dict(tensors)
+    return network.eval()
+
+
+def _require_same_layers(
+    path: Path, tensors: dict[str, Tensor], expected: dict[str, Tensor]
+) -> None:
+    """Refuse what does not fit, naming the first tensor and how many more there are."""
+    shared = [name for name in expected if name in tensors]
+    faults = (
+        ("lacks", [name for name in expected if name not in tensors]),
+        ("has a tensor that ExtraNet has not:", [name for name in tensors if name not in expected]),
+        ("has another shape of", [n for n in shared if tensors[n].shape != expected[n].shape]),
+        ("has values that are not finite in",
+         [name for name in shared if not torch.isfinite(tensors[name]).all()]),
+    )  # fmt: skip
+    for fault, names in faults:
+        if names:
+            more = f" and {len(names) - 1} more" if names[1:] else ""
+            raise LayoutError(
+                f"{path} {fault} {names[0]}{more}; give the file of ExtraNet's release"
+            )

@@ -1,94 +1,148 @@
-"""How a shot is delivered: what renderers, game engines and artists in a hurry make of it.
+"""Augmentation of rendered scenes: other key frames, mirrored, backwards, and as users deliver it.
 
-A look is put on a clean render as it is loaded, so that a network learns from frames like those
-that users have. It changes key frames as files would hold them. Ground truth gets the tones of the
-look, but neither its noise nor its rounding: a network is to learn what was meant.
-No look has motion blur: what ExWarp makes frames of is rendered without.
+A variant chooses how a render is played. A look is what renderers, game engines and artists in a
+hurry make of it: it is put on a clean render as it is loaded, so that a network learns from frames
+like those that users have. Ground truth gets the tones of the look, but neither its noise nor its
+rounding. No look has motion blur: what ExWarp makes frames of is rendered without.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from itertools import product
 
 import numpy as np
 
 from exwarp_cli.domain.curves import SRGB
 from exwarp_cli.domain.frame import SURFACE_PARTS, Float32, GBuffer, Image, KeyFrame, Window
+from exwarp_cli.domain.timeline import FACTOR
 
+SPEEDS = (1, 2)
+
+# What game engines do not deliver: they have colour, vectors, depth and a mask.
 GAME = ("normal", "position", *SURFACE_PARTS)
-"""What game engines do not deliver: they have colour, vectors, depth and a mask."""
 
+# What is left are colour, vectors and depth.
 BARE = (*GAME, "stencil")
-"""What is left are colour, vectors and depth."""
 
+# What any renderer may leave out, and how likely each pass is missing where some are.
 OPTIONAL = ("depth", "normal", "position", "stencil", *SURFACE_PARTS)
-"""What any renderer may leave out."""
+LEFT_OUT = 0.4
 
+# How often each kind is drawn.
 PASSES = {"all": 0.4, "no surface": 0.2, "game": 0.2, "bare": 0.1, "some": 0.1}
 TONES = {"linear": 0.7, "8-bit": 0.18, "tone-mapped": 0.12}
 DEPTHS = {"full": 0.7, "coarse": 0.12, "inverse": 0.12, "absent": 0.06}
 VECTORS = {"full": 0.7, "half": 0.15, "rounded": 0.15}
-"""How often each kind is drawn."""
 
+# How often each is drawn, apart from the kinds above.
 SHARPENED = 0.12
 NOISY = 0.15
 ALIASED = 0.12
-"""How often each is drawn, apart from the kinds above."""
 
-LEFT_OUT = 0.4
-"""How likely each pass is missing where some are."""
-
+# Standard deviation of noise that is left, as a share of the light of a pixel of 1.
 NOISE = (0.02, 0.12)
-"""Standard deviation of noise that is left, as a share of the light of a pixel of 1."""
 
+# How much of what a blurred copy lacks is added.
 SHARPNESS = (0.3, 1.0)
-"""How much of what a blurred copy lacks is added."""
 
+# Scene-linear value that tone mapping shows as white.
 WHITE = 4.0
-"""Scene-linear value that tone mapping shows as white."""
 
+# Of a depth that is stored as a share of the farthest one, and of rounded vectors.
 COARSE_BITS = 10
-"""Of a depth that is stored as a share of the farthest one."""
-
 STEPS_A_PIXEL = 4
-"""Of rounded vectors."""
 
+# Scene units to a camera's near plane, by which inverse depth is stored.
 _NEAREST = np.float32(0.05)
-"""Scene units to a camera's near plane, by which inverse depth is stored."""
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One way of playing a render."""
+
+    # Which instant, in playing order and counted from 0, is the first key frame: 0 <= phase < 4
+    # speed.
+    phase: int = 0
+    mirror: bool = False  # Whether left and right are exchanged
+    backwards: bool = False  # Whether time runs backwards
+    speed: int = 1  # 1, or 2 to take every second instant
+
+    def __post_init__(self) -> None:
+        if self.speed not in SPEEDS or not 0 <= self.phase < FACTOR * self.speed:
+            raise ValueError(f"{self} is no variant")
+
+    def order(self, count: int) -> range:
+        """Return which of `count` instants are shown, in order; every fourth is a key frame."""
+        played = range(count)[::-1] if self.backwards else range(count)
+        return played[self.phase :: self.speed]
+
+
+def all_variants() -> tuple[Variant, ...]:
+    """Return every variant, the plain one first."""
+    return tuple(
+        Variant(phase, mirror, backwards, speed)
+        for speed, mirror, backwards in product(SPEEDS, (False, True), (False, True))
+        for phase in range(FACTOR * speed)
+    )
+
+
+def reverse_time(gbuffer: GBuffer) -> GBuffer:
+    """Let time run backwards: what was the motion to the next frame is that to the previous one."""
+    # Displacements keep their sign, as they lead from this frame to the other in either case. In a
+    # renderer's files, where both vectors run along time, they are exchanged and negated.
+    bend = None if gbuffer.bend is None else gbuffer.bend[::-1]
+    return replace(gbuffer, to_previous=gbuffer.to_next, to_next=gbuffer.to_previous, bend=bend)
+
+
+def mirror(frame: KeyFrame) -> KeyFrame:
+    """Exchange left and right, as a camera reflected with the world at the plane x = 0 does.
+
+    Columns are reversed, windows are reversed within the display window, and motion, positions and
+    normals change the sign of their x.
+    """
+    image, gbuffer = frame.image, frame.gbuffer
+    display = image.display_window
+    x = 2 * display.x + display.width - image.data_window.x - image.data_window.width
+    window = replace(image.data_window, x=x)
+    mirrored = Image(_reverse_columns(image.pixels), window, display)
+    if gbuffer is not None:
+        signed = ("normal", "position", "to_previous", "to_next")
+        parts = {name: getattr(gbuffer, name) for name in ("depth", "stencil", *SURFACE_PARTS)}
+        parts |= {name: getattr(gbuffer, name) for name in signed}
+        parts = {n: None if p is None else _reverse_columns(p) for n, p in parts.items()}
+        if gbuffer.bend is not None:
+            parts["bend"] = np.stack([_reverse_columns(half) for half in gbuffer.bend])
+        for name in (*signed, "bend"):
+            if (part := parts.get(name)) is not None:
+                part[..., 0] *= np.float32(-1)
+        gbuffer = replace(gbuffer, window=window, **parts)
+    return replace(frame, image=mirrored, gbuffer=gbuffer)
+
+
+def _reverse_columns(array: np.ndarray) -> Float32:
+    return np.array(array[:, ::-1], order="C")
 
 
 @dataclass(frozen=True)
 class Look:
-    """One way of delivering a shot.
+    """One way of delivering a shot."""
 
-    Attributes
-    ----------
-    tones
-        "linear", "8-bit" (sRGB, clipped at 1) or "tone-mapped" (to 0..1).
-    depth
-        "full"; "coarse", of few bits; "inverse", near by far as half floats; "absent".
-    vectors
-        "full"; "half" floats; "rounded" to a quarter of a pixel.
-    missing
-        Passes that are left out.
-    sharpened, noisy
-        How strongly; 0 for not at all.
-    aliased
-        Whether only every second pixel is shown, which halves the size of the frame.
-    """
-
-    tones: str = "linear"
+    tones: str = "linear"  # "linear", "8-bit" (sRGB, clipped at 1) or "tone-mapped" (to 0..1).
+    # "full"; "coarse", of few bits; "inverse", near by far as half floats; "absent".
     depth: str = "full"
-    vectors: str = "full"
-    missing: tuple[str, ...] = ()
+    vectors: str = "full"  # "full"; "half" floats; "rounded" to a quarter of a pixel.
+    missing: tuple[str, ...] = ()  # Passes that are left out
+    # How strongly; 0 for not at all
     sharpened: float = 0.0
     noisy: float = 0.0
+    # Whether only every second pixel is shown, which halves the size of the frame.
     aliased: bool = False
 
     @property
     def traits(self) -> tuple[str, ...]:
         """Names of what is not as it was rendered, for statistics."""
-        named = {
+        is_trait = {
             self.tones: self.tones != "linear",
             f"{self.depth} depth": self.depth != "full",
             f"{self.vectors} vectors": self.vectors != "full",
@@ -100,28 +154,27 @@ class Look:
             "noisy": self.noisy > 0,
             "aliased": self.aliased,
         }
-        return tuple(name for name, shown in named.items() if shown)
+        return tuple(name for name, is_present in is_trait.items() if is_present)
 
 
 PLAIN = Look()
 
 
 def draw_look(rng: np.random.Generator, can_halve: bool) -> Look:
-    """Draw a look; `can_halve` says whether a frame of half the size is still large enough."""
+    """Draw a look; `can_halve` if a frame of half the size is still large enough."""
     passes = _draw(PASSES, rng)
     subset = tuple(name for name in OPTIONAL if rng.random() < LEFT_OUT)
     sets = {"all": (), "no surface": SURFACE_PARTS, "game": GAME, "bare": BARE, "some": subset}
-    missing = sets[passes]
     tones, depth, vectors = _draw(TONES, rng), _draw(DEPTHS, rng), _draw(VECTORS, rng)
     sharpened = rng.uniform(*SHARPNESS) if rng.random() < SHARPENED else 0.0
     noisy = rng.uniform(*NOISE) if rng.random() < NOISY else 0.0
     is_aliased = bool(rng.random() < ALIASED) and can_halve
-    return Look(tones, depth, vectors, missing, sharpened, noisy, is_aliased)
+    return Look(tones, depth, vectors, sets[passes], sharpened, noisy, is_aliased)
 
 
-def delivered(frame: KeyFrame, look: Look, rng: np.random.Generator) -> KeyFrame:
+def deliver(frame: KeyFrame, look: Look, rng: np.random.Generator) -> KeyFrame:
     """Return a frame as the look delivers it; `rng` draws its noise."""
-    image = meant(frame.image, look)
+    image = with_tones(frame.image, look)
     pixels = image.pixels
     if look.noisy:
         colour = pixels[..., :3]
@@ -136,8 +189,8 @@ def delivered(frame: KeyFrame, look: Look, rng: np.random.Generator) -> KeyFrame
     return replace(frame, image=replace(image, pixels=pixels), gbuffer=gbuffer)
 
 
-def meant(image: Image, look: Look) -> Image:
-    """Return what the look means to show: its size and tones, without noise and rounding."""
+def with_tones(image: Image, look: Look) -> Image:
+    """Return the ground truth of a look: its size and tones, without noise and rounding."""
     if look.aliased:
         image = Image(
             image.pixels[::2, ::2], _halved(image.data_window), _halved(image.display_window)
