@@ -83,10 +83,10 @@ class LazyGroup(click.Group):
         """Import a command."""
         if cmd_name not in COMMANDS:
             return None
-        from exwarp_cli.commands.config.configured import configured
+        from exwarp_cli.commands.options import with_settings
 
         module = importlib.import_module(f"exwarp_cli.commands.{cmd_name.replace('-', '_')}")
-        return configured(module.command, (cmd_name,), completing=ctx.resilient_parsing)
+        return with_settings(module.command, (cmd_name,), completing=ctx.resilient_parsing)
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]

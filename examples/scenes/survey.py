@@ -39,7 +39,7 @@ from exwarp_cli.metrics.registry import score
 from exwarp_cli.pipeline.progress import NoProgress
 from exwarp_cli.pipeline.run import upsample
 from exwarp_cli.report.quality import quality
-from exwarp_cli.training.footage import Footage
+from exwarp_cli.research.training.scene_clip import SceneClip
 
 HERE = Path(__file__).parent
 METHODS = ("s6", "softsplat")
@@ -117,7 +117,7 @@ def measure(scene: RenderedScene) -> dict[str, Any]:
         "megabytes": _megabytes(scene),
         "dynamic_objects": len(manifest.dynamic),
         "noise_floor_psnr_db": _write_floor(scene),
-        **_motion(Footage(scene)),
+        **_motion(SceneClip(scene)),
         "holes": {setting: _holes(runs[setting]["s6"]) for setting in SETTINGS},
         "quality": {
             setting: {method: quality(r.score for r in runs[setting][method]) for method in METHODS}
@@ -177,7 +177,7 @@ def _seeds(scene: RenderedScene) -> int:
     return int(content.get("seeds", 1))
 
 
-def _motion(footage: Footage) -> dict[str, float]:
+def _motion(footage: SceneClip) -> dict[str, float]:
     """Length of the motion to the next key frame, and how much moves or is sky."""
     median, high, moving, sky = [], [], [], []
     for k in footage.intervals:

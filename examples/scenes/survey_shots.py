@@ -14,7 +14,7 @@ from stage import manifest as stage_manifest
 from exwarp_cli.domain.frame import Float32, KeyFrame
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.io.dataset import RenderedScene
-from exwarp_cli.training.footage import Footage
+from exwarp_cli.research.training.scene_clip import SceneClip
 
 LUMINANCE = np.array((0.2126, 0.7152, 0.0722), np.float32)
 CHANGE = 1.25
@@ -39,7 +39,7 @@ MUCH = 0.005
 def measure(shot: RenderedScene) -> dict[str, Any]:
     """Measure one shot that is rendered in full; shares are of the picture."""
     shot.require_complete()
-    footage = Footage(shot)
+    footage = SceneClip(shot)
     lengths, shares = [], []
     for k in footage.intervals:
         key, after = footage.key(k), footage.key(k + 1)

@@ -7,15 +7,18 @@ from pathlib import Path
 
 import click
 
-from exwarp_cli.commands.json_option import json_option, print_json
-from exwarp_cli.commands.printing import show, summary_of_files
-from exwarp_cli.commands.progress_option import progress_option
-from exwarp_cli.commands.upsample import FrameRate
+from exwarp_cli.commands.options import (
+    FILE,
+    FrameRate,
+    json_option,
+    print_json,
+    progress_option,
+    show,
+    summary_of_files,
+)
 from exwarp_cli.domain.bench import SETTINGS, SYSTEMS, BenchSettings
 from exwarp_cli.domain.real_time import CLOCKS
 from exwarp_cli.domain.settings import DEVICES
-
-FILE = click.Path(path_type=Path)
 
 
 @click.command("bench", context_settings={"show_default": True})

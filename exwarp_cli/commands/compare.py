@@ -8,11 +8,16 @@ from typing import TYPE_CHECKING
 
 import click
 
-from exwarp_cli.commands.json_option import json_option, print_json
-from exwarp_cli.commands.metrics_option import metrics_option
-from exwarp_cli.commands.printing import show
-from exwarp_cli.commands.progress_option import HELP, progress_option
-from exwarp_cli.commands.source_options import max_pixels_option, scan_option
+from exwarp_cli.commands.options import (
+    PROGRESS_HELP,
+    json_option,
+    max_pixels_option,
+    metrics_option,
+    print_json,
+    progress_option,
+    scan_option,
+    show,
+)
 from exwarp_cli.domain.frame import allow
 from exwarp_cli.domain.metric import METRICS, Threshold, parse_threshold
 from exwarp_cli.domain.settings import PRESETS, MeasureSettings
@@ -22,7 +27,7 @@ if TYPE_CHECKING:
     from exwarp_cli.pipeline.evaluate import Comparison
 
 
-def _limits(
+def _parse_limits(
     _context: click.Context, parameter: click.Parameter, texts: tuple[str, ...]
 ) -> tuple[Threshold, ...]:
     return tuple(parse_threshold(text, parameter.opts[0]) for text in texts)
@@ -57,7 +62,7 @@ def _limits(
     "--fail-below",
     metavar="NAME=VALUE",
     multiple=True,
-    callback=_limits,
+    callback=_parse_limits,
     help="Exit with 8 if a metric is worse: psnr=35, generated.psnr=30 for the frames that "
     "ExWarp made, worst.psnr=30 for the worst frame, holes.ssim=0.8. May be given again.",
 )
@@ -65,12 +70,12 @@ def _limits(
     "--fail-above",
     metavar="NAME=VALUE",
     multiple=True,
-    callback=_limits,
+    callback=_parse_limits,
     help="The same for flip, hdr-flip and flicker, of which less is better, and for the magnitude "
     "of pulse: generated.pulse=5.",
 )
 @json_option
-@progress_option(f"{HELP} Default: a bar on a terminal, nothing elsewhere.", default=None)
+@progress_option(f"{PROGRESS_HELP} Default: a bar on a terminal, nothing elsewhere.", default=None)
 def command(
     reference: str,
     test: str,
@@ -116,25 +121,25 @@ def command(
         if as_json:
             print_json(comparison(result))
         else:
-            _print(result)
+            _print_scores(result)
         require_quality(result)
 
 
-def _print(result: Comparison) -> None:
+def _print_scores(result: Comparison) -> None:
     from rich.console import Console
     from rich.table import Table
 
     from exwarp_cli.report.comparison import comparison, part_rows
 
     document = comparison(result)
-    shown = [metric for metric in METRICS if metric.field in result.measuring.measured]
-    table = Table("", *(metric.title for metric in shown), "frames")
+    metrics = [metric for metric in METRICS if metric.field in result.measuring.measured]
+    table = Table("", *(metric.title for metric in metrics), "frames")
     worst = document["worst"]
     rows = part_rows(document["quality"])
     rows[f"worst: {worst['frame']}"] = worst | {"frames": 1}
     for name, values in rows.items():
-        known = ((metric, values[metric.field]) for metric in shown)
-        cells = ("-" if value is None else metric.text(value) for metric, value in known)
+        scores = ((metric, values[metric.field]) for metric in metrics)
+        cells = ("-" if value is None else metric.text(value) for metric, value in scores)
         table.add_row(name, *cells, str(values["frames"]))
     show(f"reference {result.reference.pattern}")
     show(f"test      {result.test.pattern}")

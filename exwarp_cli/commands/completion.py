@@ -1,11 +1,130 @@
-"""``exwarp completion``: what completes commands, options and their values in a shell."""
+"""``exwarp completion``, and what shells offer for values that click does not know.
+
+Names of methods and the like are written out here, as the registries that hold them import numba
+and OpenEXR, for which nobody should wait who pressed a key. A test compares both.
+"""
 
 from __future__ import annotations
 
+import copy
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
 import click
+from click.shell_completion import CompletionItem, get_completion_class
+from click.types import StringParamType
+
+from exwarp_cli.domain.bench import SYSTEMS
+from exwarp_cli.domain.metric import ALL, BY_OPTION, METRICS, SCOPES
+from exwarp_cli.option_values import long_name, names_paths
+
+METHODS = (
+    "exwarp", "causal", "s1", "s2", "s3", "s4", "s5", "s6", "oracle", "oracle-return",
+    "softsplat", "lookahead", "onnx", "blend", "hold",
+)  # fmt: skip
+COMPRESSIONS = (
+    "none", "rle", "zips", "zip", "piz", "pxr24", "b44", "b44a", "dwaa", "dwab",
+    "zips:4", "zip:4", "pxr24:4",
+)  # fmt: skip
+CONVENTIONS = (
+    "blender", "unreal", "unreal-mrq", "arnold", "vray", "redshift", "renderman", "karma",
+    "moonray", "nuke", "reelsmart", "twixtor", "forward", "backward", "forward+backward",
+)  # fmt: skip
+ROLES = (
+    "colour", "depth", "motion", "normal", "position", "stencil", "albedo", "specular",
+    "roughness", "metallic",
+)  # fmt: skip
+
+
+def _limits(*, more_is_better: bool) -> Iterator[str]:
+    """Yield how limits on quality begin, with a metric's name and what it is taken over."""
+    for prefix in SCOPES:
+        for metric in METRICS:
+            if metric.more_is_better == more_is_better and (metric.in_holes or prefix != "holes"):
+                yield f"{prefix}.{metric.option}=".removeprefix(".")
+
+
+# Suggested words by the long names of options, and the options that take several with commas.
+WORDS: Mapping[str, tuple[str, ...]] = {
+    "method": METHODS,
+    "metrics": (*BY_OPTION, ALL),
+    "compression": COMPRESSIONS,
+    "motion": CONVENTIONS,
+    "layers": ("beauty", "all"),
+    "cuts": ("auto", "none"),
+    "view": ("all", "left", "right"),
+    "systems": SYSTEMS,
+    "fail-below": tuple(_limits(more_is_better=True)),
+    "fail-above": tuple(_limits(more_is_better=False)),
+}
+LISTED = frozenset({"metrics", "cuts", "systems"})
+
+
+class SuggestedText(StringParamType):
+    """Text for which a shell offers words, or files and folders where there are no words."""
+
+    def __init__(self, words: tuple[str, ...], is_list: bool, has_role: bool) -> None:
+        self._words, self._is_list, self._has_role = words, is_list, has_role
+
+    def shell_complete(
+        self, ctx: click.Context, param: click.Parameter, incomplete: str
+    ) -> list[CompletionItem]:
+        """Offer what the text can become."""
+        if self._words:
+            before, comma, last = (
+                incomplete.rpartition(",") if self._is_list else ("", "", incomplete)
+            )
+            unused = (word for word in self._words if word not in before.split(","))
+            return [
+                CompletionItem(f"{before}{comma}{word}") for word in unused if word.startswith(last)
+            ]
+        role, equals, path = incomplete.partition("=")
+        if not self._has_role:
+            return [CompletionItem(incomplete, type="file")]
+        if not equals:
+            return [CompletionItem(f"{name}=") for name in ROLES if name.startswith(role)]
+        return [CompletionItem(f"{role}={text}") for text in _paths_from(path)]
+
+
+def _paths_from(start: str) -> Iterator[str]:
+    """Yield files and folders whose paths begin so; shells do it where a path is the whole word."""
+    folder, name = os.path.split(start)
+    try:
+        entries = sorted(Path(folder or ".").iterdir())
+    except OSError:
+        return
+    for entry in entries:
+        if entry.name.startswith(name) and (name.startswith(".") or entry.name[0] != "."):
+            slash = "/" if entry.is_dir() else ""
+            yield f"{folder}{'/' if folder not in ('', '/') else ''}{entry.name}{slash}"
+
+
+def with_suggestions(command: click.Command) -> click.Command:
+    """Return a copy of a command for whose values a shell has something to offer."""
+    suggesting = copy.copy(command)
+    suggesting.params = []
+    for original in command.params:
+        parameter = copy.copy(original)
+        suggesting.params.append(parameter)
+        if type(parameter.type) is not StringParamType:
+            continue
+        words: tuple[str, ...] = ()
+        is_list = False
+        if isinstance(parameter, click.Option):
+            name = long_name(parameter)
+            words, is_list = WORDS.get(name, ()), name in LISTED
+            if not words and not names_paths(parameter):
+                continue
+        # Arguments that are plain text are sequences: files.
+        parameter.type = SuggestedText(words, is_list, "=" in (parameter.metavar or ""))
+    return suggesting
+
 
 SHELLS = ("bash", "zsh", "fish")
 
+# Follows click's script: bash takes ``motion=vec/`` for three words, and sets a space behind
+# ``motion=``, where the value goes on.
 BASH = r"""
 _exwarp_words() {
     local -a words=()
@@ -31,10 +150,9 @@ _exwarp_words() {
 }
 complete -o nosort -F _exwarp_words exwarp
 """
-"""What goes behind click's script: bash takes ``motion=vec/`` for three words, and sets a space
-behind ``motion=``, where the value goes on."""
 
-MENDED = {
+# What click's scripts say, and what replaces it, by shell.
+REPLACED = {
     # A value that goes on gets no space behind it.
     "zsh": (
         "compadd -U -V unsorted -a completions",
@@ -45,7 +163,6 @@ MENDED = {
     # Lists and descriptions hold commas.
     "fish": ('string split "," $completion', 'string split --max 1 "," $completion'),
 }
-"""What click's scripts say, and what is better said, by shell."""
 
 
 @click.command("completion")
@@ -60,13 +177,11 @@ def command(shell: str) -> None:
 
     Open a new shell afterwards. Bash must be 4.4 or newer.
     """
-    from click.shell_completion import get_completion_class
-
     kind = get_completion_class(shell)
     assert kind is not None
     root = click.get_current_context().find_root()
     name = root.info_name or "exwarp"
     script = kind(root.command, {}, name, f"_{name.upper()}_COMPLETE").source()
-    if shell in MENDED:
-        script = script.replace(*MENDED[shell])
+    if shell in REPLACED:
+        script = script.replace(*REPLACED[shell])
     click.echo(script + (BASH if shell == "bash" else ""))

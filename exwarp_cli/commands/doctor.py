@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING
 
 import click
 
-from exwarp_cli.commands.json_option import json_option
+from exwarp_cli.commands.options import json_option
 
 if TYPE_CHECKING:
     from exwarp_cli.pipeline.doctor.examine import Check
     from exwarp_cli.report.doctor import Row
+
+_STYLES = {"ok": "green", "warning": "yellow", "failed": "bold red", "skipped": "dim"}
 
 
 @click.command("doctor")
@@ -36,44 +38,44 @@ def command(ctx: click.Context, verbose: bool, skip_self_test: bool, as_json: bo
     from exwarp_cli.pipeline.doctor.examine import examine
     from exwarp_cli.report.doctor import failures, heading, rows, verdict
 
-    found = examine(not skip_self_test, {"configuration": lambda: _configuration(ctx)})
+    report = examine(not skip_self_test, {"configuration": lambda: _check_configuration(ctx)})
     if as_json:
         # Not by `print_json`, which needs numpy, and that may be what is broken.
-        click.echo(json.dumps(found.as_dict(), indent=2))
+        click.echo(json.dumps(report.as_dict(), indent=2))
     else:
-        _print(heading(found), rows(found, verbose), verdict(found))
-    if found.outcome == "failed":
-        raise InstallationError(failures(found))
+        _print_report(heading(report), rows(report, verbose), verdict(report))
+    if report.outcome == "failed":
+        raise InstallationError(failures(report))
 
 
-def _configuration(ctx: click.Context) -> Check:
+def _check_configuration(ctx: click.Context) -> Check:
     """Tell which options files and the environment set."""
-    from exwarp_cli.commands.config.configured import configuration
+    from exwarp_cli.config import configuration
     from exwarp_cli.pipeline.doctor.examine import Check, failure, variables, warning
 
-    there, environment = configuration(ctx), variables()
-    files = [f"{file.path} ({file.how})" for file in there.files]
+    config, environment = configuration(ctx), variables()
+    files = [f"{file.path} ({file.how})" for file in config.files]
     lines = [
-        f"exwarp {' '.join(one.command)}: {one.option} {one.text} ({one.origin})"
-        for one in there.settings
+        f"exwarp {' '.join(setting.command)}: {setting.option} {setting.text} ({setting.origin})"
+        for setting in config.settings
     ]
     lines += [f"{name}={value}" for name, value in environment.items()]
     facts = {
-        "files": [{"path": str(file.path), "how": file.how} for file in there.files],
+        "files": [{"path": str(file.path), "how": file.how} for file in config.files],
         "settings": [
-            {"command": list(o.command), "option": o.option, "text": o.text, "origin": o.origin}
-            for o in there.settings
+            {"command": list(s.command), "option": s.option, "text": s.text, "origin": s.origin}
+            for s in config.settings
         ],
         "environment": environment,
     }
-    count = len(there.settings)
+    count = len(config.settings)
     summary = ", ".join(files) or "no exwarp.toml"
     summary += f"; {count or 'no'} option{'' if count == 1 else 's'} set"
-    remarks = (*map(failure, there.problems), *map(warning, there.warnings))
+    remarks = (*map(failure, config.problems), *map(warning, config.warnings))
     return Check(summary, remarks, facts, tuple(lines))
 
 
-def _print(heading: str, page: list[Row], verdict: str | None) -> None:
+def _print_report(heading: str, page: list[Row], verdict: str | None) -> None:
     """Print the page, in colour and wrapped on a terminal."""
     from exwarp_cli.report.doctor import plain
 
@@ -89,19 +91,15 @@ def _print(heading: str, page: list[Row], verdict: str | None) -> None:
     for row in page:
         style = _STYLES[row.outcome]
         table.add_row(Text(row.outcome, style, no_wrap=True), row.name, Text(row.found))
-        rest = Table.grid(padding=(0, 1))
+        details = Table.grid(padding=(0, 1))
         for text in row.remarks:
-            rest.add_row("-", Text(text, style))
+            details.add_row("-", Text(text, style))
         for text in row.more:
-            rest.add_row("", Text(text, "dim", overflow="fold"))
-        if rest.row_count:
-            table.add_row("", "", rest)
+            details.add_row("", Text(text, "dim", overflow="fold"))
+        if details.row_count:
+            table.add_row("", "", details)
     console = Console(highlight=False)
     console.print(Text(heading))
     console.print(table)
     if verdict:
         console.print(Text(verdict))
-
-
-_STYLES = {"ok": "green", "warning": "yellow", "failed": "bold red", "skipped": "dim"}
-"""Of the outcomes, by name."""

@@ -11,33 +11,31 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from exwarp_cli.commands import upsample
-from exwarp_cli.commands.group import HelpfulGroup
-from exwarp_cli.commands.json_option import json_option, print_json
-from exwarp_cli.commands.printing import show
+from exwarp_cli.commands.options import FILE, HelpfulGroup, json_option, print_json, show
 from exwarp_cli.domain.metric import METRICS
 from exwarp_cli.farm.calls import DEFAULT_SIZE
 
 if TYPE_CHECKING:
-    from exwarp_cli.farm.calls import CommandLines, FarmJob
+    from exwarp_cli.farm.calls import FarmJob
     from exwarp_cli.farm.openjd import JobTemplate
 
-HERE_ALONE = frozenset(
+# Options of `upsample` that are for a run on this machine, or are set by the farm.
+NOT_SHARED = frozenset(
     {"progress", "cluster", "workers", "chunk_size", "dry_run", "as_chunk", "as_json"}
 )
-"""Options of `upsample` that are for a run on this machine, or are set by the farm."""
 
+# Options of `upsample` that each call gets of its own.
 ADDED = frozenset({"frames", "skip_existing", "overwrite"})
-"""Options of `upsample` that each call gets of its own."""
 
+# Of what `commands` prints with ``--json``.
 SCHEMA = "exwarp.chunks/1"
-"""Of what `commands` prints with ``--json``."""
 
 METRIC_OPTIONS = {metric.field: metric.option for metric in METRICS}
 
 
-def _shared() -> list[click.Parameter]:
+def shared_parameters() -> list[click.Parameter]:
     """Return the argument and the options of `upsample` that a farm's job has, too."""
-    return [p for p in upsample.command.params if p.name not in HERE_ALONE]
+    return [p for p in upsample.command.params if p.name not in NOT_SHARED]
 
 
 @click.group("farm", cls=HelpfulGroup)
@@ -50,7 +48,7 @@ def command() -> None:
 
 
 def _absolute(_context: click.Context, _parameter: click.Parameter, program: str) -> str:
-    """Complete a path, as workers have another current folder; a name is looked up there."""
+    # Workers have another current folder; a name without one is looked up there.
     return str(Path(program).absolute()) if Path(program).name != program else program
 
 
@@ -79,7 +77,7 @@ def _chunk_options(function: Any) -> Any:
     return function
 
 
-@command.command("openjd", params=_shared())
+@command.command("openjd", params=shared_parameters())
 @_chunk_options
 @click.option("--plain", is_flag=True, help="List the chunks, for engines without TASK_CHUNKING.")
 @click.option(
@@ -99,7 +97,7 @@ def _chunk_options(function: Any) -> Any:
 )
 @click.option(
     "--bundle",
-    type=click.Path(path_type=Path),
+    type=FILE,
     metavar="DIR",
     help="Write a job bundle there, for 'deadline bundle submit DIR'.",
 )
@@ -125,23 +123,22 @@ def openjd(
     """
     from exwarp_cli.farm.openjd import Workers, job_template, write_bundle, yaml_text
 
-    job = _open(options, chunk_size, title)
+    job = _open_job(options, chunk_size, title)
     gpus = int(options["device"] == "cuda")
     workers = Workers(program, vcpus, memory, gpus, plain, chunk_seconds)
     template = job_template(job, workers, Path.cwd() if bundle is None else None)
     if bundle is not None:
         write_bundle(bundle, template)
-    _tell(template, job, bundle)
+    _print_notes(template, job, bundle)
     if as_json:
         print_json(template.document)
     elif bundle is None:
         click.echo(yaml_text(template.document).encode(), nl=False)  # UTF-8 wherever it goes
     else:
-        message = f"job bundle in {bundle}: deadline bundle submit {shlex.quote(str(bundle))}"
-        show(message)
+        show(f"job bundle in {bundle}: deadline bundle submit {shlex.quote(str(bundle))}")
 
 
-@command.command("commands", params=_shared())
+@command.command("commands", params=shared_parameters())
 @_chunk_options
 def commands(chunk_size: int, program: str, as_json: bool, **options: Any) -> None:
     """Print a command line for each chunk.
@@ -152,47 +149,42 @@ def commands(chunk_size: int, program: str, as_json: bool, **options: Any) -> No
     """
     from exwarp_cli.farm.calls import command_lines, shell_line
 
-    lines = command_lines(_open(options, chunk_size, None), program)
+    lines = command_lines(_open_job(options, chunk_size, None), program)
     if as_json:
-        print_json(_document(lines))
+        chunks = [{"frames": frames, "command": list(words)} for frames, words in lines.chunks]
+        afterwards = [list(words) for words in lines.afterwards]
+        print_json({"schema": SCHEMA, "chunks": chunks, "afterwards": afterwards})
         return
-    chunks = [shell_line(words) for _, words in lines.chunks]
-    afterwards = [shell_line(words) for words in lines.afterwards]
-    for line in chunks:
-        click.echo(os.fsencode(line))  # names as the disk has them, for any terminal
-    for line in afterwards:
-        _say(f"when all are done: {line}")
+    for _, words in lines.chunks:
+        click.echo(os.fsencode(shell_line(words)))  # names as the disk has them, for any terminal
+    for words in lines.afterwards:
+        _print_note(f"when all are done: {shell_line(words)}")
 
 
-def _open(options: Mapping[str, Any], chunk_size: int, title: str | None) -> FarmJob:
+def _open_job(options: Mapping[str, Any], chunk_size: int, title: str | None) -> FarmJob:
     """Look at everything now that the chunks will need."""
-    from exwarp_cli.farm.calls import open_farm_job
-
-    settings = upsample.settings_of(options)
-    if options["report_folder"] is not None and not settings.overwrite:
-        _refuse_report(options["report_folder"], settings.skip_existing)
-    return open_farm_job(settings, list(_given(options)), chunk_size, title)
-
-
-def _refuse_report(folder: Path, go_on: bool) -> None:
-    """Refuse a folder whose report, or chunks' reports, the job would mix with its own."""
     from exwarp_cli.errors import OutputExistsError
+    from exwarp_cli.farm.calls import open_farm_job
     from exwarp_cli.io.atomic import is_there
     from exwarp_cli.report.folder import REPORT_FILE, chunk_reports
 
-    if not go_on and (is_there(folder / REPORT_FILE) or chunk_reports(folder)):
+    settings, folder = upsample.settings_of(options), options["report_folder"]
+    keeps_report = folder is None or settings.overwrite or settings.skip_existing
+    # The job would mix a report that is there, or those of chunks, with its own.
+    if not keeps_report and (is_there(folder / REPORT_FILE) or chunk_reports(folder)):
         raise OutputExistsError(
             f"{folder} holds a report already, or those of chunks; give --skip-existing to go on "
             "with it, --overwrite to replace it, or another --report"
         )
+    return open_farm_job(settings, list(option_values(options)), chunk_size, title)
 
 
-def _given(options: Mapping[str, Any]) -> Iterator[tuple[str, str, str | None]]:
-    """Write down what differs from the defaults, wherever it was set: name, flag and value.
+def option_values(options: Mapping[str, Any]) -> Iterator[tuple[str, str, str | None]]:
+    """Yield what differs from the defaults, wherever it was set: name, flag and value.
 
     Defaults are left out: calls are isolated, so that a worker sets nothing but its own threads.
     """
-    for parameter in _shared():
+    for parameter in shared_parameters():
         name, value = str(parameter.name), options[str(parameter.name)]
         if name in ADDED or value in (None, (), parameter.default):
             continue
@@ -205,34 +197,26 @@ def _given(options: Mapping[str, Any]) -> Iterator[tuple[str, str, str | None]]:
             if flags:  # else it is off, and there is no way to say so
                 yield name, flags[-1], None
         elif parameter.multiple:
-            yield from ((name, parameter.opts[-1], str(one)) for one in value)
+            yield from ((name, parameter.opts[-1], str(item)) for item in value)
+        elif isinstance(value, tuple):  # what --metrics made of its list
+            yield name, parameter.opts[-1], ",".join(METRIC_OPTIONS[field] for field in value)
         else:
-            yield name, parameter.opts[-1], _text(value)
+            yield name, parameter.opts[-1], str(value)
 
 
-def _text(value: object) -> str:
-    if isinstance(value, tuple):  # what --metrics made of its list
-        return ",".join(METRIC_OPTIONS[field] for field in value)
-    return str(value)
-
-
-def _document(lines: CommandLines) -> dict[str, Any]:
-    chunks = [{"frames": frames, "command": list(words)} for frames, words in lines.chunks]
-    afterwards = [list(words) for words in lines.afterwards]
-    return {"schema": SCHEMA, "chunks": chunks, "afterwards": afterwards}
-
-
-def _tell(template: JobTemplate, job: FarmJob, bundle: Path | None) -> None:
+def _print_notes(template: JobTemplate, job: FarmJob, bundle: Path | None) -> None:
     """Say what a user of the template has to know."""
     if template.size > job.size:
-        _say(
+        _print_note(
             f"chunks have {template.size} key frames, not {job.size}, as the list of chunks would "
             "be too long for Open Job Description; without --plain any size does"
         )
     if template.values and bundle is None:
-        given = (f"-p {shlex.quote(f'{name}={value}')}" for name, value in template.values.items())
-        _say(f"add at submission, as these are not below the current folder: {' '.join(given)}")
+        values = (f"-p {shlex.quote(f'{name}={value}')}" for name, value in template.values.items())
+        _print_note(
+            f"add at submission, as these are not below the current folder: {' '.join(values)}"
+        )
 
 
-def _say(text: str) -> None:
+def _print_note(text: str) -> None:
     show(f"exwarp: {text}", err=True)

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import click
 
-from exwarp_cli.commands.json_option import json_option, print_json
-from exwarp_cli.commands.progress_option import progress_option
-from exwarp_cli.commands.source_options import source_options
-from exwarp_cli.commands.threads_option import threads_option
+from exwarp_cli.commands.options import (
+    json_option,
+    print_json,
+    progress_option,
+    source_options,
+    threads_option,
+)
 from exwarp_cli.domain.cuts import AUTO
 
 
@@ -28,19 +33,7 @@ from exwarp_cli.domain.cuts import AUTO
 @json_option
 @progress_option()
 def command(
-    sequence: str,
-    gbuffers: str | None,
-    motion: str | None,
-    view: str | None,
-    aovs: tuple[str, ...],
-    channel_map: str | None,
-    dynamic: str | None,
-    max_pixels: int,
-    cuts: str,
-    frames: str | None,
-    threads: int | None,
-    as_json: bool,
-    progress: str,
+    frames: str | None, threads: int | None, as_json: bool, progress: str, **source: Any
 ) -> None:
     """Print the features of SEQUENCE as CSV, a row for every decision of every key interval.
 
@@ -58,15 +51,11 @@ def command(
 
     use_threads(threads)
     with reporting(progress, results_on_stdout=True) as reporter:
-        settings = SourceSettings(
-            sequence, gbuffers, motion, view=view, aovs=aovs, channel_map=channel_map, cuts=cuts,
-            dynamic=dynamic, max_pixels=max_pixels,
-        )  # fmt: skip
-        rows = features(settings, frames, reporter)
+        rows = features(SourceSettings(**source), frames, reporter)
         if as_json:
             print_json(document(rows))
             return
-        for number, found in enumerate(rows):
-            if not number:  # not before: a sequence that cannot be used gives no table
+        for index, decision in enumerate(rows):
+            if index == 0:  # not before: a sequence that cannot be used gives no table
                 click.echo(table(HEADER, ()), nl=False)
-            click.echo(table(row(found), ()), nl=False)
+            click.echo(table(row(decision), ()), nl=False)

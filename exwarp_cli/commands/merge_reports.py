@@ -8,28 +8,31 @@ from typing import TYPE_CHECKING
 
 import click
 
-from exwarp_cli.commands.json_option import json_option, print_json
-from exwarp_cli.commands.printing import show, summary_of_files
-from exwarp_cli.commands.progress_option import progress_option
+from exwarp_cli.commands.options import (
+    FILE,
+    json_option,
+    print_json,
+    progress_option,
+    show,
+    summary_of_files,
+)
 from exwarp_cli.commands.summary_lines import summary_lines
 from exwarp_cli.domain.wording import counted
 
 if TYPE_CHECKING:
     from exwarp_cli.report.merging import Merged
 
-NAMED = 3
-"""Folders that a line names at most."""
+# Folders that a line names at most.
+MOST_NAMED = 3
 
 
 @click.command("merge-reports")
-@click.argument(
-    "folders", nargs=-1, required=True, metavar="FOLDER…", type=click.Path(path_type=Path)
-)
+@click.argument("folders", nargs=-1, required=True, metavar="FOLDER…", type=FILE)
 @click.option(
     "-o",
     "--output",
     metavar="DIR",
-    type=click.Path(path_type=Path),
+    type=FILE,
     help="Folder of the joined report. Default: FOLDER, whose chunks/ are joined.",
 )
 @click.option("--overwrite", is_flag=True, help="Replace a report that is there.")
@@ -57,11 +60,10 @@ def command(
         print_json(merged.document)
     else:
         with summary_of_files():
-            _print(merged, output or folders[0])
+            _print_summary(merged, output or folders[0])
 
 
-def _print(merged: Merged, output: Path) -> None:
-    """Say in a few lines what was joined."""
+def _print_summary(merged: Merged, output: Path) -> None:
     from exwarp_cli.report.page_parts import time_text
 
     document = merged.document
@@ -73,15 +75,14 @@ def _print(merged: Merged, output: Path) -> None:
     if merged.missing is not None:
         click.echo(f"key frames of the sequence that are in no report: {merged.missing}")
     if merged.superseded:
-        named = _named(merged.superseded)
-        show(f"older reports, of key frames that newer ones tell of: {named}")
+        names = _list_folders(merged.superseded)
+        show(f"older reports, of key frames that newer ones tell of: {names}")
     if merged.unseen:
-        named = _named(merged.unseen)
-        show(f"without pictures, as report.html is not there or cannot be read: {named}")
+        names = _list_folders(merged.unseen)
+        show(f"without pictures, as report.html is not there or cannot be read: {names}")
     show(f"report in {output}")
 
 
-def _named(folders: Sequence[Path]) -> str:
-    """Name the first of some folders."""
-    more = f" and {len(folders) - NAMED} more" if len(folders) > NAMED else ""
-    return f"{', '.join(map(str, folders[:NAMED]))}{more}"
+def _list_folders(folders: Sequence[Path]) -> str:
+    more = f" and {len(folders) - MOST_NAMED} more" if len(folders) > MOST_NAMED else ""
+    return f"{', '.join(map(str, folders[:MOST_NAMED]))}{more}"

@@ -6,14 +6,10 @@ from pathlib import Path
 
 import click
 
-from exwarp_cli.commands.group import HelpfulGroup
-from exwarp_cli.commands.json_option import json_option, print_json
-from exwarp_cli.commands.printing import show
+from exwarp_cli.commands.options import FILE, HelpfulGroup, json_option, print_json, show
 
-FILE = click.Path(path_type=Path)
-
+# Of what --json prints; `kind` is the option of exwarp upsample that takes the model.
 SCHEMA = "exwarp.model/1"
-"""Of what --json prints; `kind` is the option of exwarp upsample that takes the model."""
 
 
 @click.group("models", cls=HelpfulGroup)
@@ -33,12 +29,12 @@ def import_extranet(checkpoint: Path, model: Path, overwrite: bool, as_json: boo
     divides by diffuse and glossy colour together, knows frames of one engine only, and wants
     G-buffers with normals; slot 3 lies further ahead than what it was trained on.
     """
-    from exwarp_cli.training.extra import require_train
+    from exwarp_cli.research.training.training_settings import require_train
 
     require_train()
-    from exwarp_cli.training import checkpoint as release
+    from exwarp_cli.research.training import extranet_import
 
-    release.import_extranet(checkpoint, model, overwrite=overwrite)
+    extranet_import.import_extranet(checkpoint, model, overwrite=overwrite)
     if as_json:
         print_json({"schema": SCHEMA, "kind": "extrapolator", "model": str(model)})
     else:
@@ -65,8 +61,8 @@ def interpolator_card(model: Path, shape: str, overwrite: bool, as_json: bool) -
 
     card = begin_card(model, shape, overwrite=overwrite)
     if as_json:
-        about = {"schema": SCHEMA, "kind": "interpolator", "model": str(model), "card": str(card)}
-        print_json(about)
+        print_json(
+            {"schema": SCHEMA, "kind": "interpolator", "model": str(model), "card": str(card)}
+        )
     else:
-        message = f"{card}: look it over, then give {model} to exwarp upsample --interpolator"
-        show(message)
+        show(f"{card}: look it over, then give {model} to exwarp upsample --interpolator")

@@ -6,14 +6,11 @@ from pathlib import Path
 
 import click
 
-from exwarp_cli.commands.group import HelpfulGroup
-from exwarp_cli.commands.json_option import json_option, print_json
-from exwarp_cli.commands.printing import show
+from exwarp_cli.commands.options import FILE, HelpfulGroup, json_option, print_json, show
 
+# Cores, or MAC units of a core: a slip of the pen must not fill the memory.
 MOST = 4096
-"""Cores, or MAC units of a core: a slip of the pen must not fill the memory."""
 
-FILE = click.Path(path_type=Path)
 POLICY = click.option(
     "--policy", type=FILE, metavar="FILE", help="Policy; default: the one that comes with ExWarp."
 )
@@ -54,12 +51,12 @@ def cycles(
     from exwarp_cli.report.accelerator import cycles_document, cycles_lines, cycles_table
 
     rate = accelerator.clock_of(clock)
-    found = accelerator.cycles(policy, cores, macs, cache, port)
+    inference = accelerator.cycles(policy, cores, macs, cache, port)
     if as_json:
-        print_json(cycles_document(found, rate))
+        print_json(cycles_document(inference, rate))
         return
-    Console(highlight=False, soft_wrap=True).print(cycles_table(found))
-    for line in cycles_lines(found, rate):
+    Console(highlight=False, soft_wrap=True).print(cycles_table(inference))
+    for line in cycles_lines(inference, rate):
         click.echo(line)
 
 
@@ -150,5 +147,4 @@ def export(
             }
         )
     else:
-        message = f"{folder}: {len(files)} files, {vectors} test vectors; see README.txt"
-        show(message)
+        show(f"{folder}: {len(files)} files, {vectors} test vectors; see README.txt")

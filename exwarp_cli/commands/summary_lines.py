@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
 from typing import Any
 
 from exwarp_cli.domain.metric import BY_OPTION, KEY_FRAMES, METRICS
@@ -10,7 +9,7 @@ from exwarp_cli.domain.wording import counted
 
 
 def summary_lines(
-    document: dict[str, Any], place: str = "", scored: bool | None = None
+    document: dict[str, Any], place: str = "", is_scored: bool | None = None
 ) -> list[str]:
     """Say in a few lines what was done.
 
@@ -20,12 +19,48 @@ def summary_lines(
         What report.json holds; at least one frame was written.
     place
         Where the frames are; empty where that is not known.
-    scored
+    is_scored
         Whether ground truth was given; None to tell by the scores that are there.
     """
+    from exwarp_cli.report.decisions import gate_line
+    from exwarp_cli.report.page_parts import (
+        cuts_line,
+        held_line,
+        left_out_line,
+        nonfinite_line,
+    )
+    from exwarp_cli.report.review import review_line
+
+    frames, quality = document["frames"], document["quality"]["all"]
+    decisions, pulse = document["decisions"], document["pulse"]
+    if is_scored is None:
+        is_scored = bool(quality["frames"])
+    lines = _frame_lines(document, place)
+    if document["cuts"]:
+        lines.append(cuts_line(document["cuts"]))
+    if document["held"]:
+        lines.append(held_line(document["held"]))
+    lines.extend(_decision_lines(decisions))
+    if decisions["gate"]:
+        lines.append(gate_line(decisions["gate"]))
+    lines.extend(_holes_line(document["holes"], frames["generated"] + frames["dropped"]))
+    if is_scored and frames["written"] > frames["key"]:
+        lines.append(_quality_line(quality))
+    if pulse is not None and pulse["against"] == KEY_FRAMES:
+        lines.append(_pulse_line(pulse))
+    if document["review"] is not None:
+        lines.append(review_line(document["review"]))
+    if document["left_out"]:
+        lines.append(left_out_line(document["left_out"]))
+    if document["nonfinite"]:
+        lines.append(nonfinite_line(document["nonfinite"]))
+    return lines + _file_lines(document)
+
+
+def _frame_lines(document: dict[str, Any], place: str) -> list[str]:
     from exwarp_cli.report.page_parts import rendered_text
 
-    frames, fps, quality = document["frames"], document["fps"], document["quality"]["all"]
+    frames, fps = document["frames"], document["fps"]
     effective = "" if fps["effective"] is None else f", effective {fps['effective']:g}"
     lines = [
         f"{counted(frames['written'], 'frame')}{place and f' in {place}'}: "
@@ -37,95 +72,60 @@ def summary_lines(
             f"{frames['resumed']} kept of an earlier run, {frames['made']} made, "
             f"{frames['replaced']} replaced"
         )
-    lines.extend(_lines_of_lists(document, ("cuts", "held")))
-    lines.extend(_decisions(document["decisions"]))
-    if document["decisions"]["gate"]:
-        from exwarp_cli.report.decisions import gate_line
-
-        lines.append(gate_line(document["decisions"]["gate"]))
-    if document["holes"]["mean_fraction"] is not None:
-        lines.append(_holes(document["holes"], frames["generated"] + frames["dropped"]))
-    compared = bool(quality["frames"]) if scored is None else scored
-    if compared and frames["written"] > frames["key"]:
-        lines.append(f"against ground truth{_scores(quality)}")
-    pulse = document["pulse"]
-    if pulse is not None and pulse["against"] == KEY_FRAMES:
-        lines.append(_pulse(pulse))
-    if document["review"] is not None:
-        from exwarp_cli.report.review import review_line
-
-        lines.append(review_line(document["review"]))
-    lines.extend(_lines_of_lists(document, ("left_out", "nonfinite")))
-    if document["verified"] is not None:
-        lines.append(f"{counted(document['verified'], 'file')} read back, all as written")
-    if document["render_time"] is not None:
-        lines.append(_saved(document["render_time"]))
     return lines
 
 
-def _decisions(decisions: dict[str, Any]) -> Iterator[str]:
-    """Say which paths were taken; nothing outside the paper's decision tree."""
-    taken = {name: count for name, count in decisions["paths"].items() if count}
-    if not taken:
-        return
+def _decision_lines(decisions: dict[str, Any]) -> list[str]:
+    paths = {name: count for name, count in decisions["paths"].items() if count}
+    if not paths:  # a method outside the paper's decision tree
+        return []
     share, cost = decisions["warp_share"], decisions["cost"]
     if cost is None:
-        listed = ", ".join(f"{name} {count}" for name, count in taken.items())
-        yield f"paths of the key intervals: {listed}; {share:.0%} of the decisions are warps"
-        return
-    count = sum(taken.values())
-    listed = ", ".join(f"{name} {number / count:.0%}" for name, number in taken.items())
-    yield f"paths of the tiles: {listed}; the network made {cost:.0%} of the new frames' area"
+        listed = ", ".join(f"{name} {count}" for name, count in paths.items())
+        return [f"paths of the key intervals: {listed}; {share:.0%} of the decisions are warps"]
+    total = sum(paths.values())
+    listed = ", ".join(f"{name} {count / total:.0%}" for name, count in paths.items())
+    return [f"paths of the tiles: {listed}; the network made {cost:.0%} of the new frames' area"]
 
 
-def _lines_of_lists(document: dict[str, Any], keys: tuple[str, ...]) -> Iterator[str]:
-    """Yield a line for each of a report's lists that is not empty."""
-    from exwarp_cli.report.page_parts import cuts_line, held_line, left_out_line, nonfinite_line
-
-    lines: dict[str, Callable[[list[Any]], str]] = {
-        "cuts": cuts_line,
-        "held": held_line,
-        "left_out": left_out_line,
-        "nonfinite": nonfinite_line,
-    }
-    for key in keys:
-        if document[key]:
-            yield lines[key](document[key])
-
-
-def _scores(quality: dict[str, Any]) -> str:
-    """Say how good the frames between the rendered ones are."""
+def _quality_line(quality: dict[str, Any]) -> str:
     if not quality["frames"]:
-        return ": it has none of the frames between the rendered ones"
+        return "against ground truth: it has none of the frames between the rendered ones"
     values = (
         f"{metric.name} {metric.with_unit(quality[metric.field])}"
         for metric in METRICS
         if quality[metric.field] is not None
     )
-    return f" ({quality['frames']} frames): {', '.join(values)}"
+    return f"against ground truth ({quality['frames']} frames): {', '.join(values)}"
 
 
-def _pulse(found: dict[str, Any]) -> str:
-    """Say how sharp new frames are beside their key frames."""
+def _pulse_line(pulse: dict[str, Any]) -> str:
     metric = BY_OPTION["pulse"]
-    mean, worst = (metric.with_unit(found[name]) for name in ("mean", "worst"))
-    frames = counted(found["frames"], "frame")
-    return f"pulse against {found['against']} ({frames}): {mean}, at worst {worst}"
+    mean, worst = (metric.with_unit(pulse[name]) for name in ("mean", "worst"))
+    frames = counted(pulse["frames"], "frame")
+    return f"pulse against {pulse['against']} ({frames}): {mean}, at worst {worst}"
 
 
-def _saved(found: dict[str, Any]) -> str:
-    """Say what rendering would have taken, by the renderer's own times."""
+def _file_lines(document: dict[str, Any]) -> list[str]:
+    """Say what was read back, and what rendering would have taken by the renderer's own times."""
     from exwarp_cli.report.page_parts import time_text
 
-    return (
-        f"render time saved: {time_text(found['saved_s'])} ({found['saved_share']:.0%}); a key "
-        f"frame took {time_text(found['key_frame_s'])} to render, a new one takes "
-        f"{time_text(found['generated_frame_s'])}"
-    )
+    lines = []
+    if document["verified"] is not None:
+        lines.append(f"{counted(document['verified'], 'file')} read back, all as written")
+    if (times := document["render_time"]) is not None:
+        lines.append(
+            f"render time saved: {time_text(times['saved_s'])} ({times['saved_share']:.0%}); a key "
+            f"frame took {time_text(times['key_frame_s'])} to render, a new one takes "
+            f"{time_text(times['generated_frame_s'])}"
+        )
+    return lines
 
 
-def _holes(holes: dict[str, Any], between: int) -> str:
-    """Say how large holes are; and of which frames, where not all between key frames warp."""
+def _holes_line(holes: dict[str, Any], count_between: int) -> list[str]:
+    if holes["mean_fraction"] is None:
+        return []
     count = sum(holes["histogram"]["counts"])
-    some = "" if count == between else f", of {counted(count, 'warped frame')}"
-    return f"holes {holes['mean_fraction']:.1%} of the pixels on average{some}"
+    # Where not all frames between key frames are warped, it is said how many are.
+    warped = "" if count == count_between else f", of {counted(count, 'warped frame')}"
+    return [f"holes {holes['mean_fraction']:.1%} of the pixels on average{warped}"]

@@ -8,21 +8,26 @@ from typing import Any
 
 import click
 
-from exwarp_cli.commands.group import HelpfulGroup
-from exwarp_cli.commands.json_option import json_option, print_json
-from exwarp_cli.commands.printing import show, summary_of_files
-from exwarp_cli.commands.threads_option import threads_option
+from exwarp_cli.commands.options import (
+    FILE,
+    HelpfulGroup,
+    json_option,
+    print_json,
+    show,
+    summary_of_files,
+    threads_option,
+)
 from exwarp_cli.domain.line import one_line
-from exwarp_cli.training.settings import (
+from exwarp_cli.research.training.training_settings import (
+    ExtrapolatorSettings,
     LookAheadSettings,
     PolicySettings,
     TilePolicySettings,
-    TrainingSettings,
     require_sane_policy,
+    require_train,
 )
 
-FOLDER = click.Path(path_type=Path)
-DEFAULTS = TrainingSettings()
+DEFAULTS = ExtrapolatorSettings()
 AHEAD = LookAheadSettings()
 POLICY = PolicySettings()
 TILES = TilePolicySettings()
@@ -44,9 +49,9 @@ def _scene_options(function: Any) -> Any:
             help="Names to learn from; else all made for it.",
         ),
         click.option(
-            "-o", "--output", type=FOLDER, required=True, help="For checkpoints and the model."
+            "-o", "--output", type=FILE, required=True, help="For checkpoints and the model."
         ),
-        click.option("--data", type=FOLDER, required=True, help="Folder of rendered scenes."),
+        click.option("--data", type=FILE, required=True, help="Folder of rendered scenes."),
     ):
         function = option(function)
     return function
@@ -65,12 +70,12 @@ def _scene_options(function: Any) -> Any:
 @click.option("--seed", type=click.IntRange(0), default=DEFAULTS.seed)
 @click.option(
     "--start",
-    type=FOLDER,
+    type=FILE,
     metavar="FILE",
     help="Checkpoint to begin with, whose network may be smaller, or model.",
 )
 @click.option("--every", type=click.IntRange(1), default=500, help="Checkpoint.")
-@click.option("--cache", type=FOLDER, help="For crops; default: in the data folder's parent.")
+@click.option("--cache", type=FILE, help="For crops; default: in the data folder's parent.")
 @threads_option
 @json_option
 def extrapolator(**options: Any) -> None:
@@ -79,13 +84,11 @@ def extrapolator(**options: Any) -> None:
     Stopped at any time, the same command goes on from the last checkpoint. The output folder gets
     checkpoint.pt, curve.csv (validation on scenes held out), settings.json and extrapolator.onnx.
     """
-    from exwarp_cli.training.extra import require_train
-
     require_train()
-    from exwarp_cli.training.extrapolator import train_extrapolator
+    from exwarp_cli.research.training.extrapolator_training import ExtrapolatorTraining
 
     use = "--extrapolator"
-    _train_network("extrapolator", train_extrapolator, TrainingSettings, use, **options)
+    _train_network("extrapolator", ExtrapolatorTraining.train, ExtrapolatorSettings, use, **options)
 
 
 @command.command("lookahead", context_settings={"show_default": True})
@@ -95,9 +98,9 @@ def extrapolator(**options: Any) -> None:
 @click.option("--batch", type=click.IntRange(2), default=AHEAD.batch, help="In patches.")
 @click.option("--rate", type=float, default=AHEAD.rate, help="Of learning.")
 @click.option("--seed", type=click.IntRange(0), default=AHEAD.seed)
-@click.option("--start", type=FOLDER, metavar="FILE", help="Checkpoint to begin with.")
+@click.option("--start", type=FILE, metavar="FILE", help="Checkpoint to begin with.")
 @click.option("--every", type=click.IntRange(1), default=1000, help="Checkpoint.")
-@click.option("--cache", type=FOLDER, help="For samples; default: in the data folder's parent.")
+@click.option("--cache", type=FILE, help="For samples; default: in the data folder's parent.")
 @threads_option
 @json_option
 def lookahead(**options: Any) -> None:
@@ -106,19 +109,17 @@ def lookahead(**options: Any) -> None:
     Stopped at any time, the same command goes on from the last checkpoint. The output folder gets
     checkpoint.pt, curve.csv (validation on scenes held out), settings.json and lookahead.onnx.
     """
-    from exwarp_cli.training.extra import require_train
-
     require_train()
-    from exwarp_cli.training.lookahead import train_lookahead
+    from exwarp_cli.research.training.lookahead_training import LookAheadTraining
 
     use = "--method lookahead --interpolator"
-    _train_network("lookahead", train_lookahead, LookAheadSettings, use, **options)
+    _train_network("lookahead", LookAheadTraining.train, LookAheadSettings, use, **options)
 
 
 def _train_network(
     kind: str,
     train: Callable[..., Path],
-    make: type[TrainingSettings] | type[LookAheadSettings],
+    settings: type[ExtrapolatorSettings] | type[LookAheadSettings],
     use: str,
     *,
     data: Path,
@@ -134,11 +135,11 @@ def _train_network(
 ) -> None:
     """Train a network of a kind, and say by which options of upsample it is used."""
     from exwarp_cli.io.dataset import select
-    from exwarp_cli.training.settings import CURVE, last_row
+    from exwarp_cli.research.training.resumable_training import CURVE, last_row
 
     chosen = select(data, scenes, exclude, _say)
     crops = cache or data.resolve().parent / "crops"
-    model = train(chosen, output, crops, make(**options), every, threads, _say, start)
+    model = train(chosen, output, crops, settings(**options), every, threads, _say, start)
     if as_json:
         print_json(_result(kind, output, model, last_row(output / CURVE)))
     else:
@@ -148,18 +149,18 @@ def _train_network(
 @command.command("policy", context_settings={"show_default": True})
 @click.option(
     "--data",
-    type=FOLDER,
+    type=FILE,
     multiple=True,
     help="Folder of rendered scenes to measure; several for several sizes.",
 )
-@click.option("--tables", type=FOLDER, help="Use these; default: those that come with ExWarp.")
-@click.option("-o", "--output", type=FOLDER, required=True, help="For the models and scores.")
-@click.option("--extrapolator", type=FOLDER, metavar="FILE", help="ONNX network for --data.")
+@click.option("--tables", type=FILE, help="Use these; default: those that come with ExWarp.")
+@click.option("-o", "--output", type=FILE, required=True, help="For the models and scores.")
+@click.option("--extrapolator", type=FILE, metavar="FILE", help="ONNX network for --data.")
 @click.option("--steps", type=click.IntRange(1), default=POLICY.steps)
 @click.option("--batch", type=click.IntRange(1), default=POLICY.batch, help="In states.")
 @click.option("--rate", type=float, default=POLICY.rate, help="Of learning.")
 @click.option("--seed", type=click.IntRange(0), default=POLICY.seed)
-@click.option("--cache", type=FOLDER, help="For --data; default: in the data folder's parent.")
+@click.option("--cache", type=FILE, help="For --data; default: in the data folder's parent.")
 @click.option("--jobs", type=click.IntRange(1), help="Scenes at a time; default: all cores.")
 @json_option
 def policy(
@@ -178,26 +179,26 @@ def policy(
     as tables in the output folder. Each scene is left out of one training and judged by it.
     """
     from exwarp_cli.io.policy_files import SHIPPED_POLICY
-    from exwarp_cli.training.extra import require_train
 
     require_train()
-    from exwarp_cli.training.policy import train_policy
-    from exwarp_cli.training.policy_card import card
-    from exwarp_cli.training.survey import Survey, find_tables
+    from exwarp_cli.research.training.outcome_tables import Survey, find_tables
+    from exwarp_cli.research.training.policy_scores import policy_card
+    from exwarp_cli.research.training.policy_training import train_policy
 
     settings = PolicySettings(**options)  # type: ignore[arg-type]
     require_sane_policy(settings)
     survey = Survey(data, extrapolator, cache, jobs)
-    found = find_tables(survey, tables, output, _say)
-    scores = train_policy(found, output, settings, _say)
-    _print_scores(_result("policy", output, output / SHIPPED_POLICY, scores), card, as_json)
+    scenes = find_tables(survey, tables, output, _say)
+    scores = train_policy(scenes, output, settings, _say)
+    result = _result("policy", output, output / SHIPPED_POLICY, scores)
+    _print_scores(result, policy_card, as_json)
 
 
 @command.command("tile-policy", context_settings={"show_default": True})
-@click.option("--data", type=FOLDER, help="Folder of rendered scenes to measure.")
-@click.option("--tables", type=FOLDER, help="Use these; default: those that come with ExWarp.")
-@click.option("-o", "--output", type=FOLDER, required=True, help="For the model and scores.")
-@click.option("--extrapolator", type=FOLDER, metavar="FILE", help="ONNX network for --data.")
+@click.option("--data", type=FILE, help="Folder of rendered scenes to measure.")
+@click.option("--tables", type=FILE, help="Use these; default: those that come with ExWarp.")
+@click.option("-o", "--output", type=FILE, required=True, help="For the model and scores.")
+@click.option("--extrapolator", type=FILE, metavar="FILE", help="ONNX network for --data.")
 @click.option("--steps", type=click.IntRange(1), default=TILES.steps)
 @click.option("--batch", type=click.IntRange(1), default=TILES.batch, help="In tiles.")
 @click.option("--rate", type=float, default=TILES.rate, help="Of learning.")
@@ -217,19 +218,18 @@ def tile_policy(
     in the output folder. Each scene is left out of one training and judged by it.
     """
     from exwarp_cli.io.policy_files import SHIPPED_TILE_POLICY
-    from exwarp_cli.training.extra import require_train
 
     require_train()
-    from exwarp_cli.training.policy_card import tile_card
-    from exwarp_cli.training.survey import find_tile_tables
-    from exwarp_cli.training.tile_policy import train_tile_policy
+    from exwarp_cli.research.training.policy_scores import tile_policy_card
+    from exwarp_cli.research.training.tile_policy_training import train_tile_policy
+    from exwarp_cli.research.training.tile_tables import find_tile_tables
 
     settings = TilePolicySettings(**options)  # type: ignore[arg-type]
     require_sane_policy(settings)
-    found = find_tile_tables(data, extrapolator, tables, output, _say)
-    scores = train_tile_policy(found, output, settings, _say)
+    scenes = find_tile_tables(data, extrapolator, tables, output, _say)
+    scores = train_tile_policy(scenes, output, settings, _say)
     result = _result("tile-policy", output, output / SHIPPED_TILE_POLICY, scores)
-    _print_scores(result, tile_card, as_json)
+    _print_scores(result, tile_policy_card, as_json)
 
 
 def _result(kind: str, folder: Path, model: Path, scores: dict[str, Any]) -> dict[str, Any]:

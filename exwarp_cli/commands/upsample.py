@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import fields, replace
-from fractions import Fraction
 from importlib import import_module
 from pathlib import Path
 from threading import Thread
@@ -13,13 +12,18 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from exwarp_cli.commands.json_option import json_option, print_json
-from exwarp_cli.commands.metrics_option import metrics_option
-from exwarp_cli.commands.printing import show, summary_of_files
-from exwarp_cli.commands.progress_option import progress_option
-from exwarp_cli.commands.source_options import scan_option, source_options
-from exwarp_cli.commands.spread_options import spread_options
-from exwarp_cli.commands.threads_option import threads_option
+from exwarp_cli.commands.options import (
+    FrameRate,
+    json_option,
+    metrics_option,
+    print_json,
+    progress_option,
+    scan_option,
+    show,
+    source_options,
+    summary_of_files,
+    threads_option,
+)
 from exwarp_cli.domain.settings import (
     DEVICES,
     USUAL_EFFORT,
@@ -36,28 +40,6 @@ if TYPE_CHECKING:
     from exwarp_cli.pipeline.dry_run import DryRun
     from exwarp_cli.pipeline.job import Job
     from exwarp_cli.pipeline.progress import Progress
-    from exwarp_cli.report.gallery import Gallery
-
-
-class FrameRate(click.ParamType[Fraction]):
-    """Frames per second, exactly: 30, 23.976, 24000/1001."""
-
-    name = "fps"
-
-    def convert(
-        self, value: object, param: click.Parameter | None, ctx: click.Context | None
-    ) -> Fraction:
-        """Read a rate; the broadcast rates written with three decimals become exact."""
-        try:
-            rate = Fraction(str(value))
-        except (ValueError, ZeroDivisionError):
-            self.fail(f"{value!r} is not a frame rate; write for example 30 or 24000/1001")
-        broadcast = Fraction(round(rate) * 1000, 1001)
-        if rate.denominator > 1 and abs(rate - broadcast) < Fraction(1, 1000):
-            rate = broadcast
-        if rate <= 0:
-            self.fail(f"{value!r} is not a frame rate; it must be above 0")
-        return rate
 
 
 @click.command("upsample")
@@ -213,7 +195,32 @@ class FrameRate(click.ParamType[Fraction]):
     "--verify", is_flag=True, help="Read all files back from the disk, and compare checksums."
 )
 @threads_option
-@spread_options
+@click.option(
+    "--workers",
+    type=click.IntRange(1),
+    metavar="N",
+    help="Spread the work over N processes on this machine, which share --threads "
+    "(extra: cluster).",
+)
+@click.option(
+    "--cluster",
+    metavar="ADDRESS",
+    help="Spread it over the workers of a running Dask scheduler, tcp://host:port or "
+    "tls://host:port; --threads is then for each worker (extra: cluster).",
+)
+@click.option(
+    "--chunk-size",
+    type=click.IntRange(1),
+    metavar="N",
+    help="Key frames that a worker is given at a time; else 1 to 10, by the length and "
+    "the number of workers.",
+)
+@click.option(
+    "--as-chunk",
+    is_flag=True,
+    help="This is one chunk of a job: put its report into a folder of its own below "
+    "--report, which 'exwarp merge-reports' joins.",
+)
 @click.option(
     "--dry-run", is_flag=True, help="Open everything and say what would be done; write nothing."
 )
@@ -250,29 +257,29 @@ def command(
         settings = replace(
             settings, skip_existing=True, overwrite=False, replaces_foreign=settings.overwrite
         )
-    where = ClusterSettings(workers, cluster, chunk_size)
-    runs = not (dry_run or where.spread)
-    if runs and settings.threads != 1:
+    distribution = ClusterSettings(workers, cluster, chunk_size)
+    if not (dry_run or distribution.spread) and settings.threads != 1:
         with suppress(RuntimeError):  # no more threads: what needs one says so
             Thread(target=_import_run, name="exwarp-import").start()
-    with _going_on(progress), reporting(progress, results_on_stdout=as_json) as reporter:
+    with _farm_task(progress), reporting(progress, results_on_stdout=as_json) as reporter:
         job = replace(open_job(settings), reported=as_json or report_folder is not None)
-        place = _report_place(report_folder, as_chunk, job)
+        folder = _report_folder(report_folder, as_chunk, job)
         if dry_run:
-            _tell(_foreseen(job, where, place, reporter), as_json)
+            _print_dry_run(_foresee(job, distribution, folder, reporter), as_json)
             return
-        summary = _run(job, where, place, reporter)
-        _print(summary, settings, place, as_json)
-        _require_complete(summary)
+        summary = _run(job, distribution, folder, reporter)
+        _print_summary(summary, settings, folder, as_json)
+        if summary.left_out:
+            from exwarp_cli.pipeline.announcing import require_complete
+
+            require_complete(summary)
 
 
 @contextmanager
-def _going_on(progress: str) -> Iterator[None]:
-    """Let a task of a farm succeed that left out what its options let it leave out.
-
-    Engines of Open Job Description know success and failure alone. One that fails they try again,
-    and the steps after it, which join the reports and make the video, never begin.
-    """
+def _farm_task(progress: str) -> Iterator[None]:
+    """Let a task of a farm succeed that left out what its options let it leave out."""
+    # Engines of Open Job Description know success and failure alone. They try one that fails
+    # again, and never begin the steps after it, which join the reports and make the video.
     try:
         yield
     except IncompleteError:
@@ -296,7 +303,7 @@ def _import_run() -> None:
         import_module("exwarp_cli.pipeline.run")
 
 
-def _report_place(folder: Path | None, as_chunk: bool, job: Job) -> Path | None:
+def _report_folder(folder: Path | None, as_chunk: bool, job: Job) -> Path | None:
     """Return the folder of the report: of a chunk, one of its own."""
     if not as_chunk:
         return folder
@@ -309,75 +316,66 @@ def _report_place(folder: Path | None, as_chunk: bool, job: Job) -> Path | None:
     return chunk_folder(folder, job.key_numbers)
 
 
-def _run(job: Job, where: ClusterSettings, place: Path | None, reporter: Progress) -> RunSummary:
-    """Do the job, and write its report."""
-    if place is None:
-        return _done(job, where, reporter)
-    from exwarp_cli.report.folder import prepare_report, write_report
-    from exwarp_cli.report.gallery import Gallery
+def _run(
+    job: Job, distribution: ClusterSettings, folder: Path | None, reporter: Progress
+) -> RunSummary:
+    """Do the job, in this process or others, and write its report."""
+    settings, gallery = job.settings, None
+    if folder is not None:
+        from exwarp_cli.report.folder import prepare_report, write_report
+        from exwarp_cli.report.gallery import Gallery
 
-    settings = job.settings
-    prepare_report(place, replace=settings.overwrite or settings.skip_existing)
-    gallery = Gallery(settings.ground_truth is not None)
-    summary = _done(job, where, reporter, gallery)
-    write_report(place, summary, gallery.album)
+        prepare_report(folder, replace=settings.overwrite or settings.skip_existing)
+        gallery = Gallery(settings.ground_truth is not None)
+    if distribution.spread:
+        from exwarp_cli.farm.cluster import run_on_cluster
+
+        summary = run_on_cluster(job, distribution, reporter, gallery)
+    else:
+        from exwarp_cli.pipeline.run import run_job
+
+        summary = run_job(job, reporter, gallery)
+    if folder is not None and gallery is not None:
+        write_report(folder, summary, gallery.album)
     return summary
 
 
-def _require_complete(summary: RunSummary) -> None:
-    """Fail where something was left out, now that all else is done and said."""
-    if summary.left_out:
-        from exwarp_cli.pipeline.announcing import require_complete
-
-        require_complete(summary)
-
-
-def _done(
-    job: Job, where: ClusterSettings, reporter: Progress, gallery: Gallery | None = None
-) -> RunSummary:
-    """Do the job, in this process or others."""
-    if where.spread:
-        from exwarp_cli.farm.cluster import run_on_cluster
-
-        return run_on_cluster(job, where, reporter, gallery)
-    from exwarp_cli.pipeline.run import run_job
-
-    return run_job(job, reporter, gallery)
-
-
-def _foreseen(job: Job, where: ClusterSettings, place: Path | None, reporter: Progress) -> DryRun:
+def _foresee(
+    job: Job, distribution: ClusterSettings, folder: Path | None, reporter: Progress
+) -> DryRun:
     """Find out what the job would do."""
     from exwarp_cli.pipeline.dry_run import foresee, require_writable
 
-    if place is not None:
+    if folder is not None:
         from exwarp_cli.report.folder import refuse_report
 
-        refuse_report(place, replace=job.settings.overwrite or job.settings.skip_existing)
-        require_writable((place,))
-    found = foresee(job)
-    if where.spread:
+        refuse_report(folder, replace=job.settings.overwrite or job.settings.skip_existing)
+        require_writable((folder,))
+    plan = foresee(job)
+    if distribution.spread:
         from exwarp_cli.farm.cluster import foresee_on_cluster
 
-        found = foresee_on_cluster(job, where, found)
+        plan = foresee_on_cluster(job, distribution, plan)
     job.announce(reporter)
-    return replace(found, report=place)
+    return replace(plan, report=folder)
 
 
-def _tell(found: DryRun, as_json: bool) -> None:
-    """Say what would be done."""
+def _print_dry_run(plan: DryRun, as_json: bool) -> None:
     from exwarp_cli.report.dry_run import dry_run_document, dry_run_lines
 
     if as_json:
-        print_json(dry_run_document(found))
+        print_json(dry_run_document(plan))
         return
-    for line in dry_run_lines(found):
+    for line in dry_run_lines(plan):
         show(line)
 
 
-def _print(
-    summary: RunSummary, settings: UpsampleSettings, place: Path | None, as_json: bool
+def _print_summary(
+    summary: RunSummary, settings: UpsampleSettings, folder: Path | None, as_json: bool
 ) -> None:
-    """Say in a few lines what was done, or give the report's document."""
+    """Say in a few lines what was done, or print the report's document."""
+    from exwarp_cli.commands.summary_lines import summary_lines
+    from exwarp_cli.io.clip import is_clip
     from exwarp_cli.report.summary import report
 
     document = report(summary)
@@ -385,24 +383,15 @@ def _print(
         print_json(document)
         return
     with summary_of_files():
-        _print_summary(document, summary, settings, place)
-
-
-def _print_summary(
-    document: dict[str, Any], summary: RunSummary, settings: UpsampleSettings, place: Path | None
-) -> None:
-    from exwarp_cli.commands.summary_lines import summary_lines
-    from exwarp_cli.io.clip import is_clip
-
-    if not document["frames"]["written"]:
-        if summary.left_out:
-            return
-        kept = f"{settings.output} is there already, as this run would write it"
-        # A video without frames is an error, so it was kept.
-        message = kept if is_clip(settings.output) else f"no frame falls to {settings.output}"
-        show(message)
-        return
-    for line in summary_lines(document, settings.output, settings.ground_truth is not None):
-        show(line)
-    if place is not None:
-        show(f"report in {place}")
+        if document["frames"]["written"]:
+            is_scored = settings.ground_truth is not None
+            for line in summary_lines(document, settings.output, is_scored):
+                show(line)
+            if folder is not None:
+                show(f"report in {folder}")
+        elif not summary.left_out:
+            # A video without frames is an error, so it was kept.
+            if is_clip(settings.output):
+                show(f"{settings.output} is there already, as this run would write it")
+            else:
+                show(f"no frame falls to {settings.output}")

@@ -15,7 +15,7 @@ import onnxruntime
 
 from exwarp_cli.accel.kernel import MlpKernel
 from exwarp_cli.accel.quantised_mlp import QuantisedMlp, infer_reference
-from exwarp_cli.training.policy_onnx import STATE, VALUES, export_float, export_integer
+from exwarp_cli.research.training.onnx_export import STATE, VALUES, export_float, export_integer
 from tests.bench import goals
 from tests.bench.timing import ROUNDS, Work, compare
 from tests.unit.mlp_cases import network, states

@@ -28,8 +28,8 @@ from exwarp_cli.io.dataset import find_scenes
 from exwarp_cli.io.models import load_extrapolator
 from exwarp_cli.kernels import _row_bands
 from exwarp_cli.metrics.registry import METRICS, score
+from exwarp_cli.research.training.scene_clip import SceneClip
 from exwarp_cli.synthesis.methods import METHODS
-from exwarp_cli.training.footage import Footage
 from tests.bench.card import table
 
 ALONE = {name: made.predict for name, made in METHODS.items() if made.predict is not None}
@@ -108,7 +108,7 @@ def _judge(task: Task) -> dict[str, Any]:
         return found
     _row_bands.set_threads(1)
     (scene,) = find_scenes(task.data, names=[task.scene])
-    footage = Footage(scene)
+    footage = SceneClip(scene)
     sums: dict[str, dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
     for k in range(FIRST, len(footage.intervals), task.every):
         for name, values in _interval(footage, k, task, network):
@@ -124,7 +124,7 @@ def _judge(task: Task) -> dict[str, Any]:
 
 
 def _interval(
-    footage: Footage, k: int, task: Task, network: Extrapolator
+    footage: SceneClip, k: int, task: Task, network: Extrapolator
 ) -> Iterator[tuple[str, dict[str, float]]]:
     """Yield method, or method and slot, with the scores of one frame."""
     causal, ahead = footage.causal(k, task.setting), footage.interval(k, task.setting)

@@ -24,9 +24,9 @@ from exwarp_cli.io.dataset import RenderedScene, find_scenes
 from exwarp_cli.metrics.display import encode
 from exwarp_cli.metrics.psnr import decibels
 from exwarp_cli.metrics.registry import score
+from exwarp_cli.research.training.scene_clip import SceneClip
 from exwarp_cli.synthesis.geometry import SlotField
 from exwarp_cli.synthesis.warp import sampled
-from exwarp_cli.training.footage import Footage
 from tests.bench.quality import shown_pixels
 
 METHODS = ("s6", "softsplat", "causal")
@@ -60,7 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         intervals = rendered_intervals(scene)
         if not intervals:
             continue
-        footage = Footage(scene)
+        footage = SceneClip(scene)
         places = {
             (k, slot): find_places(footage, k, slot)
             for k in range(intervals)
@@ -115,7 +115,7 @@ def _upsample(scene: RenderedScene, method: str, out: Path, options: argparse.Na
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
 
 
-def find_places(footage: Footage, k: int, slot: int) -> dict[str, Bool]:
+def find_places(footage: SceneClip, k: int, slot: int) -> dict[str, Bool]:
     """Find the pixels of a slot, bool [H, W], that each of `PLACES` consists of.
 
     Parameters
@@ -173,7 +173,7 @@ def _changes(truth: Image, key: Image, field: SlotField) -> Bool:
 
 
 def _judge(
-    footage: Footage, folder: Path, places: dict[tuple[int, int], dict[str, Bool]]
+    footage: SceneClip, folder: Path, places: dict[tuple[int, int], dict[str, Bool]]
 ) -> dict[str, float]:
     """Return PSNR in dB by place, its share of pixels, SSIM, FLIP and pulse of a scene's frames."""
     squares, counts = dict.fromkeys(PLACES, 0.0), dict.fromkeys(PLACES, 0)

@@ -24,11 +24,11 @@ from exwarp_cli.domain.risk import ROWS, edges
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.io.dataset import RenderedScene, find_scenes
 from exwarp_cli.metrics.display import encode
+from exwarp_cli.research.training.scene_clip import SceneClip
 from exwarp_cli.synthesis import risk
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import METHODS, terms_of_warp
 from exwarp_cli.synthesis.risk import TERMS, Formula, mean_square, terms_of
-from exwarp_cli.training.footage import Footage
 from tests.bench.pictures import rendered_intervals
 from tests.bench.quality import shown_pixels
 
@@ -111,7 +111,7 @@ def _measured(scene: RenderedScene, folder: Path) -> Measured:
 
 def measure(scene: RenderedScene) -> Measured:
     """Make the frames of a scene by both methods, and compare them with the truth."""
-    footage = Footage(scene)
+    footage = SceneClip(scene)
     rows: dict[str, list[tuple[float, F64, F64]]] = {kind: [] for kind in KINDS}
     for k in range(rendered_intervals(scene)):
         ahead, causal = footage.interval(k, "key"), footage.causal(k, "key")

@@ -16,8 +16,8 @@ from exwarp_cli.io.dataset import BENCHMARK, TRAINING, find_scenes, open_scene
 from exwarp_cli.io.frames import read_image, read_raw
 from exwarp_cli.metrics.registry import score
 from exwarp_cli.pipeline.run import upsample
-from exwarp_cli.training.footage import Footage
-from exwarp_cli.training.variant import Variant
+from exwarp_cli.research.training.augmentation import Variant
+from exwarp_cli.research.training.scene_clip import SceneClip
 
 pytestmark = [pytest.mark.blender, pytest.mark.slow]
 
@@ -88,9 +88,9 @@ def test_key_frames_are_instants_with_longer_vectors(data):
 def test_composed_motion_is_that_of_a_true_low_rate_render(data):
     """Instants composed over four steps, beside the vectors of the key frames there."""
     scene = open_scene(data / NAME)
-    composed = Footage(scene)
+    composed = SceneClip(scene)
     for index in range(9):
-        rendered = Footage(scene, Variant(index % 4))
+        rendered = SceneClip(scene, Variant(index % 4))
         k = index // 4
         _, after = composed._motion(index, 4)
         before, _ = composed._motion(index + 4, 4)
@@ -107,7 +107,7 @@ def test_composed_motion_is_that_of_a_true_low_rate_render(data):
 def test_a_backward_shot_is_warped_as_well_as_a_forward_one(data):
     scene = open_scene(data / NAME)
     for variant in (Variant(), Variant(backwards=True), Variant(mirror=True)):
-        interval = Footage(scene, variant).interval(1, "key")
+        interval = SceneClip(scene, variant).interval(1, "key")
         assert interval.back(2).hole.mean() < 0.5
 
 

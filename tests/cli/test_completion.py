@@ -15,7 +15,7 @@ import pytest
 from click.shell_completion import BashComplete
 
 from exwarp_cli import cli
-from exwarp_cli.commands import suggestions
+from exwarp_cli.commands import completion
 from exwarp_cli.commands.completion import SHELLS
 from tests.cli.config.commands import EVERY_OPTION
 
@@ -107,14 +107,14 @@ class TestOffers:
         from exwarp_cli.io.producers import PRESETS
         from exwarp_cli.synthesis.methods import METHODS
 
-        assert tuple(METHODS) == suggestions.METHODS
-        assert (*COMPRESSIONS, *SMALLER) == suggestions.COMPRESSIONS
-        assert tuple(PRESETS) == suggestions.CONVENTIONS
-        assert tuple(role.value for role in Role) == suggestions.ROLES
+        assert tuple(METHODS) == completion.METHODS
+        assert (*COMPRESSIONS, *SMALLER) == completion.COMPRESSIONS
+        assert tuple(PRESETS) == completion.CONVENTIONS
+        assert tuple(role.value for role in Role) == completion.ROLES
 
     def test_every_suggestion_is_for_an_option(self):
         names = {one.id.rpartition(":")[2] for one in EVERY_OPTION}
-        assert set(suggestions.VALUES) <= names
+        assert set(completion.WORDS) <= names
 
     def test_settings_are_not_looked_at(self, offered, tmp_path, monkeypatch):
         monkeypatch.delenv("EXWARP_CONFIG")

@@ -12,9 +12,9 @@ import pytest
 import yaml
 
 from exwarp_cli.commands import farm, upsample
-from exwarp_cli.commands.option_names import names_paths
 from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.farm.places import PURPOSES
+from exwarp_cli.option_values import names_paths
 from tests.cli import shots
 from tests.cli.farm_engine import HOSTILE, call, checked, parameters
 from tests.cli.shots import FORWARD, SMALL
@@ -335,10 +335,10 @@ class TestOptions:
     def test_all_of_them_are_known(self):
         for command in (farm.openjd, farm.commands):
             own = {p.name for p in command.params}
-            assert {p.name for p in upsample.command.params} - own <= farm.HERE_ALONE
+            assert {p.name for p in upsample.command.params} - own <= farm.NOT_SHARED
 
     def test_those_that_name_files_have_a_purpose(self):
-        for parameter in farm._shared():
+        for parameter in farm.shared_parameters():
             named = parameter.name == "sequence" or names_paths(parameter)
             assert named == (parameter.name in PURPOSES), parameter.name
 
@@ -352,19 +352,21 @@ class TestOptions:
 
     def test_they_are_written_as_they_were_given(self):
         words = ["keys"]
-        for parameter in farm._shared():
+        for parameter in farm.shared_parameters():
             if isinstance(parameter, click.Option) and parameter.name not in farm.ADDED:
                 words += sample(parameter)
         context = upsample.command.make_context("upsample", list(words))
-        given = list(farm._given(context.params))
+        given = list(farm.option_values(context.params))
         again = [word for _, flag, value in given for word in (flag, value) if word]
         found = upsample.command.make_context("upsample", again).params
         assert found == context.params
-        assert {name for name, _, _ in given} | farm.ADDED == {p.name for p in farm._shared()}
+        assert {name for name, _, _ in given} | farm.ADDED == {
+            p.name for p in farm.shared_parameters()
+        }
 
     def test_defaults_are_left_out(self):
         context = upsample.command.make_context("upsample", ["keys", "-o", "out"])
-        assert list(farm._given(context.params)) == [
+        assert list(farm.option_values(context.params)) == [
             ("sequence", "", "keys"),
             ("output", "--output", "out"),
         ]

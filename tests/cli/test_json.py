@@ -16,10 +16,10 @@ import pytest
 from exwarp_cli import cli
 from exwarp_cli.accel.mac_array import COMPARE_CYCLES, MacArray, schedule
 from exwarp_cli.accel.quantised_mlp import PAPER_SIZES, infer_reference
-from exwarp_cli.commands.json_option import print_json
+from exwarp_cli.commands.options import print_json
 from exwarp_cli.domain.decision import CHOICES
 from exwarp_cli.io.policy_files import save_network
-from exwarp_cli.training import checkpoint
+from exwarp_cli.research.training import extranet_import
 from tests.cli import shots
 from tests.cli.documents import document_of, strict
 from tests.unit.mlp_cases import network, states
@@ -183,7 +183,9 @@ class TestPolicy:
 class TestModels:
     def test_an_import(self, exwarp, tmp_path, monkeypatch):
         asked = []
-        monkeypatch.setattr(checkpoint, "import_extranet", lambda *given, **_: asked.append(given))
+        monkeypatch.setattr(
+            extranet_import, "import_extranet", lambda *given, **_: asked.append(given)
+        )
         given, out = tmp_path / "given.pth.tar", tmp_path / "e.onnx"
         found = document_of(exwarp("models", "import-extranet", given, out, "--json"))
         assert found == {"schema": "exwarp.model/1", "kind": "extrapolator", "model": str(out)}

@@ -72,7 +72,7 @@ class TestRefusals:
         def find_spec(name: str, package: str | None = None) -> object:
             return None if name in ("torch", "onnxscript") else found(name, package)
 
-        monkeypatch.setattr("exwarp_cli.training.extra.find_spec", find_spec)
+        monkeypatch.setattr("exwarp_cli.research.training.training_settings.find_spec", find_spec)
         refused(given, 7, "needs torch, onnxscript,", 'pip install "exwarp[train]"')
 
 

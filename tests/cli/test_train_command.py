@@ -8,9 +8,8 @@ from pathlib import Path
 import pytest
 
 from exwarp_cli.cli import run
-from exwarp_cli.training import lookahead_samples
-from exwarp_cli.training.looks import PLAIN
-from exwarp_cli.training.variant import Variant
+from exwarp_cli.research.training import lookahead_samples
+from exwarp_cli.research.training.augmentation import PLAIN, Variant
 from tests.cli.documents import strict
 from tests.unit.analytic_scene import write_scene
 
@@ -91,7 +90,10 @@ def test_a_cache_that_cannot_be_made_is_one_sentence(data, tmp_path, capsys):
 
 
 def test_a_damaged_checkpoint_is_one_sentence(data, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("exwarp_cli.training.extrapolator.Training.export", lambda self: "model")
+    monkeypatch.setattr(
+        "exwarp_cli.research.training.extrapolator_training.ExtrapolatorTraining.export",
+        lambda self: "model",
+    )
     assert train(data, tmp_path / "run", *SMALL) == 0
     (tmp_path / "run" / "checkpoint.pt").write_bytes(b"PK and nothing else")
     assert train(data, tmp_path / "run", *SMALL) == 3
@@ -105,7 +107,9 @@ def test_data_that_is_not_there(tmp_path, capsys):
 
 
 def test_without_the_extra_one_sentence_tells_how_to_get_it(monkeypatch, data, tmp_path, capsys):
-    monkeypatch.setattr("exwarp_cli.training.extra.find_spec", lambda name: None)
+    monkeypatch.setattr(
+        "exwarp_cli.research.training.training_settings.find_spec", lambda name: None
+    )
     assert train(data, tmp_path / "run") == 7
     assert 'pip install "exwarp[train]"' in capsys.readouterr().err
 

@@ -12,10 +12,9 @@ import pytest
 from exwarp_cli.cli import run
 from exwarp_cli.io.policy_files import load_policy
 from exwarp_cli.kernels import _row_bands
-from exwarp_cli.training import measuring
-from exwarp_cli.training.measuring import View
-from exwarp_cli.training.policy_table import load_table, save_table
-from exwarp_cli.training.variant import Variant
+from exwarp_cli.research.training import outcome_tables
+from exwarp_cli.research.training.augmentation import Variant
+from exwarp_cli.research.training.outcome_tables import View, load_table, save_table
 from tests.cli.documents import document_of
 from tests.unit.policy_tables import tempting
 
@@ -36,7 +35,7 @@ FEW = tuple(
 def threads():
     """Measuring is done on one thread; what follows gets all of them back."""
     yield
-    measuring.network.cache_clear()
+    outcome_tables.extrapolator.cache_clear()
     _row_bands.set_threads(None)
 
 
@@ -82,7 +81,7 @@ def test_tables_are_trained_on(exwarp, tables, tmp_path):
 
 
 def test_rendered_scenes_are_measured_once_and_trained_on(exwarp, network, tmp_path, monkeypatch):
-    monkeypatch.setattr("exwarp_cli.training.survey.VIEWS", FEW)
+    monkeypatch.setattr("exwarp_cli.research.training.outcome_tables.VIEWS", FEW)
     data = benchmark(tmp_path / "data", "one", "two")
     # One key interval of the second scene is not rendered yet.
     (data / "two" / "keys" / "variety-0074.0004.exr").unlink()
@@ -173,7 +172,9 @@ def test_mistakes_are_one_sentence(exwarp, tables, tmp_path, options, code, word
 
 
 def test_without_the_extra_one_sentence_tells_how_to_get_it(exwarp, tables, tmp_path, monkeypatch):
-    monkeypatch.setattr("exwarp_cli.training.extra.find_spec", lambda name: None)
+    monkeypatch.setattr(
+        "exwarp_cli.research.training.training_settings.find_spec", lambda name: None
+    )
     train(exwarp, tmp_path, "--tables", tables).refused(7, 'pip install "exwarp[train]"')
 
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import pytest
 
 from exwarp_cli.io.dataset import open_scene
-from exwarp_cli.training.footage import Footage
+from exwarp_cli.research.training.scene_clip import SceneClip
 from tests.unit.analytic_scene import write_scene
 
 
 @pytest.fixture(scope="session")
-def footage(tmp_path_factory) -> Footage:
+def footage(tmp_path_factory) -> SceneClip:
     """The analytic scene as it is played; read only."""
-    return Footage(open_scene(write_scene(tmp_path_factory.mktemp("data") / "analytic")))
+    return SceneClip(open_scene(write_scene(tmp_path_factory.mktemp("data") / "analytic")))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from exwarp_cli.domain.decision import NODES
-from exwarp_cli.training.policy_table import PolicyTable
+from exwarp_cli.research.training.outcome_tables import PolicyTable
 
 OBJECTS, NORMAL, POSITION, VAR_X, VAR_Y, WIDTH, HEIGHT, DISTANCE = range(8)
 """Columns of a table's features."""

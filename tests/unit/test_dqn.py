@@ -12,20 +12,19 @@ import torch
 from exwarp_cli.domain.decision import CHOICES, EXTRAPOLATE, NODES, PATHS, WARP
 from exwarp_cli.policy.outcomes import best_return, returns, rewards
 from exwarp_cli.policy.state import INPUTS
-from exwarp_cli.training.dqn import (
+from exwarp_cli.research.training.outcome_tables import PolicyTable
+from exwarp_cli.research.training.policy_scores import fit_regression, greedy_paths, predict_rewards
+from exwarp_cli.research.training.q_learning import (
     AFTER,
     LAYERS,
     Layers,
-    compressed,
-    expanded,
+    compress_gain,
+    expand_value,
     make_network,
-    train,
-    values,
+    q_values,
+    train_decisions,
 )
-from exwarp_cli.training.policy import predicted, regress
-from exwarp_cli.training.policy_scores import taken
-from exwarp_cli.training.policy_table import PolicyTable
-from exwarp_cli.training.settings import PolicySettings
+from exwarp_cli.research.training.training_settings import PolicySettings
 from tests.unit.policy_tables import tempting
 
 SETTINGS = PolicySettings(steps=250, batch=96, rate=3e-3, lag=25, seed=3)
@@ -34,12 +33,12 @@ KNOWN, UNSEEN = tempting(300, 1), tempting(200, 2)
 
 @functools.cache
 def learned(**changes: object) -> Layers:
-    return train([KNOWN], replace(SETTINGS, **changes))
+    return train_decisions([KNOWN], replace(SETTINGS, **changes))
 
 
 def mean_return(found: np.ndarray, table: PolicyTable = UNSEEN) -> float:
     """Mean return of the paths that values [N, 5, 2] lead to."""
-    return float(returns(table.outcomes)[np.arange(len(table)), taken(found)].mean())
+    return float(returns(table.outcomes)[np.arange(len(table)), greedy_paths(found)].mean())
 
 
 def part_of(table: PolicyTable, rows: list[int]) -> PolicyTable:
@@ -60,12 +59,12 @@ def bounds(table: PolicyTable = UNSEEN) -> tuple[float, float]:
 def test_it_closes_the_gap_between_a_fixed_path_and_the_oracle():
     fixed, oracle = bounds()
     assert oracle - fixed > 1  # else there were nothing to learn
-    found = mean_return(values(learned(), UNSEEN))
+    found = mean_return(q_values(learned(), UNSEEN))
     assert found > fixed + 0.9 * (oracle - fixed)
 
 
 def test_it_takes_the_first_step_that_looks_worse():
-    first = values(learned(), UNSEEN)[:, NODES.index("d1")]
+    first = q_values(learned(), UNSEEN)[:, NODES.index("d1")]
     leads = returns(UNSEEN.outcomes).max(axis=1) > 2
     assert 0.3 < leads.mean() < 0.7
     assert ((first[:, 0] > first[:, 1]) == leads).mean() > 0.97
@@ -74,20 +73,20 @@ def test_it_takes_the_first_step_that_looks_worse():
 def test_looking_at_the_next_reward_only_fails():
     """The reward at d1 speaks for E in every row, and so does a policy that looks no further."""
     fixed, oracle = bounds()
-    greedy = values(learned(discount=0.0), UNSEEN)
-    for found in (predicted(regress([KNOWN]), UNSEEN), greedy):
+    greedy = q_values(learned(discount=0.0), UNSEEN)
+    for found in (predict_rewards(fit_regression([KNOWN]), UNSEEN), greedy):
         assert (found[:, 0, 1] > found[:, 0, 0]).all()
         assert mean_return(found) < fixed + 0.1 * (oracle - fixed)
     # What comes next does not matter to it; what each choice earns at once, it does know.
     gain = torch.from_numpy(rewards(UNSEEN.outcomes))
-    wanted = compressed(gain).numpy()
+    wanted = compress_gain(gain).numpy()
     assert np.abs(greedy - wanted).mean() < 0.15
 
 
 def test_without_a_fresh_target_nothing_is_foreseen():
     """A target that is never copied tells of fresh weights: values of the future near 0."""
-    stale = values(learned(lag=10**6), UNSEEN)
-    fresh = values(learned(), UNSEEN)
+    stale = q_values(learned(lag=10**6), UNSEEN)
+    fresh = q_values(learned(), UNSEEN)
     leads = returns(UNSEEN.outcomes).max(axis=1) > 2
     warping = stale[leads, 0, 0].mean(), fresh[leads, 0, 0].mean()
     assert warping[0] < 0 < 1 < warping[1]
@@ -95,7 +94,7 @@ def test_without_a_fresh_target_nothing_is_foreseen():
 
 
 def test_values_are_discounted_returns():
-    found = expanded(torch.from_numpy(values(learned(), UNSEEN))).numpy()
+    found = expand_value(torch.from_numpy(q_values(learned(), UNSEEN))).numpy()
     gain = rewards(UNSEEN.outcomes)
     exact = np.zeros_like(gain)
     for n in reversed(range(len(NODES))):
@@ -110,8 +109,11 @@ def test_values_are_discounted_returns():
 
 def test_the_same_seed_gives_the_same_weights():
     short = replace(SETTINGS, steps=8, lag=3)
-    one, two = train([KNOWN], short), train([KNOWN], short)
-    other, longer = train([KNOWN], replace(short, seed=4)), train([KNOWN], replace(short, steps=9))
+    one, two = train_decisions([KNOWN], short), train_decisions([KNOWN], short)
+    other, longer = (
+        train_decisions([KNOWN], replace(short, seed=4)),
+        train_decisions([KNOWN], replace(short, steps=9)),
+    )
     for k, (weights, biases) in enumerate(one):
         assert weights.shape == (LAYERS[k + 1], LAYERS[k]) and biases.shape == (LAYERS[k + 1],)
         assert weights.dtype == biases.dtype == np.float64
@@ -126,21 +128,25 @@ def test_the_number_of_threads_is_left_alone():
     threads = torch.get_num_threads()
     torch.set_num_threads(3)
     try:
-        found = train([KNOWN], replace(SETTINGS, steps=2))
+        found = train_decisions([KNOWN], replace(SETTINGS, steps=2))
         assert torch.get_num_threads() == 3
         torch.set_num_threads(1)
-        np.testing.assert_array_equal(train([KNOWN], replace(SETTINGS, steps=2))[1][0], found[1][0])
+        np.testing.assert_array_equal(
+            train_decisions([KNOWN], replace(SETTINGS, steps=2))[1][0], found[1][0]
+        )
     finally:
         torch.set_num_threads(threads)
 
 
 def test_how_often_the_target_is_copied_matters():
     short = replace(SETTINGS, steps=6)
-    often, seldom = (train([KNOWN], replace(short, lag=lag)) for lag in (1, 5))
-    never = train([KNOWN], replace(short, lag=6))
+    often, seldom = (train_decisions([KNOWN], replace(short, lag=lag)) for lag in (1, 5))
+    never = train_decisions([KNOWN], replace(short, lag=6))
     assert not np.array_equal(often[0][0], seldom[0][0])
     assert not np.array_equal(seldom[0][0], never[0][0])
-    np.testing.assert_array_equal(never[0][0], train([KNOWN], replace(short, lag=60))[0][0])
+    np.testing.assert_array_equal(
+        never[0][0], train_decisions([KNOWN], replace(short, lag=60))[0][0]
+    )
 
 
 def test_scenes_count_alike_whatever_their_size():
@@ -149,9 +155,11 @@ def test_scenes_count_alike_whatever_their_size():
     many = part_of(KNOWN, [row] * 400)
     turned = part_of(KNOWN, [row])
     turned = replace(turned, outcomes=turned.outcomes[:, :, ::-1])
-    found = values(train([many, turned], replace(SETTINGS, steps=60, discount=0.0)), turned)
+    found = q_values(
+        train_decisions([many, turned], replace(SETTINGS, steps=60, discount=0.0)), turned
+    )
     one, other = (
-        compressed(torch.from_numpy(rewards(scene.outcomes[:1]))).numpy()
+        compress_gain(torch.from_numpy(rewards(scene.outcomes[:1]))).numpy()
         for scene in (many, turned)
     )
     assert np.abs(one - other).max() > 2.5
@@ -170,13 +178,13 @@ def test_what_comes_after_a_choice_is_the_tree():
 
 def test_compression_keeps_order_and_is_undone():
     gains = torch.linspace(-40, 40, 4001, dtype=torch.float64)
-    small = compressed(gains)
+    small = compress_gain(gains)
     assert (small.diff() > 0).all()
-    torch.testing.assert_close(expanded(small), gains)
-    torch.testing.assert_close(compressed(expanded(small)), small)
-    torch.testing.assert_close(compressed(-gains), -small)
-    assert float(compressed(torch.tensor(np.e - 1))) == pytest.approx(1)
-    assert float(compressed(torch.tensor(0.0))) == float(expanded(torch.tensor(0.0))) == 0
+    torch.testing.assert_close(expand_value(small), gains)
+    torch.testing.assert_close(compress_gain(expand_value(small)), small)
+    torch.testing.assert_close(compress_gain(-gains), -small)
+    assert float(compress_gain(torch.tensor(np.e - 1))) == pytest.approx(1)
+    assert float(compress_gain(torch.tensor(0.0))) == float(expand_value(torch.tensor(0.0))) == 0
     assert float(small[-1]) < 4
 
 
@@ -201,7 +209,7 @@ def test_values_are_the_trained_network_s():
     part = tempting(20, 5)
     with torch.no_grad():
         wanted = network(torch.from_numpy(part.states).float()).numpy()
-    np.testing.assert_allclose(values(tuple(layers), part), wanted, rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(q_values(tuple(layers), part), wanted, rtol=1e-4, atol=1e-4)
     assert wanted.shape == (20, 5, 2) and wanted.std() > 0.01
 
 

@@ -14,8 +14,14 @@ import torch
 from exwarp_cli.domain.extrapolator import INPUTS, NetworkInputs
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError
 from exwarp_cli.io.models import load_extrapolator
-from exwarp_cli.training.checkpoint import import_extranet, read_extranet
-from exwarp_cli.training.extranet import ExtraNet, ExtraNetAdapter, GatedConvolution, their_features
+from exwarp_cli.research.training.extranet_import import (
+    ExtraNet,
+    ExtraNetAdapter,
+    ReleasedGate,
+    import_extranet,
+    read_extranet,
+    release_features,
+)
 from tests.reference import extranet as reference
 from tests.unit.extranet_checkpoint import checkpoint, save, shapes, state
 
@@ -82,7 +88,7 @@ class TestNetwork:
         np.testing.assert_allclose(ours[0].numpy(), twin, atol=1e-4)
 
     def test_a_gate_weighs_all_features_alike(self):
-        layer = GatedConvolution(1, 2)
+        layer = ReleasedGate(1, 2)
         for weights in layer.parameters():
             torch.nn.init.zeros_(weights)
         layer.conv_feature.bias.data = torch.tensor([1.0, -2.0])
@@ -109,19 +115,21 @@ class TestAdapter:
         distance = torch.tensor([1.0, 2.0, 3.0, 5.0])
         ours = torch.zeros(1, 6, 1, 4)
         ours[0, 3] = distance / (distance + 2.5)
-        assert their_features(ours)[0, 3, 0].tolist() == pytest.approx([0, 0.25, 0.5, 1], abs=1e-5)
+        assert release_features(ours)[0, 3, 0].tolist() == pytest.approx(
+            [0, 0.25, 0.5, 1], abs=1e-5
+        )
         ours[0, 3, 0, 1] = 1  # background comes to lie before all else
-        assert their_features(ours)[0, 3, 0].tolist() == pytest.approx([0.2, 0, 0.6, 1], abs=1e-5)
+        assert release_features(ours)[0, 3, 0].tolist() == pytest.approx([0.2, 0, 0.6, 1], abs=1e-5)
 
     @pytest.mark.parametrize("depth", [0.5, 1.0])
     def test_a_frame_of_one_depth_is_at_0(self, depth):
         ours = torch.full((1, 6, 2, 2), depth)
-        assert their_features(ours)[0, 3].tolist() == [[0, 0], [0, 0]]
+        assert release_features(ours)[0, 3].tolist() == [[0, 0], [0, 0]]
 
     def test_what_is_unknown_looks_like_sky(self):
         ours = torch.zeros(1, 6, 1, 2)
         ours[0, :3, 0, 1] = torch.tensor([0.0, 0.0, 1.0])
-        assert their_features(ours)[0, :3, 0].T.tolist() == [[-1, -1, -1], [0, 0, 1]]
+        assert release_features(ours)[0, :3, 0].T.tolist() == [[-1, -1, -1], [0, 0, 1]]
 
 
 class TestModel:
@@ -219,7 +227,8 @@ class _Trap:
 
 def test_footage_needs_no_torch():
     code = (
-        "import sys, exwarp_cli.training.footage, exwarp_cli.training.extra\n"
+        "import sys\n"
+        "from exwarp_cli.research.training import scene_clip, training_settings\n"
         "print(sorted({'torch', 'onnx', 'onnxruntime'} & set(sys.modules)))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

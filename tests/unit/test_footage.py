@@ -12,8 +12,8 @@ import pytest
 from exwarp_cli.domain.frame import GBuffer, Image, KeyFrame, Window
 from exwarp_cli.errors import InputError, MissingFrameError
 from exwarp_cli.io.dataset import open_scene
-from exwarp_cli.training.footage import Footage
-from exwarp_cli.training.variant import Variant, all_variants, backwards, mirrored
+from exwarp_cli.research.training.augmentation import Variant, all_variants, mirror, reverse_time
+from exwarp_cli.research.training.scene_clip import SceneClip
 from tests.unit.analytic_scene import INSTANTS, STEP, mirror_image, surface, write_scene
 from tests.unit.scenes import SKY, View, town
 
@@ -66,7 +66,7 @@ def test_which_instants_a_variant_shows(variant, shown):
 
 def test_a_mirrored_frame_is_that_of_the_mirrored_world():
     plain, reflected = view(4), view(4, mirror=True)
-    found = mirrored(plain.key(1))
+    found = mirror(plain.key(1))
     wanted = reflected.key(1)
     solid = reflected.surface != SKY  # whose colour is a formula that no reflection changes
     np.testing.assert_allclose(found.image.pixels[solid], wanted.image.pixels[solid], atol=1e-4)
@@ -85,7 +85,7 @@ def test_mirroring_twice_changes_nothing():
     more = surface(view(3))
     frame = view(3).key(1)
     frame = replace(frame, gbuffer=replace(frame.gbuffer, **more))
-    once, twice = mirrored(frame), mirrored(mirrored(frame))
+    once, twice = mirror(frame), mirror(mirror(frame))
     for name in (f for f in GBuffer.__dataclass_fields__ if f != "window"):
         np.testing.assert_array_equal(getattr(twice.gbuffer, name), getattr(frame.gbuffer, name))
     for name, plane in more.items():
@@ -96,18 +96,18 @@ def test_mirroring_twice_changes_nothing():
 def test_mirroring_moves_a_data_window_within_the_display_window():
     pixels = np.arange(2 * 3 * 3, dtype=np.float32).reshape(2, 3, 3)
     display, data = Window(10, 0, 20, 5), Window(8, 1, 3, 2)
-    found = mirrored(KeyFrame(1, Image(pixels, data, display), GBuffer(data))).image
+    found = mirror(KeyFrame(1, Image(pixels, data, display), GBuffer(data))).image
     # From 2 left of the display window's first column to 2 right of its last one.
     assert found.data_window == Window(29, 1, 3, 2)
     np.testing.assert_array_equal(found.pixels, pixels[:, ::-1])
-    assert mirrored(KeyFrame(1, found, None)).image.data_window == data
+    assert mirror(KeyFrame(1, found, None)).image.data_window == data
 
 
 def test_backwards_exchanges_the_vectors():
-    found = backwards(view(4).gbuffer())
+    found = reverse_time(view(4).gbuffer())
     np.testing.assert_array_equal(found.to_next, view(4).gbuffer().to_previous)
     np.testing.assert_array_equal(found.to_previous, view(4).gbuffer().to_next)
-    assert backwards(GBuffer(Window(0, 0, 1, 1))).to_next is None
+    assert reverse_time(GBuffer(Window(0, 0, 1, 1))).to_next is None
 
 
 def gap_to(found: np.ndarray, here: View, there: View, mirror: bool) -> tuple[float, float]:
@@ -121,7 +121,7 @@ def gap_to(found: np.ndarray, here: View, there: View, mirror: bool) -> tuple[fl
     return float(gap[still].max()), float(gap[moving].max())
 
 
-def assert_shows(footage: Footage, k: int) -> None:
+def assert_shows(footage: SceneClip, k: int) -> None:
     """Everything that is shown of a key interval is what the analytic scene says."""
     variant = footage.variant
     order = variant.order(INSTANTS)
@@ -160,28 +160,28 @@ def assert_shows(footage: Footage, k: int) -> None:
     ids=str,
 )
 def test_every_variant_shows_the_scene(folder, variant):
-    footage = Footage(open_scene(folder), variant)
+    footage = SceneClip(open_scene(folder), variant)
     assert_shows(footage, footage.intervals[-1])
 
 
 def test_intervals_end_where_the_render_ends(folder):
     scene = open_scene(folder)
-    assert Footage(scene).intervals == range(4)
-    assert Footage(scene, Variant(phase=1)).intervals == range(3)
-    assert Footage(scene, Variant(speed=2)).intervals == range(2)
-    assert Footage(scene, Variant(phase=1, speed=2)).intervals == range(1)
+    assert SceneClip(scene).intervals == range(4)
+    assert SceneClip(scene, Variant(phase=1)).intervals == range(3)
+    assert SceneClip(scene, Variant(speed=2)).intervals == range(2)
+    assert SceneClip(scene, Variant(phase=1, speed=2)).intervals == range(1)
 
 
 def test_motion_beyond_the_render_is_unknown_unless_rendered(folder):
     scene = open_scene(folder)
-    rendered = Footage(scene)
+    rendered = SceneClip(scene)
     assert rendered.key(0).gbuffer.to_previous is not None
     assert rendered.key(4).gbuffer.to_next is not None
-    composed = Footage(scene, Variant(phase=1))
+    composed = SceneClip(scene, Variant(phase=1))
     assert composed.key(0).gbuffer.to_previous is None
     assert composed.key(0).gbuffer.to_next is not None
     assert composed.key(3).gbuffer.to_next is None
-    turned = Footage(scene, Variant(phase=1, backwards=True))
+    turned = SceneClip(scene, Variant(phase=1, backwards=True))
     assert turned.key(0).gbuffer.to_previous is None
     assert turned.slot(0, 1).gbuffer.to_previous is not None
 
@@ -193,7 +193,7 @@ def test_where_every_instant_is_a_key_frame_too_motion_is_that_of_the_render(
 ):
     """Also to key frames beyond the render, and of surfaces that are hidden in between."""
     variant = Variant(phase, backwards=backwards)
-    footage = Footage(open_scene(everywhere), variant)
+    footage = SceneClip(open_scene(everywhere), variant)
     order = variant.order(INSTANTS)
     way = -4 if backwards else 4
     for k in (0, len(order) // 4 - 1):
@@ -208,7 +208,7 @@ def test_where_every_instant_is_a_key_frame_too_motion_is_that_of_the_render(
 @pytest.mark.parametrize("setting", ["key", "slot"])
 @pytest.mark.parametrize("variant", [Variant(), Variant(2, True, True), Variant(1)], ids=str)
 def test_an_interval_is_ready_for_synthesis(folder, variant, setting):
-    footage = Footage(open_scene(folder), variant)
+    footage = SceneClip(open_scene(folder), variant)
     interval = footage.interval(1, setting)
     assert len(interval.slots) == (3 if setting == "slot" else 0)
     order = variant.order(INSTANTS)
@@ -223,22 +223,22 @@ def test_an_interval_is_ready_for_synthesis(folder, variant, setting):
 
 def test_a_shot_that_is_too_short_is_refused(tmp_path):
     folder = write_scene(tmp_path / "analytic", instants=5)
-    assert Footage(open_scene(folder)).intervals == range(1)
+    assert SceneClip(open_scene(folder)).intervals == range(1)
     with pytest.raises(InputError, match="5 instants, too few"):
-        Footage(open_scene(folder), Variant(speed=2))
+        SceneClip(open_scene(folder), Variant(speed=2))
 
 
 def test_a_missing_frame_is_named(tmp_path):
     folder = write_scene(tmp_path / "analytic", instants=9)
     (folder / "instants" / "analytic.0006.exr").unlink()
-    footage = Footage(open_scene(folder))
+    footage = SceneClip(open_scene(folder))
     footage.truth(0, 3)
     with pytest.raises(MissingFrameError, match="lacks frame 6"):
         footage.interval(1, "slot")
 
 
 def test_the_sky_moves_with_the_camera(folder):
-    footage = Footage(open_scene(folder), Variant(phase=2))
+    footage = SceneClip(open_scene(folder), Variant(phase=2))
     sky = view(2).surface == SKY
     wanted = view(2).motion_to(view(6).time)
     np.testing.assert_allclose(footage.key(0).gbuffer.to_next[sky], wanted[sky], atol=0.02)

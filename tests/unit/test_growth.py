@@ -5,15 +5,15 @@ from __future__ import annotations
 import pytest
 import torch
 
-from exwarp_cli.training.extrapolator import grown
-from exwarp_cli.training.networks import build
+from exwarp_cli.research.training.extrapolation_network import build_network
+from exwarp_cli.research.training.extrapolator_training import grow_weights
 from tests.unit.network_inputs import example
 
 
 def learnt(name: str, width: int) -> torch.nn.Module:
     """A network whose weights and statistics are all of some importance."""
     torch.manual_seed(1)
-    network = build(name, width)
+    network = build_network(name, width)
     with torch.no_grad():
         for parameter in network.parameters():
             parameter.add_(0.1 * torch.randn_like(parameter))
@@ -32,8 +32,8 @@ def learnt(name: str, width: int) -> torch.nn.Module:
     ],
 )
 def test_larger_networks_begin_as_the_smaller_ones(small, large):
-    before, after = learnt(*small), build(*large)
-    after.load_state_dict(grown(before.state_dict(), after))
+    before, after = learnt(*small), build_network(*large)
+    after.load_state_dict(grow_weights(before.state_dict(), after))
     given = example(48, 32)
     with torch.no_grad():
         torch.testing.assert_close(after.eval()(**given), before(**given), rtol=1e-4, atol=1e-4)
@@ -41,8 +41,8 @@ def test_larger_networks_begin_as_the_smaller_ones(small, large):
 
 def test_what_is_new_can_be_learnt():
     """Channels that nothing listens to still get gradients where they are listened to."""
-    before, after = learnt("kernels-patched", 8), build("kernels-deep", 8)
-    after.load_state_dict(grown(before.state_dict(), after))
+    before, after = learnt("kernels-patched", 8), build_network("kernels-deep", 8)
+    after.load_state_dict(grow_weights(before.state_dict(), after))
     after.train()(**example(48, 32)).square().sum().backward()
     weight = after.net.down[0][1].both.weight
     assert weight.grad[:, -1].abs().max() > 0
@@ -58,9 +58,9 @@ def test_what_is_new_can_be_learnt():
 )
 def test_networks_do_not_shrink_nor_answer_otherwise(small, large):
     with pytest.raises(ValueError, match=r"cannot hold|answers with"):
-        grown(build(*small).state_dict(), build(*large))
+        grow_weights(build_network(*small).state_dict(), build_network(*large))
 
 
 def test_other_layers_are_refused():
     with pytest.raises(KeyError, match="detail"):
-        grown(build("blend", 8).state_dict(), build("blend-detail", 8))
+        grow_weights(build_network("blend", 8).state_dict(), build_network("blend-detail", 8))

@@ -9,10 +9,10 @@ import pytest
 
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.frames import Shot
+from exwarp_cli.research.training.scene_clip import SceneClip
 from exwarp_cli.synthesis.geometry import SlotField
 from exwarp_cli.synthesis.history import step_back
 from exwarp_cli.synthesis.interval import Interval
-from exwarp_cli.training.footage import Footage
 from tests.unit.analytic_scene import STEP, surface
 from tests.unit.reading import changed_planes
 from tests.unit.scenes import SKY, View, town
@@ -95,7 +95,7 @@ def test_noise_of_one_slot_s_vectors_does_not_add_up(footage, monkeypatch, slot)
         return (planes + rng.normal(0, 0.02, planes.shape)).astype(planes.dtype)
 
     changed_planes(monkeypatch, noisy)
-    found = Footage(footage.scene).causal(K, "slot").look_back(slot)
+    found = SceneClip(footage.scene).causal(K, "slot").look_back(slot)
     here, there = view(K, slot), view(K - 2)
     moving = (here.gbuffer().stencil > 0) & ~found.hidden[1]
     for between in (there, view(K - 1), view(K)):

@@ -17,20 +17,25 @@ from exwarp_cli.domain.network import NetworkPictures
 from exwarp_cli.errors import LayoutError, UsageError
 from exwarp_cli.io.dataset import RenderedScene, open_scene
 from exwarp_cli.io.lookahead_network import load_lookahead
-from exwarp_cli.training import lookahead_samples
-from exwarp_cli.training.footage import Footage
-from exwarp_cli.training.lookahead import COLUMNS, Training, loss_of, train_lookahead
-from exwarp_cli.training.lookahead_samples import (
-    STORED,
+from exwarp_cli.research.training import lookahead_samples
+from exwarp_cli.research.training.lookahead_samples import (
+    SAMPLE_ARRAYS,
     Samples,
     samples_folder,
-    slots_of,
+    slot_samples,
     variants_of,
     write_samples,
 )
-from exwarp_cli.training.resumable import CHECKPOINT
-from exwarp_cli.training.settings import CURVE, LookAheadSettings
-from exwarp_cli.training.weighing import SHARE, WeighingNetwork, mix
+from exwarp_cli.research.training.lookahead_training import (
+    SHARE,
+    LookAheadTraining,
+    WeighingNetwork,
+    loss_of,
+    mix,
+)
+from exwarp_cli.research.training.resumable_training import CHECKPOINT, CURVE
+from exwarp_cli.research.training.scene_clip import SceneClip
+from exwarp_cli.research.training.training_settings import LookAheadSettings
 from tests.unit.analytic_scene import write_scene
 
 TINY = LookAheadSettings(width=4, steps=4, batch=2, patch=32, seed=1)
@@ -72,13 +77,13 @@ def quiet(_line: str) -> None: ...
 
 
 def train(scenes, folder: Path, cache: Path, settings: LookAheadSettings, **more) -> Path:
-    return train_lookahead(scenes, folder, cache, settings, 2, 1, quiet, **more)
+    return LookAheadTraining.train(scenes, folder, cache, settings, 2, 1, quiet, **more)
 
 
 class TestSamples:
     def test_they_are_what_a_run_gives_its_network(self, scenes):
-        slot = next(slots_of(Footage(scenes[0])))
-        assert tuple(slot) == STORED
+        slot = next(slot_samples(SceneClip(scenes[0])))
+        assert tuple(slot) == SAMPLE_ARRAYS
         shapes = {name: slot[name].shape[0] for name in LOOKS_AHEAD.inputs}
         assert shapes == dict(LOOKS_AHEAD.inputs)
         assert slot["time"] == 0.25
@@ -87,7 +92,7 @@ class TestSamples:
 
     def test_of_a_scene_they_are_always_the_same(self, scenes, cache, tmp_path):
         write_samples(scenes[0], TINY.seed, tmp_path / "again")
-        for name in STORED:
+        for name in SAMPLE_ARRAYS:
             once = np.load(samples_folder(scenes[0], TINY.seed, cache) / f"{name}.npy")
             np.testing.assert_array_equal(np.load(tmp_path / "again" / f"{name}.npy"), once)
 
@@ -96,7 +101,7 @@ class TestSamples:
         assert any(variants_of("one", seed) != variants_of("two", seed) for seed in range(3))
 
     def test_a_batch_is_drawn_by_its_step(self, samples):
-        one, again, other = (samples.drawn(step, 3, 32, 0) for step in (5, 5, 6))
+        one, again, other = (samples.draw(step, 3, 32, 0) for step in (5, 5, 6))
         assert one.truth.shape == (3, 3, 32, 32)
         assert torch.equal(one.inputs["colour"], again.inputs["colour"])
         assert not torch.equal(one.inputs["colour"], other.inputs["colour"])
@@ -121,7 +126,7 @@ class TestLoss:
 class TestNetwork:
     def test_weights_add_up_and_begin_with_softsplat(self, samples):
         network = WeighingNetwork(8).eval()
-        sample = samples.drawn(0, 2, 32, 0)
+        sample = samples.draw(0, 2, 32, 0)
         with torch.no_grad():
             weights = network(**sample.inputs, time=sample.time)
         assert weights.shape == (2, CANDIDATES, 32, 32)
@@ -129,7 +134,7 @@ class TestNetwork:
         assert (weights.argmax(1) == 0).float().mean() > 0.9
 
     def test_mix(self, samples):
-        sample = samples.drawn(0, 2, 32, 0)
+        sample = samples.draw(0, 2, 32, 0)
         weights = torch.zeros(2, CANDIDATES, 32, 32)
         weights[:, 0] = 1
         colour = sample.inputs["colour"]
@@ -140,10 +145,10 @@ class TestNetwork:
 
 class TestTraining:
     def test_stopped_and_gone_on_with_it_is_the_same(self, scenes, cache, tmp_path, monkeypatch):
-        monkeypatch.setattr(Training, "export", lambda self: self.folder)
+        monkeypatch.setattr(LookAheadTraining, "export", lambda self: self.folder)
         train(scenes, tmp_path / "whole", cache, TINY)
 
-        real, saved = Training._record, []
+        real, saved = LookAheadTraining._record, []
 
         def record(self, *values):
             saved.append(self.step)
@@ -151,7 +156,7 @@ class TestTraining:
                 raise KeyboardInterrupt
             real(self, *values)
 
-        monkeypatch.setattr(Training, "_record", record)
+        monkeypatch.setattr(LookAheadTraining, "_record", record)
         with pytest.raises(KeyboardInterrupt):
             train(scenes, tmp_path / "part", cache, TINY)
         train(scenes, tmp_path / "part", cache, TINY)
@@ -159,20 +164,20 @@ class TestTraining:
             list(csv.DictReader((tmp_path / name / CURVE).read_text().splitlines()))
             for name in ("whole", "part")
         ]
-        assert list(curves[0][0]) == list(COLUMNS)
+        assert list(curves[0][0]) == list(LookAheadTraining.columns)
         for curve in curves:
             for row in curve:
                 del row["seconds"]
         assert curves[0] == curves[1]
 
     def test_other_settings_are_refused(self, scenes, cache, tmp_path, monkeypatch):
-        monkeypatch.setattr(Training, "export", lambda self: self.folder)
+        monkeypatch.setattr(LookAheadTraining, "export", lambda self: self.folder)
         train(scenes, tmp_path / "run", cache, replace(TINY, steps=2))
         with pytest.raises(UsageError, match="holds a training with other settings"):
             train(scenes, tmp_path / "run", cache, TINY)
 
     def test_a_start_of_another_width_is_refused(self, scenes, cache, tmp_path, monkeypatch):
-        monkeypatch.setattr(Training, "export", lambda self: self.folder)
+        monkeypatch.setattr(LookAheadTraining, "export", lambda self: self.folder)
         train(scenes, tmp_path / "narrow", cache, replace(TINY, steps=2))
         wider, start = replace(TINY, width=8), tmp_path / "narrow" / CHECKPOINT
         with pytest.raises(LayoutError, match="another network than one of 8 channels"):
@@ -181,7 +186,7 @@ class TestTraining:
     def test_the_model_answers_as_the_network_held_back(self, scenes, cache, samples, tmp_path):
         settings = replace(TINY, steps=2)
         model = train(scenes, tmp_path / "run", cache, settings)
-        training = Training(tmp_path / "run", _settings_of(tmp_path / "run"), quiet)
+        training = LookAheadTraining(tmp_path / "run", _settings_of(tmp_path / "run"), quiet)
         sample = samples.whole(0)
         height, width = (size // 16 * 16 for size in sample.truth.shape[-2:])
         inputs = {name: picture[..., :height, :width] for name, picture in sample.inputs.items()}

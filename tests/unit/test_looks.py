@@ -10,8 +10,7 @@ import pytest
 
 from exwarp_cli.domain.curves import SRGB
 from exwarp_cli.io.dataset import RenderedScene, open_scene
-from exwarp_cli.training.footage import Footage
-from exwarp_cli.training.looks import (
+from exwarp_cli.research.training.augmentation import (
     ALIASED,
     BARE,
     DEPTHS,
@@ -22,9 +21,10 @@ from exwarp_cli.training.looks import (
     TONES,
     VECTORS,
     Look,
+    Variant,
     draw_look,
 )
-from exwarp_cli.training.variant import Variant
+from exwarp_cli.research.training.scene_clip import SceneClip
 from tests.unit.analytic_scene import write_scene
 
 DRAWN = 3000
@@ -36,11 +36,11 @@ def scene(tmp_path_factory) -> RenderedScene:
 
 
 @pytest.fixture
-def plain(scene) -> Footage:
-    return Footage(scene)
+def plain(scene) -> SceneClip:
+    return SceneClip(scene)
 
 
-def in_look(plain: Footage, **traits: object) -> Footage:
+def in_look(plain: SceneClip, **traits: object) -> SceneClip:
     return plain.seen_as(Variant(), replace(PLAIN, **traits))
 
 

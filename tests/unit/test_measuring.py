@@ -29,12 +29,18 @@ from exwarp_cli.pipeline.observing import features
 from exwarp_cli.policy.features import observe
 from exwarp_cli.policy.outcomes import METRICS as JUDGED
 from exwarp_cli.policy.outcomes import shown
+from exwarp_cli.research.training import outcome_tables
+from exwarp_cli.research.training.augmentation import Variant
+from exwarp_cli.research.training.outcome_tables import (
+    VIEWS,
+    Measured,
+    View,
+    is_long_enough,
+    join_views,
+    measure_view,
+)
+from exwarp_cli.research.training.scene_clip import SceneClip
 from exwarp_cli.synthesis.methods import METHODS
-from exwarp_cli.training import measuring
-from exwarp_cli.training.footage import Footage
-from exwarp_cli.training.measuring import VIEWS, Measured, View, fits, measure
-from exwarp_cli.training.policy_table import joined
-from exwarp_cli.training.variant import Variant
 from tests.reference.quality import psnr_db, srgb_255
 from tests.unit.tiny_models import convolution, filled_warp, save
 
@@ -49,7 +55,7 @@ SHIFTED = [view for view in VIEWS if view.variant == Variant(2)]
 def threads():
     """Measuring is done on one thread; what follows gets all of them back."""
     yield
-    measuring.network.cache_clear()
+    outcome_tables.extrapolator.cache_clear()
     _row_bands.set_threads(None)
 
 
@@ -89,15 +95,17 @@ def test_which_views_a_scene_is_long_enough_for(scene):
         instants = replace(scene.manifest.instants, count=count)
         short = replace(scene, manifest=replace(scene.manifest, instants=instants))
         for view in VIEWS:
-            assert fits(short, view) == (count > view.variant.phase + 4 * view.variant.speed)
-            if fits(short, view):
-                assert len(Footage(short, view.variant).intervals) >= 1
+            assert is_long_enough(short, view) == (
+                count > view.variant.phase + 4 * view.variant.speed
+            )
+            if is_long_enough(short, view):
+                assert len(SceneClip(short, view.variant).intervals) >= 1
 
 
 @pytest.mark.parametrize("view", PLAIN + SHIFTED + FAST, ids=lambda view: view.name)
 def test_outcomes_are_the_scores_of_every_path_s_frames(scene, view, model, cache, extrapolator):
-    found = measure(scene, view, model, cache)
-    footage = Footage(scene, view.variant)
+    found = measure_view(scene, view, model, cache)
+    footage = SceneClip(scene, view.variant)
     assert len(footage.intervals) == {0: 3, 2: 2, 4: 1}[view.variant.phase]
     assert found.outcomes.shape == (len(footage.intervals), 5, 2, 2)
     quality = shown(found.outcomes)
@@ -118,10 +126,10 @@ def test_a_beginning_is_an_interval_whose_past_is_unknown(
     scene, model, cache, extrapolator, setting, monkeypatch
 ):
     """The same as in a render that begins there, for every interval that is looked at."""
-    monkeypatch.setattr(measuring, "BEGINNING_EVERY", 2)
+    monkeypatch.setattr(outcome_tables, "BEGINNING_EVERY", 2)
     view = View(setting, Variant(), begins=True)
-    found = measure(scene, view, model, cache.parent / f"begins-{setting}")
-    usual = measure(scene, View(setting, Variant()), model, cache)
+    found = measure_view(scene, view, model, cache.parent / f"begins-{setting}")
+    usual = measure_view(scene, View(setting, Variant()), model, cache)
     assert len(found.outcomes) == len(found.features) == 2
     np.testing.assert_array_equal(found.outcomes[0], usual.outcomes[0])
     np.testing.assert_array_equal(found.features[0], usual.features[0])
@@ -130,14 +138,14 @@ def test_a_beginning_is_an_interval_whose_past_is_unknown(
     later = replace(scene.manifest.instants, first=9, count=5)
     keys = replace(scene.manifest.keys, first=3, count=2)
     cut = replace(scene, manifest=replace(scene.manifest, instants=later, keys=keys))
-    alone = measure(cut, View(setting, Variant()), model, cache.parent / f"cut-{setting}")
+    alone = measure_view(cut, View(setting, Variant()), model, cache.parent / f"cut-{setting}")
     np.testing.assert_allclose(found.outcomes[1], alone.outcomes[0], atol=1e-9)
     np.testing.assert_allclose(found.features[1], alone.features[0], atol=1e-12)
 
 
 def test_psnr_is_what_the_definition_says(scene, model, cache, extrapolator):
-    found = measure(scene, PLAIN[0], model, cache)
-    footage = Footage(scene)
+    found = measure_view(scene, PLAIN[0], model, cache)
+    footage = SceneClip(scene)
     interval = replace(footage.causal(1, "key"), extrapolator=extrapolator)
     for slot, node, choice, path in ((1, 0, 0, "s6"), (1, 0, 1, "s1"), (3, 3, 1, "s3")):
         made = METHODS[path].predict(interval, slot).pixels[..., :3]
@@ -148,8 +156,8 @@ def test_psnr_is_what_the_definition_says(scene, model, cache, extrapolator):
 
 @pytest.mark.parametrize("view", PLAIN + FAST, ids=lambda view: view.name)
 def test_features_are_those_of_the_footage_s_gbuffers(scene, view, model, cache):
-    found = measure(scene, view, model, cache).features
-    footage = Footage(scene, view.variant)
+    found = measure_view(scene, view, model, cache).features
+    footage = SceneClip(scene, view.variant)
     for k in footage.intervals:
         if view.setting == "key":
             before = footage.key(k - 1).gbuffer if k else None
@@ -169,7 +177,7 @@ def test_features_are_those_of_the_footage_s_gbuffers(scene, view, model, cache)
 @pytest.mark.parametrize("view", PLAIN, ids=lambda view: view.name)
 def test_states_are_those_of_a_run(scene, view, model, cache):
     """What the policy learns from is, bit for bit, what it is given in a run."""
-    table = joined("m", [("64x36", view, measure(scene, view, model, cache))], "")
+    table = join_views("m", [("64x36", view, measure_view(scene, view, model, cache))], "")
     slots = str(FOLDER / "instants") if view.setting == "slot" else None
     settings = SourceSettings(str(FOLDER / "keys"), slots, scene.manifest.motion)
     run = [found.inputs for found in features(settings, "1-3")]
@@ -179,55 +187,56 @@ def test_states_are_those_of_a_run(scene, view, model, cache):
 def test_motion_is_per_slot_whatever_the_speed(scene, model, cache):
     """At double speed things move about twice as far in a slot: four times the variance."""
     slow, fast = (
-        measure(scene, View("slot", Variant(0, speed=speed)), model, cache).features[0, 0]
+        measure_view(scene, View("slot", Variant(0, speed=speed)), model, cache).features[0, 0]
         for speed in (1, 2)
     )
     assert (fast[3:5] / slow[3:5] > 2).all() and (fast[3:5] / slow[3:5] < 8).all()
-    key = measure(scene, View("key", Variant()), model, cache).features[0, 0]
+    key = measure_view(scene, View("key", Variant()), model, cache).features[0, 0]
     assert (key[3:5] / slow[3:5] > 0.4).all() and (key[3:5] / slow[3:5] < 2.5).all()
 
 
 class TestCache:
     def test_the_second_time_no_frame_is_read(self, scene, model, cache, monkeypatch, tmp_path):
-        first = measure(scene, PLAIN[0], model, cache)
+        first = measure_view(scene, PLAIN[0], model, cache)
         assert first.outcomes.dtype == first.features.dtype == np.float64
 
         def refuse(*_):
             raise AssertionError("a frame is read")
 
-        monkeypatch.setattr(Footage, "_load", refuse)
-        same(measure(scene, PLAIN[0], model, cache), first)
+        monkeypatch.setattr(SceneClip, "_load", refuse)
+        same(measure_view(scene, PLAIN[0], model, cache), first)
         with pytest.raises(AssertionError, match="a frame is read"):
-            measure(scene, PLAIN[0], model, tmp_path)
+            measure_view(scene, PLAIN[0], model, tmp_path)
 
     def test_another_network_is_measured_by_itself(self, scene, model, cache, tmp_path):
-        first = measure(scene, FAST[0], model, cache)
+        first = measure_view(scene, FAST[0], model, cache)
         kept = {path.name: path.read_bytes() for path in cache.iterdir()}
         other = save(tmp_path / "other.onnx", filled_warp(0.5))
-        second = measure(scene, FAST[0], other, cache)
+        second = measure_view(scene, FAST[0], other, cache)
         assert (first.outcomes[:, :3, 0] == second.outcomes[:, :3, 0])[:, :2].all()
         assert (first.outcomes[:, 1, 1] != second.outcomes[:, 1, 1]).all()
         np.testing.assert_array_equal(first.features, second.features)
         names = {path.name for path in cache.iterdir()}
-        added = f"variety-0074-64x36-key-phase4-speed2-{measuring.network(other).checksum[:12]}-v1"
+        checksum = outcome_tables.extrapolator(other).checksum[:12]
+        added = f"variety-0074-64x36-key-phase4-speed2-{checksum}-v1"
         assert names - set(kept) == {f"{added}.npy"}
         assert all((cache / name).read_bytes() == data for name, data in kept.items())
 
     def test_beginnings_are_kept_too(self, scene, model, cache, monkeypatch):
-        first = measure(scene, BEGINNING[1], model, cache)
+        first = measure_view(scene, BEGINNING[1], model, cache)
         assert len(first.outcomes) == 1
-        monkeypatch.setattr(Footage, "_load", None)
-        same(measure(scene, BEGINNING[1], model, cache), first)
+        monkeypatch.setattr(SceneClip, "_load", None)
+        same(measure_view(scene, BEGINNING[1], model, cache), first)
 
     def test_what_is_missing_or_unreadable_is_found_anew(self, scene, model, cache, tmp_path):
-        whole = measure(scene, FAST[1], model, cache)
+        whole = measure_view(scene, FAST[1], model, cache)
         for k, damage in enumerate((b"", b"\x93NUMPY and no more", None)):
             for kind in ("*features*", "*-v1.npy"):
                 folder = tmp_path / f"{k}{kind[1:3]}"
                 shutil.copytree(cache, folder)
                 for path in folder.glob(f"*slot-phase4{kind}"):
                     path.unlink() if damage is None else path.write_bytes(damage)
-                same(measure(scene, FAST[1], model, folder), whole)
+                same(measure_view(scene, FAST[1], model, folder), whole)
 
     def test_what_was_rendered_since_counts(self, model, tmp_path):
         """A scene that grew has more rows, and one that was rendered again other numbers."""
@@ -237,11 +246,11 @@ class TestCache:
         for path in late:
             path.rename(path.with_suffix(".later"))
         whole = open_scene(tmp_path / "scene")
-        short = measure(whole.as_far_as_rendered(), PLAIN[0], model, tmp_path / "cache")
+        short = measure_view(whole.as_far_as_rendered(), PLAIN[0], model, tmp_path / "cache")
         assert len(short.outcomes) == len(short.features) == 2
         for path in late:  # as old as they were: it is the number of intervals that tells
             path.with_suffix(".later").rename(path)
-        grown = measure(whole.as_far_as_rendered(), PLAIN[0], model, tmp_path / "cache")
+        grown = measure_view(whole.as_far_as_rendered(), PLAIN[0], model, tmp_path / "cache")
         assert len(grown.outcomes) == len(grown.features) == 3
         np.testing.assert_array_equal(grown.outcomes[:2], short.outcomes)
         first, other = (
@@ -250,7 +259,7 @@ class TestCache:
         shutil.copyfile(other, first)
         age = (tmp_path / "cache").stat().st_mtime + 10
         os.utime(first, (age, age))
-        changed = measure(whole, PLAIN[0], model, tmp_path / "cache")
+        changed = measure_view(whole, PLAIN[0], model, tmp_path / "cache")
         assert (changed.outcomes[0, 0] != grown.outcomes[0, 0]).all()
         np.testing.assert_array_equal(changed.outcomes[1:], grown.outcomes[1:])
 
@@ -262,7 +271,7 @@ def same(found: Measured, wanted: Measured) -> None:
 
 def test_with_the_network_that_comes_with_exwarp(scene, tmp_path):
     """Even this small, it is better than warping."""
-    found = measure(scene, PLAIN[1], None, tmp_path).outcomes
+    found = measure_view(scene, PLAIN[1], None, tmp_path).outcomes
     names = {path.name for path in tmp_path.iterdir()}
     known = json.loads((shipped_folder() / CHECKSUMS).read_bytes())[SHIPPED]
     assert f"variety-0074-64x36-slot-phase0-speed1-{known[:12]}-v1.npy" in names

@@ -15,8 +15,8 @@ from exwarp_cli.io.dataset import TRAINING, find_scenes
 from exwarp_cli.io.frames import read_raw
 from exwarp_cli.pipeline.motion_finding import find_motion
 from exwarp_cli.pipeline.motion_option import motion_names, parse_motion
-from exwarp_cli.training.footage import Footage
-from exwarp_cli.training.variant import Variant, all_variants
+from exwarp_cli.research.training.augmentation import Variant, all_variants
+from exwarp_cli.research.training.scene_clip import SceneClip
 from tests.unit.analytic_scene import write_scene
 
 MINIATURE = Path(__file__).parents[1] / "data" / "miniature"
@@ -59,7 +59,7 @@ def test_key_frames_show_their_instants(scene):
 
 def test_motion_over_a_key_interval_is_that_of_the_true_key_frames(scene):
     """Vectors followed over four instants, beside those that a 30 fps render has."""
-    footage = Footage(scene)
+    footage = SceneClip(scene)
     for k in footage.intervals:
         for index, frame, side in ((4 * k, k, "to_next"), (4 * k + 4, k + 1, "to_previous")):
             gbuffer = footage.key(frame).gbuffer
@@ -73,7 +73,7 @@ def test_motion_over_a_key_interval_is_that_of_the_true_key_frames(scene):
 
 @pytest.mark.parametrize("variant", [v for v in all_variants() if v.phase in (0, 3)], ids=str)
 def test_every_variant_is_whole(scene, variant):
-    footage = Footage(scene, variant)
+    footage = SceneClip(scene, variant)
     for k in footage.intervals:
         for setting in ("key", "slot"):
             interval = footage.interval(k, setting)
@@ -86,12 +86,12 @@ def test_every_variant_is_whole(scene, variant):
 
 
 def test_played_backwards_the_last_frame_comes_first(scene):
-    forward, reverse = Footage(scene), Footage(scene, Variant(backwards=True))
+    forward, reverse = SceneClip(scene), SceneClip(scene, Variant(backwards=True))
     np.testing.assert_array_equal(forward.truth(0, 1).pixels, reverse.truth(2, 3).pixels)
     np.testing.assert_array_equal(
         forward.key(1).gbuffer.to_next, reverse.key(2).gbuffer.to_previous
     )
-    flipped = Footage(scene, Variant(mirror=True))
+    flipped = SceneClip(scene, Variant(mirror=True))
     np.testing.assert_array_equal(forward.truth(1, 2).pixels[:, ::-1], flipped.truth(1, 2).pixels)
 
 

@@ -11,23 +11,23 @@ import torch
 from exwarp_cli.domain.extrapolator import NetworkInputs
 from exwarp_cli.domain.network import TIME
 from exwarp_cli.io.models import load_extrapolator
-from exwarp_cli.training.export import export_extrapolator
-from exwarp_cli.training.networks import (
+from exwarp_cli.research.training.extrapolation_network import (
     ARCHITECTURES,
     STRIDE,
     Architecture,
     ExtrapolationNetwork,
     _first_seen,
     _moved,
-    build,
+    build_network,
 )
+from exwarp_cli.research.training.onnx_export import export_extrapolator
 from tests.unit.network_inputs import example
 
 
 @pytest.fixture(params=ARCHITECTURES)
 def network(request):
     torch.manual_seed(0)
-    return build(request.param, 8).eval()
+    return build_network(request.param, 8).eval()
 
 
 @pytest.mark.parametrize("size", [(STRIDE, 2 * STRIDE), (48, 80)])
@@ -43,7 +43,7 @@ def test_networks_answer_at_any_multiple_of_the_stride(network, size):
 def test_weights_invent_nothing(name):
     """Where all candidates are of one colour, so is the answer."""
     torch.manual_seed(1)
-    network = build(name, 8).eval()
+    network = build_network(name, 8).eval()
     with torch.no_grad():
         for parameter in network.parameters():
             parameter.add_(0.1 * torch.randn_like(parameter))
@@ -55,7 +55,7 @@ def test_weights_invent_nothing(name):
 
 
 def test_an_unknown_past_is_replaced_by_the_filled_warp():
-    network = build("kernels", 8).eval()
+    network = build_network("kernels", 8).eval()
     given = example(32, 32)
     given["warped"][:, 3:] = 0.7
     given["history"].zero_()
@@ -64,7 +64,7 @@ def test_an_unknown_past_is_replaced_by_the_filled_warp():
 
 def test_candidates_are_counted_right():
     for name, architecture in ARCHITECTURES.items():
-        network = build(name, 8)
+        network = build_network(name, 8)
         given = example(32, 32)
         filled = given["warped"][:, 3:]
         flow = torch.zeros(1, 2 * architecture.flow, 32, 32)
@@ -108,7 +108,7 @@ class TestLight:
     @pytest.fixture
     def answers(self) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
         """Filled warp and mask; what the same weights answer with that bound and without it."""
-        networks = [build(name, 8).eval() for name in ("kernels-light", "kernels-deep")]
+        networks = [build_network(name, 8).eval() for name in ("kernels-light", "kernels-deep")]
         torch.manual_seed(2)
         with torch.no_grad():
             for parameter in networks[0].parameters():
@@ -140,7 +140,7 @@ class TestLight:
     def test_where_all_is_hidden_nothing_is_divided_by_zero(self):
         given = example(32, 48)
         given["mask"].zero_()
-        assert torch.isfinite(build("kernels-light", 8).eval()(**given)).all()
+        assert torch.isfinite(build_network("kernels-light", 8).eval()(**given)).all()
 
 
 def test_architectures_differ():
@@ -152,7 +152,7 @@ def test_architectures_differ():
 def patched(tmp_path_factory) -> tuple[ExtrapolationNetwork, Path]:
     """A network of the architecture that is shipped, small and with weights that all matter."""
     torch.manual_seed(3)
-    network = build("kernels-light", 12)
+    network = build_network("kernels-light", 12)
     with torch.no_grad():
         for parameter in network.parameters():
             parameter.add_(0.05 * torch.randn_like(parameter))

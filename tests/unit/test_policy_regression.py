@@ -9,16 +9,16 @@ import pytest
 
 from exwarp_cli.domain.decision import NODES
 from exwarp_cli.policy.outcomes import PENALTIES, rewards
-from exwarp_cli.training import policy
-from exwarp_cli.training.policy import predicted, regress
-from exwarp_cli.training.policy_table import PolicyTable
+from exwarp_cli.research.training import policy_scores
+from exwarp_cli.research.training.outcome_tables import PolicyTable
+from exwarp_cli.research.training.policy_scores import fit_regression, predict_rewards
 from tests.unit.policy_tables import random_table
 
 
 @pytest.fixture
 def unhindered(monkeypatch):
     """Coefficients cost next to nothing."""
-    monkeypatch.setattr(policy, "RIDGE", 1e-10)
+    monkeypatch.setattr(policy_scores, "RIDGE", 1e-10)
 
 
 def linear(table: PolicyTable, seed: int = 0) -> PolicyTable:
@@ -34,18 +34,18 @@ def linear(table: PolicyTable, seed: int = 0) -> PolicyTable:
 
 def test_linear_rewards_are_found_node_by_node(unhindered):
     known, unseen = linear(random_table(300, 1)), linear(random_table(50, 2))
-    found = regress([known])
+    found = fit_regression([known])
     assert found.shape == (5, 45, 2)
     wanted = rewards(unseen.outcomes)
     assert wanted.std() > 2
-    np.testing.assert_allclose(predicted(found, unseen), wanted, atol=1e-4)
+    np.testing.assert_allclose(predict_rewards(found, unseen), wanted, atol=1e-4)
 
 
 def test_each_node_has_coefficients_of_its_own(unhindered):
     known = linear(random_table(300, 1))
     changed = known.outcomes.copy()
     changed[:, 2] = changed[:, 2, ::-1]
-    one, other = regress([known]), regress([replace(known, outcomes=changed)])
+    one, other = fit_regression([known]), fit_regression([replace(known, outcomes=changed)])
     for node in range(5):
         assert np.allclose(one[node], other[node], atol=1e-5) == (node != 2)
 
@@ -53,9 +53,9 @@ def test_each_node_has_coefficients_of_its_own(unhindered):
 def test_the_ridge_draws_coefficients_towards_0(monkeypatch):
     known = linear(random_table(300, 1))
     sizes = []
-    for ridge in (1e-6, policy.RIDGE, 1e4):
-        monkeypatch.setattr(policy, "RIDGE", ridge)
-        sizes.append(float(np.square(regress([known])).sum()))
+    for ridge in (1e-6, policy_scores.RIDGE, 1e4):
+        monkeypatch.setattr(policy_scores, "RIDGE", ridge)
+        sizes.append(float(np.square(fit_regression([known])).sum()))
     assert sizes[0] > sizes[1] > 100 * sizes[2]
 
 
@@ -63,7 +63,9 @@ def test_a_constant_is_learned_of_states_that_tell_nothing(unhindered):
     table = random_table(200, 3)
     outcomes = np.full((200, 5, 2, 2), 30.0)
     outcomes[:, :, 1, 0] += 2.0
-    found = predicted(regress([replace(table, outcomes=outcomes)]), random_table(10, 4))
+    found = predict_rewards(
+        fit_regression([replace(table, outcomes=outcomes)]), random_table(10, 4)
+    )
     np.testing.assert_allclose(
         found, np.array([-2.0, 2.0]) + PENALTIES + np.zeros((10, 1, 1)), atol=1e-4
     )
@@ -84,7 +86,7 @@ def test_scenes_count_alike_whatever_their_size():
     """Every row five times is no other scene, only a larger one."""
     one, other = random_table(40, 5), random_table(40, 6)
     once, often = np.arange(40), np.tile(np.arange(40), 5)
-    found = regress([lonely(one, often), lonely(other, once)])
-    wanted = regress([lonely(one, once), lonely(other, once)])
+    found = fit_regression([lonely(one, often), lonely(other, once)])
+    wanted = fit_regression([lonely(one, once), lonely(other, once)])
     np.testing.assert_allclose(found, wanted, rtol=1e-6, atol=1e-8)
-    assert not np.allclose(wanted, regress([lonely(one, once)]), atol=0.1)
+    assert not np.allclose(wanted, fit_regression([lonely(one, once)]), atol=0.1)

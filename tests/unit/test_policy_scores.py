@@ -10,13 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from exwarp_cli.domain.decision import PATHS
-from exwarp_cli.training.policy_scores import (
+from exwarp_cli.research.training.policy_scores import (
     NAMES,
-    fixed,
-    oracles,
+    fixed_path,
+    greedy_paths,
+    oracle_paths,
     score_paths,
     score_random,
-    taken,
 )
 from tests.reference import scores as naive
 from tests.unit.policy_tables import random_table
@@ -44,7 +44,7 @@ def test_scores_of_paths_are_the_twin_s(rows, seed):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_fixed_path_is_a_column_of_the_paper_s_table(name):
-    found = score_paths(TABLE, fixed(TABLE, name), EVERY)
+    found = score_paths(TABLE, fixed_path(TABLE, name), EVERY)
     same(found, naive.score(TABLE.outcomes, [{name: 1.0}] * len(TABLE)))
     wanted = {
         "S1": (1, 0.0),
@@ -60,7 +60,7 @@ def test_a_fixed_path_is_a_column_of_the_paper_s_table(name):
 
 def test_effective_frame_rates_are_the_paper_s():
     """30 fps become 60 by extrapolation alone, 90 by S2, and 120 by every other path."""
-    rates = [30 * (1 + score_paths(TABLE, fixed(TABLE, n), EVERY).new_frames) for n in NAMES]
+    rates = [30 * (1 + score_paths(TABLE, fixed_path(TABLE, n), EVERY).new_frames) for n in NAMES]
     assert rates == [60, 90, 120, 120, 120, 120]
 
 
@@ -82,7 +82,7 @@ def test_tossing_coins_is_the_mean_of_all_that_can_be_tossed(rows):
 
 def test_random_paths_tend_to_what_coins_come_to():
     rng = np.random.default_rng(0)
-    tosses = [score_paths(TABLE, taken(rng.random((60, 5, 2))), EVERY) for _ in range(150)]
+    tosses = [score_paths(TABLE, greedy_paths(rng.random((60, 5, 2))), EVERY) for _ in range(150)]
     exact = score_random(TABLE, EVERY)
     for name, scale in (("reward", 2.0), ("psnr_db", 0.5), ("new_frames", 0.05)):
         mean = np.mean([getattr(toss, name) for toss in tosses])
@@ -93,24 +93,24 @@ def test_random_paths_tend_to_what_coins_come_to():
 def test_what_is_taken_is_the_twin_s_way_down_the_tree(values):
     """Of three values, so that ties are frequent."""
     found = np.array(values, np.float64).reshape(1, 5, 2)
-    assert [NAMES[k] for k in taken(found)] == [naive.chosen_path(found[0])]
+    assert [NAMES[k] for k in greedy_paths(found)] == [naive.chosen_path(found[0])]
 
 
 def test_a_tie_is_to_warp():
-    assert taken(np.zeros((3, 5, 2))).tolist() == [NAMES.index("S6")] * 3
+    assert greedy_paths(np.zeros((3, 5, 2))).tolist() == [NAMES.index("S6")] * 3
     values = np.zeros((2, 5, 2))
     values[0, 0, 1] = values[1, 1, 1] = 1e-9
-    assert [NAMES[k] for k in taken(values)] == ["S2", "S4"]
+    assert [NAMES[k] for k in greedy_paths(values)] == ["S2", "S4"]
 
 
 def test_no_policy_beats_the_oracles():
-    best = oracles(TABLE)
+    best = oracle_paths(TABLE)
     assert set(best) == {"oracle", "oracle-return"}
     scores = {name: score_paths(TABLE, paths, EVERY) for name, paths in best.items()}
     assert (best["oracle"] != best["oracle-return"]).any()
     for row in range(len(TABLE)):
         rows = np.arange(len(TABLE)) == row
-        every = [score_paths(TABLE, fixed(TABLE, name), rows) for name in NAMES]
+        every = [score_paths(TABLE, fixed_path(TABLE, name), rows) for name in NAMES]
         most = max(score.psnr_db for score in every), max(score.reward for score in every)
         own = (
             score_paths(TABLE, best["oracle"], rows).psnr_db,

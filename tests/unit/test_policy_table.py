@@ -13,14 +13,17 @@ import pytest
 from exwarp_cli.domain.decision import NODES, Features
 from exwarp_cli.errors import DamagedFileError, InputError, UsageError
 from exwarp_cli.policy.state import PASSED, SCALES, Surroundings
-from exwarp_cli.training.measuring import VIEWS, Measured
-from exwarp_cli.training.policy_table import (
+from exwarp_cli.research.training.outcome_tables import (
     SCHEMA,
-    joined,
+    TABLES,
+    VIEWS,
+    Measured,
+    Survey,
+    find_tables,
+    join_views,
     load_table,
     save_table,
 )
-from exwarp_cli.training.survey import TABLES, Survey, find_tables
 from tests.unit.policy_tables import NETWORK, random_table
 
 GROUPS = ("key-phase0-speed1 64x36", "slot-phase0-speed1 64x36", "key-phase2-speed1 64x36")
@@ -88,7 +91,7 @@ def test_a_table_is_joined_from_what_was_measured():
             ("32x18", VIEWS[0], 2),
         )
     ]
-    found = joined("lab", parts, NETWORK)
+    found = join_views("lab", parts, NETWORK)
     assert (found.scene, found.network, len(found)) == ("lab", NETWORK, 6)
     assert found.group.tolist() == [0, 0, 0, 1, 2, 2] and found.group.dtype == np.int16
     assert found.groups == tuple(f"{view.name} {size}" for size, view, _ in parts)
@@ -104,7 +107,7 @@ def test_beginnings_have_no_history():
         ("64x36", VIEWS[0], Measured(features, TABLE.outcomes[:5])),
         ("64x36", begins, Measured(features, TABLE.outcomes[:5])),
     ]
-    found = joined("lab", parts, NETWORK)
+    found = join_views("lab", parts, NETWORK)
     assert found.group.tolist() == [0] * 5 + [1, 2, 3, 4, 5]
     assert found.groups == tuple(f"{view.name} 64x36" for view in (VIEWS[0], *[begins] * 5))
     states = found.states[:, 0].reshape(10, 4, 11)
@@ -220,7 +223,8 @@ class TestFinding:
 
     def test_without_a_folder_those_that_come_with_exwarp(self, tmp_path, monkeypatch):
         monkeypatch.setattr(
-            "exwarp_cli.training.survey.shipped_folder", lambda: tmp_path / "models"
+            "exwarp_cli.research.training.outcome_tables.shipped_folder",
+            lambda: tmp_path / "models",
         )
         (tmp_path / "models" / TABLES).mkdir(parents=True)
         save_table(tmp_path / "models" / TABLES / "lab.npz", TABLE)

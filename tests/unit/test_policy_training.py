@@ -18,25 +18,32 @@ from exwarp_cli.domain.decision import NODES, PATHS
 from exwarp_cli.errors import InputError, UsageError
 from exwarp_cli.io.policy_files import load_policy
 from exwarp_cli.policy.state import STATE_VERSION
-from exwarp_cli.training.dqn import values
-from exwarp_cli.training.policy import (
+from exwarp_cli.research.training.onnx_export import STATE
+from exwarp_cli.research.training.outcome_tables import PolicyTable
+from exwarp_cli.research.training.policy_scores import (
+    COLUMNS,
+    fit_regression,
+    fixed_path,
+    greedy_paths,
+    oracle_paths,
+    policy_card,
+    predict_rewards,
+    score_paths,
+    score_random,
+)
+from exwarp_cli.research.training.policy_training import (
     ALL,
     FLOAT_MODEL,
     INTEGER_MODEL,
     REPORT,
     SCHEMA,
     learn,
-    parts_of,
-    predicted,
     quantise,
-    regress,
+    rows_by_part,
     train_policy,
 )
-from exwarp_cli.training.policy_card import COLUMNS, card
-from exwarp_cli.training.policy_onnx import STATE
-from exwarp_cli.training.policy_scores import fixed, oracles, score_paths, score_random, taken
-from exwarp_cli.training.policy_table import PolicyTable
-from exwarp_cli.training.settings import PolicySettings, require_sane_policy
+from exwarp_cli.research.training.q_learning import q_values
+from exwarp_cli.research.training.training_settings import PolicySettings, require_sane_policy
 from tests.unit.policy_tables import NETWORK, random_table, tempting
 
 GROUPS = ("key-phase0-speed1 64x36", "slot-phase0-speed1 64x36", "slot-phase0-speed1 32x18")
@@ -104,7 +111,7 @@ class TestFiles:
             states = to_fixed(table.states.reshape(-1, 44))
             outputs = infer_reference(kept.network, states).outputs.reshape(-1, 5, 2)
             np.testing.assert_array_equal(outputs, found.outputs(table))
-            np.testing.assert_allclose(values(kept.floats, table), found.values(table), rtol=1e-6)
+            np.testing.assert_allclose(q_values(kept.floats, table), found.values(table), rtol=1e-6)
         for (weights, biases), (w, b) in zip(kept.floats, found.floats, strict=True):
             np.testing.assert_array_equal(weights, w)
             np.testing.assert_array_equal(biases, b)
@@ -121,7 +128,7 @@ class TestFiles:
             if name == INTEGER_MODEL:
                 np.testing.assert_array_equal(found, MlpKernel(kept.network).decide_many(given)[0])
             else:
-                wanted = values(kept.floats, tables[0]).reshape(-1, 2)
+                wanted = q_values(kept.floats, tables[0]).reshape(-1, 2)
                 np.testing.assert_allclose(found, wanted, atol=1e-5)
 
     def test_a_fold_never_saw_its_scene(self, trained, tables, tmp_path):
@@ -161,14 +168,14 @@ class TestReport:
             whole = infer_reference(own.network, states).outputs.reshape(-1, 5, 2)
             others = [other for i, other in enumerate(tables) if i != k]
             paths = {
-                "exwarp": taken(whole.astype(float)),
-                "regressor": taken(predicted(regress(others), table)),
-                **oracles(table),
-                **{path: fixed(table, path) for path in PATHS},
+                "exwarp": greedy_paths(whole.astype(float)),
+                "regressor": greedy_paths(predict_rewards(fit_regression(others), table)),
+                **oracle_paths(table),
+                **{path: fixed_path(table, path) for path in PATHS},
             }
             found = report["left_out"][table.scene]
             assert set(found) == PARTS
-            for part, rows in parts_of(table).items():
+            for part, rows in rows_by_part(table).items():
                 scores = found[part]["scores"]
                 assert set(scores) == {*paths, "float", "random"}
                 assert scores["random"] == asdict(score_random(table, rows))
@@ -181,7 +188,7 @@ class TestReport:
         def crude(weights, biases, states):
             return quantise([np.round(16 * w) / 16 for w in weights], biases, states)
 
-        monkeypatch.setattr("exwarp_cli.training.policy.quantise", crude)
+        monkeypatch.setattr("exwarp_cli.research.training.policy_training.quantise", crude)
         settings = replace(SETTINGS, steps=60, seed=5)
         report = train_policy(tables, tmp_path, settings, lambda line: None)
         shares = set()
@@ -190,14 +197,14 @@ class TestReport:
             whole, real = own.outputs(table), own.values(table)
             same = (whole[..., 1] > whole[..., 0]) == (real[..., 1] > real[..., 0])
             met = np.zeros(same.shape, bool)
-            for row, path in enumerate(taken(whole)):
+            for row, path in enumerate(greedy_paths(whole)):
                 met[row] = [node in tuple(PATHS.values())[path].choices for node in NODES]
-            for part, rows in parts_of(table).items():
+            for part, rows in rows_by_part(table).items():
                 entry = report["left_out"][table.scene][part]
                 assert entry["agreement"] == pytest.approx(same[rows].mean())
                 assert entry["agreement_met"] == pytest.approx(same[rows][met[rows]].mean())
                 for name, outputs in (("exwarp", whole), ("float", real)):
-                    wanted = score_paths(table, taken(outputs), rows)
+                    wanted = score_paths(table, greedy_paths(outputs), rows)
                     assert entry["scores"][name] == asdict(wanted)
                 shares |= {entry["agreement"], entry["agreement_met"]}
         assert len(shares) > 4 and 0.2 < min(shares) < 1
@@ -210,7 +217,7 @@ class TestReport:
 
     def test_parts(self):
         table = random_table(12, 1, "lab", (*GROUPS, "slot-phase4-speed2 64x36"))
-        parts = parts_of(table)
+        parts = rows_by_part(table)
         assert set(parts) == PARTS
         assert parts[ALL].all() and parts["slot 64x36"].tolist() == (
             [0] * 3 + [1] * 3 + [0] * 3 + [1] * 3
@@ -227,7 +234,7 @@ class TestReport:
 
 def test_the_card_has_every_scene_and_part(trained):
     _, report, _ = trained
-    text = card(json.loads(json.dumps(report)))
+    text = policy_card(json.loads(json.dumps(report)))
     blocks = [block.splitlines() for block in text.split("\n\n")]
     assert len(blocks) == 3
     for block, extra in zip(blocks, (0, 1, 0), strict=True):
@@ -252,7 +259,7 @@ def test_a_scene_of_one_part_is_listed_once(tables, tmp_path):
     plain = [replace(t, groups=GROUPS[:1], group=t.group * 0) for t in tables[:2]]
     report = train_policy(plain, tmp_path, replace(SETTINGS, steps=1), lambda line: None)
     assert set(report["left_out"]["hall"]) == {ALL, "key 64x36"}
-    assert [len(block.splitlines()) for block in card(report).split("\n\n")] == [4, 5, 4]
+    assert [len(block.splitlines()) for block in policy_card(report).split("\n\n")] == [4, 5, 4]
 
 
 def test_int8_decides_as_floats_do_once_trained():

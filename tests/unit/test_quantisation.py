@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from exwarp_cli.accel.fixed_point import ONE, to_fixed
 from exwarp_cli.accel.quantised_mlp import PAPER_SIZES, infer_reference
-from exwarp_cli.training.policy import factors, quantise
+from exwarp_cli.research.training.policy_training import quantise
+from exwarp_cli.research.training.q_learning import factors
 from tests.reference.quantisation import emulate, largest_activations
 
 Network = tuple[list[np.ndarray], list[np.ndarray]]

@@ -12,12 +12,11 @@ import numpy as np
 import pytest
 
 from exwarp_cli.domain.frame import GBuffer, Image, KeyFrame, Window, place
+from exwarp_cli.research.training.augmentation import Look, deliver, mirror, reverse_time
 from exwarp_cli.synthesis.geometry import settle_motion
 from exwarp_cli.synthesis.holds import around_holds
 from exwarp_cli.synthesis.rigid import LEAST_PIXELS, fit_pose
 from exwarp_cli.synthesis.trajectory import displaced, displacement, reach_of
-from exwarp_cli.training.looks import Look, delivered
-from exwarp_cli.training.variant import backwards, mirrored
 from tests.unit.scenes import Camera, vec
 
 HEIGHT, WIDTH, FOCAL = 80, 104, 130.0
@@ -445,14 +444,14 @@ class TestBend:
     def test_backwards(self, time):
         _, _, found = spinning()
         np.testing.assert_allclose(
-            displacement(backwards(found), time), displacement(found, -time), atol=1e-5
+            displacement(reverse_time(found), time), displacement(found, -time), atol=1e-5
         )
 
     @pytest.mark.parametrize("time", TIMES)
     def test_mirrored(self, time):
         _, _, found = spinning()
         image = Image(np.zeros((HEIGHT, WIDTH, 3), np.float32), found.window, found.window)
-        reflected = mirrored(KeyFrame(1, image, found)).gbuffer
+        reflected = mirror(KeyFrame(1, image, found)).gbuffer
         expected = displacement(found, time)[:, ::-1] * np.float32([-1, 1])
         np.testing.assert_array_equal(displacement(reflected, time), expected)
 
@@ -460,7 +459,7 @@ class TestBend:
     def test_at_half_the_size(self, time):
         _, _, found = spinning()
         image = Image(np.zeros((HEIGHT, WIDTH, 3), np.float32), found.window, found.window)
-        frame = delivered(KeyFrame(1, image, found), Look(aliased=True), np.random.default_rng(1))
+        frame = deliver(KeyFrame(1, image, found), Look(aliased=True), np.random.default_rng(1))
         expected = displacement(found, time)[::2, ::2] / 2
         np.testing.assert_allclose(displacement(frame.gbuffer, time), expected, atol=1e-5)
 

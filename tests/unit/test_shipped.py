@@ -13,8 +13,8 @@ from exwarp_cli.domain.frame import SURFACE_PARTS
 from exwarp_cli.io.dataset import open_scene
 from exwarp_cli.io.models import load_extrapolator
 from exwarp_cli.metrics.registry import score
+from exwarp_cli.research.training.scene_clip import SceneClip
 from exwarp_cli.synthesis.methods import METHODS
-from exwarp_cli.training.footage import Footage
 
 SHOT = Path(__file__).parents[1] / "data" / "miniature" / "variety-0074"
 LEFT_OUT = {
@@ -33,7 +33,7 @@ def network() -> Extrapolator:
 @pytest.mark.parametrize("left_out", LEFT_OUT)
 @pytest.mark.parametrize("setting", ["key", "slot"])
 def test_it_is_better_than_the_warp(network, setting, left_out):
-    footage = Footage(open_scene(SHOT))
+    footage = SceneClip(open_scene(SHOT))
     interval = footage.causal(2, setting).without(*LEFT_OUT[left_out])
     interval = replace(interval, extrapolator=network)
     gains = []

@@ -17,11 +17,9 @@ from exwarp_cli.domain.decision import NODES, PATHS
 from exwarp_cli.io.models import shipped_folder
 from exwarp_cli.io.policy_files import load_policy
 from exwarp_cli.policy.state import INPUTS, STATE_VERSION
-from exwarp_cli.training.policy import ALL, REPORT
-from exwarp_cli.training.policy_card import card
-from exwarp_cli.training.policy_scores import score_paths, taken
-from exwarp_cli.training.policy_table import load_table
-from exwarp_cli.training.survey import TABLES
+from exwarp_cli.research.training.outcome_tables import TABLES, load_table
+from exwarp_cli.research.training.policy_scores import greedy_paths, policy_card, score_paths
+from exwarp_cli.research.training.policy_training import ALL, REPORT
 
 MODELS = shipped_folder()
 SCENES = ("lab", "slum", "town", "tropical", "village")
@@ -33,7 +31,7 @@ def report() -> dict[str, Any]:
 
 
 def test_the_card_has_the_scores(report):
-    assert card(report) in (MODELS / "README.md").read_text(encoding="utf-8")
+    assert policy_card(report) in (MODELS / "README.md").read_text(encoding="utf-8")
 
 
 def test_it_was_judged_on_scenes_that_it_never_saw(report):
@@ -77,7 +75,7 @@ def test_the_scores_come_from_the_files_beside_them(report, scene):
     states = to_fixed(table.states.reshape(-1, INPUTS))
     policy = load_policy(MODELS / f"policy-without-{scene}.npz")
     outputs, _ = MlpKernel(policy.network).decide_many(states)
-    paths = taken(outputs.astype(float).reshape(-1, len(NODES), 2))
+    paths = greedy_paths(outputs.astype(float).reshape(-1, len(NODES), 2))
     found = score_paths(table, paths, np.ones(len(table), np.bool_))
     scores = report["left_out"][scene][ALL]["scores"]["exwarp"]
     assert found.psnr_db == pytest.approx(scores["psnr_db"], abs=1e-6)

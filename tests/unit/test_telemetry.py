@@ -53,7 +53,7 @@ def written(home: Path) -> list[str]:
     [
         pytest.param(LOAD, id="method"),
         pytest.param("import exwarp_cli.farm.cluster_work, onnxruntime", id="Dask worker"),
-        pytest.param("import exwarp_cli.training.export, onnxruntime", id="training"),
+        pytest.param("import exwarp_cli.research.training.onnx_export, onnxruntime", id="training"),
         pytest.param("import tests.bench, onnxruntime", id="bench"),
     ],
 )

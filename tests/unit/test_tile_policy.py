@@ -26,20 +26,20 @@ from exwarp_cli.policy.tile_state import (
     tile_inputs,
     tile_paths,
 )
-from exwarp_cli.training.settings import TilePolicySettings
-from exwarp_cli.training.tile_policy import (
+from exwarp_cli.research.training.tile_policy_training import (
     REPORT,
+    choice_margins,
     choose,
     cost,
     error_of,
     gain_at,
     gains,
-    outputs,
     price_for,
     train_tile_policy,
     train_tiles,
 )
-from exwarp_cli.training.tile_table import TileTable, load_tile_table, save_tile_table
+from exwarp_cli.research.training.tile_tables import TileTable, load_tile_table, save_tile_table
+from exwarp_cli.research.training.training_settings import TilePolicySettings
 from tests.unit.test_paths import SLOTS, interval
 
 SETTINGS = TilePolicySettings(steps=150, batch=32, lag=20, seed=3)
@@ -159,11 +159,11 @@ class TestTraining:
 
     def test_it_learns_where_extrapolation_pays(self, tables):
         network = train_tiles(tables[:2], SETTINGS)
-        margins = outputs(network, tables[2])
+        margins = choice_margins(network, tables[2])
         holes = tables[2].features[:, 0, 0] > 0
         assert margins[holes, 0].min() > margins[~holes, 0].max()
         again = train_tiles(tables[:2], SETTINGS)
-        np.testing.assert_array_equal(outputs(again, tables[2]), margins)
+        np.testing.assert_array_equal(choice_margins(again, tables[2]), margins)
 
     def test_it_extrapolates_where_only_the_slot_after_gains(self, tables):
         """What E makes of slot 2 is worse there, and slot 3 is best warped from it."""
@@ -171,7 +171,7 @@ class TestTraining:
         errors = np.tile([100.0, 130.0, 150.0, 180.0, 180.0], (len(holes), 1))
         errors[holes] = [100.0, 110.0, 150.0, 160.0, 20.0]
         delayed = replace(tables[0], errors=errors)
-        margins = outputs(train_tiles([delayed], replace(SETTINGS, steps=500)), delayed)
+        margins = choice_margins(train_tiles([delayed], replace(SETTINGS, steps=500)), delayed)
         assert margins[holes, 0].min() > 0 > margins[~holes, 0].max()
         assert (margins[holes, 1] < 0).all()
 

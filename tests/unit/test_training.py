@@ -18,40 +18,40 @@ from exwarp_cli.errors import InputError, UsageError
 from exwarp_cli.io.dataset import RenderedScene, SceneManifest, open_scene, select, split
 from exwarp_cli.io.models import load_extrapolator
 from exwarp_cli.metrics.registry import score
-from exwarp_cli.training import crops as batches
-from exwarp_cli.training.crops import Batch, Crops, varied
-from exwarp_cli.training.extrapolator import (
+from exwarp_cli.research.training import crop_cache as batches
+from exwarp_cli.research.training.crop_cache import (
+    IN_HOLES,
+    SHORT,
+    Batch,
+    Crops,
+    _crop_weight,
+    _draw_view,
+    choose_frames,
+    count_frames,
+    cut_crops,
+    vary,
+    write_crops,
+)
+from exwarp_cli.research.training.extrapolation_network import ARCHITECTURES, build_network
+from exwarp_cli.research.training.extrapolator_training import (
     FEW,
     HOLES,
     SQUARED,
     SQUARED_HOLES,
-    Training,
-    decibels,
+    ExtrapolatorTraining,
     loss_of,
-    shown,
-    train_extrapolator,
+    psnr,
+    to_display,
 )
-from exwarp_cli.training.footage import Footage
-from exwarp_cli.training.networks import ARCHITECTURES, build
-from exwarp_cli.training.resumable import CHECKPOINT
-from exwarp_cli.training.samples import (
-    IN_HOLES,
-    SHORT,
-    CropSettings,
-    _view,
-    _weight,
-    choices,
-    crops_of,
-    share,
-    write_crops,
-)
-from exwarp_cli.training.settings import COLUMNS, CURVE, TrainingSettings
+from exwarp_cli.research.training.resumable_training import CHECKPOINT, CURVE
+from exwarp_cli.research.training.scene_clip import SceneClip
+from exwarp_cli.research.training.training_settings import ExtrapolatorSettings
 from tests.unit.analytic_scene import INSTANTS, manifest, write_manifest, write_scene
 from tests.unit.network_inputs import example
 
 SIDE = 64
-MADE = CropSettings(frames=6, side=SIDE, seed=1)
-TINY = TrainingSettings(
+MADE = ExtrapolatorSettings(frames=6, side=SIDE, seed=1)
+TINY = ExtrapolatorSettings(
     architecture="blend", width=8, steps=6, batch=4, patch=32, frames=6, side=SIDE, seed=1
 )
 
@@ -86,11 +86,11 @@ def quiet(_line: str) -> None: ...
 @pytest.fixture
 def unexported(monkeypatch):
     """Exporting takes torch seconds; one test does it."""
-    monkeypatch.setattr(Training, "export", lambda self: self.folder)
+    monkeypatch.setattr(ExtrapolatorTraining, "export", lambda self: self.folder)
 
 
-def train(scenes, folder: Path, cache: Path, settings: TrainingSettings = TINY) -> Path:
-    return train_extrapolator(scenes, folder, cache, settings, 2, 1, quiet)
+def train(scenes, folder: Path, cache: Path, settings: ExtrapolatorSettings = TINY) -> Path:
+    return ExtrapolatorTraining.train(scenes, folder, cache, settings, 2, 1, quiet)
 
 
 def weights(folder: Path) -> dict[str, torch.Tensor]:
@@ -114,23 +114,25 @@ def manifest_with(tmp_path) -> Callable[..., SceneManifest]:
 
 
 def test_frames_are_chosen_by_the_seed_and_mostly_with_history(manifest_with):
-    many = choices(manifest_with(), 400, 0)
-    assert choices(manifest_with(), 400, 0) == many != choices(manifest_with(), 400, 1)
+    many = choose_frames(manifest_with(), 400, 0)
+    assert choose_frames(manifest_with(), 400, 0) == many != choose_frames(manifest_with(), 400, 1)
     assert {c.slot for c in many} == {1, 2, 3}
     assert {c.setting for c in many} == {"key", "slot"}
     assert len({c.look for c in many}) > 50
     assert {c.variant.backwards for c in many} == {True, False}
-    assert choices(manifest_with(name="lab"), 400, 0) != choices(manifest_with(name="town"), 400, 0)
+    assert choose_frames(manifest_with(name="lab"), 400, 0) != choose_frames(
+        manifest_with(name="town"), 400, 0
+    )
     for choice in many:
         shown = len(choice.variant.order(INSTANTS))
         last = FACTOR * choice.k + (FACTOR if choice.setting == "key" else choice.slot)
         assert last < shown  # the next key frame is rendered, or the slot alone
-    few = choices(manifest_with(), 40, 0)
+    few = choose_frames(manifest_with(), 40, 0)
     assert np.mean([c.k >= 2 for c in few]) > 0.6
 
 
 def test_where_every_instant_is_a_key_frame_too_the_last_one_may_be_chosen(manifest_with):
-    chosen = [c for c in choices(manifest_with(key_step=1), 800, 0) if c.setting == "key"]
+    chosen = [c for c in choose_frames(manifest_with(key_step=1), 800, 0) if c.setting == "key"]
     ends = {(c.variant.phase, FACTOR * (c.k + 1) - len(c.variant.order(INSTANTS))) for c in chosen}
     assert {phase for phase, beyond in ends if beyond == 0} == {1}  # slot 3 is the last instant
     assert max(beyond for _, beyond in ends) == 0
@@ -138,34 +140,34 @@ def test_where_every_instant_is_a_key_frame_too_the_last_one_may_be_chosen(manif
 
 
 def test_longer_scenes_give_more_frames():
-    assert share(30, 2) == share(30, SHORT + 1) == 30
-    assert share(30, 4 * SHORT + 1) == 60
+    assert count_frames(30, 2) == count_frames(30, SHORT + 1) == 30
+    assert count_frames(30, 4 * SHORT + 1) == 60
 
 
 def test_parts_of_frames_hold_a_crop_and_lie_inside():
     whole, rng = Window(-3, 5, 128, 80), np.random.default_rng(0)
-    views = [_view(whole, SIDE, rng) for _ in range(400)]
+    views = [_draw_view(whole, SIDE, rng) for _ in range(400)]
     assert all(whole.covers(v) and min(v.shape) >= SIDE for v in views)
     assert 0.4 < np.mean([v == whole for v in views]) < 0.6
     assert {v.corners for v in views} >= {whole.corners} and len(set(views)) > 150
 
 
 def test_half_of_the_crops_are_about_holes_however_small(scenes):
-    interval = Footage(scenes[0]).causal(1, "key")
+    interval = SceneClip(scenes[0]).causal(1, "key")
     hole = interval.back(3).hole
-    weight = _weight(interval, 3)
+    weight = _crop_weight(interval, 3)
     assert 0 < hole.mean() < 0.1
     assert IN_HOLES < weight[hole].sum() / weight.sum() < IN_HOLES + hole.mean() * 3
     assert weight.min() > 0
 
 
 def test_crops_are_parts_of_what_was_rendered(scenes, crops):
-    again = crops_of(scenes[0], MADE)
+    again = cut_crops(scenes[0], MADE)
     batch = crops.batch(range(len(crops)))
     assert len(crops) == len(again["time"])
     np.testing.assert_array_equal(batch.target.numpy(), again["target"].astype(np.float32))
     assert batch.warped.shape[1:] == (6, SIDE, SIDE)
-    gain = decibels(batch.plain, batch.target)
+    gain = psnr(batch.plain, batch.target)
     assert gain.mean() > 20  # the warp shows about what was rendered
     hole = batch.mask == 0
     assert (batch.warped[:, :3] * hole == 0).all()
@@ -173,15 +175,15 @@ def test_crops_are_parts_of_what_was_rendered(scenes, crops):
 
 def test_scenes_smaller_than_a_crop_are_refused(scenes):
     with pytest.raises(InputError, match="128x80, smaller than crops of 96"):
-        crops_of(scenes[0], CropSettings(2, 96, 0))
+        cut_crops(scenes[0], ExtrapolatorSettings(frames=2, side=96, seed=0))
 
 
 def test_batches_follow_from_seed_and_step(crops):
-    first = crops.drawn(3, 4, 32, 7)
-    for a, b in zip(first.inputs, crops.drawn(3, 4, 32, 7).inputs, strict=True):
+    first = crops.draw(3, 4, 32, 7)
+    for a, b in zip(first.inputs, crops.draw(3, 4, 32, 7).inputs, strict=True):
         assert torch.equal(a, b)
-    assert not torch.equal(first.warped, crops.drawn(4, 4, 32, 7).warped)
-    order = [crops._nth(n, 7) for n in range(2 * len(crops))]
+    assert not torch.equal(first.warped, crops.draw(4, 4, 32, 7).warped)
+    order = [crops.draw_index(n, 7) for n in range(2 * len(crops))]
     assert sorted(order[: len(crops)]) == sorted(order[len(crops) :]) == list(range(len(crops)))
     assert order[: len(crops)] != order[len(crops) :]
 
@@ -192,9 +194,9 @@ def test_the_edges_of_crops_are_often_those_of_patches(crops, monkeypatch):
     monkeypatch.setattr(
         Crops, "batch", lambda self, indices, device, patches: corners.extend(patches)
     )
-    monkeypatch.setattr(batches, "varied", lambda batch, rng: batch)
+    monkeypatch.setattr(batches, "vary", lambda batch, rng: batch)
     for step in range(100):
-        crops.drawn(step, 4, 32, 0)
+        crops.draw(step, 4, 32, 0)
     rows = np.array([rows.start for rows, _ in corners])
     assert rows.min() == 0 and rows.max() == SIDE - 32
     for edge in (0, SIDE - 32):
@@ -205,7 +207,7 @@ def test_the_edges_of_crops_are_often_those_of_patches(crops, monkeypatch):
 def test_variation_keeps_pictures_and_truth_together(crops, seed):
     """The filled warp is as far from the truth as before, whatever is turned or re-coloured."""
     batch = crops.batch(range(8))
-    found = varied(batch, np.random.default_rng(seed))
+    found = vary(batch, np.random.default_rng(seed))
     error = (encoded(batch.plain) - encoded(batch.target)).abs()
     changed = (encoded(found.plain) - encoded(found.target)).abs()
     share = (error > 0.05).float().mean((1, 2, 3)), (changed > 0.05).float().mean((1, 2, 3))
@@ -220,14 +222,14 @@ def test_nothing_of_a_step_changes_the_device(crops):
     batch = crops.batch(range(4))
     meta = Batch(**{name: plane.to("meta") for name, plane in vars(batch).items()})
     for seed in range(12):  # all that is left out or turned by chance
-        found = varied(meta, np.random.default_rng(seed))
+        found = vary(meta, np.random.default_rng(seed))
         assert {plane.device.type for plane in vars(found).values()} == {"meta"}
     for name in ARCHITECTURES:
-        network = build(name, 8).to("meta")
+        network = build_network(name, 8).to("meta")
         made = found.finish(network(*found.inputs))
         loss = loss_of(made, found.target, found.plain, found.mask)
         assert loss.device.type == made.device.type == "meta"
-        assert decibels(made, found.target, 1 - found.mask).device.type == "meta"
+        assert psnr(made, found.target, 1 - found.mask).device.type == "meta"
 
 
 def encoded(linear: torch.Tensor) -> torch.Tensor:
@@ -250,9 +252,9 @@ def test_decibels_are_the_metric_s():
     mask = rng.random((40, 50)) < 0.2
     overall, inside = score(truth, made, mask)
     a, b = (torch.from_numpy(x.transpose(2, 0, 1)[None]) for x in (made, truth))
-    assert float(decibels(a, b)) == pytest.approx(overall.psnr_db, abs=1e-3)
+    assert float(psnr(a, b)) == pytest.approx(overall.psnr_db, abs=1e-3)
     where = torch.from_numpy(mask[None, None].astype(np.float32))
-    assert float(decibels(a, b, where)) == pytest.approx(inside.psnr_db, abs=1e-3)
+    assert float(psnr(a, b, where)) == pytest.approx(inside.psnr_db, abs=1e-3)
 
 
 def test_the_loss_counts_holes_and_the_hardest_tenth_again():
@@ -274,12 +276,14 @@ def test_gains_in_holes_count_in_decibels():
     mask = torch.zeros(1, 1, 10, 10)
 
     def squared_part(error: float) -> float:
-        seen = shown(torch.tensor(error)).item()
+        seen = to_display(torch.tensor(error)).item()
         others = 2 * seen + HOLES * seen / (1 + FEW) + SQUARED * seen**2
         return float(loss_of(plain * error, truth, plain, mask)) - others
 
     steps = np.diff([squared_part(error) for error in (0.9, 0.5, 0.2)])
-    curve = [2 * SQUARED_HOLES * np.log(shown(torch.tensor(e)).item()) for e in (0.9, 0.5, 0.2)]
+    curve = [
+        2 * SQUARED_HOLES * np.log(to_display(torch.tensor(e)).item()) for e in (0.9, 0.5, 0.2)
+    ]
     np.testing.assert_allclose(steps, np.diff(curve), atol=1e-3)
 
 
@@ -296,22 +300,22 @@ def test_a_decibel_is_worth_the_same_on_every_picture():
 
 def test_shown_is_the_srgb_curve_and_goes_on_above_white():
     linear = torch.tensor([-0.5, 0.0, 0.002, 0.18, 0.5, 1.0, 4.0, 1000.0])
-    found = shown(linear)
+    found = to_display(linear)
     np.testing.assert_allclose(
         found[:6].numpy(), [-0.5, 0, 0.02584, 0.46136, 0.73536, 1.0], atol=1e-4
     )
     assert (found[1:] > found[:-1]).all()
     linear.requires_grad_(True)
-    shown(linear).sum().backward()
+    to_display(linear).sum().backward()
     assert torch.isfinite(linear.grad).all()
 
 
 def test_training_gets_better_and_is_exported(scenes, cache, tmp_path):
-    settings = TrainingSettings(**(vars(TINY) | {"steps": 100, "rate": 5e-3}))
+    settings = ExtrapolatorSettings(**(vars(TINY) | {"steps": 100, "rate": 5e-3}))
     model = train(scenes, tmp_path / "run", cache, settings)
     with (tmp_path / "run" / CURVE).open() as file:
         rows = list(csv.DictReader(file))
-    assert tuple(rows[0]) == COLUMNS
+    assert tuple(rows[0]) == ExtrapolatorTraining.columns
     assert [int(row["step"]) for row in rows] == list(range(2, 101, 2))
     losses = [float(row["loss"]) for row in rows]
     assert np.mean(losses[-20:]) < np.mean(losses[:20])
@@ -325,7 +329,7 @@ def test_a_broken_training_goes_on_to_the_same_weights(
     scenes, cache, tmp_path, monkeypatch, unexported
 ):
     train(scenes, tmp_path / "whole", cache)
-    learn, count = Training._learn, []
+    learn, count = ExtrapolatorTraining._learn, []
 
     def breaks(self, batch):
         count.append(1)
@@ -333,10 +337,10 @@ def test_a_broken_training_goes_on_to_the_same_weights(
             raise KeyboardInterrupt
         return learn(self, batch)
 
-    monkeypatch.setattr(Training, "_learn", breaks)
+    monkeypatch.setattr(ExtrapolatorTraining, "_learn", breaks)
     with pytest.raises(KeyboardInterrupt):
         train(scenes, tmp_path / "broken", cache)
-    monkeypatch.setattr(Training, "_learn", learn)
+    monkeypatch.setattr(ExtrapolatorTraining, "_learn", learn)
     train(scenes, tmp_path / "broken", cache)
     assert same(weights(tmp_path / "whole"), weights(tmp_path / "broken"))
     with (tmp_path / "broken" / CURVE).open() as file:
@@ -345,14 +349,14 @@ def test_a_broken_training_goes_on_to_the_same_weights(
 
 def test_another_seed_makes_another_network(scenes, cache, tmp_path, unexported):
     train(scenes, tmp_path / "a", cache)
-    train(scenes, tmp_path / "b", cache, TrainingSettings(**(vars(TINY) | {"seed": 2})))
+    train(scenes, tmp_path / "b", cache, ExtrapolatorSettings(**(vars(TINY) | {"seed": 2})))
     assert not same(weights(tmp_path / "a"), weights(tmp_path / "b"))
 
 
 def test_a_folder_of_another_training_is_refused(scenes, cache, tmp_path, unexported):
     train(scenes, tmp_path / "a", cache)
     with pytest.raises(UsageError, match="other settings"):
-        train(scenes, tmp_path / "a", cache, TrainingSettings(**(vars(TINY) | {"rate": 1e-4})))
+        train(scenes, tmp_path / "a", cache, ExtrapolatorSettings(**(vars(TINY) | {"rate": 1e-4})))
 
 
 def test_scenes_are_held_out_by_name(scenes):

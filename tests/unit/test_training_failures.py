@@ -13,22 +13,21 @@ from exwarp_cli.errors import DamagedFileError, InputError, UsageError
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.dataset import RenderedScene, open_scene
 from exwarp_cli.io.frames import Shot
-from exwarp_cli.training import extrapolator, samples
-from exwarp_cli.training.extrapolator import (
+from exwarp_cli.research.training import crop_cache, extrapolator_training
+from exwarp_cli.research.training.crop_cache import cut_crops, write_crops
+from exwarp_cli.research.training.extrapolator_training import (
     MODEL,
-    Training,
-    train_extrapolator,
+    ExtrapolatorTraining,
 )
-from exwarp_cli.training.resumable import CHECKPOINT, SETTINGS
-from exwarp_cli.training.samples import CropSettings, crops_of, write_crops
-from exwarp_cli.training.settings import TrainingSettings
+from exwarp_cli.research.training.resumable_training import CHECKPOINT, SETTINGS
+from exwarp_cli.research.training.training_settings import ExtrapolatorSettings
 from tests.unit.analytic_scene import write_scene
 from tests.unit.reading import changed_planes
 
-TINY = TrainingSettings(
+TINY = ExtrapolatorSettings(
     architecture="blend", width=4, steps=3, batch=2, patch=32, frames=2, side=64, seed=1
 )
-MADE = CropSettings(frames=3, side=64, seed=1)
+MADE = ExtrapolatorSettings(frames=3, side=64, seed=1)
 
 
 @pytest.fixture(scope="module")
@@ -48,15 +47,15 @@ def cache(tmp_path_factory) -> Path:
 def train(scenes, cache, tmp_path, monkeypatch):
     """Train into one folder, without exporting at the end."""
 
-    def unexported(self: Training) -> Path:
+    def unexported(self: ExtrapolatorTraining) -> Path:
         (self.folder / MODEL).touch()
         return self.folder / MODEL
 
-    monkeypatch.setattr(Training, "export", unexported)
+    monkeypatch.setattr(ExtrapolatorTraining, "export", unexported)
 
-    def run(settings: TrainingSettings = TINY) -> Path:
+    def run(settings: ExtrapolatorSettings = TINY) -> Path:
         folder = tmp_path / "run"
-        train_extrapolator(scenes, folder, cache, settings, 1, 1, lambda line: None)
+        ExtrapolatorTraining.train(scenes, folder, cache, settings, 1, 1, lambda line: None)
         return folder
 
     return run
@@ -92,13 +91,13 @@ def test_a_damaged_checkpoint_is_said(train, what):
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_a_loss_that_is_no_number_ends_it(train, monkeypatch, tmp_path, value):
-    true, count = extrapolator.loss_of, []
+    true, count = extrapolator_training.loss_of, []
 
     def breaks(*args: torch.Tensor) -> torch.Tensor:
         count.append(1)
         return true(*args) * (value if len(count) == 3 else 1)
 
-    monkeypatch.setattr(extrapolator, "loss_of", breaks)
+    monkeypatch.setattr(extrapolator_training, "loss_of", breaks)
     with pytest.raises(UsageError, match="the loss was no number at step 2; lower --rate"):
         train()
     assert not (tmp_path / "run" / MODEL).exists()
@@ -124,7 +123,7 @@ def test_a_writer_that_was_overtaken_leaves_them_too(scenes, tmp_path, monkeypat
     folder = tmp_path / "cache" / "crops"
     write_crops(scenes[0], MADE, folder)
     first, seen = files(folder), iter([False, True])
-    monkeypatch.setattr(samples, "is_whole", lambda _folder: next(seen))
+    monkeypatch.setattr(crop_cache, "is_complete", lambda _folder: next(seen))
     write_crops(scenes[0], replace(MADE, seed=2), folder)
     assert files(folder) == first
     assert list(folder.parent.iterdir()) == [folder]
@@ -140,9 +139,9 @@ def test_what_was_not_rendered_rightly_is_no_target(scenes, monkeypatch, value):
             planes[block] = value
         return planes
 
-    right = crops_of(scenes[0], MADE)
+    right = cut_crops(scenes[0], MADE)
     changed_planes(monkeypatch, spoiled)
-    found = crops_of(scenes[0], MADE)
+    found = cut_crops(scenes[0], MADE)
     for name, planes in found.items():
         assert np.isfinite(planes).all(), name
     assert np.abs(found["target"]).max() < 2 * np.abs(right["target"]).max()

@@ -8,33 +8,36 @@ import pytest
 import torch
 
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError
-from exwarp_cli.training.export import export_extrapolator
-from exwarp_cli.training.exported import normalise_by
-from exwarp_cli.training.extrapolator import MODEL, Training
-from exwarp_cli.training.networks import STRIDE
-from exwarp_cli.training.resumable import CHECKPOINT
-from exwarp_cli.training.settings import TrainingSettings
+from exwarp_cli.research.training.extrapolation_network import STRIDE
+from exwarp_cli.research.training.extrapolator_training import (
+    MODEL,
+    ExtrapolatorTraining,
+    set_statistics,
+)
+from exwarp_cli.research.training.onnx_export import export_extrapolator
+from exwarp_cli.research.training.resumable_training import CHECKPOINT
+from exwarp_cli.research.training.training_settings import ExtrapolatorSettings
 from tests.unit.network_inputs import example
 
-TINY = TrainingSettings(architecture="blend", width=4, steps=4)
+TINY = ExtrapolatorSettings(architecture="blend", width=4, steps=4)
 
 
 def said(_line: str) -> None: ...
 
 
-def trained(folder, settings: TrainingSettings = TINY) -> Training:
-    made = Training(folder, settings, said)
+def trained(folder, settings: ExtrapolatorSettings = TINY) -> ExtrapolatorTraining:
+    made = ExtrapolatorTraining(folder, settings, said)
     made._save()
     return made
 
 
-def weights(training: Training) -> torch.Tensor:
+def weights(training: ExtrapolatorTraining) -> torch.Tensor:
     return torch.cat([p.flatten() for p in training.average.parameters()])
 
 
 def test_it_begins_with_the_average_of_the_other(tmp_path):
     other = trained(tmp_path / "a")
-    made = Training(tmp_path / "b", replace(TINY, seed=5), said)
+    made = ExtrapolatorTraining(tmp_path / "b", replace(TINY, seed=5), said)
     assert not torch.equal(weights(made), weights(other))
     made.begin_with(tmp_path / "a" / CHECKPOINT)
     assert torch.equal(weights(made), weights(other))
@@ -43,7 +46,7 @@ def test_it_begins_with_the_average_of_the_other(tmp_path):
 
 def test_one_that_is_under_way_goes_on(tmp_path):
     trained(tmp_path / "a")
-    made = Training(tmp_path / "b", replace(TINY, seed=5), said)
+    made = ExtrapolatorTraining(tmp_path / "b", replace(TINY, seed=5), said)
     before, made.step = weights(made), 3
     made.begin_with(tmp_path / "a" / CHECKPOINT)
     assert torch.equal(weights(made), before)
@@ -51,7 +54,7 @@ def test_one_that_is_under_way_goes_on(tmp_path):
 
 def test_it_may_be_larger(tmp_path):
     other = trained(tmp_path / "a")
-    made = Training(tmp_path / "b", replace(TINY, width=8), said)
+    made = ExtrapolatorTraining(tmp_path / "b", replace(TINY, width=8), said)
     made.begin_with(tmp_path / "a" / CHECKPOINT)
     given = example(16, 16)
     found, expected = (t.average.eval()(**given) for t in (made, other))
@@ -61,7 +64,7 @@ def test_it_may_be_larger(tmp_path):
 @pytest.mark.parametrize("changed", [{"width": 8}, {"architecture": "blend-detail"}])
 def test_another_network_is_refused(tmp_path, changed):
     trained(tmp_path / "a", replace(TINY, **changed))
-    made = Training(tmp_path / "b", TINY, said)
+    made = ExtrapolatorTraining(tmp_path / "b", TINY, said)
     with pytest.raises(LayoutError, match="holds another network than blend or a smaller one"):
         made.begin_with(tmp_path / "a" / CHECKPOINT)
 
@@ -71,9 +74,9 @@ class TestModel:
 
     @pytest.fixture(scope="class")
     @staticmethod
-    def other(tmp_path_factory) -> Training:
+    def other(tmp_path_factory) -> ExtrapolatorTraining:
         """One whose layers have seen batches; read only, as its export takes long."""
-        made = Training(tmp_path_factory.mktemp("other") / "other", TINY, said)
+        made = ExtrapolatorTraining(tmp_path_factory.mktemp("other") / "other", TINY, said)
         made.average.train()
         with torch.no_grad():
             for seed in range(4):
@@ -82,8 +85,8 @@ class TestModel:
         return made
 
     @pytest.fixture
-    def begun(self, other, tmp_path) -> Training:
-        made = Training(tmp_path / "b", replace(TINY, seed=5), said)
+    def begun(self, other, tmp_path) -> ExtrapolatorTraining:
+        made = ExtrapolatorTraining(tmp_path / "b", replace(TINY, seed=5), said)
         made.begin_with(other.folder / MODEL)
         return made
 
@@ -94,7 +97,7 @@ class TestModel:
 
     def test_it_still_does_once_layers_normalise_by_batches(self, other, begun):
         batches = [Given(example(32, 32, seed)) for seed in (7, 8)]
-        normalise_by(begun.network, batches)
+        set_statistics(begun.network, batches)
         given = example(32, 32, 7)
         found, expected = begun.network.eval()(**given), other.average.eval()(**given)
         torch.testing.assert_close(found, expected, rtol=1e-3, atol=1e-4)
@@ -108,12 +111,12 @@ class TestModel:
         )
 
     def test_another_network_is_refused(self, other, tmp_path):
-        made = Training(tmp_path / "b", replace(TINY, width=8), said)
+        made = ExtrapolatorTraining(tmp_path / "b", replace(TINY, width=8), said)
         with pytest.raises(LayoutError, match="holds another network than blend"):
             made.begin_with(other.folder / MODEL)
 
     def test_what_is_no_model_is_refused(self, tmp_path):
-        made, path = Training(tmp_path / "b", TINY, said), tmp_path / "wrong.onnx"
+        made, path = ExtrapolatorTraining(tmp_path / "b", TINY, said), tmp_path / "wrong.onnx"
         path.write_bytes(b"junk")
         with pytest.raises(DamagedFileError, match=r"wrong\.onnx is no ONNX model"):
             made.begin_with(path)
@@ -135,7 +138,7 @@ def test_what_is_no_checkpoint_is_refused(tmp_path, content):
         torch.save([1, 2], path)
     else:
         path.write_bytes(content)
-    made = Training(tmp_path / "b", TINY, said)
+    made = ExtrapolatorTraining(tmp_path / "b", TINY, said)
     with pytest.raises(DamagedFileError, match=r"wrong\.pt is damaged, or no checkpoint"):
         made.begin_with(path)
     with pytest.raises(InputError, match=r"cannot read .*none\.pt"):

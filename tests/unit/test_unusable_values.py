@@ -13,8 +13,8 @@ from exwarp_cli.domain.frame import Float32
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.dataset import open_scene
 from exwarp_cli.io.frames import SURFACE, Shot, read_raw
+from exwarp_cli.research.training.scene_clip import SceneClip
 from exwarp_cli.synthesis.extrapolate import Prepared
-from exwarp_cli.training.footage import Footage
 from tests.unit.analytic_scene import write_scene
 from tests.unit.filled import Filled
 from tests.unit.reading import changed_planes
@@ -60,7 +60,7 @@ def spoil(monkeypatch, spoiled: Role) -> set[int]:
 
 def prepared(scene: Path, setting: str) -> tuple[Prepared, Float32]:
     """What the network is given and the finished frame."""
-    interval = replace(Footage(open_scene(scene)).causal(K, setting), extrapolator=Filled())
+    interval = replace(SceneClip(open_scene(scene)).causal(K, setting), extrapolator=Filled())
     return interval.prepared(SLOT), interval.extrapolated(SLOT)
 
 

@@ -8,10 +8,9 @@ from typing import Any
 import click
 import pytest
 
-from exwarp_cli import cli
-from exwarp_cli.commands.config import configured
-from exwarp_cli.commands.config.layers import configurable
-from exwarp_cli.commands.option_names import long_name
+from exwarp_cli import cli, config
+from exwarp_cli.config import configurable
+from exwarp_cli.option_values import long_name
 
 Parse = Callable[..., dict[str, Any]]
 
@@ -21,7 +20,7 @@ BEGIN = ("upsample", "shot", "-o", "out")
 
 def every_command() -> list[tuple[click.Command, tuple[str, ...]]]:
     root = click.Context(cli.exwarp, info_name="exwarp")
-    return [(command, path) for _, command, path in configured._every_command(root)]
+    return [(command, path) for _, command, path in config.every_command(root)]
 
 
 EVERY_OPTION = [

@@ -8,8 +8,7 @@ from typing import Any
 
 import pytest
 
-from exwarp_cli import cli
-from exwarp_cli.commands.config import configured
+from exwarp_cli import cli, config
 from tests.cli.config.commands import Parse
 
 
@@ -33,7 +32,7 @@ def parse(project, monkeypatch, capsys) -> Parse:
     def instead(callback: object) -> Callable[..., None]:
         return lambda **parameters: taken.append(parameters)
 
-    monkeypatch.setattr(configured, "_announcing", instead)
+    monkeypatch.setattr(config, "_with_startup_messages", instead)
 
     def run(*arguments: object) -> dict[str, Any]:
         taken.clear()

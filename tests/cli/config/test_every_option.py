@@ -7,10 +7,9 @@ import json
 import click
 import pytest
 
-from exwarp_cli import cli
-from exwarp_cli.commands.config import configured
-from exwarp_cli.commands.config.layers import RIVALS, configurable, variable_name
-from exwarp_cli.commands.option_names import long_name
+from exwarp_cli import cli, config
+from exwarp_cli.config import MUTUALLY_EXCLUSIVE, configurable, variable_name
+from exwarp_cli.option_values import long_name
 from tests.cli.config.commands import EVERY_OPTION, every_command, needed, sampled
 from tests.cli.config.files import write
 
@@ -43,13 +42,13 @@ class TestEveryOption:
 
     def test_no_command_is_called_as_another_variable(self):
         begins = tuple(variable_name(path) for _, path in every_command())
-        assert not [name for name in configured.OTHER_VARIABLES if f"{name}_".startswith(begins)]
+        assert not [name for name in config.OTHER_VARIABLES if f"{name}_".startswith(begins)]
 
     def test_rivals_are_options(self):
         known = [
             {long_name(one) for one in configurable(command)} for command, _ in every_command()
         ]
-        for rivals in RIVALS:
+        for rivals in MUTUALLY_EXCLUSIVE:
             assert any(rivals <= names for names in known), rivals
 
     def test_the_commands_of_the_modules_stay_as_they_are(self):

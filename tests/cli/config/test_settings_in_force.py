@@ -6,9 +6,8 @@ import json
 
 import click
 
-from exwarp_cli import cli
-from exwarp_cli.commands.config import configured
-from exwarp_cli.commands.config.layers import variable_name
+from exwarp_cli import cli, config
+from exwarp_cli.config import variable_name
 from tests.cli.config.commands import every_command
 from tests.cli.config.files import users, write
 
@@ -57,10 +56,10 @@ class TestWhatIsSaid:
 class TestFindings:
     """The configuration that `exwarp doctor` reads."""
 
-    def look(self) -> configured.Configuration:
+    def look(self) -> config.Configuration:
         root = click.Context(cli.exwarp, info_name="exwarp")
         root.params["config"] = None
-        return configured.configuration(click.Context(click.Command("doctor"), parent=root))
+        return config.configuration(click.Context(click.Command("doctor"), parent=root))
 
     def test_files_and_settings(self, project, monkeypatch):
         near = write(project, '[upsample]\nmethod = "s6"\n[train.policy]\nsteps = 7')
@@ -119,6 +118,6 @@ class TestFindings:
 
     def test_doctor_is_not_stopped_by_it(self, exwarp, project, monkeypatch):
         write(project, "[upsample")
-        monkeypatch.setattr(configured, "_announcing", lambda callback: lambda **_: None)
+        monkeypatch.setattr(config, "_with_startup_messages", lambda callback: lambda **_: None)
         assert exwarp("doctor").code == 0
         exwarp("inspect", "x").refused(2, "is not TOML")

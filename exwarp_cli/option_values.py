@@ -1,0 +1,246 @@
+"""Values of options: which of them are paths or lists, how TOML writes them, and unusable paths.
+
+Shells, other systems and links make paths that the user does not mean: an unquoted ``*``, a ``~``
+that no shell replaced, a ``-`` for standard output, a drive letter, a loop of links. Each is
+refused in one sentence.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from datetime import date, datetime, time
+from pathlib import Path
+from typing import Any
+
+import click
+from click.types import StringParamType
+
+from exwarp_cli.errors import InputError, OutputError, UsageError
+
+# A value as the command line gives it: text, so that click judges it; switches are bool.
+Value = bool | str | tuple[str, ...]
+
+# Words of a metavar that stand for files, folders and sequences, or for several values.
+PATH_WORDS = frozenset({"SEQ", "SEQUENCE", "FILE", "DIR", "FOLDER", "PATTERN", "VIDEO", "PATH"})
+LIST_WORDS = frozenset({"LIST", "RANGE"})
+
+# Parameters that name what a command writes, files of other machines, and paths in which ExWarp
+# itself replaces ~.
+WRITTEN = frozenset({"output", "report_folder", "write_holes", "video", "bundle"})
+ON_WORKERS = frozenset({"program"})
+EXPANDED = frozenset({"inputs", "data"})
+
+_DRIVE = re.compile(r"[A-Za-z]:[\\/]|\\\\\w")
+
+_TYPE_NAMES: dict[type, str] = {
+    bool: "true or false",
+    str: "text",
+    int: "a whole number",
+    float: "a number",
+    list: "an array",
+    dict: "a table",
+    datetime: "a date",
+    date: "a date",
+    time: "a time",
+}
+_INTEGER = (click.IntRange, type(click.INT))
+_NUMBER = (click.FloatRange, type(click.FLOAT))
+
+
+def long_name(option: click.Option) -> str:
+    """Return the first long name of an option, without dashes."""
+    long = [name for name in option.opts if name.startswith("--")]
+    return (long or option.opts)[0].lstrip("-")
+
+
+def names_paths(parameter: click.Parameter) -> bool:
+    """True if a parameter names files, folders or sequences, by its type or its metavar."""
+    if isinstance(parameter.type, click.Path | click.File):
+        return True
+    return isinstance(parameter.type, StringParamType) and bool(
+        _metavar_words(parameter) & PATH_WORDS
+    )
+
+
+def takes_list(option: click.Option) -> bool:
+    """True if one value of an option holds several, with commas between."""
+    has_list = bool(_metavar_words(option) & LIST_WORDS) or "," in (option.metavar or "")
+    return isinstance(option.type, StringParamType) and has_list
+
+
+def _metavar_words(parameter: click.Parameter) -> set[str]:
+    return set(re.split(r"[^A-Z]+", parameter.metavar or ""))
+
+
+def toml_value(option: click.Option, value: object, folder: Path, origin: str) -> Value:
+    """Return a value of a config file as the command line would give it.
+
+    Relative paths begin at `folder`. Raises UsageError for a value of a wrong type.
+    """
+    if option.is_flag:
+        if not isinstance(value, bool):
+            raise _wrong_type(origin, "true or false", value)
+        return value
+    if not isinstance(value, list):
+        text = _anchored(option, _toml_word(option, value, origin), folder)
+        return (text,) if option.multiple else text
+    if not option.multiple and not takes_list(option):
+        raise _wrong_type(origin, _expected_type(option), value)
+    words = [_toml_word(option, item, origin) for item in value]
+    if option.multiple:
+        return tuple(_anchored(option, word, folder) for word in words)
+    return ",".join(words)
+
+
+def _toml_word(option: click.Option, value: object, origin: str) -> str:
+    if isinstance(value, bool) or not isinstance(value, str | int | float):
+        raise _wrong_type(origin, _expected_type(option), value)
+    if isinstance(option.type, _INTEGER):
+        fits = isinstance(value, int)
+    elif isinstance(option.type, _NUMBER):
+        fits = not isinstance(value, str)
+    else:
+        fits = isinstance(value, str) or not names_paths(option)
+    if not fits:
+        raise _wrong_type(origin, _expected_type(option), value)
+    text = str(value)
+    if "\0" in text:
+        raise UsageError(f"{origin} holds a NUL character, as no path or word can; remove it")
+    return text
+
+
+def _expected_type(option: click.Option) -> str:
+    if isinstance(option.type, _INTEGER):
+        name = "a whole number"
+    elif isinstance(option.type, _NUMBER):
+        name = "a number"
+    else:
+        name = "text, a path" if names_paths(option) else "text"
+    return f"{name}, or an array of such" if option.multiple or takes_list(option) else name
+
+
+def _wrong_type(origin: str, expected: str, value: object) -> UsageError:
+    actual = _TYPE_NAMES.get(type(value), type(value).__name__)
+    return UsageError(f"{origin} must be {expected}, and is {actual}; correct it")
+
+
+def _anchored(option: click.Option, text: str, folder: Path) -> str:
+    """Return a path that begins at the folder of its config file, or with the home folder for ~."""
+    if not names_paths(option):
+        return text
+    role, equals, path = text.partition("=") if "=" in (option.metavar or "") else ("", "", text)
+    if path.startswith("~"):
+        path = os.path.expanduser(path)  # noqa: PTH111
+        if path == "~" or path.startswith("~/"):
+            raise UsageError(
+                f"--{long_name(option)} names {path}, and there is no home folder; set HOME, or "
+                "write the full path"
+            )
+    try:
+        is_current = folder == Path.cwd()
+    except OSError:  # the current folder was removed
+        is_current = False
+    if path in ("", "-") or Path(path).is_absolute() or is_current:
+        return f"{role}{equals}{path}"
+    return f"{role}{equals}{folder}{os.sep}{path}"  # no Path: a last slash says that it is a folder
+
+
+def require_usable_paths(
+    parameters: Iterable[click.Parameter], values: Mapping[str, object]
+) -> None:
+    """Refuse paths that would be read as something else than the user means.
+
+    Raises UsageError for ``-``, for a path of Windows on another system, and for a ``~`` that no
+    shell replaced; InputError or OutputError for a loop of links.
+    """
+    for parameter in parameters:
+        # Arguments that are plain text are sequences.
+        is_argument = isinstance(parameter, click.Argument)
+        is_sequence = is_argument and type(parameter.type) is StringParamType
+        if parameter.name in ON_WORKERS or not (is_sequence or names_paths(parameter)):
+            continue
+        kind = OutputError if parameter.name in WRITTEN else InputError
+        for text in _paths_in(parameter, values.get(parameter.name or "")):
+            _refuse_misread(parameter, text)
+            path = Path(text)
+            if _is_loop(path):
+                link = next(part for part in (*reversed(path.parents), path) if _is_loop(part))
+                raise kind(
+                    f"the link {link} leads back to itself; remove it, or link it to what it "
+                    "stands for"
+                )
+
+
+def _paths_in(parameter: click.Parameter, value: Any) -> Iterator[str]:
+    """Yield the paths in a value; of ``ROLE=PATTERN`` what follows the role."""
+    for item in value if isinstance(value, tuple | list) else (value,):
+        if isinstance(item, str | Path):
+            text = str(item)
+            yield text.partition("=")[2] if "=" in (parameter.metavar or "") else text
+
+
+def _refuse_misread(parameter: click.Parameter, text: str) -> None:
+    is_argument = isinstance(parameter, click.Argument)
+    name = parameter.human_readable_name if is_argument else parameter.opts[0]
+    subject = f"{name} names {text}"
+    if text == "-":
+        raise UsageError(
+            f"{subject}, and frames do not go through standard input or output; name a folder, "
+            "or the full path of one of that name"
+        )
+    if os.name != "nt" and _DRIVE.match(text):
+        raise UsageError(
+            f"{subject}, which is a path of Windows, and this system has no drives; write the path "
+            "as it is here, or the full path of a file of that name"
+        )
+    if text.split("/")[0] == "~" and parameter.name not in EXPANDED:
+        raise UsageError(
+            f"{subject}, and the shell did not replace ~ by the home folder; write $HOME"
+            f"{text[1:]} without quotes, or the full path of a folder of that name"
+        )
+
+
+def _is_loop(path: Path) -> bool:
+    try:
+        path.stat()
+    except OSError as error:
+        return error.errno == errno.ELOOP
+    except ValueError:  # a null character, which is refused where the path is used
+        return False
+    return False
+
+
+def refuse_expanded(extra: Sequence[str]) -> None:
+    """Refuse words of a command line that nothing takes where they are names of files.
+
+    Raises UsageError when one exists: a shell puts all names in the place of an unquoted ``*``.
+    """
+    names = [Path(text) for text in extra if _exists(text)]
+    if not names:
+        return
+    more = f" and {len(extra) - 1} more" if len(extra) > 1 else ""
+    folder = names[0].parent
+    if len({name.parent for name in names}) > 1 or names[0].is_dir():
+        remedy = "name one sequence"
+    else:
+        # Imported here: other calls need not pay for it.
+        from exwarp_cli.io.frame_names import split_names
+
+        suffixes = (names[0].suffix.lower(),)
+        pattern = split_names([name.name for name in names], suffixes).get(names[0].name)
+        or_pattern = "" if pattern is None else f" or the pattern {folder / str(pattern)}"
+        remedy = f"name the folder {folder}/{or_pattern}"
+    raise UsageError(
+        f"nothing takes {extra[0]}{more}, as the shell replaces an unquoted * by "
+        f"all names; {remedy}"
+    )
+
+
+def _exists(text: str) -> bool:
+    try:
+        return Path(text).exists()
+    except (OSError, ValueError):
+        return False

@@ -1,0 +1,1 @@
+"""Research: trainings and benchmarks, which only their commands import."""

@@ -1,0 +1,277 @@
+"""Augmentation of rendered scenes: other key frames, mirrored, backwards, and as users deliver it.
+
+A variant chooses how a render is played. A look is what renderers, game engines and artists in a
+hurry make of it: it is put on a clean render as it is loaded, so that a network learns from frames
+like those that users have. Ground truth gets the tones of the look, but neither its noise nor its
+rounding. No look has motion blur: what ExWarp makes frames of is rendered without.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from itertools import product
+
+import numpy as np
+
+from exwarp_cli.domain.curves import SRGB
+from exwarp_cli.domain.frame import SURFACE_PARTS, Float32, GBuffer, Image, KeyFrame, Window
+from exwarp_cli.domain.timeline import FACTOR
+
+SPEEDS = (1, 2)
+
+# What game engines do not deliver: they have colour, vectors, depth and a mask.
+GAME = ("normal", "position", *SURFACE_PARTS)
+
+# What is left are colour, vectors and depth.
+BARE = (*GAME, "stencil")
+
+# What any renderer may leave out, and how likely each pass is missing where some are.
+OPTIONAL = ("depth", "normal", "position", "stencil", *SURFACE_PARTS)
+LEFT_OUT = 0.4
+
+# How often each kind is drawn.
+PASSES = {"all": 0.4, "no surface": 0.2, "game": 0.2, "bare": 0.1, "some": 0.1}
+TONES = {"linear": 0.7, "8-bit": 0.18, "tone-mapped": 0.12}
+DEPTHS = {"full": 0.7, "coarse": 0.12, "inverse": 0.12, "absent": 0.06}
+VECTORS = {"full": 0.7, "half": 0.15, "rounded": 0.15}
+
+# How often each is drawn, apart from the kinds above.
+SHARPENED = 0.12
+NOISY = 0.15
+ALIASED = 0.12
+
+# Standard deviation of noise that is left, as a share of the light of a pixel of 1.
+NOISE = (0.02, 0.12)
+
+# How much of what a blurred copy lacks is added.
+SHARPNESS = (0.3, 1.0)
+
+# Scene-linear value that tone mapping shows as white.
+WHITE = 4.0
+
+# Of a depth that is stored as a share of the farthest one, and of rounded vectors.
+COARSE_BITS = 10
+STEPS_A_PIXEL = 4
+
+# Scene units to a camera's near plane, by which inverse depth is stored.
+_NEAREST = np.float32(0.05)
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One way of playing a render."""
+
+    # Which instant, in playing order and counted from 0, is the first key frame: 0 <= phase < 4
+    # speed.
+    phase: int = 0
+    mirror: bool = False  # Whether left and right are exchanged
+    backwards: bool = False  # Whether time runs backwards
+    speed: int = 1  # 1, or 2 to take every second instant
+
+    def __post_init__(self) -> None:
+        if self.speed not in SPEEDS or not 0 <= self.phase < FACTOR * self.speed:
+            raise ValueError(f"{self} is no variant")
+
+    def order(self, count: int) -> range:
+        """Return which of `count` instants are shown, in order; every fourth is a key frame."""
+        played = range(count)[::-1] if self.backwards else range(count)
+        return played[self.phase :: self.speed]
+
+
+def all_variants() -> tuple[Variant, ...]:
+    """Return every variant, the plain one first."""
+    return tuple(
+        Variant(phase, mirror, backwards, speed)
+        for speed, mirror, backwards in product(SPEEDS, (False, True), (False, True))
+        for phase in range(FACTOR * speed)
+    )
+
+
+def reverse_time(gbuffer: GBuffer) -> GBuffer:
+    """Let time run backwards: what was the motion to the next frame is that to the previous one."""
+    # Displacements keep their sign, as they lead from this frame to the other in either case. In a
+    # renderer's files, where both vectors run along time, they are exchanged and negated.
+    bend = None if gbuffer.bend is None else gbuffer.bend[::-1]
+    return replace(gbuffer, to_previous=gbuffer.to_next, to_next=gbuffer.to_previous, bend=bend)
+
+
+def mirror(frame: KeyFrame) -> KeyFrame:
+    """Exchange left and right, as a camera reflected with the world at the plane x = 0 does.
+
+    Columns are reversed, windows are reversed within the display window, and motion, positions and
+    normals change the sign of their x.
+    """
+    image, gbuffer = frame.image, frame.gbuffer
+    display = image.display_window
+    x = 2 * display.x + display.width - image.data_window.x - image.data_window.width
+    window = replace(image.data_window, x=x)
+    mirrored = Image(_reverse_columns(image.pixels), window, display)
+    if gbuffer is not None:
+        signed = ("normal", "position", "to_previous", "to_next")
+        parts = {name: getattr(gbuffer, name) for name in ("depth", "stencil", *SURFACE_PARTS)}
+        parts |= {name: getattr(gbuffer, name) for name in signed}
+        parts = {n: None if p is None else _reverse_columns(p) for n, p in parts.items()}
+        if gbuffer.bend is not None:
+            parts["bend"] = np.stack([_reverse_columns(half) for half in gbuffer.bend])
+        for name in (*signed, "bend"):
+            if (part := parts.get(name)) is not None:
+                part[..., 0] *= np.float32(-1)
+        gbuffer = replace(gbuffer, window=window, **parts)
+    return replace(frame, image=mirrored, gbuffer=gbuffer)
+
+
+def _reverse_columns(array: np.ndarray) -> Float32:
+    return np.array(array[:, ::-1], order="C")
+
+
+@dataclass(frozen=True)
+class Look:
+    """One way of delivering a shot."""
+
+    tones: str = "linear"  # "linear", "8-bit" (sRGB, clipped at 1) or "tone-mapped" (to 0..1).
+    # "full"; "coarse", of few bits; "inverse", near by far as half floats; "absent".
+    depth: str = "full"
+    vectors: str = "full"  # "full"; "half" floats; "rounded" to a quarter of a pixel.
+    missing: tuple[str, ...] = ()  # Passes that are left out
+    # How strongly; 0 for not at all
+    sharpened: float = 0.0
+    noisy: float = 0.0
+    # Whether only every second pixel is shown, which halves the size of the frame.
+    aliased: bool = False
+
+    @property
+    def traits(self) -> tuple[str, ...]:
+        """Names of what is not as it was rendered, for statistics."""
+        is_trait = {
+            self.tones: self.tones != "linear",
+            f"{self.depth} depth": self.depth != "full",
+            f"{self.vectors} vectors": self.vectors != "full",
+            "game passes": self.missing == GAME,
+            "bare passes": self.missing == BARE,
+            "no surface": self.missing == SURFACE_PARTS,
+            "some passes": self.missing not in ((), GAME, BARE, SURFACE_PARTS),
+            "sharpened": self.sharpened > 0,
+            "noisy": self.noisy > 0,
+            "aliased": self.aliased,
+        }
+        return tuple(name for name, is_present in is_trait.items() if is_present)
+
+
+PLAIN = Look()
+
+
+def draw_look(rng: np.random.Generator, can_halve: bool) -> Look:
+    """Draw a look; `can_halve` if a frame of half the size is still large enough."""
+    passes = _draw(PASSES, rng)
+    subset = tuple(name for name in OPTIONAL if rng.random() < LEFT_OUT)
+    sets = {"all": (), "no surface": SURFACE_PARTS, "game": GAME, "bare": BARE, "some": subset}
+    tones, depth, vectors = _draw(TONES, rng), _draw(DEPTHS, rng), _draw(VECTORS, rng)
+    sharpened = rng.uniform(*SHARPNESS) if rng.random() < SHARPENED else 0.0
+    noisy = rng.uniform(*NOISE) if rng.random() < NOISY else 0.0
+    is_aliased = bool(rng.random() < ALIASED) and can_halve
+    return Look(tones, depth, vectors, sets[passes], sharpened, noisy, is_aliased)
+
+
+def deliver(frame: KeyFrame, look: Look, rng: np.random.Generator) -> KeyFrame:
+    """Return a frame as the look delivers it; `rng` draws its noise."""
+    image = with_tones(frame.image, look)
+    pixels = image.pixels
+    if look.noisy:
+        colour = pixels[..., :3]
+        # Noise of light paths grows with the square root of light.
+        spread = np.float32(look.noisy) * np.sqrt(np.maximum(colour, 0))
+        colour = colour + spread * rng.standard_normal(colour.shape, np.float32)
+        pixels = _with_colour(pixels, np.maximum(colour, 0))
+    if look.tones == "8-bit":
+        code = np.round(SRGB.to_code(pixels[..., :3].clip(0, 1)) * 255) / np.float32(255)
+        pixels = _with_colour(pixels, SRGB.to_linear(code.astype(np.float32)))
+    gbuffer = None if frame.gbuffer is None else _geometry(frame.gbuffer, look)
+    return replace(frame, image=replace(image, pixels=pixels), gbuffer=gbuffer)
+
+
+def with_tones(image: Image, look: Look) -> Image:
+    """Return the ground truth of a look: its size and tones, without noise and rounding."""
+    if look.aliased:
+        image = Image(
+            image.pixels[::2, ::2], _halved(image.data_window), _halved(image.display_window)
+        )
+    if look.tones == "linear" and not look.sharpened:
+        return image
+    colour = image.pixels[..., :3]
+    if look.tones == "tone-mapped":
+        light = np.maximum(colour, 0)
+        with np.errstate(invalid="ignore"):  # infinity becomes NaN, which is no target either
+            colour = (light * (1 + light / np.float32(WHITE**2)) / (1 + light)).clip(0, 1)
+    elif look.tones == "8-bit":
+        colour = colour.clip(0, 1)
+    if look.sharpened:
+        detail = colour - _blurred(colour)
+        colour = np.maximum(colour + np.float32(look.sharpened) * detail, 0)
+    return replace(image, pixels=_with_colour(image.pixels, colour))
+
+
+def _blurred(colour: Float32) -> Float32:
+    """Return the weighted mean of each pixel and its neighbours, (1, 2, 1) / 4 along both axes."""
+    padded = np.pad(colour, ((1, 1), (1, 1), (0, 0)), "edge")
+    rows = (padded[:-2] + 2 * padded[1:-1] + padded[2:]) / np.float32(4)
+    blurred: Float32 = (rows[:, :-2] + 2 * rows[:, 1:-1] + rows[:, 2:]) / np.float32(4)
+    return blurred
+
+
+def _geometry(gbuffer: GBuffer, look: Look) -> GBuffer:
+    if look.aliased:
+        gbuffer = _every_second(gbuffer)
+    missing = (*look.missing, "depth") if look.depth == "absent" else look.missing
+    gbuffer = gbuffer.without(*missing)
+    return replace(
+        gbuffer,
+        depth=_depth(gbuffer.depth, look.depth),
+        to_previous=_vectors(gbuffer.to_previous, look.vectors),
+        to_next=_vectors(gbuffer.to_next, look.vectors),
+    )
+
+
+def _depth(depth: Float32 | None, kind: str) -> Float32 | None:
+    """Return a depth as files of that kind hold it; background stays infinite."""
+    if depth is None or kind in ("full", "absent"):
+        return depth
+    if kind == "inverse":
+        stored = (_NEAREST / np.maximum(depth, _NEAREST)).astype(np.float16).astype(np.float32)
+        with np.errstate(divide="ignore"):
+            return np.where(np.isfinite(depth), _NEAREST / stored, depth)
+    surfaces = depth[np.isfinite(depth)]
+    if not surfaces.size:
+        return depth
+    step = surfaces.max() / np.float32(2**COARSE_BITS - 1)
+    return np.where(np.isfinite(depth), np.maximum(np.round(depth / step), 1) * step, depth)
+
+
+def _vectors(vectors: Float32 | None, kind: str) -> Float32 | None:
+    if vectors is None or kind == "full":
+        return vectors
+    if kind == "half":
+        return vectors.astype(np.float16).astype(np.float32)
+    return np.round(vectors * STEPS_A_PIXEL) / np.float32(STEPS_A_PIXEL)
+
+
+def _every_second(gbuffer: GBuffer) -> GBuffer:
+    parts = ((part.name, getattr(gbuffer, part.name)) for part in fields(gbuffer))
+    arrays = {name: part[::2, ::2] for name, part in parts if isinstance(part, np.ndarray)}
+    if gbuffer.bend is not None:
+        arrays["bend"] = gbuffer.bend[:, ::2, ::2]
+    for name in ("to_previous", "to_next", "bend"):
+        if name in arrays:
+            arrays[name] = arrays[name] / np.float32(2)
+    return replace(gbuffer, window=_halved(gbuffer.window), **arrays)
+
+
+def _halved(window: Window) -> Window:
+    return Window(window.x // 2, window.y // 2, (window.width + 1) // 2, (window.height + 1) // 2)
+
+
+def _with_colour(pixels: Float32, colour: Float32) -> Float32:
+    return np.concatenate([colour.astype(np.float32), pixels[..., 3:]], axis=-1)
+
+
+def _draw(shares: dict[str, float], rng: np.random.Generator) -> str:
+    return str(rng.choice(list(shares), p=list(shares.values())))

@@ -1,0 +1,461 @@
+"""Crops of rendered scenes to train an extrapolation network with, cached on disk."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from exwarp_cli.domain.extrapolator import HISTORY
+from exwarp_cli.domain.frame import Float32, Window
+from exwarp_cli.domain.timeline import FACTOR
+from exwarp_cli.errors import InputError
+from exwarp_cli.io.atomic import make_folder, output_error
+from exwarp_cli.io.dataset import RenderedScene, SceneManifest
+from exwarp_cli.research.training.augmentation import Look, Variant, draw_look
+from exwarp_cli.research.training.scene_clip import SceneClip
+from exwarp_cli.research.training.training_settings import ExtrapolatorSettings
+from exwarp_cli.runtime.stop import check_stop
+from exwarp_cli.synthesis.extrapolate import (
+    UNKNOWN_DEPTH,
+    UNKNOWN_METALLIC,
+    UNKNOWN_ROUGHNESS,
+    Prepared,
+)
+from exwarp_cli.synthesis.interval import Interval
+
+# Of what is cached; crops of another version are made again.
+VERSION = 11
+
+# Crops of each frame.
+CROPS = 4
+
+# How often slots 1 to 3 are chosen: no path of decisions extrapolates to the first.
+SLOTS = (0.2, 0.4, 0.4)
+
+# How often the settings are chosen: with key G-buffers alone, holes are harder.
+SETTINGS = {"key": 0.75, "slot": 0.25}
+
+# Share of crops whose middle lies in a hole, if the frame has any: few pixels of a slow shot do,
+# but its holes count as much as those of a fast one.
+IN_HOLES = 0.5
+
+# How much more likely pixels of the frame's mean motion are to be the middle of the other crops
+# than still ones.
+MOTION_WEIGHT = 1.0
+
+# Likelihood of a frame with fewer than three key frames behind it, against another one.
+SHORT_HISTORY = 0.25
+
+# Share of frames of which only a part is looked at, and the least size of its sides as a share of
+# the frame's. What lies beyond the edge of the frame is the hardest to predict, and a render shows
+# it at its own edges only.
+PARTIAL = 0.5
+SMALLEST = 0.5
+
+# Linear values are clipped there: half floats end at 65504.
+MOST_LINEAR = 6e4
+
+# Steps of a scene that as many frames are drawn from as the settings say.
+SHORT = 16
+
+# Names of what is cached of crops, one ``.npy`` each.
+CROP_ARRAYS = ("colour", "mask", "features", "modulation", "target", "time")
+
+# How often roughness and metallic are left out together, normals, and depth.
+NO_MATERIAL = 0.3
+NO_NORMAL = 0.1
+NO_DEPTH = 0.05
+
+# Stops by which exposure is varied, up and down.
+EXPOSURE = 1.0
+
+# How far patches are drawn beyond a crop's edge before they are moved inside, as a share of their
+# size: else the frame's own edge, where much is hidden, is hardly ever at that of a patch.
+OVERHANG = 0.5
+
+# Rows and columns of a crop.
+Patch = tuple[slice, slice]
+
+
+@dataclass(frozen=True)
+class FrameChoice:
+    """One frame to take crops of: slot 1 to 3 of key interval k, in the setting "key" or "slot"."""
+
+    variant: Variant
+    k: int
+    slot: int
+    setting: str
+    look: Look
+
+
+def count_frames(frames: int, instants: int) -> int:
+    """Return how many frames to draw of so many instants.
+
+    That is `frames` of `SHORT` steps, at most; of longer scenes more, by the square root of their
+    length, as longer shots repeat themselves.
+    """
+    return round(frames * math.sqrt(max((instants - 1) / SHORT, 1)))
+
+
+def choose_frames(
+    manifest: SceneManifest, frames: int, seed: int, side: int = 1
+) -> list[FrameChoice]:
+    """Choose frames of a scene, always the same ones for the same seed and name.
+
+    Of a frame that is drawn twice other crops are taken. `side` is the height and width in pixels
+    of the crops that a frame of any look has to hold.
+    """
+    rng = _generator(seed, manifest.scene, 0)
+    can_halve = min(manifest.width, manifest.height) >= 2 * side
+    variants = [Variant(p, backwards=b) for p in range(FACTOR) for b in (False, True)]
+    places = {
+        setting: [(v, k) for v in variants for k in _whole_intervals(v, manifest, setting)]
+        for setting in SETTINGS
+    }
+    choices = []
+    for _ in range(frames):
+        setting = str(rng.choice(list(SETTINGS), p=list(SETTINGS.values())))
+        setting = setting if places[setting] else "slot"
+        likelihood = np.array(
+            [1.0 if k >= HISTORY - 1 else SHORT_HISTORY for _, k in places[setting]]
+        )
+        likelihood /= likelihood.sum()
+        variant, k = places[setting][int(rng.choice(len(likelihood), p=likelihood))]
+        slot = 1 + int(rng.choice(len(SLOTS), p=SLOTS))
+        choices.append(FrameChoice(variant, k, slot, setting, draw_look(rng, can_halve)))
+    order = {variant: i for i, variant in enumerate(variants)}
+    return sorted(choices, key=lambda c: (order[c.variant], c.k, c.setting, c.slot))
+
+
+def _whole_intervals(variant: Variant, manifest: SceneManifest, setting: str) -> list[int]:
+    # With key G-buffers alone the motion to the next key frame has to be known too: without it W
+    # is some decibels worse, as it is for users at the last key frame only.
+    order = variant.order(manifest.instants.count)
+    return [
+        k
+        for k in range(len(order) // FACTOR)
+        if setting == "slot" or FACTOR * (k + 1) < len(order) or manifest.has_key(order[FACTOR * k])
+    ]
+
+
+def cut_crops(scene: RenderedScene, settings: ExtrapolatorSettings) -> dict[str, np.ndarray]:
+    """Prepare frames of a scene as a user's run would, and cut crops out of them.
+
+    Returns ``colour`` float16 [N, 12, S, S] (filled warp, then F_k, F_k-1, F_k-2 moved to the slot,
+    as the network sees them), ``mask`` uint8 [N, 3, S, S] (of the last three), ``features`` float16
+    [N, 6, S, S], ``modulation`` and ``target`` float16 [N, 3, S, S] (linear), ``time`` float32 [N].
+    Raises InputError when the scene is smaller than a crop.
+    """
+    manifest, side = scene.manifest, settings.side
+    if min(manifest.width, manifest.height) < side:
+        raise InputError(
+            f"{scene.folder} is {manifest.width}x{manifest.height}, smaller than crops of {side} "
+            "pixels; leave it out, or take smaller crops"
+        )
+    rng = _generator(settings.seed, scene.name, 1)
+    crops: dict[str, list[np.ndarray]] = {}
+    count = count_frames(settings.frames, manifest.instants.count)
+    clip = SceneClip(scene)
+    for choice in choose_frames(manifest, count, settings.seed, side):
+        clip = clip.seen_as(choice.variant, choice.look)
+        interval = clip.causal(choice.k, choice.setting)
+        view = _draw_view(interval.key.image.data_window, side, rng)
+        interval = interval.on(view)
+        truth = clip.truth(choice.k, choice.slot).on(view).pixels[..., :3]
+        planes = _training_planes(interval.prepared(choice.slot), truth)
+        weight = _crop_weight(interval, choice.slot)
+        for _ in range(CROPS):
+            y, x = _draw_corner(weight, side, rng)
+            for name, array in planes.items():
+                crops.setdefault(name, []).append(array[:, y : y + side, x : x + side].copy())
+            crops.setdefault("time", []).append(np.array(choice.slot / FACTOR, np.float32))
+        check_stop()
+    return {name: np.stack(arrays) for name, arrays in crops.items()}
+
+
+def _generator(seed: int, name: str, use: int) -> np.random.Generator:
+    """Return random numbers that differ for every scene and every use."""
+    return np.random.default_rng((seed, zlib.crc32(name.encode()), use))
+
+
+def _draw_view(frame: Window, side: int, rng: np.random.Generator) -> Window:
+    """Choose what of a frame is looked at: all of it, or a part that crops fit in."""
+    if rng.random() >= PARTIAL:
+        return frame
+    width, height = (
+        max(side, round(size * rng.uniform(SMALLEST, 1))) for size in (frame.width, frame.height)
+    )
+    x, y = rng.integers(frame.width - width + 1), rng.integers(frame.height - height + 1)
+    return Window(frame.x + int(x), frame.y + int(y), width, height)
+
+
+def _training_planes(prepared: Prepared, truth: Float32) -> dict[str, np.ndarray]:
+    inputs = prepared.inputs.part(slice(None), slice(None))
+    history = inputs.history.reshape(HISTORY, 4, *inputs.history.shape[1:])
+    colour = np.concatenate([inputs.warped[3:], *history[:, :3]])
+    modulation = prepared.modulation
+    if modulation is None:
+        modulation = np.ones_like(truth)
+    # What was not rendered rightly is nothing to learn from.
+    truth = np.where(np.isfinite(truth), truth, prepared.finish(inputs.warped[3:])[..., :3])
+    return {
+        "colour": colour.astype(np.float16),
+        "mask": history[:, 3].astype(np.uint8),
+        "features": inputs.features.astype(np.float16),
+        "modulation": _half_planes(modulation),
+        "target": _half_planes(truth),
+    }
+
+
+def _half_planes(linear: Float32) -> np.ndarray:
+    return np.clip(linear, -MOST_LINEAR, MOST_LINEAR).transpose(2, 0, 1).astype(np.float16)
+
+
+def _crop_weight(interval: Interval, slot: int) -> Float32:
+    """Return how likely each pixel is to be the middle of a crop, float32 [H, W]."""
+    back = interval.back(slot)
+    motion = np.nan_to_num(np.hypot(back.field[..., 0], back.field[..., 1]))
+    mean = max(float(motion.mean()), 0.25)
+    weight = 1 + MOTION_WEIGHT * np.minimum(motion / mean, 4)
+    weight /= weight.sum()
+    if back.hole.any():
+        weight += IN_HOLES / (1 - IN_HOLES) * back.hole / back.hole.sum()
+    return np.asarray(weight, np.float32)
+
+
+def _draw_corner(weight: Float32, side: int, rng: np.random.Generator) -> tuple[int, int]:
+    """Draw the upper left corner (row, column) of a crop by the weight of its middle."""
+    height, width = weight.shape
+    total = np.cumsum(weight.ravel(), dtype=np.float64)
+    index = int(np.searchsorted(total, rng.random() * total[-1]))
+    y, x = divmod(min(index, weight.size - 1), width)
+    return (
+        int(np.clip(y - side // 2, 0, height - side)),
+        int(np.clip(x - side // 2, 0, width - side)),
+    )
+
+
+def crops_folder(scene: RenderedScene, settings: ExtrapolatorSettings, cache: Path) -> Path:
+    """Return where in a cache a scene's crops lie; those of other settings lie beside them."""
+    decisive = {"frames": settings.frames, "side": settings.side, "seed": settings.seed}
+    token = {
+        "version": VERSION, "crops": CROPS, "settings": decisive,
+        "manifest": asdict(scene.manifest),
+    }  # fmt: skip
+    return cache / f"{scene.name}-{digest_of(token)}"
+
+
+def write_crops(scene: RenderedScene, settings: ExtrapolatorSettings, folder: Path) -> None:
+    """Make a scene's crops (:func:`cut_crops`) and write them, see `write_arrays`."""
+    write_arrays(cut_crops(scene, settings), folder)
+
+
+def digest_of(token: Mapping[str, object]) -> str:
+    """Return a short digest of what decides what is cached."""
+    text = json.dumps(token, sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()[:12]
+
+
+def is_complete(folder: Path) -> bool:
+    """True if arrays were written there to the end."""
+    return folder.exists()
+
+
+def write_arrays(arrays: Mapping[str, np.ndarray], folder: Path) -> None:
+    """Write arrays, one ``.npy`` each; raises OutputError.
+
+    The folder appears when it is complete, as trainings may share a cache.
+    """
+    make_folder(folder.parent)
+    try:
+        with TemporaryDirectory(prefix=f".{folder.name}-", dir=folder.parent) as temporary:
+            unfinished = Path(temporary) / "arrays"
+            unfinished.mkdir()
+            for name, array in arrays.items():
+                np.save(unfinished / f"{name}.npy", array)
+            if not is_complete(folder):
+                unfinished.rename(folder)
+    except OSError as error:
+        if not is_complete(folder):  # else another training was faster
+            raise output_error(folder, error) from error
+
+
+class CachedArrays:
+    """Arrays of several folders of `write_arrays`, read as they are needed.
+
+    The array "time" has one number for each sample.
+    """
+
+    def __init__(self, folders: Sequence[Path], names: Sequence[str]) -> None:
+        self._files = [
+            {name: np.load(folder / f"{name}.npy", mmap_mode="r") for name in names}
+            for folder in folders
+        ]
+        counts = [len(files["time"]) for files in self._files]
+        self._places = [(f, i) for f, count in enumerate(counts) for i in range(count)]
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    def draw_index(self, n: int, seed: int) -> int:
+        """Return the index of the n-th sample that is drawn: a permutation, then another one."""
+        epoch, offset = divmod(n, len(self))
+        return int(_permutation(len(self), seed, epoch)[offset])
+
+
+@lru_cache(maxsize=2)  # a batch may reach into the next epoch
+def _permutation(count: int, seed: int, epoch: int) -> npt.NDArray[np.int64]:
+    return np.random.default_rng((seed, epoch, 1)).permutation(count)
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Crops as the network and the loss take them; float32 [N, channels, S, S]."""
+
+    # The network's inputs
+    warped: Tensor
+    mask: Tensor
+    features: Tensor
+    history: Tensor
+    time: Tensor
+    modulation: Tensor  # What its answer, decoded, is multiplied with.
+    target: Tensor  # The rendered frame, scene-linear
+
+    @property
+    def inputs(self) -> tuple[Tensor, ...]:
+        """What the network is called with."""
+        return self.warped, self.mask, self.features, self.history, self.time
+
+    @property
+    def plain(self) -> Tensor:
+        """The filled warp, scene-linear: what the network has to be better than."""
+        return self.finish(self.warped[:, 3:])
+
+    def finish(self, answer: Tensor) -> Tensor:
+        """Return the scene-linear colour that an answer means."""
+        return decode(answer) * self.modulation
+
+
+class Crops(CachedArrays):
+    """All crops of some folders."""
+
+    def __init__(self, folders: Sequence[Path]) -> None:
+        super().__init__(folders, CROP_ARRAYS)
+
+    @property
+    def side(self) -> int:
+        """Height and width of the crops, pixels."""
+        return int(self._files[0]["mask"].shape[-1])
+
+    def batch(
+        self, indices: Sequence[int], device: str = "cpu", patches: Sequence[Patch] | None = None
+    ) -> Batch:
+        """Return crops as they are cached, or a patch of each."""
+        if patches is None:
+            patches = [(slice(None), slice(None))] * len(indices)
+        places = [self._places[index] for index in indices]
+        tensors: dict[str, Tensor] = {}
+        for name in CROP_ARRAYS:
+            cuts = [
+                self._files[f][name][i if name == "time" else (i, slice(None), *patch)]
+                for (f, i), patch in zip(places, patches, strict=True)
+            ]
+            tensors[name] = torch.from_numpy(np.stack(cuts)).to(device).float()
+        colour, mask = tensors["colour"], tensors["mask"]
+        visible = mask[:, :1]
+        history = torch.cat(
+            [
+                torch.cat([colour[:, 3 * j + 3 : 3 * j + 6], mask[:, j : j + 1]], 1)
+                for j in range(mask.shape[1])
+            ],
+            1,
+        )
+        return Batch(
+            warped=torch.cat([history[:, :3] * visible, colour[:, :3]], 1),
+            mask=visible,
+            features=tensors["features"],
+            history=history,
+            time=tensors["time"],
+            modulation=tensors["modulation"],
+            target=tensors["target"],
+        )
+
+    def draw(self, step: int, size: int, side: int, seed: int, device: str = "cpu") -> Batch:
+        """Return the batch of a step of training: patches of crops, varied.
+
+        The seed and the step alone decide the order and the changes.
+        """
+        rng = np.random.default_rng((seed, step))
+        indices = [self.draw_index(step * size + i, seed) for i in range(size)]
+        room, over = self.side - side, int(OVERHANG * side)
+        corners = rng.integers(-over, room + over + 1, (size, 2)).clip(0, room).tolist()
+        patches = [(slice(y, y + side), slice(x, x + side)) for y, x in corners]
+        return vary(self.batch(indices, device, patches), rng)
+
+
+def encode(linear: Tensor) -> Tensor:
+    """Return sign(x) log(1 + |x|), as `synthesis.extrapolate` does."""
+    return torch.sign(linear) * torch.log1p(linear.abs())
+
+
+def decode(coded: Tensor) -> Tensor:
+    """Return the linear values that were encoded."""
+    return torch.sign(coded) * torch.expm1(coded.abs().clamp_max(11.0))
+
+
+def vary(batch: Batch, rng: np.random.Generator) -> Batch:
+    """Turn, flip, re-expose and recolour a batch, and leave out what users may not have.
+
+    The world is turned too: its axes, which normals are given in, are exchanged and reflected.
+    """
+    flips = [axis for axis in (2, 3) if rng.random() < 0.5]
+    is_transposed = rng.random() < 0.5
+
+    def place(x: Tensor) -> Tensor:
+        x = x.flip(flips) if flips else x
+        return x.transpose(2, 3) if is_transposed else x
+
+    gain = float(2 ** rng.uniform(-EXPOSURE, EXPOSURE))
+    order = rng.permutation(3).tolist()
+
+    def recolour(x: Tensor) -> Tensor:
+        return encode(decode(place(x)) * gain)[:, order]
+
+    frames = [
+        torch.cat([recolour(frame[:, :3]), place(frame[:, 3:])], 1)
+        for frame in torch.split(batch.history, 4, 1)
+    ]
+    return Batch(
+        warped=torch.cat([recolour(batch.warped[:, :3]), recolour(batch.warped[:, 3:])], 1),
+        mask=place(batch.mask),
+        features=_vary_features(place(batch.features), rng),
+        history=torch.cat(frames, 1),
+        time=batch.time,
+        modulation=place(batch.modulation)[:, order],
+        target=place(batch.target)[:, order] * gain,
+    )
+
+
+def _vary_features(features: Tensor, rng: np.random.Generator) -> Tensor:
+    axes, signs = rng.permutation(3).tolist(), rng.choice([-1.0, 1.0], 3)
+    normal = features[:, axes] * features.new_tensor(signs).reshape(1, 3, 1, 1)
+    surface = features[:, 3:].clone()
+    if rng.random() < NO_NORMAL:
+        normal = torch.zeros_like(normal)
+    if rng.random() < NO_DEPTH:
+        surface[:, 0] = UNKNOWN_DEPTH
+    if rng.random() < NO_MATERIAL:
+        surface[:, 1], surface[:, 2] = UNKNOWN_ROUGHNESS, UNKNOWN_METALLIC
+    return torch.cat([normal, surface], 1)

@@ -1,0 +1,409 @@
+"""Tables of states and outcomes: all that a policy is trained and judged on, one file a scene.
+
+A row is a key interval of one view of a scene: its features, and how good the frame of either
+choice is at every node. Everything else follows from these: states, rewards, returns, oracles.
+
+Measuring takes about a second for each key interval of 427x240 pixels on one core, nearly all of
+it for E; it is cached on disk by scene, view and network, so that it is done once.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import astuple, dataclass, replace
+from functools import cached_property, lru_cache
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from exwarp_cli.domain.decision import NODES, Features
+from exwarp_cli.domain.timeline import FACTOR
+from exwarp_cli.errors import DamagedFileError, InputError, UsageError
+from exwarp_cli.io.atomic import atomic_write_bytes, make_folder
+from exwarp_cli.io.dataset import BENCHMARK, RenderedScene, find_scenes
+from exwarp_cli.io.machine import processors
+from exwarp_cli.io.models import OnnxExtrapolator, load_extrapolator, shipped_folder
+from exwarp_cli.io.policy_files import Array, pack, unpack
+from exwarp_cli.io.threads import use_threads
+from exwarp_cli.pipeline.bench.side_by_side import follow_parent, side_by_side
+from exwarp_cli.pipeline.choosing import outcomes_of
+from exwarp_cli.pipeline.observing import with_ids
+from exwarp_cli.policy.features import observe
+from exwarp_cli.policy.state import INPUTS, KEYS_BACK, Surroundings
+from exwarp_cli.research.training.augmentation import Variant
+from exwarp_cli.research.training.scene_clip import SceneClip
+from exwarp_cli.runtime.stop import check_stop
+
+# Raised whenever the same scene would give other numbers.
+OUTCOMES_VERSION, FEATURES_VERSION = 1, 1
+
+# Every interval of a view of beginnings in so many is measured. A sequence has one such interval,
+# and from five views of a scene hardly anything was learned of it.
+BEGINNING_EVERY = 6
+
+SCHEMA = "exwarp.policy-table/1"
+
+# Folder of tables, beside the models.
+TABLES = "tables"
+
+F64 = npt.NDArray[np.float64]
+Say = Callable[[str], None]
+Table = TypeVar("Table")
+
+
+@dataclass(frozen=True)
+class View:
+    """One way of turning a render into a sequence with key frames."""
+
+    setting: str  # "key" or "slot"
+    variant: Variant  # Which instants are key frames
+    # Whether every interval is looked at as if the sequence began with it: no key frame before, and
+    # no features of one.
+    begins: bool = False
+
+    @property
+    def name(self) -> str:
+        """Short and fit for a file's name."""
+        name = f"{self.setting}-phase{self.variant.phase}-speed{self.variant.speed}"
+        return f"{name}-begins" if self.begins else name
+
+    def intervals(self, clip: SceneClip) -> Sequence[int]:
+        """Return the indices of the key intervals that are looked at."""
+        return clip.intervals[:: BEGINNING_EVERY if self.begins else 1]
+
+
+# Every phase at normal speed, two at double speed, and beginnings, in both settings.
+_PHASES_AND_SPEEDS = ((0, 1), (2, 1), (0, 2), (4, 2), (1, 1), (3, 1))
+_SETTINGS = ("key", "slot")
+VIEWS = (
+    *(
+        View(s, Variant(phase, speed=speed))
+        for phase, speed in _PHASES_AND_SPEEDS
+        for s in _SETTINGS
+    ),
+    *(View(s, Variant(speed=speed), begins=True) for speed in (1, 2) for s in _SETTINGS),
+)
+
+
+def is_long_enough(scene: RenderedScene, view: View) -> bool:
+    """True if a scene has a whole key interval in a view."""
+    return len(view.variant.order(scene.manifest.instants.count)) > FACTOR
+
+
+@dataclass(frozen=True)
+class Measured:
+    """All key intervals of one view of a scene, in their order."""
+
+    features: F64  # float64 [K, 3, 8]: the fields of `Features` at t, t + 1/4 and t + 1/2.
+    outcomes: F64  # float64 [K, 5, 2, 2], see `exwarp_cli.policy.outcomes`.
+
+
+@lru_cache(1)
+def extrapolator(path: Path | None) -> OnnxExtrapolator:
+    """Return E on one thread; scenes are measured side by side."""
+    use_threads(1)
+    return load_extrapolator(path, 1, "cpu")
+
+
+def measure_view(scene: RenderedScene, view: View, model: Path | None, cache: Path) -> Measured:
+    """Measure one view of a scene, or take from the cache folder what an earlier run measured.
+
+    `model` is E's ONNX file; None for the one that comes with ExWarp.
+    """
+    clip, network = SceneClip(scene, view.variant), extrapolator(model)
+    name = f"{scene.name}-{scene.manifest.size}-{view.name}"
+    features_file = cache / f"{name}-features-v{FEATURES_VERSION}.npy"
+    outcomes_file = cache / f"{name}-{network.checksum[:12]}-v{OUTCOMES_VERSION}.npy"
+    make_folder(cache)
+    features = _read_cached(features_file, clip, view)
+    outcomes = _read_cached(outcomes_file, clip, view)
+    needs_features, needs_outcomes = features is None, outcomes is None
+    feature_rows: list[F64] = []
+    outcome_rows: list[F64] = []
+    # Interval by interval, so that both find the same frames in memory.
+    for k in view.intervals(clip) if needs_features or needs_outcomes else ():
+        if needs_features:
+            feature_rows.append(_interval_features(clip, view, k))
+        if needs_outcomes:
+            interval = replace(clip.causal(k, view.setting), extrapolator=network)
+            if view.begins:
+                interval = replace(interval, past=())
+            truth = {slot: clip.truth(k, slot).pixels for slot in range(1, FACTOR)}
+            outcome_rows.append(outcomes_of(interval, truth))
+        check_stop()
+    if features is None:
+        features = _write_cached(features_file, feature_rows)
+    if outcomes is None:
+        outcomes = _write_cached(outcomes_file, outcome_rows)
+    return Measured(features, outcomes)
+
+
+def _write_cached(path: Path, rows: list[F64]) -> F64:
+    array, data = np.array(rows), io.BytesIO()
+    np.save(data, array)
+    atomic_write_bytes(path, data.getvalue())
+    return array
+
+
+def _read_cached(path: Path, clip: SceneClip, view: View) -> F64 | None:
+    """Return what an earlier run measured; None if a frame is younger, or there are more now."""
+    scene = clip.scene
+    frames = scene.manifest.instants, scene.manifest.keys
+    files = [scene.path(part, number) for part in frames for number in part.numbers]
+    try:
+        if path.stat().st_mtime_ns < max(file.stat().st_mtime_ns for file in files):
+            return None
+        array: F64 = np.load(path, allow_pickle=False)
+    except (OSError, ValueError, EOFError):
+        return None
+    return array if len(array) == len(view.intervals(clip)) else None
+
+
+def _interval_features(clip: SceneClip, view: View, k: int) -> F64:
+    """Return the features at the three instants of an interval at which something is decided."""
+    is_first = k == 0 or view.begins
+    if view.setting == "key":
+        before = None if is_first else clip.key(k - 1).gbuffer
+        gbuffer = clip.key(k).gbuffer
+        assert gbuffer is not None
+        return np.array([astuple(observe(with_ids(gbuffer), before, FACTOR))] * 3, np.float64)
+    orders = range(FACTOR * k - 1, FACTOR * k + 3)
+    instants = [
+        None if is_first and order < FACTOR * k else clip.slot(*divmod(order, FACTOR)).gbuffer
+        for order in orders
+    ]
+    rows = []
+    for before, gbuffer in pairwise(instants):
+        assert gbuffer is not None
+        rows.append(astuple(observe(with_ids(gbuffer), before, 1)))
+    return np.array(rows, np.float64)
+
+
+@dataclass(frozen=True)
+class PolicyTable:
+    """The key intervals of one scene, group by group: a group is one view at one size."""
+
+    scene: str
+    # Names, as in "key-phase0-speed1 427x240"; intervals that are looked at as beginnings are
+    # groups of their own, of one name.
+    groups: tuple[str, ...]
+    # int16 [N]: which group a row belongs to; rows of a group are together, in order of time.
+    group: npt.NDArray[np.int16]
+    features: F64  # float64 [N, 3, 8]: the fields of `Features` at t, t + 1/4 and t + 1/2.
+    outcomes: F64  # float64 [N, 5, 2, 2], see `exwarp_cli.policy.outcomes`.
+    network: str  # Checksum of the network whose frames were judged.
+
+    def __len__(self) -> int:
+        return len(self.group)
+
+    @cached_property
+    def states(self) -> F64:
+        """The network's inputs at every node of every interval, float64 [N, 5, 44]."""
+        states = np.empty((len(self), len(NODES), INPUTS))
+        features = [[_features_from(fields) for fields in row] for row in self.features]
+        for row, (first, second, third) in enumerate(features):
+            older = range(row - 1, max(row - 1 - KEYS_BACK, -1), -1)
+            before = tuple(features[i][0] for i in older if self.group[i] == self.group[row])
+            surroundings = Surroundings((first, second, third), before)
+            for column, node in enumerate(NODES):
+                states[row, column] = surroundings.inputs(node)
+        return states
+
+
+def _features_from(fields: F64) -> Features:
+    objects, emd_normal, emd_position, var_x, var_y, width, height, distance = fields.tolist()
+    return Features(
+        int(objects), emd_normal, emd_position, var_x, var_y, int(width), int(height), distance
+    )
+
+
+def join_views(
+    scene: str, parts: Sequence[tuple[str, View, Measured]], network: str
+) -> PolicyTable:
+    """Return a scene's table from the parts: size, as in "427x240", view, and what was measured.
+
+    `network` is the checksum of the network whose frames were judged.
+    """
+    names: list[str] = []
+    counts: list[int] = []
+    for size, view, measured in parts:
+        count = len(measured.outcomes)
+        group_sizes = [1] * count if view.begins else [count]
+        names += [f"{view.name} {size}"] * len(group_sizes)
+        counts += group_sizes
+    return PolicyTable(
+        scene,
+        tuple(names),
+        np.repeat(np.arange(len(counts), dtype=np.int16), counts),
+        np.concatenate([measured.features for _, _, measured in parts]),
+        np.concatenate([measured.outcomes for _, _, measured in parts]),
+        network,
+    )
+
+
+def save_table(path: Path, table: PolicyTable) -> None:
+    """Write a table, whole or not at all; the same table gives the same bytes."""
+    about = {
+        "schema": SCHEMA, "scene": table.scene, "groups": table.groups, "network": table.network,
+    }  # fmt: skip
+    arrays: dict[str, Array] = {
+        "group": table.group,
+        "features": table.features,
+        # Some millionths of a decibel are lost.
+        "outcomes": table.outcomes.astype(np.float32),
+    }
+    write_table(path, about, arrays)
+
+
+def load_table(path: Path) -> PolicyTable:
+    """Read a table; raises InputError when there is none, or it is damaged."""
+    with reading_table(path, SCHEMA, "policy table") as (about, arrays):
+        table = PolicyTable(
+            about["scene"],
+            tuple(about["groups"]),
+            arrays["group"].astype(np.int16),
+            arrays["features"].astype(np.float64),
+            arrays["outcomes"].astype(np.float64),
+            about["network"],
+        )
+        count = len(table)
+        if not count:
+            raise ValueError("it has no key interval")
+        require_shape(table.features, (count, 3, 8))
+        require_shape(table.outcomes, (count, len(NODES), 2, 2))
+        if table.group.min() < 0 or table.group.max() >= len(table.groups):
+            raise ValueError("a group has no name")
+    return table
+
+
+def write_table(path: Path, about: dict[str, Any], arrays: dict[str, Array]) -> None:
+    """Write a table's arrays with what it is about; the same table gives the same bytes."""
+    header = {"about": np.frombuffer(json.dumps(about).encode(), np.uint8)}
+    atomic_write_bytes(path, pack(header | arrays, compressed=True))
+
+
+@contextmanager
+def reading_table(
+    path: Path, schema: str, kind: str
+) -> Iterator[tuple[dict[str, Any], dict[str, Array]]]:
+    """Read a table: what it is about, and its arrays. The block may raise ValueError for damage.
+
+    Raises InputError when there is none, and DamagedFileError when it cannot be read.
+    """
+    try:
+        arrays = unpack(path.read_bytes())
+        about = json.loads(arrays["about"].tobytes())
+        if about["schema"] != schema:
+            raise ValueError(f"its schema is {about['schema']!r}, not {schema}")
+        yield about, arrays
+    except FileNotFoundError as error:
+        raise InputError(f"there is no {kind} {path}; check the path") from error
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+        reason = (str(error) or type(error).__name__).splitlines()[0]
+        raise DamagedFileError(
+            f"{path} is no {kind} that can be read ({reason}); make it again with --data"
+        ) from error
+
+
+def require_shape(array: Array, shape: tuple[int, ...]) -> None:
+    """Raise ValueError for an array of another shape, or with a number that is not finite."""
+    if array.shape != shape:
+        raise ValueError(f"an array is {array.shape}, not {shape}")
+    if not np.isfinite(array).all():
+        raise ValueError("a number is not finite")
+
+
+@dataclass(frozen=True)
+class Survey:
+    """How scenes are measured."""
+
+    # Folders of rendered scenes: the same ones at several sizes. Of a scene that is not rendered to
+    # the end, its first unbroken run of key frames counts.
+    data: tuple[Path, ...]
+    model: Path | None = None  # E's ONNX file; None for the one that comes with ExWarp.
+    # Folder for what is measured; None for one beside the first data folder.
+    cache: Path | None = None
+    jobs: int | None = None  # How many views are measured side by side; None for one a core.
+
+
+def find_tables(survey: Survey, tables: Path | None, output: Path, say: Say) -> list[PolicyTable]:
+    """Measure scenes and write their tables to the output, or read tables that are there.
+
+    Without data folders nothing is measured. `tables` is a folder, None for those that come with
+    ExWarp. Raises UsageError when both are given, or options of the survey without data, and
+    InputError when there are none.
+    """
+    if not survey.data:
+        options = {"--extrapolator": survey.model, "--cache": survey.cache, "--jobs": survey.jobs}
+        if unused := [option for option, value in options.items() if value is not None]:
+            raise UsageError(
+                f"{unused[0]} is for measuring scenes; give --data too, or leave it out"
+            )
+        return read_tables(tables or shipped_folder() / TABLES, load_table, "policy table")
+    require_no_tables(tables)
+    measured = _build_tables(survey, say)
+    make_folder(output / TABLES)
+    paths = [output / TABLES / f"{table.scene}.npz" for table in measured]
+    for path, table in zip(paths, measured, strict=True):
+        save_table(path, table)
+    # Read back, so that a training from the files gives the same network.
+    return [load_table(path) for path in paths]
+
+
+def read_tables(folder: Path, load: Callable[[Path], Table], kind: str) -> list[Table]:
+    """Read all tables of a folder; raises InputError where it has none."""
+    tables = [load(path) for path in sorted(folder.glob("*.npz"))]
+    if not tables:
+        raise InputError(f"{folder} holds no {kind}; make some with --data")
+    return tables
+
+
+def require_no_tables(tables: Path | None) -> None:
+    """Raise UsageError for tables where scenes are measured."""
+    if tables is not None:
+        raise UsageError("--data makes tables and --tables takes those that are there; give one")
+
+
+def _build_tables(survey: Survey, say: Say) -> list[PolicyTable]:
+    """Measure the benchmark scenes of some data sets; return a table a scene, by name.
+
+    Raises UsageError when a scene is there twice at one size: it would count double.
+    """
+    cache = survey.cache or survey.data[0].resolve().parent / "policy"
+    scenes: dict[tuple[str, str], RenderedScene] = {}
+    for folder in survey.data:
+        for scene in find_scenes(folder, BENCHMARK):
+            rendered = scene.as_far_as_rendered()
+            size = rendered.manifest.size
+            same = scenes.setdefault((rendered.name, size), rendered)
+            if same is not rendered:
+                raise UsageError(
+                    f"{same.folder} and {rendered.folder} are the same scene at {size}; "
+                    "give --data one of them"
+                )
+    checksum = extrapolator(survey.model).checksum
+    work = [
+        (scene, view, survey.model, cache)
+        for view in VIEWS
+        for scene in scenes.values()
+        if is_long_enough(scene, view)
+    ]
+    measured: dict[tuple[str, str, str], Measured] = {}
+    jobs = survey.jobs or processors().usable
+    with closing(side_by_side(measure_view, work, jobs, follow_parent)) as results:
+        for (scene, view, *_), result in results:
+            measured[scene.name, scene.manifest.size, view.name] = result
+            count = len(result.outcomes)
+            say(f"{scene.name} {scene.manifest.size} {view.name}: {count} key intervals")
+    parts: dict[str, list[tuple[str, View, Measured]]] = {}
+    for scene, view, *_ in work:
+        size = scene.manifest.size
+        part = (size, view, measured[scene.name, size, view.name])
+        parts.setdefault(scene.name, []).append(part)
+    return [join_views(name, parts[name], checksum) for name in sorted(parts)]

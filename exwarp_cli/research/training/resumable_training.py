@@ -1,0 +1,302 @@
+"""Training of a network that continues where it was stopped: checkpoints, curve, main loop."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import time
+import warnings
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from copy import deepcopy
+from dataclasses import asdict, replace
+from functools import partial
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from exwarp_cli.domain import cores
+from exwarp_cli.errors import DamagedFileError, InputError, UsageError
+from exwarp_cli.io.atomic import atomic_path, atomic_write_text, make_folder
+from exwarp_cli.io.dataset import RenderedScene, split
+from exwarp_cli.io.model_files import read_whole
+from exwarp_cli.io.output import file_digest
+from exwarp_cli.io.threads import use_threads
+from exwarp_cli.pipeline.scheduling import prefetch
+from exwarp_cli.research.training.crop_cache import CachedArrays, is_complete
+from exwarp_cli.research.training.training_settings import ExtrapolatorSettings, LookAheadSettings
+from exwarp_cli.runtime.stop import check_stop
+
+CHECKPOINT = "checkpoint.pt"
+SETTINGS = "settings.json"
+CURVE = "curve.csv"
+
+# Steps until the learning rate is reached.
+WARM_UP = 200
+
+# The network that is kept is a running average of the weights; this share of it stays at a step.
+AVERAGED = 0.998
+
+Say = Callable[[str], None]
+Settings = ExtrapolatorSettings | LookAheadSettings
+
+
+class ResumableTraining(ABC):
+    """One training under way in a folder, which gets checkpoint, curve, settings and model.
+
+    Continues an earlier run in the folder. Raises UsageError when it has other settings, and
+    DamagedFileError when its checkpoint cannot be used. `say` receives what happens, in lines.
+    """
+
+    weight_decay: float
+    largest_gradient: float  # a longer one is scaled to this norm
+    columns: tuple[str, ...]  # of the curve: step, seconds, loss, rate, scores of `_validate`
+
+    device = "cpu"  # or "cuda"
+
+    def __init__(self, folder: Path, settings: Settings, say: Say) -> None:
+        self.folder, self.settings, self.say = folder, settings, say
+        torch.manual_seed(settings.seed)
+        network = self._make_network().to(self.device)
+        network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.network, self.average = network, deepcopy(network)
+        self.optimiser = torch.optim.AdamW(
+            network.parameters(), settings.rate, weight_decay=self.weight_decay
+        )
+        self.step, self.seconds = 0, 0.0
+        make_folder(folder)
+        path, checkpoint = folder / SETTINGS, folder / CHECKPOINT
+        text = json.dumps(asdict(settings), indent=2, sort_keys=True)
+        if checkpoint.exists():
+            if not path.exists() or path.read_bytes() != text.encode():
+                raise UsageError(
+                    f"{folder} holds a training with other settings, see {SETTINGS} there; "
+                    "repeat those to go on with it, or choose another folder"
+                )
+            self._restore(checkpoint)
+            self.say(f"going on at step {self.step} of {settings.steps}")
+        atomic_write_text(path, text)
+
+    @abstractmethod
+    def _make_network(self) -> nn.Module: ...
+
+    @abstractmethod
+    def _load_start(self, path: Path) -> None: ...
+
+    @abstractmethod
+    def _sample_folder(self, scene: RenderedScene, cache: Path) -> Path: ...
+
+    @abstractmethod
+    def _write_samples(self, scene: RenderedScene, folder: Path) -> None: ...
+
+    @abstractmethod
+    def _open_samples(self, folders: Sequence[Path]) -> CachedArrays: ...
+
+    @abstractmethod
+    def export(self) -> Path:
+        """Write the network as an ONNX model; return its path."""
+
+    @abstractmethod
+    def _rate(self) -> float: ...
+
+    @abstractmethod
+    def _batch(self, samples: Any, step: int) -> Any: ...
+
+    @abstractmethod
+    def _loss(self, batch: Any) -> Tensor: ...
+
+    @abstractmethod
+    def _validate(self, samples: Any) -> tuple[float, ...]:
+        """Return scores of the averaged network on scenes that are held out."""
+
+    @abstractmethod
+    def _scores_text(self, *scores: float) -> str: ...
+
+    def begin_with(self, path: Path) -> None:
+        """Take the weights of another training's file, unless this one is under way.
+
+        Raises InputError when there is no such file, or its network is another one.
+        """
+        if not self.step:
+            self._load_start(path)
+            self.average.load_state_dict(self.network.state_dict())
+
+    @classmethod
+    def train(
+        cls,
+        scenes: Sequence[RenderedScene],
+        folder: Path,
+        cache: Path,
+        settings: Any,
+        every: int,
+        threads: int | None,
+        say: Say,
+        start: Path | None = None,
+    ) -> Path:
+        """Train a network and export it; return the model's path.
+
+        Every twelfth scene is held out. `cache` is for prepared samples, which later trainings
+        share. `every` is the number of steps between two checkpoints; `threads` None is for all
+        cores. `scenes` and `start` in the settings are filled in here.
+        """
+        use_threads(threads)
+        torch.set_num_threads(cores.count())
+        parts = dict(zip(("training", "validation"), split(scenes), strict=True))
+        names = {part: [scene.name for scene in chosen] for part, chosen in parts.items()}
+        digest = None if start is None else file_digest(start)
+        training = cls(folder, replace(settings, scenes=names, start=digest), say)
+        if start is not None:
+            training.begin_with(start)
+        samples = {}
+        for part, chosen in parts.items():
+            folders = [training._sample_folder(scene, cache) for scene in chosen]
+            for count, (scene, place) in enumerate(zip(chosen, folders, strict=True), start=1):
+                if not is_complete(place):
+                    say(f"preparing {scene.name}, {count} of {len(chosen)}")
+                    training._write_samples(scene, place)
+            samples[part] = training._open_samples(folders)
+        training.run(samples["training"], samples["validation"], every)
+        return training.export()
+
+    def run(self, samples: CachedArrays, held_out: CachedArrays, every: int) -> None:
+        """Train to the end; a checkpoint and a row of the curve every so many steps."""
+        begin = time.monotonic() - self.seconds
+        losses: list[float] = []
+        steps = range(self.step, self.settings.steps)
+        # The next batch is read while one is learned.
+        for batch in prefetch((partial(self._batch, samples, step) for step in steps), 1):
+            losses.append(self._learn(batch))
+            self.step += 1
+            self.seconds = time.monotonic() - begin
+            if self.step % every == 0 or self.step == self.settings.steps:
+                self._record(float(np.mean(losses)), *self._validate(held_out))
+                self._save()
+                losses = []
+            check_stop()
+
+    def _learn(self, batch: Any) -> float:
+        """Take a step of the optimiser; return the loss."""
+        for group in self.optimiser.param_groups:
+            group["lr"] = self._rate()
+        self.network.train()
+        loss = self._loss(batch)
+        self.optimiser.zero_grad(set_to_none=True)
+        loss.backward()  # type: ignore[no-untyped-call]
+        value = float(loss.detach())
+        norm = torch.nn.utils.clip_grad_norm_(self.network.parameters(), self.largest_gradient)
+        if not (math.isfinite(value) and math.isfinite(float(norm))):
+            raise UsageError(
+                f"the loss was no number at step {self.step}; lower --rate, and train in another "
+                "folder"
+            )
+        self.optimiser.step()
+        self._update_average()
+        return value
+
+    @torch.no_grad()
+    def _update_average(self) -> None:
+        # Statistics of the normalisation are averaged as the weights are.
+        newest_share = 1 - min(AVERAGED, (1 + self.step) / (10 + self.step))
+        newest = self.network.state_dict()
+        for name, averaged in self.average.state_dict().items():
+            if averaged.is_floating_point():
+                averaged.lerp_(newest[name], newest_share)
+
+    def _record(self, loss: float, *scores: float) -> None:
+        values = (round(self.seconds), loss, self._rate(), *scores)
+        add_row(self.folder / CURVE, self.step, values, self.columns)
+        minutes_left = self.seconds / self.step * (self.settings.steps - self.step) / 60
+        self.say(
+            f"step {self.step} of {self.settings.steps}: loss {loss:.4f}, held-out scenes "
+            f"{self._scores_text(*scores)}, {minutes_left:.0f} min left"
+        )
+
+    def _restore(self, path: Path) -> None:
+        content = read_checkpoint(path, self.device)
+        try:
+            self.network.load_state_dict(content["network"])
+            self.average.load_state_dict(content["average"])
+            self.optimiser.load_state_dict(content["optimiser"])
+            self.step, self.seconds = content["step"], content["seconds"]
+        except (KeyError, RuntimeError, ValueError) as error:
+            raise _damaged(path) from error
+
+    def _save(self) -> None:
+        content = {
+            "network": self.network.state_dict(), "average": self.average.state_dict(),
+            "optimiser": self.optimiser.state_dict(), "step": self.step, "seconds": self.seconds,
+        }  # fmt: skip
+        with atomic_path(self.folder / CHECKPOINT) as temporary:
+            torch.save(content, temporary)
+
+
+def read_checkpoint(path: Path, device: str) -> dict[str, Any]:
+    """Read a checkpoint of a training; raises InputError or DamagedFileError."""
+    content = read_tensors(path, device, _damaged(path))
+    if not isinstance(content, dict):
+        raise _damaged(path)
+    return content
+
+
+def _damaged(path: Path) -> DamagedFileError:
+    return DamagedFileError(
+        f"{path} is damaged, or no checkpoint of this version; choose another folder, or remove "
+        "this one to start again"
+    )
+
+
+def read_file(path: Path) -> bytes:
+    """Read a file on a disk; raises InputError where that fails."""
+    try:
+        return read_whole(path)
+    except OSError as error:
+        raise InputError(
+            f"cannot read {path}: {error.strerror or error}; check the path and its rights"
+        ) from error
+
+
+def read_tensors(path: Path, device: str, damaged: DamagedFileError) -> object:
+    """Read what torch.save wrote: only tensors and plain values, nothing that could run code.
+
+    Raises InputError where the file cannot be opened, and `damaged` for any other content.
+    """
+    data = read_file(path)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # old checkpoints warn of torch's own past
+            content: object = torch.load(BytesIO(data), map_location=device, weights_only=True)
+    except Exception as error:  # damaged pickles and archives end in exceptions of every kind
+        raise damaged from error
+    return content
+
+
+def add_row(path: Path, step: int, values: Sequence[float], columns: Sequence[str]) -> None:
+    """Add a row for a step to a curve; rows from that step on are of a broken run, and removed.
+
+    `values` are those of the columns after the first; floats are written with five digits.
+    """
+    rows = [row for row in _rows(path) if int(row["step"]) < step]
+    texts = (str(v) if isinstance(v, int) else f"{v:.5g}" for v in (step, *values))
+    rows.append(dict(zip(columns, texts, strict=True)))
+    with atomic_path(path) as temporary, temporary.open("w", newline="") as file:
+        writer = csv.DictWriter(file, columns, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def last_row(path: Path) -> dict[str, float]:
+    """Return the numbers of a curve's last row by their columns; `step` and `seconds` are int."""
+    row = _rows(path)[-1]
+    return {name: int(text) if text.isdigit() else float(text) for name, text in row.items()}
+
+
+def _rows(path: Path) -> list[dict[str, str]]:
+    if not path.exists():
+        return []
+    with path.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))

@@ -1,0 +1,188 @@
+"""A rendered scene as a source of key intervals, in any variant and look."""
+
+from __future__ import annotations
+
+import zlib
+from collections import OrderedDict
+from dataclasses import replace
+
+import numpy as np
+
+from exwarp_cli.domain.extrapolator import HISTORY
+from exwarp_cli.domain.frame import Float32, GBuffer, Image, KeyFrame
+from exwarp_cli.domain.motion import MotionConvention
+from exwarp_cli.domain.timeline import FACTOR
+from exwarp_cli.errors import InputError
+from exwarp_cli.io.channels import Role
+from exwarp_cli.io.dataset import RenderedScene
+from exwarp_cli.io.frames import GEOMETRY, SURFACE, Shot, read_raw
+from exwarp_cli.pipeline.key_frames import over_interval
+from exwarp_cli.pipeline.motion_option import motion_names, parse_motion
+from exwarp_cli.research.training.augmentation import (
+    PLAIN,
+    Look,
+    Variant,
+    deliver,
+    mirror,
+    reverse_time,
+    with_tones,
+)
+from exwarp_cli.synthesis.geometry import settle_motion
+from exwarp_cli.synthesis.history import past_of
+from exwarp_cli.synthesis.interval import Interval
+from exwarp_cli.synthesis.trajectory import span_motion
+
+# Instants that are kept in memory: enough for one interval and its history.
+KEPT = 24
+
+
+class SceneClip:
+    """Key frames, slots and ground truth of one scene as a variant plays and a look delivers it.
+
+    Frames are read when they are asked for, the latest ones are kept.
+    """
+
+    def __init__(
+        self, scene: RenderedScene, variant: Variant | None = None, look: Look = PLAIN
+    ) -> None:
+        self.scene = scene
+        self.variant = variant or Variant()
+        self.look = look
+        count = scene.manifest.instants.count
+        self._order = self.variant.order(count)
+        self._frames: OrderedDict[int, KeyFrame] = OrderedDict()
+        if not self.intervals:
+            raise InputError(
+                f"{scene.folder} has {count} instants, too few for {variant}; leave it out"
+            )
+
+    def seen_as(self, variant: Variant, look: Look = PLAIN) -> SceneClip:
+        """Return the same scene in another variant and look, sharing what was read."""
+        clip = SceneClip(self.scene, variant, look)
+        clip._frames = self._frames
+        return clip
+
+    @property
+    def intervals(self) -> range:
+        """Indices k of the key frames that are followed by another one."""
+        return range((len(self._order) - 1) // FACTOR)
+
+    def key(self, k: int) -> KeyFrame:
+        """Return key frame k, with settled motion to the neighbouring key frames.
+
+        Motion to a key frame that lies outside the render is None, unless the render has it.
+        """
+        index, manifest = self._order[FACTOR * k], self.scene.manifest
+        if self.variant.speed == 1 and manifest.has_key(index):
+            gbuffer = self._rendered_key(index // manifest.keys.step)
+            return self._play(index, gbuffer.to_previous, gbuffer.to_next, gbuffer.bend)
+        return self._play(index, *self._motion(index, FACTOR * self.variant.speed))
+
+    def slot(self, k: int, i: int) -> KeyFrame:
+        """Return slot i of key frame k: ground truth, and settled motion to neighbouring slots."""
+        index = self._order[FACTOR * k + i]
+        return self._play(index, *self._motion(index, self.variant.speed))
+
+    def truth(self, k: int, i: int) -> Image:
+        """Return what slot i of key frame k is to show."""
+        frame = replace(self._load(self._order[FACTOR * k + i]), gbuffer=None)
+        shown = mirror(frame) if self.variant.mirror else frame
+        return with_tones(shown.image, self.look)
+
+    def interval(self, k: int, setting: str) -> Interval:
+        """Return key interval k for synthesis.
+
+        The setting is "key", or "slot" for G-buffers of the slots.
+        """
+        key, following = (self._key(index, setting) for index in (k, k + 1))
+        return Interval(key, following, self._slots(k, setting))
+
+    def causal(self, k: int, setting: str) -> Interval:
+        """Return key interval k for causal synthesis: with its past, without the next key frame."""
+        keys = [self._causal_key(k - j, setting) for j in range(HISTORY) if k >= j]
+        return Interval(self._key(k, setting), None, self._slots(k, setting), past_of(keys))
+
+    def _key(self, k: int, setting: str) -> KeyFrame:
+        """Return key frame k; with slot G-buffers its motion is made of those, as in a run."""
+        if setting == "key":
+            return self.key(k)
+        frame = self.slot(k, 0)
+        assert frame.gbuffer is not None
+        return replace(frame, gbuffer=over_interval(frame.gbuffer, FACTOR))
+
+    def _causal_key(self, k: int, setting: str) -> KeyFrame:
+        """Return key frame k; with slot G-buffers, with motion to the one before through those."""
+        if setting == "key":
+            return self.key(k)
+        index, span = self._order[FACTOR * k], FACTOR * self.variant.speed
+        if self.variant.backwards:
+            return self._play(index, None, self._spanned(index, span, 1))
+        return self._play(index, self._spanned(index, span, -1), None)
+
+    def _slots(self, k: int, setting: str) -> tuple[GBuffer, ...]:
+        if setting == "key":
+            return ()
+        gbuffers = (self.slot(k, i).gbuffer for i in range(1, FACTOR))
+        return tuple(gbuffer for gbuffer in gbuffers if gbuffer is not None)
+
+    def _play(
+        self,
+        index: int,
+        to_previous: Float32 | None,
+        to_next: Float32 | None,
+        bend: Float32 | None = None,
+    ) -> KeyFrame:
+        """Return an instant in the variant and look, with motion in rendered order."""
+        gbuffer = replace(self._gbuffer(index), to_previous=to_previous, to_next=to_next, bend=bend)
+        if self.variant.backwards:
+            gbuffer = reverse_time(gbuffer)
+        frame = replace(self._load(index), gbuffer=gbuffer)
+        if self.variant.mirror:
+            frame = mirror(frame)
+        if self.look == PLAIN:
+            return frame
+        noise = np.random.default_rng((zlib.crc32(self.scene.name.encode()), index))
+        return deliver(frame, self.look, noise)
+
+    def _motion(self, index: int, span: int) -> tuple[Float32 | None, Float32 | None]:
+        """Return the motion of an instant over `span` instants to both sides, in rendered order."""
+        if span == 1:
+            gbuffer = self._gbuffer(index)
+            return gbuffer.to_previous, gbuffer.to_next
+        return self._spanned(index, span, -1), self._spanned(index, span, 1)
+
+    def _spanned(self, index: int, span: int, direction: int) -> Float32 | None:
+        """Return the motion over `span` instants in one direction; None beyond the render."""
+        end = index + direction * span
+        if not 0 <= end < self.scene.manifest.instants.count:
+            return None
+        gbuffers = [self._gbuffer(i) for i in range(index, end + direction, direction)]
+        return span_motion(gbuffers, direction)
+
+    def _gbuffer(self, index: int) -> GBuffer:
+        gbuffer = self._load(index).gbuffer
+        assert gbuffer is not None
+        return gbuffer
+
+    def _load(self, index: int) -> KeyFrame:
+        """Return an instant as rendered, its motion settled; index from 0."""
+        if index not in self._frames:
+            shot, number = self.scene.instants, self.scene.manifest.instants.first + index
+            raw = read_raw(shot, number, (Role.COLOUR, *GEOMETRY, *SURFACE))
+            frame = raw.key(self._convention(shot))
+            assert frame.gbuffer is not None
+            self._frames[index] = replace(frame, gbuffer=settle_motion(frame.gbuffer))
+            while len(self._frames) > KEPT:
+                self._frames.popitem(last=False)
+        self._frames.move_to_end(index)
+        return self._frames[index]
+
+    def _rendered_key(self, k: int) -> GBuffer:
+        """Return the G-buffer of a key frame's own file, its motion settled; k from 0."""
+        shot, number = self.scene.keys, self.scene.manifest.keys.first + k
+        raw = read_raw(shot, number, GEOMETRY)
+        return settle_motion(raw.settle(self._convention(shot)))
+
+    def _convention(self, shot: Shot) -> MotionConvention:
+        size = (shot.display.width, shot.display.height)
+        return parse_motion(self.scene.manifest.motion, motion_names(shot), size)
