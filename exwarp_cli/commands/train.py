@@ -177,7 +177,7 @@ def policy(
     With --data, both choices of every decision are tried on the benchmark scenes first, and kept
     as tables in the output folder. Each scene is left out of one training and judged by it.
     """
-    from exwarp_cli.io.policy_files import SHIPPED_POLICY
+    from exwarp_cli.models.policy_files import SHIPPED_POLICY
     from exwarp_cli.training.extra import require_train
 
     require_train()
@@ -216,7 +216,7 @@ def tile_policy(
     With --data, every maker's frames of the benchmark scenes are measured first, and kept as tables
     in the output folder. Each scene is left out of one training and judged by it.
     """
-    from exwarp_cli.io.policy_files import SHIPPED_TILE_POLICY
+    from exwarp_cli.models.policy_files import SHIPPED_TILE_POLICY
     from exwarp_cli.training.extra import require_train
 
     require_train()

@@ -27,10 +27,9 @@ from exwarp_cli.pipeline.source import FrameOf, Source, align
 from exwarp_cli.synthesis.methods import CAUSAL, EXWARP, FRAMEWISE, METHODS, Judge, Method
 
 if TYPE_CHECKING:
-    from exwarp_cli.io.interpolator import OnnxInterpolator
-    from exwarp_cli.io.lookahead_network import OnnxLookAhead
-    from exwarp_cli.io.models import OnnxExtrapolator
-    from exwarp_cli.io.policy_files import PolicyFile
+    from exwarp_cli.models.interpolator import OnnxInterpolator
+    from exwarp_cli.models.picture_network import OnnxExtrapolator, OnnxLookAhead
+    from exwarp_cli.models.policy_files import PolicyFile
 
 
 def find_method(name: str | None, causal: bool = False) -> Method:
@@ -89,7 +88,7 @@ def find_network(settings: UpsampleSettings, method: Method) -> OnnxExtrapolator
             )
     if not method.extrapolates:
         return None
-    from exwarp_cli.io.models import load_extrapolator
+    from exwarp_cli.models.picture_network import load_extrapolator
 
     path = None if settings.extrapolator is None else Path(settings.extrapolator)
     return load_extrapolator(path, settings.threads, settings.device)
@@ -110,7 +109,7 @@ def find_interpolator(
         When it or its card cannot be used.
     """
     if method.weighs:
-        from exwarp_cli.io.lookahead_network import load_lookahead
+        from exwarp_cli.models.picture_network import load_lookahead
 
         path = None if settings.interpolator is None else Path(settings.interpolator)
         return load_lookahead(path, settings.threads, settings.device)
@@ -121,7 +120,7 @@ def find_interpolator(
             f"--method {method.name} has no network of its own; name an ONNX file with "
             "--interpolator, or use --method softsplat"
         )
-    from exwarp_cli.io.interpolator import load_interpolator
+    from exwarp_cli.models.interpolator import load_interpolator
 
     return load_interpolator(Path(settings.interpolator), settings.threads, settings.device)
 
@@ -137,7 +136,7 @@ def find_policy(settings: UpsampleSettings, method: Method) -> PolicyFile | None
         When it cannot be used.
     """
     if method.judge is Judge.TILES:
-        from exwarp_cli.io.policy_files import (
+        from exwarp_cli.models.policy_files import (
             PAPER,
             SHIPPED_POLICY,
             SHIPPED_TILE_POLICY,

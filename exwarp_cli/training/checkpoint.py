@@ -17,7 +17,7 @@ from exwarp_cli.errors import (
     UsageError,
 )
 from exwarp_cli.io.atomic import make_folder
-from exwarp_cli.io.model_files import read_whole
+from exwarp_cli.models.model_file import read_file_bytes
 from exwarp_cli.training.export import export_extrapolator
 from exwarp_cli.training.extranet import STRIDE, ExtraNet, ExtraNetAdapter
 
@@ -116,7 +116,7 @@ def _is_finite(tensor: Tensor) -> bool:
 def read_file(path: Path) -> bytes:
     """Read a file on a disk; raises InputError where that fails."""
     try:
-        return read_whole(path)
+        return read_file_bytes(path)
     except OSError as error:
         raise InputError(
             f"cannot read {path}: {error.strerror or error}; check the path and its rights"

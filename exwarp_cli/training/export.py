@@ -19,7 +19,7 @@ from exwarp_cli import __version__
 from exwarp_cli.domain.extrapolator import EXTRAPOLATES
 from exwarp_cli.domain.network import TIME, NetworkInterface
 from exwarp_cli.io.atomic import atomic_write_bytes
-from exwarp_cli.io.model_files import INTERFACE_KEY, STRIDE_KEY
+from exwarp_cli.models.model_file import INTERFACE_KEY, STRIDE_KEY
 
 OPSET = 18
 """The exporter's own, so that nothing is converted; onnxruntime runs it since 1.14."""

@@ -29,8 +29,8 @@ from exwarp_cli.accel.quantised_mlp import QuantisedLayer, QuantisedMlp, Requant
 from exwarp_cli.domain.decision import NODES, PATHS
 from exwarp_cli.errors import DamagedFileError, InputError
 from exwarp_cli.io.atomic import atomic_write_text, make_folder
-from exwarp_cli.io.models import CHECKSUMS
-from exwarp_cli.io.policy_files import SHIPPED_POLICY, left_out, save_network
+from exwarp_cli.models.model_file import CHECKSUMS
+from exwarp_cli.models.policy_files import SHIPPED_POLICY, policy_name_without, save_network
 from exwarp_cli.policy.outcomes import rewards
 from exwarp_cli.policy.state import INPUTS, STATE_VERSION
 from exwarp_cli.training.dqn import train, values
@@ -130,7 +130,7 @@ def train_policy(
         others = [other for i, other in enumerate(tables) if i != index]
         say(f"without {table.scene}: training on {', '.join(other.scene for other in others)}")
         found = learn(others, settings)
-        name = left_out(table.scene)
+        name = policy_name_without(table.scene)
         _save(output / name, found, others, settings)
         written.append(name)
         folds[table.scene] = _judge(found, table, others)

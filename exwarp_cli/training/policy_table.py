@@ -19,7 +19,7 @@ import numpy.typing as npt
 from exwarp_cli.domain.decision import NODES, Features
 from exwarp_cli.errors import DamagedFileError, InputError
 from exwarp_cli.io.atomic import atomic_write_bytes
-from exwarp_cli.io.policy_files import Array, pack, unpack
+from exwarp_cli.models.policy_files import Array, pack_arrays, unpack_arrays
 from exwarp_cli.policy.state import INPUTS, KEYS_BACK, Surroundings
 from exwarp_cli.training.measuring import Measured, View
 
@@ -121,7 +121,7 @@ def save_table(path: Path, table: PolicyTable) -> None:
         # Some millionths of a decibel are lost.
         "outcomes": table.outcomes.astype(np.float32),
     }
-    atomic_write_bytes(path, pack(arrays, compressed=True))
+    atomic_write_bytes(path, pack_arrays(arrays, compressed=True))
 
 
 def load_table(path: Path) -> PolicyTable:
@@ -133,7 +133,7 @@ def load_table(path: Path) -> PolicyTable:
         When there is none, or it is damaged.
     """
     with reading_table(path, "policy table"):
-        kept = unpack(path.read_bytes())
+        kept = unpack_arrays(path.read_bytes())
         about = json.loads(kept["about"].tobytes())
         if about["schema"] != SCHEMA:
             raise ValueError(f"its schema is {about['schema']!r}, not {SCHEMA}")

@@ -19,9 +19,9 @@ from exwarp_cli.domain.tiles import REWARP, TILE_FEATURES
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.io.atomic import atomic_write_bytes
 from exwarp_cli.io.dataset import RenderedScene
-from exwarp_cli.io.models import OnnxExtrapolator
-from exwarp_cli.io.policy_files import Array, pack, unpack
 from exwarp_cli.metrics.display import encode
+from exwarp_cli.models.picture_network import OnnxExtrapolator
+from exwarp_cli.models.policy_files import Array, pack_arrays, unpack_arrays
 from exwarp_cli.policy.state import INPUTS
 from exwarp_cli.policy.tile_state import DECIDED, scaled, tile_inputs
 from exwarp_cli.runtime.stop import check_stop
@@ -155,7 +155,7 @@ def save_tile_table(path: Path, table: TileTable) -> None:
         "features": table.features.astype(np.float32),
         "errors": table.errors.astype(np.float32),
     }
-    atomic_write_bytes(path, pack(arrays, compressed=True))
+    atomic_write_bytes(path, pack_arrays(arrays, compressed=True))
 
 
 def load_tile_table(path: Path) -> TileTable:
@@ -169,7 +169,7 @@ def load_tile_table(path: Path) -> TileTable:
         When it cannot be read.
     """
     with reading_table(path, "table of tiles"):
-        kept = unpack(path.read_bytes())
+        kept = unpack_arrays(path.read_bytes())
         about = json.loads(kept["about"].tobytes())
         if about["schema"] != SCHEMA:
             raise ValueError(f"its schema is {about['schema']!r}, not {SCHEMA}")

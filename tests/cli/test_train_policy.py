@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from exwarp_cli.cli import run
-from exwarp_cli.io.policy_files import load_policy
 from exwarp_cli.kernels import _row_bands
+from exwarp_cli.models.policy_files import load_policy
 from exwarp_cli.training import measuring
 from exwarp_cli.training.measuring import View
 from exwarp_cli.training.policy_table import load_table, save_table

@@ -16,8 +16,8 @@ from exwarp_cli.domain.network import TIME
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import InputError, UsageError
 from exwarp_cli.io.dataset import RenderedScene, SceneManifest, open_scene, select, split
-from exwarp_cli.io.models import load_extrapolator
 from exwarp_cli.metrics.registry import score
+from exwarp_cli.models.picture_network import load_extrapolator
 from exwarp_cli.training import crops as batches
 from exwarp_cli.training.crops import Batch, Crops, varied
 from exwarp_cli.training.extrapolator import (
