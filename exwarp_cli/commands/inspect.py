@@ -110,11 +110,11 @@ def _print(found: Inspection) -> None:
 
 def _findings(found: Inspection, data: Mapping[str, Any]) -> Iterator[str]:
     """Yield what is left out or absent, and how motion and depth are read."""
-    from exwarp_cli.io.shot import alpha_left_out
+    from exwarp_cli.io.shot import alpha_note
     from exwarp_cli.pipeline.inspect import missing_roles
 
     layout = found.shot.layout
-    if (left_out := alpha_left_out(layout)) is not None:
+    if (left_out := alpha_note(layout)) is not None:
         yield left_out
     missing = missing_roles(layout)
     if missing:
@@ -135,13 +135,13 @@ def _findings(found: Inspection, data: Mapping[str, Any]) -> Iterator[str]:
 
 def _unused(found: Inspection) -> list[tuple[str, list[str]]]:
     """Return what channels without a role are and their names, layer by layer."""
-    from exwarp_cli.io.shot import spelled
+    from exwarp_cli.io.shot import channel_label
     from exwarp_cli.pipeline.inspect import unused_channels
 
     hashed = {ref for one in found.shot.cryptomattes for ref in one.refs}
     layers: dict[tuple[str, str], list[str]] = {}
     for ref in unused_channels(found.shot):
-        name, meaning = spelled(ref), "Cryptomatte" if ref in hashed else "no role"
+        name, meaning = channel_label(ref), "Cryptomatte" if ref in hashed else "no role"
         layers.setdefault((meaning, name.rpartition(".")[0]), []).append(name)
     return [(meaning, names) for (meaning, _), names in layers.items()]
 
@@ -155,9 +155,9 @@ def _text(text: str) -> Text:
 
 def _without_vectors(found: Inspection) -> str:
     """Say what `upsample` does where no vectors are recognised, and why."""
-    from exwarp_cli.io.unrecognised import is_colour_alone, no_vectors
+    from exwarp_cli.io.unrecognised import is_colour_alone, no_vectors_message
 
-    return _ESTIMATED if is_colour_alone(found.shot) else no_vectors(found.shot)
+    return _ESTIMATED if is_colour_alone(found.shot) else no_vectors_message(found.shot)
 
 
 _ESTIMATED = (
@@ -199,12 +199,12 @@ def _structure(data: dict[str, Any]) -> list[str]:
 
 def _matte(one: dict[str, Any]) -> str:
     """Say in a line what a Cryptomatte has."""
-    from exwarp_cli.io.cryptomatte_manifest import SHOWN, shown
+    from exwarp_cli.io.cryptomatte import MAX_NAMES, quote_name
 
     name = one["name"] if one["aov"] is None else f"{one['aov']}:{one['name']}"
     if one["problem"]:
         return f"Cryptomatte {name} ({one['kind']}): {one['problem']}"
     names, count = one["names"], len(one["names"])
-    listed = ", ".join(shown(each) for each in names[:SHOWN])
-    more = f" and {count - SHOWN} more" if count > SHOWN else ""
+    listed = ", ".join(quote_name(each) for each in names[:MAX_NAMES])
+    more = f" and {count - MAX_NAMES} more" if count > MAX_NAMES else ""
     return f"Cryptomatte {name} ({one['kind']}), {counted(count, 'name')}: {listed}{more}"

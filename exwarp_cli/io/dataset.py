@@ -21,7 +21,7 @@ from typing import Any
 from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, MissingFrameError
 from exwarp_cli.io.frame_names import NamePattern
-from exwarp_cli.io.frames import Shot, open_shot
+from exwarp_cli.io.shot import Shot, open_shot
 
 BENCHMARK, TRAINING = "benchmark", "training"
 ROLES = (BENCHMARK, TRAINING)

@@ -25,7 +25,7 @@ from exwarp_cli.io.exr.header import RawHeader
 from exwarp_cli.io.exr.reader import HeaderCache, damaged, parse_header
 from exwarp_cli.io.output import CHECKSUM, PREFIX, is_intact, seal
 from exwarp_cli.io.reading_retry import with_retries
-from exwarp_cli.io.sequence import EXR
+from exwarp_cli.io.sequences import EXR
 
 RATE = b"framesPerSecond"
 

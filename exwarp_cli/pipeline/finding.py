@@ -19,10 +19,10 @@ from exwarp_cli.domain.tiles import TILE_STATE
 from exwarp_cli.domain.timeline import FACTOR, Slot, Timeline
 from exwarp_cli.errors import InputError, LayoutError, UsageError
 from exwarp_cli.io.footage import find_frames, picture, picture_size
-from exwarp_cli.io.sequence import Sequence
-from exwarp_cli.io.soundness import first_of
+from exwarp_cli.io.sequences import Sequence
+from exwarp_cli.io.shot_files import first_usable
 from exwarp_cli.io.video import to_display
-from exwarp_cli.io.views import expand
+from exwarp_cli.io.views import expand_view
 from exwarp_cli.pipeline.source import FrameOf, Source, align
 from exwarp_cli.synthesis.methods import CAUSAL, EXWARP, FRAMEWISE, METHODS, Judge, Method
 
@@ -245,7 +245,7 @@ def find_truth(
     InputError
         When it is not found, has gaps, is of another size, or has no frame at any slot's instant.
     """
-    sequence = find_frames(expand(spec, source.keys.view or None)[0], bearable, scan)
+    sequence = find_frames(expand_view(spec, source.keys.view or None)[0], bearable, scan)
     frame_of = align(source.timeline, sequence, "--ground-truth")
     display = source.keys.display
 
@@ -258,7 +258,7 @@ def find_truth(
             )
 
     numbers = sequence.numbers
-    first_of(numbers if bearable else numbers[:1], require_alike)
+    first_usable(numbers if bearable else numbers[:1], require_alike)
     return sequence, _at_its_rate(source, sequence, frame_of)
 
 

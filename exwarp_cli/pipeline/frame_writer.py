@@ -32,7 +32,7 @@ from exwarp_cli.io.output import (
     write_mask,
     write_picture,
 )
-from exwarp_cli.io.sequence import EXR, OutputPattern, Sequence, output_pattern
+from exwarp_cli.io.sequences import EXR, OutputPattern, Sequence, output_pattern
 from exwarp_cli.io.stills import STILLS, require_writer
 from exwarp_cli.io.video import VideoLook, VideoWriter, require_container, to_display
 from exwarp_cli.pipeline.scheduling import AsyncWriter, record_time

@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from exwarp_cli.domain.joining import Outcome
     from exwarp_cli.domain.settings import UpsampleSettings
     from exwarp_cli.domain.timeline import Slot
-    from exwarp_cli.io.sequence import Sequence
+    from exwarp_cli.io.sequences import Sequence
     from exwarp_cli.models.interpolator import OnnxInterpolator
     from exwarp_cli.models.picture_network import OnnxExtrapolator, OnnxLookAhead
     from exwarp_cli.models.policy_files import PolicyFile

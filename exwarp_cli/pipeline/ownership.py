@@ -28,7 +28,7 @@ from exwarp_cli.io.output import (
     authorship_of,
     file_digest,
 )
-from exwarp_cli.io.sequence import Sequence
+from exwarp_cli.io.sequences import Sequence
 from exwarp_cli.io.video import video_note
 from exwarp_cli.pipeline.frame_writer import OutputPlan, key_is_there
 from exwarp_cli.pipeline.source import Source

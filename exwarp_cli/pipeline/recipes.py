@@ -17,10 +17,10 @@ from exwarp_cli.domain.results import InterpolatorSummary, NetworkSummary
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.footage import ClipSequence, digest_of, is_plain
-from exwarp_cli.io.frames import Shot
 from exwarp_cli.io.key_file import digests, key_file
 from exwarp_cli.io.output import file_digest
-from exwarp_cli.io.sequence import Sequence
+from exwarp_cli.io.sequences import Sequence
+from exwarp_cli.io.shot import Shot
 from exwarp_cli.pipeline.source import FrameOf, Source
 from exwarp_cli.synthesis.methods import Method
 from exwarp_cli.synthesis.optical_flow import flow_identity

@@ -10,7 +10,7 @@ from exwarp_cli.domain.bench import SYSTEMS, BenchSettings
 from exwarp_cli.domain.settings import SourceSettings
 from exwarp_cli.errors import InputError, LayoutError, MissingFrameError, UsageError
 from exwarp_cli.io.dataset import BENCHMARK, RenderedScene, find_scenes
-from exwarp_cli.io.sequence import find_sequence
+from exwarp_cli.io.sequences import find_sequence
 from exwarp_cli.models.model_file import shipped_folder
 from exwarp_cli.models.policy_files import policy_name_without
 
