@@ -133,10 +133,10 @@ def _train_network(
     **options: Any,
 ) -> None:
     """Train a network of a kind, and say by which options of upsample it is used."""
-    from exwarp_cli.io.dataset import select
+    from exwarp_cli.io.dataset import select_scenes
     from exwarp_cli.training.settings import CURVE, last_row
 
-    chosen = select(data, scenes, exclude, _say)
+    chosen = select_scenes(data, scenes, exclude, _say)
     crops = cache or data.resolve().parent / "crops"
     model = train(chosen, output, crops, make(**options), every, threads, _say, start)
     if as_json:

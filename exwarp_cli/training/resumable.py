@@ -18,7 +18,7 @@ from torch import Tensor, nn
 
 from exwarp_cli.errors import DamagedFileError, UsageError
 from exwarp_cli.io.atomic import atomic_path, atomic_write_text, make_folder
-from exwarp_cli.io.dataset import RenderedScene, split
+from exwarp_cli.io.dataset import RenderedScene, split_scenes
 from exwarp_cli.io.output import file_digest
 from exwarp_cli.runtime.stop import check_stop
 from exwarp_cli.training.checkpoint import read_tensors
@@ -182,7 +182,7 @@ class ResumableTraining(ABC):
 
 def parts_of(scenes: Sequence[RenderedScene]) -> dict[str, list[RenderedScene]]:
     """Return the scenes to learn from ("training"), and those held out ("validation")."""
-    return dict(zip(("training", "validation"), split(scenes), strict=True))
+    return dict(zip(("training", "validation"), split_scenes(scenes), strict=True))
 
 
 def begun(settings: Kind, parts: Mapping[str, list[RenderedScene]], start: Path | None) -> Kind:

@@ -29,7 +29,7 @@ from exwarp_cli.commands.config.sources import config_files, environment_of, rea
 from exwarp_cli.commands.misread_paths import refuse_expanded, require_usable_paths
 from exwarp_cli.commands.option_names import long_name
 from exwarp_cli.errors import UsageError
-from exwarp_cli.io.config_file import FoundFile
+from exwarp_cli.io.config_file import ConfigLocation
 
 TOLERANT = (("doctor",),)
 """Commands that a config file with mistakes does not stop, as they tell of these."""
@@ -61,7 +61,7 @@ class Configuration:
         Variables that no command knows, of which they only warn.
     """
 
-    files: tuple[FoundFile, ...]
+    files: tuple[ConfigLocation, ...]
     settings: tuple[Setting, ...]
     problems: tuple[str, ...]
     warnings: tuple[str, ...]

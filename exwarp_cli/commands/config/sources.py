@@ -18,7 +18,7 @@ from exwarp_cli.commands.config.layers import (
     variable_name,
 )
 from exwarp_cli.commands.option_names import long_name
-from exwarp_cli.io.config_file import FoundFile, found_files, read_config_file
+from exwarp_cli.io.config_file import ConfigLocation, find_config_files, read_config_file
 
 UPSAMPLE = ("upsample",)
 
@@ -44,7 +44,7 @@ def environment_of(path: tuple[str, ...], isolated: bool) -> Mapping[str, str]:
 
 def config_files(
     ctx: click.Context, named: str | None, isolated: bool = False
-) -> tuple[FoundFile, ...]:
+) -> tuple[ConfigLocation, ...]:
     """Find the config files: those of the command line, the environment, the folders, the user."""
     how = "--config"
     if named is None:
@@ -55,12 +55,12 @@ def config_files(
         named, how = variable, "EXWARP_CONFIG"
     own = Path(click.get_app_dir("exwarp"))
     # Without a home folder it begins with "~", which would be a folder in the current one.
-    return found_files(named, how, own if own.is_absolute() else None)
+    return find_config_files(named, how, own if own.is_absolute() else None)
 
 
 def readers(
     ctx: click.Context,
-    files: tuple[FoundFile, ...],
+    files: tuple[ConfigLocation, ...],
     command: click.Command,
     path: tuple[str, ...],
     environment: Mapping[str, str],
@@ -80,7 +80,7 @@ def readers(
 
 
 def _file_layer(
-    file: FoundFile, groups: list[list[str]], command: click.Command, path: tuple[str, ...]
+    file: ConfigLocation, groups: list[list[str]], command: click.Command, path: tuple[str, ...]
 ) -> Layer:
     return file_layer(read_config_file(file.path), groups, command, path)
 
