@@ -346,18 +346,17 @@ def _find_by_name(spec: str, suffixes: tuple[str, ...]) -> Sequence:
         )
     _require_suffix(path, suffixes)
     sequences = _group_files(path.parent, pattern, _file_names(path.parent))
-    exact = [s for s in sequences if _has_padding(s, pattern)]
+    exact = []
+    for sequence in sequences:
+        texts = (pattern.number_text(file.name) for file in sequence.files.values())
+        if all(text is not None and is_padded_to(text, pattern.padding) for text in texts):
+            exact.append(sequence)
     if not exact and pattern.padding == 1 and len(sequences) == 1:
         return sequences[0]  # "#" and "%d" are often written for any padding; here only one fits
     if not exact:
         there = f"; there is {_listing(sequences)}" if sequences else ""
         raise InputError(f"no frame in {path.parent} matches {path.name}{there}; check the pattern")
     return replace(exact[0], padding=pattern.padding)
-
-
-def _has_padding(sequence: Sequence, pattern: NamePattern) -> bool:
-    texts = (pattern.number_text(path.name) for path in sequence.files.values())
-    return all(text is not None and is_padded_to(text, pattern.padding) for text in texts)
 
 
 def _with_suffix_case(path: Path) -> Path:

@@ -28,21 +28,12 @@ CHANNEL_BATCH = 8
 
 @dataclass(frozen=True)
 class FrameHeaders:
-    """The headers of one frame's files by AOV, the leader's first, and the cache they are in."""
+    """What is in the headers of one frame's files by AOV, the leader's first, and their cache."""
 
     number: int
-    headers: Mapping[str, FileHeader]
+    parts: Mapping[str, tuple[Part, ...]]
+    texts: Headers  # the attributes that are text
     cache: HeaderCache
-
-    @property
-    def parts(self) -> dict[str, tuple[Part, ...]]:
-        """The parts of each file by AOV."""
-        return {aov: header.parts for aov, header in self.headers.items()}
-
-    @property
-    def texts(self) -> Headers:
-        """The attributes of each file that are text, by AOV."""
-        return {aov: header.texts for aov, header in self.headers.items()}
 
 
 @dataclass
@@ -66,7 +57,9 @@ class ShotFiles:
                 aov: read_flat_header(member.files[number], cache)
                 for aov, member in members.items()
             }
-            self._last = FrameHeaders(number, headers, cache)
+            parts = {aov: header.parts for aov, header in headers.items()}
+            texts = {aov: header.texts for aov, header in headers.items()}
+            self._last = FrameHeaders(number, parts, texts, cache)
         return self._last
 
 

@@ -96,18 +96,8 @@ class OnnxInterpolator(OnnxNetwork):
 
     def __init__(self, card: Card, path: Path, data: bytes, threads: int, device: str) -> None:
         super().__init__(path, data, threads, device)
-        self.card = card
+        self.card, self.name, self.card_checksum = card, card.name, card.checksum
         self._pair: _EncodedPair | None = None
-
-    @property
-    def name(self) -> str:
-        """The name in tables."""
-        return self.card.name
-
-    @property
-    def card_checksum(self) -> str:
-        """SHA-256 of the card, hexadecimal."""
-        return self.card.checksum
 
     def __call__(self, before: Float32, after: Float32, time: float) -> Float32:
         """Return the frame at 0 < `time` < 1 between two frames; see `reaches`.

@@ -86,24 +86,25 @@ class PictureNetwork(OnnxNetwork):
     def answers(self, inputs: NetworkGiven) -> Iterator[tuple[Tile, Float32]]:
         """Yield each tile and the planes that are kept of its answer, float32 [C, h, w]."""
         height, width = inputs.shape
-        tiles = self._tiles(height, width)
-        for number, (rows, columns) in enumerate(tiles, start=1):
-            shape = (
-                self._interface.channels, rows.end - rows.begin, columns.end - columns.begin
-            )  # fmt: skip
+        rows, columns = (-(-pixels // self._stride) * self._stride for pixels in inputs.shape)
+        tiles: tuple[Tile, ...] = ((Span(0, rows, 0, rows), Span(0, columns, 0, columns)),)
+        if rows * columns > MAX_PIXELS and self._reach is not None:
+            tiles = cut((rows, columns), self._stride, self._reach, MAX_PIXELS)
+        for number, (down, across) in enumerate(tiles, start=1):
+            shape = (self._interface.channels, down.end - down.begin, across.end - across.begin)
             # One buffer serves all tiles of a size. When it went back to the pool in between, it
             # swapped memory with frames' arrays: to map and clear pages took three times as long
             # as writing the planes.
             buffer, self._buffer = self._buffer, None
             if buffer is None or buffer.shape != shape:
                 buffer = pool.empty(shape, np.float32)
-            part = inputs.part(rows.seen, columns.seen, buffer)
+            part = inputs.part(down.seen, across.seen, buffer)
             is_last = 1 < number == len(tiles)
             answer = self._run_padded(part.pictures, part.time, is_last)
             self._buffer = None if is_last else buffer
-            kept = answer[:, rows.inside, columns.inside]
+            kept = answer[:, down.inside, across.inside]
             # The last tiles reach beyond a picture whose size is no multiple of the stride.
-            yield (rows, columns), kept[:, : height - rows.first, : width - columns.first]
+            yield (down, across), kept[:, : height - down.first, : width - across.first]
 
     def judge(self) -> None:
         """Refuse a network that does not fit, by what it declares and by running it once."""
@@ -119,12 +120,6 @@ class PictureNetwork(OnnxNetwork):
     def _require_values(self, answer: Float32, pixels: str) -> None:
         """Refuse impossible values in an answer [1, C, H, W] for so many `pixels`."""
         raise NotImplementedError
-
-    def _tiles(self, height: int, width: int) -> tuple[Tile, ...]:
-        height, width = (-(-size // self._stride) * self._stride for size in (height, width))
-        if height * width > MAX_PIXELS and self._reach is not None:
-            return cut((height, width), self._stride, self._reach, MAX_PIXELS)
-        return ((Span(0, height, 0, height), Span(0, width, 0, width)),)
 
     @cached_property
     def _reach(self) -> int | None:

@@ -37,17 +37,13 @@ class OnnxNetwork:
     def __init__(self, path: Path, data: bytes, threads: int, device: str) -> None:
         self.path, self.device = path, device
         self._data, self._threads = embed_weights(path, data), threads
-        self._checksum = hashlib.sha256(self._data).hexdigest()
+        # SHA-256 of the model's file with all its weights in it, hexadecimal.
+        self.checksum = hashlib.sha256(self._data).hexdigest()
         self._sessions: dict[int, Any] = {}
         session = self._session(1)
         self.inputs: dict[str, Any] = {node.name: node for node in session.get_inputs()}
         self.outputs: dict[str, Any] = {node.name: node for node in session.get_outputs()}
         self._metadata: dict[str, str] = session.get_modelmeta().custom_metadata_map
-
-    @property
-    def checksum(self) -> str:
-        """SHA-256 of the model's file with all its weights in it, hexadecimal."""
-        return self._checksum
 
     def _answer(
         self,
@@ -67,8 +63,11 @@ class OnnxNetwork:
         height, width = size
         most = height * width // (stride**2 * PIXELS_PER_THREAD)
         session = self._session(max(1, min(self._threads, most)) if self.device == "cpu" else 1)
-        # To free memory takes an eighth of the time of a run.
-        options = _shrinking_run(self.device) if last else None
+        options = None
+        if last:
+            options = _runtime().RunOptions()
+            if self.device == "cpu":  # takes an eighth of the time of a run
+                options.add_run_config_entry("memory.enable_memory_arena_shrinkage", "cpu:0")
         try:
             with being_read(self.path, required=True):
                 (answer,) = session.run([output], feeds, options)
@@ -163,14 +162,6 @@ def _runtime() -> Any:
     # that imported onnxruntime before ExWarp.
     onnxruntime.disable_telemetry_events()
     return onnxruntime
-
-
-def _shrinking_run(device: str) -> Any:
-    """Return options of a run after which the memory arena is freed."""
-    options = _runtime().RunOptions()
-    if device == "cpu":
-        options.add_run_config_entry("memory.enable_memory_arena_shrinkage", "cpu:0")
-    return options
 
 
 def _failures() -> tuple[type[Exception], ...]:
