@@ -23,7 +23,7 @@ from typing import Any
 import click
 
 from exwarp_cli.errors import UsageError
-from exwarp_cli.io.config_file import FoundFile, found_files, read_config_file
+from exwarp_cli.io.config_file import ConfigLocation, find_config_files, read_config_file
 from exwarp_cli.option_values import (
     Value,
     long_name,
@@ -135,7 +135,7 @@ Layer = dict[str, Setting]
 class Configuration:
     """What files and the environment set, for all commands."""
 
-    files: tuple[FoundFile, ...]  # The config files, the strongest first
+    files: tuple[ConfigLocation, ...]  # The config files, the strongest first
     settings: tuple[Setting, ...]  # What holds; what something stronger hides is left out.
     problems: tuple[str, ...]  # What stops commands, a sentence each
     warnings: tuple[str, ...]  # Variables that no command knows
@@ -338,7 +338,7 @@ def every_command(
 
 def _config_files(
     ctx: click.Context, named: str | None, is_isolated: bool, problems: list[str] | None
-) -> tuple[FoundFile, ...]:
+) -> tuple[ConfigLocation, ...]:
     """Find the config files: of the command line, the environment, the folders, the user."""
     source = "--config"
     if named is None:
@@ -350,7 +350,7 @@ def _config_files(
     folder = Path(click.get_app_dir("exwarp"))
     try:
         # Without a home folder it begins with "~", which would be a folder in the current one.
-        return found_files(named, source, folder if folder.is_absolute() else None)
+        return find_config_files(named, source, folder if folder.is_absolute() else None)
     except UsageError as error:
         if problems is None:
             raise
@@ -360,7 +360,7 @@ def _config_files(
 
 def _read_layers(
     ctx: click.Context,
-    files: Iterable[FoundFile],
+    files: Iterable[ConfigLocation],
     command: click.Command,
     path: CommandPath,
     environment: Mapping[str, str],

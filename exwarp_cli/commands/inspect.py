@@ -92,12 +92,12 @@ def _print_inspection(inspection: Inspection) -> None:
 
 def _finding_lines(inspection: Inspection, data: Mapping[str, Any]) -> Iterator[str]:
     """Yield what is left out or absent, and how motion and depth are read."""
-    from exwarp_cli.io.shot import alpha_left_out
-    from exwarp_cli.io.unrecognised import is_colour_alone, no_vectors
+    from exwarp_cli.io.shot import alpha_note
+    from exwarp_cli.io.unrecognised import is_colour_alone, no_vectors_message
     from exwarp_cli.pipeline.inspect import missing_roles
 
     shot = inspection.shot
-    if (alpha := alpha_left_out(shot.layout)) is not None:
+    if (alpha := alpha_note(shot.layout)) is not None:
         yield alpha
     if missing := missing_roles(shot.layout):
         incomplete = shot.layout.incomplete
@@ -111,20 +111,20 @@ def _finding_lines(inspection: Inspection, data: Mapping[str, Any]) -> Iterator[
         state = motion["source"] or "unsettled"
         yield f"motion {state}: {motion['evidence'] or motion['problem']}"
     else:
-        yield _ESTIMATED if is_colour_alone(shot) else no_vectors(shot)
+        yield _ESTIMATED if is_colour_alone(shot) else no_vectors_message(shot)
     if data["depth_evidence"] is not None:
         yield f"depth {data['depth_evidence']}"
 
 
 def _unused_channels(inspection: Inspection) -> list[tuple[str, list[str]]]:
     """Return what channels without a role are and their names, layer by layer."""
-    from exwarp_cli.io.shot import spelled
+    from exwarp_cli.io.shot import channel_label
     from exwarp_cli.pipeline.inspect import unused_channels
 
     hashed = {ref for matte in inspection.shot.cryptomattes for ref in matte.refs}
     layers: dict[tuple[str, str], list[str]] = {}
     for ref in unused_channels(inspection.shot):
-        name, meaning = spelled(ref), "Cryptomatte" if ref in hashed else "no role"
+        name, meaning = channel_label(ref), "Cryptomatte" if ref in hashed else "no role"
         layers.setdefault((meaning, name.rpartition(".")[0]), []).append(name)
     return [(meaning, names) for (meaning, _), names in layers.items()]
 
@@ -161,12 +161,12 @@ def _pictures_line(pictures: dict[str, Any]) -> str:
 
 
 def _cryptomatte_line(matte: dict[str, Any]) -> str:
-    from exwarp_cli.io.cryptomatte_manifest import SHOWN, shown
+    from exwarp_cli.io.cryptomatte import MAX_NAMES, quote_name
 
     name = matte["name"] if matte["aov"] is None else f"{matte['aov']}:{matte['name']}"
     if matte["problem"]:
         return f"Cryptomatte {name} ({matte['kind']}): {matte['problem']}"
     names, count = matte["names"], len(matte["names"])
-    listed = ", ".join(shown(object_name) for object_name in names[:SHOWN])
-    more = f" and {count - SHOWN} more" if count > SHOWN else ""
+    listed = ", ".join(quote_name(object_name) for object_name in names[:MAX_NAMES])
+    more = f" and {count - MAX_NAMES} more" if count > MAX_NAMES else ""
     return f"Cryptomatte {name} ({matte['kind']}), {counted(count, 'name')}: {listed}{more}"

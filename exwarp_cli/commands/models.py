@@ -57,7 +57,7 @@ def interpolator_card(model: Path, shape: str, overwrite: bool, as_json: bool) -
     Names of inputs and output come from the network; layout and padding from the shape. Look it
     over: value range, order of the channels and padding cannot be seen in a network.
     """
-    from exwarp_cli.io.interpolator import begin_card
+    from exwarp_cli.models.interpolator import begin_card
 
     card = begin_card(model, shape, overwrite=overwrite)
     if as_json:

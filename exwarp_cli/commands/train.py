@@ -134,10 +134,10 @@ def _train_network(
     **options: Any,
 ) -> None:
     """Train a network of a kind, and say by which options of upsample it is used."""
-    from exwarp_cli.io.dataset import select
+    from exwarp_cli.io.dataset import select_scenes
     from exwarp_cli.research.training.resumable_training import CURVE, last_row
 
-    chosen = select(data, scenes, exclude, _say)
+    chosen = select_scenes(data, scenes, exclude, _say)
     crops = cache or data.resolve().parent / "crops"
     model = train(chosen, output, crops, settings(**options), every, threads, _say, start)
     if as_json:
@@ -178,7 +178,7 @@ def policy(
     With --data, both choices of every decision are tried on the benchmark scenes first, and kept
     as tables in the output folder. Each scene is left out of one training and judged by it.
     """
-    from exwarp_cli.io.policy_files import SHIPPED_POLICY
+    from exwarp_cli.models.policy_files import SHIPPED_POLICY
 
     require_train()
     from exwarp_cli.research.training.outcome_tables import Survey, find_tables
@@ -217,7 +217,7 @@ def tile_policy(
     With --data, every maker's frames of the benchmark scenes are measured first, and kept as tables
     in the output folder. Each scene is left out of one training and judged by it.
     """
-    from exwarp_cli.io.policy_files import SHIPPED_TILE_POLICY
+    from exwarp_cli.models.policy_files import SHIPPED_TILE_POLICY
 
     require_train()
     from exwarp_cli.research.training.policy_scores import tile_policy_card

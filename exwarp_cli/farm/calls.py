@@ -14,8 +14,7 @@ from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.errors import UsageError
 from exwarp_cli.farm.places import Place, locate, names_files
-from exwarp_cli.io.aov_files import parse_aovs
-from exwarp_cli.io.channel_map import read_channel_map
+from exwarp_cli.io.channel_map import parse_aovs, read_channel_map
 from exwarp_cli.io.clip import is_clip
 
 ALONE = ("--isolated",)

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 
 from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.errors import InputError
-from exwarp_cli.io.aov_files import parse_aovs
+from exwarp_cli.io.channel_map import parse_aovs
 from exwarp_cli.io.clip import is_clip
 from exwarp_cli.io.frame_names import NamePattern
-from exwarp_cli.io.model_weights import files_of
-from exwarp_cli.io.policy_files import PAPER
+from exwarp_cli.models.model_file import weight_files
+from exwarp_cli.models.policy_files import PAPER
 
 if TYPE_CHECKING:
     from exwarp_cli.pipeline.job import Job
@@ -207,7 +207,7 @@ def _beside(parameter: str, path: Path) -> dict[str, Path]:
     if parameter == "interpolator" and (card := path.with_suffix(".json")).is_file():
         found["Card"] = card
     if parameter in NETWORKS and path.is_file():
-        for number, file in enumerate(files_of(path), start=1):
+        for number, file in enumerate(weight_files(path), start=1):
             found[f"Weights{number}"] = file
     return found
 

@@ -1,4 +1,4 @@
-"""Channel maps: a TOML file that says by hand which channels of a shot hold what.
+"""Channels named by hand: the option ``--aov``, and channel maps, TOML files for a whole shot.
 
 What a map leaves out is recognised as usual, so that it can correct a single role. Channels have
 the names that ``exwarp inspect`` prints: with their layer, without their view, and with
@@ -8,7 +8,8 @@ the names that ``exwarp inspect`` prints: with their layer, without their view, 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Mapping
+import re
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,16 +18,31 @@ from exwarp_cli.errors import (
     DamagedFileError,
     ExwarpError,
     InputError,
+    LayoutError,
     OutputExistsError,
     UsageError,
 )
-from exwarp_cli.io.aov_files import AovFile, check_count, parse_aovs, role_of
 from exwarp_cli.io.atomic import atomic_write_text
-from exwarp_cli.io.channels import Role
+from exwarp_cli.io.channels import ChannelRef, Layout, Role, detect_layout
 from exwarp_cli.io.config_file import read_toml
 from exwarp_cli.io.depth import DepthKind
+from exwarp_cli.io.exr.parts import Channel
 
 SCHEMA = "exwarp.channel-map/1"
+
+# Least and most channels of a role; of the others one.
+CHANNEL_COUNTS: Mapping[Role, tuple[int, int]] = {
+    Role.COLOUR: (3, 4),
+    Role.MOTION: (2, 5),
+    **dict.fromkeys((Role.NORMAL, Role.POSITION, Role.ALBEDO, Role.SPECULAR), (3, 3)),
+}
+
+_ROLES = {role.value: role for role in Role} | {"color": Role.COLOUR}
+_FILE = re.compile(r"(?P<pattern>.*?\.exr)(?::(?P<channels>.*))?", re.IGNORECASE | re.DOTALL)
+# Without a suffix it is a folder; the colon of a drive belongs to it.
+_FOLDER = re.compile(
+    r"(?P<pattern>[A-Za-z]:[/\\][^:]*|[^:]+)(?::(?P<channels>[^/\\]*))?", re.DOTALL
+)
 
 _TEXTS = {
     "producer": "the program that wrote the files, for reports",
@@ -38,21 +54,29 @@ _TABLES = ("channels", "aovs")
 
 
 @dataclass(frozen=True)
-class ChannelMap:
-    """What a shot's channels hold, as far as the file says so.
+class AovFile:
+    """A role whose channels lie in a sequence of their own: a folder, pattern or any frame."""
 
-    Attributes
-    ----------
-    path
-        The file.
-    channels
-        Names by role, components in order; () says that the shot does not have a role.
-    aovs
-        Roles whose channels lie in sequences of their own.
-    producer, view, motion
-        As in `_TEXTS`; None where it is not said.
-    depth_kind
-        What the depth channel holds; None where it is not said.
+    role: Role
+    pattern: str
+    channels: tuple[str, ...] = ()  # components in order; () to recognise them
+
+    @property
+    def option(self) -> str:
+        """The option, for a message."""
+        return f"--aov {self.role.value}={self.pattern}"
+
+    @property
+    def chosen(self) -> str:
+        """The channels as they follow the pattern; "" if they are recognised."""
+        return f":{','.join(self.channels)}" if self.channels else ""
+
+
+@dataclass(frozen=True)
+class ChannelMap:
+    """What a file says of a shot's channels; `channels` has () for a role that is absent.
+
+    The other fields are as in `_TEXTS`, None if the file does not say.
     """
 
     path: Path
@@ -68,17 +92,135 @@ class ChannelMap:
         return f"{key} in the channel map {self.path}"
 
 
+def parse_aovs(texts: Iterable[str]) -> tuple[AovFile, ...]:
+    """Read ``ROLE=PATTERN[:CHANNELS]``, for example ``motion=vec/shot.####.exr:R,G``.
+
+    Raises UsageError for another form, or a role that comes twice.
+    """
+    aovs: list[AovFile] = []
+    for text in texts:
+        role_name, equals, rest = text.partition("=")
+        match = _FILE.fullmatch(rest) or _FOLDER.fullmatch(rest)
+        if not equals or not rest or match is None:
+            raise UsageError(
+                f"--aov {text!r} is not understood; write ROLE=PATTERN or ROLE=PATTERN:CHANNELS, "
+                "for example motion=vec/shot.####.exr:R,G"
+            )
+        option = f"--aov {text}"
+        role = _parse_role(role_name, option)
+        channels: tuple[str, ...] = ()
+        if match["channels"] is not None:
+            channels = tuple(name.strip() for name in match["channels"].split(","))
+            if not all(channels):
+                raise UsageError(
+                    f"{option}: a channel's name is empty; separate names by single commas"
+                )
+            require_channel_count(role, channels, option)
+        aovs.append(AovFile(role, match["pattern"], channels))
+    for i, aov in enumerate(aovs):
+        if aov.role in [other.role for other in aovs[:i]]:
+            raise UsageError(f"--aov names {aov.role.value} twice; give one sequence for each role")
+    return tuple(aovs)
+
+
+def _parse_role(name: str, option: str) -> Role:
+    role = _ROLES.get(name.strip().lower())
+    if role is None:
+        roles = ", ".join(role.value for role in Role)
+        raise UsageError(f"{option}: {name!r} is no role; the roles are {roles}")
+    return role
+
+
+def detect_aov(aov: AovFile, channels: Mapping[str, Channel], file: object) -> Layout:
+    """Return a layout of an AOV's role alone, out of the channels of a file's view by name.
+
+    The channels are in the AOV of the role's name.
+
+    Raises LayoutError if a channel is absent, or none is recognised.
+    """
+    role = aov.role
+    if aov.channels:
+        names = tuple(find_channel(name, channels, aov.option, file) for name in aov.channels)
+        return Layout({role: tuple(ChannelRef(role.value, name) for name in names)})
+    # By its own names; else as if its folder's role were the layer's name; else what there is.
+    own = detect_layout({"": channels.values()})
+    layout = own if role in own else detect_layout({role.value: channels.values()})
+    names = tuple(ref.name for ref in layout.roles.get(role, ()))
+    if role not in own:
+        names = max(names, _only_layer(role, channels), key=len)
+    if not names:
+        raise LayoutError(
+            f"{file} has no {role.value} channels that are recognised, only "
+            f"{', '.join(channels)}; name them, as in {aov.option}:{_example(role)}"
+        )
+    return Layout(
+        {role: tuple(ChannelRef(role.value, name) for name in names)},
+        layout.guess if role in layout and role is Role.MOTION else None,
+        own.producer,
+        alphas=tuple(
+            ChannelRef(role.value, ref.name) for ref in layout.alphas if role is Role.COLOUR
+        ),
+    )
+
+
+def _only_layer(role: Role, channels: Mapping[str, Channel]) -> tuple[str, ...]:
+    """Return the channels of a file's only layer in their usual order, () if they do not fit."""
+    layers = {name.rpartition(".")[0] for name in channels}
+    by_letter = {name.rpartition(".")[2].upper(): name for name in channels}
+    least, most = CHANNEL_COUNTS.get(role, (1, 1))
+    if len(layers) != 1:
+        return ()
+    if len(channels) == least == most == 1:
+        return tuple(channels)
+    for letters in ("XYZW", "XYZ", "RGBA", "RGB", "UV", "XY", "RG"):
+        fits = least <= len(letters) <= most and set(by_letter) == set(letters)
+        if fits and not (role is Role.MOTION and letters[0] == "R"):
+            return tuple(by_letter[letter] for letter in letters)
+    return ()
+
+
+def find_channel(name: str, channels: Iterable[str], option: str, file: object) -> str:
+    """Return the channel of this name, or the only one that ends in it.
+
+    Raises LayoutError, which quotes the option and the file, if there is none, or several.
+    """
+    channels = tuple(channels)
+    if name in channels:
+        return name
+    ends = [channel for channel in channels if channel.endswith(f".{name}")]
+    if len(ends) == 1:
+        return ends[0]
+    have = f"several of that name ({', '.join(ends)})" if ends else f"only {', '.join(channels)}"
+    raise LayoutError(f"{option} names the channel {name!r}, and {file} has {have}; correct it")
+
+
+def require_channel_count(role: Role, channels: tuple[str, ...], option: str) -> None:
+    """Refuse a number of channels that a role cannot have, and the same channel twice."""
+    least, most = CHANNEL_COUNTS.get(role, (1, 1))
+    if not least <= len(channels) <= most:
+        wanted = str(least) if least == most else f"{least} to {most}"
+        raise UsageError(
+            f"{option} names {len(channels)} channel{'s' * (len(channels) != 1)} for "
+            f"{role.value}, which takes {wanted}; write them as in {_example(role)}"
+        )
+    repeated = next((name for i, name in enumerate(channels) if name in channels[:i]), None)
+    if repeated is not None and role is not Role.COLOUR:  # a grey beauty is one plane thrice
+        raise UsageError(
+            f"{option} names the channel {repeated!r} of {role.value} twice; name each component's"
+        )
+
+
+def _example(role: Role) -> str:
+    if role is Role.MOTION:
+        return "R,G"
+    return {1: "Z", 3: "X,Y,Z"}.get(CHANNEL_COUNTS.get(role, (1, 1))[1], "R,G,B,A")
+
+
 def read_channel_map(path: Path) -> ChannelMap:
     """Read a channel map.
 
-    Raises
-    ------
-    InputError
-        When it cannot be read, or is not TOML.
-    DamagedFileError
-        When a key is unknown or its value is of another type.
-    UsageError
-        When a role, or its number of channels, cannot be.
+    Raises InputError if it cannot be read, DamagedFileError if it is not TOML, has an unknown key
+    or a value of another type, UsageError if a role or its number of channels is impossible.
     """
     try:
         document = read_toml(path)
@@ -91,23 +233,30 @@ def read_channel_map(path: Path) -> ChannelMap:
             f"the channel map {path} is not TOML ({error}); correct it, or write a "
             "new one with 'exwarp inspect SEQ --write-channel-map FILE'"
         ) from error
-    _check(document, path)
+    _require_types(document, path)
     channels: dict[Role, tuple[str, ...]] = {}
     for name, value in document.get("channels", {}).items():
         option = f"channels.{name} in the channel map {path}"
-        role = role_of(name, option)
+        role = _parse_role(name, option)
         if role in channels:
             raise UsageError(f"{option} names {role.value} twice; write each role once")
         channels[role] = (value,) if isinstance(value, str) else tuple(value)
         if channels[role]:
-            check_count(role, channels[role], option)
-    aovs = _aovs(document.get("aovs", {}), path)
+            require_channel_count(role, channels[role], option)
+    try:
+        aovs = parse_aovs(f"{role}={text}" for role, text in document.get("aovs", {}).items())
+    except ExwarpError as error:
+        raise type(error)(f"in [aovs] of the channel map {path}: {error}") from error
     for aov in aovs:
         if channels.get(aov.role):
             raise UsageError(
                 f"the channel map {path} names {aov.role.value} in [channels] and in [aovs]; "
                 "leave one of them out"
             )
+    depth_kind = document.get("depth_kind")
+    kinds = [kind.value for kind in DepthKind]
+    if depth_kind is not None and depth_kind not in kinds:
+        raise _invalid(path, "depth_kind", f"is {depth_kind!r}; write one of {', '.join(kinds)}")
     return ChannelMap(
         path,
         channels,
@@ -115,20 +264,48 @@ def read_channel_map(path: Path) -> ChannelMap:
         document.get("producer"),
         document.get("view"),
         document.get("motion"),
-        _kind(document, path),
+        None if depth_kind is None else DepthKind(depth_kind),
     )
 
 
-def write_channel_map(path: Path, text: str, overwrite: bool) -> None:
-    """Write the text of a channel map, whole or not at all.
+def _require_types(document: Mapping[str, Any], path: Path) -> None:
+    """Refuse unknown keys and values of other types."""
+    keys = ("schema", *_TEXTS, *_TABLES)
+    for key, value in document.items():
+        if key not in keys:
+            raise _invalid(path, key, f"is unknown; the keys are {', '.join(keys)}")
+        if key in _TABLES and not isinstance(value, dict):
+            raise _invalid(path, key, f"has to be a table; write [{key}] on a line of its own")
+        if key not in _TABLES and not _is_name(value):
+            raise _invalid(path, key, "has to be a text in quotes; correct it, or leave it out")
+    if document.get("schema", SCHEMA) != SCHEMA:
+        raise _invalid(path, "schema", f"is not {SCHEMA}; this version of ExWarp reads that alone")
+    for name, value in document.get("channels", {}).items():
+        if not _is_name(value) and not (isinstance(value, list) and all(map(_is_name, value))):
+            raise _invalid(
+                path,
+                f"channels.{name}",
+                "has to be a list of channel names; correct it, or leave it out",
+            )
+    for name, value in document.get("aovs", {}).items():
+        if not _is_name(value):
+            raise _invalid(
+                path,
+                f"aovs.{name}",
+                "has to be a text such as PATTERN:R,G; correct it, or leave it out",
+            )
 
-    Raises
-    ------
-    OutputExistsError
-        When the file exists and is not to be replaced.
-    OutputError
-        When it cannot be written.
-    """
+
+def _is_name(value: object) -> bool:
+    return isinstance(value, str) and bool(value)
+
+
+def _invalid(path: Path, key: str, problem: str) -> DamagedFileError:
+    return DamagedFileError(f"{key} in the channel map {path} {problem}")
+
+
+def write_channel_map(path: Path, text: str, overwrite: bool) -> None:
+    """Write the text of a channel map atomically; OutputExistsError, OutputError if it cannot."""
     if path.exists() and not overwrite:
         raise OutputExistsError(f"{path} exists; choose another name, or add --overwrite")
     atomic_write_text(path, text)
@@ -141,102 +318,36 @@ def channel_map_text(
     aovs: tuple[AovFile, ...],
     unused: Iterable[str] = (),
 ) -> str:
-    """Write out a channel map, with comments that say what can be changed.
+    """Format a channel map of the shot `about`, with comments that say what can be changed.
 
-    Parameters
-    ----------
-    about
-        What it is of, for the first line.
-    texts
-        Values of `_TEXTS`; what is absent or None becomes a comment.
-    channels
-        Names by role; roles that are absent become comments.
-    aovs
-        Roles in sequences of their own.
-    unused
-        Names of the channels without a role, which become comments.
+    Absent values of `_TEXTS`, absent roles and the `unused` channels become comments.
     """
     lines = [
-        f"# What the channels of {quoted(about)} hold, for exwarp --channel-map.",
+        f"# What the channels of {quote_toml(about)} hold, for exwarp --channel-map.",
         "# What is left out is recognised as without a map; channels = [] leaves a role out.",
-        f"schema = {quoted(SCHEMA)}",
+        f"schema = {quote_toml(SCHEMA)}",
     ]
     for key, meaning in _TEXTS.items():
         value = texts.get(key)
         lines += ["", f"# {key}: {meaning}"]
-        lines.append(f'# {key} = ""' if value is None else f"{key} = {quoted(value)}")
+        lines.append(f'# {key} = ""' if value is None else f"{key} = {quote_toml(value)}")
     lines += ["", "# Channels with their layer, in the order of their components (R G B A, X Y Z)."]
     lines.append("[channels]")
     apart = {aov.role for aov in aovs}
     for role in (role for role in Role if role not in apart):
-        named = ", ".join(quoted(name) for name in channels.get(role, ()))
-        lines.append(f"{'' if named else '# '}{role.value} = [{named}]")
-    if names := tuple(unused):
-        lines += ["", "# Channels that have no role so far:", *(f"# {quoted(n)}" for n in names)]
+        listed = ", ".join(quote_toml(name) for name in channels.get(role, ()))
+        lines.append(f"{'' if listed else '# '}{role.value} = [{listed}]")
+    if names := [f"# {quote_toml(name)}" for name in unused]:
+        lines += ["", "# Channels that have no role so far:", *names]
     lines += ["", "# Roles in sequences of their own, as --aov takes them: PATTERN[:CHANNELS]."]
     lines.append("[aovs]")
-    for aov in aovs:
-        lines.append(f"{aov.role.value} = {quoted(aov.pattern + aov.chosen)}")
+    lines += [f"{aov.role.value} = {quote_toml(aov.pattern + aov.chosen)}" for aov in aovs]
     return "\n".join(lines) + "\n"
 
 
-def quoted(text: str) -> str:
-    """Write a text as TOML's basic string.
-
-    JSON's escapes are TOML's; but TOML also wants that of DEL, and UTF-8 has no lone surrogates,
-    which stand for bytes of file names that are no text.
-    """
+def quote_toml(text: str) -> str:
+    """Write a text as TOML's basic string."""
+    # JSON's escapes are TOML's; but TOML also wants that of DEL, and UTF-8 has no lone surrogates,
+    # which stand for bytes of file names that are no text.
     plain = text.encode("utf-8", "replace").decode()
     return json.dumps(plain, ensure_ascii=False).replace("\x7f", "\\u007f")
-
-
-def _check(document: Mapping[str, Any], path: Path) -> None:
-    """Refuse unknown keys and other types."""
-    known = ("schema", *_TEXTS, *_TABLES)
-    for key, value in document.items():
-        if key not in known:
-            raise _wrong(path, key, f"is unknown; the keys are {', '.join(known)}")
-        if key in _TABLES and not isinstance(value, dict):
-            raise _wrong(path, key, f"has to be a table; write [{key}] on a line of its own")
-        if key not in _TABLES and not (isinstance(value, str) and value):
-            raise _wrong(path, key, "has to be a text in quotes; correct it, or leave it out")
-    if document.get("schema", SCHEMA) != SCHEMA:
-        raise _wrong(path, "schema", f"is not {SCHEMA}; this version of ExWarp reads that alone")
-    for name, value in document.get("channels", {}).items():
-        _check_type(path, f"channels.{name}", value, _are_names, "a list of channel names")
-    for name, value in document.get("aovs", {}).items():
-        _check_type(path, f"aovs.{name}", value, _is_name, "a text such as PATTERN:R,G")
-
-
-def _check_type(
-    path: Path, key: str, value: object, fits: Callable[[object], bool], wanted: str
-) -> None:
-    if not fits(value):
-        raise _wrong(path, key, f"has to be {wanted}; correct it, or leave it out")
-
-
-def _is_name(value: object) -> bool:
-    return isinstance(value, str) and bool(value)
-
-
-def _are_names(value: object) -> bool:
-    return _is_name(value) or (isinstance(value, list) and all(map(_is_name, value)))
-
-
-def _wrong(path: Path, key: str, what: str) -> DamagedFileError:
-    return DamagedFileError(f"{key} in the channel map {path} {what}")
-
-
-def _aovs(table: Mapping[str, str], path: Path) -> tuple[AovFile, ...]:
-    try:
-        return parse_aovs(f"{role}={text}" for role, text in table.items())
-    except ExwarpError as error:
-        raise type(error)(f"in [aovs] of the channel map {path}: {error}") from error
-
-
-def _kind(document: Mapping[str, Any], path: Path) -> DepthKind | None:
-    text = document.get("depth_kind")
-    if text is None or text in [kind.value for kind in DepthKind]:
-        return None if text is None else DepthKind(text)
-    known = ", ".join(kind.value for kind in DepthKind)
-    raise _wrong(path, "depth_kind", f"is {text!r}; write one of {known}")

@@ -12,7 +12,6 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from functools import partial
 
 from exwarp_cli.domain.motion import MotionConvention
 from exwarp_cli.errors import LayoutError
@@ -21,8 +20,8 @@ from exwarp_cli.io.producers import (
     BACKWARD_NAMES,
     FORWARD_NAMES,
     UNKNOWN,
-    is_cryptomatte,
-    recognise,
+    is_cryptomatte_name,
+    recognise_producer,
 )
 
 
@@ -43,14 +42,9 @@ class Role(Enum):
 
 @dataclass(frozen=True)
 class ChannelRef:
-    """Where a channel is found in every frame of a sequence.
+    """A channel of a sequence: its name with the layer, and the AOV if each AOV has its own file.
 
-    Attributes
-    ----------
-    aov
-        Name of the AOV's own sequence where each AOV has a file of its own, else "".
-    name
-        Channel name with its layer.
+    `aov` is "" in a sequence's main files.
     """
 
     aov: str
@@ -58,34 +52,27 @@ class ChannelRef:
 
     @property
     def component(self) -> str:
-        """Last element of the name: R, X, u and the like."""
+        """The last element of the name: R, X, u and the like."""
         return self.name.rsplit(".", 1)[-1]
+
+
+Refs = tuple[ChannelRef, ...]
 
 
 @dataclass(frozen=True)
 class Layout:
-    """What was recognised in a sequence's files.
+    """What was recognised in a sequence's files."""
 
-    Attributes
-    ----------
-    roles
-        The channels of every role that was found, components in order (R G B A, X Y Z …).
-    guess
-        What the names say of the motion convention; None where they say nothing.
-    producer
-        The program that wrote the files, as far as the names tell.
-    incomplete
-        Layers that go by a role's name but lack channels, and so are not taken: what each has, in
-        words, for example "'forward' has only u".
-    alphas
-        Channels that may be the alpha of a colour without, where there are several: none is taken.
-    """
-
-    roles: Mapping[Role, tuple[ChannelRef, ...]]
+    # Components in order: R G B A, X Y Z.
+    roles: Mapping[Role, Refs]
+    # The motion convention that names suggest.
     guess: MotionConvention | None = None
     producer: str = UNKNOWN
+    # Layers that go by a role's name but lack channels: what each has, in words, for example
+    # "'forward' has only u".
     incomplete: Mapping[Role, str] = field(default_factory=dict)
-    alphas: tuple[ChannelRef, ...] = ()
+    # Channels that may be the colour's alpha; if there are several, none is taken.
+    alphas: Refs = ()
 
     def __contains__(self, role: Role) -> bool:
         return role in self.roles
@@ -93,7 +80,7 @@ class Layout:
 
 @dataclass(frozen=True)
 class _Rule:
-    """Names of layers and components that a role goes by; earlier ones win."""
+    """Last elements of layers' names, and their components; earlier ones win."""
 
     leaves: tuple[str, ...]
     components: tuple[str, ...]
@@ -141,194 +128,248 @@ _RULES: dict[Role, tuple[_Rule, ...]] = {
     Role.METALLIC: (_Rule(("metallic", "metalness", "metal"), _ONE),),
 }
 
+# Names that say nothing at the end of a longer one: a diffuse colour is no beauty.
 _PLAIN_WORDS = frozenset(
     {"", "c", "ci", "rgba", "rgb", "color", "colour", "finalimage", "image", "vector"}
 )
-"""Names that say nothing at the end of a longer one: a diffuse colour is no beauty."""
 
-_BY_LAST_WORDS = (
+# Roles whose layers are also found by the last words of their names. Not those of materials, where
+# each lobe has its own.
+_FOUND_BY_ENDING = (
     Role.COLOUR, Role.DEPTH, Role.MOTION, Role.NORMAL, Role.POSITION, Role.STENCIL,
 )  # fmt: skip
-"""Roles whose layers are also found by the last words of their names. Not those of materials,
-where each lobe has its own."""
 
-_NEVER_BEFORE = frozenset({"shadow", "denoising", "noisy", "variance", "holdout", "bump"})
-"""Words before a role's name that make it another thing: Blender's denoising depth is that of what
-a mirror shows."""
+# Words before a role's name that make it another thing: Blender's denoising depth is that of what a
+# mirror shows.
+_SPOILING_WORDS = frozenset({"shadow", "denoising", "noisy", "variance", "holdout", "bump"})
 
+# Roles' names of three letters or fewer that end longer names of nothing else.
 _SHORT_WORDS = frozenset({"mv"})
-"""Roles' names of three letters or fewer that end longer names of nothing else."""
 
+# Words after a role's name that leave it that, as numbers and versions (`v2`) do.
 _SUFFIXES = frozenset(
     {"pass", "layer", "aov", "element", "channel", "channels", "raw", "nofilter", "unfiltered"}
     | {"filtered", "float", "32f", "16f"}
 )
-"""Words after a role's name that leave it that, as numbers and versions (`v2`) do."""
 
-_WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[0-9]+[a-z]?")
-"""A word of a name: `VRayZDepth_v2` has V, Ray, Z, Depth, v, 2."""
-
+# Words before normals and positions of other spaces; only world space counts.
 _SPACES = frozenset(
     {"camera", "cam", "view", "eye", "screen", "local", "object", "obj", "rest", "reference", "ref"}
     | {"tangent", "previous", "prev", "light"}
 )
-"""Such words before normals and positions, which count in world space alone."""
 
 _LEAVES = {
-    role: frozenset(e for rule in rules for e in rule.leaves) for role, rules in _RULES.items()
+    role: frozenset(leaf for rule in rules for leaf in rule.leaves)
+    for role, rules in _RULES.items()
 }
 _PICTURES = _LEAVES[Role.COLOUR]
 _DATA = frozenset.union(*_LEAVES.values()) - _PICTURES
 _ALPHAS = frozenset({"a", "alpha"})
-
+_RGB = {"R", "G", "B"}
 _LONG_COMPONENTS = {"RED": "R", "GREEN": "G", "BLUE": "B", "ALPHA": "A"}
 
-
-def _letter(component: str) -> str:
-    """Return a component in capitals; a colour's name as its letter."""
-    return _LONG_COMPONENTS.get(component.upper(), component.upper())
+# `VRayZDepth_v2` has the words V, Ray, Z, Depth, v, 2.
+_WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[0-9]+[a-z]?")
+# Names of parts that say nothing of what they hold.
+_NO_LAYER_NAME = re.compile(r"(part|subimage|image|layer|default|main)?[0-9]*")
 
 
 @dataclass
 class _Layer:
-    """The channels of one layer.
-
-    `leaf` is its name's last element; `endings` are its last words, each with the word before.
-    `part` holds its first channel. A `bare` layer has its name from the part alone.
-    """
-
     name: str
-    leaf: str
-    endings: dict[str, str]
+    leaf: str  # last element of the name, plain
+    endings: dict[str, str]  # its last words, each with the word before
     own_file: bool
-    part: int = 0
-    bare: bool = False
+    part: int  # of the first channel
+    named_by_part: bool
     components: dict[str, ChannelRef] = field(default_factory=dict)
 
-    def pick(self, letters: str) -> tuple[ChannelRef, ...] | None:
-        """Return the channels of these components, or None when one is absent."""
+    def pick(self, letters: str) -> Refs | None:
+        """Return the channels of these components, or None if one is absent."""
         if any(key not in self.components for key in letters):
             return None
         return tuple(self.components[key] for key in letters)
 
-    def has(self, ref: ChannelRef) -> bool:
-        """Whether a channel is one of this layer's."""
-        return ref in self.components.values()
+    def first_match(self, rule: _Rule) -> Refs:
+        """Return the channels that a rule asks for, () if some are absent."""
+        if self.leaf == "" and rule.components == ("Z",) and "X" in self.components:
+            return ()  # a vector
+        if self.leaf == "id" and not self.own_file and set(self.components) >= _RGB:
+            return ()  # a picture: ids are one number
+        return next(filter(None, (self.pick(letters) for letters in rule.components)), ())
 
     @property
     def alpha(self) -> ChannelRef | None:
-        """The alpha of a picture that lies elsewhere; None where there is none."""
-        if {"R", "G", "B"} <= set(self.components):
+        """The alpha of a picture in another layer, or None."""
+        if set(self.components) >= _RGB:
             return None  # this layer's own
         if self.leaf in _ALPHAS:
             return next((self.components[c] for c in ("A", *_ONE) if c in self.components), None)
         return self.components.get("A") if self.leaf in _PICTURES else None
 
-    def first(self, rule: _Rule) -> tuple[ChannelRef, ...]:
-        """Return the channels that a rule asks for, () where some are absent."""
-        if self.leaf == "" and rule.components == ("Z",) and "X" in self.components:
-            return ()  # a vector
-        if self.leaf == "id" and not self.own_file and {"R", "G", "B"} <= set(self.components):
-            return ()  # a picture: ids are one number
-        return next(filter(None, (self.pick(letters) for letters in rule.components)), ())
 
-
-def detect(channels: Mapping[str, Iterable[Channel]]) -> Layout:
-    """Recognise the roles of channels.
-
-    Parameters
-    ----------
-    channels
-        The channels of one frame by AOV: key "" for the main file, the AOV's own name for files
-        that hold one AOV each.
-
-    Returns
-    -------
-    Layout
-        Roles that were not found are absent.
-    """
-    layers = _layers(channels)
+def detect_layout(channels: Mapping[str, Iterable[Channel]]) -> Layout:
+    """Recognise the roles of one frame's channels by AOV; "" is the main file's."""
+    layers = _group_by_layer(channels)
+    # Of several view layers, geometry is looked for in the one whose colour is used.
     near = layers
-    roles: dict[Role, tuple[ChannelRef, ...]] = {}
-    for role, rules in _RULES.items():
-        search = _motion if role is Role.MOTION else partial(_first, rules=rules, role=role)
-        found = search(near) or search(layers)
-        if found:
-            roles[role] = found
-        if role is Role.COLOUR and found:
-            # Of several view layers, geometry is looked for in the one whose colour is used.
-            parent = _parent(found[0].name)
-            near = [layer for layer in layers if _parent(f"{layer.name}.") == parent]
-            near = _of_part(near, next(layer.part for layer in layers if layer.has(found[0])))
+    roles: dict[Role, Refs] = {}
+    for role in _RULES:
+        refs = _find_role(near, role) or _find_role(layers, role)
+        if not refs:
+            continue
+        roles[role] = refs
+        if role is Role.COLOUR:
+            parent = _parent(refs[0].name)
+            part = next(layer.part for layer in layers if refs[0] in layer.components.values())
+            # Without layers that are named by the parts of other pictures.
+            near = [
+                layer
+                for layer in layers
+                if _parent(f"{layer.name}.") == parent
+                and (layer.part == part or layer.leaf or not layer.name)
+            ]
+            near.sort(key=lambda layer: layer.part != part)
             layers = near + [layer for layer in layers if layer not in near]
-    if Role.COLOUR not in roles:
-        roles.update(_only_colour(layers, roles))
-    alphas = _alphas(near, layers, roles.get(Role.COLOUR, ()))
+    if Role.COLOUR not in roles and (picture := _only_picture(layers, roles)):
+        roles[Role.COLOUR] = picture
+    alphas = _alphas(near, roles) or _alphas(layers, roles)
     if len(alphas) == 1:
         roles[Role.COLOUR] += alphas
-    motion, guess, producer = _convention(layers, roles)
-    if motion:
-        roles[Role.MOTION] = motion
+    guess, producer = None, UNKNOWN
+    if Role.MOTION in roles:
+        roles[Role.MOTION], guess, producer = _motion_convention(layers, roles)
     ordered = {role: roles[role] for role in Role if role in roles}
     several = alphas if len(alphas) > 1 else ()
     return Layout(ordered, guess, producer, _incomplete(layers, roles), several)
 
 
-def _alphas(
-    near: list[_Layer], layers: list[_Layer], colour: tuple[ChannelRef, ...]
-) -> tuple[ChannelRef, ...]:
-    """Return the alphas of other layers that may be a colour's: those that lie near, if any."""
-    if len(colour) != 3:
-        return ()
-    for candidates in (near, layers):
-        alphas = (layer.alpha for layer in candidates)
-        refs = tuple(ref for ref in alphas if ref is not None and ref.aov == colour[0].aov)
-        if refs:
-            return refs
-    return ()
-
-
-def _of_part(layers: list[_Layer], part: int) -> list[_Layer]:
-    """Return layers, those of a part first, without what lies beside other parts' pictures."""
-    kept = [layer for layer in layers if layer.part == part or layer.leaf or not layer.name]
-    return sorted(kept, key=lambda layer: layer.part != part)
-
-
-def require(
-    layout: Layout, role: Role, where: str, channels: Iterable[str]
-) -> tuple[ChannelRef, ...]:
-    """Return a role's channels.
-
-    Parameters
-    ----------
-    layout, role
-        What is recognised, and what is wanted of it.
-    where, channels
-        The file, and the names of all its channels, for the message.
-
-    Raises
-    ------
-    LayoutError
-        When the files do not have it.
-    """
+def require_role(layout: Layout, role: Role, file: str, channels: Iterable[str]) -> Refs:
+    """Return a role's channels; LayoutError, which lists all `channels` of the file, if absent."""
     if role not in layout:
         partly = f" ({layout.incomplete[role]})" if role in layout.incomplete else ""
         raise LayoutError(
-            f"{where} has no {role.value} channels that are recognised{partly}, only "
+            f"{file} has no {role.value} channels that are recognised{partly}, only "
             f"{', '.join(channels)}; name them in a channel map, or render the missing pass"
         )
     return layout.roles[role]
 
 
 def role_named(name: str) -> Role | None:
-    """Return the role that a name stands for as a whole, None where it stands for none.
+    """Return the role that a whole name stands for, or None.
 
-    One letter stands for a pass as a capital alone: `N`, `P`, `Z`.
+    One letter stands for a pass only as a capital: `N`, `P`, `Z`.
     """
     leaf = _plain(name)
     if not leaf or (len(leaf) == 1 and not name.strip("._- ").isupper()):
         return None
-    return next((r for r, rules in _RULES.items() if any(leaf in x.leaves for x in rules)), None)
+    return next((role for role, leaves in _LEAVES.items() if leaf in leaves), None)
+
+
+def split_words(name: str) -> list[str]:
+    """Return the words of a name in lower case, split at separators, CamelCase and digits."""
+    return [word.lower() for word in _WORD.findall(name)]
+
+
+def _group_by_layer(channels: Mapping[str, Iterable[Channel]]) -> list[_Layer]:
+    """Group channels by layer, in file order, without those of Cryptomattes.
+
+    A channel that is named by a word without a layer, as `hitPz`, is a layer of its own.
+    """
+    layers: dict[tuple[str, str, int], _Layer] = {}
+    for aov, members in channels.items():
+        members = tuple(members)
+        parts = _PartNames.of(members)
+        for channel in members:
+            if is_cryptomatte_name(channel.name.rpartition(".")[0] or aov):
+                continue
+            layer, last, component, part = parts.locate(channel)
+            key = (aov, layer, part)
+            if key not in layers:
+                own_file = bool(aov) and layer == ""
+                if own_file:
+                    last = aov.rsplit(".", 1)[-1]
+                layers[key] = _Layer(
+                    layer or aov,
+                    _plain(last),
+                    _endings(last),
+                    own_file,
+                    channel.part,
+                    layer != "" and _is_named_by_part(channel),
+                )
+            layers[key].components.setdefault(component, ChannelRef(aov, channel.name))
+    return list(layers.values())
+
+
+@dataclass(frozen=True)
+class _PartNames:
+    """What the parts' names say of channels that carry no layer of their own.
+
+    `pictures` are the parts with such R, G and B. `leading` and `trailing` count the words that the
+    names of all such parts begin and end with: of `rgba_main` and `depth_main`, 0 and 1.
+    """
+
+    pictures: frozenset[int]
+    leading: int
+    trailing: int
+
+    @classmethod
+    def of(cls, channels: Iterable[Channel]) -> _PartNames:
+        letters: dict[int, set[str]] = {}
+        names: dict[str, list[str]] = {}
+        for channel in channels:
+            if _is_named_by_part(channel):
+                layer, _, component = channel.name.rpartition(".")
+                letters.setdefault(channel.part, set()).add(_letter(component))
+                names[layer] = _name_words(layer.rsplit(".", 1)[-1])
+        pictures = frozenset(part for part, components in letters.items() if components >= _RGB)
+        leading = _shared_word_count(list(names.values()))
+        reversed_rests = [words[leading:][::-1] for words in names.values()]
+        return cls(pictures, leading, _shared_word_count(reversed_rests))
+
+    def locate(self, channel: Channel) -> tuple[str, str, str, int]:
+        """Return a channel's layer, the last element of its name, the component, and the part.
+
+        The part is -1 where layers of one name are one layer, whatever their parts.
+        """
+        layer, _, component = channel.name.rpartition(".")
+        component, last = _letter(component), layer.rsplit(".", 1)[-1]
+        by_part = _is_named_by_part(channel)
+        repeats_layer = _plain(component) == _plain(last)
+        if len(component) > 1 and (not layer or by_part or repeats_layer):
+            return channel.name, channel.name.rsplit(".", 1)[-1], "V", -1
+        if not by_part:
+            return layer, last, component, -1
+        if channel.part in self.pictures and component not in ("R", "G", "B", "A"):
+            # The name is the picture's; Z beside a picture is OpenEXR's own depth.
+            return layer, "", component, channel.part
+        if _NO_LAYER_NAME.fullmatch(_plain(layer)):
+            return "", "", component, channel.part
+        if _plain(last) not in _DATA and (self.leading or self.trailing):
+            words = _name_words(last)
+            last = "_".join(words[self.leading : len(words) - self.trailing])
+        return layer, last, component, -1
+
+
+def _is_named_by_part(channel: Channel) -> bool:
+    return "." not in channel.raw_name and channel.name != channel.raw_name
+
+
+def _shared_word_count(names: list[list[str]]) -> int:
+    """Count the words that all names begin with and that change no role; one word stays."""
+    if len(names) < 2:
+        return 0
+    count = 0
+    for column in list(zip(*names, strict=False))[: min(map(len, names)) - 1]:
+        word = column[0].lower()
+        if len(set(column)) > 1 or word in _DATA | _PICTURES | _SPACES | _SPOILING_WORDS:
+            break
+        count += 1
+    return count
+
+
+def _letter(component: str) -> str:
+    return _LONG_COMPONENTS.get(component.upper(), component.upper())
 
 
 def _parent(name: str) -> str:
@@ -336,249 +377,142 @@ def _parent(name: str) -> str:
     return name.rpartition(".")[0].rpartition(".")[0]
 
 
-def _layers(channels: Mapping[str, Iterable[Channel]]) -> list[_Layer]:
-    """Group channels by layer, in file order; Cryptomatte's are left out.
-
-    A channel that is named by a word without a layer, as `hitPz`, is a layer of its own.
-    """
-    layers: dict[tuple[str, str, int], _Layer] = {}
-    for aov, listed in channels.items():
-        members = tuple(listed)
-        parts = _PartNames.of(members)
-        for channel in members:
-            if is_cryptomatte(channel.name.rpartition(".")[0] or aov):
-                continue
-            layer, last, component, part = parts.place(channel)
-            key = (aov, layer, part)
-            if key not in layers:
-                own = bool(aov) and layer == ""
-                last = aov.rsplit(".", 1)[-1] if own else last
-                bare = layer != "" and parts.names(channel)
-                leaf, ends = _plain(last), _endings(last)
-                layers[key] = _Layer(layer or aov, leaf, ends, own, channel.part, bare)
-            layers[key].components.setdefault(component, ChannelRef(aov, channel.name))
-    return list(layers.values())
-
-
-@dataclass(frozen=True)
-class _PartNames:
-    """What the names of a file's parts say of the channels that carry no layer of their own.
-
-    `pictures` are the parts that hold R, G and B so. `leading` and `trailing` count the words that
-    the names of all such parts begin and end with: of `rgba_main` and `depth_main`, none and one.
-    """
-
-    pictures: frozenset[int] = frozenset()
-    leading: int = 0
-    trailing: int = 0
-
-    @classmethod
-    def of(cls, channels: Iterable[Channel]) -> _PartNames:
-        """Look through the channels of a file."""
-        letters: dict[int, set[str]] = {}
-        names: dict[str, list[str]] = {}
-        for channel in channels:
-            if cls.names(channel):
-                layer, _, component = channel.name.rpartition(".")
-                letters.setdefault(channel.part, set()).add(_letter(component))
-                names[layer] = _words(layer.rsplit(".", 1)[-1])
-        pictures = frozenset(part for part, held in letters.items() if {"R", "G", "B"} <= held)
-        leading = _shared(list(names.values()))
-        rest = [words[leading:][::-1] for words in names.values()]
-        return cls(pictures, leading, _shared(rest))
-
-    @staticmethod
-    def names(channel: Channel) -> bool:
-        """Whether a channel has its layer's name from its part."""
-        return "." not in channel.raw_name and channel.name != channel.raw_name
-
-    def place(self, channel: Channel) -> tuple[str, str, str, int]:
-        """Return a channel's layer, the last element of its name, the component, and the part.
-
-        The part is -1 where layers of one name are one layer, whatever their parts.
-        """
-        layer, _, component = channel.name.rpartition(".")
-        component, last, bare = _letter(component), layer.rsplit(".", 1)[-1], self.names(channel)
-        repeats = _plain(component) == _plain(last)
-        if len(component) > 1 and (not layer or bare or repeats):
-            return channel.name, channel.name.rsplit(".", 1)[-1], "V", -1
-        if bare and channel.part in self.pictures and component not in ("R", "G", "B", "A"):
-            # The name is the picture's; Z beside a picture is OpenEXR's own depth.
-            return layer, "", component, channel.part
-        if bare and _SAYS_NOTHING.fullmatch(_plain(layer)):
-            return "", "", component, channel.part
-        return layer, self.without_shared_words(last) if bare else last, component, -1
-
-    def without_shared_words(self, name: str) -> str:
-        """Return a part's name without the words that all parts' names have."""
-        if _plain(name) in _DATA or not (self.leading or self.trailing):
-            return name
-        words = _words(name)
-        return "_".join(words[self.leading : len(words) - self.trailing])
-
-
-_SAYS_NOTHING = re.compile(r"(part|subimage|image|layer|default|main)?[0-9]*")
-"""Names of parts that say nothing of what they hold."""
-
-
-def _words(name: str) -> list[str]:
-    """Split a name into words: at what is no letter or digit, and where capitals begin one."""
-    return re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[0-9]+", name)
-
-
-def _shared(names: list[list[str]]) -> int:
-    """Count the words that all of several names begin with and that change no role; one stays."""
-    if len(names) < 2:
-        return 0
-    count = 0
-    for column in list(zip(*names, strict=False))[: min(map(len, names)) - 1]:
-        word = column[0].lower()
-        if len(set(column)) > 1 or word in _DATA | _PICTURES | _SPACES | _NEVER_BEFORE:
-            break
-        count += 1
-    return count
-
-
 def _plain(name: str) -> str:
     """Return a name in lower case, without what separates its words."""
     return re.sub(r"[^a-z0-9]", "", name.lower())
 
 
-def words_of(name: str) -> list[str]:
-    """Return the words of a name in lower case, split at separators, CamelCase and digits."""
-    return [word.lower() for word in _WORD.findall(name)]
+def _name_words(name: str) -> list[str]:
+    return re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[0-9]+", name)
 
 
 def _endings(name: str) -> dict[str, str]:
-    """Return the last words of a name with the word before, most first, without the whole of it.
+    """Return the last words of a name with the word before, longest first, without the whole name.
 
-    Words are what separators part, then also what CamelCase does; suffixes are left out.
+    Words are parted by separators, then also by CamelCase; suffixes are left out.
     """
     parted = [word for word in re.split(r"[^A-Za-z0-9]+", name.lower()) if word]
-    out = {"".join(parted[i:]): parted[i - 1] for i in range(1, len(parted))}
-    words = words_of(name)
-    for end in _ends(words):
+    endings = {"".join(parted[i:]): parted[i - 1] for i in range(1, len(parted))}
+    words = split_words(name)
+    # A name may end at its last word, and before each of its suffixes, numbers and versions.
+    end = len(words)
+    while True:
         for i in range(1 if end == len(words) else 0, end):
-            out.setdefault("".join(words[i:end]), words[i - 1] if i else "")
-    return out
+            endings.setdefault("".join(words[i:end]), words[i - 1] if i else "")
+        if end < 2 or not (words[end - 1] in _SUFFIXES or words[end - 1].isdigit()):
+            return endings
+        is_version = words[end - 1].isdigit() and words[end - 2] == "v"
+        end -= 1 + is_version
+        if end < 1:
+            return endings
 
 
-def _ends(words: list[str]) -> list[int]:
-    """Return where a name may end: at its last word, and before each of its suffixes."""
-    ends = [len(words)]
-    while ends[-1] > 1 and (words[ends[-1] - 1] in _SUFFIXES or words[ends[-1] - 1].isdigit()):
-        # The "v" of a version.
-        version = words[ends[-1] - 1].isdigit() and words[ends[-1] - 2] == "v"
-        if ends[-1] - 1 - version < 1:
-            break
-        ends.append(ends[-1] - 1 - version)
-    return ends
+def _find_role(layers: list[_Layer], role: Role) -> Refs:
+    """Return the channels of a role in the best layer, () if there is none."""
+    rules = _RULES[role]
+    if role is not Role.MOTION:
+        return _find_by_rules(layers, rules, role)
+    if refs := _find_by_rules(layers, rules[:1], role):
+        return refs
+    # Forward and backward layers are joined, forward first.
+    letters = rules[1].components
+    forward = _find_by_rules(layers, (_Rule(FORWARD_NAMES, letters),), role)
+    backward = _find_by_rules(layers, (_Rule(BACKWARD_NAMES, letters),), role)
+    if refs := forward + backward or _find_by_rules(layers, rules[2:], role):
+        return refs
+    # A file with red and green alone, as plug-ins write it.
+    if len(layers) == 1 and not layers[0].leaf and set(layers[0].components) == {"R", "G"}:
+        return layers[0].pick("RG") or ()
+    return ()
 
 
-def _first(layers: list[_Layer], rules: Iterable[_Rule], role: Role) -> tuple[ChannelRef, ...]:
-    """Return the channels of the best layer for these rules, () when there is none."""
-    rules = tuple(rules)
-    for by_ending in (False, True) if role in _BY_LAST_WORDS else (False,):
+def _find_by_rules(layers: list[_Layer], rules: tuple[_Rule, ...], role: Role) -> Refs:
+    for by_ending in (False, True) if role in _FOUND_BY_ENDING else (False,):
         for rule in rules:
             for leaf in rule.leaves:
                 for layer in layers:
-                    mine = layer.leaf == leaf if not by_ending else _ends_in(layer, leaf, role)
-                    found = layer.first(rule) if mine else ()
-                    if found:
-                        return found
+                    fits = _ends_in(layer, leaf, role) if by_ending else layer.leaf == leaf
+                    if fits and (refs := layer.first_match(rule)):
+                        return refs
     return ()
 
 
 def _ends_in(layer: _Layer, leaf: str, role: Role) -> bool:
-    """Whether a layer's name ends in a role's, and the word before leaves it that."""
+    """True if a layer's name ends in a role's, and the word before does not change the role."""
     # Single letters and "id" end names of anything.
-    short = len(leaf) <= 3 and leaf not in _SHORT_WORDS
-    if short or leaf in _PLAIN_WORDS or leaf not in layer.endings:
+    is_short = len(leaf) <= 3 and leaf not in _SHORT_WORDS
+    if is_short or leaf in _PLAIN_WORDS or leaf not in layer.endings:
         return False
     if role is Role.COLOUR and not layer.leaf.endswith(leaf):
         return False  # beauty_1, beauty_2: pictures of one light each
     before = layer.endings[leaf]
-    spoilt = before in _SPACES and role in (Role.NORMAL, Role.POSITION)
-    return before not in _NEVER_BEFORE and not spoilt
+    if role in (Role.NORMAL, Role.POSITION) and before in _SPACES:
+        return False
+    return before not in _SPOILING_WORDS
 
 
-def _motion(layers: list[_Layer]) -> tuple[ChannelRef, ...]:
-    """Return the motion channels; forward and backward layers are joined, forward first."""
-    rules = _RULES[Role.MOTION]
-    whole = _first(layers, rules[:1], Role.MOTION)
-    if whole:
-        return whole
-    letters = rules[1].components
-    forward = _first(layers, [_Rule(FORWARD_NAMES, letters)], Role.MOTION)
-    backward = _first(layers, [_Rule(BACKWARD_NAMES, letters)], Role.MOTION)
-    return forward + backward or _first(layers, rules[2:], Role.MOTION) or _bare(layers)
+def _only_picture(layers: list[_Layer], roles: Mapping[Role, Refs]) -> Refs:
+    """Return a single unclaimed RGB layer, whatever its name, or ().
+
+    Of several, the one whose channels have no layer in the file, but for its part's name: R, G and
+    B alone are the picture.
+    """
+    used = {ref for refs in roles.values() for ref in refs}
+    free = []
+    for layer in layers:
+        refs = layer.pick("RGBA") or layer.pick("RGB")
+        if refs and not used.intersection(refs):
+            is_data = bool({layer.leaf, *layer.endings} & _DATA)
+            free.append((layer.named_by_part and not is_data, refs))
+    if len(free) > 1:
+        free = [entry for entry in free if entry[0]]
+    return free[0][1] if len(free) == 1 else ()
 
 
-def _bare(layers: list[_Layer]) -> tuple[ChannelRef, ...]:
-    """Take a file that holds red and green alone for motion, as plug-ins write it."""
-    if len(layers) != 1 or layers[0].leaf or set(layers[0].components) != {"R", "G"}:
+def _alphas(layers: list[_Layer], roles: Mapping[Role, Refs]) -> Refs:
+    """Return the alphas of other layers that may belong to a colour without alpha."""
+    colour = roles.get(Role.COLOUR, ())
+    if len(colour) != 3:
         return ()
-    return layers[0].pick("RG") or ()
+    alphas = (layer.alpha for layer in layers)
+    return tuple(ref for ref in alphas if ref is not None and ref.aov == colour[0].aov)
 
 
-def _convention(
-    layers: list[_Layer], roles: Mapping[Role, tuple[ChannelRef, ...]]
-) -> tuple[tuple[ChannelRef, ...], MotionConvention | None, str]:
+def _motion_convention(
+    layers: list[_Layer], roles: Mapping[Role, Refs]
+) -> tuple[Refs, MotionConvention | None, str]:
     """Return the motion channels with those that their convention also takes, and what it is.
 
     A third channel of a layer may hold the length of the vectors, and premultiplied vectors need
     the beauty's alpha.
     """
-    motion = roles.get(Role.MOTION, ())
-    if not motion:
-        return (), None, UNKNOWN
-    mine = next(layer for layer in layers if motion[0] in layer.components.values())
+    motion = roles[Role.MOTION]
+    own = next(layer for layer in layers if motion[0] in layer.components.values())
     letters = "".join(ref.component[0].upper() for ref in motion)
-    producer = recognise(mine.name, letters, (), mine.own_file)[1]
+    producer = recognise_producer(own.name, letters, (), own.own_file)[1]
     third = {"XY": "Z", "RG": "B"}.get(letters, "")
-    if third in mine.components and not producer.startswith(("Unreal", "Blender")):
-        motion, letters = (*motion, mine.components[third]), letters + third
+    if third in own.components and not producer.startswith(("Unreal", "Blender")):
+        motion, letters = (*motion, own.components[third]), letters + third
     colour = roles.get(Role.COLOUR, ())
-    if mine.name.endswith("motion_vectors") and letters == "RG" and len(colour) == 4:
+    if own.name.endswith("motion_vectors") and letters == "RG" and len(colour) == 4:
         motion, letters = (*motion, colour[3]), "RGA"
     names = [layer.name for layer in layers]
-    return motion, *recognise(mine.name, letters, names, mine.own_file)
+    return motion, *recognise_producer(own.name, letters, names, own.own_file)
 
 
-def _incomplete(
-    layers: list[_Layer], roles: Mapping[Role, tuple[ChannelRef, ...]]
-) -> dict[Role, str]:
-    """Tell of layers with a role's name and without its channels."""
-    out: dict[Role, str] = {}
+def _incomplete(layers: list[_Layer], roles: Mapping[Role, Refs]) -> dict[Role, str]:
+    """Describe the layers that have a role's name but lack its channels."""
+    incomplete: dict[Role, str] = {}
     for role, rules in _RULES.items():
         if role in roles and role is not Role.MOTION:
             continue
+        used = set(roles.get(role, ()))
         for rule in rules:
-            named = (layer for layer in layers if layer.leaf and layer.leaf in rule.leaves)
-            used = set(roles.get(role, ()))
-            left = (layer for layer in named if not used & set(layer.components.values()))
-            lame = next((layer for layer in left if not layer.first(rule)), None)
-            if lame is not None and role not in out:
-                has = ", ".join(ref.component for ref in lame.components.values())
-                out[role] = f"{lame.name!r} has only {has}"
-    return out
-
-
-def _only_colour(
-    layers: list[_Layer], taken: Mapping[Role, tuple[ChannelRef, ...]]
-) -> dict[Role, tuple[ChannelRef, ...]]:
-    """Take a single unclaimed RGB layer for colour, whatever its name.
-
-    Of several, that whose channels have no layer in the file, but for its part's name: R, G and B
-    alone are the picture.
-    """
-    used = {ref for refs in taken.values() for ref in refs}
-    free = []
-    for layer in layers:
-        found = layer.pick("RGBA") or layer.pick("RGB")
-        if found and not used.intersection(found):
-            data = {layer.leaf, *layer.endings} & _DATA
-            free.append((layer.bare and not data, found))
-    bare = [picture for bare, picture in free if bare]
-    only = bare if len(free) > 1 else [picture for _, picture in free]
-    return {Role.COLOUR: only[0]} if len(only) == 1 else {}
+            for layer in layers:
+                if not layer.leaf or layer.leaf not in rule.leaves or role in incomplete:
+                    continue
+                refs = layer.components.values()
+                if not used & set(refs) and not layer.first_match(rule):
+                    components = ", ".join(ref.component for ref in refs)
+                    incomplete[role] = f"{layer.name!r} has only {components}"
+    return incomplete

@@ -11,7 +11,7 @@
     [train.policy]
     steps = 20_000
 
-What the tables may hold is for the commands to say; here files are found and read.
+The commands judge what the tables hold; here files are found and read.
 """
 
 from __future__ import annotations
@@ -24,23 +24,18 @@ from typing import Any
 from exwarp_cli.domain.wording import first_line
 from exwarp_cli.errors import UsageError
 
+# The file's name in a project's folder and in the user's own.
 NAME = "exwarp.toml"
-"""What the file is called, in a project's folder and in the user's own."""
 
+# Named instead of a file, these mean no file at all.
 NONE = ("", "none")
-"""What is named instead of a file for no file at all."""
 
 
 @dataclass(frozen=True)
-class FoundFile:
-    """A config file, and why it is one.
+class ConfigLocation:
+    """The absolute path of a config file, and what led to it.
 
-    Attributes
-    ----------
-    path
-        Absolute.
-    how
-        What led to it: "--config", "EXWARP_CONFIG", "nearest folder" or "user's own".
+    `how` is "--config", "EXWARP_CONFIG", "nearest folder" or "user's own".
     """
 
     path: Path
@@ -49,63 +44,44 @@ class FoundFile:
 
 @dataclass(frozen=True)
 class ConfigFile:
-    """What a config file says, not yet judged.
-
-    Attributes
-    ----------
-    path
-        Absolute.
-    tables
-        The whole document.
-    """
+    """The whole document of a config file, not yet judged; the path is absolute."""
 
     path: Path
     tables: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def folder(self) -> Path:
-        """What its relative paths begin at."""
+        """The folder that its relative paths start from."""
         return self.path.parent
 
 
-def found_files(named: str | None, how: str, user_folder: Path | None) -> tuple[FoundFile, ...]:
+def find_config_files(
+    named: str | None, how: str, user_folder: Path | None
+) -> tuple[ConfigLocation, ...]:
     """Find the config files that hold, the strongest first.
 
-    Parameters
-    ----------
-    named
-        The file that the user names, "none" or "" for no file at all; None to look for the nearest
-        one, in the current folder and those above it.
-    how
-        Where it is named.
-    user_folder
-        Where the user's own file lies, which is weaker than any other; None without a home folder.
+    `named` is the file that the user names by `how`, "none" or "" for no file at all; None to look
+    for the nearest one, in the current folder and those above it. The one in `user_folder`, None
+    without a home folder, is the weakest.
 
-    Raises
-    ------
-    UsageError
-        When there is no file of that name, or it cannot be reached.
+    Raises UsageError if there is no file of that name, or it cannot be reached.
     """
     if named is not None and named.strip().lower() in NONE:
         return ()
-    nearest = _nearest() if named is None else FoundFile(_named(named, how), how)
-    found = [] if nearest is None else [nearest]
-    if user_folder is None:
-        return tuple(found)
-    own = FoundFile(user_folder.absolute() / NAME, "user's own")
-    if _is_file(own.path) and not (nearest and nearest.path.resolve() == own.path.resolve()):
-        found.append(own)
-    return tuple(found)
+    files: list[ConfigLocation] = []
+    if named is not None:
+        files.append(ConfigLocation(_named_path(named, how), how))
+    elif nearest := _nearest_path():
+        files.append(ConfigLocation(nearest, "nearest folder"))
+    if user_folder is not None:
+        own = user_folder.absolute() / NAME
+        if _is_file(own) and own.resolve() not in [file.path.resolve() for file in files]:
+            files.append(ConfigLocation(own, "user's own"))
+    return tuple(files)
 
 
 def read_config_file(path: Path) -> ConfigFile:
-    """Read a config file.
-
-    Raises
-    ------
-    UsageError
-        When it cannot be read, or is not TOML.
-    """
+    """Read a config file; UsageError if it cannot be read, or is not TOML."""
     try:
         return ConfigFile(path, read_toml(path))
     except OSError as error:
@@ -120,34 +96,32 @@ def read_config_file(path: Path) -> ConfigFile:
         ) from error
 
 
-def _nearest() -> FoundFile | None:
-    """Find the file of the current folder, or of the nearest one above that has one."""
+def _nearest_path() -> Path | None:
     try:
-        here = Path.cwd()
-    except OSError:  # the folder was removed; what the command needs of it, it will tell itself
+        current = Path.cwd()
+    except OSError:  # the folder was removed; the command itself reports what it needs of it
         return None
-    paths = (folder / NAME for folder in (here, *here.parents))
-    return next((FoundFile(path, "nearest folder") for path in paths if _is_file(path)), None)
+    paths = (folder / NAME for folder in (current, *current.parents))
+    return next(filter(_is_file, paths), None)
 
 
-def _named(named: str, how: str) -> Path:
+def _named_path(named: str, how: str) -> Path:
     remedy = "name a TOML file, or none to go without"
     try:
         path = Path(named).expanduser().absolute()
         if path.exists() and not path.is_dir():  # also a pipe, as in ``--config <(generate)``
             return path
-        found = "is a folder" if path.is_dir() else "does not exist"
+        problem = "is a folder" if path.is_dir() else "does not exist"
     except RuntimeError as error:
         raise UsageError(f"{how} names {named}, and no user has that home; {remedy}") from error
     except OSError as error:
         raise UsageError(
             f"{how} names {named}, which cannot be reached: {error.strerror or error}; {remedy}"
         ) from error
-    raise UsageError(f"{how} names {path}, which {found}; {remedy}")
+    raise UsageError(f"{how} names {path}, which {problem}; {remedy}")
 
 
 def _is_file(path: Path) -> bool:
-    """Whether there is a file that may be one of settings."""
     try:
         return path.exists() and not path.is_dir()
     except OSError:  # a folder above that may not be entered has nothing for us
@@ -155,14 +129,9 @@ def _is_file(path: Path) -> bool:
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Read a TOML file, which may begin with the mark that some editors write.
+    """Read a TOML file, which may begin with the byte order mark that some editors write.
 
-    Raises
-    ------
-    OSError
-        When it cannot be read.
-    ValueError
-        When it is not TOML; the text says why and where, in one line.
+    Raises OSError if it cannot be read, ValueError with one line of text if it is not TOML.
     """
     import tomllib  # every command looks for config files, and most find none
 

@@ -21,30 +21,27 @@ from typing import Any
 from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, MissingFrameError
 from exwarp_cli.io.frame_names import NamePattern
-from exwarp_cli.io.frames import Shot, open_shot
+from exwarp_cli.io.shot import Shot, open_shot
 
+# Roles of scenes: judged on (and trained on only if another one is judged), and never judged on.
 BENCHMARK, TRAINING = "benchmark", "training"
 ROLES = (BENCHMARK, TRAINING)
+
+MANIFEST = "manifest.json"
+SCHEMA = "exwarp.scene/1"
+
+# One scene in so many is left out of training, to validate on.
+VALIDATION_STEP = 12
 
 
 @dataclass(frozen=True)
 class FrameSet:
-    """Numbered frames of one rate.
-
-    Attributes
-    ----------
-    pattern
-        Path relative to the scene's folder, with ``#`` for digits.
-    first, count
-        Number of the first frame, and how many there are; numbered in steps of one.
-    step
-        How far apart they are, in instants.
-    """
+    """Numbered frames of one rate; `pattern` is relative to the scene's folder, with ``#``."""
 
     pattern: str
     first: int
     count: int
-    step: int = 1
+    step: int = 1  # distance in instants; numbers are in steps of one
 
     @property
     def numbers(self) -> range:
@@ -54,52 +51,26 @@ class FrameSet:
 
 @dataclass(frozen=True)
 class SceneManifest:
-    """What one folder of a data set holds.
+    """What one folder of a data set holds."""
 
-    Attributes
-    ----------
-    scene
-        Name, unique in a data set.
-    role
-        "benchmark" (judged on, and only ever trained on when another one is judged) or
-        "training" (never judged on).
-    about
-        One sentence.
-    width, height
-        Pixels.
-    fps, key_fps
-        Rate of the instants, and of the key frames.
-    instants
-        Colour and G-buffers of every instant; motion vectors reach to the neighbouring instants.
-    keys
-        Every `keys.step`-th instant again, as a key frame: motion vectors reach over 1/`key_fps`.
-    renderer
-        Program, version and engine.
-    samples, denoiser
-        Per pixel; and the denoiser's name, or "".
-    seed
-        Of the scene and of the noise.
-    motion
-        What the motion channels mean, in the notation of ``--motion``.
-    dynamic
-        What the object ids stand for; 0, all that stands still, is not listed.
-    """
-
-    scene: str
+    scene: str  # its name, unique in a data set
     role: str
-    about: str
+    about: str  # one sentence
     width: int
     height: int
+    # Rates of the instants and of the key frames.
     fps: int
     key_fps: int
+    # Colour and G-buffers of every instant; motion vectors reach to the neighbouring instants.
     instants: FrameSet
+    # Every `keys.step`-th instant again, as a key frame: motion vectors reach over 1 / `key_fps`.
     keys: FrameSet
-    renderer: str
-    samples: int
-    denoiser: str
-    seed: int
-    motion: str
-    dynamic: Mapping[int, str]
+    renderer: str  # program, version and engine
+    samples: int  # per pixel
+    denoiser: str  # "" without
+    seed: int  # of the scene and of the noise
+    motion: str  # what the motion channels mean, as --motion takes it
+    dynamic: Mapping[int, str]  # what the object ids stand for, without 0, all that stands still
 
     @property
     def size(self) -> str:
@@ -107,26 +78,14 @@ class SceneManifest:
         return f"{self.width}x{self.height}"
 
     def has_key(self, index: int) -> bool:
-        """Whether an instant, counted from 0, was also rendered as a key frame."""
-        whole, beyond = divmod(index, self.keys.step)
-        return beyond == 0 and 0 <= whole < self.keys.count
-
-
-MANIFEST = "manifest.json"
-SCHEMA = "exwarp.scene/1"
+        """Return True if an instant, counted from 0, was also rendered as a key frame."""
+        key, remainder = divmod(index, self.keys.step)
+        return remainder == 0 and 0 <= key < self.keys.count
 
 
 @dataclass(frozen=True)
 class RenderedScene:
-    """One scene of a data set.
-
-    Attributes
-    ----------
-    folder
-        Where it lies.
-    manifest
-        What it holds once it is rendered in full.
-    """
+    """One scene of a data set; the manifest says what it holds once it is rendered in full."""
 
     folder: Path
     manifest: SceneManifest
@@ -137,23 +96,17 @@ class RenderedScene:
         return self.manifest.scene
 
     def path(self, frames: FrameSet, number: int) -> Path:
-        """Path of one frame of `manifest.instants` or `manifest.keys`."""
+        """Return the path of one frame of `manifest.instants` or `manifest.keys`."""
         pattern = NamePattern.parse(frames.pattern)
         assert pattern is not None  # a manifest with another one is refused
         return self.folder / pattern.name(number)
 
     def missing(self, frames: FrameSet) -> tuple[int, ...]:
-        """Numbers of frames that are not there (yet)."""
+        """Return the numbers of frames that are not rendered yet."""
         return tuple(n for n in frames.numbers if not self.path(frames, n).is_file())
 
     def require_complete(self) -> None:
-        """Refuse a scene that is not rendered in full.
-
-        Raises
-        ------
-        MissingFrameError
-            When a frame is missing.
-        """
+        """Refuse a scene that is not rendered in full; MissingFrameError."""
         for frames in (self.manifest.instants, self.manifest.keys):
             if absent := self.missing(frames):
                 raise MissingFrameError(
@@ -162,50 +115,53 @@ class RenderedScene:
                 )
 
     def as_far_as_rendered(self) -> RenderedScene:
-        """Return the scene as if only its first unbroken run of rendered key frames were meant.
+        """Return the scene of the first unbroken run of rendered key frames alone.
 
-        Instants after the last key frame of a scene that is whole belong to it.
+        Instants after the last key frame of a scene that is complete belong to it.
 
-        Raises
-        ------
-        MissingFrameError
-            When fewer than two successive key frames, with the instants between, are there.
+        Raises MissingFrameError if fewer than two successive key frames, with the instants between,
+        are there.
         """
         manifest = self.manifest
         step, first = manifest.keys.step, manifest.instants.first
-        absent = set(self.missing(manifest.instants)), set(self.missing(manifest.keys))
-        if not any(absent):
+        absent_instants = self.missing(manifest.instants)
+        absent_keys = self.missing(manifest.keys)
+        if not absent_instants and not absent_keys:
             return self
-        there = set(manifest.instants.numbers) - absent[0]
-        keys = set(manifest.keys.numbers) - absent[1]
+        instants = set(manifest.instants.numbers).difference(absent_instants)
+        keys = set(manifest.keys.numbers).difference(absent_keys)
         run: list[int] = []
         for index in range(manifest.keys.count):
-            span = range(first + step * (index - 1), first + step * index + 1)
-            if manifest.keys.first + index in keys and there.issuperset(span):
+            interval = range(first + step * (index - 1), first + step * index + 1)
+            has_key = manifest.keys.first + index in keys
+            if has_key and instants.issuperset(interval):
                 run.append(index)
             elif len(run) > 1:
                 break
             else:
-                run = [index] if manifest.keys.first + index in keys else []
+                run = [index] if has_key else []
         if len(run) < 2:
             raise MissingFrameError(
                 f"{self.folder} has no two successive key frames with all instants between; "
                 "render some, as with --frames 1-9"
             )
-        instants = replace(
-            manifest.instants, first=first + step * run[0], count=step * (len(run) - 1) + 1
+        rendered = replace(
+            manifest,
+            instants=replace(
+                manifest.instants, first=first + step * run[0], count=step * (len(run) - 1) + 1
+            ),
+            keys=replace(manifest.keys, first=manifest.keys.first + run[0], count=len(run)),
         )
-        chosen = replace(manifest.keys, first=manifest.keys.first + run[0], count=len(run))
-        return replace(self, manifest=replace(manifest, instants=instants, keys=chosen))
+        return replace(self, manifest=rendered)
 
     @cached_property
     def instants(self) -> Shot:
-        """The instants as a sequence."""
+        """The instants as a shot."""
         return self._open(self.manifest.instants)
 
     @cached_property
     def keys(self) -> Shot:
-        """The key frames as a sequence."""
+        """The key frames as a shot."""
         return self._open(self.manifest.keys)
 
     def _open(self, frames: FrameSet) -> Shot:
@@ -222,21 +178,11 @@ class RenderedScene:
 def find_scenes(
     data: str | Path, role: str | None = None, names: Iterable[str] = ()
 ) -> tuple[RenderedScene, ...]:
-    """Find the scenes of a data set, by name.
+    """Find the scenes of a data set: a folder whose subfolders are scenes, or one scene's folder.
 
-    Parameters
-    ----------
-    data
-        Folder whose subfolders are scenes; or one scene's folder.
-    role
-        "benchmark" or "training"; None for both.
-    names
-        Only these, in this order; empty for all, ascending.
+    `role` None is for both roles. `names` are kept in their order; empty for all, ascending.
 
-    Raises
-    ------
-    InputError
-        When there is none, or one that is named is not there.
+    Raises InputError if there is no scene, or not every named one.
     """
     root = Path(os.path.expanduser(data))  # noqa: PTH111  # which raises without a home folder
     if not root.is_dir():
@@ -257,14 +203,8 @@ def find_scenes(
 def open_scene(folder: str | Path) -> RenderedScene:
     """Read one scene's manifest.
 
-    Raises
-    ------
-    InputError
-        When there is none.
-    DamagedFileError
-        When it is not what a manifest has to be.
-    LayoutError
-        When it is of another version of the layout.
+    Raises InputError if there is none, DamagedFileError if it is broken, LayoutError if it is of
+    another version of the schema.
     """
     path = Path(folder) / MANIFEST
     try:
@@ -278,109 +218,88 @@ def open_scene(folder: str | Path) -> RenderedScene:
     if not isinstance(content, dict) or content.get("schema") != SCHEMA:
         raise LayoutError(f"{path} is not of schema {SCHEMA}; render the scene again")
     try:
-        return RenderedScene(Path(folder), _parse(content))
+        return RenderedScene(Path(folder), _parse_manifest(content))
     except (KeyError, TypeError, ValueError) as error:
         raise DamagedFileError(
             f"{path} lacks or misstates {error}; render the scene again"
         ) from error
 
 
-def _parse(content: dict[str, Any]) -> SceneManifest:
-    texts = {
-        name: _of(content, name, str)
-        for name in ("scene", "role", "about", "renderer", "denoiser", "motion")
-    }
-    if texts["role"] not in ROLES:
-        raise ValueError(f"role {texts['role']!r}")
-    return SceneManifest(
-        **texts,
-        width=_positive(content, "width"),
-        height=_positive(content, "height"),
-        fps=_positive(content, "fps"),
-        key_fps=_positive(content, "key_fps"),
-        samples=_positive(content, "samples"),
-        seed=_of(content, "seed", int),
-        instants=_frames(content, "instants"),
-        keys=_frames(content, "keys"),
-        dynamic={int(index): str(what) for index, what in _of(content, "dynamic", dict).items()},
-    )
+def _parse_manifest(content: dict[str, Any]) -> SceneManifest:
+    texts = ("scene", "role", "about", "renderer", "denoiser", "motion")
+    counts = ("width", "height", "fps", "key_fps", "samples")
+    values: dict[str, Any] = {name: _typed(content, name, str) for name in texts}
+    if values["role"] not in ROLES:
+        raise ValueError(f"role {values['role']!r}")
+    values |= {name: _positive(content, name) for name in counts}
+    values["seed"] = _typed(content, "seed", int)
+    values |= {name: _parse_frames(content, name) for name in ("instants", "keys")}
+    dynamic = _typed(content, "dynamic", dict)
+    values["dynamic"] = {int(index): str(name) for index, name in dynamic.items()}
+    return SceneManifest(**values)
 
 
-def _frames(content: dict[str, Any], name: str) -> FrameSet:
-    inner = _of(content, name, dict)
-    pattern = _of(inner, "pattern", str)
+def _parse_frames(content: dict[str, Any], name: str) -> FrameSet:
+    frames = _typed(content, name, dict)
+    pattern = _typed(frames, "pattern", str)
     digits = pattern.count("#")
-    inside = not Path(pattern).is_absolute() and ".." not in Path(pattern).parts
-    if not (digits and "#" * digits in pattern and inside):
+    is_inside = not Path(pattern).is_absolute() and ".." not in Path(pattern).parts
+    if not (digits and "#" * digits in pattern and is_inside):
         raise ValueError(f"pattern {pattern!r}")
-    step = _positive(inner, "step") if "step" in inner else 1
-    return FrameSet(pattern, _of(inner, "first", int), _positive(inner, "count"), step)
+    step = _positive(frames, "step") if "step" in frames else 1
+    return FrameSet(pattern, _typed(frames, "first", int), _positive(frames, "count"), step)
 
 
 def _positive(content: dict[str, Any], name: str) -> int:
-    value: int = _of(content, name, int)
+    value: int = _typed(content, name, int)
     if value < 1:
         raise ValueError(f"{name} {value}")
     return value
 
 
-def _of(content: dict[str, Any], name: str, kind: type) -> Any:
+def _typed(content: dict[str, Any], name: str, kind: type) -> Any:
     value = content[name]
     if not isinstance(value, kind) or isinstance(value, bool):
         raise ValueError(f"{name} {value!r}")
     return value
 
 
-EVERY = 12
-"""One scene in so many is left out of training, to validate on."""
-
-
-def select(
+def select_scenes(
     data: Path, wanted: Sequence[str], unwanted: Sequence[str], say: Callable[[str], None]
 ) -> list[RenderedScene]:
-    """Return a folder's scenes by name.
+    """Return the scenes of a folder to train on, by glob patterns of names.
 
-    Parameters
-    ----------
-    data
-        Folder of rendered scenes.
-    wanted
-        Glob patterns of names; empty for all whose role is training.
-    unwanted
-        Glob patterns of names to leave out.
-    say
-        Receives every scene that is left out because it is not rendered to the end.
+    Without `wanted` ones, all whose role is training. `say` receives a message for every scene that
+    is left out because it is not rendered to the end.
 
-    Raises
-    ------
-    InputError
-        When none is left.
+    Raises InputError if none is left.
     """
-    found = []
+    scenes = []
     for scene in find_scenes(data):
-        name = scene.name
-        asked = _matches(name, wanted) if wanted else scene.manifest.role == TRAINING
-        if not asked or _matches(name, unwanted):
+        is_wanted = _matches(scene.name, wanted) if wanted else scene.manifest.role == TRAINING
+        if not is_wanted or _matches(scene.name, unwanted):
             continue
         try:
             scene.require_complete()
         except MissingFrameError:
-            say(f"{name} is not rendered to the end and left out")
+            say(f"{scene.name} is not rendered to the end and left out")
             continue
-        found.append(scene)
-    if not found:
+        scenes.append(scene)
+    if not scenes:
         raise InputError(
             f"{data} has no scene to learn from; render some with examples/scenes/variety.py, or "
             "choose others with --scenes"
         )
-    return found
+    return scenes
 
 
 def _matches(name: str, patterns: Sequence[str]) -> bool:
     return any(fnmatchcase(name, pattern) for pattern in patterns)
 
 
-def split(scenes: Sequence[RenderedScene]) -> tuple[list[RenderedScene], list[RenderedScene]]:
+def split_scenes(
+    scenes: Sequence[RenderedScene],
+) -> tuple[list[RenderedScene], list[RenderedScene]]:
     """Return scenes to train on and to validate on: every twelfth by name, at least one."""
     ordered = sorted(scenes, key=lambda s: s.name)
     if len(ordered) < 2:
@@ -388,5 +307,5 @@ def split(scenes: Sequence[RenderedScene]) -> tuple[list[RenderedScene], list[Re
             f"there is {len(ordered)} scene to train on, and one more is needed to validate on; "
             "render more with examples/scenes/variety.py"
         )
-    held = ordered[EVERY // 2 :: EVERY] or ordered[-1:]
-    return [s for s in ordered if s not in held], held
+    held_out = ordered[VALIDATION_STEP // 2 :: VALIDATION_STEP] or ordered[-1:]
+    return [s for s in ordered if s not in held_out], held_out

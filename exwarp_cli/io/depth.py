@@ -21,23 +21,23 @@ from exwarp_cli.domain.frame import Float32
 
 F64 = npt.NDArray[np.float64]
 
+# Depth from which on a pixel counts as background.
 FAR = 1e9
-"""Depth from which on a pixel counts as background."""
 
+# Pixels that a camera is fitted to, and below which nothing is concluded.
 SAMPLES, LEAST = 3000, 200
-"""Pixels that a camera is fitted to, and below which nothing is said."""
 
-FITS = 0.01
-"""Relative error of distances, in the median, up to which a kind explains the values."""
+# Largest relative error of distances, in the median, of a kind that explains the values.
+MAX_ERROR = 0.01
 
-REPROJECTED = 1.0
-"""Pixels by which positions may miss their own pixel, in the median."""
+# Pixels by which positions may miss their own pixel, in the median.
+MAX_REPROJECTION = 1.0
 
-CHANGED = 2.0
-"""Pixels, at their distance, by which positions in the median differ if the camera moved."""
+# Pixels, at their distance, by which positions in the median differ if the camera moved.
+MIN_CHANGE = 2.0
 
+# Share of the largest singular value below which positions, all in a plane, do not fix a camera.
 FLAT = 1e-4
-"""Share of the largest singular value below which positions do not fix a camera: all in a plane."""
 
 
 class DepthKind(Enum):
@@ -56,24 +56,17 @@ class DepthKind(Enum):
 class DepthReading:
     """How distances are read from a depth channel.
 
-    Attributes
-    ----------
-    kind
-        What the values are.
-    offset, scale
-        Of the values d at distance z: ``d = offset + scale / z`` for the inverse (a graphics
-        card's depth has a scale below 0, and 1 for background), ``d = offset + scale z`` for
-        normalised and reversed ones. Not used for the others.
-    measured
-        Whether world positions showed this, rather than a name or a person.
-    evidence
-        What a user should know of how it is read, or why it is left out; "" for nothing.
+    Values d at distance z are ``offset + scale / z`` for the inverse (a graphics card's depth has a
+    scale below 0, and 1 for background), ``offset + scale z`` for normalised and reversed ones. The
+    other kinds do not use offset and scale.
     """
 
     kind: DepthKind = DepthKind.UNKNOWN
     offset: float = 0.0
     scale: float = 1.0
+    # True if world positions showed this, rather than a name or a person.
     measured: bool = False
+    # What a user should know of how it is read, or why it is left out; "" for nothing.
     evidence: str = field(default="", compare=False)
 
     @classmethod
@@ -83,19 +76,11 @@ class DepthReading:
         return cls(kind, offset, scale)
 
     def distance(self, depth: Float32) -> Float32:
-        """Turn values into distances that grow away from the camera.
+        """Turn values, float32 [...], into distances that grow away from the camera.
 
-        Parameters
-        ----------
-        depth
-            float32 [...], as written; not changed.
-
-        Returns
-        -------
-        Float32
-            The same array where values are distances already, along the axis or the ray. Else
-            float32 [...], with +inf where the value stands for background: 0 of an inverse, the far
-            end of a normalised range, what is not below 0 of negative distances.
+        The same array if values are distances already, along the axis or the ray. Else float32
+        [...], with +inf where a value stands for background: 0 of an inverse, the far end of a
+        normalised range, what is not below 0 of negative distances.
         """
         if self.kind in (DepthKind.AXIS, DepthKind.RAY, DepthKind.UNKNOWN):
             return depth
@@ -103,17 +88,17 @@ class DepthReading:
             return np.where(depth < 0, -depth, np.float32(np.inf)).astype(np.float32)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             if self.kind is DepthKind.INVERSE:
-                out = self.scale / (depth - np.float64(self.offset))
-                out = np.where(depth >= 1 if self.scale < 0 else depth <= 0, np.inf, out)
+                distance = self.scale / (depth - np.float64(self.offset))
+                is_background = depth >= 1 if self.scale < 0 else depth <= 0
             else:
-                out = (depth - np.float64(self.offset)) / self.scale
-                ends = depth >= 1 if self.kind is DepthKind.NORMALISED else depth <= 0
-                out = np.where(ends, np.inf, out)
-            return np.where(out > 0, out, np.inf).astype(np.float32)
+                distance = (depth - np.float64(self.offset)) / self.scale
+                is_background = depth >= 1 if self.kind is DepthKind.NORMALISED else depth <= 0
+            distance = np.where(is_background, np.inf, distance)
+            return np.where(distance > 0, distance, np.inf).astype(np.float32)
 
 
-def named(channels: Iterable[str]) -> DepthReading:
-    """Return what the names of depth channels (with their layers) say."""
+def depth_reading_by_name(channels: Iterable[str]) -> DepthReading:
+    """Return the reading that the names of depth channels, with their layers, suggest."""
     for name in channels:
         if re.search(r"disparity|(^|[._\s])inv(erse)?[._\s]?(depth|z)|depth[._\s]?inv", name, re.I):
             return DepthReading.of(DepthKind.INVERSE)
@@ -122,141 +107,123 @@ def named(channels: Iterable[str]) -> DepthReading:
     return DepthReading()
 
 
-def measured(depth: Float32, position: Float32) -> DepthReading | None:
+def measure_depth_reading(depth: Float32, position: Float32) -> DepthReading | None:
     """Find out what depth values are from the world positions of the same pixels.
 
-    Parameters
-    ----------
-    depth
-        float32 [H, W] as written.
-    position
-        float32 [H, W, 3], world space, scene units; 0 or non-finite on background.
-
-    Returns
-    -------
-    DepthReading or None
-        None where positions do not tell: too few, all in a plane, or no camera explains them.
+    `depth` is float32 [H, W] as written, `position` float32 [H, W, 3], world space, scene units; 0
+    or non-finite on background. None if positions do not tell: too few, all in a plane, or no
+    camera explains them.
     """
-    y, x = _surfaces(depth, position)
+    y, x = _sample_surfaces(depth, position)
     if len(y) < LEAST:
         return None
     points, values = position[y, x].astype(np.float64), depth[y, x].astype(np.float64)
-    found = _camera(points, np.stack([x, y], axis=1).astype(np.float64))
-    if found is None:
+    distances = _fit_camera(points, np.stack([x, y], axis=1).astype(np.float64))
+    if distances is None:
         return None
-    axis, ray, inside = found
+    axis, ray, is_inlier = distances
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        return _kind(values[inside], axis[inside], ray[inside])
+        return _explain(values[is_inlier], axis[is_inlier], ray[is_inlier])
 
 
 def is_negative(depth: Float32) -> bool:
-    """Return whether depth values are distances below 0, as along a camera's -z axis.
-
-    Parameters
-    ----------
-    depth
-        float32 [H, W] as written. Of what is finite and no background more must lie below 0 than
-        above: filters that ring leave a few such pixels in any depth.
-    """
+    """Return True if depth values [H, W] are distances below 0, as along a camera's -z axis."""
     with np.errstate(invalid="ignore"):
         surface = depth[np.isfinite(depth) & (np.abs(depth) < FAR)]
+    # Filters that ring leave a few pixels below 0 in any depth, so more must lie below than above.
     return int(np.count_nonzero(surface < 0)) > int(np.count_nonzero(surface > 0))
 
 
-def relative_to_camera(first: Float32, other: Float32) -> bool:
-    """Whether positions are relative to the camera that sees them, and not to the world.
+def is_relative_to_camera(first: Float32, other: Float32) -> bool:
+    """Return True if positions are relative to the camera that sees them, and not to the world.
 
-    Then x / z and y / z lead to a pixel's column and row, by the same factors and offsets in every
-    frame; in the world they do so for a camera at the origin alone, and while nothing moves.
+    `first` and `other` are float32 [H, W, 3] of two frames; 0 or non-finite on background. Relative
+    to the camera, x / z and y / z lead to a pixel's column and row, by the same factors and offsets
+    in every frame. In the world they do so only for a camera at the origin while nothing moves.
 
-    Parameters
-    ----------
-    first, other
-        float32 [H, W, 3] of two frames; 0 or non-finite on background.
-
-    Returns
-    -------
-    bool
-        False also for a camera that stands: then positions relative to it are as good as any.
+    False also for a camera that stands: then positions relative to it are as good as any.
     """
-    camera = _lens(first)
-    if camera is None or not _seen_by(camera, other):
+    camera = _fit_lens(first)
+    if camera is None or not _is_seen_by(camera, other):
         return False
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         change = np.linalg.norm(other - first, axis=-1) / np.linalg.norm(first, axis=-1)
     change = change[np.isfinite(change)]
     focal = max(abs(factor) for _, factor in camera)
-    return len(change) >= LEAST and float(np.median(change)) * focal > CHANGED
+    return len(change) >= LEAST and float(np.median(change)) * focal > MIN_CHANGE
 
 
-def _lens(position: Float32) -> tuple[tuple[float, float], ...] | None:
+Lens = tuple[tuple[float, float], ...]
+
+
+def _fit_lens(position: Float32) -> Lens | None:
     """Fit a camera at the origin that looks along z: offset and factor of columns and of rows."""
     slopes, pixels, z = _slopes(position)
     # Over a wall alone the same holds in the world.
     if len(z) < LEAST or np.ptp(np.percentile(z, (10, 90))) < 0.05 * np.median(abs(z)):
         return None
-    camera = tuple(_line(slope, pixel) for slope, pixel in zip(slopes, pixels, strict=True))
-    return camera if _seen_by(camera, position) else None
+    camera = tuple(_fit_line(slope, pixel) for slope, pixel in zip(slopes, pixels, strict=True))
+    return camera if _is_seen_by(camera, position) else None
 
 
-def _seen_by(camera: tuple[tuple[float, float], ...], position: Float32) -> bool:
-    """Whether positions lie where a camera of `_lens` sees them."""
-    for (start, factor), slope, pixel in zip(camera, *_slopes(position)[:2], strict=True):
-        if not len(slope) or np.median(np.abs(pixel - start - factor * slope)) > REPROJECTED:
+def _is_seen_by(camera: Lens, position: Float32) -> bool:
+    """True if positions lie where a camera of `_fit_lens` sees them."""
+    for (offset, factor), slope, pixel in zip(camera, *_slopes(position)[:2], strict=True):
+        if not len(slope) or np.median(np.abs(pixel - offset - factor * slope)) > MAX_REPROJECTION:
             return False
     return True
 
 
 def _slopes(position: Float32) -> tuple[F64, F64, F64]:
     """Return x / z and y / z, the columns and rows, [2, N] each, and z, of some surface pixels."""
-    row, column = _surfaces(np.ones(position.shape[:2], np.float32), position)
+    row, column = _sample_surfaces(np.ones(position.shape[:2], np.float32), position)
     point = position[row, column].astype(np.float64)
-    ahead = point[:, 2] != 0
-    point, pixels = point[ahead], np.stack([column, row])[:, ahead].astype(np.float64)
+    is_off_plane = point[:, 2] != 0
+    point = point[is_off_plane]
+    pixels = np.stack([column, row])[:, is_off_plane].astype(np.float64)
     return (point[:, :2] / point[:, 2:]).T, pixels, point[:, 2]
 
 
-def _surfaces(depth: Float32, position: Float32) -> tuple[npt.NDArray[np.intp], ...]:
-    """Return rows and columns of some pixels that show a surface."""
+def _sample_surfaces(depth: Float32, position: Float32) -> tuple[npt.NDArray[np.intp], ...]:
+    """Return rows and columns of about `SAMPLES` pixels that show a surface."""
     with np.errstate(invalid="ignore"):
-        usable = np.isfinite(depth) & (np.abs(depth) < FAR)
-    usable &= np.isfinite(position).all(axis=-1) & (position != 0).any(axis=-1)
-    chosen = np.flatnonzero(usable)
-    chosen = chosen[:: max(1, len(chosen) // SAMPLES)]
-    return np.unravel_index(chosen, depth.shape)
+        is_surface = np.isfinite(depth) & (np.abs(depth) < FAR)
+    is_surface &= np.isfinite(position).all(axis=-1) & (position != 0).any(axis=-1)
+    indices = np.flatnonzero(is_surface)
+    indices = indices[:: max(1, len(indices) // SAMPLES)]
+    return np.unravel_index(indices, depth.shape)
 
 
-def _camera(points: F64, pixels: F64) -> tuple[F64, F64, npt.NDArray[np.bool_]] | None:
+def _fit_camera(points: F64, pixels: F64) -> tuple[F64, F64, npt.NDArray[np.bool_]] | None:
     """Fit a pinhole camera to points [N, 3] seen at pixels [N, 2].
 
-    Returns each point's distance along the axis and along the ray, and which points agree with the
-    camera: at silhouettes a pixel's position is a mixture.
+    Returns each point's distance along the axis and along the ray, and which points are inliers: at
+    silhouettes a pixel's position is a mixture.
     """
     middle, spread = points.mean(axis=0), points.std() + 1e-30
     local = np.concatenate([(points - middle) / spread, np.ones((len(points), 1))], axis=1)
-    centre, reach = pixels.mean(axis=0), pixels.std()
-    seen = (pixels - centre) / reach
+    centre, extent = pixels.mean(axis=0), pixels.std()
+    target = (pixels - centre) / extent
     weight = np.ones(len(points))
     for _ in range(6):
         rows = np.concatenate(
             [
-                np.concatenate([local, 0 * local, -seen[:, :1] * local], axis=1),
-                np.concatenate([0 * local, local, -seen[:, 1:] * local], axis=1),
+                np.concatenate([local, 0 * local, -target[:, :1] * local], axis=1),
+                np.concatenate([0 * local, local, -target[:, 1:] * local], axis=1),
             ]
         )
         rows *= np.tile(weight, 2)[:, None]
         # Squared, they are twelve by twelve: the smallest eigenvector is the camera.
-        size, vectors = np.linalg.eigh(rows.T @ rows)
+        eigenvalues, vectors = np.linalg.eigh(rows.T @ rows)
         matrix = vectors[:, 0].reshape(3, 4)
         image = local @ matrix.T
         with np.errstate(divide="ignore", invalid="ignore"):
-            miss = np.linalg.norm(image[:, :2] / image[:, 2:] - seen, axis=1) * reach
-        miss = np.where(np.isfinite(miss), miss, np.inf)
+            error = np.linalg.norm(image[:, :2] / image[:, 2:] - target, axis=1) * extent
+        error = np.where(np.isfinite(error), error, np.inf)
         # Algebraic rows weigh near points less; dividing by the depth makes them pixels.
-        weight = 1 / (np.maximum(np.abs(image[:, 2]), 1e-12) * (1 + miss**2))
+        weight = 1 / (np.maximum(np.abs(image[:, 2]), 1e-12) * (1 + error**2))
         weight /= max(weight.max(), 1e-300)
-    inside = miss < 2 * REPROJECTED
-    if size[1] < FLAT**2 * size[-1] or np.median(miss) > REPROJECTED:
+    if eigenvalues[1] < FLAT**2 * eigenvalues[-1] or np.median(error) > MAX_REPROJECTION:
         return None
     # Least squares, as an orthographic camera has no eye; then no kind fits what follows.
     eye = -np.linalg.lstsq(matrix[:, :3], matrix[:, 3], rcond=None)[0]
@@ -264,51 +231,46 @@ def _camera(points: F64, pixels: F64) -> tuple[F64, F64, npt.NDArray[np.bool_]] 
     if np.median(axis) < 0:
         axis = -axis
     ray = np.linalg.norm(local[:, :3] - eye, axis=1) * spread
-    return axis, ray, inside & (axis > 0)
+    return axis, ray, (error < 2 * MAX_REPROJECTION) & (axis > 0)
 
 
-def _kind(values: F64, axis: F64, ray: F64) -> DepthReading | None:
-    """Return what values at known distances are."""
+def _explain(values: F64, axis: F64, ray: F64) -> DepthReading | None:
+    """Return what values are at points of these distances along the axis and the ray."""
     if len(values) < LEAST:
         return None
-    if np.median(values) < 0 and _apart(values / np.median(values / axis), axis) < FITS:
+    along_axis = _median_error(values / np.median(values / axis), axis)
+    if np.median(values) < 0 and along_axis < MAX_ERROR:
         return DepthReading(DepthKind.NEGATIVE, measured=True)
-    along = {kind: _apart(values / np.median(values / z), z)
-             for kind, z in ((DepthKind.AXIS, axis), (DepthKind.RAY, ray))}  # fmt: skip
-    if min(along.values()) < FITS and np.median(values) > 0:
+    along_ray = _median_error(values / np.median(values / ray), ray)
+    if min(along_axis, along_ray) < MAX_ERROR and np.median(values) > 0:
         # In a narrow view both fit; then the axis' is by far the more usual.
-        slanted = along[DepthKind.RAY] < 0.5 * along[DepthKind.AXIS]
-        return DepthReading(DepthKind.RAY if slanted else DepthKind.AXIS, measured=True)
-    offset, scale = _line(1 / axis, values)
-    inverse = _apart(scale / (values - offset), axis)
-    start, slope = _line(axis, values)
-    if inverse < FITS:
+        is_ray = along_ray < 0.5 * along_axis
+        return DepthReading(DepthKind.RAY if is_ray else DepthKind.AXIS, measured=True)
+    offset, scale = _fit_line(1 / axis, values)
+    if _median_error(scale / (values - offset), axis) < MAX_ERROR:
         return DepthReading(DepthKind.INVERSE, offset, scale, True)
-    if _apart((values - start) / slope, axis) < FITS:
-        kind = DepthKind.NORMALISED if slope > 0 else DepthKind.REVERSED
-        return DepthReading(kind, start, slope, True)
-    if np.corrcoef(_ranks(values), _ranks(axis))[0, 1] < -0.9 and (values > 0).all():
+    offset, scale = _fit_line(axis, values)
+    if _median_error((values - offset) / scale, axis) < MAX_ERROR:
+        kind = DepthKind.NORMALISED if scale > 0 else DepthKind.REVERSED
+        return DepthReading(kind, offset, scale, True)
+    ranks = [np.argsort(np.argsort(array)).astype(np.float64) for array in (values, axis)]
+    if np.corrcoef(ranks[0], ranks[1])[0, 1] < -0.9 and (values > 0).all():
         return DepthReading(DepthKind.INVERSE, measured=True)  # in the right order, at least
     return None
 
 
-def _apart(distance: F64, truth: F64) -> float:
-    """Return the relative error in the median."""
-    found = np.abs(distance / truth - 1)
-    return float(np.median(np.where(np.isfinite(found), found, np.inf)))
+def _median_error(distance: F64, truth: F64) -> float:
+    error = np.abs(distance / truth - 1)
+    return float(np.median(np.where(np.isfinite(error), error, np.inf)))
 
 
-def _line(x: F64, y: F64) -> tuple[float, float]:
+def _fit_line(x: F64, y: F64) -> tuple[float, float]:
     """Fit y = a + b x, robustly."""
     weight = np.ones_like(x)
     a = b = 0.0
     terms = np.stack([np.ones_like(x), x], axis=1)
     for _ in range(10):
         a, b = np.linalg.lstsq(terms * weight[:, None], y * weight, rcond=None)[0]
-        away = np.abs(y - a - b * x)
-        weight = 1 / (np.median(away) + 1e-12 * np.abs(y).max() + away)
+        error = np.abs(y - a - b * x)
+        weight = 1 / (np.median(error) + 1e-12 * np.abs(y).max() + error)
     return float(a), float(b)
-
-
-def _ranks(values: F64) -> F64:
-    return np.argsort(np.argsort(values)).astype(np.float64)

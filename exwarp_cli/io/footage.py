@@ -24,9 +24,9 @@ from exwarp_cli.io.exr.template import PartTemplate, PlaneTemplate, Template
 from exwarp_cli.io.exr.writer import COMPRESSIONS
 from exwarp_cli.io.frame_names import file_type, split_names
 from exwarp_cli.io.output import FrameTemplate, file_digest, read_picture
-from exwarp_cli.io.sequence import EXR, Sequence, find_sequence
+from exwarp_cli.io.sequences import EXR, Sequence, find_sequence
 from exwarp_cli.io.shot import Shot
-from exwarp_cli.io.soundness import count_broken, first_of
+from exwarp_cli.io.shot_files import count_nonfinite, first_usable
 from exwarp_cli.io.stills import (
     STILLS,
     StillTemplate,
@@ -180,7 +180,7 @@ def shot_of(sequence: Sequence, keep_going: bool = False) -> Shot:
         layout = Layout({Role.COLOUR: colour}, producer=producer)
         return Shot(sequence, {}, layout, display, first=number, keep_going=keep_going)
 
-    return first_of(sequence.numbers if keep_going else sequence.numbers[:1], by)
+    return first_usable(sequence.numbers if keep_going else sequence.numbers[:1], by)
 
 
 def picture(sequence: Sequence, number: int, view: str = "") -> Image:
@@ -223,7 +223,7 @@ def key_picture(shot: Shot, number: int) -> Image:
             f"{image.pixels.shape[-1]} channels, and the first frame is {shot.display.width}x"
             f"{shot.display.height} with {channels}; write all frames alike"
         )
-    shot.nonfinite.note(number, {Role.COLOUR.value: count_broken((image.pixels,))})
+    shot.nonfinite.note(number, {Role.COLOUR.value: count_nonfinite((image.pixels,))})
     return image
 
 

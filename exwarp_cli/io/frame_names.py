@@ -1,17 +1,24 @@
-"""How frame numbers stand in file names: tokens such as ``####``, padding, grouping.
+"""Names of frames and of passes: tokens such as ``####``, padding, grouping. Strings only.
 
-Strings only; nothing here looks at a disk. The frame number stands right before the image suffix,
-or further ahead (``beauty_0101_denoised.exr``): then it is the one that varies. It may carry a
-minus sign where the text before it is empty or ends in a separator, so ``shot-0001.exr`` is frame 1
-and ``shot.-0001.exr`` is frame -1.
+The frame number stands right before the image suffix, or further ahead
+(``beauty_0101_denoised.exr``): then it is the one that varies. It may carry a minus sign where the
+text before it is empty or ends in a separator, so ``shot-0001.exr`` is frame 1 and
+``shot.-0001.exr`` is frame -1.
+
+Movie Render Queue, Redshift, V-Ray and Arnold can write a sequence a pass. The beauty has the
+shot's name alone, or a name of its own behind it; each pass has the pass's name behind the shot's:
+``shot.####.exr``, ``shot.Z.####.exr``.
 """
 
 from __future__ import annotations
 
 import re
 from collections import Counter, defaultdict
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+
+from exwarp_cli.io.channels import Role, role_named
+from exwarp_cli.io.producers import is_cryptomatte_name
 
 _TOKEN = re.compile(r"#+|@+|%[0-9]{0,2}d|\$F[0-9]{0,2}")
 _NUMBER = re.compile(r"-?[0-9]+")
@@ -19,19 +26,20 @@ _VERSION = re.compile(r"(^|.*[^a-z])v(er(sion)?)?", re.DOTALL | re.IGNORECASE)
 _BETWEEN = re.compile(r"(?<![^._ -])-?[0-9]+(?=[._ -])")
 _TRAILING_NUMBER = re.compile(r"(?P<base>.*?)(?P<number>-?[0-9]+)", re.DOTALL)
 
+SEPARATORS = "._- "
+# What programs put before the name of a pass, as V-Ray's VRayVelocity.
+_PROGRAM = re.compile(r"(?i)(vray|redshift|arnold|movierenderqueue)[ _]*(?=[A-Za-z])")
+# Where a pass's name may begin: after a separator, or at a capital as in shotBeauty.
+_PART = re.compile(r"(?<=[._\- ])(?=[^._\- ])")
+_BOUNDARY = re.compile(r"(?<=[._\- ])(?=[^._\- ])|(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
+
 
 @dataclass(frozen=True, order=True)
 class NamePattern:
     """A file name with a frame number in it.
 
-    Attributes
-    ----------
-    base
-        Text before the number, for example ``shot.``.
-    padding
-        Digits that the number is filled up to with zeros; 1 means not filled.
-    suffix
-        Text after the number, for example ``.exr``.
+    `base` and `suffix` are the texts before and after the number, ``shot.`` and ``.exr``; `padding`
+    is its least count of digits.
     """
 
     base: str
@@ -63,46 +71,46 @@ class NamePattern:
         return _VERSION.fullmatch(self.base) is not None
 
     def name(self, number: int) -> str:
-        """Name of a frame; a minus sign counts as one of the digits, as in C's ``%04d``."""
+        """Return a frame's name; a minus sign counts as one of the digits, as in C's ``%04d``."""
         return f"{self.base}{number:0{self.padding}d}{self.suffix}"
 
     def number_text(self, name: str) -> str | None:
-        """Return the digits, and sign, that stand where the frame number belongs, else None."""
+        """Return the digits, and sign, at the place of the frame number, or None."""
         if not (name.startswith(self.base) and name.endswith(self.suffix)):
             return None
         text = name[len(self.base) : len(name) - len(self.suffix)]
-        return text if _NUMBER.fullmatch(text) and _sign_is_sign(self.base, text) else None
+        return text if _NUMBER.fullmatch(text) and _is_sign(self.base, text) else None
+
+
+def _is_sign(base: str, number: str) -> bool:
+    """False for a hyphen that separates the text before from the number."""
+    if number[0] != "-":
+        return True
+    return int(number) != 0 and not (base and base[-1].isalnum())
 
 
 def split_name(name: str, suffixes: tuple[str, ...]) -> NamePattern | None:
     """Read a frame's name: the digits right before one of `suffixes` (any case) are its number.
 
-    Returns
-    -------
-    NamePattern or None
-        With the padding that this one name suggests; None without suffix or digits.
+    The padding is the one that this name alone suggests. None without suffix or digits.
     """
     length = next((len(s) for s in suffixes if name.lower().endswith(s)), 0)
     match = _TRAILING_NUMBER.fullmatch(name[: len(name) - length]) if length else None
     if match is None:
         return None
     base, number = match["base"], match["number"]
-    if not _sign_is_sign(base, number):
+    if not _is_sign(base, number):
         base, number = base + number[0], number[1:]
     return NamePattern(base, len(number), name[len(name) - length :])
 
 
 def split_names(names: Iterable[str], suffixes: tuple[str, ...]) -> dict[str, NamePattern]:
-    """Read the names of a folder's files: which digits of each are the frame number.
+    """Return the patterns of a folder's files by name, without names that have no frame number.
 
-    The digits right before the suffix are it, as `split_name` has it. Names without such digits, or
-    with those of a version that no other file has, are read by the number between separators that
-    varies most among the files; of several, or of a file that stands alone, the last.
-
-    Returns
-    -------
-    dict
-        Patterns by name; names without a frame number are left out.
+    The digits right before the suffix are the number, as `split_name` has it. Names without such
+    digits, or with those of a version that no other file has, are read by the number between
+    separators that varies most among the files; of several, or of a file that stands alone, the
+    last.
     """
     ends = {name: split_name(name, suffixes) for name in names}
     inner = {
@@ -112,80 +120,167 @@ def split_names(names: Iterable[str], suffixes: tuple[str, ...]) -> dict[str, Na
     }
     trailing = Counter((end.base, end.suffix) for end in ends.values() if end is not None)
     varying = Counter((p.base, p.suffix) for patterns in inner.values() for p in patterns)
-    out: dict[str, NamePattern] = {}
+    split: dict[str, NamePattern] = {}
     for name, end in ends.items():
         patterns = inner.get(name, ())
         best = max(patterns, key=lambda p: (varying[p.base, p.suffix], len(p.base)), default=None)
         if end is not None and best is not None:
-            alone = trailing[end.base, end.suffix] == 1
-            best = best if alone and varying[best.base, best.suffix] > 1 else end
+            is_alone = trailing[end.base, end.suffix] == 1
+            best = best if is_alone and varying[best.base, best.suffix] > 1 else end
         if (pattern := best or end) is not None:
-            out[name] = pattern
-    return out
+            split[name] = pattern
+    return split
 
 
 def _inner_patterns(name: str, suffixes: tuple[str, ...]) -> tuple[NamePattern, ...]:
-    """Return the patterns of the numbers that stand between separators, and not at the end."""
+    """Return the patterns of the numbers between separators, without one at the end."""
     length = next((len(s) for s in suffixes if name.lower().endswith(s)), 0)
     if not length:
         return ()
     patterns = []
     for match in _BETWEEN.finditer(name[: len(name) - length]):
         start = match.start()
-        start += not _sign_is_sign(name[:start], match[0])
+        start += not _is_sign(name[:start], match[0])
         patterns.append(NamePattern(name[:start], match.end() - start, name[match.end() :]))
     return tuple(patterns)
 
 
 def file_type(suffix: str) -> str:
-    """Return the image suffix of what stands after a frame number, in lower case."""
+    """Return the image suffix of the text after a frame number, in lower case."""
     return f".{suffix.rpartition('.')[2].lower()}"
 
 
 def group_names(pattern: NamePattern, names: Iterable[str]) -> list[tuple[int, dict[int, str]]]:
-    """Split names of one base and suffix by padding.
+    """Group names with a pattern's base and suffix by padding: names by frame number, ascending.
 
-    Zeros in front tell the padding; names without any belong to the widest padding that would
+    Leading zeros tell the padding; names without any belong to the widest padding that would
     print them so, and are unpadded where there is none: ``9, 10`` have padding 1, ``0999, 1000``
     padding 4, ``0001, 9`` are two sequences.
-
-    Parameters
-    ----------
-    pattern
-        Base and suffix; its padding is not looked at.
-    names
-        File names; those of another base or suffix are skipped.
-
-    Returns
-    -------
-    list of (int, dict)
-        Padding, and names by frame number, ascending.
     """
     texts = {text: name for name in sorted(names) if (text := pattern.number_text(name))}
-    known = sorted(_filled_widths(texts), reverse=True)
+    filled = [text for text in texts if len(text) > 1 and text.lstrip("-").startswith("0")]
+    # Programs disagree on whether a minus sign counts, so positive numbers decide where there are.
+    widths = {len(t) for t in filled if t[0] != "-"} or {len(t) for t in filled}
     groups: dict[int, dict[int, str]] = defaultdict(dict)
     for text, name in texts.items():
-        padding = next((p for p in known if is_printed(text, p)), 0)
-        groups[padding].setdefault(int(text), name)
+        paddings = (width for width in sorted(widths, reverse=True) if is_padded_to(text, width))
+        groups[next(paddings, 0)].setdefault(int(text), name)
     if 0 in groups:
-        loose = groups.pop(0)
-        groups[min(len(str(abs(number))) for number in loose)] = loose
+        unpadded = groups.pop(0)
+        groups[min(len(str(abs(number))) for number in unpadded)] = unpadded
     return [(padding, dict(sorted(groups[padding].items()))) for padding in sorted(groups)]
 
 
-def is_printed(text: str, padding: int) -> bool:
-    """Whether a number filled to `padding` reads like `text`, the sign counted in or not."""
+def is_padded_to(text: str, padding: int) -> bool:
+    """Return True if `text` is its number filled to `padding`, the sign counted in or not."""
     number = int(text)
     return text in (f"{number:0{padding}d}", f"{'-' * (number < 0)}{abs(number):0{padding}d}")
 
 
-def _filled_widths(texts: Iterable[str]) -> set[int]:
-    filled = [text for text in texts if len(text) > 1 and text.lstrip("-").startswith("0")]
-    # Programs disagree on whether a minus sign counts, so positive numbers decide where there are.
-    return {len(t) for t in filled if t[0] != "-"} or {len(t) for t in filled}
+@dataclass(frozen=True)
+class PassSet:
+    """The sequences of one shot, by their indices in the list that `find_pass_sets` got."""
+
+    # The beauty; None for G-buffers without one.
+    colour: int | None
+    # The others, by the name of their pass, for example "MotionVectors".
+    passes: dict[str, int]
+    # Name of the pass that leads where there is no beauty.
+    motion: str = ""
+    # Sequences that may be further passes: their names begin as the shot's, and are not known.
+    more: dict[str, int] = field(default_factory=dict)
 
 
-def _sign_is_sign(base: str, number: str) -> bool:
-    if number[0] != "-":
-        return True
-    return int(number) != 0 and not (base and base[-1].isalnum())
+@dataclass(frozen=True)
+class _PassName:
+    """A sequence's name split into its shot's and its pass's; see `_split_pass`."""
+
+    stem: str  # without separators at its end
+    shot: str  # the stem if no pass is known
+    name: str
+    role: Role | None
+    is_matte: bool
+
+    @property
+    def is_data(self) -> bool:
+        """True for a pass that cannot be a beauty."""
+        return self.is_matte or self.role not in (None, Role.COLOUR)
+
+
+def find_pass_sets(names: Sequence[tuple[str, str]]) -> list[PassSet]:
+    """Find the sequences of a folder that belong together as passes.
+
+    `names` are the texts before and after the number of each sequence. There is a set for each
+    beauty that has passes, and for each shot without a beauty that has vectors and another pass.
+    A pass that fits two beauties equally well is in the sets of both.
+    """
+    sets = []
+    for suffix in dict.fromkeys(suffix for _, suffix in names):
+        split = {i: _split_pass(base) for i, (base, end) in enumerate(names) if end == suffix}
+        beauties = {i: n for i, n in split.items() if not n.is_data}
+        passes: dict[int, dict[str, int]] = defaultdict(dict)
+        without_beauty: dict[str, list[int]] = defaultdict(list)
+        for index, name in split.items():
+            if not name.is_data:
+                continue
+            pass_names = _beauties_of(name, beauties)
+            for beauty, pass_name in pass_names.items():
+                passes[beauty][pass_name] = index
+            if not pass_names:
+                without_beauty[name.shot].append(index)
+        for index, members in passes.items():
+            shot = beauties[index].shot
+            more = {
+                name.stem[len(shot) :].lstrip(SEPARATORS): i
+                for i, name in beauties.items()
+                if i not in passes and name.role is None and _extends(name.stem, shot)
+            }
+            sets.append(PassSet(index, members, more=more))
+        for indices in without_beauty.values():
+            motion = [split[i].name for i in indices if split[i].role is Role.MOTION]
+            if motion and len(indices) > 1:
+                sets.append(PassSet(None, {split[i].name: i for i in indices}, motion[0]))
+    return sets
+
+
+def pass_role(name: str) -> Role | None:
+    """Return the role that a pass's name stands for, with or without its program's name."""
+    return _split_pass(name).role
+
+
+def _beauties_of(name: _PassName, beauties: dict[int, _PassName]) -> dict[int, str]:
+    """Return the beauties that a pass belongs to, with its name as a pass of each.
+
+    Several only where they share the longest name of a shot.
+    """
+    fitting: dict[int, tuple[int, str]] = {}
+    for index, beauty in beauties.items():
+        if beauty.role is Role.COLOUR and beauty.shot == name.shot:
+            fitting[index] = (len(beauty.shot), name.name)
+        elif _extends(name.stem, beauty.stem):
+            # FinalImage and FinalImageMovieRenderQueue_WorldDepth are of one shot too.
+            shot = beauty.shot if beauty.role is Role.COLOUR else beauty.stem
+            fitting[index] = (len(shot), name.stem[len(beauty.stem) :].lstrip(SEPARATORS))
+    longest = max((length for length, _ in fitting.values()), default=0)
+    return {index: pass_name for index, (length, pass_name) in fitting.items() if length == longest}
+
+
+def _extends(stem: str, shot: str) -> bool:
+    """True if a name is a shot's with another word behind it."""
+    if not stem.startswith(shot) or len(stem) == len(shot) or not shot:
+        return False
+    return stem[len(shot)] in SEPARATORS or _BOUNDARY.match(stem, len(shot)) is not None
+
+
+def _split_pass(base: str) -> _PassName:
+    """Split the text before a sequence's number into the shot's name and the pass's."""
+    stem = base.rstrip(SEPARATORS)
+    # At separators first: shot.VRayVelocity is no pass of shot.VRay.
+    for boundary in (_PART, _BOUNDARY):
+        for start in (0, *(match.start() for match in boundary.finditer(stem))):
+            tail = stem[start:]
+            is_matte = tail.lower().startswith("crypto") and is_cryptomatte_name(tail)
+            role = role_named(_PROGRAM.sub("", tail, count=1) if _PROGRAM.match(tail) else tail)
+            if role is not None or is_matte:
+                return _PassName(stem, stem[:start].rstrip(SEPARATORS), tail, role, is_matte)
+    return _PassName(stem, stem, "", None, False)

@@ -17,56 +17,38 @@ from exwarp_cli.errors import UsageError
 from exwarp_cli.io.channels import ChannelRef, Layout, Role
 from exwarp_cli.io.exr.parts import Channel
 
+# What --layers takes beside names: the layer that frames are made for, and every one.
 BEAUTY, ALL = "beauty", "all"
-"""What ``--layers`` takes beside names: the layer that frames are made for, and every one."""
 
 
-class Kind(Enum):
+class LayerKind(Enum):
     """What a layer's values are, hence what may be done with them."""
 
-    COLOUR = "colour"
-    """May be mixed: light, surface colour, coverage, mist, roughness."""
-
-    DATA = "data"
-    """Must not be mixed, and is nothing of the below: texture coordinates, tangents …"""
-
+    COLOUR = "colour"  # may be mixed: light, surface colour, coverage, mist, roughness
+    DATA = "data"  # must not be mixed, and is none of the others: texture coordinates, tangents …
     DEPTH = "depth"
     NORMAL = "normal"
-    POSITION = "position"
-    """In the world, or any space in which a point's position changes as it moves."""
-
-    MOTION = "motion"
-    """The vectors that are used, whose convention is known; others are DATA."""
-
+    POSITION = "position"  # in any space in which a point's position changes as it moves
+    MOTION = "motion"  # the vectors that are used, whose convention is known; others are DATA
     ID = "id"
     CRYPTOMATTE = "cryptomatte"
 
 
 @dataclass(frozen=True)
 class Layer:
-    """Channels that belong together, in one part of a file.
+    """Channels that belong together, in one part of a file."""
 
-    Attributes
-    ----------
-    name
-        What the channels' names have in common ("ViewLayer.Diffuse Color"); of channels without a
-        layer their components ("RGBA", "Z").
-    kind
-        Of its values.
-    refs
-        Where the channels are found in every frame of the sequence, in the order of the file.
-    channels
-        The same in the frame that was looked at.
-    """
-
+    # What the channels' names have in common ("ViewLayer.Diffuse Color"); of channels without a
+    # layer their components ("RGBA", "Z").
     name: str
-    kind: Kind
+    kind: LayerKind
+    # In the order of the file: in every frame of the sequence, and in the frame that was read.
     refs: tuple[ChannelRef, ...]
     channels: tuple[Channel, ...]
 
     @property
     def aov(self) -> str:
-        """Name of the AOV's own sequence where each AOV has a file of its own, else ""."""
+        """Name of the AOV's own sequence if each AOV has a file of its own, else ""."""
         return self.refs[0].aov
 
     @property
@@ -75,47 +57,48 @@ class Layer:
         return self.name.rsplit(".", 1)[-1]
 
     def rendered_in(self, others: Iterable[Layer]) -> Layer | None:
-        """Return the layer of a slot's own file that can be taken as it is, None without one.
+        """Return the layer of a slot's own file that can be taken unchanged, or None.
 
         It has the same name and components, and the values must not be mixed. Vectors are never
         taken: those of a slot's own file reach over a slot, the key frames' over a key interval.
         """
-        if self.kind in (Kind.COLOUR, Kind.MOTION):
+        if self.kind in (LayerKind.COLOUR, LayerKind.MOTION):
             return None
-        wanted = {ref.component for ref in self.refs}
+        components = {ref.component for ref in self.refs}
         for other in others:
-            if other.name == self.name and {ref.component for ref in other.refs} == wanted:
+            if other.name == self.name and {ref.component for ref in other.refs} == components:
                 return other
         return None
 
 
-_BY_ROLE = {
-    Role.DEPTH: Kind.DEPTH,
-    Role.MOTION: Kind.MOTION,
-    Role.NORMAL: Kind.NORMAL,
-    Role.POSITION: Kind.POSITION,
-    Role.STENCIL: Kind.ID,
+# Every other role is colour: roughness and the like are filtered as colour is.
+_KIND_BY_ROLE = {
+    Role.DEPTH: LayerKind.DEPTH,
+    Role.MOTION: LayerKind.MOTION,
+    Role.NORMAL: LayerKind.NORMAL,
+    Role.POSITION: LayerKind.POSITION,
+    Role.STENCIL: LayerKind.ID,
 }
-"""Every other role is colour: roughness and the like are filtered as colour is."""
 
+# Components that make a value together; any other is one of its own.
 _FAMILIES = {
     "RGBA": frozenset({"R", "G", "B", "RED", "GREEN", "BLUE"}),
     "XYZW": frozenset({"X", "Y", "Z", "W"}),
     "UV": frozenset({"U", "V"}),
     "ST": frozenset({"S", "T"}),
 }
-"""Components that make a value together; any other is one of its own."""
-
 _ALPHA = frozenset({"A", "AR", "AG", "AB", "ALPHA"})
 
+# Names of layers as renderers write them, lower case, letters and digits only; the first that fits
+# in full counts. Names that end in "id" by chance (grid, fluid) are why things are listed.
 _THING = (
     r"(object|obj|material|mat|node|prim|mesh|shape|light|asset|instance|inst|render|entity|face)"
 )
 _NAMES = (
-    (Kind.CRYPTOMATTE, re.compile(r"u?crypto.*|actorhitproxymask\d*")),
-    (Kind.ID, re.compile(rf"(id|ids|.*index|index(ob|ma)|{_THING}ids?|.*stencil|idmask)\d*")),
+    (LayerKind.CRYPTOMATTE, re.compile(r"u?crypto.*|actorhitproxymask\d*")),
+    (LayerKind.ID, re.compile(rf"(id|ids|.*index|index(ob|ma)|{_THING}ids?|.*stencil|idmask)\d*")),
     (
-        Kind.DATA,
+        LayerKind.DATA,
         re.compile(
             r"(uv|st)\d*|uvs?map\d*|uvcoords?|texcoords?\d*|.*tangents?|.*(ref|rest|local|object)"
             r"(p|n|position|normal)?|(rest|ref|local|object|generated|undisplaced)"
@@ -124,156 +107,122 @@ _NAMES = (
         ),
     ),
     (
-        Kind.NORMAL,
+        LayerKind.NORMAL,
         re.compile(r".*normals?(world|cam|camera|eye)?|n|nn|ng|nworld|ncam|hitn|rayhitn"),
     ),
     (
-        Kind.POSITION,
+        LayerKind.POSITION,
         re.compile(r".*position(world)?|p|pos|worldpos|wp|pworld|pcam|(ray)?hitp|pointworld"),
     ),
-    (Kind.DEPTH, re.compile(r"z|.*depth|z(norm|inv)|(ray)?hitpz|distance")),
+    (LayerKind.DEPTH, re.compile(r"z|.*depth|z(norm|inv)|(ray)?hitpz|distance")),
 )
-"""Names of layers as renderers write them, lower case, letters and digits only; the first that fits
-in full counts. Names that end in "id" by chance (grid, fluid) are why things are listed."""
 
 
-def layers_of(
+def group_layers(
     files: Mapping[str, Mapping[str, Channel]], layout: Layout, cryptomattes: Collection[str] = ()
 ) -> tuple[Layer, ...]:
-    """Group the channels of a frame's files into layers.
+    """Group the channels of a frame's files into layers, in the order of the files.
 
-    Parameters
-    ----------
-    files
-        The channels of one view of each of its files, by AOV (key "" for the main one) and by
-        their name without view (:func:`exwarp_cli.io.views.channels_of`); none of deep parts, whose
-        samples cannot be moved as pixels.
-    layout
-        The roles that were recognised in these files.
-    cryptomattes
-        Names that the header gives as those of Cryptomatte layers, without the digits of the rank.
-
-    Returns
-    -------
-    tuple
-        In the order of the files. Every channel is in one of them.
+    `files` are the channels of one view of each file, by AOV ("" for the main one) and by name
+    (:func:`exwarp_cli.io.views.view_channels`). There are none of deep parts, whose samples cannot
+    be moved as pixels. `layout` has the roles that were recognised in them, `cryptomattes` the
+    headers' names of Cryptomatte layers, without the digits of the rank.
     """
     roles = {ref: role for role, refs in layout.roles.items() for ref in refs}
     # Vectors may be premultiplied by the beauty's alpha, which then counts among them.
     roles |= dict.fromkeys(layout.roles.get(Role.COLOUR, ()), Role.COLOUR)
-    found = []
+    layers = []
     for aov, channels in files.items():
-        for (_, name), members in _grouped(aov, channels).items():
+        for name, members in _group_names(aov, channels):
             refs = tuple(ChannelRef(aov, member) for member in members)
-            known = tuple(channels[member] for member in members)
-            kind = _kind(name, refs, known, [roles.get(ref) for ref in refs])
-            if _is_crypto(name, cryptomattes):
-                kind = Kind.CRYPTOMATTE
-            found.append(Layer(name, kind, refs, known))
-    return tuple(found)
+            # Layers of ranks, or the preview, of a Cryptomatte.
+            if any(re.fullmatch(rf"{re.escape(base)}\d*", name) for base in cryptomattes):
+                kind = LayerKind.CRYPTOMATTE
+            elif role := next((roles[ref] for ref in refs if ref in roles), None):
+                kind = _KIND_BY_ROLE.get(role, LayerKind.COLOUR)
+            else:
+                kind = _kind_by_name(name, [channels[member] for member in members])
+            layers.append(Layer(name, kind, refs, tuple(channels[member] for member in members)))
+    return tuple(layers)
 
 
-def chosen(layers: tuple[Layer, ...], text: str, layout: Layout) -> tuple[Layer, ...]:
+def select_layers(layers: tuple[Layer, ...], text: str, layout: Layout) -> tuple[Layer, ...]:
     """Return the layers that ``--layers`` asks for, the beauty always among them.
 
-    Parameters
-    ----------
-    layers
-        All that there are.
-    text
-        "beauty", "all", or names with wildcards and commas in between, which a layer's whole name
-        or its last element has to match: ``*Diffuse*,Depth``. Case counts.
-    layout
-        Which of the layers is the beauty.
+    `text` is "beauty", "all", or names with wildcards and commas in between, which a layer's whole
+    name or its last element has to match: ``*Diffuse*,Depth``. Case counts.
 
-    Raises
-    ------
-    UsageError
-        When a name matches nothing.
+    Raises UsageError if a name matches nothing.
     """
     beauty = set(layout.roles.get(Role.COLOUR, ()))
-    wanted = [pattern.strip() for pattern in text.split(",") if pattern.strip()]
-    picked = {layer for layer in layers if beauty.intersection(layer.refs)}
-    for pattern in wanted:
+    patterns = [pattern.strip() for pattern in text.split(",") if pattern.strip()]
+    selected = {layer for layer in layers if beauty.intersection(layer.refs)}
+    for pattern in patterns:
         if pattern == BEAUTY:
             continue
-        matching = {layer for layer in layers if pattern == ALL or _matches(layer, pattern)}
+        matching = {
+            layer
+            for layer in layers
+            if pattern == ALL
+            or fnmatchcase(layer.name, pattern)
+            or fnmatchcase(layer.leaf, pattern)
+        }
         if not matching:
             names = ", ".join(dict.fromkeys(layer.name for layer in layers))
             raise UsageError(f"--layers {pattern!r} matches no layer; there are {names}")
-        picked |= matching
-    if not wanted:
+        selected |= matching
+    if not patterns:
         raise UsageError("--layers is empty; write beauty, all, or names such as '*Diffuse*'")
-    return tuple(layer for layer in layers if layer in picked)
+    return tuple(layer for layer in layers if layer in selected)
 
 
-def _matches(layer: Layer, pattern: str) -> bool:
-    return fnmatchcase(layer.name, pattern) or fnmatchcase(layer.leaf, pattern)
-
-
-def _grouped(aov: str, channels: Mapping[str, Channel]) -> dict[tuple[int, str], list[str]]:
+def _group_names(aov: str, channels: Mapping[str, Channel]) -> list[tuple[str, list[str]]]:
     """Group names of channels by part and layer name, and by what makes one value."""
+    components: dict[tuple[int, str], set[str]] = {}
+    for name, channel in channels.items():
+        layer, _, component = name.rpartition(".")
+        components.setdefault((channel.part, layer), set()).add(component.upper())
     groups: dict[tuple[int, str, str], list[str]] = {}
-    beside: dict[tuple[int, str], set[str]] = {}
     for name, channel in channels.items():
-        layer, component = _split(name)
-        beside.setdefault((channel.part, layer), set()).add(component.upper())
-    for name, channel in channels.items():
-        layer, component = _split(name)
-        family = _family(component, beside[channel.part, layer])
+        layer, _, component = name.rpartition(".")
+        family = _family(component, components[channel.part, layer])
         groups.setdefault((channel.part, layer, family), []).append(name)
-    split = [(part, layer) for part, layer, _ in groups]
+    family_counts: dict[tuple[int, str], int] = {}
+    for part, layer, _ in groups:
+        family_counts[part, layer] = family_counts.get((part, layer), 0) + 1
     named: dict[tuple[int, str], list[str]] = {}
     for (part, layer, family), members in groups.items():
+        name = layer
         # Of several values in one layer the colour keeps the name.
-        whole = layer if split.count((part, layer)) == 1 or family == "RGBA" else ""
-        components = "".join(_split(member)[1] for member in members)
-        full = whole or (f"{layer}.{components}" if layer else aov or components)
-        named.setdefault((part, full), []).extend(members)
-    return named
+        if not layer or (family_counts[part, layer] > 1 and family != "RGBA"):
+            letters = "".join(member.rpartition(".")[2] for member in members)
+            name = f"{layer}.{letters}" if layer else aov or letters
+        named.setdefault((part, name), []).extend(members)
+    return [(name, members) for (_, name), members in named.items()]
 
 
-def _split(name: str) -> tuple[str, str]:
-    """Return a channel's layer and component."""
-    layer, _, component = name.rpartition(".")
-    return layer, component
-
-
-def _family(component: str, beside: set[str]) -> str:
-    """Return what a component makes a value with, out of those `beside` it; else itself."""
+def _family(component: str, components: set[str]) -> str:
+    """Return what a component makes a value with, of the `components` of its layer; else itself."""
     letter = component.upper()
-    present = [name for name, letters in _FAMILIES.items() if letters & beside]
+    present = [name for name, letters in _FAMILIES.items() if letters & components]
     if letter in _ALPHA and "RGBA" not in present and present:
         return present[0]  # coverage of texture coordinates
-    if letter == "Z" and "X" not in beside:
+    if letter == "Z" and "X" not in components:
         return component  # a depth beside a colour
     if letter in _ALPHA:
         return "RGBA"
     return next((name for name, letters in _FAMILIES.items() if letter in letters), component)
 
 
-def _kind(
-    name: str,
-    refs: tuple[ChannelRef, ...],
-    channels: tuple[Channel, ...],
-    roles: list[Role | None],
-) -> Kind:
-    """Tell a layer's kind by its role, else by type, name and components."""
-    role = next((role for role in roles if role is not None), None)
-    if role is not None:
-        return _BY_ROLE.get(role, Kind.COLOUR)
+def _kind_by_name(name: str, channels: list[Channel]) -> LayerKind:
+    """Return the kind of a layer without a role, by type, name and components."""
     leaf = re.sub(r"[^a-z0-9]", "", name.rsplit(".", 1)[-1].lower())
     named = next((kind for kind, names in _NAMES if names.fullmatch(leaf)), None)
     if any(channel.pixel_type == "uint" for channel in channels):
-        return named if named is Kind.CRYPTOMATTE else Kind.ID
+        return named if named is LayerKind.CRYPTOMATTE else LayerKind.ID
     if named is not None:
         return named
-    components = {ref.component.upper() for ref in refs}
+    components = {channel.name.rsplit(".", 1)[-1].upper() for channel in channels}
     # A vector of unknown meaning: a mixture of two directions may be none of both.
-    vector = len(components) > 1 and not components & (_FAMILIES["RGBA"] | _ALPHA)
-    return Kind.DATA if vector else Kind.COLOUR
-
-
-def _is_crypto(name: str, cryptomattes: Collection[str]) -> bool:
-    """Whether a layer holds ranks, or the preview, of one of these Cryptomattes."""
-    return any(re.fullmatch(rf"{re.escape(base)}\d*", name) for base in cryptomattes)
+    is_vector = len(components) > 1 and not components & (_FAMILIES["RGBA"] | _ALPHA)
+    return LayerKind.DATA if is_vector else LayerKind.COLOUR

@@ -45,8 +45,8 @@ from exwarp_cli.io.exr.writer import (
 )
 from exwarp_cli.io.frames import read_image
 from exwarp_cli.io.reading_retry import with_retries
-from exwarp_cli.io.sequence import EXR
-from exwarp_cli.io.soundness import require_sound
+from exwarp_cli.io.sequences import EXR
+from exwarp_cli.io.shot_files import require_sound
 from exwarp_cli.io.stills import (
     SEALED,
     StillTemplate,

@@ -13,97 +13,72 @@ from typing import Any
 from exwarp_cli.domain.frame import Window
 from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.errors import LayoutError, MissingFrameError
-from exwarp_cli.io.aov_files import AovFile, named, recognise
-from exwarp_cli.io.channel_map import ChannelMap
-from exwarp_cli.io.channels import ChannelRef, Layout, Role, detect
-from exwarp_cli.io.cryptomatte import Cryptomatte, find_cryptomattes
-from exwarp_cli.io.cryptomatte_ids import IdReading
-from exwarp_cli.io.depth import DepthReading
-from exwarp_cli.io.depth import named as depth_named
+from exwarp_cli.io.channel_map import AovFile, ChannelMap, detect_aov, find_channel
+from exwarp_cli.io.channels import ChannelRef, Layout, Role, detect_layout
+from exwarp_cli.io.cryptomatte import Cryptomatte, IdReading, find_cryptomattes
+from exwarp_cli.io.depth import DepthReading, depth_reading_by_name
 from exwarp_cli.io.exr.parts import Channel, Part
 from exwarp_cli.io.exr.reader import HeaderCache
-from exwarp_cli.io.sequence import Sequence, find_sequence
-from exwarp_cli.io.shot_files import Looks, ShotFiles, find_files, look
-from exwarp_cli.io.soundness import NonFinite, first_of, require_sound
-from exwarp_cli.io.views import ALL, channels_of, choose, expand, views_of
+from exwarp_cli.io.sequences import Sequence, find_sequence
+from exwarp_cli.io.shot_files import (
+    FrameHeaders,
+    NonFinite,
+    ShotFiles,
+    find_files,
+    first_usable,
+    read_flat_header,
+    rename_channels,
+    require_sound,
+)
+from exwarp_cli.io.views import ALL, choose_view, expand_view, list_views, view_channels
 
+# AOV of the sequence that the user names, if colour has a sequence of its own and leads.
 MAIN = "main"
-"""AOV of the sequence that the user names, where colour has one of its own and leads."""
 
 
 @dataclass(frozen=True)
 class Shot:
-    """A sequence with its layout.
+    """A sequence with its layout."""
 
-    Attributes
-    ----------
-    sequence
-        The main files.
-    aovs
-        Further sequences of the same frames, by AOV, where each AOV has a file of its own.
-    layout
-        Which channels hold what, as detected in the first frame. Their names are without view.
-    display
-        The display window that all frames must share.
-    views
-        The shot's views, the hero first; () where it has none.
-    view
-        The one that is read; "" where there are none.
-    within
-        The view that is read of each sequence's files, by AOV, "" for the hero and for files
-        without views: where each view has files of its own, they need not know of it.
-    depth
-        How distances are read from the depth channel.
-    channel_map
-        By which the layout was corrected; None without.
-    aov_files
-        Roles whose channels were taken from sequences of their own.
-    cryptomattes
-        Those of the first frame, the best stencil first. Their channels have no role.
-    ids
-        How ids are read from one of them; None where they are not.
-    by_hand
-        In what the layout is another than the files' own for their hero view, as plain data; what
-        was made of the shot depends on it.
-    every
-        Every channel of the view that can be read, recognised or not, in the order of the files.
-    first
-        Number of the frame that it was recognised by.
-    keep_going
-        Whether frames may be missing or damaged, which are left out then.
-    headers
-        Of the files that were read last.
-    nonfinite
-        What was found in its frames; a shot that is read in another way has its own.
-    """
-
+    # The main files.
     sequence: Sequence
+    # Further sequences of the same frames, by AOV, if each AOV has a file of its own.
     aovs: Mapping[str, Sequence]
+    # What the channels hold, by the first frame. Their names are without view.
     layout: Layout
+    # The display window that all frames must share.
     display: Window
+    # The shot's views, the hero first; () if it has none.
     views: tuple[str, ...] = ()
+    # The one that is read; "" if there are none.
     view: str = ""
+    # The view that is read of each sequence's files, by AOV, "" for the hero and for files without
+    # views: if each view has files of its own, they need not know of it.
     within: Mapping[str, str] = field(default_factory=dict)
     depth: DepthReading = field(default_factory=DepthReading)
     channel_map: ChannelMap | None = None
+    # Roles whose channels were taken from sequences of their own.
     aov_files: tuple[AovFile, ...] = ()
+    # Those of the first frame, the best stencil first. Their channels have no role.
     cryptomattes: tuple[Cryptomatte, ...] = ()
+    # How ids are read from one of them; None if they are not.
     ids: IdReading | None = None
+    # How the layout differs from the files' own for their hero view, as plain data. What was
+    # generated from the shot depends on it.
     by_hand: Mapping[str, Any] = field(default_factory=dict)
+    # Every channel of the view that can be read, recognised or not, in the order of the files.
     every: tuple[ChannelRef, ...] = ()
+    # Number of the frame that it was recognised by.
     first: int = 0
+    # True if frames may be missing or damaged, which are left out then.
     keep_going: bool = False
+    # Of the files that were read last.
     headers: HeaderCache = field(default_factory=HeaderCache, compare=False, repr=False)
+    # Of its frames; a shot that is read in another way has its own.
     nonfinite: NonFinite = field(default_factory=NonFinite, init=False, compare=False, repr=False)
 
     def files(self, number: int) -> dict[str, Path]:
-        """Files of one frame by AOV; "" is the main one.
-
-        Raises
-        ------
-        MissingFrameError
-            When a sequence has no such frame.
-        """
+        """Return the files of one frame by AOV, "" the main one; MissingFrameError if absent."""
         sequences = {"": self.sequence, **self.aovs}
         for sequence in sequences.values():
             if number not in sequence.files:
@@ -116,11 +91,11 @@ class Shot:
     @property
     def listed(self) -> str:
         """Every channel, by the names that a channel map takes, for a message."""
-        return ", ".join(map(spelled, self.every)) or "none that can be read"
+        return ", ".join(map(channel_label, self.every)) or "none that can be read"
 
     def channels(self, parts: Iterable[Part], aov: str = "") -> dict[str, Channel]:
         """Return the channels of this shot's view in a file, by the names that the layout has."""
-        return channels_of(parts, self.within.get(aov, ""))
+        return view_channels(parts, self.within.get(aov, ""))
 
 
 def open_shot(
@@ -132,28 +107,18 @@ def open_shot(
 ) -> Shot:
     """Find a sequence and recognise its channels in its first frame.
 
-    Parameters
-    ----------
-    spec
-        Folder, pattern or any frame; ``%V`` in it stands for a view's name, ``%v`` for its letter.
-    view
-        Which view is read; None for the channel map's, else the hero.
-    aovs
-        Roles whose channels lie in sequences of their own; they come before those of the map.
-    channel_map
-        What holds what, by hand.
-    keep_going
-        Whether to take the first frame that is sound, and list those that are missing in between.
+    `spec` is a folder, pattern or any frame; ``%V`` in it stands for a view's name, ``%v`` for its
+    letter. Without a view, it is the channel map's, else the hero. `aovs`, roles whose channels lie
+    in sequences of their own, come before those of the map. With `keep_going`, the first frame that
+    is sound counts, and missing frames in between are listed.
 
-    Raises
-    ------
-    InputError
-        When there is no such sequence or view, its first frame cannot be read, or a sequence of
-        its AOVs lacks a frame or is of another size.
+    Raises InputError if there is no such sequence or view, its first frame cannot be read, or a
+    sequence of its AOVs lacks a frame or is of another size.
     """
-    wish = _Wish.of(view, aovs, channel_map, keep_going)
-    expanded, named_view, views = expand(spec, wish.view)
-    return _opened(find_files(expanded, keep_going, wish.decided), wish, named_view, views)
+    request = _Request.of(view, aovs, channel_map, keep_going)
+    expanded, view_in_name, views = expand_view(spec, request.view)
+    files = find_files(expanded, keep_going, request.decided)
+    return _open_files(files, request, view_in_name, views)
 
 
 def open_views(
@@ -163,28 +128,31 @@ def open_views(
     channel_map: ChannelMap | None = None,
     keep_going: bool = False,
 ) -> tuple[Shot, ...]:
-    """Open every view of a shot, the hero first, where `view` is ``all``; else the one of it.
+    """Open every view of a shot, the hero first, if `view` is ``all``; else one, as `open_shot`.
 
-    Files that hold all views are found and looked into once. See `open_shot`.
+    Files that hold all views are found and read once.
     """
     if view != ALL:
         return (open_shot(spec, view, aovs, channel_map, keep_going),)
-    wish = replace(_Wish.of(None, aovs, channel_map, keep_going), view=None)
-    expanded, named_view, views = expand(spec, None)
-    found = find_files(expanded, keep_going, wish.decided)
-    hero = _opened(found, wish, named_view, views)
+    request = replace(_Request.of(None, aovs, channel_map, keep_going), view=None)
+    expanded, view_in_name, views = expand_view(spec, None)
+    files = find_files(expanded, keep_going, request.decided)
+    hero = _open_files(files, request, view_in_name, views)
     if not hero.views:
         raise LayoutError(f"{hero.sequence.pattern} has no views; leave --view {ALL} out")
-    if named_view:
+    if view_in_name:
         others = (open_shot(spec, name, aovs, channel_map, keep_going) for name in views[1:])
         return (hero, *others)
-    looks = found.by(hero.first)
-    return (hero, *(_open(looks, replace(wish, view=name), "", ()) for name in hero.views[1:]))
+    headers = files.read_headers(hero.first)
+    others = (
+        _open_view(files, headers, replace(request, view=name), "", ()) for name in hero.views[1:]
+    )
+    return (hero, *others)
 
 
 @dataclass(frozen=True)
-class _Wish:
-    """What is asked of a shot beside its name; see `open_shot`."""
+class _Request:
+    """Options of `open_shot`, joined with its channel map; options come first."""
 
     view: str | None
     aovs: tuple[AovFile, ...]
@@ -204,259 +172,248 @@ class _Wish:
         aovs: tuple[AovFile, ...],
         channel_map: ChannelMap | None,
         keep_going: bool,
-    ) -> _Wish:
-        """Join options with a channel map; options come first."""
+    ) -> _Request:
         if channel_map is None:
             return cls(view, aovs, None, keep_going)
-        given = {aov.role for aov in aovs}
-        more = tuple(aov for aov in channel_map.aovs if aov.role not in given)
+        roles = {aov.role for aov in aovs}
+        more = tuple(aov for aov in channel_map.aovs if aov.role not in roles)
         return cls(view or channel_map.view, aovs + more, channel_map, keep_going)
 
 
-def _opened(found: ShotFiles, wish: _Wish, named_view: str, views: tuple[str, ...]) -> Shot:
-    """Open a shot by its first frame, or by the first that is sound where others are left out."""
+def _open_files(
+    files: ShotFiles, request: _Request, view_in_name: str, views: tuple[str, ...]
+) -> Shot:
+    """Open a shot by its first frame, or by the first that is sound with `keep_going`."""
 
-    def by(number: int) -> Shot:
-        shot = _open(found.by(number), wish, named_view, views)
-        if wish.keep_going:
+    def open_by_frame(number: int) -> Shot:
+        shot = _open_view(files, files.read_headers(number), request, view_in_name, views)
+        if request.keep_going:
             require_sound(shot.files(number).values())
         return shot
 
-    numbers = found.leader.numbers
-    return first_of(numbers if wish.keep_going else numbers[:1], by)
+    numbers = files.leader.numbers
+    return first_usable(numbers if request.keep_going else numbers[:1], open_by_frame)
 
 
-def _open(found: Looks, wish: _Wish, named_view: str, views: tuple[str, ...]) -> Shot:
-    """Recognise the channels of one view, and put the shot together.
+def _open_view(
+    files: ShotFiles,
+    frame: FrameHeaders,
+    request: _Request,
+    view_in_name: str,
+    views: tuple[str, ...],
+) -> Shot:
+    """Recognise the channels of one view in one frame.
 
-    Parameters
-    ----------
-    found
-        Its files.
-    wish
-        What is asked.
-    named_view, views
-        The view that the files are of by their names, and all that there are; empty where each
-        file holds all views.
+    `view_in_name` is the view that the files are of by their names, and `views` are all; empty if
+    each file holds all views.
     """
-    main = next(iter(found.parts.values()))
-    pattern = found.leader.pattern
-    views = views if named_view else views_of(main)
-    view = named_view or choose(views, wish.view, pattern)
-    within = {aov: _within(parts, view, named_view, pattern) for aov, parts in found.parts.items()}
-    channels = {aov: channels_of(parts, within[aov]) for aov, parts in found.parts.items()}
-    every = {aov: renamed(members) for aov, members in channels.items()}
-    mattes = find_cryptomattes(every, found.texts)
-    own = detect({aov: plain(members, mattes, aov) for aov, members in channels.items()})
-    if Role.COLOUR in own:
-        mattes = find_cryptomattes(every, found.texts, own.roles[Role.COLOUR][0].name)
-    if not own.roles:
-        _refuse_luminance(channels, pattern)
-    layout = own if wish.channel_map is None else corrected(own, channels, wish.channel_map)
-    display = main[0].display_window
-    shot = Shot(
-        found.leader, found.aovs, layout, display, views, view, within, cryptomattes=mattes,
-        every=refs_of(channels), first=found.number, keep_going=wish.keep_going,
-        headers=found.cache,
-    )  # fmt: skip
-    for aov in wish.aovs:
-        shot = _joined(shot, aov)
-    shot = _by_bits(shot)
-    channel_map = wish.channel_map
-    shot = replace(
-        shot, depth=_depth(shot, channel_map), channel_map=channel_map, aov_files=wish.aovs
+    main = next(iter(frame.parts.values()))
+    pattern = files.leader.pattern
+    views = views if view_in_name else list_views(main)
+    view = view_in_name or choose_view(views, request.view, pattern)
+    within = {
+        aov: _view_in_file(parts, view, view_in_name, pattern) for aov, parts in frame.parts.items()
+    }
+    channels = {aov: view_channels(parts, within[aov]) for aov, parts in frame.parts.items()}
+    renamed = {aov: rename_channels(members) for aov, members in channels.items()}
+    mattes = find_cryptomattes(renamed, frame.texts)
+    own = detect_layout(
+        {aov: without_cryptomattes(members, mattes, aov) for aov, members in channels.items()}
     )
-    return replace(shot, by_hand=_by_hand(shot, own))
+    if Role.COLOUR in own:
+        mattes = find_cryptomattes(renamed, frame.texts, own.roles[Role.COLOUR][0].name)
+    names = {name.upper() for members in channels.values() for name in members}
+    if not own.roles and "Y" in names:
+        raise LayoutError(
+            f"{pattern} holds luminance alone (a channel Y), which is no colour; write the frames "
+            "as RGB"
+        )
+    channel_map = request.channel_map
+    shot = Shot(
+        files.leader,
+        files.aovs,
+        own if channel_map is None else _corrected(own, channels, channel_map),
+        main[0].display_window,
+        views,
+        view,
+        within,
+        channel_map=channel_map,
+        aov_files=request.aovs,
+        cryptomattes=mattes,
+        every=tuple(ChannelRef(aov, name) for aov, names in channels.items() for name in names),
+        first=frame.number,
+        keep_going=request.keep_going,
+        headers=frame.cache,
+    )
+    for aov in request.aovs:
+        shot = _with_aov(shot, aov)
+    shot = _with_named_cryptomatte(shot)
+    by_name = depth_reading_by_name(ref.name for ref in shot.layout.roles.get(Role.DEPTH, ()))
+    depth = by_name
+    if channel_map is not None and channel_map.depth_kind is not None:
+        depth = DepthReading.of(channel_map.depth_kind)
+    by_hand: dict[str, Any] = {
+        role.value: [channel_label(ref) for ref in shot.layout.roles.get(role, ())]
+        for role in Role
+        if shot.layout.roles.get(role) != own.roles.get(role)
+    }
+    if views and view != views[0]:
+        by_hand["view"] = view
+    if depth != by_name:
+        by_hand["depth_kind"] = depth.kind.value
+    return replace(shot, depth=depth, by_hand=by_hand)
 
 
-def renamed(channels: Mapping[str, Channel]) -> tuple[Channel, ...]:
-    """Return channels with the names that they are known by, for detection."""
-    return tuple(replace(channel, name=name) for name, channel in channels.items())
-
-
-def refs_of(channels: Mapping[str, Iterable[str]]) -> tuple[ChannelRef, ...]:
-    """Return the channels of files, whose names are known by AOV."""
-    return tuple(ChannelRef(aov, name) for aov, names in channels.items() for name in names)
-
-
-def plain(
+def without_cryptomattes(
     channels: Mapping[str, Channel], cryptomattes: Iterable[Cryptomatte], aov: str = ""
 ) -> tuple[Channel, ...]:
-    """Return channels as `renamed` does, without those of Cryptomattes."""
-    taken = {ref for one in cryptomattes for ref in one.refs}
-    return tuple(c for c in renamed(channels) if ChannelRef(aov, c.name) not in taken)
+    """Return channels as `rename_channels` does, without those of Cryptomattes."""
+    refs = {ref for matte in cryptomattes for ref in matte.refs}
+    return tuple(c for c in rename_channels(channels) if ChannelRef(aov, c.name) not in refs)
 
 
-def _within(parts: tuple[Part, ...], view: str, named_view: str, where: object) -> str:
-    """Return which view of a file is read, "" for one without views or all of one view."""
-    views = views_of(parts)
-    if not views or (named_view and view not in views):
+def _view_in_file(parts: tuple[Part, ...], view: str, view_in_name: str, file: object) -> str:
+    """Return the view of a file that is read, "" for one without views or all of one view."""
+    views = list_views(parts)
+    if not views or (view_in_name and view not in views):
         return ""
-    return choose(views, view or None, where)
+    return choose_view(views, view or None, file)
 
 
-def _refuse_luminance(channels: Mapping[str, Mapping[str, Channel]], where: str) -> None:
-    names = {name.upper() for members in channels.values() for name in members}
-    if "Y" in names:
-        raise LayoutError(
-            f"{where} holds luminance alone (a channel Y), which is no colour; write the frames as "
-            "RGB"
-        )
-
-
-def _joined(shot: Shot, aov: AovFile) -> Shot:
+def _with_aov(shot: Shot, aov: AovFile) -> Shot:
     """Take a role's channels from a sequence of its own."""
-    expanded, named_view, _ = expand(aov.pattern, shot.view or None)
+    expanded, view_in_name, _ = expand_view(aov.pattern, shot.view or None)
     sequence = find_sequence(expanded)
-    if shot.keep_going:
-        sequence = sequence.over(shot.sequence.numbers)
-    if absent := [n for n in shot.sequence.numbers if n not in sequence.files]:
+    numbers = shot.sequence.numbers
+    if not shot.keep_going and (absent := [n for n in numbers if n not in sequence.files]):
         raise MissingFrameError(
             f"frame {ranges(absent)} of {aov.option} is missing from {sequence.pattern}; render "
             "it, or move that frame's other files elsewhere"
         )
-    files = {number: sequence.files[number] for number in shot.sequence.numbers}
-    path = files[shot.first]
-    header = look(path, shot.headers)
+    sequence = sequence.over(numbers)
+    path = sequence.files[shot.first]
+    header = read_flat_header(path, shot.headers)
     parts = header.parts
     if parts[0].display_window != shot.display:
         raise LayoutError(
             f"{path} of {aov.option} has the display window {parts[0].display_window} where the "
             f"shot has {shot.display}; render all AOVs at one resolution"
         )
-    within = _within(parts, shot.view, named_view, path)
-    channels = channels_of(parts, within)
-    name = _name_of(shot, aov, sequence)
-    mattes = find_cryptomattes({name: renamed(channels)}, {name: header.texts})
+    within = _view_in_file(parts, shot.view, view_in_name, path)
+    channels = view_channels(parts, within)
+    # Files that hold several roles are read once.
+    same_files = (n for n, member in shot.aovs.items() if member.pattern == sequence.pattern)
+    name = next(same_files, aov.role.value)
+    mattes = find_cryptomattes({name: rename_channels(channels)}, {name: header.texts})
     if aov.role is Role.STENCIL and mattes and not aov.channels:
-        found = Layout({aov.role: mattes[0].stencil})
+        layout = Layout({aov.role: mattes[0].stencil})
     else:
-        read = recognise(aov, {c.name: c for c in renamed(channels)}, path)
-        found = moved(read, {aov.role.value: name})
+        renamed = {channel.name: channel for channel in rename_channels(channels)}
+        layout = _with_aov_names(detect_aov(aov, renamed, path), {aov.role.value: name})
+    every, cryptomattes = shot.every, shot.cryptomattes
+    if name not in shot.aovs:
+        every += tuple(ChannelRef(name, channel) for channel in channels)
+        cryptomattes += mattes
     joined = replace(
         shot,
-        aovs={**shot.aovs, name: replace(sequence, files=files)},
-        layout=merged(shot.layout, found),
+        aovs={**shot.aovs, name: sequence},
+        layout=_merged(shot.layout, layout),
         within={**shot.within, name: within},
-        every=shot.every + (() if name in shot.aovs else refs_of({name: channels})),
-        cryptomattes=shot.cryptomattes + tuple(one for one in mattes if name not in shot.aovs),
+        every=every,
+        cryptomattes=cryptomattes,
     )
-    return _led(joined, name) if aov.role is Role.COLOUR else joined
+    return _with_leader(joined, name) if aov.role is Role.COLOUR else joined
 
 
-def _by_bits(shot: Shot) -> Shot:
-    """Put that Cryptomatte first whose channels were named for ids: they are no numbers."""
-    named = set(shot.layout.roles.get(Role.STENCIL, ()))
-    meant = [one for one in shot.cryptomattes if named & one.refs]
-    if not meant:
+def _with_named_cryptomatte(shot: Shot) -> Shot:
+    """Put the Cryptomatte first whose channels were named for ids: they are no numbers."""
+    refs = set(shot.layout.roles.get(Role.STENCIL, ()))
+    named = next((matte for matte in shot.cryptomattes if refs & matte.refs), None)
+    if named is None:
         return shot
     roles = dict(shot.layout.roles)
     del roles[Role.STENCIL]
-    others = [one for one in shot.cryptomattes if one is not meant[0]]
-    return replace(shot, layout=replace(shot.layout, roles=roles), cryptomattes=(meant[0], *others))
+    others = [matte for matte in shot.cryptomattes if matte is not named]
+    return replace(shot, layout=replace(shot.layout, roles=roles), cryptomattes=(named, *others))
 
 
-def _name_of(shot: Shot, aov: AovFile, sequence: Sequence) -> str:
-    """Return what an AOV's sequence goes by: files that hold several roles are read once."""
-    known = (name for name, member in shot.aovs.items() if member.pattern == sequence.pattern)
-    return next(known, aov.role.value)
-
-
-def _led(shot: Shot, aov: str) -> Shot:
+def _with_leader(shot: Shot, aov: str) -> Shot:
     """Make an AOV's sequence the leader: frames are named like those with the colour."""
-    leads = shot.sequence in shot.aovs.values()
-    names = {aov: ""} if leads else {"": MAIN, aov: ""}
+    has_aov_name = shot.sequence in shot.aovs.values()
+    names = {aov: ""} if has_aov_name else {"": MAIN, aov: ""}
     aovs = {name: sequence for name, sequence in shot.aovs.items() if name != aov}
     return replace(
         shot,
         sequence=shot.aovs[aov],
-        aovs=aovs if leads else {MAIN: shot.sequence, **aovs},
-        layout=moved(shot.layout, names),
-        every=tuple(replace(ref, aov=names.get(ref.aov, ref.aov)) for ref in shot.every),
+        aovs=aovs if has_aov_name else {MAIN: shot.sequence, **aovs},
+        layout=_with_aov_names(shot.layout, names),
+        every=_refs_with_aov_names(shot.every, names),
         within={names.get(name, name): view for name, view in shot.within.items()},
-        cryptomattes=tuple(one.moved(names) for one in shot.cryptomattes),
+        cryptomattes=tuple(matte.moved(names) for matte in shot.cryptomattes),
     )
 
 
-def _depth(shot: Shot, channel_map: ChannelMap | None) -> DepthReading:
-    """Return how depth is read: as the map says, else as the channel's name does."""
-    if channel_map is not None and channel_map.depth_kind is not None:
-        return DepthReading.of(channel_map.depth_kind)
-    return depth_named(ref.name for ref in shot.layout.roles.get(Role.DEPTH, ()))
-
-
-def _by_hand(shot: Shot, own: Layout) -> dict[str, Any]:
-    """Say in what a shot differs from what is recognised in it by itself."""
-    found: dict[str, Any] = {
-        role.value: [spelled(ref) for ref in shot.layout.roles.get(role, ())]
-        for role in Role
-        if shot.layout.roles.get(role) != own.roles.get(role)
-    }
-    if shot.views and shot.view != shot.views[0]:
-        found["view"] = shot.view
-    if shot.depth != _depth(shot, None):
-        found["depth_kind"] = shot.depth.kind.value
-    return found
-
-
-def corrected(
+def _corrected(
     layout: Layout, channels: Mapping[str, Mapping[str, Channel]], channel_map: ChannelMap
 ) -> Layout:
     """Put a channel map's roles in place of those that were recognised."""
-    known = {
-        spelled(ChannelRef(aov, name)): ChannelRef(aov, name)
-        for aov, members in channels.items()
-        for name in members
-    }
+    refs = [ChannelRef(aov, name) for aov, members in channels.items() for name in members]
+    by_label = {channel_label(ref): ref for ref in refs}
     roles = dict(layout.roles)
     for role, names in channel_map.channels.items():
         roles.pop(role, None)
         option = channel_map.option(f"channels.{role.value}")
-        refs = tuple(known[named(name, known, option, "the shot")] for name in names)
-        if refs:
-            roles[role] = refs
-    same = roles.get(Role.MOTION) == layout.roles.get(Role.MOTION)
-    producer = channel_map.producer or layout.producer
-    guess = layout.guess if same else None
-    alphas = () if Role.COLOUR in channel_map.channels else layout.alphas
-    return replace(layout, roles=_ordered(roles), guess=guess, producer=producer, alphas=alphas)
+        if names:
+            labels = (find_channel(name, by_label, option, "the shot") for name in names)
+            roles[role] = tuple(by_label[label] for label in labels)
+    is_same_motion = roles.get(Role.MOTION) == layout.roles.get(Role.MOTION)
+    return replace(
+        layout,
+        roles=_ordered(roles),
+        guess=layout.guess if is_same_motion else None,
+        producer=channel_map.producer or layout.producer,
+        alphas=() if Role.COLOUR in channel_map.channels else layout.alphas,
+    )
 
 
-def moved(layout: Layout, names: Mapping[str, str]) -> Layout:
-    """Return a layout with other names of AOVs."""
-    roles = {
-        role: tuple(replace(ref, aov=names.get(ref.aov, ref.aov)) for ref in refs)
-        for role, refs in layout.roles.items()
-    }
-    alphas = tuple(replace(ref, aov=names.get(ref.aov, ref.aov)) for ref in layout.alphas)
-    return replace(layout, roles=roles, alphas=alphas)
+def _with_aov_names(layout: Layout, names: Mapping[str, str]) -> Layout:
+    roles = {role: _refs_with_aov_names(refs, names) for role, refs in layout.roles.items()}
+    return replace(layout, roles=roles, alphas=_refs_with_aov_names(layout.alphas, names))
 
 
-def merged(layout: Layout, more: Layout) -> Layout:
+def _refs_with_aov_names(
+    refs: Iterable[ChannelRef], names: Mapping[str, str]
+) -> tuple[ChannelRef, ...]:
+    return tuple(replace(ref, aov=names.get(ref.aov, ref.aov)) for ref in refs)
+
+
+def _merged(layout: Layout, more: Layout) -> Layout:
     """Add the roles of another layout, and what it says of motion if that is among them."""
-    roles = _ordered({**layout.roles, **more.roles})
-    guess = more.guess if Role.MOTION in more else layout.guess
-    ours = Role.MOTION in more and more.guess is not None
-    producer = (more if ours else layout).producer
-    alphas = more.alphas if Role.COLOUR in more else layout.alphas
-    return replace(layout, roles=roles, guess=guess, producer=producer, alphas=alphas)
+    has_guess = Role.MOTION in more and more.guess is not None
+    return replace(
+        layout,
+        roles=_ordered({**layout.roles, **more.roles}),
+        guess=more.guess if Role.MOTION in more else layout.guess,
+        producer=(more if has_guess else layout).producer,
+        alphas=more.alphas if Role.COLOUR in more else layout.alphas,
+    )
 
 
-def alpha_left_out(layout: Layout) -> str | None:
-    """Say that a colour has no alpha as several channels may be it; None where that is not so."""
+def _ordered(roles: Mapping[Role, tuple[ChannelRef, ...]]) -> dict[Role, tuple[ChannelRef, ...]]:
+    return {role: roles[role] for role in Role if role in roles}
+
+
+def alpha_note(layout: Layout) -> str | None:
+    """Return the note that a colour has no alpha as several channels may be it, or None."""
     if not layout.alphas:
         return None
-    names = ", ".join(spelled(ref) for ref in layout.alphas)
+    names = ", ".join(channel_label(ref) for ref in layout.alphas)
     return (
         f"alpha is left out, as {names} may each be it; name one as the fourth of channels.colour "
         "in a channel map"
     )
 
 
-def spelled(ref: ChannelRef) -> str:
+def channel_label(ref: ChannelRef) -> str:
     """Return a channel's name as users see it, and channel maps have it: with its AOV."""
     return f"{ref.aov}:{ref.name}" if ref.aov else ref.name
-
-
-def _ordered(roles: Mapping[Role, tuple[ChannelRef, ...]]) -> dict[Role, tuple[ChannelRef, ...]]:
-    return {role: roles[role] for role in Role if role in roles}

@@ -6,13 +6,14 @@ import re
 from collections import defaultdict
 from collections.abc import Iterable
 
-from exwarp_cli.io.channels import ChannelRef, Role, words_of
+from exwarp_cli.io.channels import ChannelRef, Role, split_words
 from exwarp_cli.io.cryptomatte import find_cryptomattes
-from exwarp_cli.io.sequence import beside
-from exwarp_cli.io.shot import Shot, plain, spelled
+from exwarp_cli.io.sequences import neighbouring_sequences
+from exwarp_cli.io.shot import Shot, channel_label, without_cryptomattes
+from exwarp_cli.io.shot_files import rename_channels
 
-LISTED = 12
-"""Layers that a message names at most."""
+# Layers that a message names.
+MAX_LISTED = 12
 
 _MOTION_WORDS = frozenset(
     {"motion", "move", "movement", "mv", "mvec", "mvecs", "mb", "vec", "vecs", "vector", "vectors"}
@@ -28,116 +29,105 @@ def unrecognised(shot: Shot) -> tuple[ChannelRef, ...]:
 
     Channels of Cryptomattes have a use, and are not among them.
 
-    Raises
-    ------
-    InputError
-        When a file of the first frame cannot be read.
+    Raises InputError if a file of the first frame cannot be read.
     """
     used = {ref for refs in shot.layout.roles.values() for ref in refs}
-    out: list[ChannelRef] = []
+    unused: list[ChannelRef] = []
     for aov, path in shot.files(shot.first).items():
         header = shot.headers.read(path)
         channels = shot.channels(header.parts, aov)
-        members = tuple(channels)
-        every = plain(channels, (), aov)
-        rest = plain(channels, find_cryptomattes({aov: every}, {aov: header.texts}), aov)
-        names = {channel.name for channel in rest}
-        refs = (ChannelRef(aov, name) for name in members if name in names)
-        out += (ref for ref in refs if ref not in used)
-    return tuple(out)
+        mattes = find_cryptomattes({aov: rename_channels(channels)}, {aov: header.texts})
+        for channel in without_cryptomattes(channels, mattes, aov):
+            ref = ChannelRef(aov, channel.name)
+            if ref not in used:
+                unused.append(ref)
+    return tuple(unused)
 
 
 def likely_vectors(refs: Iterable[ChannelRef]) -> tuple[tuple[ChannelRef, ...], ...]:
     """Return the layers that may hold motion vectors, the likeliest first, by name alone.
 
-    Returns
-    -------
-    tuple
-        Of each layer its first two components in the order X, Y, or U, V, or R, G. A layer counts
-        if its name has a word of motion, or if it has these two components and no third.
+    Of each layer, its first two components in the order X, Y, or U, V, or R, G. A layer counts if
+    its name has a word of motion, or if it has these two components and no third.
     """
     layers: dict[str, dict[str, ChannelRef]] = defaultdict(dict)
     for ref in refs:
-        name = spelled(ref)
-        layers[name.rpartition(".")[0] or ref.aov].setdefault(ref.component[:1].upper(), ref)
-    ranked: list[tuple[int, tuple[ChannelRef, ...]]] = []
-    for name, parts in layers.items():
-        pair = next((p for p in _PAIRS if set(p) <= set(parts)), None)
+        layer = channel_label(ref).rpartition(".")[0] or ref.aov
+        layers[layer].setdefault(ref.component[:1].upper(), ref)
+    named: list[tuple[ChannelRef, ...]] = []
+    unnamed: list[tuple[ChannelRef, ...]] = []
+    for layer, components in layers.items():
+        pair = next((pair for pair in _PAIRS if set(pair) <= set(components)), None)
         if pair is None:
             continue
-        words = _has_motion_word(name)
-        if words or len(parts) == 2:
-            ranked.append((0 if words else 1, tuple(parts[letter] for letter in pair)))
-    return tuple(refs for _, refs in sorted(ranked, key=lambda entry: entry[0]))
+        vectors = tuple(components[letter] for letter in pair)
+        if _has_motion_word(layer):
+            named.append(vectors)
+        elif len(components) == 2:
+            unnamed.append(vectors)
+    return (*named, *unnamed)
 
 
-def listed(refs: Iterable[ChannelRef]) -> str:
+def list_channels(refs: Iterable[ChannelRef]) -> str:
     """Return channels as a message names them: layer by layer, with their components."""
     layers: dict[str, list[str]] = defaultdict(list)
     for ref in refs:
-        name = spelled(ref)
-        layer, dot, component = name.rpartition(".")
+        layer, dot, component = channel_label(ref).rpartition(".")
         layers[layer + dot].append(component)
     names = [
-        f"{layer}{parts[0]}" if len(parts) == 1 else f"{layer}{{{','.join(parts)}}}"
-        for layer, parts in layers.items()
+        f"{layer}{components[0]}" if len(components) == 1 else f"{layer}{{{','.join(components)}}}"
+        for layer, components in layers.items()
     ]
-    more = f" and {len(names) - LISTED} more layers" if len(names) > LISTED else ""
-    return ", ".join(names[:LISTED]) + more
+    more = f" and {len(names) - MAX_LISTED} more layers" if len(names) > MAX_LISTED else ""
+    return ", ".join(names[:MAX_LISTED]) + more
 
 
 def is_colour_alone(shot: Shot) -> bool:
-    """Return whether a shot has nothing but its beauty: plain footage, and no render with passes.
+    """Return True if a shot has nothing but its beauty: plain footage, and no render with passes.
 
-    Raises
-    ------
-    InputError
-        When a file of the first frame cannot be read.
+    Raises InputError if a file of the first frame cannot be read.
     """
-    bare = set(shot.layout.roles) <= {Role.COLOUR} and not shot.layout.incomplete
-    if not bare or shot.aovs or shot.cryptomattes:
+    has_roles = not set(shot.layout.roles) <= {Role.COLOUR} or shot.layout.incomplete
+    if has_roles or shot.aovs or shot.cryptomattes:
         return False
     # Some renderers keep the beauty's alpha in a layer of its own.
     more = [ref for ref in unrecognised(shot) if ref.component.lower() not in ("a", "alpha")]
-    return not more and not _vectors_beside(shot)
+    return not more and not _neighbouring_vectors(shot)
 
 
-def _vectors_beside(shot: Shot) -> list[str]:
+def _neighbouring_vectors(shot: Shot) -> list[str]:
     """Return the patterns of sequences beside a shot whose names have a word of motion."""
-    found = {} if shot.aovs else beside(shot.sequence)
-    return [member.pattern for name, member in found.items() if _has_motion_word(name)]
+    sequences = {} if shot.aovs else neighbouring_sequences(shot.sequence)
+    return [member.pattern for name, member in sequences.items() if _has_motion_word(name)]
 
 
-def no_vectors(shot: Shot, estimable: bool = True) -> str:
+def _has_motion_word(name: str) -> bool:
+    words = split_words(re.sub(r".*:", "", name))
+    return any(w in _MOTION_WORDS or w.startswith(_MOTION_BEGINNINGS) for w in words)
+
+
+def no_vectors_message(shot: Shot, estimable: bool = True) -> str:
     """Return the message that a shot has no usable vectors: its unknown channels, and what to do.
 
-    Raises
-    ------
-    InputError
-        When a file of the first frame cannot be read.
+    `estimable` is true if the method could estimate motion.
+
+    Raises InputError if a file of the first frame cannot be read.
     """
-    half = shot.layout.incomplete.get(Role.MOTION)
-    said = "" if half is None else f" ({half})"
-    rest = unrecognised(shot)
-    likely = likely_vectors(rest)
-    unknown = f"; not recognised: {listed(rest)}" if rest else ""
-    name = ""
-    if likely:
+    incomplete = shot.layout.incomplete.get(Role.MOTION)
+    partly = "" if incomplete is None else f" ({incomplete})"
+    unused = unrecognised(shot)
+    unknown = f"; not recognised: {list_channels(unused)}" if unused else ""
+    likeliest = ""
+    if likely := likely_vectors(unused):
         names = ", ".join(ref.name.rpartition(".")[0] or ref.aov for ref, _ in likely[:3])
         aov = likely[0][0].aov
         pattern = (shot.aovs[aov] if aov else shot.sequence).pattern
         channels = ",".join(ref.name for ref in likely[0])
-        name = f"; likeliest: {names}, to be named as in --aov motion={pattern}:{channels}"
-    elif patterns := _vectors_beside(shot):
-        name = f"; likeliest: {patterns[0]}, to be named as in --aov motion={patterns[0]}:R,G"
-    allowed = estimable and not is_colour_alone(shot)
-    passes = ", or allow --estimate-motion" if allowed else ""
+        likeliest = f"; likeliest: {names}, to be named as in --aov motion={pattern}:{channels}"
+    elif patterns := _neighbouring_vectors(shot):
+        likeliest = f"; likeliest: {patterns[0]}, to be named as in --aov motion={patterns[0]}:R,G"
+    remedy = ", or allow --estimate-motion" if estimable and not is_colour_alone(shot) else ""
     return (
-        f"{shot.sequence.pattern} has no motion vectors that are recognised{said}{unknown}{name}; "
-        f"render the motion pass{passes}, or use --method hold or blend"
+        f"{shot.sequence.pattern} has no motion vectors that are recognised{partly}{unknown}"
+        f"{likeliest}; render the motion pass{remedy}, or use --method hold or blend"
     )
-
-
-def _has_motion_word(name: str) -> bool:
-    words = words_of(re.sub(r".*:", "", name))
-    return any(w in _MOTION_WORDS or w.startswith(_MOTION_BEGINNINGS) for w in words)

@@ -24,7 +24,7 @@ from exwarp_cli.accel.quantised_mlp import (
 )
 from exwarp_cli.errors import OutputExistsError, UsageError
 from exwarp_cli.io.atomic import atomic_write_text, make_folder
-from exwarp_cli.io.policy_files import StateRow, load_policy, read_states
+from exwarp_cli.models.policy_files import StateRow, load_policy, read_states
 from exwarp_cli.pipeline.hardware import design
 
 _CLOCK = re.compile(r"([0-9.]+(?:e[+-]?[0-9]+)?)\s*([kmg]?)(?:hz)?", re.IGNORECASE)

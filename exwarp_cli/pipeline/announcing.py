@@ -24,10 +24,10 @@ from exwarp_cli.domain.wording import counted
 from exwarp_cli.errors import IncompleteError
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.clip import is_clip
-from exwarp_cli.io.cryptomatte_manifest import SHOWN, shown
+from exwarp_cli.io.cryptomatte import MAX_NAMES, quote_name
 from exwarp_cli.io.footage import is_plain, lost_alpha, unevenness_of
-from exwarp_cli.io.model_files import shipped_folder
-from exwarp_cli.io.shot import alpha_left_out
+from exwarp_cli.io.shot import alpha_note
+from exwarp_cli.models.model_file import shipped_folder
 from exwarp_cli.pipeline.contents import Content, files_apart
 from exwarp_cli.pipeline.finding import OtherRate
 from exwarp_cli.pipeline.frame_writer import frame_suffix
@@ -36,11 +36,10 @@ from exwarp_cli.pipeline.progress import Progress
 from exwarp_cli.pipeline.without_vectors import video_look
 
 if TYPE_CHECKING:
-    from exwarp_cli.io.interpolator import OnnxInterpolator
-    from exwarp_cli.io.lookahead_network import OnnxLookAhead
-    from exwarp_cli.io.models import OnnxExtrapolator
-    from exwarp_cli.io.policy_files import PolicyFile
-    from exwarp_cli.io.sequence import Sequence
+    from exwarp_cli.io.sequences import Sequence
+    from exwarp_cli.models.interpolator import OnnxInterpolator
+    from exwarp_cli.models.picture_network import OnnxExtrapolator, OnnxLookAhead
+    from exwarp_cli.models.policy_files import PolicyFile
     from exwarp_cli.pipeline.progress import Progress
     from exwarp_cli.pipeline.source import FrameOf, Source
     from exwarp_cli.synthesis.methods import Method
@@ -202,7 +201,7 @@ def announce(
         _compatible_note(settings, source),
         unevenness_of(sequence),
         _lost_alpha(settings, source),
-        alpha_left_out(source.keys.layout),
+        alpha_note(source.keys.layout),
     ):
         if note is not None:
             progress.message(note)
@@ -216,8 +215,8 @@ def announce(
     if (depth := _depth(source)) is not None:
         progress.message(f"depth {depth}")
     if (names := _dynamic(source)) is not None:
-        listed = ", ".join(shown(name) for name in names[:SHOWN])
-        more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+        listed = ", ".join(quote_name(name) for name in names[:MAX_NAMES])
+        more = f" and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else ""
         progress.message(f"moving by name: {listed}{more}")
     elif (source.slots or source.keys).ids is not None and method.needs_motion:
         progress.message(

@@ -33,7 +33,7 @@ from exwarp_cli.synthesis.methods import Judge, take
 from exwarp_cli.synthesis.tile_features import tile_features
 
 if TYPE_CHECKING:
-    from exwarp_cli.io.policy_files import PolicyFile
+    from exwarp_cli.models.policy_files import PolicyFile
     from exwarp_cli.pipeline.observing import Observer
     from exwarp_cli.policy.state import LearnedPolicy
 

@@ -19,9 +19,10 @@ from exwarp_cli.domain.settings import PRESETS, MeasureSettings
 from exwarp_cli.errors import InputError, MotionError, UsageError
 from exwarp_cli.io.atomic import Held
 from exwarp_cli.io.clip import is_clip
-from exwarp_cli.io.frames import GEOMETRY, Shot, open_shot, read_raw
+from exwarp_cli.io.frames import GEOMETRY, read_raw
 from exwarp_cli.io.output import facts_in
-from exwarp_cli.io.sequence import Sequence
+from exwarp_cli.io.sequences import Sequence
+from exwarp_cli.io.shot import Shot, open_shot
 from exwarp_cli.io.video import to_display
 from exwarp_cli.io.vmaf import EncodedVmaf, Vmaf
 from exwarp_cli.metrics import extranet

@@ -14,14 +14,14 @@ from exwarp_cli.io.cryptomatte import find_cryptomattes
 from exwarp_cli.io.exr.template import Plane, ViewLayers, read_template
 from exwarp_cli.io.footage import is_plain, plain_template
 from exwarp_cli.io.frames import read_planes
-from exwarp_cli.io.layers import ALL, BEAUTY, Kind, Layer, chosen, layers_of
+from exwarp_cli.io.layers import ALL, BEAUTY, Layer, LayerKind, group_layers, select_layers
 from exwarp_cli.io.output import FrameTemplate
-from exwarp_cli.io.shot import Shot, renamed
-from exwarp_cli.io.soundness import count_broken
+from exwarp_cli.io.shot import Shot
+from exwarp_cli.io.shot_files import count_nonfinite, rename_channels
 from exwarp_cli.pipeline.frame_writer import frame_suffix
 from exwarp_cli.pipeline.source import Source
 
-POINTS = (Kind.POSITION, Kind.DEPTH)
+POINTS = (LayerKind.POSITION, LayerKind.DEPTH)
 """Layers whose values change as a point moves."""
 
 
@@ -80,7 +80,10 @@ class Content:
     @cached_property
     def motion(self) -> tuple[ChannelRef, ...]:
         """The motion channels that have to be read to write any of them; () without."""
-        if all(layer.kind is not Kind.MOTION for layer in self.beside) or self.convention is None:
+        if (
+            all(layer.kind is not LayerKind.MOTION for layer in self.beside)
+            or self.convention is None
+        ):
             return ()
         return self.source.keys.layout.roles[Role.MOTION]
 
@@ -190,7 +193,7 @@ def content_of(source: Source, text: str, leader: Content | None = None) -> Cont
         return Content(source, leads=leads)
     there = _layers_of(source.keys, main=True)
     if leader is None:
-        layers = chosen(there, text, source.keys.layout)
+        layers = select_layers(there, text, source.keys.layout)
     else:
         names = {layer.name for layer in leader.layers}
         layers = tuple(layer for layer in there if layer.name in names or text == ALL)
@@ -244,9 +247,9 @@ def _layers_of(shot: Shot, main: bool) -> tuple[Layer, ...]:
             continue
         header = shot.headers.read(path)
         files[aov] = shot.channels(header.parts, aov)
-        known = find_cryptomattes({aov: renamed(files[aov])}, {aov: header.texts})
+        known = find_cryptomattes({aov: rename_channels(files[aov])}, {aov: header.texts})
         cryptomattes |= {found.name for found in known}
-    return layers_of(files, shot.layout, cryptomattes)
+    return group_layers(files, shot.layout, cryptomattes)
 
 
 Planes = Mapping[ChannelRef, Plane]
@@ -297,8 +300,8 @@ class LayerStore:
         roles = {refs: role for role, refs in self._shot.layout.roles.items()}
         for layer in self._layers:
             role = roles.get(layer.refs)
-            counted = Role.DEPTH if layer.kind is Kind.DEPTH else role
-            count = count_broken((found[ref].values for ref in layer.refs), counted)
+            counted = Role.DEPTH if layer.kind is LayerKind.DEPTH else role
+            count = count_nonfinite((found[ref].values for ref in layer.refs), counted)
             yield layer.name if role is None else role.value, count
 
     def keep(self, numbers: Iterable[int]) -> None:

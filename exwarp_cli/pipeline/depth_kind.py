@@ -12,10 +12,16 @@ from exwarp_cli.domain.frame import Float32
 from exwarp_cli.domain.motion import MotionConvention
 from exwarp_cli.errors import InputError
 from exwarp_cli.io.channels import Role
-from exwarp_cli.io.depth import DepthKind, DepthReading, is_negative, measured, relative_to_camera
+from exwarp_cli.io.depth import (
+    DepthKind,
+    DepthReading,
+    is_negative,
+    is_relative_to_camera,
+    measure_depth_reading,
+)
 from exwarp_cli.io.frames import read_planes, read_raw
 from exwarp_cli.io.shot import Shot
-from exwarp_cli.io.soundness import first_of
+from exwarp_cli.io.shot_files import first_usable
 from exwarp_cli.pipeline.shots import pair_beside_hold, pairs_within
 from exwarp_cli.synthesis.depth_order import OrderVotes, camera_end, occlusion_votes
 
@@ -57,7 +63,7 @@ def with_depth_measured(shot: Shot) -> Shot:
     raw = read_raw(plain, shot.first, (Role.DEPTH, Role.POSITION))
     depth, position = raw.gbuffer.depth, raw.gbuffer.position
     assert depth is not None and position is not None
-    found = measured(depth, position)
+    found = measure_depth_reading(depth, position)
     agrees = found is not None and stated in (DepthKind.UNKNOWN, found.kind)
     return replace(shot, depth=found) if found is not None and agrees else shot
 
@@ -229,7 +235,7 @@ def with_world_positions(shot: Shot) -> Shot:
     if refs is None or shot.layout.producer in KNOWN or len(numbers) < 2:
         return shot
     first, other = _positions(shot, shot.first), _in_the_middle(shot)
-    if not relative_to_camera(first, other):
+    if not is_relative_to_camera(first, other):
         return shot
     layout = shot.layout
     roles = dict(layout.roles)
@@ -246,7 +252,7 @@ def _in_the_middle(shot: Shot) -> Float32:
     if not shot.keep_going:
         return _positions(shot, numbers[middle])
     nearest = sorted(range(len(numbers)), key=lambda i: abs(i - middle))
-    return first_of((numbers[i] for i in nearest), lambda number: _positions(shot, number))
+    return first_usable((numbers[i] for i in nearest), lambda number: _positions(shot, number))
 
 
 def _positions(shot: Shot, number: int) -> Float32:

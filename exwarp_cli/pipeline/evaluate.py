@@ -17,8 +17,8 @@ from exwarp_cli.domain.wording import counted
 from exwarp_cli.errors import InputError, LayoutError, MissingFrameError
 from exwarp_cli.io.footage import close, find_frames, picture
 from exwarp_cli.io.frames import read_plane
-from exwarp_cli.io.sequence import Sequence, find_sequence
-from exwarp_cli.io.views import expand
+from exwarp_cli.io.sequences import Sequence, find_sequence
+from exwarp_cli.io.views import expand_view
 from exwarp_cli.pipeline.comparing import (
     Origin,
     Pair,
@@ -144,7 +144,7 @@ def evaluate(
     measuring = measuring or MeasureSettings()
     require_consistent(measuring, holes)
     truth, judged = (
-        find_frames(expand(spec, measuring.view or None)[0], scan=measuring.scan)
+        find_frames(expand_view(spec, measuring.view or None)[0], scan=measuring.scan)
         for spec in (reference, test)
     )
     masks = None if holes is None else find_sequence(holes)

@@ -19,18 +19,17 @@ from exwarp_cli.domain.tiles import TILE_STATE
 from exwarp_cli.domain.timeline import FACTOR, Slot, Timeline
 from exwarp_cli.errors import InputError, LayoutError, UsageError
 from exwarp_cli.io.footage import find_frames, picture, picture_size
-from exwarp_cli.io.sequence import Sequence
-from exwarp_cli.io.soundness import first_of
+from exwarp_cli.io.sequences import Sequence
+from exwarp_cli.io.shot_files import first_usable
 from exwarp_cli.io.video import to_display
-from exwarp_cli.io.views import expand
+from exwarp_cli.io.views import expand_view
 from exwarp_cli.pipeline.source import FrameOf, Source, align
 from exwarp_cli.synthesis.methods import CAUSAL, EXWARP, FRAMEWISE, METHODS, Judge, Method
 
 if TYPE_CHECKING:
-    from exwarp_cli.io.interpolator import OnnxInterpolator
-    from exwarp_cli.io.lookahead_network import OnnxLookAhead
-    from exwarp_cli.io.models import OnnxExtrapolator
-    from exwarp_cli.io.policy_files import PolicyFile
+    from exwarp_cli.models.interpolator import OnnxInterpolator
+    from exwarp_cli.models.picture_network import OnnxExtrapolator, OnnxLookAhead
+    from exwarp_cli.models.policy_files import PolicyFile
 
 
 def find_method(name: str | None, causal: bool = False) -> Method:
@@ -89,7 +88,7 @@ def find_network(settings: UpsampleSettings, method: Method) -> OnnxExtrapolator
             )
     if not method.extrapolates:
         return None
-    from exwarp_cli.io.models import load_extrapolator
+    from exwarp_cli.models.picture_network import load_extrapolator
 
     path = None if settings.extrapolator is None else Path(settings.extrapolator)
     return load_extrapolator(path, settings.threads, settings.device)
@@ -110,7 +109,7 @@ def find_interpolator(
         When it or its card cannot be used.
     """
     if method.weighs:
-        from exwarp_cli.io.lookahead_network import load_lookahead
+        from exwarp_cli.models.picture_network import load_lookahead
 
         path = None if settings.interpolator is None else Path(settings.interpolator)
         return load_lookahead(path, settings.threads, settings.device)
@@ -121,7 +120,7 @@ def find_interpolator(
             f"--method {method.name} has no network of its own; name an ONNX file with "
             "--interpolator, or use --method softsplat"
         )
-    from exwarp_cli.io.interpolator import load_interpolator
+    from exwarp_cli.models.interpolator import load_interpolator
 
     return load_interpolator(Path(settings.interpolator), settings.threads, settings.device)
 
@@ -137,7 +136,7 @@ def find_policy(settings: UpsampleSettings, method: Method) -> PolicyFile | None
         When it cannot be used.
     """
     if method.judge is Judge.TILES:
-        from exwarp_cli.io.policy_files import (
+        from exwarp_cli.models.policy_files import (
             PAPER,
             SHIPPED_POLICY,
             SHIPPED_TILE_POLICY,
@@ -246,7 +245,7 @@ def find_truth(
     InputError
         When it is not found, has gaps, is of another size, or has no frame at any slot's instant.
     """
-    sequence = find_frames(expand(spec, source.keys.view or None)[0], bearable, scan)
+    sequence = find_frames(expand_view(spec, source.keys.view or None)[0], bearable, scan)
     frame_of = align(source.timeline, sequence, "--ground-truth")
     display = source.keys.display
 
@@ -259,7 +258,7 @@ def find_truth(
             )
 
     numbers = sequence.numbers
-    first_of(numbers if bearable else numbers[:1], require_alike)
+    first_usable(numbers if bearable else numbers[:1], require_alike)
     return sequence, _at_its_rate(source, sequence, frame_of)
 
 

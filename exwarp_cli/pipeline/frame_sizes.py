@@ -25,7 +25,7 @@ from exwarp_cli.io.footage import is_plain, picture_size
 from exwarp_cli.pipeline.key_frames import truth_of_another_size
 
 if TYPE_CHECKING:
-    from exwarp_cli.io.sequence import Sequence
+    from exwarp_cli.io.sequences import Sequence
     from exwarp_cli.io.shot import Shot
     from exwarp_cli.pipeline.source import FrameOf, Source
 

@@ -22,7 +22,7 @@ from exwarp_cli.io.clip import is_clip
 from exwarp_cli.io.exr.template import Plane, PlaneKey
 from exwarp_cli.io.exr.writer import Buffer
 from exwarp_cli.io.footage import is_plain
-from exwarp_cli.io.key_file import KeyFile, key_file, marked_file, opened_key
+from exwarp_cli.io.key_file import KeyFile, open_key_file, plan_key_file, plan_marked_file
 from exwarp_cli.io.output import (
     PREFIX,
     FrameTemplate,
@@ -32,7 +32,7 @@ from exwarp_cli.io.output import (
     write_mask,
     write_picture,
 )
-from exwarp_cli.io.sequence import EXR, OutputPattern, Sequence, output_pattern
+from exwarp_cli.io.sequences import EXR, OutputPattern, Sequence, output_pattern
 from exwarp_cli.io.stills import STILLS, require_writer
 from exwarp_cli.io.video import VideoLook, VideoWriter, require_container, to_display
 from exwarp_cli.pipeline.scheduling import AsyncWriter, record_time
@@ -281,7 +281,7 @@ class FrameWriter(Held):
         """Whether an earlier run copied a key frame's file, and it is kept."""
         if not self._settings.skip_existing:
             return False
-        return key_is_there(self._frame_path(number), key_file(source, self._key_rate))
+        return key_is_there(self._frame_path(number), plan_key_file(source, self._key_rate))
 
     def is_in_the_way(self, number: int) -> bool:
         """Whether a frame's file from before the run is there, which writing would replace.
@@ -414,14 +414,14 @@ class FrameWriter(Held):
 
     def _copy(self, number: int, source: Path) -> None:
         """Copy a key frame's file; its checksum is that of what the source gives."""
-        with opened_key(source, self._key_rate) as file:
+        with open_key_file(source, self._key_rate) as file:
             file.write(self._frame_path(number))
             if self._wants_sums:
                 self.sums[FRAME, number] = sum_of(file.pieces())
 
     def _copy_marked(self, number: int, source: Path, marks: Mapping[str, str | int]) -> None:
         """Copy a rendered frame's file, with ExWarp's own attributes in its header."""
-        file = marked_file(source, self._key_rate, marks)
+        file = plan_marked_file(source, self._key_rate, marks)
         file.write(self._frame_path(number))
         if self._wants_sums:
             self.sums[FRAME, number] = sum_of(file.pieces())

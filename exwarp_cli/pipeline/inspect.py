@@ -14,13 +14,12 @@ from exwarp_cli.domain.timeline import Timeline, ranges
 from exwarp_cli.errors import MotionError, UsageError
 from exwarp_cli.io.channel_map import channel_map_text, write_channel_map
 from exwarp_cli.io.channels import ChannelRef, Layout, Role
-from exwarp_cli.io.cryptomatte import Cryptomatte
-from exwarp_cli.io.cryptomatte_manifest import Manifest
+from exwarp_cli.io.cryptomatte import Cryptomatte, Manifest
 from exwarp_cli.io.depth import DepthKind
 from exwarp_cli.io.exr.parts import Part
 from exwarp_cli.io.footage import facts_of
 from exwarp_cli.io.producers import UNKNOWN
-from exwarp_cli.io.shot import MAIN, Shot, spelled
+from exwarp_cli.io.shot import MAIN, Shot, channel_label
 from exwarp_cli.pipeline.depth_kind import with_depth_ordered
 from exwarp_cli.pipeline.frame_sizes import require_one_size
 from exwarp_cli.pipeline.motion_finding import find_motion
@@ -93,7 +92,8 @@ class Inspection:
             "parts": [_part(part) for part in self.parts],
             "aovs": {aov: member.pattern for aov, member in self.shot.aovs.items()},
             "roles": {
-                role.value: [spelled(ref) for ref in refs] for role, refs in layout.roles.items()
+                role.value: [channel_label(ref) for ref in refs]
+                for role, refs in layout.roles.items()
             },
             "channels": dict(self.types),
             "depth_kind": self.shot.depth.kind.value if Role.DEPTH in layout else None,
@@ -158,7 +158,8 @@ def save_channel_map(found: Inspection, path: Path, overwrite: bool) -> None:
     shot, finding = found.shot, found.finding
     layout = shot.layout
     channels = {
-        role: tuple(spelled(_as_opened(ref)) for ref in refs) for role, refs in layout.roles.items()
+        role: tuple(channel_label(_as_opened(ref)) for ref in refs)
+        for role, refs in layout.roles.items()
     }
     measured = finding is not None and finding.source != "untested"
     texts = {
@@ -170,7 +171,7 @@ def save_channel_map(found: Inspection, path: Path, overwrite: bool) -> None:
         "depth_kind": None if shot.depth.kind is DepthKind.UNKNOWN else shot.depth.kind.value,
     }
     about = shot.aovs.get(MAIN, shot.sequence).pattern
-    unused = [spelled(_as_opened(ref)) for ref in unused_channels(shot) if _in_map(shot, ref)]
+    unused = [channel_label(_as_opened(ref)) for ref in unused_channels(shot) if _in_map(shot, ref)]
     text = channel_map_text(about, texts, channels, shot.aov_files, unused)
     write_channel_map(path, text, overwrite)
 
@@ -194,7 +195,9 @@ def _look(shot: Shot) -> tuple[tuple[Part, ...], dict[str, str]]:
         header = shot.headers.read(path)
         channels = shot.channels(header.parts, aov)
         parts = parts or header.parts
-        types |= {spelled(ChannelRef(aov, name)): c.pixel_type for name, c in channels.items()}
+        types |= {
+            channel_label(ChannelRef(aov, name)): c.pixel_type for name, c in channels.items()
+        }
     return parts, types
 
 

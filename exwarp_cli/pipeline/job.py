@@ -48,11 +48,10 @@ if TYPE_CHECKING:
     from exwarp_cli.domain.joining import Outcome
     from exwarp_cli.domain.settings import UpsampleSettings
     from exwarp_cli.domain.timeline import Slot
-    from exwarp_cli.io.interpolator import OnnxInterpolator
-    from exwarp_cli.io.lookahead_network import OnnxLookAhead
-    from exwarp_cli.io.models import OnnxExtrapolator
-    from exwarp_cli.io.policy_files import PolicyFile
-    from exwarp_cli.io.sequence import Sequence
+    from exwarp_cli.io.sequences import Sequence
+    from exwarp_cli.models.interpolator import OnnxInterpolator
+    from exwarp_cli.models.picture_network import OnnxExtrapolator, OnnxLookAhead
+    from exwarp_cli.models.policy_files import PolicyFile
     from exwarp_cli.pipeline.progress import Progress
     from exwarp_cli.pipeline.rendered_frames import RenderedFrames
     from exwarp_cli.pipeline.source import FrameOf, Source

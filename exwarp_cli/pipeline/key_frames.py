@@ -12,9 +12,10 @@ from exwarp_cli.domain.timeline import FACTOR, Slot
 from exwarp_cli.errors import InputError, LayoutError
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.footage import ClipSequence, is_plain, key_picture, picture
-from exwarp_cli.io.frames import GEOMETRY, SURFACE, Shot, colour_window, read_raw
-from exwarp_cli.io.sequence import Sequence
-from exwarp_cli.io.soundness import NonFinite, count_broken
+from exwarp_cli.io.frames import GEOMETRY, SURFACE, colour_window, read_raw
+from exwarp_cli.io.sequences import Sequence
+from exwarp_cli.io.shot import Shot
+from exwarp_cli.io.shot_files import NonFinite, count_nonfinite
 from exwarp_cli.pipeline.shots import Shots, UnreadableFrames
 from exwarp_cli.pipeline.source import FrameOf, Source
 from exwarp_cli.pipeline.without_vectors import Estimates
@@ -473,7 +474,7 @@ class TruthReader:
         output = self.source.timeline.number(slot)
         if image.display_window.shape != display.shape:
             raise truth_of_another_size(output, image.display_window, display)
-        self.nonfinite.note(output, {CHANNELS: count_broken((image.pixels,))})
+        self.nonfinite.note(output, {CHANNELS: count_nonfinite((image.pixels,))})
         return image
 
     def _ends(self, key: int) -> tuple[Slot, ...]:

@@ -11,7 +11,7 @@ import numpy as np
 from exwarp_cli.domain.frame import Float32, Window, outside, place
 from exwarp_cli.io.channels import ChannelRef
 from exwarp_cli.io.exr.template import Plane, PlaneKey, Template
-from exwarp_cli.io.layers import Kind, Layer
+from exwarp_cli.io.layers import Layer, LayerKind
 from exwarp_cli.pipeline.contents import POINTS, Content, LayerFrames, Planes
 from exwarp_cli.pipeline.interval_builder import IntervalBuilder
 from exwarp_cli.pipeline.interval_inputs import IntervalInputs
@@ -49,12 +49,16 @@ class ExtraLayers:
     @property
     def moves_vectors(self) -> bool:
         """Whether motion vectors are written."""
-        return any(la.kind is Kind.MOTION for content in self._contents for la in content.beside)
+        return any(
+            la.kind is LayerKind.MOTION for content in self._contents for la in content.beside
+        )
 
     @property
     def moves_light(self) -> bool:
         """Whether layers of colour are written, which may add up to the beauty."""
-        return any(la.kind is Kind.COLOUR for content in self._contents for la in content.beside)
+        return any(
+            la.kind is LayerKind.COLOUR for content in self._contents for la in content.beside
+        )
 
     def begin(self, inputs: IntervalInputs, interval: Interval | None) -> None:
         """Turn to an interval; None where nothing of it has to be made, and to let the last go."""
@@ -176,8 +180,8 @@ class _Maker:
     def layer(self, layer: Layer) -> dict[ChannelRef, np.ndarray]:
         """Make a layer's channels, [H, W] each; all finite, but for infinity in a depth."""
         found = self._made(layer)
-        if layer.kind is not Kind.COLOUR:  # which is mended where it is mixed
-            nothing = np.inf if layer.kind is Kind.DEPTH else 0.0
+        if layer.kind is not LayerKind.COLOUR:  # which is mended where it is mixed
+            nothing = np.inf if layer.kind is LayerKind.DEPTH else 0.0
             self.how.sources.mend(list(found.values()), nothing)
         return found
 
@@ -188,17 +192,17 @@ class _Maker:
         if all(ref in rendered for ref in refs):
             return {ref: np.array(self._placed(rendered[ref])) for ref in refs}
         motion = self.view.content.motion
-        if layer.kind is Kind.MOTION and motion:
+        if layer.kind is LayerKind.MOTION and motion:
             return {
                 ref: self._vectors[..., motion.index(ref)] if ref in motion else self._copied(ref)
                 for ref in refs
             }
-        if layer.kind is Kind.COLOUR:
+        if layer.kind is LayerKind.COLOUR:
             before = self._light(frames.before, refs)
             after = None if frames.after is None else self._light(frames.after, refs)
             return self._typed(refs, self.how.colour(before, after))
         if layer.kind in POINTS:
-            return self._typed(refs, self._points(refs, fixed=layer.kind is Kind.POSITION))
+            return self._typed(refs, self._points(refs, fixed=layer.kind is LayerKind.POSITION))
         return {ref: self._copied(ref) for ref in refs}
 
     def _points(self, refs: tuple[ChannelRef, ...], fixed: bool) -> Float32:

@@ -14,8 +14,9 @@ from exwarp_cli.domain.motion import AxisMap, MotionConvention, MotionFinding
 from exwarp_cli.domain.timeline import number_step
 from exwarp_cli.errors import InputError, MotionError
 from exwarp_cli.io.channels import Role
-from exwarp_cli.io.frames import Shot, is_seen, read_raw
+from exwarp_cli.io.frames import is_visible, read_raw
 from exwarp_cli.io.producers import PRESETS
+from exwarp_cli.io.shot import Shot
 from exwarp_cli.pipeline.motion_option import motion_names, parse_motion
 from exwarp_cli.pipeline.shots import pair_beside_hold, pairs_within
 from exwarp_cli.synthesis.calibration import calibrate, looks_like
@@ -288,7 +289,7 @@ class _Measuring:
     def _unseen(self, index: int) -> bool:
         """Whether a frame and the one before it tell nothing, as one lies beyond the display."""
         pair = self._numbers[index - 1 : index + 1]
-        return self._parted(index) or not all(is_seen(self._shot, number) for number in pair)
+        return self._parted(index) or not all(is_visible(self._shot, number) for number in pair)
 
     def _intervals(self, count: int) -> list[Interval]:
         """Read so many intervals between key frames whose colours tell; [] without colours."""

@@ -9,7 +9,7 @@ from exwarp_cli.domain.motion import AxisMap, MotionConvention
 from exwarp_cli.errors import UsageError
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.producers import PRESETS
-from exwarp_cli.io.shot import Shot, spelled
+from exwarp_cli.io.shot import Shot, channel_label
 
 UNITS = ("width", "height")
 """Words for the frame's size in pixels, as factors."""
@@ -32,7 +32,7 @@ def motion_names(shot: Shot) -> tuple[str, ...]:
         short = tuple(".".join(ref.name.split(".")[-elements:]) for ref in refs)
         if len(set(short)) == len(short):
             return short
-    return tuple(spelled(ref) for ref in refs)
+    return tuple(channel_label(ref) for ref in refs)
 
 
 def parse_motion(

@@ -12,17 +12,22 @@ from exwarp_cli.domain.frame import allow
 from exwarp_cli.domain.settings import DEFAULT_FPS, SourceSettings
 from exwarp_cli.domain.timeline import number_step, standard_rate
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, UsageError
-from exwarp_cli.io.aov_files import AovFile, parse_aovs
-from exwarp_cli.io.channel_map import ChannelMap, read_channel_map
+from exwarp_cli.io.channel_map import AovFile, ChannelMap, parse_aovs, read_channel_map
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.clip import is_clip
-from exwarp_cli.io.cryptomatte import Cryptomatte, find_cryptomattes
-from exwarp_cli.io.cryptomatte_ids import IdReading
-from exwarp_cli.io.cryptomatte_manifest import Manifest, dynamic_objects, read_manifest
+from exwarp_cli.io.cryptomatte import (
+    Cryptomatte,
+    IdReading,
+    Manifest,
+    find_cryptomattes,
+    find_dynamic_objects,
+    read_manifest,
+)
 from exwarp_cli.io.footage import find_plain, is_plain, own_rate, shot_of
-from exwarp_cli.io.frames import read_raw, require_seen
+from exwarp_cli.io.frames import read_raw, require_visible
 from exwarp_cli.io.output import frame_rate
-from exwarp_cli.io.shot import Shot, open_shot, open_views, renamed
+from exwarp_cli.io.shot import Shot, open_shot, open_views
+from exwarp_cli.io.shot_files import rename_channels
 from exwarp_cli.io.views import ALL
 from exwarp_cli.pipeline.depth_kind import with_depth_measured, with_world_positions
 from exwarp_cli.pipeline.motion_option import motion_names, parse_motion
@@ -48,7 +53,7 @@ def open_keys(settings: SourceSettings) -> tuple[Shot, SourceSettings]:
     allow(settings.max_pixels)
     said = (*_said(settings), settings.keep_going)
     shot = open_shot(settings.sequence, settings.view, *said)
-    require_seen(shot)
+    require_visible(shot)
     shot = _measured(shot)
     channel_map = shot.channel_map
     if channel_map is None or channel_map.motion is None or settings.motion or settings.gbuffers:
@@ -207,7 +212,7 @@ def read_ids(option: str | None, keys: Shot, slots: Shot | None) -> tuple[Shot, 
         )
     manifests, rounded = _read_manifests(shots)
     where = f"{needed.sequence.pattern}, layer {needed.cryptomattes[0].name!r},"
-    dynamic = dynamic_objects(option, manifests, where, rounded)
+    dynamic = find_dynamic_objects(option, manifests, where, rounded)
 
     def directed(shot: Shot) -> Shot:
         if shot not in shots:
@@ -276,7 +281,7 @@ def _in_file(shot: Shot, path: Path) -> list[Cryptomatte]:
     """Return a shot's Cryptomatte as a file has it."""
     wanted = shot.cryptomattes[0]
     header = shot.headers.read(path)
-    channels = {wanted.aov: renamed(shot.channels(header.parts, wanted.aov))}
+    channels = {wanted.aov: rename_channels(shot.channels(header.parts, wanted.aov))}
     found = find_cryptomattes(channels, {wanted.aov: header.texts})
     mine = [one for one in found if one.name == wanted.name]
     for one in mine:

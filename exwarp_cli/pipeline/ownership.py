@@ -19,7 +19,7 @@ from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.domain.wording import counted
 from exwarp_cli.errors import OutputExistsError
 from exwarp_cli.io.atomic import is_there
-from exwarp_cli.io.key_file import written_forms
+from exwarp_cli.io.key_file import possible_key_files
 from exwarp_cli.io.output import (
     KEY_FRAMES,
     REQUESTED_METHOD,
@@ -28,7 +28,7 @@ from exwarp_cli.io.output import (
     authorship_of,
     file_digest,
 )
-from exwarp_cli.io.sequence import Sequence
+from exwarp_cli.io.sequences import Sequence
 from exwarp_cli.io.video import video_note
 from exwarp_cli.pipeline.frame_writer import OutputPlan, key_is_there
 from exwarp_cli.pipeline.source import Source
@@ -257,7 +257,7 @@ def _key_frames(authorship: Authorship) -> dict[int, str]:
 
 def _is_copy(path: Path, source: Path) -> bool:
     """Whether a file holds a key frame, as it is or with another frame rate in its header."""
-    return any(key_is_there(path, form) for form in written_forms(source, path))
+    return any(key_is_there(path, form) for form in possible_key_files(source, path))
 
 
 def _begins(path: Path, source: Path) -> bool:
@@ -266,4 +266,4 @@ def _begins(path: Path, source: Path) -> bool:
         copied = path.read_bytes().rstrip(b"\0")
     except OSError:
         return False
-    return any(form.begins_with(copied) for form in written_forms(source, path))
+    return any(form.begins_with(copied) for form in possible_key_files(source, path))

@@ -17,10 +17,10 @@ from exwarp_cli.domain.results import InterpolatorSummary, NetworkSummary
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.footage import ClipSequence, digest_of, is_plain
-from exwarp_cli.io.frames import Shot
-from exwarp_cli.io.key_file import digests, key_file
+from exwarp_cli.io.key_file import digest_key_file, plan_key_file
 from exwarp_cli.io.output import file_digest
-from exwarp_cli.io.sequence import Sequence
+from exwarp_cli.io.sequences import Sequence
+from exwarp_cli.io.shot import Shot
 from exwarp_cli.pipeline.source import FrameOf, Source
 from exwarp_cli.synthesis.methods import Method
 from exwarp_cli.synthesis.optical_flow import flow_identity
@@ -161,7 +161,7 @@ class Recipes:
     def _written_digest(self, path: Path, digest: str) -> str:
         """Return the digest of a key frame's file as it is written, from that of its source."""
         if path not in self._rewritten:
-            file = key_file(path, self.key_rate)
+            file = plan_key_file(path, self.key_rate)
             self._keep_rewritten(path, file.digest() if file.head else digest)
         return self._rewritten[path]
 
@@ -204,7 +204,7 @@ class Recipes:
         for aov, path in shot.files(number).items():
             is_key = not aov and shot is self.source.keys
             rate = self.key_rate if is_key else None
-            found[aov], written = digests(path, rate, None if aov else shot.headers)
+            found[aov], written = digest_key_file(path, rate, None if aov else shot.headers)
             if is_key and written is not None:
                 self._keep_rewritten(path, written)
         return json.dumps(found, sort_keys=True)

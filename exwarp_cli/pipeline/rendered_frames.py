@@ -22,10 +22,10 @@ from exwarp_cli.io.clip import is_clip
 from exwarp_cli.io.footage import digest_of, find_frames, is_plain, key_picture
 from exwarp_cli.io.frames import GEOMETRY, read_raw
 from exwarp_cli.io.output import State, authorship_of
-from exwarp_cli.io.sequence import EXR, OutputPattern, Sequence, find_sequence
+from exwarp_cli.io.sequences import EXR, OutputPattern, Sequence, find_sequence
 from exwarp_cli.io.shot import Shot
-from exwarp_cli.io.soundness import NonFinite, count_broken, require_sound
-from exwarp_cli.io.views import expand
+from exwarp_cli.io.shot_files import NonFinite, count_nonfinite, require_sound
+from exwarp_cli.io.views import expand_view
 from exwarp_cli.pipeline.contents import Content, LayerStore
 from exwarp_cli.pipeline.source import Source
 from exwarp_cli.synthesis.methods import Method
@@ -86,7 +86,7 @@ def find_rendered(spec: str, source: Source, scan: str = SourceSettings.scan) ->
     InputError
         When there is no such sequence, or none of its frames is a new one of the output.
     """
-    named = expand(spec, source.keys.view or None)[0]
+    named = expand_view(spec, source.keys.view or None)[0]
     plain = is_plain(source.keys.sequence)
     found = find_frames(named, scan=scan) if plain else find_sequence(named)
     timeline = source.timeline
@@ -134,7 +134,7 @@ class RenderedFrame:
     def broken(self) -> int:
         """How many pixels of its colour are NaN or infinite."""
         known = self.frame.broken
-        return count_broken((self.frame.image.pixels,)) if known is None else known
+        return count_nonfinite((self.frame.image.pixels,)) if known is None else known
 
 
 @dataclass(frozen=True)

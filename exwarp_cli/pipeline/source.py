@@ -28,9 +28,9 @@ from exwarp_cli.errors import (
     UsageError,
 )
 from exwarp_cli.io.channels import Role
-from exwarp_cli.io.frames import Shot
-from exwarp_cli.io.sequence import Sequence
-from exwarp_cli.io.unrecognised import is_colour_alone, no_vectors
+from exwarp_cli.io.sequences import Sequence
+from exwarp_cli.io.shot import Shot
+from exwarp_cli.io.unrecognised import is_colour_alone, no_vectors_message
 from exwarp_cli.pipeline.depth_kind import read_alike, with_depth_ordered
 from exwarp_cli.pipeline.motion_finding import KeyColours, find_motion
 from exwarp_cli.pipeline.opening import (
@@ -271,7 +271,7 @@ def _require_vectors(
 ) -> None:
     """Refuse a shot without vectors, and G-buffers of slots without those to the previous one."""
     if finding is None:
-        raise LayoutError(no_vectors(shot, estimable and slots is None))
+        raise LayoutError(no_vectors_message(shot, estimable and slots is None))
     if slots is not None and finding.convention.to_previous is None:
         raise LayoutError(
             f"--gbuffers {slots.sequence.pattern} has no readable vectors to the previous slot, "

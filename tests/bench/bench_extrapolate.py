@@ -17,9 +17,10 @@ import numpy as np
 from exwarp_cli.domain.extrapolator import Extrapolator, NetworkInputs
 from exwarp_cli.domain.frame import GBuffer, KeyFrame
 from exwarp_cli.domain.network import TIME
-from exwarp_cli.io.model_files import stated_stride
-from exwarp_cli.io.models import load_extrapolator, open_session, shipped_folder
 from exwarp_cli.kernels import _row_bands
+from exwarp_cli.models.model_file import shipped_folder, stated_stride
+from exwarp_cli.models.picture_network import load_extrapolator
+from exwarp_cli.models.session import open_session
 from exwarp_cli.synthesis.geometry import settle_motion
 from exwarp_cli.synthesis.history import past_of
 from exwarp_cli.synthesis.interval import Interval

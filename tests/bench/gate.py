@@ -19,7 +19,7 @@ import onnx
 from onnx import numpy_helper
 
 from exwarp_cli.io.dataset import RenderedScene, find_scenes
-from exwarp_cli.io.model_files import shipped_folder
+from exwarp_cli.models.model_file import shipped_folder
 
 SEED = 1
 

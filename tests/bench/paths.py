@@ -25,9 +25,9 @@ from exwarp_cli.domain.frame import SURFACE_PARTS, Bool, Float32
 from exwarp_cli.domain.results import FrameKind, Score
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.io.dataset import find_scenes
-from exwarp_cli.io.models import load_extrapolator
 from exwarp_cli.kernels import _row_bands
 from exwarp_cli.metrics.registry import METRICS, score
+from exwarp_cli.models.picture_network import load_extrapolator
 from exwarp_cli.research.training.scene_clip import SceneClip
 from exwarp_cli.synthesis.methods import METHODS
 from tests.bench.card import table

@@ -16,7 +16,8 @@ import numpy as np
 from exwarp_cli.domain.frame import Float32, KeyFrame
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.io.channels import Role
-from exwarp_cli.io.frames import GEOMETRY, SURFACE, open_shot, read_raw
+from exwarp_cli.io.frames import GEOMETRY, SURFACE, read_raw
+from exwarp_cli.io.shot import open_shot
 from exwarp_cli.kernels.resample import weights_of
 from exwarp_cli.metrics.pulse import measure
 from exwarp_cli.metrics.registry import score

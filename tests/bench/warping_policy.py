@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from exwarp_cli.io.policy_files import load_policy, save_network
+from exwarp_cli.models.policy_files import load_policy, save_network
 
 CERTAIN = 2**30
 """Bias towards warping, far beyond what the sums before it reach."""

@@ -7,9 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from exwarp_cli.io.cryptomatte import Kind
-from exwarp_cli.io.cryptomatte_ids import dynamic_stencil, identity, require_sound, surfaces
-from exwarp_cli.io.cryptomatte_manifest import dynamic_objects, id_of, read_manifest
+from exwarp_cli.io.cryptomatte import (
+    IdKind,
+    dynamic_stencil,
+    find_dynamic_objects,
+    hash_name,
+    read_manifest,
+    require_lossless_ids,
+    surface_id,
+    surface_ids,
+)
 from exwarp_cli.io.frames import read_plane
 from tests.unit.cryptomatte_files import found_in, ranks_in
 
@@ -30,11 +37,11 @@ def keys(script, tmp_path_factory) -> list[Path]:
 
 def test_three_kinds_objects_first(keys):
     found = found_in(keys[0], "ViewLayer.Combined.R")
-    assert [one.kind for one in found] == [Kind.OBJECT, Kind.ASSET, Kind.MATERIAL]
+    assert [one.kind for one in found] == [IdKind.OBJECT, IdKind.ASSET, IdKind.MATERIAL]
     assert found[0].name == "ViewLayer.CryptoObject"
     for one in found:
         one.require_exact("it")
-        require_sound(ranks_in(keys[0], one), "it")
+        require_lossless_ids(ranks_in(keys[0], one), "it")
         assert len(one.ranks) == 3 and one.hashed and not one.rounded
 
 
@@ -42,14 +49,14 @@ def test_names_are_hashed_as_here_even_where_the_manifest_is_no_json(keys):
     found = found_in(keys[0])[0]
     manifest = read_manifest(found, keys[0])
     assert set(manifest.ids) > MOVERS | STANDING
-    assert all(id_of(name) == bits for name, bits in manifest.ids.items())
+    assert all(hash_name(name) == bits for name, bits in manifest.ids.items())
 
 
 def test_every_pixel_shows_what_is_in_the_scene(keys):
     for path in keys:
         found = found_in(path)[0]
-        shown = surfaces(ranks_in(path, found))
-        ids = {identity(id_of(name)) for name in MOVERS | STANDING}
+        shown = surface_ids(ranks_in(path, found))
+        ids = {surface_id(hash_name(name)) for name in MOVERS | STANDING}
         assert set(np.unique(shown)) - {-1, 0} == ids
         assert (shown < 0).mean() < 0.03
         sky = read_plane(path, "ViewLayer.Depth.Z")[0] > 1e9
@@ -59,11 +66,11 @@ def test_every_pixel_shows_what_is_in_the_scene(keys):
 def test_the_stencil_has_what_is_named_and_nothing_else(keys):
     found = found_in(keys[0])[0]
     manifests = [read_manifest(found, path) for path in keys]
-    chosen = dynamic_objects("ball,car*,W*", manifests, "it")
+    chosen = find_dynamic_objects("ball,car*,W*", manifests, "it")
     assert set(chosen.names) == MOVERS
     ranks = ranks_in(keys[0], found)
     stencil = dynamic_stencil(ranks, chosen.ids)
     assert set(np.unique(stencil)) - {-1, 0} == set(chosen.ids)
-    known = (stencil >= 0) & (surfaces(ranks) >= 0)
-    moving = np.isin(surfaces(ranks), chosen.ids)
+    known = (stencil >= 0) & (surface_ids(ranks) >= 0)
+    moving = np.isin(surface_ids(ranks), chosen.ids)
     np.testing.assert_array_equal((stencil > 0)[known], moving[known])

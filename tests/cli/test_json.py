@@ -18,7 +18,7 @@ from exwarp_cli.accel.mac_array import COMPARE_CYCLES, MacArray, schedule
 from exwarp_cli.accel.quantised_mlp import PAPER_SIZES, infer_reference
 from exwarp_cli.commands.options import print_json
 from exwarp_cli.domain.decision import CHOICES
-from exwarp_cli.io.policy_files import save_network
+from exwarp_cli.models.policy_files import save_network
 from exwarp_cli.research.training import extranet_import
 from tests.cli import shots
 from tests.cli.documents import document_of, strict

@@ -118,7 +118,7 @@ def test_threads_and_tiles_and_chunks_change_nothing(look_ahead, monkeypatch):
     for chunk in ("2", "3", "1"):
         look_ahead("parts", "--frames", chunk)
     assert shots.contents(look_ahead("parts", "--skip-existing")) == whole
-    monkeypatch.setattr("exwarp_cli.io.models.MOST_PIXELS", 600)
+    monkeypatch.setattr("exwarp_cli.models.picture_network.MAX_PIXELS", 600)
     assert shots.contents(look_ahead("tiled")) == whole
 
 

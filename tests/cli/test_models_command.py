@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from exwarp_cli.io.models import load_extrapolator
+from exwarp_cli.models.picture_network import load_extrapolator
 from tests.unit.extranet_checkpoint import checkpoint, state
 
 COMMAND = ("models", "import-extranet")

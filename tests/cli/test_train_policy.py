@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from exwarp_cli.cli import run
-from exwarp_cli.io.policy_files import load_policy
 from exwarp_cli.kernels import _row_bands
+from exwarp_cli.models.policy_files import load_policy
 from exwarp_cli.research.training import outcome_tables
 from exwarp_cli.research.training.augmentation import Variant
 from exwarp_cli.research.training.outcome_tables import View, load_table, save_table

@@ -12,8 +12,7 @@ import numpy as np
 import OpenEXR
 import OpenImageIO as oiio
 
-from exwarp_cli.io.cryptomatte import Cryptomatte, find_cryptomattes
-from exwarp_cli.io.cryptomatte_manifest import id_of
+from exwarp_cli.io.cryptomatte import Cryptomatte, find_cryptomattes, hash_name
 from exwarp_cli.io.exr.parts import Channel
 from exwarp_cli.io.exr.reader import ExrFile
 from tests.unit.exr_files import Planes, write_parts, write_single
@@ -46,7 +45,7 @@ def ranked(shares: Mapping[str, np.ndarray], ranks: int = 6) -> tuple[np.ndarray
     stack = np.stack([np.asarray(shares[name], np.float32) for name in names])
     order = np.argsort(-stack, axis=0, kind="stable")[:ranks]
     sorted_shares = np.take_along_axis(stack, order, axis=0)
-    bits = np.array([id_of(name) for name in names], np.uint32)[order]
+    bits = np.array([hash_name(name) for name in names], np.uint32)[order]
     ids = np.where(sorted_shares > 0, bits, np.uint32(0))
     missing = ranks - len(ids)
     padding = ((0, max(missing, 0)), (0, 0), (0, 0))
@@ -88,7 +87,7 @@ def attributes_of(names: Sequence[str], style: Style) -> dict[str, str]:
 
 
 def manifest_of(names: Sequence[str]) -> str:
-    return json.dumps({name: f"{id_of(name):08x}" for name in names}, separators=(",", ":"))
+    return json.dumps({name: f"{hash_name(name):08x}" for name in names}, separators=(",", ":"))
 
 
 def write_cryptomatte(

@@ -8,7 +8,7 @@ import numpy as np
 
 from exwarp_cli.io import frames
 from exwarp_cli.io.channels import Role
-from exwarp_cli.io.frames import Shot
+from exwarp_cli.io.shot import Shot
 
 Change = Callable[[Shot, int, Role, np.ndarray], np.ndarray]
 """Called with the shot, the frame's number, the role and its planes [H, W, C]; returns others."""

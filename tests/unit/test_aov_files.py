@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from exwarp_cli.errors import LayoutError, UsageError
-from exwarp_cli.io.aov_files import AovFile, check_count, parse_aovs, recognise
+from exwarp_cli.io.channel_map import AovFile, detect_aov, parse_aovs, require_channel_count
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.exr.parts import Channel
 
@@ -62,10 +62,10 @@ class TestParse:
             for count in range(6):
                 names = tuple("abcdef"[:count])
                 if count in fits:
-                    check_count(role, names, "it")
+                    require_channel_count(role, names, "it")
                 else:
                     with pytest.raises(UsageError, match=f"names {count} channel"):
-                        check_count(role, names, "it")
+                        require_channel_count(role, names, "it")
 
 
 class TestRecognise:
@@ -87,31 +87,31 @@ class TestRecognise:
         ],
     )
     def test_by_the_role_or_the_only_layer(self, role, there, taken):
-        found = recognise(AovFile(role, "p"), channels(*there), "it")
+        found = detect_aov(AovFile(role, "p"), channels(*there), "it")
         (refs,) = found.roles.values()
         assert {ref.aov for ref in refs} == {role.value}
         names = tuple(ref.name for ref in refs)
         assert names == taken or tuple(name.rpartition(".")[2] for name in names) == taken
 
     def test_colour_that_holds_vectors(self):
-        found = recognise(AovFile(Role.MOTION, "p"), channels(*"RGBA"), "it")
+        found = detect_aov(AovFile(Role.MOTION, "p"), channels(*"RGBA"), "it")
         assert [ref.name for ref in found.roles[Role.MOTION]][:2] == ["R", "G"]
 
     def test_names_say_what_motion_means(self):
-        found = recognise(AovFile(Role.MOTION, "p"), channels("forward.u", "forward.v"), "it")
+        found = detect_aov(AovFile(Role.MOTION, "p"), channels("forward.u", "forward.v"), "it")
         assert found.guess is not None
-        assert recognise(AovFile(Role.MOTION, "p"), channels("u", "v"), "it").guess is None
+        assert detect_aov(AovFile(Role.MOTION, "p"), channels("u", "v"), "it").guess is None
 
     def test_channels_by_name(self):
         there = channels("mv.R", "mv.G", "other.B", "a.X", "b.X")
-        found = recognise(AovFile(Role.MOTION, "p", ("R", "mv.G")), there, "it")
+        found = detect_aov(AovFile(Role.MOTION, "p", ("R", "mv.G")), there, "it")
         assert [ref.name for ref in found.roles[Role.MOTION]] == ["mv.R", "mv.G"]
         for name, message in (("Q", "it has only mv.R, mv.G"), ("X", "several of that name")):
             with pytest.raises(
                 LayoutError, match=f"--aov motion=p names .*{message}.*; correct it"
             ):
-                recognise(AovFile(Role.MOTION, "p", (name, "G")), there, "it")
+                detect_aov(AovFile(Role.MOTION, "p", (name, "G")), there, "it")
 
     def test_nothing_to_recognise(self):
         with pytest.raises(LayoutError, match=r"it has no depth .* --aov depth=p:Z"):
-            recognise(AovFile(Role.DEPTH, "p"), channels("G", "B"), "it")
+            detect_aov(AovFile(Role.DEPTH, "p"), channels("G", "B"), "it")

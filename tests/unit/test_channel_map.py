@@ -9,11 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from exwarp_cli.errors import ExwarpError, InputError, OutputExistsError
-from exwarp_cli.io.aov_files import AovFile
 from exwarp_cli.io.channel_map import (
+    AovFile,
     ChannelMap,
     channel_map_text,
-    quoted,
+    quote_toml,
     read_channel_map,
     write_channel_map,
 )
@@ -117,10 +117,10 @@ class TestRead:
 class TestWrite:
     @given(text=st.text(st.characters(codec="utf-8")))
     def test_any_text_is_read_back(self, text):
-        assert tomllib.loads(f"a = {quoted(text)}")["a"] == text
+        assert tomllib.loads(f"a = {quote_toml(text)}")["a"] == text
 
     def test_names_that_are_no_text_still_make_a_file(self):
-        assert quoted("bad" + chr(0xDCFF)).encode() == b'"bad?"'
+        assert quote_toml("bad" + chr(0xDCFF)).encode() == b'"bad?"'
 
     def test_a_map_is_read_back(self, tmp_path):
         channels = {Role.COLOUR: ('a"b\\.R', "é.G", "x\ty.B"), Role.DEPTH: ("Z",)}

@@ -6,9 +6,9 @@ import pytest
 
 from exwarp_cli.domain.motion import AxisMap, MotionConvention
 from exwarp_cli.errors import LayoutError
-from exwarp_cli.io.channels import Layout, Role, detect, require
+from exwarp_cli.io.channels import Layout, Role, detect_layout, require_role
 from exwarp_cli.io.exr.parts import Channel
-from exwarp_cli.io.producers import PRESETS, is_cryptomatte
+from exwarp_cli.io.producers import PRESETS, is_cryptomatte_name
 
 
 def channels(*names: str) -> list[Channel]:
@@ -25,7 +25,7 @@ def expand(*layers: str) -> list[str]:
 
 
 def found(*layers: str) -> Layout:
-    return detect({"": channels(*expand(*layers))})
+    return detect_layout({"": channels(*expand(*layers))})
 
 
 def names(layout: Layout, role: Role) -> list[str]:
@@ -75,7 +75,7 @@ class TestBlender:
 
     def test_components_come_in_their_order_whatever_the_file_s(self):
         # OpenEXR sorts channels by name: A B G R, and W X Y Z.
-        layout = detect(
+        layout = detect_layout(
             {"": channels("V.Combined.A", "V.Combined.B", "V.Combined.G", "V.Combined.R",
                           "V.Vector.W", "V.Vector.X", "V.Vector.Y", "V.Vector.Z")}
         )  # fmt: skip
@@ -144,7 +144,7 @@ class TestPlain:
 
     @pytest.mark.parametrize("name", ["id", "ID"])
     def test_a_bare_id(self, name):
-        layout = detect({"": channels("R", "G", "B", name)})
+        layout = detect_layout({"": channels("R", "G", "B", name)})
         assert names(layout, Role.STENCIL) == [name]
 
     @pytest.mark.parametrize(
@@ -202,13 +202,15 @@ class TestPlain:
         assert Role.DEPTH not in found("XYZ")
 
     def test_words_for_components(self):
-        layout = detect({"": channels(*(f"rgba.{c}" for c in ("red", "green", "blue", "alpha")))})
+        layout = detect_layout(
+            {"": channels(*(f"rgba.{c}" for c in ("red", "green", "blue", "alpha")))}
+        )
         assert [ref.component for ref in layout.roles[Role.COLOUR]] == [
             "red", "green", "blue", "alpha",
         ]  # fmt: skip
 
     def test_a_bare_word_is_a_layer(self):
-        layout = detect({"": channels("R", "G", "B", "zdepth", "renderId")})
+        layout = detect_layout({"": channels("R", "G", "B", "zdepth", "renderId")})
         assert names(layout, Role.DEPTH) == ["zdepth"]
         assert names(layout, Role.STENCIL) == ["renderId"]
 
@@ -236,7 +238,7 @@ class TestPlain:
             Role.NORMAL: "'Normal' has only X, Y",
         }
         with pytest.raises(LayoutError, match=r"motion channels.*\('Vector' has only X, Z\)"):
-            require(layout, Role.MOTION, "x.exr", ["R"])
+            require_role(layout, Role.MOTION, "x.exr", ["R"])
 
     def test_half_of_the_vectors_beside_whole_ones_is_said_too(self):
         layout = found("RGB", "forward.uv", "backward.u")
@@ -275,7 +277,7 @@ class TestUnreal:
             "WorldPosition": "RGB", "MyStencil": "R", "BaseColor": "RGB", "Roughness": "R",
             "Metallic": "R", "NoV": "R",
         }  # fmt: skip
-        layout = detect({aov: channels(*letters) for aov, letters in aovs.items()})
+        layout = detect_layout({aov: channels(*letters) for aov, letters in aovs.items()})
         expected = {
             Role.COLOUR: "", Role.MOTION: "MotionVector", Role.DEPTH: "SceneDepth",
             Role.NORMAL: "WorldNormal", Role.POSITION: "WorldPosition",
@@ -289,7 +291,7 @@ class TestUnreal:
         assert layout.guess == PRESETS["unreal"] and layout.producer.startswith("Unreal")
 
     def test_files_with_more_letters_than_they_need(self):
-        layout = detect({"MotionVector": channels(*"RGBA"), "SceneDepth": channels(*"RGBA")})
+        layout = detect_layout({"MotionVector": channels(*"RGBA"), "SceneDepth": channels(*"RGBA")})
         assert [ref.component for ref in layout.roles[Role.MOTION]] == ["R", "G"]
         assert names(layout, Role.DEPTH) == ["R"]
 
@@ -341,21 +343,21 @@ class TestThirdChannel:
      "ActorHitProxyMask00", "FinalImage_ActorHitProxyMask01"],
 )  # fmt: skip
 def test_cryptomatte_by_its_usual_names(layer):
-    assert is_cryptomatte(layer)
+    assert is_cryptomatte_name(layer)
     assert found(f"{layer}.RGBA").roles == {}
 
 
 @pytest.mark.parametrize("layer", ["object", "cryptid.mask", "HitProxy", "uCryptomatteManifest.x"])
 def test_other_names_are_no_cryptomatte(layer):
-    assert not is_cryptomatte(layer)
+    assert not is_cryptomatte_name(layer)
 
 
 class TestRequire:
     def test_what_is_there(self):
         layout = found("RGB")
-        assert require(layout, Role.COLOUR, "x.exr", "RGB") == layout.roles[Role.COLOUR]
+        assert require_role(layout, Role.COLOUR, "x.exr", "RGB") == layout.roles[Role.COLOUR]
 
     def test_what_is_not(self):
         said = r"^x\.exr has no motion channels .*, only R, G, foo\.X; name them in a channel map"
         with pytest.raises(LayoutError, match=said):
-            require(found("RGB"), Role.MOTION, "x.exr", ["R", "G", "foo.X"])
+            require_role(found("RGB"), Role.MOTION, "x.exr", ["R", "G", "foo.X"])

@@ -9,9 +9,16 @@ import pytest
 
 from exwarp_cli.errors import DamagedFileError, LayoutError
 from exwarp_cli.io.channels import ChannelRef
-from exwarp_cli.io.cryptomatte import Kind, find_cryptomattes
-from exwarp_cli.io.cryptomatte_ids import identity, require_sound, surfaces
-from exwarp_cli.io.cryptomatte_manifest import dynamic_objects, id_of, read_manifest
+from exwarp_cli.io.cryptomatte import (
+    IdKind,
+    find_cryptomattes,
+    find_dynamic_objects,
+    hash_name,
+    read_manifest,
+    require_lossless_ids,
+    surface_id,
+    surface_ids,
+)
 from exwarp_cli.io.exr.reader import ExrFile
 from tests.unit.cryptomatte_files import (
     COMPRESSIONS,
@@ -30,7 +37,7 @@ LEFT, RIGHT = np.zeros((6, 8), np.float32), np.zeros((6, 8), np.float32)
 LEFT[:, :4], RIGHT[:, 5:] = 1, 1
 SHARES = {"left": LEFT, "right": RIGHT}
 EXPECTED = np.where(
-    LEFT > 0, identity(id_of("left")), np.where(RIGHT > 0, identity(id_of("right")), 0)
+    LEFT > 0, surface_id(hash_name("left")), np.where(RIGHT > 0, surface_id(hash_name("right")), 0)
 )
 
 
@@ -53,7 +60,7 @@ class TestLayers:
         assert found.ranks[1] == tuple(ChannelRef("", f"crypto_object01.{c}") for c in letters)
         assert found.stencil == found.ranks[0]
         assert len(found.refs) == 12 and set(found.ranks[2]) < found.refs
-        np.testing.assert_array_equal(surfaces(ranks_in(path, found)), EXPECTED)
+        np.testing.assert_array_equal(surface_ids(ranks_in(path, found)), EXPECTED)
 
     def test_parts_whose_channels_have_no_layer(self, tmp_path):
         layers = planes_of(SHARES, Style("VRayCryptomatte", spelling="upper"))
@@ -63,7 +70,7 @@ class TestLayers:
         path = write_parts(tmp_path / "a.exr", parts)
         (found,) = found_in(path)
         assert found.stencil[0].name == "VRayCryptomatte00.R"
-        np.testing.assert_array_equal(surfaces(ranks_in(path, found)), EXPECTED)
+        np.testing.assert_array_equal(surface_ids(ranks_in(path, found)), EXPECTED)
 
     @pytest.mark.parametrize(
         ("name", "stated"),
@@ -140,7 +147,7 @@ class TestChoice:
         found = found_in(path)
         assert [one.name for one in found] == names[::-1]
         assert [one.kind for one in found] == [
-            Kind.OBJECT, Kind.OTHER, Kind.ASSET, Kind.MATERIAL
+            IdKind.OBJECT, IdKind.OTHER, IdKind.ASSET, IdKind.MATERIAL
         ]  # fmt: skip
         # Each has its own entry of the header.
         assert [list(read_manifest(one, path).ids) for one in found] == [[n] for n in names[::-1]]
@@ -195,16 +202,16 @@ class TestPrecision:
         found.require_exact(str(path))
         assert found.rounded
         ranks = ranks_in(path, found)
-        require_sound(ranks, str(path))
-        ids = surfaces(ranks, rounded=True)
+        require_lossless_ids(ranks, str(path))
+        ids = surface_ids(ranks, rounded=True)
         manifest = read_manifest(found, path)
         names = manifest.names(rounded=True)
         assert [names[i] for i in (ids[0, 0], ids[0, 7])] == ["left", "right"]
-        left = dynamic_objects("left", [manifest], "a", rounded=True)
+        left = find_dynamic_objects("left", [manifest], "a", rounded=True)
         assert left.ids == (ids[0, 0],)
         # And as a file that lost nothing has them, when that one's are rounded too.
         (exact,) = found_in(other := write(tmp_path / "b.exr"))
-        np.testing.assert_array_equal(surfaces(ranks_in(other, exact), rounded=True), ids)
+        np.testing.assert_array_equal(surface_ids(ranks_in(other, exact), rounded=True), ids)
 
     def test_dwa_destroys_ids_in_upper_case_channels(self, tmp_path):
         count = 12
@@ -218,6 +225,6 @@ class TestPrecision:
             (found,) = found_in(path)
             if damaged:
                 with pytest.raises(DamagedFileError, match="lossy compression"):
-                    require_sound(ranks_in(path, found), str(path))
+                    require_lossless_ids(ranks_in(path, found), str(path))
             else:
-                require_sound(ranks_in(path, found), str(path))
+                require_lossless_ids(ranks_in(path, found), str(path))

@@ -8,23 +8,25 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from exwarp_cli.errors import DamagedFileError
-from exwarp_cli.io.cryptomatte import Cryptomatte, Kind
-from exwarp_cli.io.cryptomatte_ids import (
+from exwarp_cli.io.cryptomatte import (
     LEAD,
+    Cryptomatte,
+    DynamicObjects,
+    IdKind,
     IdReading,
-    by_depth,
     dynamic_stencil,
-    identity,
-    require_sound,
-    surfaces,
+    hash_name,
+    refine_ids_by_depth,
+    require_lossless_ids,
+    surface_id,
+    surface_ids,
 )
-from exwarp_cli.io.cryptomatte_manifest import Dynamic, id_of
 from exwarp_cli.kernels.edges import SAME_DEPTH
 from tests.reference import ranked as reference
 from tests.unit.interpreted import same_when_interpreted
 from tests.unit.ranked_cases import case, everything
 
-A, B, SKY = id_of("a"), id_of("b"), 0
+A, B, SKY = hash_name("a"), hash_name("b"), 0
 
 
 def pixels(*ranks: tuple[int, float, int, float]) -> np.ndarray:
@@ -62,14 +64,14 @@ class TestSurfaces:
         ],
     )
     def test_what_prevails(self, ranks, expected):
-        expected = expected if expected < 0 else identity(expected)
-        assert surfaces(pixels(ranks))[0, 0] == expected
+        expected = expected if expected < 0 else surface_id(expected)
+        assert surface_ids(pixels(ranks))[0, 0] == expected
 
     @pytest.mark.parametrize("rounded", [False, True])
     @pytest.mark.parametrize("seed", range(4))
     def test_as_its_twin(self, seed, rounded):
         ranks = case(seed)
-        found = surfaces(ranks, rounded)
+        found = surface_ids(ranks, rounded)
         expected = reference.image(reference.surface, ranks, LEAD, rounded)
         np.testing.assert_array_equal(found, expected)
         assert found.dtype == np.int32 and {-1, 0} < set(found.ravel())
@@ -79,25 +81,25 @@ class TestSurfaces:
         bits = np.array([0x7FC12345, 0x7F812345, 0x00000001, 0x7F800000, 0x80800000], np.uint32)
         ranks = np.zeros((1, len(bits), 4), np.float32)
         ranks.view(np.uint32)[0, :, 0], ranks[0, :, 1] = bits, 1
-        np.testing.assert_array_equal(surfaces(ranks)[0], bits & 0x7FFFFFFF)
+        np.testing.assert_array_equal(surface_ids(ranks)[0], bits & 0x7FFFFFFF)
 
     def test_an_id_is_the_same_wherever_it_stands(self):
         here = pixels((A, 1, 0, 0), (B, 1, 0, 0))
         there = pixels((B, 1, 0, 0), (0, 0, 0, 0), (A, 0.9, B, 0.1))
-        assert surfaces(here)[0, 0] == surfaces(there)[0, 2]
-        assert surfaces(here)[0, 1] == surfaces(there)[0, 0]
+        assert surface_ids(here)[0, 0] == surface_ids(there)[0, 2]
+        assert surface_ids(here)[0, 1] == surface_ids(there)[0, 0]
 
     @given(st.integers(0, 2**32 - 1))
     def test_ids_are_positive_whatever_the_hash(self, bits):
-        assert identity(bits) == reference.identity(bits) == bits % 2**31
-        assert identity(bits, True) == reference.identity(bits, True)
-        assert identity(identity(bits, True), True) == identity(bits, True)
+        assert surface_id(bits) == reference.identity(bits) == bits % 2**31
+        assert surface_id(bits, True) == reference.identity(bits, True)
+        assert surface_id(surface_id(bits, True), True) == surface_id(bits, True)
 
     def test_a_view_of_any_layout(self):
         ranks = case(9)
         wide = np.zeros((*ranks.shape[:2], 9), np.float32)
         wide[..., 1::2] = ranks
-        np.testing.assert_array_equal(surfaces(wide[..., 1::2]), surfaces(ranks))
+        np.testing.assert_array_equal(surface_ids(wide[..., 1::2]), surface_ids(ranks))
 
     @pytest.mark.parametrize(
         "wrong",
@@ -105,7 +107,7 @@ class TestSurfaces:
     )
     def test_other_arrays_are_refused(self, wrong):
         with pytest.raises(ValueError, match="ranks are float32"):
-            surfaces(wrong)
+            surface_ids(wrong)
 
 
 class TestDynamic:
@@ -118,20 +120,20 @@ class TestDynamic:
             ((A, 0.7, B, 0.3), A),
             ((B, 0.7, A, 0.3), 0),
             ((A, 0.52, B, 0.48), -1),
-            ((B, 0.52, id_of("c"), 0.48), 0),  # two that stand still
+            ((B, 0.52, hash_name("c"), 0.48), 0),  # two that stand still
             ((A, 0.1, 0, 0), 0),
             ((B, 1, A, 0), 0),  # an id without a share is none
         ],
     )
     def test_only_what_moves_has_an_id(self, ranks, expected):
-        found = dynamic_stencil(pixels(ranks), [identity(A)])[0, 0]
-        assert found == (identity(expected) if expected > 0 else expected)
+        found = dynamic_stencil(pixels(ranks), [surface_id(A)])[0, 0]
+        assert found == (surface_id(expected) if expected > 0 else expected)
 
     @pytest.mark.parametrize("rounded", [False, True])
     @pytest.mark.parametrize("count", [0, 1, 3, 7])
     def test_as_its_twin(self, count, rounded):
         ranks = case(17)
-        ids = sorted({int(i) for i in surfaces(ranks, rounded).ravel()} - {0, -1})[-count:]
+        ids = sorted({int(i) for i in surface_ids(ranks, rounded).ravel()} - {0, -1})[-count:]
         dynamic = ids if count else []
         found = dynamic_stencil(ranks, dynamic[::-1], rounded)
         expected = reference.image(reference.moving, ranks, set(dynamic), LEAD, rounded)
@@ -146,7 +148,7 @@ class TestByDepth:
         ids = np.where(depth > 5, 1, 2).astype(np.int32)
         filtered = ids.copy()
         filtered[:, 3], filtered[2, 4] = -1, 1  # nothing leads, and the wrong one leads
-        np.testing.assert_array_equal(by_depth(filtered, depth), ids)
+        np.testing.assert_array_equal(refine_ids_by_depth(filtered, depth), ids)
 
     def test_thin_and_lone_things_stay(self):
         depth = np.full((7, 9), np.inf, np.float32)
@@ -154,7 +156,7 @@ class TestByDepth:
         depth[:, 4], ids[:, 4] = 3, 7  # a pole before the sky
         depth[3, 1], ids[3, 1] = 5, 8  # a single pixel, alone at its depth
         depth[5, 7], ids[5, 7] = 6, -1
-        np.testing.assert_array_equal(by_depth(ids, depth), ids)
+        np.testing.assert_array_equal(refine_ids_by_depth(ids, depth), ids)
 
     @pytest.mark.parametrize("seed", range(3))
     def test_as_its_twin(self, seed):
@@ -162,7 +164,7 @@ class TestByDepth:
         ids = rng.choice(np.array([-1, 0, 3, 5], np.int32), (9, 11))
         depth = rng.choice(np.array([1, 1.03, 1.06, 2, np.inf, np.nan], np.float32), (9, 11))
         expected = reference.by_depth(ids, depth, SAME_DEPTH)
-        np.testing.assert_array_equal(by_depth(ids, depth), expected)
+        np.testing.assert_array_equal(refine_ids_by_depth(ids, depth), expected)
         assert (expected != ids).any() and (expected < 0).any()
 
 
@@ -171,34 +173,34 @@ class TestByDepth:
 def test_any_case_as_its_twin(seed, rounded):
     ranks = case(seed, 3, 5)
     expected = reference.image(reference.surface, ranks, LEAD, rounded)
-    np.testing.assert_array_equal(surfaces(ranks, rounded), expected)
+    np.testing.assert_array_equal(surface_ids(ranks, rounded), expected)
 
 
 class TestDamage:
     def hashes(self, count: int = 12) -> np.ndarray:
         """A picture in which every surface has a part."""
         names = [f"object {i}" for i in range(count)]
-        ids = np.array([id_of(name) for name in names], np.uint32)
+        ids = np.array([hash_name(name) for name in names], np.uint32)
         ranks = np.zeros((16, 24, 4), np.float32)
         ranks.view(np.uint32)[..., 0] = ids[np.arange(16 * 24).reshape(16, 24) % count]
         ranks[..., 1] = 1
         return ranks
 
     def test_sound_ids_pass(self):
-        require_sound(self.hashes(), "a.exr")
-        require_sound(np.zeros((4, 4, 4), np.float32), "a.exr")
+        require_lossless_ids(self.hashes(), "a.exr")
+        require_lossless_ids(np.zeros((4, 4, 4), np.float32), "a.exr")
 
     def test_ids_that_were_halves(self):
         ranks = self.hashes()
         with np.errstate(over="ignore"):
             ranks = ranks.astype(np.float16).astype(np.float32)
         with pytest.raises(DamagedFileError, match=r"a\.exr has Cryptomatte ids that came through"):
-            require_sound(ranks, "a.exr")
+            require_lossless_ids(ranks, "a.exr")
 
     def test_one_id_that_looks_like_it_is_chance(self):
         ranks = self.hashes(1)
         ranks.view(np.uint32)[..., 0] = 0x3F800000
-        require_sound(ranks, "a.exr")
+        require_lossless_ids(ranks, "a.exr")
 
 
 def test_compiled_and_interpreted_agree(tmp_path):
@@ -211,22 +213,22 @@ def test_compiled_and_interpreted_agree(tmp_path):
 class TestReadingFrames:
     """A filtered pixel of neither lead, beside an object of its own depth."""
 
-    MATTE = Cryptomatte("", "crypto", Kind.OBJECT, ())
+    MATTE = Cryptomatte("", "crypto", IdKind.OBJECT, ())
 
     def ranks(self) -> np.ndarray:
-        ids = np.full((3, 4), id_of("box"), np.uint32).view(np.float32)
+        ids = np.full((3, 4), hash_name("box"), np.uint32).view(np.float32)
         shares = np.ones((3, 4), np.float32)
         shares[1, 2], ids[:, 3], shares[:, 3] = 0.5, 0, 0
         none = np.zeros_like(shares)
         return np.stack([ids, shares, none, none], axis=-1)
 
-    @pytest.mark.parametrize("moving", [None, (identity(id_of("box")),)])
+    @pytest.mark.parametrize("moving", [None, (surface_id(hash_name("box")),)])
     def test_depth_decides_where_shares_do_not(self, moving):
-        dynamic = None if moving is None else Dynamic(moving, ("box",))
+        dynamic = None if moving is None else DynamicObjects(moving, ("box",))
         reading = IdReading(self.MATTE, dynamic=dynamic)
         depth = np.full((3, 4), 5, np.float32)
         depth[:, 3] = np.inf
         found = [reading.read(self.ranks(), given, "it") for given in (depth, None)]
         which = 1 if moving is None else 0
         assert all(pair[1 - which] is None for pair in found)
-        assert [pair[which][1, 2] for pair in found] == [identity(id_of("box")), -1]
+        assert [pair[which][1, 2] for pair in found] == [surface_id(hash_name("box")), -1]

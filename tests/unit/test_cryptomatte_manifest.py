@@ -12,16 +12,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from exwarp_cli.errors import UsageError
-from exwarp_cli.io import cryptomatte_manifest
-from exwarp_cli.io.cryptomatte_ids import identity
-from exwarp_cli.io.cryptomatte_manifest import (
+from exwarp_cli.io import cryptomatte
+from exwarp_cli.io.cryptomatte import (
     Manifest,
-    dynamic_objects,
-    id_of,
+    find_dynamic_objects,
+    hash_name,
     murmur3,
     parse_manifest,
+    quote_name,
     read_manifest,
-    shown,
+    surface_id,
 )
 from tests.unit.cryptomatte_files import Style, found_in, manifest_of, write_cryptomatte
 
@@ -57,11 +57,11 @@ class TestHash:
         ],
     )
     def test_ids_as_renderers_make_them(self, name, expected):
-        assert id_of(name) == expected
+        assert hash_name(name) == expected
 
     @given(st.text())
     def test_ids_are_finite_normal_floats(self, name):
-        bits = np.uint32(id_of(name))
+        bits = np.uint32(hash_name(name))
         value = bits.view(np.float32)
         assert np.isfinite(value) and abs(value) >= np.finfo(np.float32).tiny
         # Only an exponent at either end is changed.
@@ -73,7 +73,7 @@ class TestHash:
         for i in range(4000):
             hashed = murmur3(str(i).encode())
             if hashed >> 23 & 0xFF in (0, 255):
-                found[hashed >> 23 & 0xFF] = id_of(str(i)) >> 23 & 0xFF
+                found[hashed >> 23 & 0xFF] = hash_name(str(i)) >> 23 & 0xFF
         assert found == {0: 1, 255: 254}
 
 
@@ -81,7 +81,7 @@ class TestParsing:
     def test_blenders(self):
         with pytest.raises(ValueError):
             json.loads(BLENDER)
-        assert parse_manifest(BLENDER) == {name: id_of(name) for name in NAMES}
+        assert parse_manifest(BLENDER) == {name: hash_name(name) for name in NAMES}
 
     @given(st.dictionaries(st.text(), st.integers(0, 2**32 - 1), max_size=6), st.booleans())
     def test_any_json(self, ids, ascii_only):
@@ -91,14 +91,14 @@ class TestParsing:
     @given(st.lists(st.text(st.characters(exclude_characters='"')), max_size=6))
     def test_names_that_are_not_escaped(self, names):
         """Their hash tells that a backslash is a backslash."""
-        entries = ",".join(f'"{name}":"{id_of(name):08x}"' for name in names)
-        assert parse_manifest(f"{{{entries}}}") == {name: id_of(name) for name in names}
+        entries = ",".join(f'"{name}":"{hash_name(name):08x}"' for name in names)
+        assert parse_manifest(f"{{{entries}}}") == {name: hash_name(name) for name in names}
 
     @pytest.mark.parametrize("name", ["C:\\new\\table", "a\\u00e9", "\\\\server"])
     def test_backslashes_that_look_like_escapes(self, name):
-        bits = f"{id_of(name):08x}"
+        bits = f"{hash_name(name):08x}"
         as_it_stands, as_json = f'{{"{name}":"{bits}"}}', json.dumps({name: bits})
-        assert parse_manifest(as_it_stands) == parse_manifest(as_json) == {name: id_of(name)}
+        assert parse_manifest(as_it_stands) == parse_manifest(as_json) == {name: hash_name(name)}
 
     def test_escapes_beside_what_should_have_been_escaped(self):
         assert parse_manifest('{"a\\"\n":"0000002a"}') == {'a"\n': 42}
@@ -127,14 +127,14 @@ class TestParsing:
 
     def test_bytes_that_are_no_text_keep_their_hash(self):
         name = b"W\xfcrfel".decode("utf-8", "surrogateescape")
-        text = f'{{"{name}":"{id_of(name):08x}"}}'
-        assert parse_manifest(text) == {name: id_of(name)}
-        assert shown(name) == "'W?rfel'"
-        assert id_of("\ud800") != id_of("\ud801")  # from JSON, and no bytes at all
+        text = f'{{"{name}":"{hash_name(name):08x}"}}'
+        assert parse_manifest(text) == {name: hash_name(name)}
+        assert quote_name(name) == "'W?rfel'"
+        assert hash_name("\ud800") != hash_name("\ud801")  # from JSON, and no bytes at all
 
 
 SHARES = {name: np.ones((2, 2), np.float32) for name in ("ball", "box")}
-IDS = {name: id_of(name) for name in SHARES}
+IDS = {name: hash_name(name) for name in SHARES}
 
 
 class TestReading:
@@ -146,7 +146,7 @@ class TestReading:
     def test_from_the_header(self, tmp_path):
         found = self.manifest(tmp_path / "a.exr", Style())
         assert found == Manifest(IDS)
-        assert found.names() == {identity(bits): name for name, bits in IDS.items()}
+        assert found.names() == {surface_id(bits): name for name, bits in IDS.items()}
 
     @pytest.mark.parametrize(
         ("sidecar", "place"),
@@ -192,7 +192,7 @@ class TestReading:
         assert found == Manifest({}, "its header's manifest holds no names that can be read")
 
     def test_too_large(self, tmp_path, monkeypatch):
-        monkeypatch.setattr(cryptomatte_manifest, "MAX_SIZE", 20)
+        monkeypatch.setattr(cryptomatte, "MAX_MANIFEST_SIZE", 20)
         found = self.manifest(tmp_path / "a.exr", Style())
         assert found.ids == {} and "its header's manifest is larger than" in found.problem
         sidecar = tmp_path / "m.json"
@@ -202,9 +202,9 @@ class TestReading:
 
     def test_bytes_that_are_no_text(self, tmp_path):
         name = b"W\xfcrfel".decode("utf-8", "surrogateescape")
-        (tmp_path / "m.json").write_bytes(b'{"W\xfcrfel":"%08x"}' % id_of(name))
+        (tmp_path / "m.json").write_bytes(b'{"W\xfcrfel":"%08x"}' % hash_name(name))
         found = self.manifest(tmp_path / "b.exr", Style(manifest=Path("m.json")))
-        assert found.ids == {name: id_of(name)}
+        assert found.ids == {name: hash_name(name)}
 
     @pytest.mark.parametrize("attribute", ["hash", "conversion"])
     def test_another_hash_is_known_by_its_manifest_alone(self, tmp_path, attribute):
@@ -217,11 +217,11 @@ class TestReading:
         manifest = read_manifest(found, path)
         assert not found.hashed and not manifest.hashed
         with pytest.raises(UsageError, match="its header has no manifest; render with a manifest"):
-            dynamic_objects("ball", [manifest], "shot")
+            find_dynamic_objects("ball", [manifest], "shot")
 
 
 def manifest(*names: str) -> Manifest:
-    return Manifest({name: id_of(name) for name in names})
+    return Manifest({name: hash_name(name) for name in names})
 
 
 class TestDynamic:
@@ -240,13 +240,13 @@ class TestDynamic:
         ],
     )
     def test_names_of_all_frames(self, option, names):
-        found = dynamic_objects(option, self.FRAMES, "shot")
+        found = find_dynamic_objects(option, self.FRAMES, "shot")
         assert found.names == names
-        assert found.ids == tuple(sorted(identity(id_of(name)) for name in names))
+        assert found.ids == tuple(sorted(surface_id(hash_name(name)) for name in names))
 
     def test_one_glob_without_a_match_is_an_error(self):
         with pytest.raises(UsageError) as caught:
-            dynamic_objects("car*,lorry*", self.FRAMES, "shot")
+            find_dynamic_objects("car*,lorry*", self.FRAMES, "shot")
         assert str(caught.value) == (
             "--dynamic 'lorry*' matches no name in the Cryptomatte manifests, which have 'Ball', "
             "'a[1]', 'ball', 'car', 'car wheel.1', 'ground'; name objects of these"
@@ -255,20 +255,20 @@ class TestDynamic:
     def test_few_of_many_names_are_listed(self):
         many = manifest(*(f"object\n{i:04d}" for i in range(500)))
         with pytest.raises(UsageError, match="'object\\?0007' and 492 more; name") as caught:
-            dynamic_objects("car", [many], "shot")
+            find_dynamic_objects("car", [many], "shot")
         assert "\n" not in str(caught.value)
 
     @pytest.mark.parametrize("option", ["", " , "])
     def test_nothing_named(self, option):
         with pytest.raises(UsageError, match="--dynamic names nothing"):
-            dynamic_objects(option, self.FRAMES, "shot")
+            find_dynamic_objects(option, self.FRAMES, "shot")
 
     def test_whole_names_need_no_manifest(self):
         frames = [Manifest(problem="its header has no manifest")] * 2
-        found = dynamic_objects("ball,box", frames, "shot")
-        assert found.ids == tuple(sorted(identity(id_of(name)) for name in ("ball", "box")))
+        found = find_dynamic_objects("ball,box", frames, "shot")
+        assert found.ids == tuple(sorted(surface_id(hash_name(name)) for name in ("ball", "box")))
         with pytest.raises(UsageError) as caught:
-            dynamic_objects("ball,b*", frames, "shot")
+            find_dynamic_objects("ball,b*", frames, "shot")
         assert str(caught.value) == (
             "--dynamic 'b*' cannot be looked up: shot has no names, as its header has no manifest; "
             "give whole names, or render with a manifest"
@@ -276,5 +276,5 @@ class TestDynamic:
 
     def test_a_name_with_another_id_in_another_frame(self):
         other = Manifest({"ball": 0x12345678})
-        found = dynamic_objects("ball", [*self.FRAMES, other], "shot")
-        assert found.ids == tuple(sorted((identity(id_of("ball")), 0x12345678)))
+        found = find_dynamic_objects("ball", [*self.FRAMES, other], "shot")
+        assert found.ids == tuple(sorted((surface_id(hash_name("ball")), 0x12345678)))

@@ -7,7 +7,12 @@ from functools import cache
 import numpy as np
 import pytest
 
-from exwarp_cli.io.depth import DepthKind, DepthReading, measured, named
+from exwarp_cli.io.depth import (
+    DepthKind,
+    DepthReading,
+    depth_reading_by_name,
+    measure_depth_reading,
+)
 from tests.unit.scenes import town
 
 NEAR, FAR = 1.0, 40.0
@@ -62,7 +67,7 @@ class TestMeasured:
     def test_every_kind(self, kind, cast):
         z, _, position, sky = geometry()
         depth = np.asarray(cast(written(kind)))
-        found = measured(depth, np.asarray(cast(position)))
+        found = measure_depth_reading(depth, np.asarray(cast(position)))
         assert found is not None and found.kind is KINDS[kind] and found.measured
         distance = found.distance(depth)
         if kind in ("axis", "centimetres", "ray"):
@@ -75,7 +80,7 @@ class TestMeasured:
     def test_the_order_alone_where_no_kind_fits(self):
         z, _, position, sky = geometry()
         depth = np.where(sky, 0, z**-3).astype(np.float32)
-        found = measured(depth, position.astype(np.float32))
+        found = measure_depth_reading(depth, position.astype(np.float32))
         assert found is not None and found.kind is DepthKind.INVERSE
         near_first = np.argsort(found.distance(depth)[~sky], kind="stable")
         assert (np.diff(z[~sky][near_first]) >= -1e-4).all()
@@ -83,40 +88,42 @@ class TestMeasured:
     def test_a_distance_of_another_curve_is_left_alone(self):
         z, _, position, sky = geometry()
         depth = np.where(sky, 0, z**3).astype(np.float32)
-        assert measured(depth, position.astype(np.float32)) is None
+        assert measure_depth_reading(depth, position.astype(np.float32)) is None
 
     def test_mixtures_at_silhouettes_do_not_matter(self):
         rng = np.random.default_rng(2)
         _, _, position, sky = geometry()
         mixed = rng.random(sky.shape) < 0.1
         spoiled = np.where(mixed[..., None], position + rng.normal(0, 3, position.shape), position)
-        found = measured(written("reversed"), spoiled.astype(np.float32))
+        found = measure_depth_reading(written("reversed"), spoiled.astype(np.float32))
         assert found is not None and found.kind is DepthKind.REVERSED
 
     def test_positions_that_tell_nothing(self):
         z, _, position, _ = geometry()
         depth = written("axis")
         noise = np.random.default_rng(1).normal(0, 5, position.shape).astype(np.float32)
-        assert measured(depth, noise) is None
-        assert measured(depth, np.zeros_like(noise)) is None
+        assert measure_depth_reading(depth, noise) is None
+        assert measure_depth_reading(depth, np.zeros_like(noise)) is None
         plane = town((96, 60)).view(0.0)
         wall = np.concatenate([plane.directions[..., :2] * 7, np.full((*z.shape, 1), 7.0)], -1)
-        assert measured(np.full(z.shape, 7, np.float32), wall.astype(np.float32)) is None
+        assert (
+            measure_depth_reading(np.full(z.shape, 7, np.float32), wall.astype(np.float32)) is None
+        )
         few = np.where(np.arange(z.size).reshape(z.shape)[..., None] < 150, position, 0)
-        assert measured(depth, few.astype(np.float32)) is None
+        assert measure_depth_reading(depth, few.astype(np.float32)) is None
 
     def test_a_slanted_plane_does_not_fix_the_camera(self):
         directions = town((96, 60)).view(0.0).directions
         z = 1 / (0.15 - 0.05 * directions[..., 0])
         position = (directions * z[..., None]).astype(np.float32)
         for depth in (z, 1 / z, z**2):
-            assert measured(depth.astype(np.float32), position) is None
+            assert measure_depth_reading(depth.astype(np.float32), position) is None
 
     def test_an_orthographic_camera_tells_no_distance(self):
         y, x = np.mgrid[0:60, 0:96].astype(np.float64)
         z = 7 + 2 * np.sin(x / 9) * np.cos(y / 7)
         position = np.stack([0.1 * x, 0.1 * y, z], -1).astype(np.float32)
-        assert measured(z.astype(np.float32), position) is None
+        assert measure_depth_reading(z.astype(np.float32), position) is None
 
 
 class TestNamed:
@@ -124,15 +131,15 @@ class TestNamed:
         "name", ["disparity.R", "A.Inverse Depth.Z", "inv_depth", "depth_inv.R"]
     )
     def test_inverse(self, name):
-        assert named([name]) == DepthReading.of(DepthKind.INVERSE)
+        assert depth_reading_by_name([name]) == DepthReading.of(DepthKind.INVERSE)
 
     @pytest.mark.parametrize("name", ["hitPz", "ray:hitPz", "X_WorldDepth.R"])
     def test_along_the_axis(self, name):
-        assert named([name]).kind is DepthKind.AXIS
+        assert depth_reading_by_name([name]).kind is DepthKind.AXIS
 
     @pytest.mark.parametrize("name", ["Z", "depth.Z", "zdepth.R", "investment.depth.Z"])
     def test_others_stay_unknown_and_as_they_are(self, name):
-        found = named([name])
+        found = depth_reading_by_name([name])
         assert found.kind is DepthKind.UNKNOWN and not found.measured
         depth = written("axis")
         assert found.distance(depth) is depth

@@ -14,7 +14,7 @@ from torch.nn import functional as F
 
 from exwarp_cli.domain.extrapolator import INPUTS, NetworkInputs
 from exwarp_cli.errors import OutputError
-from exwarp_cli.io.models import load_extrapolator
+from exwarp_cli.models.picture_network import load_extrapolator
 from exwarp_cli.research.training.onnx_export import export_extrapolator
 
 

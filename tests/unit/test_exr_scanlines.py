@@ -22,7 +22,7 @@ from exwarp_cli.io.exr.header import attributes_in
 from exwarp_cli.io.exr.parts import Channel
 from exwarp_cli.io.exr.reader import ExrFile
 from exwarp_cli.io.exr.scanlines import LINES, REQUIRED
-from exwarp_cli.io.frames import joined
+from exwarp_cli.io.frames import join_planes
 from tests.unit.exr_files import (
     any_bits,
     box,
@@ -180,7 +180,7 @@ class TestWhatIsRead:
         found = here(path, by_role)
         for names in ("RGBA", "ZYX"):
             planes = [found[0, name] for name in names]
-            assert np.shares_memory(joined(planes), planes[0])
+            assert np.shares_memory(join_planes(planes), planes[0])
 
     def test_a_file_is_read_on_after_its_name_is_gone(self, tmp_path):
         path = write_single(tmp_path / "a.exr", rgba(5, 6))

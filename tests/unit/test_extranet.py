@@ -13,7 +13,7 @@ import torch
 
 from exwarp_cli.domain.extrapolator import INPUTS, NetworkInputs
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError
-from exwarp_cli.io.models import load_extrapolator
+from exwarp_cli.models.picture_network import load_extrapolator
 from exwarp_cli.research.training.extranet_import import (
     ExtraNet,
     ExtraNetAdapter,

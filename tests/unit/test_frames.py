@@ -10,14 +10,8 @@ from exwarp_cli.domain.motion import AxisMap, MotionConvention
 from exwarp_cli.errors import DamagedFileError, LayoutError, MissingFrameError
 from exwarp_cli.io.channel_map import ChannelMap
 from exwarp_cli.io.channels import Role
-from exwarp_cli.io.frames import (
-    MAX_BROKEN,
-    clean_stencil,
-    cleaned,
-    joined,
-    open_shot,
-    read_raw,
-)
+from exwarp_cli.io.frames import MAX_BROKEN, clean_depth, clean_stencil, join_planes, read_raw
+from exwarp_cli.io.shot import open_shot
 from tests.unit.exr_files import box, plane, rgba, write_parts, write_single
 
 INF = np.inf
@@ -27,7 +21,7 @@ class TestCleanDepth:
     @pytest.mark.parametrize("background", [0, -1, 1e10, 1e9, np.inf, -np.inf, np.nan, 65504e5])
     def test_every_way_of_writing_background(self, background):
         depth = np.array([[2.5, background], [1e-6, 9.9e8]], np.float32)
-        found, _ = cleaned(depth, None)
+        found, _ = clean_depth(depth, None)
         np.testing.assert_array_equal(found, np.array([[2.5, INF], [1e-6, 9.9e8]], np.float32))
         assert found.dtype == np.float32
 
@@ -35,7 +29,7 @@ class TestCleanDepth:
         normal = np.zeros((1, 3, 3), np.float32)
         normal[0, 1] = -1
         normal[0, 2] = (-1, 0, 0)
-        found, _ = cleaned(np.full((1, 3), 4, np.float32), normal)
+        found, _ = clean_depth(np.full((1, 3), 4, np.float32), normal)
         assert found.tolist() == [[4, INF, 4]]
 
 
@@ -64,19 +58,19 @@ class TestJoined:
     BLOCK = np.arange(5 * 7 * 4, dtype=np.float32).reshape(5, 7, 4)
 
     def test_neighbours_are_not_copied(self):
-        found = joined([self.BLOCK[..., i] for i in range(4)])
+        found = join_planes([self.BLOCK[..., i] for i in range(4)])
         np.testing.assert_array_equal(found, self.BLOCK)
         assert np.shares_memory(found, self.BLOCK) and found.flags.c_contiguous
 
     @pytest.mark.parametrize("order", [(0, 1, 2), (1, 2, 3), (3, 2, 1, 0), (0, 0, 1, 1), (2,)])
     def test_anything_else_is(self, order):
-        found = joined([self.BLOCK[..., i] for i in order])
+        found = join_planes([self.BLOCK[..., i] for i in order])
         np.testing.assert_array_equal(found, self.BLOCK[..., list(order)])
         assert found.flags.c_contiguous and not np.shares_memory(found, self.BLOCK)
 
     def test_planes_of_different_arrays(self):
         planes = [np.full((3, 4), i, np.float32) for i in range(3)]
-        np.testing.assert_array_equal(joined(planes), np.stack(planes, -1))
+        np.testing.assert_array_equal(join_planes(planes), np.stack(planes, -1))
 
 
 class TestReadRaw:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from exwarp_cli.io.channels import Role
-from exwarp_cli.io.frames import Shot
+from exwarp_cli.io.shot import Shot
 from exwarp_cli.research.training.scene_clip import SceneClip
 from exwarp_cli.synthesis.geometry import SlotField
 from exwarp_cli.synthesis.history import step_back

@@ -13,7 +13,7 @@ from onnx import TensorProto
 
 from exwarp_cli.domain.extrapolator import Curve
 from exwarp_cli.domain.frame import Float32
-from exwarp_cli.io.interpolator import OnnxInterpolator, load_interpolator
+from exwarp_cli.models.interpolator import OnnxInterpolator, load_interpolator
 from tests.unit.tiny_interpolators import (
     CARDS,
     PAIR,
@@ -139,7 +139,7 @@ class TestPadding:
         padding = {"multiple": 8, "mode": "zero"}
         network = load(first_frame(), padding=padding, range=[-1, 1])
         white = np.ones((5, 5, 3), np.float32)
-        given = network._given(white)
+        given = network._padded(white)
         assert (given[:5, :5] == 1).all() and (given[5:] == -1).all()
 
 

@@ -13,8 +13,8 @@ import pytest
 from onnx import TensorProto
 
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, OutputExistsError
-from exwarp_cli.io.interpolator import SHAPES, begin_card, load_interpolator
-from exwarp_cli.io.interpolator_card import SCHEMA, parse_card
+from exwarp_cli.models.interpolator import SHAPES, begin_card, load_interpolator
+from exwarp_cli.models.interpolator_card import SCHEMA, parse_card
 from tests.unit.tiny_interpolators import (
     CARDS,
     PAIR,
@@ -92,17 +92,21 @@ class TestCards:
         found = parse_card(PATH, card())
         assert (found.name, found.output, found.first_channel) == ("net", "out", 0)
         assert found.inputs == {"img0": ("first",), "img1": ("second",)}
-        picture = found.given
+        picture = found.input_format
         assert (picture.layout, picture.order, picture.low, picture.high) == ("NCHW", "RGB", 0, 1)
-        assert found.made == picture and found.encoding == "srgb" and not found.timed
+        assert found.output_format == picture and found.encoding == "srgb" and not found.timed
         assert (found.padding.multiple, found.padding.mode) == (1, "edge")
         assert not found.padding.centred
 
     def test_the_output_differs_only_where_it_says_so(self):
         output = {"name": "y", "layout": "NHWC"}
         found = parse_card(PATH, card(output=output, range=[-1, 1], order="BGR"))
-        assert (found.output, found.made.layout, found.given.layout) == ("y", "NHWC", "NCHW")
-        assert (found.made.order, found.made.low) == ("BGR", -1)
+        assert (found.output, found.output_format.layout, found.input_format.layout) == (
+            "y",
+            "NHWC",
+            "NCHW",
+        )
+        assert (found.output_format.order, found.output_format.low) == ("BGR", -1)
 
     def test_none(self, tmp_path):
         path = save(tmp_path / "net.onnx", untimed())

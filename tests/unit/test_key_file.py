@@ -14,7 +14,7 @@ import pytest
 
 from exwarp_cli.errors import DamagedFileError, InputError
 from exwarp_cli.io.exr.header import MULTIPART, attributes_in
-from exwarp_cli.io.key_file import key_file, marked_file
+from exwarp_cli.io.key_file import plan_key_file, plan_marked_file
 from exwarp_cli.io.output import COMPRESSIONS, is_intact, recipe_of, seal
 
 RATE = Fraction(96)
@@ -134,7 +134,7 @@ def decoded(path: Path) -> list[np.ndarray]:
 def test_chunks_are_copied_and_only_the_rate_changes(tmp_path, kind):
     source, target = tmp_path / "a.exr", tmp_path / "b.exr"
     KINDS[kind](source)
-    file = key_file(source, RATE)
+    file = plan_key_file(source, RATE)
     file.write(target)
     (before, places, chunks), (after, moved, copied) = map(
         layout, (source.read_bytes(), target.read_bytes())
@@ -157,13 +157,13 @@ def test_chunks_are_copied_and_only_the_rate_changes(tmp_path, kind):
 def test_a_rate_that_does_not_contradict_is_left_as_it_is(tmp_path, rate):
     source = tmp_path / "a.exr"
     OpenEXR.File(header(rate), planes()).write(str(source))
-    assert b"".join(key_file(source, RATE).pieces()) == source.read_bytes()
+    assert b"".join(plan_key_file(source, RATE).pieces()) == source.read_bytes()
 
 
 def test_without_a_rate_the_bytes_are_copied(tmp_path):
     source, target = tmp_path / "a.exr", tmp_path / "b.exr"
     OpenEXR.File(header(), planes()).write(str(source))
-    file = key_file(source, None)
+    file = plan_key_file(source, None)
     file.write(target)
     assert target.read_bytes() == source.read_bytes() and file.is_at(target)
 
@@ -174,7 +174,7 @@ def test_a_key_frame_that_has_a_checksum_keeps_a_valid_one(tmp_path):
     (sealed,) = seal(bytearray(source.read_bytes()))
     for data, valid in ((bytes(sealed), True), (bytes(sealed)[:-1] + b"!", False)):
         source.write_bytes(data)
-        key_file(source, RATE).write(target)
+        plan_key_file(source, RATE).write(target)
         assert is_intact(source.read_bytes()) == is_intact(target.read_bytes()) == valid
 
 
@@ -185,7 +185,7 @@ MARKS: dict[str, str | int] = {"kind": "rendered", "slot": 2, "recipe": "ab12"}
 def test_marks_and_a_checksum_join_the_first_header(tmp_path, kind):
     source, target = tmp_path / "a.exr", tmp_path / "b.exr"
     KINDS[kind](source)
-    marked_file(source, RATE, MARKS).write(target)
+    plan_marked_file(source, RATE, MARKS).write(target)
     (before, places, chunks), (after, moved, copied) = map(
         layout, (source.read_bytes(), target.read_bytes())
     )
@@ -204,7 +204,7 @@ def test_marks_take_the_place_of_earlier_ones(tmp_path):
     earlier = {"exwarp:kind": "generated", "exwarp:xxh128": "0" * 32, "exwarp:key": 1}
     parts = [OpenEXR.Part(header(**earlier), planes(), name) for name in "ab"]
     OpenEXR.File(parts).write(str(source))
-    marked_file(source, None, MARKS).write(target)
+    plan_marked_file(source, None, MARKS).write(target)
     names = [one.name for one in attributes_in(target.read_bytes())]
     assert names.count(b"exwarp:kind") == 1 and b"exwarp:key" not in names
     assert is_intact(target.read_bytes())
@@ -221,7 +221,7 @@ def test_broken_files_are_refused_before_anything_is_written(tmp_path):
     for data in (whole[:200], whole[: table + 5], past, b"no picture"):
         source.write_bytes(data)
         with pytest.raises(DamagedFileError, match=r"a\.exr"):
-            key_file(source, RATE)
+            plan_key_file(source, RATE)
     with pytest.raises(InputError, match="cannot read"):
-        key_file(tmp_path / "none.exr", RATE)
+        plan_key_file(tmp_path / "none.exr", RATE)
     assert not target.exists()

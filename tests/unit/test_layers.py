@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from exwarp_cli.errors import UsageError
-from exwarp_cli.io.channels import Layout, Role, detect
+from exwarp_cli.io.channels import Layout, Role, detect_layout
 from exwarp_cli.io.exr.parts import Channel
 from exwarp_cli.io.exr.reader import ExrFile
-from exwarp_cli.io.layers import Kind, Layer, chosen, layers_of
-from exwarp_cli.io.views import channels_of
+from exwarp_cli.io.layers import Layer, LayerKind, group_layers, select_layers
+from exwarp_cli.io.views import view_channels
 from tests.unit.exr_files import plane, rgba, write_parts
 
 
@@ -26,11 +26,11 @@ def part(names: str, index: int = 0) -> dict[str, Channel]:
 
 def found(*parts: dict[str, Channel]) -> tuple[tuple[Layer, ...], Layout]:
     channels = {name: channel for part in parts for name, channel in part.items()}
-    layout = detect({"": channels.values()})
-    return layers_of({"": channels}, layout), layout
+    layout = detect_layout({"": channels.values()})
+    return group_layers({"": channels}, layout), layout
 
 
-def kinds(names: str) -> dict[str, Kind]:
+def kinds(names: str) -> dict[str, LayerKind]:
     return {layer.name: layer.kind for layer in found(part(names))[0]}
 
 
@@ -93,26 +93,38 @@ class TestKinds:
     @pytest.mark.parametrize(
         ("names", "expected"),
         [
-            ("Y Z", {"Y": Kind.COLOUR, "Z": Kind.DEPTH}),
-            ("R G B A Z", {"RGBA": Kind.COLOUR, "Z": Kind.DEPTH}),
-            ("R G B ID u v", {"RGB": Kind.COLOUR, "ID": Kind.ID, "uv": Kind.DATA}),
-            ("R G B crypto_material00.R", {"crypto material00": Kind.CRYPTOMATTE}),
-            ("R G B ActorHitProxyMask00.R", {"ActorHitProxyMask00": Kind.CRYPTOMATTE}),
-            ("R G B Pref.R Pref.G Pref.B", {"Pref": Kind.DATA}),
-            ("R G B a.P.X a.P.Y a.P.Z P.X P.Y P.Z", {"a.P": Kind.POSITION, "P": Kind.POSITION}),
-            ("R G B N.X N.Y N.Z Nref.X Nref.Y Nref.Z", {"N": Kind.NORMAL, "Nref": Kind.DATA}),
-            ("R G B specular_motion.R specular_motion.G", {"specular motion": Kind.MOTION}),
-            ("R G B v.X v.Y v.Z", {"v": Kind.DATA}),
-            ("R G B tangent.X tangent.Y tangent.Z", {"tangent": Kind.DATA}),
+            ("Y Z", {"Y": LayerKind.COLOUR, "Z": LayerKind.DEPTH}),
+            ("R G B A Z", {"RGBA": LayerKind.COLOUR, "Z": LayerKind.DEPTH}),
+            ("R G B ID u v", {"RGB": LayerKind.COLOUR, "ID": LayerKind.ID, "uv": LayerKind.DATA}),
+            ("R G B crypto_material00.R", {"crypto material00": LayerKind.CRYPTOMATTE}),
+            ("R G B ActorHitProxyMask00.R", {"ActorHitProxyMask00": LayerKind.CRYPTOMATTE}),
+            ("R G B Pref.R Pref.G Pref.B", {"Pref": LayerKind.DATA}),
+            (
+                "R G B a.P.X a.P.Y a.P.Z P.X P.Y P.Z",
+                {"a.P": LayerKind.POSITION, "P": LayerKind.POSITION},
+            ),
+            (
+                "R G B N.X N.Y N.Z Nref.X Nref.Y Nref.Z",
+                {"N": LayerKind.NORMAL, "Nref": LayerKind.DATA},
+            ),
+            ("R G B specular_motion.R specular_motion.G", {"specular motion": LayerKind.MOTION}),
+            ("R G B v.X v.Y v.Z", {"v": LayerKind.DATA}),
+            ("R G B tangent.X tangent.Y tangent.Z", {"tangent": LayerKind.DATA}),
             (
                 "R G B grid.R fluid.R solid.V",
-                dict.fromkeys(("grid", "fluid", "solid"), Kind.COLOUR),
+                dict.fromkeys(("grid", "fluid", "solid"), LayerKind.COLOUR),
             ),
-            ("R G B materialId.R renderID.R", {"materialId": Kind.ID, "renderID": Kind.ID}),
-            ("R G B uint:anything.R", {"anything": Kind.ID}),
-            ("R G B uint:crypto_asset02.R", {"crypto asset02": Kind.CRYPTOMATTE}),
-            ("R G B float:shadow.R float:myaov.V", {"shadow": Kind.COLOUR, "myaov": Kind.COLOUR}),
-            ("R G B l.R l.G l.B l.Z", {"l": Kind.COLOUR, "l.Z": Kind.DEPTH}),
+            (
+                "R G B materialId.R renderID.R",
+                {"materialId": LayerKind.ID, "renderID": LayerKind.ID},
+            ),
+            ("R G B uint:anything.R", {"anything": LayerKind.ID}),
+            ("R G B uint:crypto_asset02.R", {"crypto asset02": LayerKind.CRYPTOMATTE}),
+            (
+                "R G B float:shadow.R float:myaov.V",
+                {"shadow": LayerKind.COLOUR, "myaov": LayerKind.COLOUR},
+            ),
+            ("R G B l.R l.G l.B l.Z", {"l": LayerKind.COLOUR, "l.Z": LayerKind.DEPTH}),
         ],
     )
     def test_names_of_renderers(self, names, expected):
@@ -122,23 +134,23 @@ class TestKinds:
     def test_vectors_of_unknown_convention_are_data(self):
         blender = f"{spelled('V.Combined', 'RGBA')} {spelled('V.Vector', 'XYZW')}"
         table = kinds(f"{blender} {spelled('velocity', 'XYZ')}")
-        assert table["V.Vector"] is Kind.MOTION and table["velocity"] is Kind.DATA
+        assert table["V.Vector"] is LayerKind.MOTION and table["velocity"] is LayerKind.DATA
 
     def test_the_header_tells_of_cryptomattes_by_any_name(self):
-        layout = detect({})
+        layout = detect_layout({})
         parts = {"": part("R G B who00.r who00.g who.r whose.r")}
-        table = {layer.name: layer.kind for layer in layers_of(parts, layout, ("who",))}
-        assert table["who00"] is table["who"] is Kind.CRYPTOMATTE
-        assert table["whose"] is Kind.COLOUR
+        table = {layer.name: layer.kind for layer in group_layers(parts, layout, ("who",))}
+        assert table["who00"] is table["who"] is LayerKind.CRYPTOMATTE
+        assert table["whose"] is LayerKind.COLOUR
 
     def test_alpha_that_vectors_are_premultiplied_by_stays_colour(self):
         file = part("A B G R motionvector.X motionvector.Y")
         layers, layout = found(file)
         roles = dict(layout.roles)
         roles[Role.MOTION] = (*roles[Role.MOTION], roles[Role.COLOUR][3])
-        again = layers_of({"": file}, Layout(roles))
+        again = group_layers({"": file}, Layout(roles))
         assert [layer.kind for layer in again] == [layer.kind for layer in layers]
-        assert again[0].kind is Kind.COLOUR
+        assert again[0].kind is LayerKind.COLOUR
 
 
 class TestStructure:
@@ -158,17 +170,19 @@ class TestStructure:
     def test_one_name_in_two_parts_is_two_layers(self):
         channels = {"a.R": Channel(0, 0, "a.R", "a.R", "half")}
         channels["a.Z"] = Channel(1, 0, "a.Z", "a.Z", "float")
-        layers = layers_of({"": channels}, detect({}))
+        layers = group_layers({"": channels}, detect_layout({}))
         assert [(layer.name, len(layer.refs)) for layer in layers] == [("a", 1), ("a", 1)]
 
     def test_files_of_one_aov_each(self):
         files = {"Depth": part("R"), "Colour": part("R G B")}
-        layers = layers_of(files, detect({aov: file.values() for aov, file in files.items()}))
+        layers = group_layers(
+            files, detect_layout({aov: file.values() for aov, file in files.items()})
+        )
         assert [(layer.aov, layer.name) for layer in layers] == [
             ("Depth", "Depth"),
             ("Colour", "Colour"),
         ]
-        assert layers[0].kind is Kind.DEPTH
+        assert layers[0].kind is LayerKind.DEPTH
 
     def test_of_a_real_file_with_two_views(self, tmp_path):
         ids = plane(6, 8, 2**24 + 1, np.uint32)
@@ -179,8 +193,8 @@ class TestStructure:
         }
         path = write_parts(tmp_path / "a.exr", parts)
         with ExrFile(path) as file:
-            channels = channels_of(file.parts, "right")
-            layers = layers_of({"": channels}, detect({"": channels.values()}))
+            channels = view_channels(file.parts, "right")
+            layers = group_layers({"": channels}, detect_layout({"": channels.values()}))
             read = file.read(layers[1].channels)
         assert [layer.leaf for layer in layers] == ["Combined", "Object Index"]
         assert [layer.channels[0].part for layer in layers] == [2, 3]
@@ -199,13 +213,13 @@ class TestRendered:
     def test_colour_and_vectors_are_never_taken(self):
         layers, _ = found(part(BLENDER))
         refused = {layer.kind for layer in layers if layer.rendered_in(layers) is None}
-        assert refused == {Kind.COLOUR, Kind.MOTION}
+        assert refused == {LayerKind.COLOUR, LayerKind.MOTION}
 
 
 class TestChosen:
     def names(self, text: str) -> list[str]:
         layers, layout = found(part(BLENDER))
-        return [layer.name.removeprefix("V.") for layer in chosen(layers, text, layout)]
+        return [layer.name.removeprefix("V.") for layer in select_layers(layers, text, layout)]
 
     def test_the_beauty_alone(self):
         assert self.names("beauty") == ["Combined"]

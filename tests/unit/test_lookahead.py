@@ -13,8 +13,8 @@ from exwarp_cli.domain.frame import Float32, KeyFrame
 from exwarp_cli.domain.lookahead import CANDIDATES, LOOKS_AHEAD, SIDES
 from exwarp_cli.domain.network import NetworkGiven, NetworkPictures
 from exwarp_cli.errors import InputError, LayoutError
-from exwarp_cli.io.lookahead_network import load_lookahead
 from exwarp_cli.kernels import candidates
+from exwarp_cli.models.picture_network import load_lookahead
 from exwarp_cli.synthesis.geometry import settle_motion
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import METHODS
@@ -125,7 +125,7 @@ class TestFiles:
         path = tiny_lookahead.save(tmp_path / "tiny.onnx", tiny_lookahead.nearer_side())
         frames = []
         for pixels in (10**9, 3000):
-            monkeypatch.setattr("exwarp_cli.io.models.MOST_PIXELS", pixels)
+            monkeypatch.setattr("exwarp_cli.models.picture_network.MAX_PIXELS", pixels)
             network = load_lookahead(path, 1, "cpu")
             frames.append(made("lookahead", interval(network)))
         np.testing.assert_array_equal(*frames)

@@ -16,7 +16,7 @@ from exwarp_cli.domain.lookahead import CANDIDATES, LOOKS_AHEAD
 from exwarp_cli.domain.network import NetworkPictures
 from exwarp_cli.errors import LayoutError, UsageError
 from exwarp_cli.io.dataset import RenderedScene, open_scene
-from exwarp_cli.io.lookahead_network import load_lookahead
+from exwarp_cli.models.picture_network import load_lookahead
 from exwarp_cli.research.training import lookahead_samples
 from exwarp_cli.research.training.lookahead_samples import (
     SAMPLE_ARRAYS,

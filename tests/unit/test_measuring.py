@@ -15,16 +15,15 @@ from exwarp_cli.accel.fixed_point import to_fixed
 from exwarp_cli.domain.decision import PATHS
 from exwarp_cli.domain.settings import SourceSettings
 from exwarp_cli.io.dataset import RenderedScene, open_scene
-from exwarp_cli.io.models import (
-    CHECKSUMS,
-    SHIPPED,
-    OnnxExtrapolator,
-    load_extrapolator,
-    shipped_folder,
-)
 from exwarp_cli.kernels import _row_bands
 from exwarp_cli.metrics.display import encode
 from exwarp_cli.metrics.registry import METRICS
+from exwarp_cli.models.model_file import CHECKSUMS, shipped_folder
+from exwarp_cli.models.picture_network import (
+    SHIPPED_EXTRAPOLATOR,
+    OnnxExtrapolator,
+    load_extrapolator,
+)
 from exwarp_cli.pipeline.observing import features
 from exwarp_cli.policy.features import observe
 from exwarp_cli.policy.outcomes import METRICS as JUDGED
@@ -273,7 +272,7 @@ def test_with_the_network_that_comes_with_exwarp(scene, tmp_path):
     """Even this small, it is better than warping."""
     found = measure_view(scene, PLAIN[1], None, tmp_path).outcomes
     names = {path.name for path in tmp_path.iterdir()}
-    known = json.loads((shipped_folder() / CHECKSUMS).read_bytes())[SHIPPED]
+    known = json.loads((shipped_folder() / CHECKSUMS).read_bytes())[SHIPPED_EXTRAPOLATOR]
     assert f"variety-0074-64x36-slot-phase0-speed1-{known[:12]}-v1.npy" in names
     gain = found[:, 1, 1, 0] - found[:, 1, 0, 0]
     assert (gain > 0).all()

@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 from onnx import TensorProto, helper, onnx_ml_pb2
 
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError
-from exwarp_cli.io.model_weights import INSIDE, files_of, with_weights
-from exwarp_cli.io.models import load_extrapolator
+from exwarp_cli.models.model_file import NESTED_MESSAGES, embed_weights, weight_files
+from exwarp_cli.models.picture_network import load_extrapolator
 from tests.unit.test_models import random_inputs
 from tests.unit.tiny_models import convolution, filled_warp, save
 
@@ -60,7 +60,7 @@ class TestBeside:
         parted = load_extrapolator(tmp_path / "parted.onnx", threads, "cpu")
         taken = random_inputs(37, 61)
         np.testing.assert_array_equal(parted(taken), whole(taken))
-        assert files_of(tmp_path / "parted.onnx") == (tmp_path / "w.data",)
+        assert weight_files(tmp_path / "parted.onnx") == (tmp_path / "w.data",)
 
     @pytest.mark.parametrize(
         ("location", "more"),
@@ -80,7 +80,7 @@ class TestBeside:
             with pytest.raises(LayoutError):
                 load_extrapolator(path, 1, "cpu")
             return
-        made = with_weights(path, path.read_bytes())
+        made = embed_weights(path, path.read_bytes())
         assert made == filled_warp(0.5).SerializeToString()
         assert load_extrapolator(path, 1, "cpu").checksum == hashlib.sha256(made).hexdigest()
 
@@ -95,7 +95,7 @@ class TestBeside:
 
     def test_what_needs_no_other_file_stays_as_it_is(self):
         data = convolution().SerializeToString()
-        assert with_weights(Path("m.onnx"), data) is data
+        assert embed_weights(Path("m.onnx"), data) is data
 
 
 def in_an_attribute(location: str) -> onnx.ModelProto:
@@ -170,8 +170,8 @@ class TestElsewhere:
     def test_wherever_a_model_may_have_a_tensor(self, home, build: Callable[..., Any]):
         path = home / "model.onnx"
         with pytest.raises(LayoutError, match="only files in the folder"):
-            with_weights(path, build("../gain.bin").SerializeToString())
-        made = onnx.load_from_string(with_weights(path, build("gain.bin").SerializeToString()))
+            embed_weights(path, build("../gain.bin").SerializeToString())
+        made = onnx.load_from_string(embed_weights(path, build("gain.bin").SerializeToString()))
         assert b"gain.bin" not in made.SerializeToString()
 
     def test_onnx_has_tensors_nowhere_else(self):
@@ -191,7 +191,7 @@ class TestElsewhere:
             if set(inside) <= holds:
                 break
             holds |= set(inside)
-        assert inside == INSIDE
+        assert inside == NESTED_MESSAGES
 
 
 class TestDamage:
@@ -226,7 +226,7 @@ class TestDamage:
         for _ in range(65):
             move(made.graph.initializer.add(), "large.bin")
         with pytest.raises(LayoutError, match="more than 2 GiB of weights"):
-            with_weights(home / "model.onnx", made.SerializeToString())
+            embed_weights(home / "model.onnx", made.SerializeToString())
 
     def test_messages_in_each_other(self):
         data = b""
@@ -238,14 +238,14 @@ class TestDamage:
         size = len(data)
         whole = bytes([7 << 3 | 2, size & 0x7F | 0x80, size >> 7]) + data
         with pytest.raises(DamagedFileError, match="nested too deeply"):
-            with_weights(Path("m.onnx"), whole)
+            embed_weights(Path("m.onnx"), whole)
 
     def test_a_value_that_is_cut_to_32_bits(self):
         """Readers of Protocol Buffers take 2^32 + 1 for 1."""
         tensor = bytes([14 << 3, 0x81, 0x80, 0x80, 0x80, 0x10])
         graph = bytes([5 << 3 | 2, len(tensor)]) + tensor
         with pytest.raises(LayoutError, match="only files"):
-            with_weights(Path("m.onnx"), bytes([7 << 3 | 2, len(graph)]) + graph)
+            embed_weights(Path("m.onnx"), bytes([7 << 3 | 2, len(graph)]) + graph)
 
     @given(st.integers(0, 10**6), st.integers(0, 7), st.booleans())
     def test_bytes_that_are_damaged(self, at, bit, cut):
@@ -254,13 +254,13 @@ class TestDamage:
         if cut:
             del data[at % len(data) :]
         try:
-            with_weights(Path("m.onnx"), bytes(data))
+            embed_weights(Path("m.onnx"), bytes(data))
         except InputError as error:
             assert "m.onnx" in str(error)
 
     @given(st.binary(max_size=200))
     def test_any_bytes(self, data):
         try:
-            with_weights(Path("m.onnx"), data)
+            embed_weights(Path("m.onnx"), data)
         except InputError as error:
             assert "m.onnx" in str(error)

@@ -23,9 +23,10 @@ from exwarp_cli.errors import (
     MissingExtraError,
     OutOfMemoryError,
 )
-from exwarp_cli.io import model_files, models
-from exwarp_cli.io.model_files import STRIDE_KEY
-from exwarp_cli.io.models import CHECKSUMS, CUDA, SHIPPED, load_extrapolator, shipped_folder
+from exwarp_cli.models import model_file, picture_network
+from exwarp_cli.models.model_file import CHECKSUMS, STRIDE_KEY, shipped_folder
+from exwarp_cli.models.picture_network import SHIPPED_EXTRAPOLATOR, load_extrapolator
+from exwarp_cli.models.session import CUDA
 from exwarp_cli.pipeline.finding import find_network
 from exwarp_cli.synthesis.methods import METHODS
 from tests.unit import tiny_models
@@ -44,8 +45,8 @@ def random_inputs(height: int, width: int, time: float = 0.5) -> NetworkInputs:
 
 
 @pytest.fixture
-def load(tmp_path) -> Callable[..., models.OnnxExtrapolator]:
-    def run(made: onnx.ModelProto, threads: int | None = None) -> models.OnnxExtrapolator:
+def load(tmp_path) -> Callable[..., picture_network.OnnxExtrapolator]:
+    def run(made: onnx.ModelProto, threads: int | None = None) -> picture_network.OnnxExtrapolator:
         return load_extrapolator(save(tmp_path / "model.onnx", made), threads, "cpu")
 
     return run
@@ -273,21 +274,21 @@ class TestDevice:
 class TestShipped:
     @pytest.fixture
     def folder(self, tmp_path, monkeypatch) -> Path:
-        path = save(tmp_path / SHIPPED, filled_warp())
-        sums = {SHIPPED: hashlib.sha256(path.read_bytes()).hexdigest()}
+        path = save(tmp_path / SHIPPED_EXTRAPOLATOR, filled_warp())
+        sums = {SHIPPED_EXTRAPOLATOR: hashlib.sha256(path.read_bytes()).hexdigest()}
         (tmp_path / CHECKSUMS).write_text(json.dumps(sums))
-        monkeypatch.setattr(model_files, "shipped_folder", lambda: tmp_path)
+        monkeypatch.setattr(model_file, "shipped_folder", lambda: tmp_path)
         return tmp_path
 
     def test_it_is_the_default(self, folder):
-        assert load_extrapolator(None, 1, "cpu").path == folder / SHIPPED
+        assert load_extrapolator(None, 1, "cpu").path == folder / SHIPPED_EXTRAPOLATOR
 
     def test_another_one_under_its_name_is_refused(self, folder):
-        save(folder / SHIPPED, filled_warp(gain=2))
+        save(folder / SHIPPED_EXTRAPOLATOR, filled_warp(gain=2))
         with pytest.raises(DamagedFileError, match="checksum differs; install ExWarp again"):
             load_extrapolator(None, 1, "cpu")
 
-    @pytest.mark.parametrize("name", [SHIPPED, CHECKSUMS])
+    @pytest.mark.parametrize("name", [SHIPPED_EXTRAPOLATOR, CHECKSUMS])
     def test_a_file_that_is_gone(self, folder, name):
         (folder / name).unlink()
         with pytest.raises(InputError, match="is missing or has no checksum"):
@@ -302,7 +303,7 @@ class TestShipped:
     def test_where_it_lies(self, tmp_path, monkeypatch):
         """In the package where a wheel put it, else beside the package, as in a clone."""
         package = tmp_path / "exwarp_cli"
-        monkeypatch.setattr(model_files, "__file__", str(package / "io" / "model_files.py"))
+        monkeypatch.setattr(model_file, "__file__", str(package / "models" / "model_file.py"))
         assert shipped_folder() == tmp_path / "models"
         (package / "_models").mkdir(parents=True)
         assert shipped_folder() == package / "_models"

@@ -15,7 +15,7 @@ from exwarp_cli.domain.motion import AxisMap, MotionConvention
 from exwarp_cli.errors import UsageError
 from exwarp_cli.io.channels import ChannelRef, Layout, Role
 from exwarp_cli.io.producers import PRESETS
-from exwarp_cli.io.sequence import Sequence
+from exwarp_cli.io.sequences import Sequence
 from exwarp_cli.io.shot import Shot
 from exwarp_cli.pipeline.motion_option import motion_names, parse_motion
 

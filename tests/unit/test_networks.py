@@ -10,7 +10,7 @@ import torch
 
 from exwarp_cli.domain.extrapolator import NetworkInputs
 from exwarp_cli.domain.network import TIME
-from exwarp_cli.io.models import load_extrapolator
+from exwarp_cli.models.picture_network import load_extrapolator
 from exwarp_cli.research.training.extrapolation_network import (
     ARCHITECTURES,
     STRIDE,

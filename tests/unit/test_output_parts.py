@@ -12,7 +12,7 @@ import pytest
 from exwarp_cli.domain.frame import Image, Window
 from exwarp_cli.errors import LayoutError
 from exwarp_cli.io import output
-from exwarp_cli.io.channels import Role, detect
+from exwarp_cli.io.channels import Role, detect_layout
 from exwarp_cli.io.exr.reader import ExrFile, read_headers
 from exwarp_cli.io.exr.template import (
     PIXEL_TYPES,
@@ -23,8 +23,8 @@ from exwarp_cli.io.exr.template import (
     read_template,
 )
 from exwarp_cli.io.frames import read_image
-from exwarp_cli.io.layers import layers_of
-from exwarp_cli.io.views import channels_of
+from exwarp_cli.io.layers import group_layers
+from exwarp_cli.io.views import view_channels
 from tests.unit.exr_files import box, plane, rgba, write_parts, write_single
 from tests.unit.written_frames import WINDOW, image, pixels
 
@@ -49,9 +49,9 @@ class TestParts:
             parts = file.parts
         found = []
         for view in views:
-            channels = channels_of(parts, view)
-            layout = detect({"": tuple(replace(c, name=n) for n, c in channels.items())})
-            layers = layers_of({"": channels}, layout)
+            channels = view_channels(parts, view)
+            layout = detect_layout({"": tuple(replace(c, name=n) for n, c in channels.items())})
+            layers = group_layers({"": channels}, layout)
             found.append(ViewLayers(view, view, layout.roles[Role.COLOUR], layers))
         return tuple(found)
 

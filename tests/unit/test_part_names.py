@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from exwarp_cli.io.channels import Layout, Role
-from exwarp_cli.io.frames import open_shot, read_raw
+from exwarp_cli.io.frames import read_raw
+from exwarp_cli.io.shot import open_shot
 from tests.unit.exr_files import plane, write_parts
 
 

@@ -13,14 +13,9 @@ import pytest
 
 from exwarp_cli.accel.quantised_mlp import QuantisedMlp
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError, OutputError
-from exwarp_cli.io import model_files, policy_files
-from exwarp_cli.io.models import CHECKSUMS
-from exwarp_cli.io.policy_files import (
-    FORMAT,
-    SHIPPED_POLICY,
-    load_policy,
-    save_network,
-)
+from exwarp_cli.models import model_file, policy_files
+from exwarp_cli.models.model_file import CHECKSUMS
+from exwarp_cli.models.policy_files import FORMAT, SHIPPED_POLICY, load_policy, save_network
 from tests.unit.mlp_cases import network, parts
 
 SIZES = (6, 5, 4, 2)
@@ -146,21 +141,21 @@ class TestRefused:
     def test_much_in_little(self, saved):
         """Zeros that deflate to a thousandth; they are not inflated to be judged."""
         bomb = {"weights0": np.zeros(policy_files.MOST_BYTES, np.int8)}
-        saved.write_bytes(policy_files.pack(bomb, compressed=True))
+        saved.write_bytes(policy_files.pack_arrays(bomb, compressed=True))
         assert saved.stat().st_size < 1e6
         with pytest.raises(DamagedFileError, match="damaged or no policy file"):
             load_policy(saved)
         with pytest.raises(policy_files.ArchiveError, match=r"weights0\.npy is too large"):
-            policy_files.unpack(saved.read_bytes())
+            policy_files.unpack_arrays(saved.read_bytes())
 
     def test_a_little_more_and_more(self, saved, monkeypatch):
         """Arrays of which each alone is small enough."""
         monkeypatch.setattr(policy_files, "MOST_OF_ALL", 1 << 20)
         bomb = {f"x{k}": np.zeros((1 << 18) - 1000, np.int8) for k in range(4)}
-        assert len(policy_files.unpack(policy_files.pack(bomb, compressed=True))) == 4
-        saved.write_bytes(policy_files.pack(bomb | {"y": np.zeros(500)}, compressed=True))
+        assert len(policy_files.unpack_arrays(policy_files.pack_arrays(bomb, compressed=True))) == 4
+        saved.write_bytes(policy_files.pack_arrays(bomb | {"y": np.zeros(500)}, compressed=True))
         with pytest.raises(policy_files.ArchiveError, match="it is too large"):
-            policy_files.unpack(saved.read_bytes())
+            policy_files.unpack_arrays(saved.read_bytes())
 
     def test_a_header_that_claims_the_world(self, saved):
         huge = io.BytesIO()
@@ -210,7 +205,7 @@ class TestRefused:
 class TestShipped:
     @pytest.fixture
     def folder(self, tmp_path, monkeypatch) -> Path:
-        monkeypatch.setattr(model_files, "shipped_folder", lambda: tmp_path)
+        monkeypatch.setattr(model_file, "shipped_folder", lambda: tmp_path)
         save_network(tmp_path / SHIPPED_POLICY, network(4, SIZES), {})
         digest = hashlib.sha256((tmp_path / SHIPPED_POLICY).read_bytes()).hexdigest()
         (tmp_path / CHECKSUMS).write_text(json.dumps({SHIPPED_POLICY: digest}))

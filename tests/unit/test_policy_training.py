@@ -16,7 +16,7 @@ from exwarp_cli.accel.kernel import MlpKernel
 from exwarp_cli.accel.quantised_mlp import PAPER_SIZES, infer_reference
 from exwarp_cli.domain.decision import NODES, PATHS
 from exwarp_cli.errors import InputError, UsageError
-from exwarp_cli.io.policy_files import load_policy
+from exwarp_cli.models.policy_files import load_policy
 from exwarp_cli.policy.state import STATE_VERSION
 from exwarp_cli.research.training.onnx_export import STATE
 from exwarp_cli.research.training.outcome_tables import PolicyTable

@@ -10,9 +10,9 @@ import pytest
 
 from exwarp_cli.domain.frame import GBuffer
 from exwarp_cli.domain.motion import MotionFinding
-from exwarp_cli.io.channels import Layout, Role, detect
+from exwarp_cli.io.channels import Layout, Role, detect_layout
 from exwarp_cli.io.exr.parts import Channel
-from exwarp_cli.io.frames import clean_stencil, cleaned
+from exwarp_cli.io.frames import clean_depth, clean_stencil
 from exwarp_cli.synthesis.calibration import calibrate
 from exwarp_cli.synthesis.sampling import Instant
 from tests.unit.motion_pairs import pairs_of
@@ -48,7 +48,7 @@ def passes(view: View) -> Passes:
 
 
 def layout_of(files: Files) -> Layout:
-    return detect(
+    return detect_layout(
         {
             aov: [Channel(0, i, name, name, "float") for i, name in enumerate(planes)]
             for aov, planes in files.items()
@@ -67,7 +67,7 @@ def instant(files: Files, layout: Layout, number: int) -> Instant:
     depth, normal, stencil = stack(Role.DEPTH), stack(Role.NORMAL), stack(Role.STENCIL)
     gbuffer = GBuffer(
         views()[0].scene.window,
-        None if depth is None else cleaned(depth[..., 0], normal)[0],
+        None if depth is None else clean_depth(depth[..., 0], normal)[0],
         normal,
         stack(Role.POSITION),
         None if stencil is None else clean_stencil(stencil[..., 0]),

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from exwarp_cli.errors import InputError, MissingFrameError, OutputError, UsageError
 from exwarp_cli.io.frame_names import NamePattern, group_names, split_name
-from exwarp_cli.io.sequence import Sequence, find_aov_set, find_sequence, output_pattern
+from exwarp_cli.io.sequences import Sequence, find_aov_set, find_sequence, output_pattern
 
 
 def fill(folder: Path, *names: str) -> Path:

@@ -11,8 +11,8 @@ import pytest
 from exwarp_cli.domain.extrapolator import Extrapolator
 from exwarp_cli.domain.frame import SURFACE_PARTS
 from exwarp_cli.io.dataset import open_scene
-from exwarp_cli.io.models import load_extrapolator
 from exwarp_cli.metrics.registry import score
+from exwarp_cli.models.picture_network import load_extrapolator
 from exwarp_cli.research.training.scene_clip import SceneClip
 from exwarp_cli.synthesis.methods import METHODS
 

@@ -14,8 +14,8 @@ from exwarp_cli.accel.fixed_point import from_fixed, to_fixed
 from exwarp_cli.accel.kernel import MlpKernel
 from exwarp_cli.accel.quantised_mlp import PAPER_SIZES
 from exwarp_cli.domain.decision import NODES, PATHS
-from exwarp_cli.io.models import shipped_folder
-from exwarp_cli.io.policy_files import load_policy
+from exwarp_cli.models.model_file import shipped_folder
+from exwarp_cli.models.policy_files import load_policy
 from exwarp_cli.policy.state import INPUTS, STATE_VERSION
 from exwarp_cli.research.training.outcome_tables import TABLES, load_table
 from exwarp_cli.research.training.policy_scores import greedy_paths, policy_card, score_paths

@@ -10,11 +10,9 @@ import pytest
 
 from exwarp_cli.domain.frame import place
 from exwarp_cli.errors import LayoutError, MissingFrameError
-from exwarp_cli.io.aov_files import parse_aovs
-from exwarp_cli.io.channel_map import ChannelMap
+from exwarp_cli.io.channel_map import ChannelMap, parse_aovs
 from exwarp_cli.io.channels import Role
-from exwarp_cli.io.cryptomatte_ids import IdReading, identity
-from exwarp_cli.io.cryptomatte_manifest import id_of
+from exwarp_cli.io.cryptomatte import IdReading, hash_name, surface_id
 from exwarp_cli.io.depth import DepthKind
 from exwarp_cli.io.frames import read_image, read_raw
 from exwarp_cli.io.shot import open_shot, open_views
@@ -210,7 +208,7 @@ class TestAovs:
         assert {ref.aov for ref in found.refs} == {found.aov} == {"main"}
         assert Role.STENCIL not in shot.layout and shot.ids is None
         raw = read_raw(replace(shot, ids=IdReading(found)), 2, objects=True)
-        assert (raw.gbuffer.objects == identity(id_of("box"))).all()
+        assert (raw.gbuffer.objects == surface_id(hash_name("box"))).all()
         assert raw.gbuffer.stencil is None
         assert read_raw(replace(shot, ids=IdReading(found)), 2).gbuffer.objects is None
         joined = self.open(split, "stencil=z")

@@ -13,9 +13,9 @@ from exwarp_cli.domain.motion import AxisMap, MotionConvention
 from exwarp_cli.domain.settings import DEFAULT_FPS, SourceSettings
 from exwarp_cli.domain.timeline import Slot, Timeline
 from exwarp_cli.errors import InputError, LayoutError, MissingFrameError, MotionError
-from exwarp_cli.io.frames import open_shot
 from exwarp_cli.io.producers import PRESETS
-from exwarp_cli.io.sequence import Sequence
+from exwarp_cli.io.sequences import Sequence
+from exwarp_cli.io.shot import open_shot
 from exwarp_cli.pipeline.motion_finding import find_motion
 from exwarp_cli.pipeline.motion_option import motion_names
 from exwarp_cli.pipeline.source import align, open_source, rate_of

@@ -7,7 +7,7 @@ import pytest
 
 from exwarp_cli.domain.frame import broken_pixels
 from exwarp_cli.io.channels import Role
-from exwarp_cli.io.soundness import count_broken
+from exwarp_cli.io.shot_files import count_nonfinite
 from exwarp_cli.synthesis.retime import Sources, in_place
 
 SHAPE = (5, 7)
@@ -93,7 +93,7 @@ def test_broken_pixels_are_found_in_both_types(kind, value):
     assert not broken_pixels(pixels).any()
     pixels[1, 2, 0] = pixels[1, 2, 2] = pixels[4, 6, 1] = value
     assert np.argwhere(broken_pixels(pixels)).tolist() == [[1, 2], [4, 6]]
-    assert count_broken((pixels,)) == 2
-    assert count_broken(pixels[..., i] for i in range(3)) == 2
-    assert count_broken((pixels,), Role.DEPTH) == (2 if np.isnan(value) else 0)
-    assert count_broken((plane(np.uint32),)) == 0
+    assert count_nonfinite((pixels,)) == 2
+    assert count_nonfinite(pixels[..., i] for i in range(3)) == 2
+    assert count_nonfinite((pixels,), Role.DEPTH) == (2 if np.isnan(value) else 0)
+    assert count_nonfinite((plane(np.uint32),)) == 0

@@ -10,7 +10,10 @@ from pathlib import Path
 
 import pytest
 
-LOAD = "from exwarp_cli.io.models import load_extrapolator; load_extrapolator(None, 1, 'cpu')"
+LOAD = (
+    "from exwarp_cli.models.picture_network import load_extrapolator; "
+    "load_extrapolator(None, 1, 'cpu')"
+)
 """As every method with a network does."""
 
 BARE = "import onnxruntime"

@@ -8,10 +8,11 @@ import OpenImageIO as oiio
 import pytest
 
 from exwarp_cli.domain import cores
-from exwarp_cli.io import ffmpeg, models, threads
+from exwarp_cli.io import ffmpeg, threads
 from exwarp_cli.io.machine import Processors
 from exwarp_cli.io.threads import use_threads
 from exwarp_cli.kernels import _row_bands
+from exwarp_cli.models import picture_network
 from exwarp_cli.pipeline.scheduling import AsyncWriter, prefetch
 
 
@@ -49,8 +50,8 @@ def test_networks_have_as_many_by_default(monkeypatch, given, count):
         counts.append(most)
         return opened
 
-    monkeypatch.setattr(models, "OnnxExtrapolator", network)
-    assert models.load_extrapolator(None, given, "cpu") is opened
+    monkeypatch.setattr(picture_network, "OnnxExtrapolator", network)
+    assert picture_network.load_extrapolator(None, given, "cpu") is opened
     assert counts == [count]
 
 

@@ -15,7 +15,7 @@ from exwarp_cli.accel.quantised_mlp import PAPER_SIZES, infer_reference
 from exwarp_cli.domain.decision import NODES
 from exwarp_cli.domain.tiles import TILE_FEATURES, TILE_STATE
 from exwarp_cli.errors import DamagedFileError, InputError
-from exwarp_cli.io.policy_files import SHIPPED_TILE_POLICY, PolicyFile, load_policy
+from exwarp_cli.models.policy_files import SHIPPED_TILE_POLICY, PolicyFile, load_policy
 from exwarp_cli.policy.state import INPUTS, STATE_SIZE
 from exwarp_cli.policy.tile_state import (
     DECIDED,

@@ -15,9 +15,15 @@ from exwarp_cli.domain.frame import Window
 from exwarp_cli.domain.network import TIME
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import InputError, UsageError
-from exwarp_cli.io.dataset import RenderedScene, SceneManifest, open_scene, select, split
-from exwarp_cli.io.models import load_extrapolator
+from exwarp_cli.io.dataset import (
+    RenderedScene,
+    SceneManifest,
+    open_scene,
+    select_scenes,
+    split_scenes,
+)
 from exwarp_cli.metrics.registry import score
+from exwarp_cli.models.picture_network import load_extrapolator
 from exwarp_cli.research.training import crop_cache as batches
 from exwarp_cli.research.training.crop_cache import (
     IN_HOLES,
@@ -360,24 +366,24 @@ def test_a_folder_of_another_training_is_refused(scenes, cache, tmp_path, unexpo
 
 
 def test_scenes_are_held_out_by_name(scenes):
-    learnt, held = split(scenes[::-1])
+    learnt, held = split_scenes(scenes[::-1])
     assert [s.name for s in learnt] == ["first"]
     assert [s.name for s in held] == ["second"]
     with pytest.raises(InputError, match="1 scene to train on"):
-        split(scenes[:1])
+        split_scenes(scenes[:1])
 
 
 def test_scenes_are_selected_by_name_and_completeness(data, tmp_path):
     said: list[str] = []
-    assert [s.name for s in select(data, (), (), said.append)] == ["first", "second"]
-    assert [s.name for s in select(data, ("f*",), (), said.append)] == ["first"]
-    assert [s.name for s in select(data, (), ("f*",), said.append)] == ["second"]
+    assert [s.name for s in select_scenes(data, (), (), said.append)] == ["first", "second"]
+    assert [s.name for s in select_scenes(data, ("f*",), (), said.append)] == ["first"]
+    assert [s.name for s in select_scenes(data, (), ("f*",), said.append)] == ["second"]
     assert said == []
     with pytest.raises(InputError, match="no scene to learn from"):
-        select(data, ("third",), (), said.append)
+        select_scenes(data, ("third",), (), said.append)
     write_scene(tmp_path / "data" / "benchmark", instants=9)
     write_scene(tmp_path / "data" / "cut", scene="cut", instants=9, role="training")
     (tmp_path / "data" / "cut" / "instants" / "cut.0004.exr").unlink()
     with pytest.raises(InputError, match="no scene to learn from"):
-        select(tmp_path / "data", (), (), said.append)
+        select_scenes(tmp_path / "data", (), (), said.append)
     assert said == ["cut is not rendered to the end and left out"]

@@ -12,7 +12,7 @@ import torch
 from exwarp_cli.errors import DamagedFileError, InputError, UsageError
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.dataset import RenderedScene, open_scene
-from exwarp_cli.io.frames import Shot
+from exwarp_cli.io.shot import Shot
 from exwarp_cli.research.training import crop_cache, extrapolator_training
 from exwarp_cli.research.training.crop_cache import cut_crops, write_crops
 from exwarp_cli.research.training.extrapolator_training import (

@@ -7,8 +7,8 @@ import pytest
 from exwarp_cli.domain.cuts import CutWish
 from exwarp_cli.domain.timeline import MOST_FILLED, Slot, without_gaps
 from exwarp_cli.errors import DamagedFileError, InputError
-from exwarp_cli.io.sequence import find_aov_set, find_sequence
-from exwarp_cli.io.soundness import first_of
+from exwarp_cli.io.sequences import find_aov_set, find_sequence
+from exwarp_cli.io.shot_files import first_usable
 from exwarp_cli.pipeline.shots import Shots, UnreadableFrames
 
 
@@ -140,6 +140,6 @@ def test_the_first_that_is_of_use():
             raise InputError(f"{number} is odd")
         return number // 2
 
-    assert first_of([1, 3, 4, 6], halved) == 2
+    assert first_usable([1, 3, 4, 6], halved) == 2
     with pytest.raises(InputError, match="1 is odd"):
-        first_of([1, 3], halved)
+        first_usable([1, 3], halved)

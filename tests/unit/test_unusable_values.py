@@ -12,7 +12,8 @@ from exwarp_cli.domain.extrapolator import NetworkInputs
 from exwarp_cli.domain.frame import Float32
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.dataset import open_scene
-from exwarp_cli.io.frames import SURFACE, Shot, read_raw
+from exwarp_cli.io.frames import SURFACE, read_raw
+from exwarp_cli.io.shot import Shot
 from exwarp_cli.research.training.scene_clip import SceneClip
 from exwarp_cli.synthesis.extrapolate import Prepared
 from tests.unit.analytic_scene import write_scene

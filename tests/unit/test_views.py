@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from exwarp_cli.domain.frame import Window
 from exwarp_cli.errors import InputError, LayoutError
 from exwarp_cli.io.exr.parts import Channel, Part
-from exwarp_cli.io.views import channels_of, choose, expand, views_of
+from exwarp_cli.io.views import choose_view, expand_view, list_views, view_channels
 
 WINDOW = Window(0, 0, 4, 3)
 
@@ -23,7 +23,7 @@ def seen(parts, view="") -> dict[str, str]:
     """What is read under each name: the name in the file, with its part where that is not 0."""
     return {
         name: c.raw_name if c.part == 0 else f"{c.part}/{c.raw_name}"
-        for name, c in channels_of(parts, view).items()
+        for name, c in view_channels(parts, view).items()
     }
 
 
@@ -59,19 +59,21 @@ class TestViewsOf:
         ],
     )
     def test_hero_first(self, parts, views):
-        assert views_of(parts) == views
+        assert list_views(parts) == views
 
 
 class TestChoose:
     def test_hero_unless_asked(self):
-        assert choose(("r", "l"), None, "x") == "r" and choose(("r", "l"), "l", "x") == "l"
-        assert choose((), None, "x") == ""
+        assert (
+            choose_view(("r", "l"), None, "x") == "r" and choose_view(("r", "l"), "l", "x") == "l"
+        )
+        assert choose_view((), None, "x") == ""
 
     def test_others_are_refused_in_one_sentence(self):
         with pytest.raises(LayoutError, match=r"^x has the views a and b, not 'c'; name one"):
-            choose(("a", "b"), "c", "x")
+            choose_view(("a", "b"), "c", "x")
         with pytest.raises(LayoutError, match=r"^x has no views, .* leave --view out"):
-            choose((), "left", "x")
+            choose_view((), "left", "x")
 
 
 class TestChannelsOf:
@@ -206,30 +208,30 @@ class TestExpand:
     def test_patterns(self, tree, spec, hero, views):
         if hero is None:
             with pytest.raises(InputError, match=r"nothing fits .*check the pattern"):
-                expand(spec, None)
+                expand_view(spec, None)
             return
-        assert expand(spec, None) == (hero, "left" if "left" in views else views[0], views)
+        assert expand_view(spec, None) == (hero, "left" if "left" in views else views[0], views)
         if "right" in views:
             changed = spec.replace("%V", "right").replace("%v", "r")
-            assert expand(spec, "right") == (changed, "right", views)
+            assert expand_view(spec, "right") == (changed, "right", views)
 
     def test_absolute_ones(self, tree):
-        found = expand(str(tree / "s_%V.####.exr"), "right")
+        found = expand_view(str(tree / "s_%V.####.exr"), "right")
         assert found == (str(tree / "s_right.####.exr"), "right", ("left", "right"))
 
     def test_no_token_or_a_file_of_that_name(self, tree):
         (tree / "odd%V.0001.exr").touch()
         for spec in ("s_left.####.exr", "odd%V.0001.exr", "s_%04d.exr"):
-            assert expand(spec, "right") == (spec, "", ())
+            assert expand_view(spec, "right") == (spec, "", ())
 
     def test_a_view_without_files(self, tree):
         with pytest.raises(LayoutError, match=r"views left and right, not 'top'"):
-            expand("s_%V.####.exr", "top")
+            expand_view("s_%V.####.exr", "top")
 
     def test_a_name_that_no_disk_takes(self, tree):
         with pytest.raises(InputError, match=r"cannot look for .*; check the path"):
-            expand("%V" * 300 + ".####.exr", None)
+            expand_view("%V" * 300 + ".####.exr", None)
 
     def test_brackets_in_names_are_text(self, tree):
         (tree / "[a]_left.0001.exr").touch()
-        assert expand("[a]_%V.####.exr", None) == ("[a]_left.####.exr", "left", ("left",))
+        assert expand_view("[a]_%V.####.exr", None) == ("[a]_left.####.exr", "left", ("left",))

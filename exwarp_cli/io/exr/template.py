@@ -20,8 +20,8 @@ from exwarp_cli.io.channels import ChannelRef
 from exwarp_cli.io.exr.parts import Part
 from exwarp_cli.io.exr.reader import HeaderCache, damaged
 from exwarp_cli.io.exr.writer import OutputChannel, PendingHalf
-from exwarp_cli.io.layers import Kind, Layer
-from exwarp_cli.io.views import channels_of, views_of
+from exwarp_cli.io.layers import Layer, LayerKind
+from exwarp_cli.io.views import list_views, view_channels
 
 HALF_MAX = 65504.0
 
@@ -83,7 +83,7 @@ class ViewLayers:
     view
         Its name; "" where there are none.
     within
-        Which view of the files it is, as in :func:`exwarp_cli.io.views.channels_of`.
+        Which view of the files it is, as in :func:`exwarp_cli.io.views.view_channels`.
     colour
         R, G, B and, if there, A of the beauty.
     layers
@@ -101,7 +101,7 @@ class ViewLayers:
         found = {(self.view, ref): True for ref in self.colour}
         for layer in self.layers:
             for ref in layer.refs:
-                found.setdefault((self.view, ref), layer.kind is not Kind.DEPTH)
+                found.setdefault((self.view, ref), layer.kind is not LayerKind.DEPTH)
         return found
 
 
@@ -211,7 +211,7 @@ def read_template(
     parts, attributes = header.parts, header.attributes
     placed: dict[int, dict[int, PlaneTemplate]] = {}
     for layers in wanted:
-        channels = channels_of(parts, layers.within)
+        channels = view_channels(parts, layers.within)
         for key, bounded in layers.keys.items():
             channel = channels.get(key[1].name)
             if channel is None:
@@ -279,7 +279,7 @@ def _views(parts: tuple[Part, ...], index: int, written: Iterable[str]) -> tuple
     """Return the views that lie in one part side by side and are written, the hero first."""
     if parts[index].view:
         return ()
-    views = parts[index].views or (views_of(parts) if len(parts) == 1 else ())
+    views = parts[index].views or (list_views(parts) if len(parts) == 1 else ())
     wanted = {view or (views[0] if views else "") for view in written}
     return tuple(view for view in views if view in wanted)
 

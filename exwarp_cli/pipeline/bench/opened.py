@@ -13,11 +13,11 @@ from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR, Slot
 from exwarp_cli.errors import MissingFrameError, UsageError
 from exwarp_cli.io.footage import digest_of, picture
-from exwarp_cli.io.interpolator import OnnxInterpolator, load_interpolator
-from exwarp_cli.io.models import OnnxExtrapolator, load_extrapolator
 from exwarp_cli.io.output import quantised
-from exwarp_cli.io.policy_files import load_policy
 from exwarp_cli.io.vmaf import require_size
+from exwarp_cli.models.interpolator import OnnxInterpolator, load_interpolator
+from exwarp_cli.models.picture_network import OnnxExtrapolator, load_extrapolator
+from exwarp_cli.models.policy_files import load_policy
 from exwarp_cli.pipeline.bench.pictures import Pictures
 from exwarp_cli.pipeline.bench.plan import Subject
 from exwarp_cli.pipeline.finding import find_truth, require_state

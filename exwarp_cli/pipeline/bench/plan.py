@@ -10,9 +10,9 @@ from exwarp_cli.domain.bench import SYSTEMS, BenchSettings
 from exwarp_cli.domain.settings import SourceSettings
 from exwarp_cli.errors import InputError, LayoutError, MissingFrameError, UsageError
 from exwarp_cli.io.dataset import BENCHMARK, RenderedScene, find_scenes
-from exwarp_cli.io.models import shipped_folder
-from exwarp_cli.io.policy_files import left_out
-from exwarp_cli.io.sequence import find_sequence
+from exwarp_cli.io.sequences import find_sequence
+from exwarp_cli.models.model_file import shipped_folder
+from exwarp_cli.models.policy_files import policy_name_without
 
 Say = Callable[[str], None]
 
@@ -134,7 +134,7 @@ def _scene(scene: RenderedScene, settings: BenchSettings) -> list[Subject]:
     )
     policy, unseen = settings.policy, None
     if policy is None:
-        alone = shipped_folder() / left_out(scene.name)
+        alone = shipped_folder() / policy_name_without(scene.name)
         policy, unseen = (alone, True) if alone.is_file() else (None, None)
     return [
         Subject(

@@ -13,16 +13,10 @@ from exwarp_cli.accel.kernel import MlpKernel
 from exwarp_cli.accel.quantised_mlp import infer_reference
 from exwarp_cli.domain.wording import counted, enumerated
 from exwarp_cli.errors import ExwarpError, InputError
-from exwarp_cli.io.models import (
-    CHECKSUMS,
-    CUDA,
-    OnnxNetwork,
-    load_extrapolator,
-    providers,
-    runtime_version,
-    shipped_folder,
-)
-from exwarp_cli.io.policy_files import load_policy
+from exwarp_cli.models.model_file import CHECKSUMS, shipped_folder
+from exwarp_cli.models.picture_network import load_extrapolator
+from exwarp_cli.models.policy_files import load_policy
+from exwarp_cli.models.session import CUDA, OnnxNetwork, providers, runtime_version
 from exwarp_cli.pipeline.accelerator import sample_states
 from exwarp_cli.pipeline.doctor.examine import Check, failure, warning
 

@@ -24,7 +24,7 @@ from exwarp_cli.accel.quantised_mlp import OUTPUTS, QuantisedMlp, Requantisation
 from exwarp_cli.domain.extrapolator import EXTRAPOLATES
 from exwarp_cli.domain.network import TIME, NetworkInterface
 from exwarp_cli.io.atomic import atomic_write_bytes
-from exwarp_cli.io.model_files import INTERFACE_KEY, STRIDE_KEY
+from exwarp_cli.models.model_file import INTERFACE_KEY, STRIDE_KEY
 
 # The exporter's own, so that nothing is converted; onnxruntime runs it since 1.14.
 OPSET = 18

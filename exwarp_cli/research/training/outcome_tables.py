@@ -28,9 +28,10 @@ from exwarp_cli.errors import DamagedFileError, InputError, UsageError
 from exwarp_cli.io.atomic import atomic_write_bytes, make_folder
 from exwarp_cli.io.dataset import BENCHMARK, RenderedScene, find_scenes
 from exwarp_cli.io.machine import processors
-from exwarp_cli.io.models import OnnxExtrapolator, load_extrapolator, shipped_folder
-from exwarp_cli.io.policy_files import Array, pack, unpack
 from exwarp_cli.io.threads import use_threads
+from exwarp_cli.models.model_file import shipped_folder
+from exwarp_cli.models.picture_network import OnnxExtrapolator, load_extrapolator
+from exwarp_cli.models.policy_files import Array, pack_arrays, unpack_arrays
 from exwarp_cli.pipeline.bench.side_by_side import follow_parent, side_by_side
 from exwarp_cli.pipeline.choosing import outcomes_of
 from exwarp_cli.pipeline.observing import with_ids
@@ -285,7 +286,7 @@ def load_table(path: Path) -> PolicyTable:
 def write_table(path: Path, about: dict[str, Any], arrays: dict[str, Array]) -> None:
     """Write a table's arrays with what it is about; the same table gives the same bytes."""
     header = {"about": np.frombuffer(json.dumps(about).encode(), np.uint8)}
-    atomic_write_bytes(path, pack(header | arrays, compressed=True))
+    atomic_write_bytes(path, pack_arrays(header | arrays, compressed=True))
 
 
 @contextmanager
@@ -297,7 +298,7 @@ def reading_table(
     Raises InputError when there is none, and DamagedFileError when it cannot be read.
     """
     try:
-        arrays = unpack(path.read_bytes())
+        arrays = unpack_arrays(path.read_bytes())
         about = json.loads(arrays["about"].tobytes())
         if about["schema"] != schema:
             raise ValueError(f"its schema is {about['schema']!r}, not {schema}")

@@ -23,10 +23,10 @@ from torch import Tensor, nn
 from exwarp_cli.domain import cores
 from exwarp_cli.errors import DamagedFileError, InputError, UsageError
 from exwarp_cli.io.atomic import atomic_path, atomic_write_text, make_folder
-from exwarp_cli.io.dataset import RenderedScene, split
-from exwarp_cli.io.model_files import read_whole
+from exwarp_cli.io.dataset import RenderedScene, split_scenes
 from exwarp_cli.io.output import file_digest
 from exwarp_cli.io.threads import use_threads
+from exwarp_cli.models.model_file import read_file_bytes
 from exwarp_cli.pipeline.scheduling import prefetch
 from exwarp_cli.research.training.crop_cache import CachedArrays, is_complete
 from exwarp_cli.research.training.training_settings import ExtrapolatorSettings, LookAheadSettings
@@ -146,7 +146,7 @@ class ResumableTraining(ABC):
         """
         use_threads(threads)
         torch.set_num_threads(cores.count())
-        parts = dict(zip(("training", "validation"), split(scenes), strict=True))
+        parts = dict(zip(("training", "validation"), split_scenes(scenes), strict=True))
         names = {part: [scene.name for scene in chosen] for part, chosen in parts.items()}
         digest = None if start is None else file_digest(start)
         training = cls(folder, replace(settings, scenes=names, start=digest), say)
@@ -253,7 +253,7 @@ def _damaged(path: Path) -> DamagedFileError:
 def read_file(path: Path) -> bytes:
     """Read a file on a disk; raises InputError where that fails."""
     try:
-        return read_whole(path)
+        return read_file_bytes(path)
     except OSError as error:
         raise InputError(
             f"cannot read {path}: {error.strerror or error}; check the path and its rights"

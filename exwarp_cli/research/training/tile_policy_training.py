@@ -25,7 +25,7 @@ from exwarp_cli.accel.quantised_mlp import QuantisedMlp
 from exwarp_cli.domain.decision import EXTRAPOLATE, WARP
 from exwarp_cli.domain.tiles import REWARP, TILE_STATE
 from exwarp_cli.io.atomic import atomic_write_text, make_folder
-from exwarp_cli.io.policy_files import SHIPPED_TILE_POLICY, save_network
+from exwarp_cli.models.policy_files import SHIPPED_TILE_POLICY, save_network
 from exwarp_cli.policy.state import INPUTS
 from exwarp_cli.policy.tile_state import DECIDED, tile_paths
 from exwarp_cli.research.training.policy_training import add_checksums, require_two_scenes

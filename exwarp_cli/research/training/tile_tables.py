@@ -19,9 +19,10 @@ from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.errors import UsageError
 from exwarp_cli.io.atomic import make_folder
 from exwarp_cli.io.dataset import BENCHMARK, RenderedScene, find_scenes
-from exwarp_cli.io.models import OnnxExtrapolator, shipped_folder
-from exwarp_cli.io.policy_files import Array
 from exwarp_cli.metrics.display import encode
+from exwarp_cli.models.model_file import shipped_folder
+from exwarp_cli.models.picture_network import OnnxExtrapolator
+from exwarp_cli.models.policy_files import Array
 from exwarp_cli.policy.state import INPUTS
 from exwarp_cli.policy.tile_state import DECIDED, scaled, tile_inputs
 from exwarp_cli.research.training.augmentation import Variant

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from exwarp_cli.io.policy_files import SHIPPED_TILE_POLICY, load_policy, save_network
+from exwarp_cli.models.policy_files import SHIPPED_TILE_POLICY, load_policy, save_network
 from exwarp_cli.policy.state import STATE_VERSION
 from tests.cli.decisions.conftest import take
 from tests.unit import tiny_policies

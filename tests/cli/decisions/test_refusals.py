@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from exwarp_cli.accel.quantised_mlp import QuantisedLayer, QuantisedMlp, Requantisation
-from exwarp_cli.io.policy_files import save_network
+from exwarp_cli.models.policy_files import save_network
 from exwarp_cli.policy.state import STATE_VERSION
 from tests.cli import shots
 from tests.unit.tiny_policies import always, save

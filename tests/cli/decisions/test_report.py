@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from exwarp_cli.accel.quantised_mlp import infer_reference
-from exwarp_cli.io.policy_files import SHIPPED_TILE_POLICY, load_policy
+from exwarp_cli.models.policy_files import SHIPPED_TILE_POLICY, load_policy
 from tests.cli import shots
 from tests.cli.decisions.conftest import KEYS, SETTINGS, Done, take
 from tests.reference.decisions import DROPS, NEW, NODES_OF, PATHS, SHOWN, E, W

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from exwarp_cli.errors import MissingExtraError, UsageError
-from exwarp_cli.io import model_files, models
 from exwarp_cli.io.machine import Folder, Memory, Processors
+from exwarp_cli.models import model_file, session
 from exwarp_cli.pipeline.doctor import codecs, machine, networks
 from tests.cli.doctor.judging import failed, healthy, warned
 
@@ -52,10 +52,10 @@ class TestModels:
         """A copy of the shipped models, to be spoilt."""
         copy = tmp_path / "models"
         copy.mkdir()
-        for path in models.shipped_folder().glob("*.*"):
+        for path in model_file.shipped_folder().glob("*.*"):
             if path.suffix in (".onnx", ".npz", ".json"):
                 shutil.copy(path, copy)
-        for module in (models, model_files, networks):
+        for module in (model_file, networks):
             monkeypatch.setattr(module, "shipped_folder", lambda: copy)
         return copy
 
@@ -82,7 +82,7 @@ class TestModels:
         failed(examined("models"), "models", "install ExWarp again")
 
     def test_cuda_that_is_offered_and_does_not_start(self, examined, monkeypatch):
-        offered = (models.CUDA, "CPUExecutionProvider")
+        offered = (session.CUDA, "CPUExecutionProvider")
         real = networks.load_extrapolator
 
         def load(path: Path | None, threads: int, device: str) -> Any:

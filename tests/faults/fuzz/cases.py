@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 
 from exwarp_cli import cli
 from exwarp_cli.errors import InputError
-from exwarp_cli.io.key_file import key_file
+from exwarp_cli.io.key_file import plan_key_file
 from exwarp_cli.io.output import is_intact
 from tests.cli import shots
 from tests.faults.fuzz.damage import DAMAGES, FOLDERS, Draw, draw_shot, files
@@ -84,7 +84,7 @@ def _passes(source: Path, data: bytes) -> bool:
     if at >= 0:
         rate = Fraction(*struct.unpack_from("<iI", data, at + len(RATE)))
     with suppress(InputError):
-        return b"".join(key_file(source, rate).pieces()) == data
+        return b"".join(plan_key_file(source, rate).pieces()) == data
     return False
 
 

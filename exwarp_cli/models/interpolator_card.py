@@ -54,18 +54,18 @@ from typing import Any, NoReturn
 
 from exwarp_cli.domain.extrapolator import ENCODINGS
 from exwarp_cli.errors import DamagedFileError, InputError, LayoutError
-from exwarp_cli.io.model_files import read_whole
+from exwarp_cli.models.model_file import read_file_bytes
 
 SCHEMA = "exwarp.interpolator/1"
 
 FIRST, SECOND, TIME = "first", "second", "time"
+# FIRST, SECOND, TIME or a number.
 Part = str | float
-"""FIRST, SECOND, TIME or a number."""
 
-MOST_MULTIPLE = 512
-MOST_PARTS = 64
+MAX_INTEGER = 512
+MAX_PARTS = 64
+# Padding modes, and numpy's names of them.
 MODES = {"edge": "edge", "reflect": "reflect", "zero": "constant"}
-"""Ways to pad, and numpy's names of them."""
 
 KEYS = ("schema", "name", "inputs", "output", "layout", "order", "range", "encoding", "padding")
 OUTPUT_KEYS = ("name", "layout", "order", "range", "first_channel")
@@ -73,83 +73,40 @@ PADDING_KEYS = ("multiple", "mode", "place")
 
 
 @dataclass(frozen=True)
-class Picture:
-    """How a frame is written for a network.
+class PictureFormat:
+    """How a network stores a frame; `low` and `high` stand for the encoded values 0 and 1."""
 
-    Attributes
-    ----------
-    layout
-        "NCHW" or "NHWC".
-    order
-        "RGB" or "BGR".
-    low, high
-        What encoded 0 and 1 are.
-    """
-
-    layout: str
-    order: str
+    layout: str  # "NCHW" or "NHWC"
+    order: str  # "RGB" or "BGR"
     low: float
     high: float
 
 
 @dataclass(frozen=True)
 class Padding:
-    """How frames are brought to a size that a network takes.
-
-    Attributes
-    ----------
-    multiple
-        Of height and width.
-    mode
-        Out of `MODES`.
-    centred
-        Whether all sides get some; else the right and the bottom.
-    """
+    """How frames get a size that a network takes; not centred: at the right and bottom only."""
 
     multiple: int
     mode: str
     centred: bool
 
     def around(self, height: int, width: int) -> tuple[tuple[int, int], tuple[int, int]]:
-        """Return the rows above and below and the columns left and right to add."""
-        missing = [-size % self.multiple for size in (height, width)]
-        before = [size // 2 if self.centred else 0 for size in missing]
-        (above, left), (rows, columns) = before, missing
+        """Return the rows above and below, and the columns left and right, to add."""
+        rows, columns = -height % self.multiple, -width % self.multiple
+        above, left = (rows // 2, columns // 2) if self.centred else (0, 0)
         return (above, rows - above), (left, columns - left)
 
 
 @dataclass(frozen=True)
 class Card:
-    """What a network takes and gives; the module's text tells the keys.
-
-    Attributes
-    ----------
-    path
-        The card's file.
-    checksum
-        SHA-256 of it, in hexadecimal digits.
-    name
-        As tables show it.
-    inputs
-        The parts of each input.
-    given, made
-        How frames are written for the network, and by it.
-    output
-        Name of the output.
-    first_channel
-        Where the frame starts in it.
-    encoding
-        Out of `ENCODINGS`.
-    padding
-        Of the frames.
-    """
+    """What a network takes and gives; the module's text describes the keys."""
 
     path: Path
-    checksum: str
+    checksum: str  # SHA-256, hexadecimal
     name: str
     inputs: Mapping[str, tuple[Part, ...]]
-    given: Picture
-    made: Picture
+    input_format: PictureFormat
+    output_format: PictureFormat
     output: str
     first_channel: int
     encoding: str
@@ -157,21 +114,15 @@ class Card:
 
     @property
     def timed(self) -> bool:
-        """Whether the network has an input for the time; else it makes the middle frame."""
+        """True if the network has an input for the time; else it makes the middle frame."""
         return any(TIME in parts for parts in self.inputs.values())
 
 
 def read_card(model: Path) -> Card:
-    """Read the card beside a model.
-
-    Raises
-    ------
-    InputError
-        When there is none, it cannot be read, or it says what no network can be given.
-    """
+    """Read the card beside a model; InputError if it is missing, unreadable or senseless."""
     path = model.with_suffix(".json")
     try:
-        data = read_whole(path)
+        data = read_file_bytes(path)
     except FileNotFoundError as error:
         raise InputError(
             f"{model} has no card {path.name} beside it, which says what its inputs are; write one "
@@ -189,13 +140,13 @@ def read_card(model: Path) -> Card:
 
 
 def parse_card(path: Path, document: Any, checksum: str = "") -> Card:
-    """Turn the content of a card's file into a card; InputError for what makes no sense."""
+    """Turn the content of a card's file into a card; LayoutError for what makes no sense."""
     keys = _object(path, "the card", document, KEYS)
     if keys.get("schema") != SCHEMA:
         _refuse(path, "schema", keys.get("schema"), f'"{SCHEMA}"')
-    made = keys.get("output")
-    made = {"name": made} if isinstance(made, str) else made
-    made = _object(path, "output", made, OUTPUT_KEYS)
+    output = keys.get("output")
+    output = {"name": output} if isinstance(output, str) else output
+    output = _object(path, "output", output, OUTPUT_KEYS)
     padding = _object(path, "padding", keys.get("padding", {}), PADDING_KEYS)
     place = _choice(path, "place", padding, ("end", "centre"))
     return Card(
@@ -203,13 +154,13 @@ def parse_card(path: Path, document: Any, checksum: str = "") -> Card:
         checksum=checksum,
         name=_text(path, "name", keys.get("name", path.stem)),
         inputs=_inputs(path, keys.get("inputs")),
-        given=_picture(path, keys),
-        made=_picture(path, {**keys, **made}),
-        output=_text(path, "the output's name", made.get("name")),
-        first_channel=_whole(path, "first_channel", made.get("first_channel", 0), 0),
+        input_format=_picture_format(path, keys),
+        output_format=_picture_format(path, {**keys, **output}),
+        output=_text(path, "the output's name", output.get("name")),
+        first_channel=_integer(path, "first_channel", output.get("first_channel", 0), 0),
         encoding=_choice(path, "encoding", keys, ENCODINGS),
         padding=Padding(
-            _whole(path, "multiple", padding.get("multiple", 1), 1),
+            _integer(path, "multiple", padding.get("multiple", 1), 1),
             _choice(path, "mode", padding, tuple(MODES)),
             place == "centre",
         ),
@@ -217,58 +168,52 @@ def parse_card(path: Path, document: Any, checksum: str = "") -> Card:
 
 
 def _inputs(path: Path, value: Any) -> dict[str, tuple[Part, ...]]:
-    """Read what each input gets; both frames have to be among it."""
     wanted = "an object that gives each input first, second, time, a number, or a list of them"
     if not isinstance(value, dict) or not value:
         _refuse(path, "inputs", value, wanted)
-    found: dict[str, tuple[Part, ...]] = {}
-    for name, given in value.items():
-        parts = given if isinstance(given, list) else [given]
-        if not 0 < len(parts) <= MOST_PARTS or not all(
-            part in (FIRST, SECOND, TIME) or _finite(part) for part in parts
+    inputs: dict[str, tuple[Part, ...]] = {}
+    for name, content in value.items():
+        parts = content if isinstance(content, list) else [content]
+        if not 0 < len(parts) <= MAX_PARTS or not all(
+            part in (FIRST, SECOND, TIME) or _is_finite(part) for part in parts
         ):
             _refuse(
                 path,
                 f"input {name!r}",
-                given,
-                f"first, second, time, a number, or a list of 1 to {MOST_PARTS} of them",
+                content,
+                f"first, second, time, a number, or a list of 1 to {MAX_PARTS} of them",
             )
-        found[name] = tuple(part if isinstance(part, str) else float(part) for part in parts)
+        inputs[name] = tuple(part if isinstance(part, str) else float(part) for part in parts)
     for frame in (FIRST, SECOND):
-        if not any(frame in parts for parts in found.values()):
+        if not any(frame in parts for parts in inputs.values()):
             raise LayoutError(f"the card {path} gives no input the {frame} frame; name one")
-    return found
+    return inputs
 
 
-def _picture(path: Path, keys: Mapping[str, Any]) -> Picture:
+def _picture_format(path: Path, keys: Mapping[str, Any]) -> PictureFormat:
     span = keys.get("range", [0, 1])
-    if (
-        not isinstance(span, list)
-        or len(span) != 2
-        or not all(map(_finite, span))
-        or span[0] == span[1]
-    ):
+    is_pair = isinstance(span, list) and len(span) == 2 and all(map(_is_finite, span))
+    if not is_pair or span[0] == span[1]:
         _refuse(path, "range", span, "two numbers, black and white, for example [0, 1]")
     layout = _choice(path, "layout", keys, ("NCHW", "NHWC"))
     order = _choice(path, "order", keys, ("RGB", "BGR"))
-    return Picture(layout, order, float(span[0]), float(span[1]))
+    return PictureFormat(layout, order, float(span[0]), float(span[1]))
 
 
-def _object(path: Path, what: str, value: Any, known: tuple[str, ...]) -> dict[str, Any]:
+def _object(path: Path, what: str, value: Any, keys: tuple[str, ...]) -> dict[str, Any]:
     if not isinstance(value, dict):
-        _refuse(path, what, value, f"an object with keys out of {', '.join(known)}")
-    if foreign := [key for key in value if key not in known]:
+        _refuse(path, what, value, f"an object with keys out of {', '.join(keys)}")
+    if foreign := [key for key in value if key not in keys]:
         raise LayoutError(
-            f"the card {path} has the unknown key {foreign[0]!r}; use {', '.join(known)}"
+            f"the card {path} has the unknown key {foreign[0]!r}; use {', '.join(keys)}"
         )
     return value
 
 
-def _choice(path: Path, what: str, keys: Mapping[str, Any], known: tuple[str, ...]) -> str:
-    """Read one of some words; the first is the default."""
-    value = keys.get(what, known[0])
-    if not isinstance(value, str) or value not in known:
-        _refuse(path, what, value, f"one of {', '.join(known)}")
+def _choice(path: Path, key: str, keys: Mapping[str, Any], choices: tuple[str, ...]) -> str:
+    value = keys.get(key, choices[0])
+    if not isinstance(value, str) or value not in choices:
+        _refuse(path, key, value, f"one of {', '.join(choices)}")
     return value
 
 
@@ -278,18 +223,18 @@ def _text(path: Path, what: str, value: Any) -> str:
     return value
 
 
-def _whole(path: Path, what: str, value: Any, least: int) -> int:
-    if not isinstance(value, int) or isinstance(value, bool) or not least <= value <= MOST_MULTIPLE:
-        _refuse(path, what, value, f"a whole number from {least} to {MOST_MULTIPLE}")
+def _integer(path: Path, what: str, value: Any, least: int) -> int:
+    if not isinstance(value, int) or isinstance(value, bool) or not least <= value <= MAX_INTEGER:
+        _refuse(path, what, value, f"a whole number from {least} to {MAX_INTEGER}")
     return value
 
 
-def _finite(value: Any) -> bool:
-    """Whether a value is a number that float32 holds."""
+def _is_finite(value: Any) -> bool:
+    """True for a number that float32 holds."""
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e38
 
 
 def _refuse(path: Path, what: str, value: Any, wanted: str) -> NoReturn:
-    written = json.dumps(value)
-    written = written if len(written) <= 60 else written[:57] + "..."
-    raise LayoutError(f"the card {path} has {written} as {what}; write {wanted}")
+    text = json.dumps(value)
+    text = text if len(text) <= 60 else text[:57] + "..."
+    raise LayoutError(f"the card {path} has {text} as {what}; write {wanted}")

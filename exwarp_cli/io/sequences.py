@@ -1,0 +1,416 @@
+"""Image sequences on disk: finding one, sets of one file per AOV, and where frames are written."""
+
+from __future__ import annotations
+
+import errno
+import os
+import re
+from collections import defaultdict
+from collections.abc import Callable, Collection, Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from exwarp_cli.domain.timeline import ranges, without_gaps
+from exwarp_cli.errors import InputError, MissingFrameError, OutputError, UsageError
+from exwarp_cli.io.atomic import is_there
+from exwarp_cli.io.frame_names import (
+    SEPARATORS,
+    NamePattern,
+    file_type,
+    find_pass_sets,
+    group_names,
+    is_padded_to,
+    split_names,
+)
+
+EXR = (".exr",)
+
+# Names under which Unreal dumps colour, the most nearly scene-linear one first.
+COLOUR_AOVS = ("PreTonemapHDRColor", "SceneColor", "FinalImage")
+MOTION_AOV = "MotionVector"
+GEOMETRY_AOVS = (
+    "SceneDepth", "WorldNormal", "WorldPosition", "MyStencil",
+    "BaseColor", "Roughness", "Metallic", "NoV",
+)  # fmt: skip
+
+_AOV = re.compile(
+    r"(?P<prefix>.*)"
+    rf"(?P<aov>{'|'.join((*COLOUR_AOVS, MOTION_AOV, *GEOMETRY_AOVS))})"
+    r"(?P<end>[._ -]?)",
+    re.DOTALL,
+)
+# What people write by mistake; anything else without a frame token names a folder.
+_OTHER_MEDIA = frozenset(
+    {".bmp", ".cin", ".dng", ".dpx", ".gif", ".hdr", ".heic", ".jp2", ".jpeg", ".jpg", ".jxl"}
+    | {".pic", ".png", ".ppm", ".psd", ".rgbe", ".sgi", ".tga", ".tif", ".tiff", ".tx", ".webp"}
+    | {".avi", ".m4v", ".mkv", ".mov", ".mp4", ".webm"}
+)
+MAX_LISTED = 6
+
+
+@dataclass(frozen=True)
+class Sequence:
+    """Files of one folder that differ in their frame number alone; fields as in `NamePattern`."""
+
+    directory: Path
+    base: str
+    padding: int
+    suffix: str
+    files: dict[int, Path]  # by frame number, ascending
+
+    @property
+    def type(self) -> str:
+        """Image suffix in lower case, for example ``.exr``."""
+        return file_type(self.suffix)
+
+    @property
+    def pattern(self) -> str:
+        """Path with one ``#`` per digit of padding."""
+        return str(self.directory / str(self._name_pattern))
+
+    @property
+    def numbers(self) -> list[int]:
+        """Frame numbers, ascending."""
+        return list(self.files)
+
+    @property
+    def version_note(self) -> str | None:
+        """A sentence where the numbers may be versions of one picture; None elsewhere."""
+        if len(self.files) < 2 or not self._name_pattern.is_version:
+            return None
+        return (
+            f"the numbers of {self._name_pattern} look like versions and are taken for frames; if "
+            "they are versions of one picture, give the frames of one version instead"
+        )
+
+    def over(self, numbers: Iterable[int]) -> Sequence:
+        """Return the sequence with just these frames; missing ones get the path they would have."""
+        pattern = self._name_pattern
+        files = {n: self.files.get(n, self.directory / pattern.name(n)) for n in numbers}
+        return replace(self, files=files)
+
+    @property
+    def _name_pattern(self) -> NamePattern:
+        return NamePattern(self.base, self.padding, self.suffix)
+
+
+@dataclass(frozen=True)
+class AovSet:
+    """Sequences of one shot, one file per AOV and frame.
+
+    Unreal dumps them so for ExtraNet; Redshift, V-Ray and Movie Render Queue write a sequence a
+    pass, see :mod:`exwarp_cli.io.frame_names`.
+    """
+
+    # None in a folder of G-buffers alone.
+    colour: Sequence | None
+    # By the name of the AOV, for example "MotionVector".
+    aovs: dict[str, Sequence]
+    # Name of the AOV that leads where there is no colour.
+    motion: str = MOTION_AOV
+
+    @property
+    def leader(self) -> Sequence:
+        """The sequence that stands for the set: colour, else motion."""
+        return self.colour or self.aovs[self.motion]
+
+    @property
+    def members(self) -> tuple[Sequence, ...]:
+        """Every sequence of the set."""
+        colour = () if self.colour is None else (self.colour,)
+        return (*colour, *self.aovs.values())
+
+
+@dataclass(frozen=True)
+class OutputPattern:
+    """Where output frames are written; the folder need not exist. Fields as in `NamePattern`."""
+
+    folder: Path
+    base: str
+    padding: int
+    suffix: str
+
+    @property
+    def type(self) -> str:
+        """Image suffix in lower case, for example ``.exr``."""
+        return file_type(self.suffix)
+
+    @property
+    def name(self) -> str:
+        """File name with one ``#`` per digit of padding."""
+        return str(NamePattern(self.base, self.padding, self.suffix))
+
+    def path(self, number: int) -> Path:
+        """Return the path of the frame with this number."""
+        return self.folder / NamePattern(self.base, self.padding, self.suffix).name(number)
+
+
+def find_sequence(spec: str, suffixes: tuple[str, ...] = EXR, gaps: bool = False) -> Sequence:
+    """Find the sequence that a user names; with `gaps`, list missing frames in between, too.
+
+    `spec` is a folder that holds one sequence, a pattern (``shot.####.exr``, ``@@@@``, ``%04d``,
+    ``$F4``) or any one frame. In a folder with one file per AOV, the colour sequence is found, or
+    the motion vectors if there is no colour. `suffixes` are in lower case.
+
+    Raises InputError if there is no such sequence, or several.
+    """
+    try:
+        if spec and Path(spec).is_dir():
+            sequence = _find_in_folder(Path(spec), suffixes)
+        else:
+            sequence = _find_by_name(spec, suffixes)
+    except OSError as error:
+        raise InputError(
+            f"cannot look into {spec}: {error.strerror or error}; check the path and its rights"
+        ) from error
+    return sequence.over(without_gaps(sequence.files)) if gaps else sequence
+
+
+def find_aov_set(
+    spec: str,
+    suffixes: tuple[str, ...] = EXR,
+    gaps: bool = False,
+    needed: Callable[[AovSet], Collection[str]] | None = None,
+) -> AovSet | None:
+    """Find the one-file-per-AOV set that a folder, pattern or frame belongs to.
+
+    `needed` returns the AOVs of a set that are used; the others are left out. The sequences have
+    the colour's frames, or all frames that any has if there is no colour. None if `spec` names an
+    ordinary sequence, or no AOV is needed.
+
+    Raises InputError as `find_sequence`, MissingFrameError if an AOV lacks a frame.
+    """
+    leader = find_sequence(spec, suffixes)
+    sets = [c for c in _list_candidates(leader.directory, suffixes) if isinstance(c, AovSet)]
+    sets = [c for c in sets if c.leader == leader] or [c for c in sets if leader in c.members]
+    if len(sets) > 1:
+        raise InputError(
+            f"{leader.pattern} is a pass of {len(sets)} sequences, "
+            f"{_listing([c.leader for c in sets])}; name one of those"
+        )
+    if not sets:
+        return None
+    (aov_set,) = sets
+    names = aov_set.aovs if needed is None else needed(aov_set)
+    aovs = {name: member for name, member in aov_set.aovs.items() if name in names}
+    if not aovs:
+        return None
+    colour = aov_set.colour
+    leading = aovs.values() if colour is None else (colour,)
+    numbers = {number for sequence in leading for number in sequence.files}
+    if gaps:
+        every = without_gaps(numbers)
+        colour = None if colour is None else colour.over(every)
+        return replace(
+            aov_set, colour=colour, aovs={name: member.over(every) for name, member in aovs.items()}
+        )
+    for name, member in aovs.items():
+        if absent := sorted(numbers - set(member.files)):
+            raise MissingFrameError(
+                f"frame {ranges(absent)} of the AOV {name} is missing from {member.pattern}; "
+                "render it, or move that frame's other files elsewhere"
+            )
+    return replace(
+        aov_set, aovs={name: member.over(sorted(numbers)) for name, member in aovs.items()}
+    )
+
+
+def neighbouring_sequences(sequence: Sequence) -> dict[str, Sequence]:
+    """Return a folder's sequences whose names begin as one's, by the rest of their names."""
+    stem = sequence.base.rstrip(SEPARATORS)
+    neighbours = {}
+    for candidate in _list_candidates(sequence.directory, (sequence.suffix.lower(),)):
+        for member in candidate.members if isinstance(candidate, AovSet) else (candidate,):
+            name = member.base.rstrip(SEPARATORS)
+            if stem and name != stem and name.startswith(stem) and member.suffix == sequence.suffix:
+                neighbours[name[len(stem) :].lstrip(SEPARATORS)] = member
+    return neighbours
+
+
+def output_pattern(spec: str, source: Sequence, suffixes: tuple[str, ...] = EXR) -> OutputPattern:
+    """Read the ``-o`` option: a pattern that ends in one of `suffixes`, or a folder.
+
+    A name without frame token and image suffix, one that ends in a slash, and an existing folder
+    are folders. In a folder, frames have the base name, padding and suffix of the input.
+
+    Raises UsageError if it names one file or another format, OutputError if the frames would fall
+    among those of the input.
+    """
+    if not spec:
+        raise UsageError(
+            "the output path is empty; name a folder or a pattern such as out.####.exr"
+        )
+    path = Path(spec)
+    target = OutputPattern(path, source.base, source.padding, source.suffix)
+    if not (spec.endswith(("/", os.sep)) or (is_there(path) and path.is_dir())):
+        pattern = NamePattern.parse(path.name)
+        suffix = path.suffix.lower()
+        if suffix not in suffixes and (suffix in _OTHER_MEDIA or pattern is not None):
+            kind = "EXR" if source.type in EXR else "EXR or still images"
+            raise UsageError(
+                f"the output {spec} is not an EXR pattern, and ExWarp writes such frames as {kind} "
+                f"only; name a folder or a pattern such as out.####{suffixes[0]}"
+            )
+        if pattern is not None:
+            target = OutputPattern(path.parent, pattern.base, pattern.padding, pattern.suffix)
+        elif suffix in suffixes:
+            raise UsageError(
+                f"the output {spec} is one file, and many frames are written; "
+                f"put a frame token in it, such as {path.stem}.####{suffix}, or name a folder"
+            )
+    same_names = (target.base, target.suffix) == (source.base, source.suffix)
+    if same_names and target.folder.resolve() == source.directory.resolve():
+        raise OutputError(
+            f"the output {target.folder / target.name} would mix new frames with those of the "
+            "input and overwrite them; name another folder or another base name"
+        )
+    return target
+
+
+def _list_candidates(folder: Path, suffixes: tuple[str, ...]) -> list[AovSet | Sequence]:
+    """Return the sequences of a folder, those of one AOV set as one."""
+    # Names that start with a dot are other programs' bookkeeping, such as macOS' "._" files.
+    names = [name for name in _file_names(folder) if not name.startswith(".")]
+    patterns = set(split_names(names, suffixes).values())
+    # Text after the number is read where no file has its number at the end.
+    plain = {pattern for pattern in patterns if pattern.suffix.lower() in suffixes}
+    stems = {replace(pattern, padding=1) for pattern in plain or patterns}
+    sequences = [s for stem in sorted(stems) for s in _group_files(folder, stem, names)]
+    sets = _unreal_sets(sequences)
+    members = [member.pattern for s in sets for member in s.members]
+    rest = [s for s in sequences if s.pattern not in members]
+    for pass_set in find_pass_sets([(s.base, s.suffix) for s in rest]):
+        colour = None if pass_set.colour is None else rest[pass_set.colour]
+        aovs = {name: rest[index] for name, index in pass_set.passes.items()}
+        for name, index in pass_set.more.items():
+            if colour is not None and set(colour.files) <= set(rest[index].files):
+                aovs.setdefault(name, rest[index])
+        sets.append(AovSet(colour, aovs, pass_set.motion))
+        members += [member.pattern for member in sets[-1].members]
+    return [*sets, *(s for s in rest if s.pattern not in members)]
+
+
+def _unreal_sets(sequences: list[Sequence]) -> list[AovSet]:
+    """Group sequences with Unreal's names of AOVs by shot, if they have colour or motion."""
+    shots: dict[tuple[str, str, str], dict[str, Sequence]] = defaultdict(dict)
+    for sequence in sequences:
+        if match := _AOV.fullmatch(sequence.base):
+            shot = (match["prefix"], match["end"], sequence.suffix)
+            shots[shot].setdefault(match["aov"], sequence)
+    sets = []
+    for members in shots.values():
+        colours = [name for name in COLOUR_AOVS if name in members]
+        if len(members) > 1 and (colours or MOTION_AOV in members):
+            colour = members.pop(colours[0]) if colours else None
+            sets.append(AovSet(colour, members))
+    return sets
+
+
+def _find_in_folder(folder: Path, suffixes: tuple[str, ...]) -> Sequence:
+    """Return the only sequence of a folder."""
+    candidates = _list_candidates(folder, suffixes)
+    leaders = [c.leader if isinstance(c, AovSet) else c for c in candidates]
+    if len(leaders) == 1:
+        return leaders[0]
+    if leaders:
+        raise InputError(
+            f"{folder} holds {len(leaders)} sequences, {_listing(leaders)}; "
+            f"name one of them, for example {leaders[0].pattern}"
+        )
+    single = next((n for n in sorted(_file_names(folder)) if n.lower().endswith(suffixes)), None)
+    why = f"{single} has no frame number before its suffix" if single else "check the path"
+    raise InputError(f"{folder} holds no sequence of {' or '.join(suffixes)} files; {why}")
+
+
+def _find_by_name(spec: str, suffixes: tuple[str, ...]) -> Sequence:
+    """Find the sequence of a pattern or of one frame."""
+    path = _with_suffix_case(Path(spec))
+    if path.is_file():
+        _require_suffix(path, suffixes)
+        names = _file_names(path.parent)
+        stem = split_names(names, suffixes).get(path.name)
+        if stem is None:
+            raise InputError(
+                f"{path} has no frame number before its suffix, so it is no frame of a sequence; "
+                "name the frames like shot.0001.exr, or give a pattern such as shot.####_left.exr"
+            )
+        sequences = _group_files(path.parent, stem, names)
+        return next(s for s in sequences if path.name in {file.name for file in s.files.values()})
+    pattern = NamePattern.parse(path.name)
+    if not path.parent.is_dir():
+        raise InputError(f"the folder {path.parent} does not exist; check the path {spec!r}")
+    if pattern is None:
+        raise InputError(
+            f"there is no file or folder {spec!r}; "
+            "name a folder, a pattern such as shot.####.exr, or any one frame"
+        )
+    _require_suffix(path, suffixes)
+    sequences = _group_files(path.parent, pattern, _file_names(path.parent))
+    exact = []
+    for sequence in sequences:
+        texts = (pattern.number_text(file.name) for file in sequence.files.values())
+        if all(text is not None and is_padded_to(text, pattern.padding) for text in texts):
+            exact.append(sequence)
+    if not exact and pattern.padding == 1 and len(sequences) == 1:
+        return sequences[0]  # "#" and "%d" are often written for any padding; here only one fits
+    if not exact:
+        there = f"; there is {_listing(sequences)}" if sequences else ""
+        raise InputError(f"no frame in {path.parent} matches {path.name}{there}; check the pattern")
+    return replace(exact[0], padding=pattern.padding)
+
+
+def _with_suffix_case(path: Path) -> Path:
+    """Return a path with its suffix in the case that files have, if they all have the same."""
+    if path.is_file() or not path.parent.is_dir():
+        return path
+    pattern = NamePattern.parse(path.name)
+    ending = path.suffix if pattern is None else pattern.suffix
+    start = path.name.removesuffix(ending) if pattern is None else pattern.base
+    if not ending:
+        return path
+    endings = {
+        name[len(name) - len(ending) :]
+        for name in _file_names(path.parent)
+        if name.startswith(start) and name.lower().endswith(ending.lower())
+    }
+    if len(endings) != 1:
+        return path
+    return path.with_name(path.name.removesuffix(ending) + endings.pop())
+
+
+def _require_suffix(path: Path, suffixes: tuple[str, ...]) -> None:
+    if not path.name.lower().endswith(suffixes):
+        raise InputError(
+            f"{path} is not an {' or '.join(suffixes)} file, which is needed here; "
+            "convert the frames, or check the path"
+        )
+
+
+def _group_files(folder: Path, stem: NamePattern, names: Iterable[str]) -> list[Sequence]:
+    sequences = []
+    for padding, files in group_names(stem, names):
+        paths = {number: folder / name for number, name in files.items()}
+        sequences.append(Sequence(folder, stem.base, padding, stem.suffix, paths))
+    return sequences
+
+
+def _listing(sequences: list[Sequence]) -> str:
+    shown = [f"{Path(s.pattern).name} ({ranges(s.numbers)})" for s in sequences[:MAX_LISTED]]
+    more = len(sequences) - MAX_LISTED
+    return ", ".join(shown) + (f" and {more} more" if more > 0 else "")
+
+
+def _file_names(folder: Path) -> list[str]:
+    names = []
+    with os.scandir(folder) as entries:
+        for entry in entries:
+            try:
+                if entry.is_file():
+                    names.append(entry.name)
+            except OSError as error:
+                if error.errno != errno.ELOOP:
+                    raise
+                raise InputError(
+                    f"the link {entry.path} leads back to itself; remove it, or link it to a frame"
+                ) from error
+    return names

@@ -1,0 +1,1 @@
+"""Networks and policies in files. The only user of onnxruntime."""

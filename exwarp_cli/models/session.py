@@ -1,0 +1,200 @@
+"""Run networks in ONNX files with onnxruntime."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from pathlib import Path
+from typing import Any
+
+from exwarp_cli.errors import (
+    DamagedFileError,
+    LayoutError,
+    MissingExtraError,
+    OutOfMemoryError,
+)
+from exwarp_cli.io.standard_streams import quiet_libraries
+from exwarp_cli.models.model_file import embed_weights
+from exwarp_cli.runtime.read_registry import being_read
+
+CUDA = "CUDAExecutionProvider"
+
+# Pixels of the coarsest scale that a thread must get. With 107 and less, onnxruntime was seen to
+# split the sums of a convolution elsewhere, so that the rounding went by the number of threads.
+PIXELS_PER_THREAD = 256
+
+LONGEST_REASON = 240
+_CODES = re.compile(r"\[ONNXRuntimeError\] : \d+ : \w+ : ")
+_SOURCE_LINE = re.compile(r"\S+\.(?:cc|h|cpp):\d+ ")
+
+
+class OnnxNetwork:
+    """A network that onnxruntime has opened; `device` is "cpu" or "cuda".
+
+    `inputs` and `outputs` hold onnxruntime's nodes by name, with `name`, `type` and `shape`.
+    """
+
+    def __init__(self, path: Path, data: bytes, threads: int, device: str) -> None:
+        self.path, self.device = path, device
+        self._data, self._threads = embed_weights(path, data), threads
+        # SHA-256 of the model's file with all its weights in it, hexadecimal.
+        self.checksum = hashlib.sha256(self._data).hexdigest()
+        self._sessions: dict[int, Any] = {}
+        session = self._session(1)
+        self.inputs: dict[str, Any] = {node.name: node for node in session.get_inputs()}
+        self.outputs: dict[str, Any] = {node.name: node for node in session.get_outputs()}
+        self._metadata: dict[str, str] = session.get_modelmeta().custom_metadata_map
+
+    def _answer(
+        self,
+        output: str,
+        feeds: dict[str, Any],
+        size: tuple[int, int],
+        stride: int,
+        advice: str,
+        last: bool = False,
+    ) -> Any:
+        """Run the network and return one of its outputs.
+
+        `size` is the pictures' height and width, multiples of `stride`, the frame's pixels in one
+        of the coarsest scale. `advice` ends the message of a failure. `last` frees the memory that
+        onnxruntime keeps for the next run.
+        """
+        height, width = size
+        most = height * width // (stride**2 * PIXELS_PER_THREAD)
+        session = self._session(max(1, min(self._threads, most)) if self.device == "cpu" else 1)
+        options = None
+        if last:
+            options = _runtime().RunOptions()
+            if self.device == "cpu":  # takes an eighth of the time of a run
+                options.add_run_config_entry("memory.enable_memory_arena_shrinkage", "cpu:0")
+        try:
+            with being_read(self.path, required=True):
+                (answer,) = session.run([output], feeds, options)
+        except _failures() as error:
+            if isinstance(error, MemoryError) or "alloc" in str(error):
+                raise OutOfMemoryError(
+                    f"{self.path} needs more memory than there is for {width}x{height} pixels; "
+                    "close other programs, use fewer threads, or another model"
+                ) from error
+            raise LayoutError(
+                f"{self.path} fails on {width}x{height} pixels ({_reason(error)}); {advice}"
+            ) from error
+        return answer
+
+    def _session(self, threads: int) -> Any:
+        if threads not in self._sessions:
+            self._sessions[threads] = open_session(self.path, self._data, threads, self.device)
+        return self._sessions[threads]
+
+
+def open_session(path: Path, data: bytes, threads: int, device: str) -> Any:
+    """Open onnxruntime's session on a model's bytes, so that no other file can have a part in it.
+
+    Operators run one after the other, each on all threads.
+
+    Raises DamagedFileError if the bytes are no model, MissingExtraError if there is no CUDA for
+    the device "cuda".
+    """
+    runtime = _runtime()
+    if device == "cuda" and CUDA not in runtime.get_available_providers():
+        raise MissingExtraError(
+            "--device cuda needs onnxruntime with CUDA, and what is installed has none; run "
+            "'pip uninstall onnxruntime' and 'pip install onnxruntime-gpu', or use --device cpu"
+        )
+    options = runtime.SessionOptions()
+    options.log_severity_level = 4
+    options.intra_op_num_threads, options.inter_op_num_threads = threads, 1
+    options.execution_mode = runtime.ExecutionMode.ORT_SEQUENTIAL
+    options.use_deterministic_compute = True
+    # Planned as one block, intermediate results took twice the memory, and no less time.
+    options.enable_mem_pattern = False
+    # Threads that wait in a loop took a third more of the processor, and were no faster.
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    # A search by time may choose other algorithms, and round otherwise, in every run.
+    cuda = (CUDA, {"cudnn_conv_algo_search": "HEURISTIC", "use_tf32": "0"})
+    providers = [cuda] if device == "cuda" else []
+    try:
+        with being_read(path, required=True), quiet_libraries():
+            session = runtime.InferenceSession(
+                data, options, providers=[*providers, "CPUExecutionProvider"], enable_fallback=False
+            )
+    except _failures() as error:
+        if isinstance(error, MemoryError):
+            raise OutOfMemoryError(
+                f"{path} needs more memory than there is to be opened; close other programs, or "
+                "use another model"
+            ) from error
+        raise DamagedFileError(
+            f"{path} is no ONNX model that onnxruntime can run ({_reason(error)}); check the path, "
+            "or export it again"
+        ) from error
+    if device == "cuda" and CUDA not in session.get_providers():
+        raise MissingExtraError(
+            "--device cuda was asked for, but onnxruntime cannot start CUDA here; check the "
+            "driver and the CUDA and cuDNN libraries that onnxruntime-gpu needs, or use "
+            "--device cpu"
+        )
+    return session
+
+
+def runtime_version() -> str:
+    """Return the version of onnxruntime; MissingExtraError without it."""
+    return str(_runtime().__version__)
+
+
+def providers() -> tuple[str, ...]:
+    """Return the execution providers of onnxruntime; MissingExtraError without it."""
+    return tuple(_runtime().get_available_providers())
+
+
+def _runtime() -> Any:
+    # The import takes 0.3 s. It looks for devices, and writes to the terminal which it misses.
+    try:
+        with quiet_libraries():
+            import onnxruntime
+    except ImportError as error:
+        raise MissingExtraError(
+            f"onnxruntime cannot be loaded ({error}); run 'pip install onnxruntime'"
+        ) from error
+    onnxruntime.set_default_logger_severity(4)
+    # The variable in `exwarp_cli` does not reach the tracing of builds for Windows, nor a process
+    # that imported onnxruntime before ExWarp.
+    onnxruntime.disable_telemetry_events()
+    return onnxruntime
+
+
+def _failures() -> tuple[type[Exception], ...]:
+    """Return the exceptions that onnxruntime raises if a model cannot be loaded or run."""
+    from onnxruntime.capi import onnxruntime_pybind11_state as state
+
+    own = [
+        kind
+        for kind in vars(state).values()
+        if isinstance(kind, type) and issubclass(kind, Exception)
+    ]
+    return (*own, RuntimeError, ValueError, MemoryError)
+
+
+def _reason(error: Exception) -> str:
+    """Return the first line of onnxruntime's message, without its codes and source lines."""
+    line = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+    text = _without_source_line(_CODES.split(line)[-1]).strip().rstrip(".")
+    half = LONGEST_REASON // 2
+    return text if len(text) <= LONGEST_REASON else f"{text[:half]} … {text[-half:]}"
+
+
+def _without_source_line(text: str) -> str:
+    """Remove ``FILE.cc:LINE FUNCTION`` from a message; FUNCTION is a name or a signature."""
+    match = _SOURCE_LINE.search(text)
+    if match is None:
+        return text
+    message = text[match.end() :]
+    if not match[0].startswith("/"):
+        return message.partition(" ")[2] or text
+    depth = 0
+    for index, character in enumerate(message):
+        depth += (character == "(") - (character == ")")
+        if character == ")" and depth == 0:
+            return message[index + 1 :].removeprefix(" const") or text
+    return text
