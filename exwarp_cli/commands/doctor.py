@@ -12,7 +12,7 @@ import click
 from exwarp_cli.commands.json_option import json_option
 
 if TYPE_CHECKING:
-    from exwarp_cli.pipeline.doctor.examine import Check
+    from exwarp_cli.pipeline.doctor.checkup import CheckResult
     from exwarp_cli.report.doctor import Row
 
 
@@ -33,10 +33,10 @@ def command(ctx: click.Context, verbose: bool, skip_self_test: bool, as_json: bo
     exit code is 10 if one failed. Warnings tell of what ExWarp can do its work without.
     """
     from exwarp_cli.errors import InstallationError
-    from exwarp_cli.pipeline.doctor.examine import examine
+    from exwarp_cli.pipeline.doctor.checkup import run_checks
     from exwarp_cli.report.doctor import failures, heading, rows, verdict
 
-    found = examine(not skip_self_test, {"configuration": lambda: _configuration(ctx)})
+    found = run_checks(not skip_self_test, {"configuration": lambda: _configuration(ctx)})
     if as_json:
         # Not by `print_json`, which needs numpy, and that may be what is broken.
         click.echo(json.dumps(found.as_dict(), indent=2))
@@ -46,10 +46,10 @@ def command(ctx: click.Context, verbose: bool, skip_self_test: bool, as_json: bo
         raise InstallationError(failures(found))
 
 
-def _configuration(ctx: click.Context) -> Check:
+def _configuration(ctx: click.Context) -> CheckResult:
     """Tell which options files and the environment set."""
     from exwarp_cli.commands.config.configured import configuration
-    from exwarp_cli.pipeline.doctor.examine import Check, failure, variables, warning
+    from exwarp_cli.pipeline.doctor.checkup import CheckResult, failure, variables, warning
 
     there, environment = configuration(ctx), variables()
     files = [f"{file.path} ({file.how})" for file in there.files]
@@ -70,7 +70,7 @@ def _configuration(ctx: click.Context) -> Check:
     summary = ", ".join(files) or "no exwarp.toml"
     summary += f"; {count or 'no'} option{'' if count == 1 else 's'} set"
     remarks = (*map(failure, there.problems), *map(warning, there.warnings))
-    return Check(summary, remarks, facts, tuple(lines))
+    return CheckResult(summary, remarks, facts, tuple(lines))
 
 
 def _print(heading: str, page: list[Row], verdict: str | None) -> None:

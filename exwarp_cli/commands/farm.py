@@ -15,10 +15,10 @@ from exwarp_cli.commands.group import HelpfulGroup
 from exwarp_cli.commands.json_option import json_option, print_json
 from exwarp_cli.commands.printing import show
 from exwarp_cli.domain.metric import METRICS
-from exwarp_cli.farm.calls import DEFAULT_SIZE
+from exwarp_cli.farm.farm_job import DEFAULT_SIZE
 
 if TYPE_CHECKING:
-    from exwarp_cli.farm.calls import CommandLines, FarmJob
+    from exwarp_cli.farm.farm_job import CommandLines, FarmJob
     from exwarp_cli.farm.openjd import JobTemplate
 
 HERE_ALONE = frozenset(
@@ -150,7 +150,7 @@ def commands(chunk_size: int, program: str, as_json: bool, **options: Any) -> No
     and again; paths in them are absolute. With --report or --video, what to run when all are done
     is said on stderr.
     """
-    from exwarp_cli.farm.calls import command_lines, shell_line
+    from exwarp_cli.farm.farm_job import command_lines, shell_line
 
     lines = command_lines(_open(options, chunk_size, None), program)
     if as_json:
@@ -166,7 +166,7 @@ def commands(chunk_size: int, program: str, as_json: bool, **options: Any) -> No
 
 def _open(options: Mapping[str, Any], chunk_size: int, title: str | None) -> FarmJob:
     """Look at everything now that the chunks will need."""
-    from exwarp_cli.farm.calls import open_farm_job
+    from exwarp_cli.farm.farm_job import open_farm_job
 
     settings = upsample.settings_of(options)
     if options["report_folder"] is not None and not settings.overwrite:

@@ -327,7 +327,7 @@ def _run(job: Job, where: ClusterSettings, place: Path | None, reporter: Progres
 def _require_complete(summary: RunSummary) -> None:
     """Fail where something was left out, now that all else is done and said."""
     if summary.left_out:
-        from exwarp_cli.pipeline.announcing import require_complete
+        from exwarp_cli.pipeline.messages import require_complete
 
         require_complete(summary)
 
@@ -337,7 +337,7 @@ def _done(
 ) -> RunSummary:
     """Do the job, in this process or others."""
     if where.spread:
-        from exwarp_cli.farm.cluster import run_on_cluster
+        from exwarp_cli.farm.dask_cluster import run_on_cluster
 
         return run_on_cluster(job, where, reporter, gallery)
     from exwarp_cli.pipeline.run import run_job
@@ -356,7 +356,7 @@ def _foreseen(job: Job, where: ClusterSettings, place: Path | None, reporter: Pr
         require_writable((place,))
     found = foresee(job)
     if where.spread:
-        from exwarp_cli.farm.cluster import foresee_on_cluster
+        from exwarp_cli.farm.dask_cluster import foresee_on_cluster
 
         found = foresee_on_cluster(job, where, found)
     job.announce(reporter)

@@ -14,7 +14,7 @@ import yaml
 from exwarp_cli.commands import farm, upsample
 from exwarp_cli.commands.option_names import names_paths
 from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
-from exwarp_cli.farm.places import PURPOSES
+from exwarp_cli.farm.path_options import PATH_ROLES
 from tests.cli import shots
 from tests.cli.farm_engine import HOSTILE, call, checked, parameters
 from tests.cli.shots import FORWARD, SMALL
@@ -340,7 +340,7 @@ class TestOptions:
     def test_those_that_name_files_have_a_purpose(self):
         for parameter in farm._shared():
             named = parameter.name == "sequence" or names_paths(parameter)
-            assert named == (parameter.name in PURPOSES), parameter.name
+            assert named == (parameter.name in PATH_ROLES), parameter.name
 
     def test_each_is_part_of_the_settings_or_the_commands_own(self):
         settled = {f.name for kind in (SourceSettings, UpsampleSettings) for f in fields(kind)}

@@ -16,7 +16,7 @@ import pytest
 from distributed import Client
 
 from exwarp_cli.errors import ClusterError
-from exwarp_cli.farm import cluster_client, cluster_dispatch, cluster_work
+from exwarp_cli.farm import dask_client, dask_cluster, dask_worker
 from tests.cli import shots
 from tests.cli.cluster.dask_cluster import DaskCluster
 from tests.cli.shots import FORWARD
@@ -29,7 +29,7 @@ class TestRefusals:
         return exwarp("upsample", keys, "-o", out, "-m", "s6", *FORWARD, *options)
 
     def test_no_server_listens(self, exwarp, keys, tmp_path, monkeypatch):
-        monkeypatch.setattr(cluster_client, "CONNECT_S", 1.0)
+        monkeypatch.setattr(dask_client, "CONNECT_S", 1.0)
         begin = time.monotonic()
         result = self.run(exwarp, keys, tmp_path / "out", "--cluster", "tcp://127.0.0.1:9")
         result.refused(9, "tcp://127.0.0.1:9", "dask scheduler")
@@ -41,12 +41,12 @@ class TestRefusals:
         ["nonsense://x:1", "tcp://127.0.0.1:notaport", "127.0.0.1", "tls://127.0.0.1:9", "inproc:"],
     )
     def test_what_is_no_address(self, exwarp, keys, tmp_path, address, monkeypatch):
-        monkeypatch.setattr(cluster_client, "CONNECT_S", 1.0)
+        monkeypatch.setattr(dask_client, "CONNECT_S", 1.0)
         self.run(exwarp, keys, tmp_path / "out", "--cluster", address).refused(9, address)
 
     @pytest.mark.parametrize("greeting", [b"HTTP/1.0 400 Bad Request\r\n\r\n" + 80 * b"x", b""])
     def test_another_server_listens(self, exwarp, keys, tmp_path, monkeypatch, greeting):
-        monkeypatch.setattr(cluster_client, "CONNECT_S", 1.0)
+        monkeypatch.setattr(dask_client, "CONNECT_S", 1.0)
         with socket.create_server(("127.0.0.1", 0)) as server:
             threading.Thread(target=greet, args=(server, greeting), daemon=True).start()
             address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
@@ -62,8 +62,8 @@ class TestRefusals:
     def test_a_client_that_gave_up(self, farm):
         with Client(farm, set_as_default=False) as client:
             pass
-        needs = cluster_work.Needs("0", ())
-        dispatch = cluster_dispatch.Dispatch(client, needs, *4 * [lambda *_: None])
+        needs = dask_worker.Needs("0", ())
+        dispatch = dask_cluster.Dispatch(client, needs, *4 * [lambda *_: None])
         with pytest.raises(ClusterError, match="scheduler went away"):
             dispatch.muster()
 
@@ -123,7 +123,7 @@ class TestRefusals:
             result.refused(9, "runs ExWarp 0.0.1", "install the same")
             cluster.workers[0].kill()
             worker = cluster.start_worker(preload=blind)
-            monkeypatch.setattr(cluster_dispatch, "PATIENCE_S", 60.0)
+            monkeypatch.setattr(dask_cluster, "PATIENCE_S", 60.0)
             result = self.run(exwarp, keys, tmp_path / "out", "--cluster", cluster.address)
             result.refused(9, str(tmp_path / "out"), "machines share")
             assert shots.names(tmp_path / "out") == []
@@ -146,8 +146,8 @@ class TestRefusals:
         assert "is left out: it cannot write" in done.err and "read-only" in done.err
 
     def test_busy_workers_are_waited_for(self, exwarp, keys, tmp_path, monkeypatch):
-        monkeypatch.setattr(cluster_dispatch, "PATIENCE_S", 1.0)
-        monkeypatch.setattr(cluster_dispatch, "ANSWER_S", 1.0)
+        monkeypatch.setattr(dask_cluster, "PATIENCE_S", 1.0)
+        monkeypatch.setattr(dask_cluster, "ANSWER_S", 1.0)
         with (
             DaskCluster(tmp_path / "dask") as cluster,
             Client(cluster.address, set_as_default=False) as client,
