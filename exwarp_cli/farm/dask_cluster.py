@@ -143,7 +143,7 @@ def _collect(
     return [outcomes[chunk.index] for chunk in chunks]
 
 
-def foresee_on_cluster(job: Job, where: ClusterSettings, found: DryRun) -> DryRun:
+def foresee_on_cluster(job: Job, where: ClusterSettings, dry_run: DryRun) -> DryRun:
     """Add to a dry run how its key frames would be divided among workers.
 
     Raises
@@ -160,7 +160,7 @@ def foresee_on_cluster(job: Job, where: ClusterSettings, found: DryRun) -> DryRu
             dispatcher = ChunkDispatcher(client, _requirements(job, ()), NoProgress())
             workers = dispatcher.await_workers()
     chunks = chunks_of(job.key_numbers, where, workers)
-    return replace(found, chunks=chunks, spread=_spread(where, workers, job.settings.threads))
+    return replace(dry_run, chunks=chunks, spread=_spread(where, workers, job.settings.threads))
 
 
 def chunks_of(

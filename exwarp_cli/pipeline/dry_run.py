@@ -81,7 +81,7 @@ def foresee(job: Job) -> DryRun:
     finally:
         job.close()
     cuts, numbers = job.source.cuts, job.source.timeline.numbers
-    given = tuple(Cut(numbers[key], "given") for key in sorted(cuts.starts_in(numbers)))
+    by_hand = tuple(Cut(numbers[key], "given") for key in sorted(cuts.starts_in(numbers)))
     return DryRun(
         head=job.summary(Outcome(), 0.0),
         frames=frames,
@@ -89,7 +89,7 @@ def foresee(job: Job) -> DryRun:
         holes=None if targets.holes is None else targets.holes.folder / targets.holes.name,
         video=targets.video,
         cuts_looked_for=cuts.detect,
-        cuts=tuple(sorted({*given, *(detected or ())}, key=lambda cut: cut.number)),
+        cuts=tuple(sorted({*by_hand, *(detected or ())}, key=lambda cut: cut.number)),
     )
 
 
@@ -152,8 +152,8 @@ def _is_kept(
 def _foreseen(job: Job, slot: Slot, kept: bool) -> ForeseenFrame:
     number, targets = job.source.timeline.number(slot), job.targets
     path = targets.video if targets.frames is None else targets.frames.path(number)
-    there = path is not None and is_there(path)
-    fate = Fate.KEEP if kept else Fate.REPLACE if there else Fate.WRITE
+    exists = path is not None and is_there(path)
+    fate = Fate.KEEP if kept else Fate.REPLACE if exists else Fate.WRITE
     kind = FrameKind.GENERATED if slot.index else FrameKind.KEY
     if slot.index and job.rendered is not None and job.rendered.has(number):
         kind = FrameKind.RENDERED

@@ -431,9 +431,9 @@ def reporting(kind: str = "auto", *, results_on_stdout: bool = False) -> Iterato
         with compilation.messages_to(progress.message):
             yield progress
     except Exception as error:
-        known = known_error(error)
-        if known is not None:
-            progress.fail(str(known), known.exit_code)
+        user_error = known_error(error)
+        if user_error is not None:
+            progress.fail(str(user_error), user_error.exit_code)
         elif isinstance(error, MemoryError):
             progress.fail("the memory does not suffice", OutOfMemoryError.exit_code)
         else:  # a defect, which stderr shows in full

@@ -327,8 +327,8 @@ def make_scorer(
                 "by their headers none of the frames of the second sequence is generated, and "
                 f"--preset {measuring.preset} scores nothing else; leave the preset out"
             )
-        known = generated if has_headers else None
-        return ExtranetScorer(measuring.measured, len(origins), known), ()
+        flags = generated if has_headers else None
+        return ExtranetScorer(measuring.measured, len(origins), flags), ()
     if "flicker" not in measuring.measured:
         return MetricScorer(measuring.measured, None), ()
     motion = open_motion(spec, reference, measuring.view)

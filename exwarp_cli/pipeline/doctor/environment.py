@@ -77,7 +77,7 @@ def check_machine() -> CheckResult:
         "memory": {"there": room.there, "available": room.available, "limit": room.limit},
     }
     sizes = {"in the machine": room.there, "free": room.available, "by limit": room.limit}
-    known = [f"{size_text(value)} {kind}" for kind, value in sizes.items() if value is not None]
+    amounts = [f"{size_text(value)} {kind}" for kind, value in sizes.items() if value is not None]
     quota = "no quota"
     if cpus.quota is not None:
         quota = f"{cpus.quota:g} by quota of the control group"
@@ -86,16 +86,16 @@ def check_machine() -> CheckResult:
         f"{facts['implementation']} {facts['python']}, {facts['platform']}",
         f"CPUs: {cpus.there} in the machine, {cpus.allowed} by affinity, {quota}; {cpus.usable} "
         "are used without --threads",
-        f"memory: {', '.join(known) or 'the system does not tell'}",
+        f"memory: {', '.join(amounts) or 'the system does not tell'}",
     )
     share = "" if cpus.usable == cpus.there else f" of {cpus.there}"
-    found = f"{cpus.usable}{share} CPU{'' if cpus.usable == 1 else 's'}"
+    summary = f"{cpus.usable}{share} CPU{'' if cpus.usable == 1 else 's'}"
     most = room.there if room.limit is None else room.limit
     if most is not None and room.available is None:
-        found += f", {size_text(most)} of memory"
+        summary += f", {size_text(most)} of memory"
     elif most is not None and room.available is not None:
-        found += f", {size_text(room.available)} of {size_text(most)} memory free"
-    return CheckResult(found, tuple(remarks), facts, lines)
+        summary += f", {size_text(room.available)} of {size_text(most)} memory free"
+    return CheckResult(summary, tuple(remarks), facts, lines)
 
 
 def check_temporary() -> CheckResult:
@@ -108,17 +108,17 @@ def check_temporary() -> CheckResult:
         )
     folder = look_at(path)
     remarks: tuple[Finding, ...] = ()
-    found = str(path)
+    summary = str(path)
     if folder.problem is not None:
         text = f"cannot write to {path}: {folder.problem}; name another folder in TMPDIR"
         remarks = (failure(text),)
     elif folder.free is not None:
-        found += f", {size_text(folder.free)} free"
+        summary += f", {size_text(folder.free)} free"
         if folder.free < LEAST_FREE:
             text = f"the disk of {path} is nearly full; make room, or name another folder in TMPDIR"
             remarks = (warning(text),)
     facts = {"path": str(path), "writable": folder.problem is None, "free": folder.free}
-    return CheckResult(found, remarks, facts)
+    return CheckResult(summary, remarks, facts)
 
 
 @dataclass(frozen=True)
@@ -185,7 +185,7 @@ class Package:
 def module_of(package: str) -> str:
     """Return the module to import of a package or stand-in."""
     name = package.lower()
-    original = next((real for real, others in STAND_INS.items() if name in others), name)
+    original = next((real for real, names in STAND_INS.items() if name in names), name)
     return MODULES.get(original, original)
 
 

@@ -56,9 +56,9 @@ def check_kernels() -> CheckResult:
         "threads": _row_bands.threads(),
     }
     threads = counted(_row_bands.threads(), "thread")
-    found = f"numba {numba.__version__} on numpy {np.__version__}, {threads}"
+    summary = f"numba {numba.__version__} on numpy {np.__version__}, {threads}"
     lines = (f"llvmlite {facts['llvmlite']}, which takes this CPU for {facts['cpu']}",)
-    return CheckResult(found, remarks, facts, lines)
+    return CheckResult(summary, remarks, facts, lines)
 
 
 def check_cache() -> CheckResult:
@@ -104,10 +104,10 @@ def check_cache() -> CheckResult:
     else:
         state = "warm" if loaded else "not used"
     places = " and ".join(dict.fromkeys(map(place_of, paths)))
-    found = f"{state}; {counted(kernels, 'kernel')}, {size_text(size)}, {places}"
+    summary = f"{state}; {counted(kernels, 'kernel')}, {size_text(size)}, {places}"
     is_lacking = compiled > 0 or not shared
     remarks = () if folder is None else tuple(_cache_remarks(folder, is_lacking))
-    return CheckResult(found, remarks, facts, tuple(map(str, paths)))
+    return CheckResult(summary, remarks, facts, tuple(map(str, paths)))
 
 
 def place_of(folder: Path) -> str:
@@ -164,8 +164,8 @@ def check_models() -> CheckResult:
     )
     states = {name: problem or "as shipped" for name, problem in problems.items()}
     lines = (str(folder), *(f"{name}: {state}" for name, state in states.items()))
-    found = f"{len(problems) - len(remarks)} of {len(problems)} files as shipped"
-    return CheckResult(found, remarks, {"folder": str(folder), "files": states}, lines)
+    summary = f"{len(problems) - len(remarks)} of {len(problems)} files as shipped"
+    return CheckResult(summary, remarks, {"folder": str(folder), "files": states}, lines)
 
 
 def _problem(path: Path, checksum: object) -> str | None:
@@ -206,13 +206,13 @@ def check_network() -> CheckResult:
     runs = (
         f"runs the extrapolator on {enumerated(good)}" if good else "does not run the extrapolator"
     )
-    found = f"onnxruntime {runtime_version()} {runs}"
+    summary = f"onnxruntime {runtime_version()} {runs}"
     names = {"CPUExecutionProvider": "CPU", CUDA: "CUDA"}
     lines = [f"offers {', '.join(names.get(name, name) for name in offered)}"]
     if CUDA not in offered:
-        found += "; no CUDA"
+        summary += "; no CUDA"
         lines.append("for CUDA put onnxruntime-gpu in the place of onnxruntime")
-    return CheckResult(found, remarks, facts, tuple(lines))
+    return CheckResult(summary, remarks, facts, tuple(lines))
 
 
 def check_video() -> CheckResult:
@@ -247,8 +247,8 @@ def check_video() -> CheckResult:
     }
     have = [name for name in (*ENCODERS, *FILTERS) if name in encoders | filters]
     short = _VERSION.match(version)
-    found = f"ffmpeg {version if short is None else short[0]} ({', '.join(have) or 'lacks all'})"
-    return CheckResult(found, tuple(remarks), facts, (f"{path}, version {version}",))
+    summary = f"ffmpeg {version if short is None else short[0]} ({', '.join(have) or 'lacks all'})"
+    return CheckResult(summary, tuple(remarks), facts, (f"{path}, version {version}",))
 
 
 def ffmpeg_names(kind: str) -> frozenset[str]:

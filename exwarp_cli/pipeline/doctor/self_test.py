@@ -91,14 +91,14 @@ def check_self_test() -> CheckResult:
         },
     }
     verb = "is" if len(good) == 1 else "are"
-    found = f"{enumerated(good)} {verb} right" if good else "nothing is right"
-    found += f"; {seconds:.1f} s"
+    summary = f"{enumerated(good)} {verb} right" if good else "nothing is right"
+    summary += f"; {seconds:.1f} s"
     if compiled:
-        found += f", {counted(compiled, 'kernel')} compiled"
+        summary += f", {counted(compiled, 'kernel')} compiled"
     lines = tuple(
         f"{n}: {counted(t.frames, 'frame')}, {t.seconds:.2f} s" for n, t in trials.items()
     )
-    return CheckResult(found, tuple(remarks), facts, lines)
+    return CheckResult(summary, tuple(remarks), facts, lines)
 
 
 def write_shot(folder: Path) -> None:
@@ -201,9 +201,9 @@ def _try_chunks(folder: Path, method: str) -> tuple[str | None, int]:
     for number, frames in enumerate(("1", f"2-{KEYS}")):
         _upsample(folder, f"chunk{number}", method, CONVENTION, frames)
         chunks |= _contents(folder / f"chunk{number}")
-    whole = _contents(folder / method)
-    names = sorted(chunks.keys() | whole.keys())
-    wrong = [name for name in names if chunks.get(name) != whole.get(name)]
+    expected = _contents(folder / method)
+    names = sorted(chunks.keys() | expected.keys())
+    wrong = [name for name in names if chunks.get(name) != expected.get(name)]
     return f"{enumerated(wrong)} differ from those of the whole" if wrong else None, len(chunks)
 
 
