@@ -155,20 +155,16 @@ def _silenced() -> Iterator[None]:
     """Hide Dask's log and warnings: what matters becomes a message of ExWarp."""
     import dask
 
-    # Dask's loggers have levels of their own, and one handler.
-    handlers = [(handler, handler.level) for handler in logging.getLogger("distributed").handlers]
+    # Dask's loggers have levels of their own, and one handler. It stays silent after the block,
+    # because processes that do not end in time are killed, which Dask logs later.
+    for handler in logging.getLogger("distributed").handlers:
+        handler.setLevel(logging.CRITICAL + 1)
     settings = {
         "distributed.comm.timeouts.connect": f"{CONNECT_S}s",
         # Processes of this machine need no web pages.
         "distributed.scheduler.http.routes": [],
         "distributed.worker.http.routes": [],
     }
-    try:
-        for handler, _ in handlers:
-            handler.setLevel(logging.CRITICAL + 1)
-        with dask.config.set(settings), warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            yield
-    finally:
-        for handler, level in handlers:
-            handler.setLevel(level)
+    with dask.config.set(settings), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield

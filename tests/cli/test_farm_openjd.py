@@ -83,7 +83,7 @@ class TestChunks:
         assert words[words.index("--frames") + 1] == "2,4"
 
     def test_key_frames_that_take_too_many_characters(self, shot, exwarp, monkeypatch):
-        monkeypatch.setattr("exwarp_cli.farm.openjd.LONGEST", 2)
+        monkeypatch.setattr("exwarp_cli.farm.openjd.frames_text", lambda _: ",".join(["1-4"] * 300))
         result = exwarp("farm", "openjd", "keys", "-o", "out", *FORWARD)
         result.refused(2, "1-4", "--frames", "farm commands")
 
