@@ -88,9 +88,9 @@ def command(
     command without it.
     """
     from exwarp_cli.domain.metric import parse_metrics
-    from exwarp_cli.pipeline.accelerator import clock_of
     from exwarp_cli.pipeline.bench.plan import listed, systems_of
     from exwarp_cli.pipeline.bench.work import run_benchmark
+    from exwarp_cli.pipeline.predictor import clock_of
     from exwarp_cli.pipeline.progress import reporting
     from exwarp_cli.report.bench.folder import what_is_where, write_benchmark
 

@@ -24,7 +24,7 @@ from exwarp_cli.domain.settings import PRESETS, MeasureSettings
 from exwarp_cli.domain.wording import counted
 
 if TYPE_CHECKING:
-    from exwarp_cli.pipeline.evaluate import Comparison
+    from exwarp_cli.pipeline.evaluation import Comparison
 
 
 def _parse_limits(
@@ -100,7 +100,7 @@ def command(
     the display window, sRGB-encoded and clipped to [0, 1]; for HDR-FLIP as it is. Flicker follows
     A's own motion vectors. Pulse is by how many per cent B's mean gradient is above A's.
     """
-    from exwarp_cli.pipeline.evaluate import evaluate
+    from exwarp_cli.pipeline.evaluation import evaluate
     from exwarp_cli.pipeline.progress import reporting
     from exwarp_cli.report.compare_page import REFERENCE, TEST
     from exwarp_cli.report.comparison import comparison

@@ -12,7 +12,7 @@ import click
 from exwarp_cli.commands.options import json_option
 
 if TYPE_CHECKING:
-    from exwarp_cli.pipeline.doctor.examine import Check
+    from exwarp_cli.pipeline.doctor.checkup import CheckResult
     from exwarp_cli.report.doctor import Row
 
 _STYLES = {"ok": "green", "warning": "yellow", "failed": "bold red", "skipped": "dim"}
@@ -35,10 +35,10 @@ def command(ctx: click.Context, verbose: bool, skip_self_test: bool, as_json: bo
     exit code is 10 if one failed. Warnings tell of what ExWarp can do its work without.
     """
     from exwarp_cli.errors import InstallationError
-    from exwarp_cli.pipeline.doctor.examine import examine
+    from exwarp_cli.pipeline.doctor.checkup import run_checks
     from exwarp_cli.report.doctor import failures, heading, rows, verdict
 
-    report = examine(not skip_self_test, {"configuration": lambda: _check_configuration(ctx)})
+    report = run_checks(not skip_self_test, {"configuration": lambda: _check_configuration(ctx)})
     if as_json:
         # Not by `print_json`, which needs numpy, and that may be what is broken.
         click.echo(json.dumps(report.as_dict(), indent=2))
@@ -48,10 +48,10 @@ def command(ctx: click.Context, verbose: bool, skip_self_test: bool, as_json: bo
         raise InstallationError(failures(report))
 
 
-def _check_configuration(ctx: click.Context) -> Check:
+def _check_configuration(ctx: click.Context) -> CheckResult:
     """Tell which options files and the environment set."""
     from exwarp_cli.config import configuration
-    from exwarp_cli.pipeline.doctor.examine import Check, failure, variables, warning
+    from exwarp_cli.pipeline.doctor.checkup import CheckResult, failure, variables, warning
 
     config, environment = configuration(ctx), variables()
     files = [f"{file.path} ({file.how})" for file in config.files]
@@ -72,7 +72,7 @@ def _check_configuration(ctx: click.Context) -> Check:
     summary = ", ".join(files) or "no exwarp.toml"
     summary += f"; {count or 'no'} option{'' if count == 1 else 's'} set"
     remarks = (*map(failure, config.problems), *map(warning, config.warnings))
-    return Check(summary, remarks, facts, tuple(lines))
+    return CheckResult(summary, remarks, facts, tuple(lines))
 
 
 def _print_report(heading: str, page: list[Row], verdict: str | None) -> None:

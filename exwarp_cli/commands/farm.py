@@ -13,10 +13,10 @@ import click
 from exwarp_cli.commands import upsample
 from exwarp_cli.commands.options import FILE, HelpfulGroup, json_option, print_json, show
 from exwarp_cli.domain.metric import METRICS
-from exwarp_cli.farm.calls import DEFAULT_SIZE
+from exwarp_cli.farm.farm_job import DEFAULT_SIZE
 
 if TYPE_CHECKING:
-    from exwarp_cli.farm.calls import FarmJob
+    from exwarp_cli.farm.farm_job import FarmJob
     from exwarp_cli.farm.openjd import JobTemplate
 
 # Options of `upsample` that are for a run on this machine, or are set by the farm.
@@ -147,7 +147,7 @@ def commands(chunk_size: int, program: str, as_json: bool, **options: Any) -> No
     and again; paths in them are absolute. With --report or --video, what to run when all are done
     is said on stderr.
     """
-    from exwarp_cli.farm.calls import command_lines, shell_line
+    from exwarp_cli.farm.farm_job import command_lines, shell_line
 
     lines = command_lines(_open_job(options, chunk_size, None), program)
     if as_json:
@@ -164,7 +164,7 @@ def commands(chunk_size: int, program: str, as_json: bool, **options: Any) -> No
 def _open_job(options: Mapping[str, Any], chunk_size: int, title: str | None) -> FarmJob:
     """Look at everything now that the chunks will need."""
     from exwarp_cli.errors import OutputExistsError
-    from exwarp_cli.farm.calls import open_farm_job
+    from exwarp_cli.farm.farm_job import open_farm_job
     from exwarp_cli.io.atomic import is_there
     from exwarp_cli.report.folder import REPORT_FILE, chunk_reports
 

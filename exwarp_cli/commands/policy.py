@@ -47,11 +47,11 @@ def cycles(
     """Show how long one inference takes on the paper's accelerator, or on one of other sizes."""
     from rich.console import Console
 
-    from exwarp_cli.pipeline import accelerator
+    from exwarp_cli.pipeline import predictor
     from exwarp_cli.report.accelerator import cycles_document, cycles_lines, cycles_table
 
-    rate = accelerator.clock_of(clock)
-    inference = accelerator.cycles(policy, cores, macs, cache, port)
+    rate = predictor.clock_of(clock)
+    inference = predictor.cycles(policy, cores, macs, cache, port)
     if as_json:
         print_json(cycles_document(inference, rate))
         return
@@ -72,17 +72,17 @@ def run(table: Path, policy: Path | None, trace: bool, row: int | None, as_json:
     The states stand in the column 'inputs', as frames.csv of a report and exwarp features write
     them: Q16.16 integers with spaces between. With --trace, the first of them, or that of --row.
     """
-    from exwarp_cli.pipeline import accelerator
+    from exwarp_cli.pipeline import predictor
     from exwarp_cli.report import policy_run
 
     if trace:
-        traced = accelerator.trace_row(table, policy, row)
+        traced = predictor.trace_row(table, policy, row)
         if as_json:
             print_json(policy_run.trace_document(traced))
         else:
             click.echo("\n".join(policy_run.trace_lines(traced)))
         return
-    rows = accelerator.decide_rows(table, policy, row)
+    rows = predictor.decide_rows(table, policy, row)
     if as_json:
         print_json(policy_run.decisions_document(rows))
     else:
@@ -127,8 +127,8 @@ def export(
     README.txt and manifest.json there say which core reads what, and where it lies. With --verilog,
     'make' in DIR simulates the predictor with Icarus Verilog and fails on any difference.
     """
-    from exwarp_cli.pipeline.accelerator import MANIFEST, machine
-    from exwarp_cli.pipeline.accelerator import export as write
+    from exwarp_cli.pipeline.predictor import MANIFEST, machine
+    from exwarp_cli.pipeline.predictor import export as write
 
     array = machine(cores, macs, cache, port)
     files = write(

@@ -270,7 +270,7 @@ def command(
         summary = _run(job, distribution, folder, reporter)
         _print_summary(summary, settings, folder, as_json)
         if summary.left_out:
-            from exwarp_cli.pipeline.announcing import require_complete
+            from exwarp_cli.pipeline.messages import require_complete
 
             require_complete(summary)
 
@@ -328,7 +328,7 @@ def _run(
         prepare_report(folder, replace=settings.overwrite or settings.skip_existing)
         gallery = Gallery(settings.ground_truth is not None)
     if distribution.spread:
-        from exwarp_cli.farm.cluster import run_on_cluster
+        from exwarp_cli.farm.dask_cluster import run_on_cluster
 
         summary = run_on_cluster(job, distribution, reporter, gallery)
     else:
@@ -353,7 +353,7 @@ def _foresee(
         require_writable((folder,))
     plan = foresee(job)
     if distribution.spread:
-        from exwarp_cli.farm.cluster import foresee_on_cluster
+        from exwarp_cli.farm.dask_cluster import foresee_on_cluster
 
         plan = foresee_on_cluster(job, distribution, plan)
     job.announce(reporter)

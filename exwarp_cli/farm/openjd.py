@@ -1,9 +1,8 @@
 """Job templates of Open Job Description, ``jobtemplate-2023-09``.
 
-A template is plain data, written as text or as the bundle that AWS Deadline Cloud submits. Its
-steps::
+A template is plain data, written as text or as the bundle that AWS Deadline Cloud submits. Steps::
 
-    Upsample    a task a chunk
+    Upsample    a task for each chunk
     Report      joins the chunks' reports, when all are done
     Video       makes the video of the finished frames, when all are done
 """
@@ -11,9 +10,10 @@ steps::
 from __future__ import annotations
 
 import math
+import os.path
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -23,78 +23,53 @@ from exwarp_cli import __version__
 from exwarp_cli.domain.line import misleads
 from exwarp_cli.domain.wording import counted
 from exwarp_cli.errors import OutputExistsError, UsageError
-from exwarp_cli.farm.calls import Blank, FarmJob, Word, frames_text, is_dense, split
-from exwarp_cli.farm.job_parameters import BRACES, LONGEST, JobParameters
-from exwarp_cli.farm.places import Place
+from exwarp_cli.farm.farm_job import Argument, FarmJob, Placeholder, frames_text, is_dense, split
+from exwarp_cli.farm.path_options import DataFlow, PathOption
 from exwarp_cli.io.atomic import atomic_write_text, is_there, make_folder
 
 SPECIFICATION = "jobtemplate-2023-09"
 CHUNKING = "TASK_CHUNKING"
-MOST_TASKS = 1024
-"""Values that a task parameter's list may have."""
-
+MOST_TASKS = 1024  # values that a task parameter's list may have
+LONGEST = 1024  # characters that a parameter's value may have
 LONGEST_NAME = 128
+TEMPLATE_FILE = "template.yaml"
+VALUES_FILE = "parameter_values.yaml"
+
+# What stands around the name of a value in a format string. Nothing escapes them, so texts that
+# have them become parameters, whose values are taken literally.
+BRACES = ("{{", "}}")
+
+_GROUPS = {DataFlow.READ: "Input", DataFlow.WRITTEN: "Output"}
+_BARE_WORD = re.compile(r"(--)?[A-Za-z][A-Za-z0-9_-]*")
 
 Data = dict[str, Any]
-
-_TASK_FRAMES = "{{Task.Param.Frames}}"
 
 
 @dataclass(frozen=True)
 class Workers:
-    """What a job asks of workers and engine.
+    """What a job asks of workers and engine."""
 
-    Attributes
-    ----------
-    program
-        Name or path of `exwarp` there.
-    vcpus, memory_gib, gpus
-        What a worker must have at least; None and 0 ask for nothing.
-    plain
-        Whether chunks are listed, for engines without the extension for chunks.
-    seconds
-        How long a chunk should take, which engines may follow by changing its size; 0 for the size
-        alone.
-    """
-
-    program: str = "exwarp"
+    program: str = "exwarp"  # name or path of `exwarp` there
+    # vcpus, memory_gib, gpus: what a worker must have at least; None and 0 ask for nothing
     vcpus: int | None = None
     memory_gib: float | None = None
     gpus: int = 0
-    plain: bool = False
+    plain: bool = False  # whether chunks are listed, for engines without the extension for chunks
+    # How long a chunk should take, which engines may reach by changing its size; 0 fixes the size
     seconds: int = 0
 
 
 @dataclass(frozen=True)
 class JobTemplate:
-    """A template, and what has to be given with it.
-
-    Attributes
-    ----------
-    document
-        The template.
-    values
-        Values of the parameters without default, by name.
-    size
-        Key frames of a chunk: more than asked for where a list of them would be too long.
-    """
+    """A template, and what has to be submitted with it."""
 
     document: Data
-    values: dict[str, str]
-    size: int
+    values: dict[str, str]  # values of the parameters without default, by name
+    size: int  # key frames of a chunk: more than asked for where a list of chunks would be too long
 
 
 def job_template(job: FarmJob, workers: Workers, folder: Path | None) -> JobTemplate:
-    """Describe a job.
-
-    Parameters
-    ----------
-    job
-        What is done.
-    workers
-        What it asks for.
-    folder
-        Where the template is going to lie; None leaves all paths to be given at submission.
+    """Describe a job for a template in `folder`; None leaves all paths to be given at submission.
 
     Raises
     ------
@@ -104,178 +79,250 @@ def job_template(job: FarmJob, workers: Workers, folder: Path | None) -> JobTemp
     size = job.size
     if workers.plain:
         size = max(size, math.ceil(len(job.numbers) / MOST_TASKS))
-    parameters = JobParameters(folder)
-    steps = _Steps(job, workers, parameters, size).steps
+    parameters = _Parameters(folder)
+    for option in job.options:  # first, as people look for their files first
+        if isinstance(option.value, PathOption):
+            parameters.add_path_option(option.value)
+    all_frames = frames_text(job.numbers)
+    if workers.plain:
+        frames = [
+            _require_short(frames_text(chunk), "--chunk-size") for chunk in split(job.numbers, size)
+        ]
+        space: Data = {"name": "Frames", "type": "STRING", "range": frames}
+    else:
+        all_frames, space = _chunked_frames(job, workers, parameters)
+    steps = _steps(job, workers, parameters, all_frames, space)
+    chunks = counted(len(split(job.numbers, size)), "chunk")
+    frame_count = counted(len(job.numbers), "key frame")
     document = {
         "specificationVersion": SPECIFICATION,
         **({} if workers.plain else {"extensions": [CHUNKING]}),
-        "name": _title(job.title),
-        "description": _description(job, size),
+        "name": _name(job.title),
+        "description": f"{frame_count} upsampled in {chunks}, as ExWarp {__version__} wrote it.",
         "parameterDefinitions": parameters.definitions,
         "steps": steps,
     }
     return JobTemplate(document, parameters.values, size)
 
 
-class _Steps:
-    """The steps of a job, whose parameters are defined as they are met."""
+@dataclass
+class _Parameters:
+    """The job parameters of a template, defined as its commands need them."""
 
-    def __init__(
-        self, job: FarmJob, workers: Workers, parameters: JobParameters, size: int
-    ) -> None:
-        self._parameters, self._workers, self._job = parameters, workers, job
-        for given in job.given:  # first of all, as people look for their files first
-            if isinstance(given.value, Place):
-                parameters.of_place(given.value)
-        self._everything = frames_text(job.numbers)
-        self._space = self._listed(size) if workers.plain else self._chunked(size)
-        self._program = parameters.add(
-            "ExwarpCommand",
-            "STRING",
-            workers.program,
-            "Command",
-            description="Name or path of exwarp on the workers.",
-            group="ExWarp",
+    # The folder of the template. Engines read a default path relative to it, and refuse one that
+    # leads out of it; None gives no path a default.
+    folder: Path | None
+    definitions: list[Data] = field(default_factory=list)  # as the template lists them
+    # Values of those without default, which must be given when the job is submitted, by name
+    values: dict[str, str] = field(default_factory=dict)
+    _formats: dict[object, str] = field(default_factory=dict)
+
+    def add(
+        self,
+        name: str,
+        kind: str,
+        default: str | int,
+        label: str,
+        group: str,
+        hidden: bool = False,
+        **more: Any,
+    ) -> str:
+        """Define a parameter with a default; return how a format string refers to it.
+
+        Raises
+        ------
+        UsageError
+            When the default is too long.
+        """
+        _require_length(str(default), label)
+        shown = {"label": label, "groupLabel": group} | ({"control": "HIDDEN"} if hidden else {})
+        self.definitions.append(
+            {"name": name, "type": kind, "default": default, **more, "userInterface": shown}
         )
+        return _reference(name)
 
-    @property
-    def steps(self) -> list[Data]:
-        """All steps, in order."""
-        after = [{"dependsOn": "Upsample"}]
-        steps = [
-            self._step("Upsample", self._job.chunk, {"parameterSpace": self._space}, needs=True)
-        ]
-        if self._job.merging is not None:
-            steps.append(self._step("Report", self._job.merging, {"dependencies": after}))
-        if self._job.filming is not None:
-            steps.append(
-                self._step("Video", self._job.filming, {"dependencies": after}, needs=True)
-            )
-        return steps
+    def format_text(self, text: str) -> str:
+        """Return a format string for a text."""
+        if not any(pair in text for pair in BRACES):
+            return text
+        if text not in self._formats:
+            name = f"Text{len(self.definitions)}"
+            self._formats[text] = self.add(name, "STRING", text, name, "ExWarp", hidden=True)
+        return self._formats[text]
 
-    def _step(self, name: str, call: Sequence[Word], more: Data, needs: bool = False) -> Data:
-        requirements = self._requirements if needs else {}
+    def add_path_option(self, option: PathOption) -> str:
+        """Define parameters for a path and its pattern, once; return the option's format string."""
+        if option in self._formats:
+            return self._formats[option]
+        name = f"{option.name}{'File' if option.is_file else 'Folder'}"
+        reference = self._add_path(name, option.path, option, option.label)
+        for kind, path in option.companions.items():
+            self._add_path(f"{option.name}{kind}", path, option, f"{option.label}: {kind.lower()}")
+        if option.pattern:
+            pattern = f"{option.pattern}{option.after}"
+            name, label = f"{option.name}Pattern", f"{option.label}: names"
+            remainder = "/" + self.add(name, "STRING", pattern, label, _GROUPS[option.role.flow])
+        else:
+            remainder = self.format_text(option.remainder)
+        self._formats[option] = f"{option.before}{reference}{remainder}"
+        return self._formats[option]
+
+    def _add_path(self, name: str, path: Path, option: PathOption, label: str) -> str:
+        flow = option.role.flow
+        definition: Data = {
+            "name": name,
+            "type": "PATH",
+            "objectType": "FILE" if option.is_file else "DIRECTORY",
+            "dataFlow": flow.value,
+            "userInterface": {"label": label, "groupLabel": _GROUPS[flow]},
+        }
+        normal = Path(os.path.normpath(path))
+        if self.folder is not None and normal.is_relative_to(self.folder):
+            definition["default"] = normal.relative_to(self.folder).as_posix()
+        else:
+            self.values[name] = str(path)
+        _require_length(str(path), label)
+        self.definitions.append(definition)
+        return _reference(name)
+
+
+def _chunked_frames(job: FarmJob, workers: Workers, parameters: _Parameters) -> tuple[str, Data]:
+    """Return all frames, and a task parameter that the engine divides, by parameters of the job."""
+    all_frames = parameters.add(
+        "Frames",
+        "STRING",
+        _require_short(frames_text(job.numbers), "--frames"),
+        "Frames",
+        "Chunks",
+        description="By their numbers, such as 1001-1100, 10-90:4 or 1,5,9-12.",
+    )
+    count = parameters.add("ChunkSize", "INT", job.size, "Key frames a chunk", "Chunks", minValue=1)
+    seconds = parameters.add(
+        "ChunkSeconds",
+        "INT",
+        workers.seconds,
+        "Seconds a chunk",
+        "Chunks",
+        description="Let the engine change the size until chunks take about as long; 0: keep "
+        "the size.",
+        minValue=0,
+    )
+    chunks = {
+        "defaultTaskCount": count,
+        "targetRuntimeSeconds": seconds,
+        # Frames numbered 10, 14, 18 … would each be a contiguous range.
+        "rangeConstraint": "CONTIGUOUS" if is_dense(job.numbers) else "NONCONTIGUOUS",
+    }
+    frames = {"name": "Frames", "type": "CHUNK[INT]", "range": all_frames, "chunks": chunks}
+    return all_frames, frames
+
+
+def _steps(
+    job: FarmJob, workers: Workers, parameters: _Parameters, all_frames: str, space: Data
+) -> list[Data]:
+    program = parameters.add(
+        "ExwarpCommand",
+        "STRING",
+        workers.program,
+        "Command",
+        "ExWarp",
+        description="Name or path of exwarp on the workers.",
+    )
+    references = {Placeholder.FRAMES: "{{Task.Param.Frames}}", Placeholder.ALL_FRAMES: all_frames}
+
+    def format_argument(word: Argument) -> str:
+        if isinstance(word, PathOption):
+            return parameters.add_path_option(word)
+        return references[word] if isinstance(word, Placeholder) else parameters.format_text(word)
+
+    def step(name: str, command: Sequence[Argument], more: Data, requires: Data) -> Data:
         action = {
-            "command": self._program,
-            "args": [*(self._argument(word) for word in call), "--progress", "openjd"],
-            # SIGTERM first, on which upsample stops with whole frames and clears up.
+            "command": program,
+            "args": [*map(format_argument, command), "--progress", "openjd"],
+            # SIGTERM first: upsample then ends with complete frames and removes its temporaries.
             "cancelation": {"mode": "NOTIFY_THEN_TERMINATE"},
         }
-        return {"name": name, **more, **requirements, "script": {"actions": {"onRun": action}}}
+        return {"name": name, **more, **requires, "script": {"actions": {"onRun": action}}}
 
-    def _argument(self, word: Word) -> str:
-        if isinstance(word, Place):
-            return self._parameters.of_place(word)
-        if isinstance(word, Blank):
-            return _TASK_FRAMES if word is Blank.FRAMES else self._everything
-        return self._parameters.of_text(word)
-
-    def _chunked(self, size: int) -> Data:
-        """Leave the cutting to the engine, by parameters of the job."""
-        add = self._parameters.add
-        self._everything = add(
-            "Frames",
-            "STRING",
-            _short(self._everything, "--frames"),
-            "Frames",
-            description="By their numbers, such as 1001-1100, 10-90:4 or 1,5,9-12.",
-            group="Chunks",
-        )
-        count = add("ChunkSize", "INT", size, "Key frames a chunk", minValue=1, group="Chunks")
-        seconds = add(
-            "ChunkSeconds",
-            "INT",
-            self._workers.seconds,
-            "Seconds a chunk",
-            description="Let the engine change the size until chunks take about as long; 0: keep "
-            "the size.",
-            minValue=0,
-            group="Chunks",
-        )
-        chunks = {
-            "defaultTaskCount": count,
-            "targetRuntimeSeconds": seconds,
-            # Of frames numbered 10, 14, 18 … each would be a contiguous range of its own.
-            "rangeConstraint": "CONTIGUOUS" if is_dense(self._job.numbers) else "NONCONTIGUOUS",
-        }
-        frames = {"name": "Frames", "type": "CHUNK[INT]", "range": self._everything}
-        return {"taskParameterDefinitions": [{**frames, "chunks": chunks}]}
-
-    def _listed(self, size: int) -> Data:
-        """Cut here, and list the chunks."""
-        texts = [
-            _short(frames_text(chunk), "--chunk-size") for chunk in split(self._job.numbers, size)
-        ]
-        return {"taskParameterDefinitions": [{"name": "Frames", "type": "STRING", "range": texts}]}
-
-    @property
-    def _requirements(self) -> Data:
-        workers = self._workers
-        memory = None if workers.memory_gib is None else math.ceil(workers.memory_gib * 1024)
-        amounts = [
-            {"name": f"amount.worker.{name}", "min": least}
-            for name, least in (("vcpu", workers.vcpus), ("memory", memory), ("gpu", workers.gpus))
-            if least
-        ]
-        return {"hostRequirements": {"amounts": amounts}} if amounts else {}
+    requires = _host_requirements(workers)
+    after: Data = {"dependencies": [{"dependsOn": "Upsample"}]}
+    tasks = {"parameterSpace": {"taskParameterDefinitions": [space]}}
+    steps = [step("Upsample", job.chunk, tasks, requires)]
+    if job.merging is not None:
+        steps.append(step("Report", job.merging, after, {}))
+    if job.filming is not None:
+        steps.append(step("Video", job.filming, after, requires))
+    return steps
 
 
-def _short(text: str, option: str) -> str:
-    """Refuse key frames that take too many characters, as they do where no range joins them."""
-    if len(text) > LONGEST:
+def _host_requirements(workers: Workers) -> Data:
+    memory = None if workers.memory_gib is None else math.ceil(workers.memory_gib * 1024)
+    least = {"vcpu": workers.vcpus, "memory": memory, "gpu": workers.gpus}
+    amounts = [
+        {"name": f"amount.worker.{name}", "min": value} for name, value in least.items() if value
+    ]
+    return {"hostRequirements": {"amounts": amounts}} if amounts else {}
+
+
+def _reference(name: str) -> str:
+    return f"{{{{Param.{name}}}}}"
+
+
+def _require_length(value: str, label: str) -> None:
+    if len(value) > LONGEST:
         raise UsageError(
-            f"the key frames {text[:40]}… take {len(text)} characters, and Open Job Description "
-            f"allows {LONGEST}; choose fewer with {option}, or take 'exwarp farm commands'"
+            f"the value of {label!r} has {len(value)} characters, and Open Job Description takes "
+            f"{LONGEST} at most; shorten it, or take 'exwarp farm commands'"
         )
-    return text
 
 
-def _title(text: str) -> str:
-    """Make a job's name: no control characters, and nothing that would be filled in."""
-    printable = "".join(c if c.isprintable() else " " for c in text)
+def _require_short(frames: str, option: str) -> str:
+    """Return key frames; UsageError where they take too many characters, without a range."""
+    if len(frames) > LONGEST:
+        raise UsageError(
+            f"the key frames {frames[:40]}… take {len(frames)} characters, and Open Job "
+            f"Description allows {LONGEST}; choose fewer with {option}, or take 'exwarp farm "
+            "commands'"
+        )
+    return frames
+
+
+def _name(title: str) -> str:
+    """Return a job's name: no control characters, and nothing that would be filled in."""
+    name = "".join(c if c.isprintable() else " " for c in title)
     for pair in BRACES:
-        while pair in printable:
-            printable = printable.replace(pair, " ".join(pair))
-    return printable[:LONGEST_NAME].strip() or "exwarp"
-
-
-def _description(job: FarmJob, size: int) -> str:
-    frames = counted(len(job.numbers), "key frame")
-    chunks = counted(len(split(job.numbers, size)), "chunk")
-    return f"{frames} upsampled in {chunks}, as ExWarp {__version__} wrote it."
-
-
-TEMPLATE_FILE = "template.yaml"
-VALUES_FILE = "parameter_values.yaml"
-
-_PLAIN = re.compile(r"(--)?[A-Za-z][A-Za-z0-9_-]*")
+        while pair in name:
+            name = name.replace(pair, " ".join(pair))
+    return name[:LONGEST_NAME].strip() or "exwarp"
 
 
 class _Dumper(yaml.SafeDumper):
-    """Quotes all strings but bare words: readers of YAML 1.2 see numbers in ``1e3`` and ``0o7``."""
+    """Quotes all strings but bare words: YAML 1.2 reads numbers in ``1e3`` and ``0o7``."""
 
     def ignore_aliases(self, data: object) -> bool:
-        """Write out what occurs twice."""
+        """Write in full what occurs twice."""
         return True
 
 
 def _represent_text(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
-    style = None if _PLAIN.fullmatch(text) else '"'
+    style = None if _BARE_WORD.fullmatch(text) else '"'
     return dumper.represent_scalar("tag:yaml.org,2002:str", text, style=style)
 
 
 _Dumper.add_representer(str, _represent_text)
 
 
-def yaml_text(document: dict[str, Any]) -> str:
+def yaml_text(document: Data) -> str:
     """Write a document as YAML that every version reads alike."""
-    text = _yaml(document, as_it_is=True)
-    # Of what no editor shows, such as marks that turn the direction of a line, escapes do.
-    return _yaml(document, as_it_is=False) if misleads(text.replace("\n", "")) else text
 
+    def dump(allow_unicode: bool) -> str:
+        return yaml.dump(
+            document, Dumper=_Dumper, sort_keys=False, allow_unicode=allow_unicode, width=100
+        )
 
-def _yaml(document: dict[str, Any], as_it_is: bool) -> str:
-    return yaml.dump(document, Dumper=_Dumper, sort_keys=False, allow_unicode=as_it_is, width=100)
+    text = dump(allow_unicode=True)
+    # Invisible characters, such as marks that turn the direction of a line, are escaped.
+    return dump(allow_unicode=False) if misleads(text.replace("\n", "")) else text
 
 
 def write_bundle(folder: Path, template: JobTemplate) -> None:

@@ -1,4 +1,4 @@
-"""What a run would do, found out without doing it: nothing is written, no folder is made."""
+"""What a run would do, without writing a file or making a folder."""
 
 from __future__ import annotations
 
@@ -25,72 +25,43 @@ from exwarp_cli.pipeline.without_vectors import is_kept, note_of
 class Fate(Enum):
     """What would become of a frame's file."""
 
-    WRITE = "write"
-    """There is none, and one would be written."""
-
-    REPLACE = "replace"
-    """There is one, and another would take its place."""
-
-    KEEP = "keep"
-    """There is one that an earlier run wrote as this one would."""
+    WRITE = "write"  # there is none, and one would be written
+    REPLACE = "replace"  # there is one, and another would take its place
+    KEEP = "keep"  # there is one, equal to what this run would write
 
 
 @dataclass(frozen=True)
 class ForeseenFrame:
-    """One frame that a run would give.
+    """One frame that a run would give."""
 
-    Attributes
-    ----------
-    number
-        Of the output.
-    kind
-        A key frame or a rendered one, which pass through; else it is generated.
-    fate
-        Of its file, and of its hole mask if masks are written.
-    """
-
-    number: int
-    kind: FrameKind
-    fate: Fate
+    number: int  # of the output
+    kind: FrameKind  # a key frame or a rendered one, which pass through; else it is generated
+    fate: Fate  # of its file, and of its hole mask if masks are written
 
 
 @dataclass(frozen=True)
 class DryRun:
-    """What a run would do.
+    """What a run would do."""
 
-    Attributes
-    ----------
-    head
-        The run's summary, without frames.
-    frames
-        What it would write, ascending.
-    output, holes, video
-        Where: patterns of frames and masks, and the video; None for what is not written.
-    cuts_looked_for, cuts
-        Whether cuts are looked for, and those that are known: given by hand, and met while frames
-        that are there were compared.
-    chunks
-        Input numbers of each chunk's key frames; () where the work is not spread.
-    spread
-        Over what, in words; None where it is not.
-    report
-        Folder of the report; None without.
-    """
-
-    head: RunSummary
-    frames: tuple[ForeseenFrame, ...]
+    head: RunSummary  # the run's summary, without frames
+    frames: tuple[ForeseenFrame, ...]  # what it would write, ascending
+    # output, holes, video: where: patterns of frames and masks, and the video; None for what is
+    # not written
     output: Path | None
     holes: Path | None
     video: Path | None
+    # cuts_looked_for, cuts: whether cuts are detected, and those known: given by hand, and
+    # detected while existing frames were compared
     cuts_looked_for: bool
     cuts: tuple[Cut, ...]
+    # Input numbers of each chunk's key frames; () where the work is not divided
     chunks: tuple[tuple[int, ...], ...] = ()
-    spread: str | None = None
-    report: Path | None = None
+    spread: str | None = None  # the workers, in words; None where the work is not divided
+    report: Path | None = None  # folder of the report; None without
 
 
 def foresee(job: Job) -> DryRun:
-    """Find out what a job would write, and refuse what it would refuse.
+    """Return what a job would write, and refuse what it would refuse.
 
     Raises
     ------
@@ -103,24 +74,27 @@ def foresee(job: Job) -> DryRun:
     job.refuse()
     require_writable(targets.folders)
     try:
-        frames, met = _compared(job) if job.settings.skip_existing else (_plain(job), None)
+        if job.settings.skip_existing:
+            frames, detected = _compare_existing(job)
+        else:
+            frames, detected = tuple(_foreseen(job, slot, kept=False) for slot in job.slots), None
     finally:
         job.close()
-    wish, numbers = job.source.cuts, job.source.timeline.numbers
-    given = tuple(Cut(numbers[key], "given") for key in sorted(wish.starts_in(numbers)))
+    cuts, numbers = job.source.cuts, job.source.timeline.numbers
+    by_hand = tuple(Cut(numbers[key], "given") for key in sorted(cuts.starts_in(numbers)))
     return DryRun(
         head=job.summary(Outcome(), 0.0),
         frames=frames,
         output=None if targets.frames is None else targets.frames.folder / targets.frames.name,
         holes=None if targets.holes is None else targets.holes.folder / targets.holes.name,
         video=targets.video,
-        cuts_looked_for=wish.detect,
-        cuts=tuple(sorted({*given, *(met or ())}, key=lambda cut: cut.number)),
+        cuts_looked_for=cuts.detect,
+        cuts=tuple(sorted({*by_hand, *(detected or ())}, key=lambda cut: cut.number)),
     )
 
 
 def require_writable(folders: Iterable[Path]) -> None:
-    """Refuse folders that could not be made or written to, as far as that shows without trying.
+    """Refuse folders that could not be made or written to, as far as permissions show it.
 
     Raises
     ------
@@ -128,23 +102,18 @@ def require_writable(folders: Iterable[Path]) -> None:
         For the first of them.
     """
     for folder in folders:
-        there = next(path for path in (folder, *folder.absolute().parents) if is_there(path))
+        parent = next(path for path in (folder, *folder.absolute().parents) if is_there(path))
         number = 0
-        if not there.is_dir():
-            number = errno.EEXIST if there == folder else errno.ENOTDIR
-        elif not os.access(there, os.W_OK | os.X_OK):
+        if not parent.is_dir():
+            number = errno.EEXIST if parent == folder else errno.ENOTDIR
+        elif not os.access(parent, os.W_OK | os.X_OK):
             number = errno.EACCES
         if number:
             raise output_error(folder, OSError(number, ""))
 
 
-def _plain(job: Job) -> tuple[ForeseenFrame, ...]:
-    """Foresee frames without looking into those that are there."""
-    return tuple(_foreseen(job, slot, kept=False) for slot in job.slots)
-
-
-def _compared(job: Job) -> tuple[tuple[ForeseenFrame, ...], tuple[Cut, ...] | None]:
-    """Foresee frames where good ones are kept; return the cuts that were met, too."""
+def _compare_existing(job: Job) -> tuple[tuple[ForeseenFrame, ...], tuple[Cut, ...] | None]:
+    """Foresee frames where good ones are kept; also return the cuts that were detected."""
     reader = make_reader(job)
     if job.targets.frames is None:
         note = note_of(reader.leading_recipes, job.settings, job.keys, job.rendered)
@@ -158,14 +127,14 @@ def _compared(job: Job) -> tuple[tuple[ForeseenFrame, ...], tuple[Cut, ...] | No
         if not isinstance(inputs, IntervalInputs):
             slots = tuple(slot for slot in slots if inputs.passed is not None and not slot.index)
         for slot in slots:
-            frames.append(_foreseen(job, slot, _is_there(job, writer, slot, inputs)))
+            frames.append(_foreseen(job, slot, _is_kept(job, writer, slot, inputs)))
     return tuple(frames), reader.cuts
 
 
-def _is_there(
+def _is_kept(
     job: Job, writer: FrameWriter, slot: Slot, inputs: IntervalInputs | SkippedInterval
 ) -> bool:
-    """Whether a slot's files are there as this run would write them."""
+    """Return whether a slot's files exist as this run would write them."""
     number = job.source.timeline.number(slot)
     if slot.index:
         assert isinstance(inputs, IntervalInputs)
@@ -183,8 +152,8 @@ def _is_there(
 def _foreseen(job: Job, slot: Slot, kept: bool) -> ForeseenFrame:
     number, targets = job.source.timeline.number(slot), job.targets
     path = targets.video if targets.frames is None else targets.frames.path(number)
-    there = path is not None and is_there(path)
-    fate = Fate.KEEP if kept else Fate.REPLACE if there else Fate.WRITE
+    exists = path is not None and is_there(path)
+    fate = Fate.KEEP if kept else Fate.REPLACE if exists else Fate.WRITE
     kind = FrameKind.GENERATED if slot.index else FrameKind.KEY
     if slot.index and job.rendered is not None and job.rendered.has(number):
         kind = FrameKind.RENDERED

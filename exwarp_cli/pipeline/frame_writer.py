@@ -36,7 +36,7 @@ from exwarp_cli.io.sequences import EXR, OutputPattern, Sequence, output_pattern
 from exwarp_cli.io.stills import STILLS, require_writer
 from exwarp_cli.io.video import VideoLook, VideoWriter, require_container, to_display
 from exwarp_cli.pipeline.scheduling import AsyncWriter, record_time
-from exwarp_cli.pipeline.verifying import FRAME, HOLES, Sums, sum_of
+from exwarp_cli.pipeline.verification import FRAME, HOLES, Sums, sum_of
 
 FRAMES_BEHIND = 4
 

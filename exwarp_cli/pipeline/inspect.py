@@ -1,4 +1,4 @@
-"""What a sequence holds, and how its motion is read."""
+"""The content of a sequence, and its motion convention, for ``exwarp inspect``."""
 
 from __future__ import annotations
 
@@ -36,36 +36,21 @@ from exwarp_cli.pipeline.opening import (
 
 @dataclass(frozen=True)
 class Inspection:
-    """What was found.
+    """The content of a sequence."""
 
-    Attributes
-    ----------
-    shot
-        The sequence and its layout.
-    parts
-        Parts of the first frame's main file.
-    finding
-        The motion convention; None without motion or when it cannot be settled.
-    problem
-        Why the convention cannot be settled; None when it can.
-    fps, fps_source
-        Rate, and where it came from.
-    types
-        Pixel type of each channel of the view, by its name with AOV.
-    cryptomattes
-        Those of the first frame, the best for ids first, with their manifests.
-    pictures
-        What is known of a video's or of stills' colour and sound; None for EXR.
-    """
-
-    shot: Shot
-    parts: tuple[Part, ...]
+    shot: Shot  # the sequence and its layout
+    parts: tuple[Part, ...]  # parts of the first frame's main file
+    # The motion convention; None without motion or when it cannot be settled
     finding: MotionFinding | None
-    problem: str | None
+    problem: str | None  # why the convention cannot be settled; None when it can
+    # fps, fps_source: rate, and where it came from
     fps: Fraction
     fps_source: str
+    # Pixel type of each channel of the view, by its name with AOV
     types: Mapping[str, str] = field(default_factory=dict)
+    # Those of the first frame, the best for ids first, with their manifests
     cryptomattes: tuple[tuple[Cryptomatte, Manifest], ...] = ()
+    # Colour and sound of a video or of stills; None for EXR
     pictures: Mapping[str, Any] | None = None
 
     @property
@@ -98,7 +83,7 @@ class Inspection:
             "channels": dict(self.types),
             "depth_kind": self.shot.depth.kind.value if Role.DEPTH in layout else None,
             "depth_evidence": self.shot.depth.evidence or None,
-            "cryptomattes": [_matte(one, manifest) for one, manifest in self.cryptomattes],
+            "cryptomattes": [_matte(matte, manifest) for matte, manifest in self.cryptomattes],
             "dynamic": None if moving is None else list(moving.names),
             "pictures": self.pictures,
             "motion": None
@@ -108,12 +93,12 @@ class Inspection:
 
 
 def inspect(settings: SourceSettings) -> Inspection:
-    """Look into a sequence and measure its motion convention.
+    """Read the first frame of a sequence and measure its motion convention.
 
     Raises
     ------
     InputError
-        When the sequence is not there, has gaps or frames of several sizes, or cannot be read.
+        When the sequence is absent, has gaps or frames of several sizes, or cannot be read.
     """
     plain = open_plain(settings)
     if plain is not None:
@@ -126,7 +111,7 @@ def inspect(settings: SourceSettings) -> Inspection:
     Timeline.of(shot.sequence.numbers)
     require_one_size(shot, shot.sequence.numbers)
     shot, _ = read_ids(settings.dynamic, shot, None)
-    parts, types = _look(shot)
+    parts, types = _read_headers(shot)
     finding, problem = None, None
     try:
         finding = find_motion(shot, settings.motion)
@@ -138,10 +123,10 @@ def inspect(settings: SourceSettings) -> Inspection:
     return Inspection(shot, parts, finding, problem, fps, fps_source, types, mattes)
 
 
-def save_channel_map(found: Inspection, path: Path, overwrite: bool) -> None:
-    """Write what was found as a channel map.
+def save_channel_map(inspection: Inspection, path: Path, overwrite: bool) -> None:
+    """Write an inspection as a channel map.
 
-    What was not measured (vectors too short to tell) is left to be measured again.
+    A motion convention that was not measured, as vectors were too short, is left out.
 
     Raises
     ------
@@ -150,24 +135,24 @@ def save_channel_map(found: Inspection, path: Path, overwrite: bool) -> None:
     UsageError
         For videos and stills.
     """
-    if found.pictures is not None:
+    shot, finding = inspection.shot, inspection.finding
+    if inspection.pictures is not None:
         raise UsageError(
-            f"--write-channel-map is for EXR, and {found.shot.sequence.pattern} has colour alone; "
+            f"--write-channel-map is for EXR, and {shot.sequence.pattern} has colour alone; "
             "leave it out"
         )
-    shot, finding = found.shot, found.finding
     layout = shot.layout
     channels = {
         role: tuple(channel_label(_as_opened(ref)) for ref in refs)
         for role, refs in layout.roles.items()
     }
-    measured = finding is not None and finding.source != "untested"
+    motion = None
+    if finding is not None and finding.source != "untested":
+        motion = finding.convention.describe(motion_names(shot))
     texts = {
         "producer": None if layout.producer == UNKNOWN else layout.producer,
         "view": shot.view if shot.view and shot.view != shot.views[0] else None,
-        "motion": finding.convention.describe(motion_names(shot))
-        if finding is not None and measured
-        else None,
+        "motion": motion,
         "depth_kind": None if shot.depth.kind is DepthKind.UNKNOWN else shot.depth.kind.value,
     }
     about = shot.aovs.get(MAIN, shot.sequence).pattern
@@ -177,18 +162,20 @@ def save_channel_map(found: Inspection, path: Path, overwrite: bool) -> None:
 
 
 def _as_opened(ref: ChannelRef) -> ChannelRef:
-    """Return a channel as it is called before a colour sequence of its own leads the shot."""
+    """Return a channel by its name in the file, also where colour comes from another sequence."""
     return replace(ref, aov="") if ref.aov == MAIN else ref
 
 
 def _in_map(shot: Shot, ref: ChannelRef) -> bool:
-    """Whether the table [channels] of a map can name a channel: not of files that [aovs] names."""
-    led = any(aov.role is Role.COLOUR for aov in shot.aov_files)
-    return ref.aov not in {aov.role.value for aov in shot.aov_files} and not (led and not ref.aov)
+    """Return whether the table [channels] of a map can name a channel."""
+    # [aovs] names the others, and where it names the colour, also the main file.
+    has_colour_file = any(aov.role is Role.COLOUR for aov in shot.aov_files)
+    is_in_aov = ref.aov in {aov.role.value for aov in shot.aov_files}
+    return not is_in_aov and not (has_colour_file and not ref.aov)
 
 
-def _look(shot: Shot) -> tuple[tuple[Part, ...], dict[str, str]]:
-    """Look into the first frame: parts of the main file, and types of channels."""
+def _read_headers(shot: Shot) -> tuple[tuple[Part, ...], dict[str, str]]:
+    """Return the parts of the first frame's main file, and types of all channels by name."""
     types: dict[str, str] = {}
     parts: tuple[Part, ...] = ()
     for aov, path in shot.files(shot.first).items():
@@ -202,21 +189,21 @@ def _look(shot: Shot) -> tuple[tuple[Part, ...], dict[str, str]]:
 
 
 def unused_channels(shot: Shot) -> list[ChannelRef]:
-    """Return the channels without a role, Cryptomattes' among them, in the order of the files."""
+    """Return the channels without a role, with those of Cryptomattes, in the order of the files."""
     used = {ref for refs in shot.layout.roles.values() for ref in refs}
     return [ref for ref in shot.every if ref not in used]
 
 
 def missing_roles(layout: Layout) -> list[Role]:
-    """Return the roles that were looked for in vain."""
+    """Return the roles without a channel."""
     return [role for role in Role if role not in layout]
 
 
-def _matte(one: Cryptomatte, manifest: Manifest) -> dict[str, Any]:
+def _matte(matte: Cryptomatte, manifest: Manifest) -> dict[str, Any]:
     return {
-        "name": one.name,
-        "aov": one.aov or None,
-        "kind": one.kind.name.lower(),
+        "name": matte.name,
+        "aov": matte.aov or None,
+        "kind": matte.kind.name.lower(),
         "names": sorted(manifest.ids),
         "problem": manifest.problem or None,
     }

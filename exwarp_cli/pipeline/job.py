@@ -9,15 +9,6 @@ from exwarp_cli.domain.results import InterpolatorSummary, NetworkSummary, RunSu
 from exwarp_cli.io.footage import close
 from exwarp_cli.io.output import compression_of
 from exwarp_cli.io.threads import use_threads
-from exwarp_cli.pipeline.announcing import (
-    Models,
-    announce,
-    announce_contents,
-    announce_models,
-    announce_truth,
-    announce_video,
-    input_summary,
-)
 from exwarp_cli.pipeline.contents import Content, contents_of
 from exwarp_cli.pipeline.finding import (
     find_interpolator,
@@ -37,6 +28,15 @@ from exwarp_cli.pipeline.frame_sizes import (
     require_truth_size,
 )
 from exwarp_cli.pipeline.frame_writer import OutputPlan
+from exwarp_cli.pipeline.messages import (
+    Models,
+    announce,
+    announce_contents,
+    announce_models,
+    announce_truth,
+    announce_video,
+    input_summary,
+)
 from exwarp_cli.pipeline.ownership import require_own
 from exwarp_cli.pipeline.rendered_frames import find_rendered
 from exwarp_cli.pipeline.scoring import require_measurable

@@ -1,6 +1,7 @@
-"""How a long run tells how far it is.
+"""Reporters of the progress of a long run, chosen by ``--progress``.
 
-On stderr, since stdout carries results; only ``openjd`` speaks on stdout, where farms listen.
+They write to stderr, because stdout carries results. Only ``openjd`` writes to stdout, which farms
+read.
 """
 
 from __future__ import annotations
@@ -9,10 +10,9 @@ import json
 import os
 import sys
 import time
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol, TextIO
 
 from exwarp_cli.domain.line import one_line
@@ -34,56 +34,24 @@ if TYPE_CHECKING:
 
     from exwarp_cli.domain.frame import Bool, Float32
     from exwarp_cli.domain.results import Score
-from exwarp_cli.domain.risk import Risk
+    from exwarp_cli.domain.risk import Risk
 
-INTERVAL_S = 5.0
-"""Least seconds between two lines of a log: a farm's stays readable, a person sees life."""
+INTERVAL_S = 5.0  # least seconds between two lines of a log
+ANY = ""  # the kind of all frames where kinds are not distinguished
 
 Clock = Callable[[], float]
 
-ANY = ""
-"""The kind of all frames where kinds are not distinguished."""
-
-
-@dataclass
-class _Cost:
-    """Seconds of the steps of one kind: how many, of all, and of those that came first."""
-
-    count: int = 0
-    seconds: float = 0.0
-    first: float = 0.0
-
-    def add(self, seconds: float, at_once: int) -> None:
-        """Take in a step."""
-        self.count += 1
-        self.seconds += seconds
-        if self.count <= at_once:
-            self.first += seconds
-
-    def mean(self, at_once: int) -> float:
-        """Return seconds a step, without the first ones as soon as there are others."""
-        if self.count <= at_once:  # begun together, as many end in the time of one
-            return self.seconds / at_once
-        return (self.seconds - self.first) / (self.count - at_once)
-
 
 class Estimate:
-    """Counts frames and foretells the rest, by what each kind of frame took.
+    """Counts frames and estimates the time left from what each kind of frame took.
 
-    A key frame that is passed through takes a small part of what an extrapolated frame takes. So
-    the rest is known when every kind that is left was seen. The first frame of a kind is left out
-    of its mean as soon as there are others: it pays for compiling the kernels and filling caches.
+    The time left is known when every kind that remains was seen, because a key frame that is passed
+    through takes a small part of what an extrapolated frame takes.
     """
 
     def __init__(self, clock: Clock = time.monotonic) -> None:
         self._clock = clock
-        self._last = clock()
-        self._rest: Counter[str] = Counter()
-        self._costs: dict[str, _Cost] = {}
-        self._at_once = 1
-        self._logged_at = self._last
-        self.total = 0
-        self.done = 0
+        self.start(0)
 
     def start(self, total: int, kinds: Mapping[str, int] | None = None, at_once: int = 1) -> None:
         """Set the count and start the clock.
@@ -95,85 +63,83 @@ class Estimate:
         kinds
             How many of them are of which kind; None where all take about as long.
         at_once
-            Processes that work side by side: so many first frames of a kind are left out.
+            Processes that work in parallel. So many first frames of a kind are left out of its
+            mean: they pay for compiled kernels and full caches.
         """
         self.total, self.done = total, 0
-        self._rest = Counter({ANY: total} if kinds is None else kinds)
-        self._costs, self._at_once = {}, at_once
+        self._remaining = Counter({ANY: total} if kinds is None else kinds)
+        self._at_once = at_once
+        # By kind: frames that took work, and seconds of the first ones and of the others.
+        self._counts: Counter[str] = Counter()
+        self._first_s: dict[str, float] = defaultdict(float)
+        self._later_s: dict[str, float] = defaultdict(float)
         self._last = self._logged_at = self._clock()
 
     def advance(self, kind: str = ANY, made: bool = True) -> None:
-        """Count one frame; what an earlier run wrote, or what is left out, took no work."""
+        """Count one frame; `made` is False for frames of an earlier run and for skipped ones."""
         now = self._clock()
-        kind = kind if kind in self._rest else ANY
+        kind = kind if kind in self._remaining else ANY
         self.done += 1
-        self._rest[kind] -= 1
+        self._remaining[kind] -= 1
         if made:
-            self._costs.setdefault(kind, _Cost()).add(now - self._last, self._at_once)
+            self._counts[kind] += 1
+            seconds = self._first_s if self._counts[kind] <= self._at_once else self._later_s
+            seconds[kind] += now - self._last
         self._last = now
 
     @property
     def percent(self) -> int:
-        """Whole percents done; 100 only at the end."""
+        """Whole per cent done; 100 only at the end."""
         return 100 * self.done // self.total if self.total else 100
 
     @property
     def tenths(self) -> float:
-        """Percents done with one digit behind the point, 0 to 100; 100 only at the end."""
+        """Per cent done with one decimal, 0 to 100; 100 only at the end."""
         return min(1000 * self.done // self.total, 1000) / 10 if self.total else 100.0
 
     @property
     def eta_s(self) -> float | None:
-        """Seconds that the rest will take; None before each kind of it was seen."""
+        """Seconds left; None before each kind that remains was seen."""
         if self.done >= self.total:
             return 0.0
-        left = {kind: count for kind, count in self._rest.items() if count > 0}
-        if not left.keys() <= self._costs.keys():
+        remaining = {kind: count for kind, count in self._remaining.items() if count > 0}
+        if not remaining.keys() <= self._counts.keys():
             return None
-        return sum(count * self._costs[kind].mean(self._at_once) for kind, count in left.items())
+        eta = 0.0
+        for kind, count in remaining.items():
+            later = self._counts[kind] - self._at_once
+            # The first ones begin together, so as many end in the time of one.
+            mean = self._later_s[kind] / later if later > 0 else self._first_s[kind] / self._at_once
+            eta += count * mean
+        return eta
 
     @property
     def left(self) -> str:
-        """`eta_s` in words: minutes and seconds, and hours where it has some."""
+        """`eta_s` in words."""
         seconds = self.eta_s
         if seconds is None:
             return "time left unknown"
-        minutes, rest = divmod(round(seconds), 60)
+        minutes, seconds = divmod(round(seconds), 60)
         hours, minutes = divmod(minutes, 60)
-        text = f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
+        text = f"{hours}:{minutes:02d}:{seconds:02d}" if hours else f"{minutes}:{seconds:02d}"
         return f"{text} left"
 
-    @property
-    def frames(self) -> str:
-        """How many there are in all, in words."""
-        return counted(self.total, "frame")
-
-    def due(self) -> bool:
-        """Whether a log is to tell of the last frame that was counted.
-
-        The first and the last one always are, others when `INTERVAL_S` has gone by.
-        """
+    def is_log_due(self) -> bool:
+        """Return whether a log shows the newest frame: the first, the last, and some between."""
         now = self._clock()
         if self.done not in (1, self.total) and now - self._logged_at < INTERVAL_S:
             return False
         self._logged_at = now
         return True
 
-    def state(self, frame: int, note: str | None) -> str:
-        """Say how far a run is, which frame was the last, and how long it takes yet."""
-        return f"{self.done}/{self.total}, {named(frame, note)}, {self.left}"
 
-
-def named(frame: int, note: str | None) -> str:
-    """Name a frame with the word on it."""
+def _frame_text(frame: int, note: str | None) -> str:
     return f"frame {frame}" + (f" ({note})" if note else "")
 
 
 def kind_of(index: int) -> str:
-    """Name the kind of work of a slot by its place in the key interval, 0 for the key frame.
-
-    A method makes each place in its own way: `s3` warps slot 1 and extrapolates slots 2 and 3.
-    """
+    """Return the kind of work of a slot by its index in the key interval, 0 for the key frame."""
+    # Methods differ by index: `s3` warps slot 1 and extrapolates slots 2 and 3.
     return f"slot {index}" if index else "key"
 
 
@@ -182,44 +148,53 @@ def kinds_of(slots: Iterable[Slot]) -> Counter[str]:
     return Counter(kind_of(slot.index) for slot in slots)
 
 
-class Progress(Protocol):
-    """What a pipeline tells while it works.
+class Progress:
+    """Receives the progress of a pipeline; this one ignores it.
 
-    `start` comes once and first; `finish` comes last and always, after an error too, so call it in
-    a ``finally``. `message` may come at any time. `fail` is for :func:`reporting` alone, after all
-    others. Texts may hold anything: a reporter sees to it that they stay on their line.
+    `start` comes once and first; `finish` comes last, after an error too. `message` may come at any
+    time. Only :func:`reporting` calls `fail`, after all others. Reporters keep any text on one
+    line.
     """
 
     def start(self, total: int, kinds: Mapping[str, int] | None = None, at_once: int = 1) -> None:
-        """Begin work on `total` frames; see `Estimate.start` for what the rest tells."""
+        """Begin work on `total` frames; see `Estimate.start` for the other parameters."""
 
     def advance(
         self, frame: int, note: str | None = None, kind: str = ANY, made: bool = True
     ) -> None:
-        """One more frame is done: its output number, and a word on it such as "skipped".
+        """Count one more frame as done.
 
-        `kind` is one of those that `start` received; `made` is false where no work was done.
+        Parameters
+        ----------
+        frame
+            Its output number.
+        note
+            A word about it, such as "skipped".
+        kind
+            One of those that `start` received.
+        made
+            False where no work was done.
         """
 
     def message(self, text: str) -> None:
-        """Tell the user something, one line."""
+        """Show the user one line."""
 
     def finish(self) -> None:
         """Stop reporting."""
 
     def fail(self, text: str, exit_code: int) -> None:
-        """Tell a program that watches why the command fails, and what it will exit with."""
+        """Send a watching program the reason why the command fails, and its exit code."""
 
 
 class FrameListener(Protocol):
     """Is shown some of the frames of a run, pixel by pixel, while they are in memory.
 
-    Reading a frame back costs time, so that a run asks first. Frames come in their order, from the
+    A run asks first, because reading a frame back costs time. Frames come in their order, from the
     thread that computes; one whose score is known late may come again at the end.
     """
 
     def plan(self, groups: Sequence[Sequence[int]]) -> None:
-        """Hear, before the work, the numbers of all frames that will come.
+        """Receive, before the work, the numbers of all frames that will come.
 
         Parameters
         ----------
@@ -228,7 +203,7 @@ class FrameListener(Protocol):
         """
 
     def wants(self, number: int, score: Score | None, risk: Risk | None = None) -> bool:
-        """Whether the frame of this number, with this score and predicted error, is to be shown."""
+        """Return whether to show the frame of a number, with its score and predicted error."""
 
     def frame(
         self, number: int, shown: Float32, truth: Float32 | None, mask: Bool | None, is_key: bool
@@ -244,58 +219,62 @@ class FrameListener(Protocol):
         truth
             What it ought to be, as `shown`; None without ground truth. A key frame is the truth.
         mask
-            bool [H, W], its holes; None where nothing tells.
+            bool [H, W], its holes; None where they are unknown.
         is_key
             Whether it is a rendered frame.
         """
 
 
-class NoProgress:
-    """Says nothing but messages, which may be warnings."""
+class NoProgress(Progress):
+    """Shows nothing but messages, which may be warnings; the base of other reporters."""
 
     def __init__(self, stream: TextIO | None = None) -> None:
         self._stream = stream or sys.stderr
-
-    def start(self, total: int, kinds: Mapping[str, int] | None = None, at_once: int = 1) -> None:
-        """Say nothing."""
-
-    def advance(
-        self, frame: int, note: str | None = None, kind: str = ANY, made: bool = True
-    ) -> None:
-        """Say nothing."""
 
     def message(self, text: str) -> None:
         """Print a line."""
         _print_line(self._stream, f"exwarp: {text}")
 
-    def finish(self) -> None:
-        """Say nothing."""
 
-    def fail(self, text: str, exit_code: int) -> None:
-        """Say nothing: the command prints the sentence itself."""
-
-
-class PlainProgress(NoProgress):
-    """Lines such as ``exwarp:  25% 10/40, frame 1010, 1:20 left``, for logs."""
+class _Counting(NoProgress):
+    """A reporter that shows how many frames are done, and the time left."""
 
     def __init__(self, stream: TextIO | None = None, clock: Clock = time.monotonic) -> None:
         super().__init__(stream)
         self._estimate = Estimate(clock)
 
     def start(self, total: int, kinds: Mapping[str, int] | None = None, at_once: int = 1) -> None:
-        """Tell how many frames there are to do."""
+        """Show how many frames there are to do."""
         self._estimate.start(total, kinds, at_once)
-        self._tell(f"{self._estimate.frames} to do")
+        self._show_start()
 
     def advance(
         self, frame: int, note: str | None = None, kind: str = ANY, made: bool = True
     ) -> None:
-        """Tell of the first and the last frame, and now and then between."""
+        """Count a frame, and show it."""
         self._estimate.advance(kind, made)
-        if self._estimate.due():
-            self._tell(self._estimate.state(frame, note))
+        self._show_frame(frame, note)
 
-    def _tell(self, status: str) -> None:
+    def _show_start(self) -> None:
+        raise NotImplementedError
+
+    def _show_frame(self, frame: int, note: str | None) -> None:
+        raise NotImplementedError
+
+
+class PlainProgress(_Counting):
+    """Lines such as ``exwarp:  25% 10/40, frame 1010, 1:20 left``, for logs."""
+
+    def _show_start(self) -> None:
+        self._show(f"{counted(self._estimate.total, 'frame')} to do")
+
+    def _show_frame(self, frame: int, note: str | None) -> None:
+        estimate = self._estimate
+        if estimate.is_log_due():
+            done = f"{estimate.done}/{estimate.total}"
+            self._show(f"{done}, {_frame_text(frame, note)}, {estimate.left}")
+
+    def _show(self, status: str) -> None:
         percent = f"{self._estimate.percent:3d}% " if self._estimate.done else ""
         self.message(f"{percent}{status}")
 
@@ -303,34 +282,34 @@ class PlainProgress(NoProgress):
 class OpenJdProgress(PlainProgress):
     """Lines of Open Job Description's sessions, for farms that run its jobs.
 
-    ``openjd_progress: 25.0`` and ``openjd_status: 10/40, frame 1010, 1:20 left`` come together, as
-    often as plain lines; ``openjd_fail: SENTENCE`` at the end of a command that fails, but for one
-    that left out what it was allowed to leave out: its sentence is the last status. Messages are
-    plain lines of the log: as a status each would stand there until the next one, though it is no
-    state. The specification lets actions write to stdout or stderr ("How Jobs Are Run", Stdout and
-    Stderr Messages), and there are runners that read stdout alone.
+    ``openjd_progress: 25.0`` and ``openjd_status: 10/40, frame 1010, 1:20 left`` come as often as
+    plain lines. ``openjd_fail: SENTENCE`` ends a command that fails. Where that only skipped what
+    it was allowed to skip, its sentence is the last status. Messages are plain lines, because a
+    status would stay until the next one.
     """
 
     def __init__(self, stream: TextIO | None = None, clock: Clock = time.monotonic) -> None:
+        # "How Jobs Are Run", Stdout and Stderr Messages, allows both streams; some runners read
+        # stdout alone.
         super().__init__(stream or sys.stdout, clock)
 
     def fail(self, text: str, exit_code: int) -> None:
-        """Tell why; the runner learns the exit code from the process itself."""
+        """Print the reason; the runner gets the exit code from the process."""
         if exit_code == IncompleteError.exit_code:
             _print_line(self._stream, f"openjd_status: {text}")
             return
-        # Never empty: a runner takes no line that ends with the colon.
+        # Never empty: runners ignore a line that ends with the colon.
         _print_line(self._stream, f"openjd_fail: {one_line(text) or f'exit code {exit_code}'}")
 
-    def _tell(self, status: str) -> None:
+    def _show(self, status: str) -> None:
         estimate = self._estimate
         if estimate.done and estimate.done == estimate.total:
-            status = f"{estimate.frames} done"
+            status = f"{counted(estimate.total, 'frame')} done"
         _print_line(self._stream, f"openjd_progress: {estimate.tenths}")
         _print_line(self._stream, f"openjd_status: {status}")
 
 
-class JsonProgress:
+class JsonProgress(_Counting):
     """One JSON object a line, flushed, for machines.
 
     Keys: ``event`` ("start", "frame", "message", "finish" or "fail"), ``done``, ``total``; with
@@ -338,20 +317,10 @@ class JsonProgress:
     "fail" also ``text``; with "fail" also ``exit_code``.
     """
 
-    def __init__(self, stream: TextIO | None = None, clock: Clock = time.monotonic) -> None:
-        self._stream = stream or sys.stderr
-        self._estimate = Estimate(clock)
-
-    def start(self, total: int, kinds: Mapping[str, int] | None = None, at_once: int = 1) -> None:
-        """Write the event "start"."""
-        self._estimate.start(total, kinds, at_once)
+    def _show_start(self) -> None:
         self._write("start")
 
-    def advance(
-        self, frame: int, note: str | None = None, kind: str = ANY, made: bool = True
-    ) -> None:
-        """Write the event "frame"."""
-        self._estimate.advance(kind, made)
+    def _show_frame(self, frame: int, note: str | None) -> None:
         eta = self._estimate.eta_s
         self._write("frame", frame=frame, note=note, eta_s=None if eta is None else round(eta, 3))
 
@@ -360,39 +329,29 @@ class JsonProgress:
         self._write("message", text=text)
 
     def finish(self) -> None:
-        """Write the event "finish"; `done` below `total` means that the run broke off."""
+        """Write the event "finish"; `done` below `total` means that the run stopped early."""
         self._write("finish")
 
     def fail(self, text: str, exit_code: int) -> None:
         """Write the event "fail"."""
         self._write("fail", text=text, exit_code=exit_code)
 
-    def _write(self, event: str, **rest: object) -> None:
+    def _write(self, event: str, **more: object) -> None:
         record = {"event": event, "done": self._estimate.done, "total": self._estimate.total}
-        # JSON spells out line ends itself, and a line that is cut would be no JSON.
-        _write_line(self._stream, json.dumps(record | rest))
+        # JSON escapes line ends itself, and a line that is cut would be no JSON.
+        _write_line(self._stream, json.dumps(record | more))
 
 
-class BarProgress(NoProgress):
+class BarProgress(_Counting):
     """A bar with the time left, for a terminal."""
 
-    def __init__(self, stream: TextIO | None = None, clock: Clock = time.monotonic) -> None:
-        super().__init__(stream)
-        self._estimate = Estimate(clock)
-        self._bar: RichProgress | None = None
-        self._task: TaskID | None = None
+    _bar: RichProgress | None = None
+    _task: TaskID | None = None
 
-    def start(self, total: int, kinds: Mapping[str, int] | None = None, at_once: int = 1) -> None:
-        """Show the bar."""
-        self._estimate.start(total, kinds, at_once)
+    def _show_start(self) -> None:
         # Imported here: it takes 60 ms, which runs without a terminal need not pay.
         from rich.console import Console
-        from rich.progress import (
-            BarColumn,
-            MofNCompleteColumn,
-            Progress,
-            TextColumn,
-        )
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
         self._bar = Progress(
             BarColumn(),
@@ -401,21 +360,14 @@ class BarProgress(NoProgress):
             TextColumn("{task.description}", markup=False),
             console=Console(file=self._stream, emoji=False),
         )
-        self._task = self._bar.add_task("", total=total, left=self._estimate.left)
+        self._task = self._bar.add_task("", total=self._estimate.total, left=self._estimate.left)
         self._bar.start()
 
-    def advance(
-        self, frame: int, note: str | None = None, kind: str = ANY, made: bool = True
-    ) -> None:
-        """Move the bar."""
-        self._estimate.advance(kind, made)
+    def _show_frame(self, frame: int, note: str | None) -> None:
         if self._bar is not None and self._task is not None:
-            self._bar.update(
-                self._task,
-                advance=1,
-                description=one_line(named(frame, note)),
-                left=self._estimate.left,
-            )
+            description = one_line(_frame_text(frame, note))
+            left = self._estimate.left
+            self._bar.update(self._task, advance=1, description=description, left=left)
 
     def message(self, text: str) -> None:
         """Print a line above the bar."""
@@ -425,7 +377,7 @@ class BarProgress(NoProgress):
             self._bar.console.print(one_line(f"exwarp: {text}"), markup=False, highlight=False)
 
     def finish(self) -> None:
-        """Leave the bar as it stands and give the cursor back."""
+        """Leave the bar as it is and show the cursor again."""
         if self._bar is not None:
             self._bar.stop()
             self._bar = None
@@ -438,10 +390,7 @@ REPORTERS: dict[str, Callable[[], Progress]] = {
     "openjd": OpenJdProgress,
     "none": NoProgress,
 }
-"""Every way of reporting by its name in ``--progress``."""
-
-KINDS = ("auto", *REPORTERS)
-"""Choices of ``--progress``."""
+KINDS = ("auto", *REPORTERS)  # choices of ``--progress``
 
 
 def make_progress(kind: str = "auto", *, results_on_stdout: bool = False) -> Progress:
@@ -450,7 +399,7 @@ def make_progress(kind: str = "auto", *, results_on_stdout: bool = False) -> Pro
     Parameters
     ----------
     kind
-        A name in `REPORTERS`, or "auto": the bar on a terminal, plain lines elsewhere.
+        A name in `REPORTERS`, or "auto": the bar on a terminal, else plain lines.
     results_on_stdout
         Whether the command prints a table or a JSON document there, which a program reads: then
         ``openjd`` goes to stderr too.
@@ -472,38 +421,34 @@ def make_progress(kind: str = "auto", *, results_on_stdout: bool = False) -> Pro
 
 @contextmanager
 def reporting(kind: str = "auto", *, results_on_stdout: bool = False) -> Iterator[Progress]:
-    """Make a reporter for a block; it receives the reason when the block raises.
+    """Yield a reporter; it receives the reason when the block raises an error.
 
-    Interruptions are no failure: the sender knows of them. Parameters and errors are those of
-    :func:`make_progress`; what the block raises goes on.
+    Interruptions are no failure: the sender knows about them. Parameters and errors are those of
+    :func:`make_progress`.
     """
     progress = make_progress(kind, results_on_stdout=results_on_stdout)
     try:
         with compilation.messages_to(progress.message):
             yield progress
     except Exception as error:
-        progress.fail(*_reason(error))
+        user_error = known_error(error)
+        if user_error is not None:
+            progress.fail(str(user_error), user_error.exit_code)
+        elif isinstance(error, MemoryError):
+            progress.fail("the memory does not suffice", OutOfMemoryError.exit_code)
+        else:  # a defect, which stderr shows in full
+            text = f"unexpected {type(error).__name__}: {error}"
+            progress.fail(text, ExwarpError.exit_code)
         raise
 
 
-def _reason(error: Exception) -> tuple[str, int]:
-    """Return a sentence and the exit code; stderr shows those of defects in full."""
-    known = known_error(error)
-    if known is not None:
-        return str(known), known.exit_code
-    if isinstance(error, MemoryError):
-        return "the memory does not suffice", OutOfMemoryError.exit_code
-    return f"unexpected {type(error).__name__}: {error}", ExwarpError.exit_code
-
-
 def _print_line(stream: TextIO, text: str) -> None:
-    """Write one line that the stream can encode, and flush it: who reads it reads it now."""
+    """Write one line in what the stream can encode."""
     encoding = getattr(stream, "encoding", None) or "utf-8"
     _write_line(stream, one_line(text).encode(encoding, "backslashreplace").decode(encoding))
 
 
 def _write_line(stream: TextIO, line: str) -> None:
-    """Write one line and flush it; a stream that fails must not end the work."""
-    with suppress(OSError, OutputError):
+    with suppress(OSError, OutputError):  # a stream that fails must not end the work
         stream.write(line + "\n")
         stream.flush()

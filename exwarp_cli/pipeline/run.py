@@ -22,7 +22,6 @@ from exwarp_cli.io.footage import picture
 from exwarp_cli.io.output import PREFIX
 from exwarp_cli.io.threads import use_threads
 from exwarp_cli.kernels import _row_bands
-from exwarp_cli.pipeline.announcing import left_out, tell_left_out, unscored, unusable
 from exwarp_cli.pipeline.choosing import Chooser, Chosen, always, by_policy, by_tiles, by_truth
 from exwarp_cli.pipeline.finding import is_usual
 from exwarp_cli.pipeline.frame_sizes import remark
@@ -37,6 +36,12 @@ from exwarp_cli.pipeline.interval_inputs import (
 )
 from exwarp_cli.pipeline.job import Job, open_job
 from exwarp_cli.pipeline.layers import ExtraLayers
+from exwarp_cli.pipeline.messages import (
+    announce_skipped,
+    skipped_interval,
+    skipped_rendered,
+    skipped_scores,
+)
 from exwarp_cli.pipeline.progress import FrameListener, NoProgress, Progress, kind_of, kinds_of
 from exwarp_cli.pipeline.recipes import key_recipe
 from exwarp_cli.pipeline.rendered_frames import leads_on
@@ -48,10 +53,9 @@ from exwarp_cli.pipeline.scheduling import (
     read_depth,
     record_time,
 )
-from exwarp_cli.pipeline.scoring import IntervalScores, broken_pixels_of
-from exwarp_cli.pipeline.sharpness import KeyedPulses
+from exwarp_cli.pipeline.scoring import IntervalScores, KeyedPulses, broken_pixels_of
 from exwarp_cli.pipeline.slot_renderer import RenderedSlot, SlotRenderer, rate_attribute, rounded
-from exwarp_cli.pipeline.verifying import Sums, files_of, verify, verify_video
+from exwarp_cli.pipeline.verification import Sums, files_of, verify, verify_video
 from exwarp_cli.pipeline.without_vectors import BY_EXWARP, is_kept, note_of, video_look
 from exwarp_cli.runtime.frame_pool import pool
 from exwarp_cli.runtime.stop import check_stop
@@ -268,11 +272,11 @@ class Run:
         """Record and say which ground truth and which rendered frames cannot be used."""
         timeline = self._job.source.timeline
         for found in (
-            *unscored(timeline, inputs.key, inputs.truth.unscored),
-            *unusable(timeline, inputs.key, inputs.rendered.unusable),
+            *skipped_scores(timeline, inputs.key, inputs.truth.unscored),
+            *skipped_rendered(timeline, inputs.key, inputs.rendered.unusable),
         ):
             self.left_out.append(found)
-            tell_left_out(self._progress, found)
+            announce_skipped(self._progress, found)
 
     def _prepare(self, inputs: IntervalInputs) -> tuple[PreparedInterval, IntervalInputs]:
         """Build an interval, and decide its path; return it with what is left of its inputs."""
@@ -372,10 +376,10 @@ class Run:
         if skipped.passed is not None and timeline.shows(skipped.key):
             self._pass_key(skipped.passed)
             slots = timeline.made_of(skipped.key)
-        left = left_out(timeline, skipped.key, slots, skipped.reason)
+        left = skipped_interval(timeline, skipped.key, slots, skipped.reason)
         if left.frames:
             self.left_out.append(left)
-            tell_left_out(self._progress, left)
+            announce_skipped(self._progress, left)
         for slot in slots:
             self.writer.show_again()
             number = timeline.number(slot)

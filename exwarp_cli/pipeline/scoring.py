@@ -1,23 +1,26 @@
-"""Scores of the slots of one key interval: each frame's own, and what takes its neighbours too."""
+"""Scores of a run: each frame's own, and those that depend on the frames around it."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import takewhile
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from exwarp_cli.domain.frame import Bool, Float32, UInt8, Window, place
+from exwarp_cli.domain.frame import Bool, Float32, Image, UInt8, Window, place
 from exwarp_cli.domain.metric import WITHOUT_TRUTH
-from exwarp_cli.domain.results import BrokenPixels, Score
+from exwarp_cli.domain.results import BrokenPixels, FrameRecord, Score
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR, Slot
-from exwarp_cli.errors import UsageError
+from exwarp_cli.errors import InputError, UsageError
+from exwarp_cli.io.footage import picture
 from exwarp_cli.io.video import to_display
 from exwarp_cli.io.vmaf import require_size, vmaf
 from exwarp_cli.metrics.flicker import Transition, error, flicker, landing, transition
+from exwarp_cli.metrics.pulse import between, mean_gradient, pulse
 from exwarp_cli.synthesis.interval import Interval
 
 if TYPE_CHECKING:
@@ -26,34 +29,24 @@ if TYPE_CHECKING:
     from exwarp_cli.pipeline.rendered_frames import RenderedReader
     from exwarp_cli.pipeline.source import Source
 
-Scores = tuple[Score, Score | None]
-"""Over all pixels, and in holes."""
+Scores = tuple[Score, Score | None]  # over all pixels, and in holes
 
-SLOTS = range(1, FACTOR)
-"""The slots that the paper's decisions are for."""
+SLOTS = range(1, FACTOR)  # the slots that the paper's decisions are for
 
 
 @dataclass(frozen=True)
 class Steps:
-    """How surfaces move through an interval, on the display window.
+    """The motion of surfaces through an interval, on the display window."""
 
-    Attributes
-    ----------
-    fields
-        By slot, 1 or more: float32 [H, W, 2], pixels, to the instant before; NaN where unknown.
-    hidden
-        By slot, bool [H, W]: the instant before does not show the surface point.
-    followed
-        Whether a rendered frame comes after the last slot.
-    """
-
+    # By slot, 1 or more: float32 [H, W, 2], pixels, to the instant before; NaN where unknown
     fields: dict[int, Float32]
+    # By slot, bool [H, W]: the instant before does not show the surface point
     hidden: dict[int, Bool]
-    followed: bool
+    followed: bool  # whether a rendered frame comes after the last slot
 
 
 def steps_of(interval: Interval, display: Window, followed: bool = True) -> Steps | None:
-    """Return an interval's steps, along which flicker is followed; None without motion."""
+    """Return an interval's steps, along which flicker is measured; None without motion."""
     if not interval.has_motion:
         return None
     canvas = interval.key.image.data_window
@@ -74,8 +67,8 @@ def flicker_of(
     Parameters
     ----------
     errors
-        By slot, what `metrics.flicker.error` returned; the key frames around count as right. A slot
-        that is not there has (None, None).
+        By slot, from `metrics.flicker.error`; the key frames around have none. The flicker of a
+        slot that is missing is (None, None).
     masks
         By slot, bool [H, W].
     steps
@@ -106,28 +99,21 @@ def vmaf_of(truth: Mapping[int, Float32], rows: Sequence[Sequence[Float32]]) -> 
         A version each: its frames at the slots after the first.
     """
     reference = [to_display(truth[slot]) for slot in sorted(truth)]
-    made = len(rows[0])
-    ends = reference[made + 1 :]
+    slots = len(rows[0])
+    ends = reference[slots + 1 :]
     videos = [[reference[0], *map(to_display, row), *ends] for row in rows]
-    if ends:  # a closed interval hides what comes after it, so all go through one ffmpeg
-        found = vmaf(reference * len(rows), [frame for video in videos for frame in video])
+    if ends:  # the next interval has no effect on a closed one, so one ffmpeg takes all
+        values = vmaf(reference * len(rows), [frame for video in videos for frame in video])
     else:
-        found = [value for video in videos for value in vmaf(reference, video)]
+        values = [value for video in videos for value in vmaf(reference, video)]
     count = len(reference)
-    return [found[i * count + 1 : i * count + 1 + made] for i in range(len(rows))]
+    return [values[i * count + 1 : i * count + 1 + slots] for i in range(len(rows))]
 
 
 def require_measurable(settings: UpsampleSettings, display: Window, whole: bool = True) -> None:
-    """Refuse metrics that cannot be measured, before any work.
+    """Refuse metrics that cannot be measured, before any work begins.
 
-    Parameters
-    ----------
-    settings
-        Of the run.
-    display
-        The window that is scored.
-    whole
-        Whether every key frame is an output instant.
+    `display` is the window that is scored; `whole` is True if all key frames are output instants.
 
     Raises
     ------
@@ -136,34 +122,35 @@ def require_measurable(settings: UpsampleSettings, display: Window, whole: bool 
     LayoutError
         For VMAF of frames that are too small for it.
     """
-    if settings.ground_truth is None and set(settings.metrics or ()) - set(WITHOUT_TRUTH):
+    has_truth = settings.ground_truth is not None
+    if not has_truth and set(settings.metrics or ()) - set(WITHOUT_TRUTH):
         raise UsageError(
             "--metrics names what is measured against --ground-truth; give that too, or leave "
             f"--metrics out; only {' and '.join(WITHOUT_TRUTH)} is measured without, against the "
             "key frames"
         )
     together = [name for name in ("vmaf", "flicker") if name in settings.measured]
-    if settings.ground_truth is not None and together and not whole:
+    if has_truth and together and not whole:
         raise UsageError(
             f"{' and '.join(together)} are measured from key frame to key frame, and at this rate "
             "most of them are no output instants; measure psnr, ssim and flip, or give a whole "
             "--factor"
         )
-    if settings.ground_truth is not None and "vmaf" in settings.measured:
+    if has_truth and "vmaf" in settings.measured:
         require_size(display.height, display.width, "the input")
 
 
 class IntervalScores:
     """Scores the slots of one interval, in order, on the display window.
 
-    VMAF and flicker depend on nothing beyond the interval: of VMAF's features only the reference's
-    own motion reaches over frames, and rendered frames have no error. So any split into chunks
-    gives the same scores.
+    Any division into chunks gives the same scores, because VMAF and flicker depend on nothing
+    outside the interval: of VMAF's features only the reference's own motion spans frames, and
+    rendered frames have no error.
 
     Parameters
     ----------
     interval
-        Whose motion flicker is followed along; without motion it is not measured.
+        With the motion along which flicker is measured; without motion it is not measured.
     display
         The window that is scored.
     names
@@ -184,7 +171,7 @@ class IntervalScores:
         self._shown: dict[int, tuple[UInt8, UInt8]] = {}
 
     def frame(self, slot: int, truth: Float32, test: Float32, mask: Bool | None) -> Scores:
-        """Score a slot's frame by what needs no other one.
+        """Score a slot's frame by the metrics of single frames.
 
         Parameters
         ----------
@@ -195,7 +182,7 @@ class IntervalScores:
         mask
             bool [H, W], the slot's holes; None without motion.
         """
-        from exwarp_cli.metrics.registry import score  # its kernels are not for every run
+        from exwarp_cli.metrics.registry import score  # not every run needs its kernels
 
         self._scores[slot] = score(truth, test, mask, self._names)
         if mask is not None:
@@ -207,30 +194,29 @@ class IntervalScores:
         return self._scores[slot]
 
     def complete(self, ends: Mapping[int, Float32]) -> dict[int, Scores]:
-        """Return the scores of all slots with what takes several frames.
+        """Return the scores of all slots, with those that depend on several frames.
 
         Parameters
         ----------
         ends
-            Ground truth at slot 0 and, counted on as a slot, at the next key frame's instant, as
-            far as it is there; float32 [H, W, 3] or more, scene-linear. Only for VMAF.
+            Ground truth at slot 0 and, counted on as a slot, at the next key frame's instant, if
+            it exists; float32 [H, W, 3] or more, scene-linear. Only for VMAF.
         """
-        found = dict(self._scores)
+        scores = dict(self._scores)
         if "vmaf" in self._names:
             for slot, value in self._vmaf(ends).items():
-                found[slot] = (replace(found[slot][0], vmaf=value), found[slot][1])
+                scores[slot] = (replace(scores[slot][0], vmaf=value), scores[slot][1])
         if self._steps is not None:
             values = flicker_of(self._errors, self._masks, self._steps)
-            slots = sorted(self._steps.fields)
-            for slot, (overall, masked) in zip(slots, values, strict=True):
-                if slot in found:
-                    whole, inside = found[slot]
+            for slot, (overall, masked) in zip(sorted(self._steps.fields), values, strict=True):
+                if slot in scores:
+                    all_pixels, inside = scores[slot]
                     inside = None if inside is None else replace(inside, flicker=masked)
-                    found[slot] = (replace(whole, flicker=overall), inside)
-        return found
+                    scores[slot] = (replace(all_pixels, flicker=overall), inside)
+        return scores
 
     def _vmaf(self, ends: Mapping[int, Float32]) -> dict[int, float]:
-        """Score the interval as a video between two rendered frames, taken to be the truth's."""
+        """Score the interval as a video between two rendered frames, which count as the truth."""
         pairs = dict(self._shown)
         for slot, pixels in ends.items():
             pairs[slot] = (to_display(pixels),) * 2
@@ -243,33 +229,26 @@ class IntervalScores:
 def broken_pixels_of(
     job: Job, truth: NonFinite, rendered: RenderedReader | None = None
 ) -> tuple[BrokenPixels, ...]:
-    """Return what was found in the selected key frames, and in what the slots after them have.
+    """Return the non-finite pixels of the selected key frames, and of the slots after them.
 
-    The chunks to which the frames around belong report those, although they were read here too.
+    The chunks of the frames around report those, although they were read here too.
 
-    Parameters
-    ----------
-    job
-        All of whose frames were read.
-    truth
-        What was found in ground truth, by output frame.
-    rendered
-        What read rendered frames; None without.
+    All frames of the job were read; `truth` has those of ground truth, by output frame.
     """
     in_rendered = {} if rendered is None else rendered.nonfinite
-    found: list[BrokenPixels] = []
+    broken: list[BrokenPixels] = []
     for key in job.keys:
         for source in job.sources:
-            others = [truth] if source is job.source else []
-            others += [in_rendered[source.keys.view]] if in_rendered else []
-            found += _in_interval(source, key, others)
-    return tuple(found)
+            by_output = [truth] if source is job.source else []
+            by_output += [in_rendered[source.keys.view]] if in_rendered else []
+            broken += _in_interval(source, key, by_output)
+    return tuple(broken)
 
 
 def _in_interval(
     source: Source, key: int, by_output: Iterable[NonFinite]
 ) -> Iterator[BrokenPixels]:
-    """Yield what was found in one view of a key interval; the last by number of the output."""
+    """Yield those of one view of a key interval; `by_output` has them by output number."""
     timeline, view = source.timeline, source.keys.view
     number = timeline.numbers[key]
     for channels, pixels in source.keys.nonfinite.of(number):
@@ -279,6 +258,55 @@ def _in_interval(
         if instant is not None and source.slots is not None:
             for channels, pixels in source.slots.nonfinite.of(instant):
                 yield BrokenPixels(number, slot.index, view, channels, pixels)
-        for other in by_output:
-            for channels, pixels in other.of(timeline.number(slot)):
+        for nonfinite in by_output:
+            for channels, pixels in nonfinite.of(timeline.number(slot)):
                 yield BrokenPixels(number, slot.index, view, channels, pixels)
+
+
+class KeyedPulses:
+    """Collects mean gradients during a run; adds the pulse to the records of new frames at its end.
+
+    It needs no ground truth. A pulse depends only on a frame and the key frames around it, so any
+    division into chunks gives the same values.
+
+    Parameters
+    ----------
+    source
+        The view that is scored.
+    """
+
+    def __init__(self, source: Source) -> None:
+        self._source = source
+        self._keys: dict[int, float] = {}
+        self._frames: dict[int, tuple[Slot, float]] = {}
+        self._last_of_shot: set[int] = set()
+
+    def add_key(self, key: int, image: Image, followed: bool) -> None:
+        """Add a key frame by its index; `followed` if one of the same shot comes after it."""
+        self._keys[key] = mean_gradient(image.on(self._source.keys.display).pixels)
+        if not followed:
+            self._last_of_shot.add(key)
+
+    def add(self, number: int, slot: Slot, gradient: float) -> None:
+        """Add a new frame, by its output number, after its key frame."""
+        self._frames[number] = slot, gradient
+
+    def complete(self, records: Sequence[FrameRecord]) -> Iterator[FrameRecord]:
+        """Yield the records of a run, with the pulse of the frames that were added."""
+        for record in records:
+            if record.number in self._frames:
+                yield replace(record, key_pulse=self._pulse(*self._frames[record.number]))
+            else:
+                yield record
+
+    def _pulse(self, slot: Slot, gradient: float) -> float:
+        following, keys = slot.key + 1, self._source.keys
+        if slot.key not in self._last_of_shot and following not in self._keys:  # of another chunk
+            # A causal method makes its frames without it, so a damaged one is no error.
+            with suppress(InputError):
+                number = self._source.timeline.numbers[following]
+                image = picture(keys.sequence, number, keys.view)
+                self._keys[following] = mean_gradient(image.on(keys.display).pixels)
+        after = None if slot.key in self._last_of_shot else self._keys.get(following)
+        time = float(self._source.timeline.time(slot))
+        return pulse(gradient, between(self._keys[slot.key], after, time))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from exwarp_cli.pipeline.evaluate import Comparison
+from exwarp_cli.pipeline.evaluation import Comparison
 from exwarp_cli.report.comparison import part_rows
 from exwarp_cli.report.gallery import Album
 from exwarp_cli.report.page import Block, Cell, Number, Page, Section, Table, Text, Viewer

@@ -7,7 +7,7 @@ from typing import Any
 from exwarp_cli import __version__
 from exwarp_cli.domain.decision import CHOICES
 from exwarp_cli.io.sequences import Sequence
-from exwarp_cli.pipeline.evaluate import ComparedFrame, Comparison
+from exwarp_cli.pipeline.evaluation import ComparedFrame, Comparison
 from exwarp_cli.report.frames_csv import (
     LATER_HOLE_SCORES,
     LATER_SCORES,

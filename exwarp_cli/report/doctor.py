@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from exwarp_cli.domain.line import printable
 from exwarp_cli.domain.wording import enumerated
-from exwarp_cli.pipeline.doctor.examine import Checkup, Outcome
+from exwarp_cli.pipeline.doctor.checkup import DoctorReport, Outcome
 
 _TITLES = {"exr": "EXR"}
 
@@ -37,7 +37,7 @@ class Row:
     more: tuple[str, ...]
 
 
-def heading(checkup: Checkup) -> str:
+def heading(checkup: DoctorReport) -> str:
     """Return the first line: what runs on what."""
     facts = checkup.checks["machine"].facts if "machine" in checkup.checks else {}
     machine = [facts[name] for name in ("system", "architecture") if facts.get(name)]
@@ -45,7 +45,7 @@ def heading(checkup: Checkup) -> str:
     return f"exwarp {checkup.version}{' on ' if machine else ''}{' '.join(machine)}{python}"
 
 
-def rows(checkup: Checkup, verbose: bool) -> list[Row]:
+def rows(checkup: DoctorReport, verbose: bool) -> list[Row]:
     """Return the page's rows."""
     return [
         Row(
@@ -73,7 +73,7 @@ def plain(page: list[Row]) -> Iterator[str]:
         yield from (f"{'':<8} {'':<{width}}  {line}" for line in rest)
 
 
-def verdict(checkup: Checkup) -> str | None:
+def verdict(checkup: DoctorReport) -> str | None:
     """Sum up an examination without a failure; None for one with any."""
     if checkup.outcome is Outcome.FAILED:
         return None
@@ -84,7 +84,7 @@ def verdict(checkup: Checkup) -> str | None:
     return f"everything that is needed works; see the warnings on {enumerated(warnings)}"
 
 
-def failures(checkup: Checkup) -> str:
+def failures(checkup: DoctorReport) -> str:
     """Sum up an examination with failures."""
     failed = [title(name) for name in checkup.names(Outcome.FAILED)]
     many = "" if len(failed) == 1 else "s"

@@ -17,7 +17,7 @@ from exwarp_cli.domain.results import RunSummary
 from exwarp_cli.domain.timeline import ranges
 from exwarp_cli.errors import OutputExistsError
 from exwarp_cli.io.atomic import atomic_write_text, is_there, make_folder, remove_leftovers
-from exwarp_cli.pipeline.evaluate import Comparison
+from exwarp_cli.pipeline.evaluation import Comparison
 from exwarp_cli.report.compare_page import compare_page
 from exwarp_cli.report.comparison import SCHEMA, comparison, comparison_csv
 from exwarp_cli.report.frames_csv import frames_csv

@@ -12,7 +12,7 @@ from exwarp_cli import __version__
 from exwarp_cli.accel.fixed_point import MOST_ACTIVATION, from_fixed
 from exwarp_cli.accel.mac_array import COMPARE_CYCLES
 from exwarp_cli.domain.decision import CHOICES
-from exwarp_cli.pipeline.accelerator import Decided, Trace
+from exwarp_cli.pipeline.predictor import Decided, Trace
 from exwarp_cli.report.frames_csv import table
 
 DECISIONS, TRACE = "exwarp.policy-decisions/1", "exwarp.policy-trace/1"

@@ -6,7 +6,7 @@ from typing import Any
 
 from exwarp_cli.domain.metric import GENERATED, Threshold
 from exwarp_cli.errors import QualityError, UsageError
-from exwarp_cli.pipeline.evaluate import Comparison
+from exwarp_cli.pipeline.evaluation import Comparison
 from exwarp_cli.report.quality import quality
 
 

@@ -13,7 +13,7 @@ import yaml
 
 from exwarp_cli.commands import farm, upsample
 from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
-from exwarp_cli.farm.places import PURPOSES
+from exwarp_cli.farm.path_options import PATH_ROLES
 from exwarp_cli.option_values import names_paths
 from tests.cli import shots
 from tests.cli.farm_engine import HOSTILE, call, checked, parameters
@@ -83,7 +83,7 @@ class TestChunks:
         assert words[words.index("--frames") + 1] == "2,4"
 
     def test_key_frames_that_take_too_many_characters(self, shot, exwarp, monkeypatch):
-        monkeypatch.setattr("exwarp_cli.farm.openjd.LONGEST", 2)
+        monkeypatch.setattr("exwarp_cli.farm.openjd.frames_text", lambda _: ",".join(["1-4"] * 300))
         result = exwarp("farm", "openjd", "keys", "-o", "out", *FORWARD)
         result.refused(2, "1-4", "--frames", "farm commands")
 
@@ -340,7 +340,7 @@ class TestOptions:
     def test_those_that_name_files_have_a_purpose(self):
         for parameter in farm.shared_parameters():
             named = parameter.name == "sequence" or names_paths(parameter)
-            assert named == (parameter.name in PURPOSES), parameter.name
+            assert named == (parameter.name in PATH_ROLES), parameter.name
 
     def test_each_is_part_of_the_settings_or_the_commands_own(self):
         settled = {f.name for kind in (SourceSettings, UpsampleSettings) for f in fields(kind)}

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from exwarp_cli.pipeline import frame_writer, verifying
+from exwarp_cli.pipeline import frame_writer, verification
 from tests.cli.shots import KEYS, contents, names
 
 QUIET = ("--progress", "none", "--threads", 1)
@@ -18,7 +18,7 @@ FRAMES = 4 * KEYS
 @pytest.fixture
 def spoil(monkeypatch):
     """Have files change on the way to the disk: in what is read back of it."""
-    real = verifying.drop_cached
+    real = verification.drop_cached
 
     def spoil(*wanted: str, cut: bool = False) -> None:
         def dropping(path: Path) -> None:
@@ -28,7 +28,7 @@ def spoil(monkeypatch):
                 path.write_bytes(data[:-7] if cut else data)
             real(path)
 
-        monkeypatch.setattr(verifying, "drop_cached", dropping)
+        monkeypatch.setattr(verification, "drop_cached", dropping)
 
     return spoil
 
@@ -76,9 +76,9 @@ class TestChecksums:
         self, upsample, shot, tmp_path, monkeypatch
     ):
         keys, *rest = shot["key"]
-        for module in (frame_writer, verifying):
+        for module in (frame_writer, verification):
             monkeypatch.setattr(module, "sum_of", None)
-        monkeypatch.setattr(verifying, "sum_in", None)
+        monkeypatch.setattr(verification, "sum_in", None)
         upsample(keys, tmp_path / "out", "-m", "s6", *rest)
 
 

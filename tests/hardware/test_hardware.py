@@ -7,7 +7,7 @@ import pytest
 from exwarp_cli.accel.mac_array import MacArray, schedule
 from exwarp_cli.accel.quantised_mlp import PAPER_SIZES, infer_reference
 from exwarp_cli.models.policy_files import load_policy
-from exwarp_cli.pipeline.accelerator import sample_states
+from exwarp_cli.pipeline.predictor import sample_states
 from tests.hardware import designs
 from tests.hardware.designs import CACHE, DEFAULT, REFILLED, extreme, result, run, tied, write
 from tests.unit.mlp_cases import network

@@ -23,7 +23,7 @@ from exwarp_cli.errors import (
     UsageError,
 )
 from exwarp_cli.metrics.registry import score
-from exwarp_cli.pipeline.evaluate import Comparison, evaluate
+from exwarp_cli.pipeline.evaluation import Comparison, evaluate
 from exwarp_cli.report.comparison import comparison
 from exwarp_cli.report.summary import to_json
 

@@ -16,7 +16,7 @@ from exwarp_cli.io.video import to_display
 from exwarp_cli.io.vmaf import EncodedVmaf, vmaf
 from exwarp_cli.metrics import extranet
 from exwarp_cli.metrics.flicker import error
-from exwarp_cli.pipeline.evaluate import Comparison, evaluate
+from exwarp_cli.pipeline.evaluation import Comparison, evaluate
 from exwarp_cli.report.comparison import comparison
 from exwarp_cli.report.thresholds import require_quality
 from tests.blender_layers import blender_depth, layer

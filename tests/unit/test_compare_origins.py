@@ -14,8 +14,8 @@ from exwarp_cli.commands.compare import command
 from exwarp_cli.domain.metric import parse_threshold
 from exwarp_cli.domain.settings import MeasureSettings
 from exwarp_cli.errors import QualityError, UsageError
-from exwarp_cli.pipeline import comparing
-from exwarp_cli.pipeline.evaluate import Comparison, evaluate
+from exwarp_cli.pipeline import sequence_scores
+from exwarp_cli.pipeline.evaluation import Comparison, evaluate
 from exwarp_cli.report.compare_page import compare_page
 from exwarp_cli.report.comparison import comparison
 from exwarp_cli.report.page import render
@@ -82,7 +82,7 @@ def test_headers_that_tell_nothing_leave_nulls(
 ) -> None:
     save(tmp_path / "b" / "shot.0002.exr", picture(2, SIZE), *origin)
     found = evaluate(shots[0], str(tmp_path / "b"))
-    assert found.frames[0].origin == comparing.Origin()
+    assert found.frames[0].origin == sequence_scores.Origin()
     quality = comparison(found)["quality"]
     parts = (quality["generated"], quality["dropped"], *quality["by_decision"].values())
     for block in parts:
@@ -93,8 +93,10 @@ def test_headers_that_tell_nothing_leave_nulls(
 
 def test_each_header_is_read_once(shots: tuple[str, str], monkeypatch) -> None:
     read: list[str] = []
-    known = comparing.facts_in
-    monkeypatch.setattr(comparing, "facts_in", lambda path: read.append(path.name) or known(path))
+    known = sequence_scores.facts_in
+    monkeypatch.setattr(
+        sequence_scores, "facts_in", lambda path: read.append(path.name) or known(path)
+    )
     for settings in (MeasureSettings(("psnr_db",)), MeasureSettings(("ssim",), "extranet")):
         read.clear()
         evaluate(*shots, frames="2-4", measuring=settings)

@@ -1,4 +1,4 @@
-"""Who gets which chunk, with workers that come, go and refuse: a cluster made of plain objects."""
+"""Which worker gets which chunk, with workers that come, go and refuse: a simulated cluster."""
 
 from __future__ import annotations
 
@@ -11,66 +11,67 @@ import pytest
 from exwarp_cli.domain.joining import Outcome
 from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.errors import ClusterError, OutputError
-from exwarp_cli.farm import cluster_dispatch
-from exwarp_cli.farm.cluster_dispatch import ATTEMPTS, Dispatch
-from exwarp_cli.farm.cluster_work import Chunk, Done, Needs, unfit, work
+from exwarp_cli.farm import dask_cluster
+from exwarp_cli.farm.dask_cluster import ATTEMPTS, ChunkDispatcher
+from exwarp_cli.farm.dask_worker import (
+    Chunk,
+    ChunkResult,
+    WorkerRequirements,
+    check_worker,
+    render_chunk,
+)
+from exwarp_cli.pipeline.progress import NoProgress
 
 
 class Future:
-    """A task's result that is there at once, later, or never."""
+    """A task's result, which is there at once, later, or never."""
 
     def __init__(self) -> None:
-        self.status, self._value = "pending", None
-        self._call: Callable[[Future], None] | None = None
+        self.value: Any = None
+        self.on_done: Callable[[Future], None] | None = None
 
     def add_done_callback(self, call: Callable[[Future], None]) -> None:
-        self._call = call
-        if self.status != "pending":
+        self.on_done = call
+        if self.value is not None:
             call(self)
 
-    def finish(self, value: Any, status: str = "finished") -> None:
-        self.status, self._value = status, value
-        if self._call is not None:
-            self._call(self)
-
     def result(self, timeout: float) -> Any:
-        if self.status == "error":
-            raise self._value
-        return self._value
+        return self.value
 
-    def cancel(self) -> None:
-        self.status = "cancelled"
-
-    release = cancel
+    def release(self) -> None:
+        pass
 
 
 @dataclass
 class Cluster:
-    """A client of workers that do what `does` says: return what a chunk comes to, or None."""
+    """A client of workers. `does` returns what a chunk comes to, or None for a task under way."""
 
     workers: list[str]
     does: Callable[[str, Chunk], Any]
     fits: Callable[[str], str | Exception | None] = lambda _: None
-    given: list[tuple[str, int]] = field(default_factory=list)
+    submitted: list[tuple[str, int]] = field(default_factory=list)
     cancelled: list[Future] = field(default_factory=list)
     handler: Any = None
+    status: str = "running"
 
     def nthreads(self) -> dict[str, int]:
         return dict.fromkeys(self.workers, 1)
 
-    def submit(self, function: Any, argument: Any, key: str, workers: list[str], **_: Any) -> Any:
-        future, (worker,) = Future(), workers
-        if function is unfit:
-            answer = self.fits(worker)
-            future.finish(answer, "error" if isinstance(answer, Exception) else "finished")
-            return future
-        assert function is work
-        self.given.append((worker, argument.index))
-        self.handler((0.0, {"chunk": argument.index, "attempt": argument.attempt, "begin": True}))
-        result = self.does(worker, argument)
-        if result is not None:
-            future.finish(result)
+    def run(self, function: Any, _: Any, workers: list[str], on_error: str) -> dict[str, Any]:
+        assert function is check_worker and on_error == "return"
+        return {worker: self.fits(worker) for worker in workers}
+
+    def submit(self, function: Any, chunk: Chunk, key: str, workers: list[str], **_: Any) -> Future:
+        assert function is render_chunk
+        (worker,) = workers
+        self.submitted.append((worker, chunk.index))
+        self.tell(chunk.index, begin=True)
+        future = Future()
+        future.value = self.does(worker, chunk)
         return future
+
+    def tell(self, chunk: int, **event: Any) -> None:
+        self.handler((0.0, {"chunk": chunk, **event}))
 
     def cancel(self, futures: list[Future]) -> None:
         self.cancelled += futures
@@ -78,91 +79,87 @@ class Cluster:
     def subscribe_topic(self, topic: str, handler: Any) -> None:
         self.handler = handler
 
-    def unsubscribe_topic(self, topic: str) -> None:
-        pass
+
+class Progress(NoProgress):
+    def __init__(self) -> None:
+        super().__init__()
+        self.frames: list[int] = []
+        self.messages: list[str] = []
+
+    def advance(self, frame: int, *_: Any, **__: Any) -> None:
+        self.frames.append(frame)
+
+    def message(self, text: str) -> None:
+        self.messages.append(text)
 
 
-DONE = Done(Outcome(), None)
+DONE = ChunkResult(Outcome(), None)
 
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch) -> None:
-    monkeypatch.setattr(cluster_dispatch, "POLL_S", 0.01)
-    monkeypatch.setattr(cluster_dispatch, "CALL_OFF_S", 0.05)
+    monkeypatch.setattr(dask_cluster, "POLL_S", 0.01)
+    monkeypatch.setattr(dask_cluster, "CANCEL_S", 0.05)
 
 
-@dataclass
-class Reports:
-    done: list[int] = field(default_factory=list)
-    frames: list[int] = field(default_factory=list)
-    said: list[str] = field(default_factory=list)
-
-
-def dispatch(cluster: Cluster) -> tuple[Dispatch, Reports]:
-    reports = Reports()
-    made = Dispatch(
-        cluster,
-        Needs("1", ()),
-        lambda frame, *_: reports.frames.append(frame),
-        lambda chunk, _: reports.done.append(chunk.index),
-        reports.said.append,
-        lambda chunk: f"of chunk {chunk.index}",
-    )
-    return made, reports
+def dispatcher_of(cluster: Cluster) -> tuple[ChunkDispatcher, Progress]:
+    progress = Progress()
+    return ChunkDispatcher(cluster, WorkerRequirements("1", ()), progress), progress
 
 
 def chunks(count: int) -> list[Chunk]:
     settings = UpsampleSettings(SourceSettings("in"), "out")
-    return [Chunk("run", "topic", index, 0, settings, (index,), None) for index in range(count)]
+    return [Chunk("run", i, settings, (i,), f"of chunk {i}") for i in range(count)]
+
+
+def render(dispatcher: ChunkDispatcher, count: int) -> list[int]:
+    """Do chunks; return their indices in the order in which they end."""
+    return [chunk.index for chunk, _ in dispatcher.render(chunks(count))]
 
 
 class TestWork:
-    def test_everybody_gets_some(self):
+    def test_each_worker_gets_some(self):
         cluster = Cluster(["a", "b"], lambda *_: DONE)
-        made, reports = dispatch(cluster)
-        assert made.muster() == 2
-        made.run(chunks(5))
-        assert sorted(reports.done) == [0, 1, 2, 3, 4]
-        assert {worker for worker, _ in cluster.given} == {"a", "b"} and reports.said == []
+        dispatcher, progress = dispatcher_of(cluster)
+        assert dispatcher.await_workers() == 2
+        assert sorted(render(dispatcher, 5)) == [0, 1, 2, 3, 4]
+        assert {worker for worker, _ in cluster.submitted} == {"a", "b"}
+        assert progress.messages == []
 
-    def test_who_comes_late_is_used(self):
+    def test_late_workers_are_used(self):
         cluster = Cluster(["a"], lambda worker, chunk: DONE if worker == "b" else None)
-        made, reports = dispatch(cluster)
-        made.muster()
+        dispatcher, progress = dispatcher_of(cluster)
+        dispatcher.await_workers()
         cluster.workers.append("b")
+        indices = []
+        for chunk, _ in dispatcher.render(chunks(3)):
+            indices.append(chunk.index)
+            if len(indices) == 2:
+                cluster.workers.remove("a")  # whose task never ends
+        assert sorted(indices) == [0, 1, 2]
+        assert progress.messages == ["worker a was lost; frames of chunk 0 are done again"]
 
-        def give_back(chunk: Chunk, _: Done) -> None:
-            reports.done.append(chunk.index)
-            if len(reports.done) == 2:
-                cluster.workers.remove("a")  # which never comes to an end
-
-        made.on_chunk = give_back
-        made.run(chunks(3))
-        assert sorted(reports.done) == [0, 1, 2]
-        assert reports.said == ["worker a was lost; frames of chunk 0 are done again"]
-
-    def test_the_first_error_ends_it_and_calls_off_the_others(self):
+    def test_the_first_error_cancels_the_others(self):
         error = OutputError("cannot write it")
         cluster = Cluster(["a", "b"], lambda _, chunk: error if chunk.index == 1 else None)
-        made, reports = dispatch(cluster)
-        made.muster()
+        dispatcher, _ = dispatcher_of(cluster)
+        dispatcher.await_workers()
         with pytest.raises(OutputError, match="cannot write it"):
-            made.run(chunks(4))
-        assert len(cluster.cancelled) == 1 and reports.done == []
-        assert [index for _, index in cluster.given] == [0, 1]
+            render(dispatcher, 4)
+        assert len(cluster.cancelled) == 1
+        assert [index for _, index in cluster.submitted] == [0, 1]
 
     def test_frames_count_once(self):
         def does(worker: str, chunk: Chunk) -> Any:
             for frame in (1, 2, 1):
-                event = {"frame": frame, "note": None, "kind": "key", "made": True}
-                cluster.handler((0.0, {"chunk": 0, "attempt": 0} | event))
+                cluster.tell(0, frame=frame, note=None, kind="key", made=True)
             return DONE
 
         cluster = Cluster(["a"], does)
-        made, reports = dispatch(cluster)
-        made.muster()
-        made.run(chunks(1))
-        assert reports.frames == [1, 2]
+        dispatcher, progress = dispatcher_of(cluster)
+        dispatcher.await_workers()
+        render(dispatcher, 1)
+        assert progress.frames == [1, 2]
 
 
 class TestLosses:
@@ -174,60 +171,56 @@ class TestLosses:
             return None
 
         cluster = Cluster(["a", "b"], does)
-        made, reports = dispatch(cluster)
-        made.muster()
+        dispatcher, progress = dispatcher_of(cluster)
+        dispatcher.await_workers()
+        indices = []
         with pytest.raises(ClusterError, match=f"of chunk 1 lost their worker {ATTEMPTS} times"):
-            made.run(chunks(3))
-        assert [index for _, index in cluster.given].count(1) == ATTEMPTS
-        assert len(reports.said) == ATTEMPTS - 1 and sorted(reports.done) == [0, 2]
-
-    def test_a_worker_that_comes_back_under_its_address(self):
-        """Dask gives it its task again by itself, which shows by a second beginning."""
-
-        def does(worker: str, chunk: Chunk) -> Any:
-            cluster.handler((0.0, {"chunk": 0, "attempt": 0, "begin": True}))
-            cluster.handler((0.0, {"chunk": 0, "attempt": 0, "end": True}))
-            return DONE
-
-        cluster = Cluster(["a"], does)
-        made, reports = dispatch(cluster)
-        made.muster()
-        made.run(chunks(1))
-        assert reports.done == [0] and len(cluster.given) == 1
-        assert reports.said == ["worker a was lost; frames of chunk 0 are done again"]
+            for chunk, _ in dispatcher.render(chunks(3)):
+                indices.append(chunk.index)
+        assert [index for _, index in cluster.submitted].count(1) == ATTEMPTS
+        assert len(progress.messages) == ATTEMPTS - 1 and sorted(indices) == [0, 2]
 
     def test_a_cluster_without_workers(self, monkeypatch):
-        monkeypatch.setattr(cluster_dispatch, "PATIENCE_S", 0.05)
-        made, reports = dispatch(Cluster([], lambda *_: DONE))
+        monkeypatch.setattr(dask_cluster, "PATIENCE_S", 0.05)
+        dispatcher, progress = dispatcher_of(Cluster([], lambda *_: DONE))
         with pytest.raises(ClusterError, match="no worker that can do this for"):
-            made.muster()
-        assert reports.said == ["waiting for a worker to join the cluster"]
+            dispatcher.await_workers()
+        assert progress.messages == ["waiting for a worker to join the cluster"]
 
-    def test_a_scheduler_that_goes_away(self):
+    @pytest.mark.parametrize("error", [OSError("closed"), RuntimeError("loop is closed")])
+    def test_a_scheduler_that_goes_away(self, error):
         cluster = Cluster(["a"], lambda *_: None)
-        made, _ = dispatch(cluster)
-        made.muster()
+        dispatcher, _ = dispatcher_of(cluster)
+        dispatcher.await_workers()
 
         def gone() -> dict[str, int]:
-            raise OSError("closed")
+            cluster.status = "closed"
+            raise error
 
         cluster.nthreads = gone  # type: ignore[method-assign]
         with pytest.raises(ClusterError, match="scheduler went away"):
-            made.run(chunks(1))
+            render(dispatcher, 1)
 
 
-class TestUnfit:
+class TestUnfitWorkers:
     def test_all_of_them(self):
-        made, _ = dispatch(Cluster(["a", "b"], lambda *_: DONE, lambda _: "is of wood"))
+        dispatcher, _ = dispatcher_of(Cluster(["a", "b"], lambda *_: DONE, lambda _: "is of wood"))
         with pytest.raises(ClusterError, match="no worker can do this: a is of wood"):
-            made.muster()
+            dispatcher.await_workers()
 
     def test_one_of_them(self):
         answers = {"a": ModuleNotFoundError("No module named 'exwarp_cli'"), "b": None}
         cluster = Cluster(["a", "b"], lambda *_: DONE, answers.get)
-        made, reports = dispatch(cluster)
-        assert made.muster() == 1
-        made.run(chunks(2))
-        assert {worker for worker, _ in cluster.given} == {"b"}
-        (said,) = reports.said
-        assert "worker a is left out" in said and "No module named" in said
+        dispatcher, progress = dispatcher_of(cluster)
+        assert dispatcher.await_workers() == 1
+        render(dispatcher, 2)
+        assert {worker for worker, _ in cluster.submitted} == {"b"}
+        (message,) = progress.messages
+        assert "worker a is left out" in message and "No module named" in message
+
+    def test_one_that_did_not_answer_is_asked_again(self):
+        answers = [OSError("timed out"), None]
+        dispatcher, progress = dispatcher_of(
+            Cluster(["a"], lambda *_: DONE, lambda _: answers.pop(0))
+        )
+        assert dispatcher.await_workers() == 1 and progress.messages == []

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from openjd.model import IntRangeExpr
 
 from exwarp_cli.domain.timeline import parse_frames
-from exwarp_cli.farm.calls import frames_text, is_dense, split
+from exwarp_cli.farm.farm_job import frames_text, is_dense, split
 
 NUMBERS = st.lists(st.integers(-300, 300), min_size=1, max_size=40, unique=True).map(sorted)
 

@@ -12,20 +12,22 @@ from hypothesis import strategies as st
 from openjd.model import create_job, decode_job_template, preprocess_job_parameters
 
 from exwarp_cli.errors import InputError, OutputExistsError, UsageError
-from exwarp_cli.farm.calls import FarmJob, Given
+from exwarp_cli.farm.farm_job import FarmJob, OptionValue
 from exwarp_cli.farm.openjd import JobTemplate, Workers, job_template, write_bundle, yaml_text
-from exwarp_cli.farm.places import Place, locate
+from exwarp_cli.farm.path_options import PathOption, locate
 from tests.unit.tiny_models import convolution
 
 ROOT = Path("/shots")
 TEXTS = st.text(st.characters(exclude_categories=["Cs", "Cc"]), min_size=1, max_size=60)
 
 
-def job(*more: Given, numbers: tuple[int, ...] = tuple(range(1, 31)), title: str = "a") -> FarmJob:
-    return FarmJob((Given("sequence", "", place("keys")), *more), numbers, 10, title)
+def job(
+    *more: OptionValue, numbers: tuple[int, ...] = tuple(range(1, 31)), title: str = "a"
+) -> FarmJob:
+    return FarmJob((OptionValue("sequence", "", place("keys")), *more), numbers, 10, title)
 
 
-def place(name: str) -> Place:
+def place(name: str) -> PathOption:
     return locate("report_folder", str(ROOT / name))
 
 
@@ -50,7 +52,7 @@ def words_of(template: JobTemplate) -> list[str]:
 
 @given(TEXTS)
 def test_any_text_comes_through(text):
-    made = job_template(job(Given("dynamic", "--dynamic", text)), Workers(), ROOT)
+    made = job_template(job(OptionValue("dynamic", "--dynamic", text)), Workers(), ROOT)
     words = words_of(made)
     assert words[words.index("--dynamic") + 1] == text
 
@@ -58,7 +60,9 @@ def test_any_text_comes_through(text):
 @pytest.mark.parametrize("text", ["{{Param.Frames}}", "}}", "a{{{b", "{{ }}", "{{" * 9])
 def test_braces_come_through(text):
     for plain in (False, True):
-        made = job_template(job(Given("x", "--x", text), title=text), Workers(plain=plain), ROOT)
+        made = job_template(
+            job(OptionValue("x", "--x", text), title=text), Workers(plain=plain), ROOT
+        )
         words = words_of(made)
         assert words[words.index("--x") + 1] == text
 
@@ -69,14 +73,18 @@ def test_any_title_is_a_name(title):
 
 
 def test_a_text_that_occurs_twice_is_one_parameter():
-    twice = (Given("x", "--x", "{{"), Given("y", "--y", "{{"), Given("z", "--z", "}}"))
+    twice = (
+        OptionValue("x", "--x", "{{"),
+        OptionValue("y", "--y", "{{"),
+        OptionValue("z", "--z", "}}"),
+    )
     made = job_template(job(*twice), Workers(), ROOT).document
     texts = [p for p in made["parameterDefinitions"] if p["name"].startswith("Text")]
     assert [p["default"] for p in texts] == ["{{", "}}"]
 
 
 def test_values_that_no_template_holds():
-    long = Given("x", "--x", "{{" + "a" * 1023)
+    long = OptionValue("x", "--x", "{{" + "a" * 1023)
     with pytest.raises(UsageError, match="1025 characters"):
         job_template(job(long), Workers(), ROOT)
     spread = tuple(n * n for n in range(400))
@@ -98,16 +106,18 @@ def test_a_list_of_chunks_has_a_limit_and_ranges_have_none():
 
 def test_defaults_lie_below_the_template():
     above = locate("video", str(ROOT / ".." / "a.mp4"))
-    made = job_template(job(Given("video", "--video", above)), Workers(), ROOT)
+    made = job_template(job(OptionValue("video", "--video", above)), Workers(), ROOT)
     assert made.values == {"VideoFile": "/shots/../a.mp4"}
     here = locate("video", str(ROOT / "x" / ".." / "a.mp4"))
-    assert not job_template(job(Given("video", "--video", here)), Workers(), ROOT).values
+    assert not job_template(job(OptionValue("video", "--video", here)), Workers(), ROOT).values
 
 
 def test_a_card_goes_with_its_network(tmp_path):
     (tmp_path / "net.json").write_text("{}")
     found = locate("interpolator", str(tmp_path / "net.onnx"))
-    made = job_template(job(Given("interpolator", "--interpolator", found)), Workers(), tmp_path)
+    made = job_template(
+        job(OptionValue("interpolator", "--interpolator", found)), Workers(), tmp_path
+    )
     defaults = {p["name"]: p.get("default") for p in made.document["parameterDefinitions"]}
     assert defaults["InterpolatorFile"] == "net.onnx" and defaults["InterpolatorCard"] == "net.json"
 
@@ -116,7 +126,9 @@ def test_weights_go_with_their_network(tmp_path):
     options = {"save_as_external_data": True, "location": "w {{x}}.data", "size_threshold": 0}
     onnx.save(convolution(), str(tmp_path / "net.onnx"), **options)
     found = locate("extrapolator", str(tmp_path / "net.onnx"))
-    made = job_template(job(Given("extrapolator", "--extrapolator", found)), Workers(), tmp_path)
+    made = job_template(
+        job(OptionValue("extrapolator", "--extrapolator", found)), Workers(), tmp_path
+    )
     defaults = {p["name"]: p.get("default") for p in made.document["parameterDefinitions"]}
     assert defaults["ExtrapolatorFile"] == "net.onnx"
     assert defaults["ExtrapolatorWeights1"] == "w {{x}}.data"

@@ -8,9 +8,9 @@ import pytest
 
 from exwarp_cli.domain.settings import ClusterSettings, SourceSettings, UpsampleSettings
 from exwarp_cli.errors import OutputError, UsageError
-from exwarp_cli.farm.cluster import chunks_of
-from exwarp_cli.farm.cluster_client import threads_each
-from exwarp_cli.farm.places import absolute
+from exwarp_cli.farm.dask_client import threads_per_worker
+from exwarp_cli.farm.dask_cluster import chunks_of
+from exwarp_cli.farm.path_options import absolute
 from exwarp_cli.io.atomic import MARK, marked
 from exwarp_cli.pipeline.dry_run import require_writable
 
@@ -33,7 +33,7 @@ class TestChunks:
         ("workers", "threads", "each"), [(2, 8, 4), (3, 8, 2), (4, 2, 1), (1, 5, 5)]
     )
     def test_threads_are_shared(self, workers, threads, each):
-        assert threads_each(workers, threads) == each
+        assert threads_per_worker(workers, threads) == each
 
     def test_two_clusters_are_one_too_many(self):
         with pytest.raises(UsageError, match="--cluster"):

@@ -55,7 +55,7 @@ def written(home: Path) -> list[str]:
     "code",
     [
         pytest.param(LOAD, id="method"),
-        pytest.param("import exwarp_cli.farm.cluster_work, onnxruntime", id="Dask worker"),
+        pytest.param("import exwarp_cli.farm.dask_worker, onnxruntime", id="Dask worker"),
         pytest.param("import exwarp_cli.research.training.onnx_export, onnxruntime", id="training"),
         pytest.param("import tests.bench, onnxruntime", id="bench"),
     ],

@@ -21,12 +21,12 @@ from exwarp_cli.io.exr.reader import read_headers
 from exwarp_cli.io.exr.template import render_seconds
 from exwarp_cli.io.machine import processors
 from exwarp_cli.io.threads import use_threads
-from exwarp_cli.pipeline.announcing import other_extrapolator
 from exwarp_cli.pipeline.bench.measure import SLOT_SCORES, identity, measure, measure_slots
 from exwarp_cli.pipeline.bench.opened import Networks, Opened, load_networks
 from exwarp_cli.pipeline.bench.plan import Subject, subjects_of
 from exwarp_cli.pipeline.bench.side_by_side import follow_parent, side_by_side, tell
 from exwarp_cli.pipeline.bench.timing import time_subject
+from exwarp_cli.pipeline.messages import other_extrapolator
 from exwarp_cli.pipeline.progress import NoProgress, Progress
 from exwarp_cli.pipeline.scoring import SLOTS
 from exwarp_cli.runtime.stop import check_stop

@@ -1,7 +1,7 @@
-"""A tiny shot, upsampled by the real pipeline, of which every pixel is known beforehand.
+"""A tiny shot, upsampled by the real pipeline, of which every pixel is known.
 
-A textured plane before a camera that moves along it: what it shows moves by whole pixels from slot
-to slot, so that warping and splatting copy pixels and must get them right in every bit.
+A camera moves along a textured plane. The picture moves by whole pixels from slot to slot, so
+warping and splatting copy pixels and must get every bit right.
 """
 
 from __future__ import annotations
@@ -10,42 +10,44 @@ import io
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from fractions import Fraction
+from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.domain.frame import Float32
+from exwarp_cli.domain.frame import Float32, Window
 from exwarp_cli.domain.results import RunSummary
 from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.domain.wording import counted, enumerated
 from exwarp_cli.errors import ExwarpError
-from exwarp_cli.pipeline.doctor.codecs import read_exr, write_exr
-from exwarp_cli.pipeline.doctor.examine import Check, Remark, failure
+from exwarp_cli.io.exr.reader import ExrFile
+from exwarp_cli.io.exr.writer import COMPRESSIONS, encode_by_openexr, scanline_structure
+from exwarp_cli.pipeline.doctor.checkup import CheckResult, failure
 from exwarp_cli.pipeline.progress import NoProgress
 from exwarp_cli.pipeline.run import upsample
 from exwarp_cli.runtime.compilation import compilation
 from exwarp_cli.runtime.stop import scratch_folder
 
 HEIGHT, WIDTH, KEYS = 48, 80, 3
-RIGHT, DOWN = 2, -1
-"""Pixels from slot to slot."""
-
+RIGHT, DOWN = 2, -1  # pixels from slot to slot
 DEPTH, FOCAL = 5.0, 80.0
 
+# Pixels along the rim that are not compared: what enters the picture is not known.
 MARGIN = FACTOR * max(abs(RIGHT), abs(DOWN)) + 4
-"""Pixels along the rim that are not judged: what comes into the picture is not known."""
 
-EXTRAPOLATED = 0.05
-"""Most that a network may be off by there, scene-linear; it was 0.006."""
+EXACT = ("s6", "softsplat")  # methods that move pixels and compute none
+MOST_ERROR = 0.05  # of a network, scene-linear; 0.006 was measured
 
-EXACT = ("s6", "softsplat")
-"""Methods that move pixels and compute none."""
-
+# Of the vectors as they are written here, Blender's. Measuring them must give it.
 CONVENTION = "previous=X,-Y next=-Z,W"
-"""Of the vectors as they are written here, Blender's; measuring must find it."""
+
+# The methods that are tried, and the convention that is given to each; None has it measured. The
+# last one is also tried in chunks.
+METHODS = {"s6": None, "softsplat": CONVENTION, "exwarp": CONVENTION, "causal": CONVENTION}
 
 ADVICE = (
     "install ExWarp and its packages again, and delete the folder of compiled kernels; if that "
@@ -56,27 +58,29 @@ Planes = dict[str, np.ndarray]
 
 
 class Trial(NamedTuple):
-    """One run of the pipeline: what is wrong with its frames, if anything."""
+    """One run of the pipeline, and what is wrong with its frames, if anything."""
 
     problem: str | None
     seconds: float
     frames: int
 
 
-def check_self_test() -> Check:
+def check_self_test() -> CheckResult:
     """Upsample the shot by four methods, and in chunks."""
     begin, compiled = time.perf_counter(), compilation.compiled
     with scratch_folder() as folder:
         write_shot(folder / "keys")
         trials = {
-            "s6": _trial(lambda: _whole(folder, "s6", None)),
-            "softsplat": _trial(lambda: _whole(folder, "softsplat", CONVENTION)),
-            "exwarp": _trial(lambda: _whole(folder, "exwarp", CONVENTION)),
-            "causal": _trial(lambda: _whole(folder, "causal", CONVENTION)),
-            "chunks": _trial(lambda: _chunks(folder, "causal")),
+            method: _try(partial(_try_method, folder, method, convention))
+            for method, convention in METHODS.items()
         }
+        trials["chunks"] = _try(partial(_try_chunks, folder, list(METHODS)[-1]))
     seconds, compiled = time.perf_counter() - begin, compilation.compiled - compiled
-    remarks = tuple(_remark(name, t.problem) for name, t in trials.items() if t.problem is not None)
+    remarks = []
+    for name, trial in trials.items():
+        if trial.problem is not None:
+            work = "upsampling in chunks" if name == "chunks" else f"upsampling by {name}"
+            remarks.append(failure(f"{work} goes wrong: {trial.problem.rstrip('.')}; {ADVICE}"))
     good = [name for name, trial in trials.items() if trial.problem is None]
     facts = {
         "seconds": round(seconds, 3),
@@ -86,47 +90,60 @@ def check_self_test() -> Check:
             for name, t in trials.items()
         },
     }
-    many = "is" if len(good) == 1 else "are"
-    found = f"{enumerated(good)} {many} right" if good else "nothing is right"
-    found += f"; {seconds:.1f} s"
+    verb = "is" if len(good) == 1 else "are"
+    summary = f"{enumerated(good)} {verb} right" if good else "nothing is right"
+    summary += f"; {seconds:.1f} s"
     if compiled:
-        found += f", {counted(compiled, 'kernel')} compiled"
+        summary += f", {counted(compiled, 'kernel')} compiled"
     lines = tuple(
         f"{n}: {counted(t.frames, 'frame')}, {t.seconds:.2f} s" for n, t in trials.items()
     )
-    return Check(found, remarks, facts, lines)
+    return CheckResult(summary, tuple(remarks), facts, lines)
 
 
 def write_shot(folder: Path) -> None:
-    """Write the key frames, in Blender's names."""
+    """Write the key frames, with Blender's channel names."""
     folder.mkdir()
+    window = Window(0, 0, WIDTH, HEIGHT)
+    header: dict[str, Any] = {
+        **scanline_structure(window, window),
+        "compression": COMPRESSIONS["zip"],
+        "framesPerSecond": Fraction(24),
+    }
     for key in range(KEYS):
-        channels = {**colour(key * FACTOR), **_geometry(key * FACTOR)}
-        write_exr(folder / f"shot.{key + 1:04d}.exr", channels, "zip")
+        planes = {**colour(key * FACTOR), **geometry(key * FACTOR)}
+        data = encode_by_openexr([(header, planes)])
+        (folder / f"shot.{key + 1:04d}.exr").write_bytes(data)
 
 
 def colour(slot: int) -> Planes:
-    """R, G, B, A of a slot, half [H, W]; values beyond 1 among them."""
+    """Return R, G, B, A of a slot, half [H, W]; some values are above 1."""
     u, v = _surface(slot)
     waves = (
         np.sin(0.31 * u + 0.17 * v) + np.cos(0.11 * u - 0.43 * v),
         np.sin(0.23 * u - 0.29 * v + 1) + np.cos(0.09 * u + 0.19 * v),
         np.cos(0.37 * u + 0.05 * v) + np.sin(0.13 * v + 0.5),
     )
-    rgb = {name: 1.2 + 0.5 * wave for name, wave in zip("RGB", waves, strict=True)}
-    return {name: np.asarray(p, np.float16) for name, p in {**rgb, "A": np.ones_like(u)}.items()}
+    planes = {name: 1.2 + 0.5 * wave for name, wave in zip("RGB", waves, strict=True)}
+    planes["A"] = np.ones_like(u)
+    return {name: np.asarray(plane, np.float16) for name, plane in planes.items()}
 
 
-def _geometry(slot: int) -> Planes:
+def geometry(slot: int) -> Planes:
+    """Return depth, id, vectors, normals and positions of a slot, float32 [H, W]."""
     u, v = _surface(slot)
     right, up = FACTOR * RIGHT, -FACTOR * DOWN
     values: Mapping[str, float | npt.NDArray[np.float64]] = {
         "Depth.Z": DEPTH,
         "IndexOB.X": 1.0,
         # To where it was, from where it will be: the frame before minus this, this minus the next.
-        **dict(zip(("Vector.X", "Vector.Y"), (-right, -up), strict=True)),
-        **dict(zip(("Vector.Z", "Vector.W"), (-right, -up), strict=True)),
-        **dict(zip(("Normal.X", "Normal.Y", "Normal.Z"), (0.0, 0.0, 1.0), strict=True)),
+        "Vector.X": -right,
+        "Vector.Y": -up,
+        "Vector.Z": -right,
+        "Vector.W": -up,
+        "Normal.X": 0.0,
+        "Normal.Y": 0.0,
+        "Normal.Z": 1.0,
         "Position.X": u * DEPTH / FOCAL,
         "Position.Y": -v * DEPTH / FOCAL,
         "Position.Z": DEPTH,
@@ -135,13 +152,12 @@ def _geometry(slot: int) -> Planes:
 
 
 def _surface(slot: int) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Return which point of the plane each pixel shows."""
+    """Return the point of the plane that each pixel shows, as u and v [H, W]."""
     y, x = np.mgrid[:HEIGHT, :WIDTH].astype(np.float64)
     return x - RIGHT * slot, y - DOWN * slot
 
 
-def _trial(run: Callable[[], tuple[str | None, int]]) -> Trial:
-    """Time a run; what it cannot do is its problem."""
+def _try(run: Callable[[], tuple[str | None, int]]) -> Trial:
     begin = time.perf_counter()
     try:
         problem, frames = run()
@@ -150,26 +166,45 @@ def _trial(run: Callable[[], tuple[str | None, int]]) -> Trial:
     return Trial(problem, time.perf_counter() - begin, frames)
 
 
-def _whole(folder: Path, method: str, motion: str | None) -> tuple[str | None, int]:
-    """Upsample the whole shot and judge every frame; without a convention measure it."""
+def _try_method(folder: Path, method: str, motion: str | None) -> tuple[str | None, int]:
+    """Upsample the whole shot, and compare every frame; without a convention measure it."""
     summary = _upsample(folder, method, method, motion)
     evidence = summary.input.motion_evidence or ""
-    if evidence.startswith(CONVENTION):
-        return _wrong_frames(folder, method), len(summary.frames)
-    read = f"the vectors were read as {evidence or 'nothing'!r}, and they are {CONVENTION!r}"
-    return read, len(summary.frames)
+    if not evidence.startswith(CONVENTION):
+        read = f"the vectors were read as {evidence or 'nothing'!r}, and they are {CONVENTION!r}"
+        return read, len(summary.frames)
+    wrong = []
+    for slot in range(KEYS * FACTOR):
+        name = f"shot.{slot + 1:04d}.exr"
+        with ExrFile(folder / method / name) as file:
+            part = file.parts[0]
+            planes = {c.raw_name: plane for c, plane in file.read(part.channels).items()}
+        allowed = 0.0 if method in EXACT or slot % FACTOR == 0 else MOST_ERROR
+        if not np.abs(_inner(planes) - _inner(colour(slot))).max() <= allowed:  # also for NaN
+            wrong.append(name)
+    problem = None
+    if wrong:
+        count = counted(len(wrong), "frame")
+        problem = f"{count} of {KEYS * FACTOR} have wrong pixels, {wrong[0]} first"
+    return problem, len(summary.frames)
 
 
-def _chunks(folder: Path, method: str) -> tuple[str | None, int]:
-    """Upsample the shot in two pieces, which must equal the whole that is there already."""
-    found: dict[str, bytes] = {}
-    for number, piece in enumerate(("1", f"2-{KEYS}")):
-        _upsample(folder, f"chunk{number}", method, CONVENTION, piece)
-        found |= _contents(folder / f"chunk{number}")
+def _inner(planes: Mapping[str, np.ndarray]) -> Float32:
+    """Return R, G, B, A without the rim, float32 [H, W, 4]."""
+    image = np.stack([planes[name] for name in "RGBA"], axis=-1).astype(np.float32)
+    return image[MARGIN:-MARGIN, MARGIN:-MARGIN]
+
+
+def _try_chunks(folder: Path, method: str) -> tuple[str | None, int]:
+    """Upsample the shot in two chunks, which must equal the whole that is there already."""
+    chunks: dict[str, bytes] = {}
+    for number, frames in enumerate(("1", f"2-{KEYS}")):
+        _upsample(folder, f"chunk{number}", method, CONVENTION, frames)
+        chunks |= _contents(folder / f"chunk{number}")
     expected = _contents(folder / method)
-    names = sorted(found.keys() | expected.keys())
-    differ = [name for name in names if found.get(name) != expected.get(name)]
-    return f"{enumerated(differ)} differ from those of the whole" if differ else None, len(found)
+    names = sorted(chunks.keys() | expected.keys())
+    wrong = [name for name in names if chunks.get(name) != expected.get(name)]
+    return f"{enumerated(wrong)} differ from those of the whole" if wrong else None, len(chunks)
 
 
 def _contents(folder: Path) -> dict[str, bytes]:
@@ -182,28 +217,3 @@ def _upsample(
     source = SourceSettings(str(folder / "keys"), motion=motion)
     settings = UpsampleSettings(source, str(folder / output), method=method, threads=1)
     return upsample(replace(settings, frames=frames), NoProgress(io.StringIO()))
-
-
-def _wrong_frames(folder: Path, method: str) -> str | None:
-    """Say which frames are not what they must be."""
-    wrong = []
-    for slot in range(KEYS * FACTOR):
-        name = f"shot.{slot + 1:04d}.exr"
-        found, truth = _inner(read_exr(folder / method / name)), _inner(colour(slot))
-        allowed = 0.0 if method in EXACT or slot % FACTOR == 0 else EXTRAPOLATED
-        if not np.abs(found - truth).max() <= allowed:
-            wrong.append(name)
-    if not wrong:
-        return None
-    return f"{counted(len(wrong), 'frame')} of {KEYS * FACTOR} have wrong pixels, {wrong[0]} first"
-
-
-def _inner(planes: Mapping[str, np.ndarray]) -> Float32:
-    """Stack R, G, B, A without the rim."""
-    image = np.stack([planes[name] for name in "RGBA"], axis=-1).astype(np.float32)
-    return image[MARGIN:-MARGIN, MARGIN:-MARGIN]
-
-
-def _remark(name: str, problem: str) -> Remark:
-    what = "upsampling in chunks" if name == "chunks" else f"upsampling by {name}"
-    return failure(f"{what} goes wrong: {problem.rstrip('.')}; {ADVICE}")

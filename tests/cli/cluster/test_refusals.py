@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import socket
 import sys
 import threading
 import time
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 from distributed import Client
 
+from exwarp_cli import __version__
 from exwarp_cli.errors import ClusterError
-from exwarp_cli.farm import cluster_client, cluster_dispatch, cluster_work
+from exwarp_cli.farm import dask_client, dask_cluster, dask_worker
+from exwarp_cli.pipeline.progress import NoProgress
 from tests.cli import shots
-from tests.cli.cluster.dask_cluster import DaskCluster
 from tests.cli.shots import FORWARD
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
@@ -29,7 +33,7 @@ class TestRefusals:
         return exwarp("upsample", keys, "-o", out, "-m", "s6", *FORWARD, *options)
 
     def test_no_server_listens(self, exwarp, keys, tmp_path, monkeypatch):
-        monkeypatch.setattr(cluster_client, "CONNECT_S", 1.0)
+        monkeypatch.setattr(dask_client, "CONNECT_S", 1.0)
         begin = time.monotonic()
         result = self.run(exwarp, keys, tmp_path / "out", "--cluster", "tcp://127.0.0.1:9")
         result.refused(9, "tcp://127.0.0.1:9", "dask scheduler")
@@ -41,12 +45,12 @@ class TestRefusals:
         ["nonsense://x:1", "tcp://127.0.0.1:notaport", "127.0.0.1", "tls://127.0.0.1:9", "inproc:"],
     )
     def test_what_is_no_address(self, exwarp, keys, tmp_path, address, monkeypatch):
-        monkeypatch.setattr(cluster_client, "CONNECT_S", 1.0)
+        monkeypatch.setattr(dask_client, "CONNECT_S", 1.0)
         self.run(exwarp, keys, tmp_path / "out", "--cluster", address).refused(9, address)
 
     @pytest.mark.parametrize("greeting", [b"HTTP/1.0 400 Bad Request\r\n\r\n" + 80 * b"x", b""])
     def test_another_server_listens(self, exwarp, keys, tmp_path, monkeypatch, greeting):
-        monkeypatch.setattr(cluster_client, "CONNECT_S", 1.0)
+        monkeypatch.setattr(dask_client, "CONNECT_S", 1.0)
         with socket.create_server(("127.0.0.1", 0)) as server:
             threading.Thread(target=greet, args=(server, greeting), daemon=True).start()
             address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
@@ -62,10 +66,10 @@ class TestRefusals:
     def test_a_client_that_gave_up(self, farm):
         with Client(farm, set_as_default=False) as client:
             pass
-        needs = cluster_work.Needs("0", ())
-        dispatch = cluster_dispatch.Dispatch(client, needs, *4 * [lambda *_: None])
+        requirements = dask_worker.WorkerRequirements("0", ())
+        dispatcher = dask_cluster.ChunkDispatcher(client, requirements, NoProgress())
         with pytest.raises(ClusterError, match="scheduler went away"):
-            dispatch.muster()
+            dispatcher.await_workers()
 
     def test_without_dask(self, exwarp, keys, tmp_path, monkeypatch):
         monkeypatch.setitem(sys.modules, "distributed", None)
@@ -110,55 +114,106 @@ class TestRefusals:
         good, there = shots.contents(whole), shots.contents(tmp_path / "out")
         assert there and all(good[name] == data for name, data in there.items())
 
-    def test_workers_that_cannot(self, exwarp, keys, tmp_path, monkeypatch):
-        """First one of another version; then one that sees other files; then a good one too."""
-        other = "import exwarp_cli; exwarp_cli.__version__ = '0.0.1'"
-        blind = (
-            "from pathlib import Path; real = Path.exists\n"
-            "Path.exists = lambda path, **k: 'exwarp-tmp' not in path.name and real(path, **k)"
-        )
-        with DaskCluster(tmp_path / "dask") as cluster:
-            cluster.start_worker(preload=other)
-            result = self.run(exwarp, keys, tmp_path / "out", "--cluster", cluster.address)
-            result.refused(9, "runs ExWarp 0.0.1", "install the same")
-            cluster.workers[0].kill()
-            worker = cluster.start_worker(preload=blind)
-            monkeypatch.setattr(cluster_dispatch, "PATIENCE_S", 60.0)
-            result = self.run(exwarp, keys, tmp_path / "out", "--cluster", cluster.address)
-            result.refused(9, str(tmp_path / "out"), "machines share")
-            assert shots.names(tmp_path / "out") == []
-            assert worker.poll() is None
+    def test_workers_of_another_version(self, exwarp, farm, keys, tmp_path):
+        def change(version: str) -> None:
+            from exwarp_cli.farm import dask_worker
 
-    def test_a_worker_that_may_not_write_is_left_out(self, exwarp, keys, tmp_path):
-        read_only = (
-            "import errno; from pathlib import Path\n"
-            "def touch(path, *a, **k): raise OSError(errno.EROFS, 'read-only', str(path))\n"
-            "Path.touch = touch"
-        )
-        with DaskCluster(tmp_path / "dask") as cluster:
-            cluster.start_worker(preload=read_only)
-            cluster.start_worker()
-            with Client(cluster.address, set_as_default=False) as client:
-                client.wait_for_workers(2, timeout=60)
-            options = ("--cluster", cluster.address, "--chunk-size", 1)
+            dask_worker.__version__ = version
+
+        with changed(farm, partial(change, "0.0.1"), partial(change, __version__)):
+            result = self.run(exwarp, keys, tmp_path / "out", "--cluster", farm)
+        result.refused(9, "runs ExWarp 0.0.1", "install the same")
+
+    def test_workers_that_see_other_files(self, exwarp, farm, keys, tmp_path):
+        def hide() -> None:
+            from exwarp_cli.farm import dask_worker
+
+            dask_worker.shows = lambda path: False
+
+        def show() -> None:
+            from exwarp_cli.farm import dask_worker
+            from exwarp_cli.io.atomic import shows
+
+            dask_worker.shows = shows
+
+        with changed(farm, hide, show):
+            result = self.run(exwarp, keys, tmp_path / "out", "--cluster", farm)
+        result.refused(9, str(tmp_path / "out"), "machines share")
+        assert shots.names(tmp_path / "out") == []
+
+    def test_workers_without_exwarp(self, exwarp, farm, keys, tmp_path):
+        name = "exwarp_cli.farm.dask_worker"
+
+        def hide() -> None:
+            sys.modules["hidden"] = sys.modules.get(name)
+            sys.modules[name] = None
+
+        def show() -> None:
+            module = sys.modules.pop("hidden")
+            if module is None:
+                del sys.modules[name]
+            else:
+                sys.modules[name] = module
+
+        with changed(farm, hide, show):
+            result = self.run(exwarp, keys, tmp_path / "out", "--cluster", farm)
+        result.refused(9, "cannot run ExWarp", "install the same on all")
+
+    def test_a_worker_that_may_not_write_is_left_out(self, exwarp, farm, keys, tmp_path):
+        def forbid() -> None:
+            def touch(path: Path, *_: Any, **__: Any) -> None:
+                raise OSError(errno.EROFS, "read-only", str(path))
+
+            Path.allowed_touch, Path.touch = Path.touch, touch
+
+        def allow() -> None:
+            Path.touch = Path.allowed_touch
+
+        options = ("--cluster", farm, "--chunk-size", 1)
+        with changed(farm, forbid, allow, count=1):
             done = self.run(exwarp, keys, tmp_path / "out", *options)
         assert done.code == 0, done.err
         assert "is left out: it cannot write" in done.err and "read-only" in done.err
 
-    def test_busy_workers_are_waited_for(self, exwarp, keys, tmp_path, monkeypatch):
-        monkeypatch.setattr(cluster_dispatch, "PATIENCE_S", 1.0)
-        monkeypatch.setattr(cluster_dispatch, "ANSWER_S", 1.0)
-        with (
-            DaskCluster(tmp_path / "dask") as cluster,
-            Client(cluster.address, set_as_default=False) as client,
-        ):
-            cluster.start_worker()
-            client.wait_for_workers(1, timeout=60)
-            other = client.submit(time.sleep, 5)
-            done = self.run(exwarp, keys, tmp_path / "out", "--cluster", cluster.address)
-            assert other.done()
+    def test_busy_workers_are_waited_for(self, exwarp, farm, keys, tmp_path, monkeypatch):
+        free = tmp_path / "free"
+        real = dask_cluster.chunks_of
+
+        def free_soon(*arguments: Any) -> Any:
+            """Free the workers a while after they were counted."""
+            threading.Timer(2.0, free.touch).start()
+            return real(*arguments)
+
+        def wait(path: Path) -> None:
+            while not path.exists():
+                time.sleep(0.05)
+
+        monkeypatch.setattr(dask_cluster, "ANSWER_S", 0.0)
+        monkeypatch.setattr(dask_cluster, "chunks_of", free_soon)
+        with Client(farm, set_as_default=False) as client:
+            others = [
+                client.submit(wait, free, workers=[worker], pure=False)
+                for worker in client.nthreads()
+            ]
+            done = self.run(exwarp, keys, tmp_path / "out", "--cluster", farm)
+            client.gather(others)
         assert done.code == 0, done.err
         assert done.err.count("waiting for a worker to be free") == 1
+
+
+@contextmanager
+def changed(
+    farm: str, change: Callable[[], None], restore: Callable[[], None], count: int | None = None
+) -> Iterator[None]:
+    """Change some of the running workers for a while."""
+    with Client(farm, set_as_default=False) as client:
+        client.wait_for_workers(2, timeout=60)
+        workers = sorted(client.nthreads())[:count]
+        client.run(change, workers=workers)
+        try:
+            yield
+        finally:
+            client.run(restore, workers=workers)
 
 
 def greet(server: socket.socket, greeting: bytes) -> None:

@@ -13,7 +13,7 @@ import psutil
 import pytest
 
 from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
-from exwarp_cli.farm.cluster import Film
+from exwarp_cli.farm.dask_cluster import VideoFromFrames
 from exwarp_cli.pipeline.job import open_job
 from tests.cli import shots
 from tests.cli.cluster.results import KEYS, agree
@@ -93,7 +93,7 @@ class TestSame:
         shows = threading.Timer(0.5, (tmp_path / "hidden").rename, [out / "shot.0003.exr"])
         shows.start()
         job = open_job(settings)
-        with Film(job) as film:
+        with VideoFromFrames(job) as film:
             film.append(job.keys)
         assert Path(video).read_bytes() == single.read_bytes()
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from exwarp_cli.pipeline.doctor import examine
+from exwarp_cli.pipeline.doctor import checkup
 
 
 @pytest.fixture(autouse=True)
@@ -26,9 +26,9 @@ def examined(exwarp, monkeypatch):
     """Run some of the checks; return the exit code and the document."""
 
     def run(*names: str) -> tuple[int, dict[str, Any]]:
-        chosen = {name: examine.CHECKS[name] for name in names}
+        chosen = {name: checkup.CHECKS[name] for name in names}
         with monkeypatch.context() as patch:
-            patch.setattr(examine, "CHECKS", chosen)
+            patch.setattr(checkup, "CHECKS", chosen)
             result = exwarp("doctor", "--json")
         document = json.loads(result.out)
         assert list(document["checks"]) == ["configuration", *names]

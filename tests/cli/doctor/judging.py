@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from exwarp_cli.pipeline.doctor import examine
+from exwarp_cli.pipeline.doctor import checkup
 
-NAMES = ["configuration", *examine.CHECKS]
+NAMES = ["configuration", *checkup.CHECKS]
 ESCAPE = "\x1b"
 
 

@@ -15,8 +15,8 @@ import pytest
 
 from exwarp_cli import __version__
 from exwarp_cli.io.machine import Folder
-from exwarp_cli.pipeline.doctor import examine, machine
-from exwarp_cli.pipeline.doctor.examine import SCHEMA, Check
+from exwarp_cli.pipeline.doctor import checkup, environment
+from exwarp_cli.pipeline.doctor.checkup import SCHEMA, CheckResult
 from tests.cli.doctor.judging import ESCAPE, NAMES, failed, warned
 
 
@@ -41,7 +41,7 @@ class TestHealthy:
         assert brief.splitlines()[-1].startswith("everything that ")
         assert "skipped  self test" in brief
         assert len(brief.splitlines()) < 30 < len(long.splitlines())
-        for word in ("matplotlib ", "llvmlite ", "extrapolator.onnx: as shipped", "dwab"):
+        for word in ("matplotlib ", "llvmlite ", "extrapolator.onnx: as shipped", "CPUs: "):
             assert word in long and word not in brief
 
     def test_json(self, exwarp):
@@ -55,7 +55,7 @@ class TestHealthy:
             assert set(check) == {"outcome", "found", "remarks", "seconds", "facts"}
         facts = {name: check["facts"] for name, check in document["checks"].items()}
         assert document["checks"]["self_test"]["outcome"] == "skipped"
-        assert all(facts["exr"]["compressions"].values()) and facts["video"]["encoders"]["libx264"]
+        assert facts["video"]["encoders"]["libx264"] is True
         assert facts["network"]["devices"]["cpu"] is True
         assert set(facts["models"]["files"].values()) == {"as shipped"}
         assert facts["machine"]["cpus"]["there"] == os.cpu_count()
@@ -63,10 +63,9 @@ class TestHealthy:
     def test_terminal(self):
         """Coloured, and no wider than 80 columns."""
         command = (sys.executable, "-m", "exwarp_cli", "doctor", "--skip-self-test")
-        in_terminal(*command)  # compiles kernels, of which a line tells where that takes long
         code, shown = in_terminal(*command)
         assert code == 0, shown
-        assert re.search(rf"{ESCAPE}\[32mok +{ESCAPE}\[0m  policy ", shown), shown
+        assert re.search(rf"{ESCAPE}\[32mok +{ESCAPE}\[0m  models ", shown), shown
         plain = re.sub(rf"{ESCAPE}\[[\d;]*m", "", shown)
         assert [line for line in plain.splitlines() if len(line.rstrip()) > 80] == []
 
@@ -117,8 +116,8 @@ class TestConfiguration:
 
 
 def test_the_page_tells_what_failed(exwarp, monkeypatch):
-    monkeypatch.setattr(examine, "CHECKS", {"temp_folder": examine.CHECKS["temp_folder"]})
-    monkeypatch.setattr(machine, "temporary_folder", lambda: None)
+    monkeypatch.setattr(checkup, "CHECKS", {"temp_folder": checkup.CHECKS["temp_folder"]})
+    monkeypatch.setattr(environment, "temporary_folder", lambda: None)
     result = exwarp("doctor")
     assert result.code == 10
     assert "failed   temp folder    none\n" in result.out
@@ -129,8 +128,8 @@ def test_the_page_tells_what_failed(exwarp, monkeypatch):
 
 
 def test_the_page_tells_of_warnings(exwarp, monkeypatch):
-    monkeypatch.setattr(examine, "CHECKS", {"temp_folder": examine.CHECKS["temp_folder"]})
-    monkeypatch.setattr(machine, "look_at", lambda path: Folder(path, None, 1 << 20))
+    monkeypatch.setattr(checkup, "CHECKS", {"temp_folder": checkup.CHECKS["temp_folder"]})
+    monkeypatch.setattr(environment, "look_at", lambda path: Folder(path, None, 1 << 20))
     result = exwarp("doctor")
     assert result.code == 0 and result.err == ""
     assert "warning  temp folder    " in result.out and "; make room, or name" in result.out
@@ -138,4 +137,7 @@ def test_the_page_tells_of_warnings(exwarp, monkeypatch):
 
 
 def test_a_check_without_remarks_is_good():
-    assert Check("fine").outcome == "ok" and Check("left out", skipped=True).outcome == "skipped"
+    assert (
+        CheckResult("fine").outcome == "ok"
+        and CheckResult("left out", skipped=True).outcome == "skipped"
+    )

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 
-from exwarp_cli.domain.frame import Bool, Image, place
+from exwarp_cli.domain.frame import Float32, place
 from exwarp_cli.domain.metric import METRICS
 from exwarp_cli.domain.results import FrameKind, Score
 from exwarp_cli.domain.settings import MeasureSettings
@@ -19,91 +19,65 @@ from exwarp_cli.io.footage import close, find_frames, picture
 from exwarp_cli.io.frames import read_plane
 from exwarp_cli.io.sequences import Sequence, find_sequence
 from exwarp_cli.io.views import expand_view
-from exwarp_cli.pipeline.comparing import (
+from exwarp_cli.pipeline.finding import truth_rate
+from exwarp_cli.pipeline.progress import FrameListener, NoProgress, Progress
+from exwarp_cli.pipeline.sequence_scores import (
     Origin,
     Pair,
-    Scorer,
+    SequenceScorer,
+    make_scorer,
     origins_of,
     rendered_note,
     require_consistent,
     require_generated,
-    scorer,
 )
-from exwarp_cli.pipeline.finding import truth_rate
-from exwarp_cli.pipeline.progress import FrameListener, NoProgress, Progress
 from exwarp_cli.runtime.stop import check_stop
 
 KEY = FrameKind.KEY.value
 
-MASK_CHANNEL = "holes"
-"""Channel of a mask file; above 0.5 is a hole."""
+MASK_CHANNEL = "holes"  # of a mask file; above 0.5 is a hole
 
 
 @dataclass(frozen=True)
 class ComparedFrame:
-    """One pair of frames.
+    """One pair of frames."""
 
-    Attributes
-    ----------
-    reference, test
-        Frame numbers in the two sequences.
-    file
-        Name of the test frame's file.
-    score, hole_score
-        Over all pixels of the display window, and over the mask; None without a mask or with an
-        empty one.
-    hole_fraction
-        Share of the pixels that the mask marks, 0 to 1; None without a mask.
-    origin
-        What the test frame's header tells of where it came from.
-    """
-
+    # reference, test: frame numbers in the two sequences
     reference: int
     test: int
-    file: str
+    file: str  # name of the test frame's file
+    # score, hole_score: over all pixels of the display window, and over the mask; None without a
+    # mask or with an empty one
     score: Score
     hole_score: Score | None = None
+    # Share of the pixels that the mask marks, 0 to 1; None without a mask
     hole_fraction: float | None = None
-    origin: Origin = field(default_factory=Origin)
+    origin: Origin = field(default_factory=Origin)  # where the test frame came from, by its header
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two sequences and the scores of their frames.
+    """Two sequences and the scores of their frames."""
 
-    Attributes
-    ----------
-    reference, test, holes
-        The sequences; no masks, no `holes`.
-    matched_by
-        "number" or "order": how frames were paired.
-    width, height
-        Display window of the first pair, pixels.
-    frames
-        At least one, in the reference's order.
-    measuring
-        What was asked for.
-    notes
-        What a reader of the numbers should know, a sentence each.
-    """
-
+    # reference, test, holes: the sequences; no masks, no `holes`
     reference: Sequence
     test: Sequence
     holes: Sequence | None
-    matched_by: str
+    matched_by: str  # how frames were paired: "number" or "order"
+    # width, height: display window of the first pair, pixels
     width: int
     height: int
-    frames: tuple[ComparedFrame, ...]
-    measuring: MeasureSettings = field(default_factory=MeasureSettings)
-    notes: tuple[str, ...] = ()
+    frames: tuple[ComparedFrame, ...]  # at least one, in the reference's order
+    measuring: MeasureSettings = field(default_factory=MeasureSettings)  # what was measured
+    notes: tuple[str, ...] = ()  # what a reader of the numbers should know, a sentence each
 
     @property
     def worst(self) -> ComparedFrame:
         """The frame that is worst by the first metric that was measured; the first of them."""
         for metric in METRICS:
-            known = [f for f in self.frames if getattr(f.score, metric.field) is not None]
-            if known:
-                return max(known, key=lambda f: metric.badness(getattr(f.score, metric.field)))
+            scored = [f for f in self.frames if getattr(f.score, metric.field) is not None]
+            if scored:
+                return max(scored, key=lambda f: metric.badness(getattr(f.score, metric.field)))
         return self.frames[0]
 
 
@@ -116,7 +90,7 @@ def evaluate(
     measuring: MeasureSettings | None = None,
     watcher: FrameListener | None = None,
 ) -> Comparison:
-    """Score every frame of `test` against the frame of `reference` that belongs to it.
+    """Score every frame of `test` against the frame of `reference` of the same instant.
 
     Parameters
     ----------
@@ -131,13 +105,13 @@ def evaluate(
     measuring
         What is measured, and how; None for the defaults.
     watcher
-        Shown frames that it wants to see; None where no frame is shown.
+        Is shown the frames that it wants; None where no frame is shown.
 
     Raises
     ------
     InputError
         When a sequence is not found, frames cannot be paired, a file is missing or damaged, or
-        sizes differ; when nothing of what was asked for can be measured.
+        sizes differ; when nothing can be measured.
     UsageError
         When the frame range does not parse, or options contradict each other.
     """
@@ -149,37 +123,39 @@ def evaluate(
     )
     masks = None if holes is None else find_sequence(holes)
     matched_by, paired, pairing_notes = pair(truth, judged, measuring.view)
-    pairs = _select(paired, frames)
+    selected = _select(paired, frames)
     mask_files = {} if masks is None else _mask_files(masks, judged, paired)
     files = [
-        _Files(a, b, truth, judged, mask_files.get(b), measuring.view) for a, b in pairs.items()
+        _Files(a, b, truth, judged, mask_files.get(b), measuring.view) for a, b in selected.items()
     ]
-    origins = origins_of([judged.files[one.b] for one in files])
+    origins = origins_of([judged.files[b] for b in selected.values()])
     require_generated(measuring, origins, judged)
-    scoring, notes = scorer(measuring, reference, truth, origins)
+    scorer, notes = make_scorer(measuring, reference, truth, origins)
     try:
-        compared, shape = _score(files, scoring, progress or NoProgress(), watcher)
+        compared, shape = _score(files, origins, scorer, progress or NoProgress(), watcher)
     finally:
         close(truth, judged)
-    if measuring.preset is None:  # which has its own rule for rendered frames
+    if measuring.preset is None:  # a preset has its own rule for rendered frames
         notes = (*rendered_note(origins), *notes)
-    notes = (*pairing_notes, *notes)
-    compared = tuple(replace(f, origin=o) for f, o in zip(compared, origins, strict=True))
-    found = Comparison(
+    result = Comparison(
         *(truth, judged, masks, matched_by, shape[1], shape[0], compared),
         measuring=measuring,
-        notes=(*notes, *scoring.notes),
+        notes=(*pairing_notes, *notes, *scorer.notes),
     )
-    _require_scores(found)
-    if watcher is not None:  # scores are known only now, and the worst frame may not be chosen
-        worst = next(one for one in files if one.b == found.worst.test)
-        _show(watcher, worst.b, worst.read(), found.worst.score)
-    return found
+    if all(frame.score == Score() for frame in compared):
+        why = "; ".join(result.notes) or "nothing was chosen"
+        raise InputError(
+            f"nothing can be measured of {judged.pattern}: {why}; choose other --metrics"
+        )
+    if watcher is not None:  # the worst frame is known only now
+        worst = next(pair for pair in files if pair.b == result.worst.test)
+        _show(watcher, worst.b, worst.read(), result.worst.score)
+    return result
 
 
 @dataclass(frozen=True)
 class _Files:
-    """One pair of frames, the reference's first, and its mask."""
+    """One pair of frames by their numbers, the reference's first, and its mask."""
 
     a: int
     b: int
@@ -188,60 +164,84 @@ class _Files:
     mask: Path | None
     view: str
 
-    @property
-    def name(self) -> str:
-        """Name of the test's file."""
-        return self.test.files[self.b].name
-
     def read(self) -> Pair:
         """Read the pair and its mask, all of one size."""
         reference = self.reference.files[self.a]
-        truth = _shown(self.reference, self.a, self.view)
-        judged = _shown(self.test, self.b, self.view)
-        shape = truth.display_window.shape
-        _require_shape(judged.display_window.shape, self.test.files[self.b], shape, reference)
-        mask = None if self.mask is None else _read_mask(self.mask, shape, reference)
-        return Pair(self.a, truth.pixels, judged.pixels, mask)
+        truth = _read_display(self.reference, self.a, self.view)
+        test = _read_display(self.test, self.b, self.view)
+        shape = truth.shape[:2]
+        _require_shape(test.shape[:2], self.test.files[self.b], shape, reference)
+        mask = None
+        if self.mask is not None:
+            plane, data, display = read_plane(self.mask, MASK_CHANNEL)
+            _require_shape(display.shape, self.mask, shape, reference)
+            mask = np.asarray(place(plane, data, display) > 0.5)
+        return Pair(self.a, truth, test, mask)
+
+
+def _read_display(sequence: Sequence, number: int, view: str) -> Float32:
+    image = picture(sequence, number, view)
+    return image.on(image.display_window).pixels
+
+
+def _require_shape(
+    shape: tuple[int, ...], path: Path, wanted: tuple[int, ...], reference: Path
+) -> None:
+    if shape != wanted:
+        raise LayoutError(
+            f"{path} is {shape[1]}x{shape[0]} but {reference} is {wanted[1]}x{wanted[0]}; "
+            "compare sequences of one resolution"
+        )
 
 
 def _score(
-    files: list[_Files], scoring: Scorer, progress: Progress, watcher: FrameListener | None
+    files: list[_Files],
+    origins: list[Origin],
+    scorer: SequenceScorer,
+    progress: Progress,
+    watcher: FrameListener | None,
 ) -> tuple[tuple[ComparedFrame, ...], tuple[int, ...]]:
     """Score all pairs, one in memory at a time; also return the first one's rows and columns."""
-    shares: list[float | None] = []
+    hole_fractions: list[float | None] = []
     shape: tuple[int, ...] = (0, 0)
     progress.start(len(files))
     if watcher is not None:
-        watcher.plan([[one.b] for one in files])
+        watcher.plan([[file.b] for file in files])
     try:
-        with scoring:
-            for one in files:
-                pair = one.read()
-                shape = shape if shares else pair.truth.shape[:2]
-                scoring.add(pair)
-                shares.append(None if pair.mask is None else float(np.mean(pair.mask)))
-                _show(watcher, one.b, pair, None)
-                progress.advance(one.b)
+        with scorer:
+            for file in files:
+                pair = file.read()
+                shape = shape if hole_fractions else pair.truth.shape[:2]
+                scorer.add(pair)
+                hole_fractions.append(None if pair.mask is None else float(np.mean(pair.mask)))
+                _show(watcher, file.b, pair, None)
+                progress.advance(file.b)
                 check_stop()
-            scores = scoring.finish()
+            scores = scorer.finish()
     finally:
         progress.finish()
     compared = tuple(
-        ComparedFrame(one.a, one.b, one.name, overall, inside, share)
-        for one, (overall, inside), share in zip(files, scores, shares, strict=True)
+        ComparedFrame(f.a, f.b, f.test.files[f.b].name, overall, inside, fraction, origin)
+        for f, (overall, inside), fraction, origin in zip(
+            files, scores, hole_fractions, origins, strict=True
+        )
     )
     return compared, shape
+
+
+def _show(watcher: FrameListener | None, number: int, pair: Pair, score: Score | None) -> None:
+    if watcher is not None and watcher.wants(number, score):
+        watcher.frame(number, pair.test, pair.truth, pair.mask, is_key=False)
 
 
 def pair(
     reference: Sequence, test: Sequence, view: str = ""
 ) -> tuple[str, dict[int, int], tuple[str, ...]]:
-    """Find the frame of `test` that belongs to each frame of `reference`.
+    """Find the frame of `test` at the instant of each frame of `reference`.
 
-    By number where the numbers of one sequence are all among the other's (frames that only the
-    longer one has are left out). Otherwise by order, if both have equally many, or are as ExWarp
-    writes them: a tail more or less. Where both begin alike and their pictures show another rate,
-    by the instant.
+    By number where the numbers of one sequence are all among the other's; frames that only the
+    longer one has are left out. Else by order, if both have equally many, or one has the tail that
+    ExWarp writes. Where both begin alike and their pictures show different rates, by instant.
 
     Returns
     -------
@@ -261,7 +261,10 @@ def pair(
         rate = _rate(reference, test, kinds, view)
         if rate != 1:
             return "order", *_by_instant(a, b, rate)
-        if not by_number and abs(len(a) - len(b)) < _interval(kinds):
+        # Frames up to the next rendered one, at most; none where no header names its kind.
+        runs = "".join("r" if kind in (None, KEY) else "n" for kind in kinds).split("r")
+        interval = 0 if set(kinds) <= {None} else max(map(len, runs)) + 1
+        if not by_number and abs(len(a) - len(b)) < interval:
             left = f"the last {counted(abs(len(a) - len(b)), 'frame')} of the longer sequence"
             return "order", dict(zip(a, b, strict=False)), (f"{left} have no partner",)
     if by_number:
@@ -278,29 +281,26 @@ def pair(
 def _rate(reference: Sequence, test: Sequence, kinds: list[str | None], view: str) -> Fraction:
     """Return how many frames the reference has per frame of the test, as the pictures show."""
     a, b = sorted(reference.files), sorted(test.files)
-    # Rendered frames are the reference's own pictures; where no header tells, any will do.
-    rendered = [place for place, kind in enumerate(kinds) if kind is None or kind == KEY]
+    # Rendered frames are the reference's own pictures; without headers, any frame will do.
+    rendered = [index for index, kind in enumerate(kinds) if kind is None or kind == KEY]
     return truth_rate(
         rendered,
         len(b),
         len(a),
-        lambda place: picture(test, b[place], view),
-        lambda place: picture(reference, a[place], view),
+        lambda index: picture(test, b[index], view),
+        lambda index: picture(reference, a[index], view),
     )
-
-
-def _interval(kinds: list[str | None]) -> int:
-    """Return the longest run of frames between rendered ones; 0 where no header tells."""
-    runs = "".join("r" if kind in (None, KEY) else "n" for kind in kinds).split("r")
-    return 0 if set(kinds) <= {None} else max(map(len, runs)) + 1
 
 
 def _by_instant(
     a: list[int], b: list[int], rate: Fraction
 ) -> tuple[dict[int, int], tuple[str, ...]]:
     """Pair frames of sequences that begin alike, the first with `rate` times as many frames."""
-    places = [(place * rate, place) for place in range(len(b))]
-    paired = {a[int(at)]: b[place] for at, place in places if at.denominator == 1 and at < len(a)}
+    paired = {}
+    for index, number in enumerate(b):
+        instant = index * rate
+        if instant.denominator == 1 and instant < len(a):
+            paired[a[int(instant)]] = number
     note = (
         f"the first sequence has {rate.numerator} frames for each {rate.denominator} of the "
         f"second, as the pictures show: those of the same instant are compared"
@@ -322,7 +322,7 @@ def _select(paired: dict[int, int], frames: str | None) -> dict[int, int]:
 
 
 def _mask_files(masks: Sequence, test: Sequence, paired: dict[int, int]) -> dict[int, Path]:
-    """Mask file by the test's frame number."""
+    """Return mask files by the test's frame number."""
     by_test = {b: masks.files[b] for b in paired.values() if b in masks.files}
     by_reference = {b: masks.files[a] for a, b in paired.items() if a in masks.files}
     if not by_test and not by_reference:
@@ -332,40 +332,3 @@ def _mask_files(masks: Sequence, test: Sequence, paired: dict[int, int]) -> dict
             "give the masks that were written with these frames"
         )
     return by_test or by_reference
-
-
-def _show(watcher: FrameListener | None, number: int, one: Pair, score: Score | None) -> None:
-    """Show the test's frame to the watcher if it wants it."""
-    if watcher is not None and watcher.wants(number, score):
-        watcher.frame(number, one.test, one.truth, one.mask, is_key=False)
-
-
-def _require_scores(found: Comparison) -> None:
-    """Refuse a comparison in which nothing could be measured."""
-    if all(frame.score == Score() for frame in found.frames):
-        why = "; ".join(found.notes) or "nothing was chosen"
-        raise InputError(
-            f"nothing can be measured of {found.test.pattern}: {why}; choose other --metrics"
-        )
-
-
-def _shown(sequence: Sequence, number: int, view: str) -> Image:
-    """Read what is meant to be seen of a frame."""
-    image = picture(sequence, number, view)
-    return image.on(image.display_window)
-
-
-def _read_mask(path: Path, shape: tuple[int, int], reference: Path) -> Bool:
-    plane, data, display = read_plane(path, MASK_CHANNEL)
-    _require_shape(display.shape, path, shape, reference)
-    return np.asarray(place(plane, data, display) > 0.5)
-
-
-def _require_shape(
-    shape: tuple[int, int], path: Path, wanted: tuple[int, int], reference: Path
-) -> None:
-    if shape != wanted:
-        raise LayoutError(
-            f"{path} is {shape[1]}x{shape[0]} but {reference} is {wanted[1]}x{wanted[0]}; "
-            "compare sequences of one resolution"
-        )

@@ -1,4 +1,4 @@
-"""What a run says of itself: messages at its start, and its part of the report."""
+"""Messages of a run at its start and end, and summaries of its input and models for the report."""
 
 from __future__ import annotations
 
@@ -40,17 +40,16 @@ if TYPE_CHECKING:
     from exwarp_cli.models.interpolator import OnnxInterpolator
     from exwarp_cli.models.picture_network import OnnxExtrapolator, OnnxLookAhead
     from exwarp_cli.models.policy_files import PolicyFile
-    from exwarp_cli.pipeline.progress import Progress
     from exwarp_cli.pipeline.source import FrameOf, Source
     from exwarp_cli.synthesis.methods import Method
 
+# What `synthesis.modulation` divides by, both together, in the user's words.
 SURFACE_COLOURS = {Role.ALBEDO: "diffuse", Role.SPECULAR: "glossy"}
-"""What `synthesis.modulation` divides by, both together, as the user knows it."""
 
 
 @dataclass(frozen=True)
 class Models:
-    """What a run's networks and policy are, for its report; None for what it does without."""
+    """The networks and the policy of a run, for its report; None for those that it lacks."""
 
     extrapolator: NetworkSummary | None
     interpolator: InterpolatorSummary | None
@@ -64,23 +63,26 @@ class Models:
         interpolator: OnnxInterpolator | OnnxLookAhead | None,
         policy: PolicyFile | None,
     ) -> Models:
-        """Summarise what was loaded."""
-        extrapolating = interpolating = None
+        """Summarise loaded models."""
+        extrapolator = interpolator_summary = None
         if network is not None:
-            extrapolating = NetworkSummary(
+            extrapolator = NetworkSummary(
                 str(network.path), network.checksum, network.device, not _missing_colours(source)
             )
         if interpolator is not None:
-            interpolating = InterpolatorSummary(
-                *(interpolator.name, str(interpolator.path), interpolator.checksum),
-                *(interpolator.card_checksum, interpolator.device),
+            interpolator_summary = InterpolatorSummary(
+                interpolator.name,
+                str(interpolator.path),
+                interpolator.checksum,
+                interpolator.card_checksum,
+                interpolator.device,
             )
-        decided = None if policy is None else _policy_summary(policy, source, network)
-        return cls(extrapolating, interpolating, decided)
+        policy_summary = None if policy is None else _policy_summary(policy, source, network)
+        return cls(extrapolator, interpolator_summary, policy_summary)
 
 
 def announce_models(progress: Progress, models: Models, source: Source) -> None:
-    """Say what makes frames and decides, and what it does not see of the input."""
+    """Name the models, and what they lack of the input."""
     network, interpolator, policy = models.extrapolator, models.interpolator, models.policy
     if network is not None:
         progress.message(
@@ -93,10 +95,10 @@ def announce_models(progress: Progress, models: Models, source: Source) -> None:
                 "surface colour"
             )
     if interpolator is not None:
-        seen = "both key frames, warped" if interpolator.card_sha256 is None else "colour alone"
+        views = "both key frames, warped" if interpolator.card_sha256 is None else "colour alone"
         progress.message(
             f"interpolation by {interpolator.name}, {Path(interpolator.file).name} (sha256 "
-            f"{interpolator.sha256[:8]}) on {interpolator.device}, from {seen}"
+            f"{interpolator.sha256[:8]}) on {interpolator.device}, from {views}"
         )
     if policy is None:
         return
@@ -118,36 +120,31 @@ def announce_models(progress: Progress, models: Models, source: Source) -> None:
 
 
 def other_extrapolator(policy: PolicyFile, network: OnnxExtrapolator) -> str | None:
-    """Say that a policy was trained for another network than the one that extrapolates.
+    """Return a warning if the policy was trained for another network than the one that is used.
 
-    It learned by how much that network's frames are better than warps, so its choices may be wrong.
-
-    Returns
-    -------
-    str or None
-        A sentence; None where it is the one, where the policy does not say, and where both came
-        with ExWarp, whose policy is still that of the network before.
+    None where the policy does not name its network.
     """
+    # A policy learned by how much one network's frames are better than warps.
     if not policy.trained_for or network.checksum in policy.trained_for:
         return None
+    # The policy that comes with ExWarp is still that of the network before.
     if policy.path.parent == network.path.parent == shipped_folder():
         return None
-    known = " or ".join(digest[:8] for digest in policy.trained_for)
+    trained = " or ".join(digest[:8] for digest in policy.trained_for)
     kind = "tile-policy" if policy.of_tiles else "policy"
     used = f"{network.path.name} has {network.checksum[:8]}"
     return (
-        f"{policy.path.name} was trained for the extrapolator with sha256 {known}, and {used}: its "
-        f"decisions may be wrong; train a policy for this one with 'exwarp train {kind}', and name "
-        "it with --policy"
+        f"{policy.path.name} was trained for the extrapolator with sha256 {trained}, and "
+        f"{used}: its decisions may be wrong; train a policy for this one with 'exwarp train "
+        f"{kind}', and name it with --policy"
     )
 
 
 def _policy_summary(
     policy: PolicyFile, source: Source, network: OnnxExtrapolator | None
 ) -> PolicySummary:
-    """Say what the policy sees of the input: of tiles, what the warp itself goes by."""
     note = None if network is None else other_extrapolator(policy, network)
-    if policy.of_tiles:
+    if policy.of_tiles:  # it uses what the warp uses, so it lacks nothing
         return PolicySummary(str(policy.path), policy.checksum, None, (), policy.trained_for, note)
     shot = source.slots or source.keys
     layout = shot.layout
@@ -174,7 +171,7 @@ def _policy_summary(
 
 
 def _missing_colours(source: Source) -> list[str]:
-    """Name the surface colours that shading would have to be divided by, and that are not there."""
+    """Return the names of absent surface colours, by which shading would have to be divided."""
     layout = (source.slots or source.keys).layout
     return [name for role, name in SURFACE_COLOURS.items() if role not in layout]
 
@@ -186,7 +183,7 @@ def announce(
     method: Method,
     keys: tuple[int, ...],
 ) -> None:
-    """Say what was found and what is going to happen."""
+    """Describe the input and how it is read."""
     count, sequence = len(source.timeline.numbers), source.keys.sequence
     geometry = f"G-buffers for {'every slot' if source.slots is not None else 'the key frames'}"
     if source.estimated or is_plain(sequence):
@@ -195,14 +192,7 @@ def announce(
         f"{sequence.pattern}: {counted(count, 'key frame')} at "
         f"{float(source.fps):g} fps ({source.fps_source}), {geometry}"
     )
-    for note in (
-        sequence.version_note,
-        step_note(source.timeline.numbers, source.fps, source.fps_source),
-        _compatible_note(settings, source),
-        unevenness_of(sequence),
-        _lost_alpha(settings, source),
-        alpha_note(source.keys.layout),
-    ):
+    for note in _input_notes(settings, source):
         if note is not None:
             progress.message(note)
     if settings.source.gbuffers is not None and source.slots is None:
@@ -214,7 +204,8 @@ def announce(
         progress.message("motion {}: {}".format(*source.motion_origin))
     if (depth := _depth(source)) is not None:
         progress.message(f"depth {depth}")
-    if (names := _dynamic(source)) is not None:
+    names = _dynamic(source)
+    if names is not None:
         listed = ", ".join(quote_name(name) for name in names[:MAX_NAMES])
         more = f" and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else ""
         progress.message(f"moving by name: {listed}{more}")
@@ -232,22 +223,27 @@ def announce(
         )
 
 
-def _compatible_note(settings: UpsampleSettings, source: Source) -> str | None:
-    """Say that the output's rate is not the one asked for, but one that keeps key frames."""
-    asked, rate = settings.source.to_fps, source.output_fps
-    if asked is None or abs(asked - rate) <= NEAR * rate:
-        return None
-    every, seldom = source.timeline.factor.denominator, (asked / source.fps).denominator
-    shown = "every key frame" if every == 1 else f"one key frame in {every}"
-    return (
-        f"--to-fps {float(asked):g} is taken as {rate}, exactly "
-        f"{float(source.timeline.factor):g} times the input's {source.fps}, which keeps {shown}; "
-        f"{float(asked):g} itself keeps one in {seldom}"
-    )
+def _input_notes(settings: UpsampleSettings, source: Source) -> Iterator[str | None]:
+    sequence, fps = source.keys.sequence, source.fps
+    yield sequence.version_note
+    yield step_note(source.timeline.numbers, fps, source.fps_source)
+    target, rate = settings.source.to_fps, source.output_fps
+    if target is not None and abs(target - rate) > NEAR * rate:  # one that keeps key frames
+        every, seldom = source.timeline.factor.denominator, (target / fps).denominator
+        kept = "every key frame" if every == 1 else f"one key frame in {every}"
+        yield (
+            f"--to-fps {float(target):g} is taken as {rate}, exactly "
+            f"{float(source.timeline.factor):g} times the input's {fps}, which keeps {kept}; "
+            f"{float(target):g} itself keeps one in {seldom}"
+        )
+    yield unevenness_of(sequence)
+    if not is_clip(settings.output):  # a video's writer announces it
+        yield lost_alpha(source.keys, frame_suffix(settings.output, sequence))
+    yield alpha_note(source.keys.layout)
 
 
 def announce_truth(progress: Progress, truth: Sequence, frame_of: FrameOf, source: Source) -> None:
-    """Say where ground truth is at another rate; or longer than the output, so that it may be."""
+    """Warn where ground truth is at another rate, or is longer than the output."""
     if isinstance(frame_of, OtherRate):
         progress.message(frame_of.note)
         return
@@ -260,7 +256,7 @@ def announce_truth(progress: Progress, truth: Sequence, frame_of: FrameOf, sourc
 
 
 def announce_video(progress: Progress, source: Source, keys: tuple[int, ...]) -> None:
-    """Say that a video's colour is not the frames' own."""
+    """Announce that a video has other primaries than the frames."""
     primaries = video_look(source, keys).primaries
     if primaries is not None:
         progress.message(
@@ -268,15 +264,8 @@ def announce_video(progress: Progress, source: Source, keys: tuple[int, ...]) ->
         )
 
 
-def _lost_alpha(settings: UpsampleSettings, source: Source) -> str | None:
-    """Say that frames lose alpha; a video says so itself."""
-    if is_clip(settings.output):
-        return None
-    return lost_alpha(source.keys, frame_suffix(settings.output, source.keys.sequence))
-
-
 def announce_contents(progress: Progress, contents: tuple[Content, ...]) -> None:
-    """Say what generated frames hold beside the beauty."""
+    """Name the layers and views of generated frames."""
     leader = contents[0]
     shot = leader.source.keys
     if len(contents) > 1:
@@ -285,8 +274,9 @@ def announce_contents(progress: Progress, contents: tuple[Content, ...]) -> None
         for content in contents[1:]:
             finding = content.source.finding
             if finding is not None:
-                found = f"motion {finding.source}: {finding.evidence}"
-                progress.message(f"{content.source.keys.view}: {found}")
+                progress.message(
+                    f"{content.source.keys.view}: motion {finding.source}: {finding.evidence}"
+                )
     if leader.names:
         many = counted(len(leader.names), "layer")
         progress.message(f"{many} beside the beauty: {', '.join(leader.names)}")
@@ -316,74 +306,72 @@ def input_summary(source: Source) -> InputSummary:
 
 
 def _depth(source: Source) -> str | None:
-    """Return how depth is read where that is another way than its name says; None elsewhere."""
+    """Return how depth is read, if otherwise than its name says."""
     return (source.slots or source.keys).depth.evidence or None
 
 
 def _dynamic(source: Source) -> tuple[str, ...] | None:
-    """Return the names of what the user calls moving; None where nothing is said."""
+    """Return the names of moving objects that the user gave, if any."""
     ids = (source.slots or source.keys).ids
     return None if ids is None or ids.dynamic is None else ids.dynamic.names
 
 
-def left_out(timeline: Timeline, key: int, slots: abc.Sequence[Slot], reason: str) -> LeftOut:
-    """Return what is recorded of an interval, by its index, that lacks some slots."""
+def skipped_interval(
+    timeline: Timeline, key: int, slots: abc.Sequence[Slot], reason: str
+) -> LeftOut:
+    """Return the record of an interval, by its index, that lacks some slots."""
     frames = tuple(timeline.number(slot) for slot in slots)
     return LeftOut(timeline.numbers[key], frames, reason)
 
 
-def unscored(timeline: Timeline, key: int, reasons: Mapping[int, str]) -> Iterator[LeftOut]:
-    """Yield what is recorded of an interval whose ground truth cannot be used, by slot."""
+def skipped_scores(timeline: Timeline, key: int, reasons: Mapping[int, str]) -> Iterator[LeftOut]:
+    """Yield the records of slots whose ground truth cannot be used."""
     for slot, reason in sorted(reasons.items()):
         number = timeline.number(Slot(key, slot))
         yield LeftOut(timeline.numbers[key], (), reason, (number,))
 
 
-def unusable(timeline: Timeline, key: int, reasons: Mapping[int, str]) -> Iterator[LeftOut]:
-    """Yield what is recorded of an interval whose rendered frames cannot be used, by slot."""
+def skipped_rendered(timeline: Timeline, key: int, reasons: Mapping[int, str]) -> Iterator[LeftOut]:
+    """Yield the records of slots whose rendered frames cannot be used."""
     for slot, reason in sorted(reasons.items()):
         number = timeline.number(Slot(key, slot))
         yield LeftOut(timeline.numbers[key], (), reason, rendered=(number,))
 
 
-def tell_left_out(progress: Progress, one: LeftOut) -> None:
-    """Say at once what is left out, and why."""
-    numbers = one.frames or one.scores or one.rendered
-    what = "left out" if one.frames else "not scored" if one.scores else "generated"
-    progress.message(f"{what} {_named(numbers)}: {one.reason}")
+def announce_skipped(progress: Progress, skipped: LeftOut) -> None:
+    """Announce what is left out, and why."""
+    numbers = skipped.frames or skipped.scores or skipped.rendered
+    fate = "left out" if skipped.frames else "not scored" if skipped.scores else "generated"
+    progress.message(f"{fate} {_named(numbers)}: {skipped.reason}")
 
 
 def require_complete(run: RunSummary) -> None:
-    """Refuse to call a run complete that left something out.
-
-    Raises
-    ------
-    IncompleteError
-        When it did.
-    """
+    """Raise IncompleteError if a run left something out."""
     if not run.left_out:
         return
-    missing = [one for one in run.left_out if one.frames]
-    many, frames = len(missing), [n for one in missing for n in one.frames]
-    scores = sorted({n for one in run.left_out for n in one.scores})
-    clauses, cause = [], []
-    if missing:
-        verb = "was" if many == 1 else "were"
-        whole = counted(len(run.selected), "key interval")
-        clauses.append(f"{many} of {whole} {verb} left out ({_named(frames)})")
-        cause.append("the input")
+    intervals = [skipped for skipped in run.left_out if skipped.frames]
+    scores = sorted({number for skipped in run.left_out for number in skipped.scores})
+    rendered = sorted({number for skipped in run.left_out for number in skipped.rendered})
+    clauses, causes = [], []
+    if intervals:
+        frames = [number for skipped in intervals for number in skipped.frames]
+        total = counted(len(run.selected), "key interval")
+        clauses.append(f"{len(intervals)} of {total} {_was(intervals)} left out ({_named(frames)})")
+        causes.append("the input")
     if scores:
-        clauses.append(f"{_named(scores)} {'was' if len(scores) == 1 else 'were'} not scored")
-        cause.append("the ground truth")
-    rendered = sorted({n for one in run.left_out for n in one.rendered})
+        clauses.append(f"{_named(scores)} {_was(scores)} not scored")
+        causes.append("the ground truth")
     if rendered:
-        verb = "was" if len(rendered) == 1 else "were"
-        clauses.append(f"{_named(rendered)} {verb} generated, although rendered")
-        cause.append("the rendered frames")
+        clauses.append(f"{_named(rendered)} {_was(rendered)} generated, although rendered")
+        causes.append("the rendered frames")
     raise IncompleteError(
         f"{', and '.join(clauses)}, see above or left_out in report.json; "
-        f"mend {' and '.join(cause)} and run again with --skip-existing"
+        f"mend {' and '.join(causes)} and run again with --skip-existing"
     )
+
+
+def _was(items: abc.Sequence[object]) -> str:
+    return "was" if len(items) == 1 else "were"
 
 
 def _named(frames: abc.Sequence[int]) -> str:

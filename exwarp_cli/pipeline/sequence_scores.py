@@ -1,4 +1,4 @@
-"""What a user wants measured of two sequences, and who measures it frame after frame."""
+"""Scoring one sequence against another, frame after frame, by this tool's metrics or ExtraNet's."""
 
 from __future__ import annotations
 
@@ -7,8 +7,6 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Protocol
 
 from exwarp_cli.domain.decision import maker_of
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer
@@ -32,8 +30,13 @@ from exwarp_cli.metrics.registry import score
 from exwarp_cli.pipeline.motion_finding import find_motion
 from exwarp_cli.synthesis.geometry import matched, reproject, settle_motion
 
+Scores = tuple[Score, Score | None]  # over all pixels, and in holes
 
-class Flow:
+ENDS_LEFT_OUT = 4  # frames at either end that ExtraNet's videos lack
+SHORTEST_CUT = 12  # videos of no more frames keep their ends
+
+
+class SequenceMotion:
     """Reads where the pixels of a frame come from; asked frame by frame, ascending."""
 
     def __init__(self, shot: Shot, convention: MotionConvention) -> None:
@@ -41,7 +44,7 @@ class Flow:
         self._convention = convention
         numbers = shot.sequence.numbers
         self._step = min((b - a for a, b in pairwise(numbers)), default=1)
-        self._before: tuple[int, GBuffer] | None = None
+        self._previous: tuple[int, GBuffer] | None = None
 
     def into(self, number: int) -> tuple[Float32, Bool] | None:
         """Return the motion from a frame to the one before it.
@@ -49,35 +52,24 @@ class Flow:
         Returns
         -------
         tuple or None
-            On the display window, float32 [H, W, 2] in pixels, x right, y down, NaN where nothing
-            is known; and bool [H, W]: the frame before does not show the surface point. None where
-            the frame that was asked for last is not its neighbour.
+            On the display window, float32 [H, W, 2] in pixels, x right, y down, NaN where unknown;
+            and bool [H, W]: the frame before does not show the surface point. None where the frame
+            of the last call is not its neighbour.
         """
         raw = read_raw(self._shot, number, GEOMETRY)
-        now = settle_motion(raw.settle(self._convention).on(self._shot.display))
-        before, self._before = self._before, (number, now)
-        if before is None or before[0] != number - self._step:
+        current = settle_motion(raw.settle(self._convention).on(self._shot.display))
+        previous, self._previous = self._previous, (number, current)
+        if previous is None or previous[0] != number - self._step:
             return None
-        found = (
-            reproject(before[1], 1.0)
-            if now.to_previous is None
-            else matched(now, before[1], now.to_previous, 1)
-        )
-        return found.field, found.hole
+        if current.to_previous is None:
+            motion = reproject(previous[1], 1.0)
+        else:
+            motion = matched(current, previous[1], current.to_previous, 1)
+        return motion.field, motion.hole
 
 
-def open_flow(spec: str, sequence: Sequence, view: str = "") -> Flow | str:
-    """Return the flow of a sequence, or in a few words why it has none.
-
-    Parameters
-    ----------
-    spec
-        What the user named it by.
-    sequence
-        What was found there.
-    view
-        Whose vectors; "" for the hero's.
-    """
+def open_motion(spec: str, sequence: Sequence, view: str = "") -> SequenceMotion | str:
+    """Return the motion of a sequence, which the user named `spec`, or why it has none."""
     try:
         shot = open_shot(spec, view or None)
         finding = find_motion(shot, None)
@@ -87,129 +79,105 @@ def open_flow(spec: str, sequence: Sequence, view: str = "") -> Flow | str:
         return f"{sequence.pattern} has no motion vectors"
     if not set(sequence.files) <= set(shot.sequence.files):
         return f"the vectors beside {sequence.pattern} are of other frames"
-    return Flow(shot, finding.convention)
-
-
-Scores = tuple[Score, Score | None]
-"""Over all pixels, and in holes."""
-
-ENDS_LEFT_OUT = 4
-"""Frames at either end that ExtraNet's videos lack."""
-
-SHORTEST_CUT = 12
-"""Videos of no more frames keep their ends."""
+    return SequenceMotion(shot, finding.convention)
 
 
 @dataclass(frozen=True)
 class Pair:
-    """Two frames that belong together, on the display window.
+    """Two frames of one instant, on the display window."""
+
+    reference: int  # the number of the true one
+    # truth, test: float32 [H, W, 3] or more, scene-linear
+    truth: Float32
+    test: Float32
+    mask: Bool | None  # bool [H, W], the holes; None without
+
+
+class SequenceScorer(Held):
+    """Scores pairs one by one, and the whole sequence at the end; a context manager.
 
     Attributes
     ----------
-    reference
-        The number of the true one.
-    truth, test
-        float32 [H, W, 3] or more, scene-linear.
-    mask
-        bool [H, W]; None without.
+    notes
+        What a reader of the numbers should know at the end, a sentence each.
     """
 
-    reference: int
-    truth: Float32
-    test: Float32
-    mask: Bool | None
+    _vmaf: Vmaf | EncodedVmaf | None = None
 
+    def _open(self, stack: ExitStack) -> None:
+        if self._vmaf is not None:
+            stack.enter_context(self._vmaf)
 
-class Scorer(Protocol):
-    """Who scores a sequence; a context manager."""
-
-    def __enter__(self) -> Scorer:
-        """Begin."""
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Give up, or end."""
-
-    def add(self, pair: Pair) -> Scores:
-        """Take the next frame, and return its score as far as it is known."""
+    def add(self, pair: Pair) -> None:
+        """Take the next pair."""
+        raise NotImplementedError
 
     def finish(self) -> list[Scores]:
         """Return the scores of all frames."""
+        raise NotImplementedError
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is known at the end that a reader of the numbers should know, a sentence each."""
+        """See above."""
+        return ()
 
 
-class SequenceScores(Held):
+class MetricScorer(SequenceScorer):
     """Scores by the metrics of this tool; memory holds one frame.
 
     Parameters
     ----------
     names
         What is measured, as in `Score`.
-    flow
-        Motion for flicker; None where it is not measured.
+    motion
+        For flicker; None where it is not measured.
     """
 
-    def __init__(self, names: tuple[str, ...], flow: Flow | None) -> None:
+    def __init__(self, names: tuple[str, ...], motion: SequenceMotion | None) -> None:
         self._names = names
-        self._flow = flow
+        self._motion = motion
         self._vmaf = Vmaf() if "vmaf" in names else None
         self._scores: list[Scores] = []
         self._error: Float32 | None = None
-        self._into: list[float | None] = []
+        self._transitions: list[float | None] = []
 
-    def _open(self, stack: ExitStack) -> None:
-        if self._vmaf is not None:
-            stack.enter_context(self._vmaf)
-
-    def add(self, pair: Pair) -> Scores:
-        """Score the next frame by what needs no later one."""
+    def add(self, pair: Pair) -> None:
+        """Score the next pair by what needs no later one."""
         overall, inside = score(pair.truth, pair.test, pair.mask, self._names)
         if self._vmaf is not None:
             self._vmaf.write(to_display(pair.truth), to_display(pair.test))
-        if self._flow is not None:
-            value, masked = self._transition(self._flow, pair)
-            self._into.append(value)
+        if self._motion is not None:
+            value, masked = self._transition(self._motion, pair)
+            self._transitions.append(value)
             inside = None if inside is None else replace(inside, flicker=masked)
         self._scores.append((overall, inside))
-        return overall, inside
 
     def finish(self) -> list[Scores]:
         """Return all scores, with VMAF and flicker."""
-        found = self._scores
+        scores = self._scores
         if self._vmaf is not None:
             values = self._vmaf.close()
-            found = [(replace(s, vmaf=v), h) for (s, h), v in zip(found, values, strict=True)]
-        if self._flow is not None:
-            flickers = of_frames([*self._into, None])
-            found = [(replace(s, flicker=v), h) for (s, h), v in zip(found, flickers, strict=True)]
-        return found
+            scores = [(replace(s, vmaf=v), h) for (s, h), v in zip(scores, values, strict=True)]
+        if self._motion is not None:
+            flickers = of_frames([*self._transitions, None])
+            pairs = zip(scores, flickers, strict=True)
+            scores = [(replace(s, flicker=v), h) for (s, h), v in pairs]
+        return scores
 
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Nothing."""
-        return ()
-
-    def _transition(self, flow: Flow, pair: Pair) -> tuple[float | None, float | None]:
-        """Return what changes into a frame, over all pixels and in holes."""
-        motion = flow.into(pair.reference)
+    def _transition(self, motion: SequenceMotion, pair: Pair) -> tuple[float | None, float | None]:
+        """Return how the error changes into a frame, over all pixels and in holes."""
+        into = motion.into(pair.reference)
         before, self._error = self._error, error(pair.truth, pair.test)
-        if motion is None or before is None:
+        if into is None or before is None:
             return None, None
-        found = transition(self._error, before, *motion)
-        return found.mean(), None if pair.mask is None else found.within(pair.mask)
+        change = transition(self._error, before, *into)
+        return change.mean(), None if pair.mask is None else change.within(pair.mask)
 
 
-class ExtranetScores(Held):
+class ExtranetScorer(SequenceScorer):
     """Scores as ExtraNet's release takes them: see `exwarp_cli.metrics.extranet`.
 
-    VMAF is of H.264 videos of both sequences, rendered frames and all.
+    VMAF is of H.264 videos of both sequences, rendered frames included.
 
     Parameters
     ----------
@@ -231,10 +199,6 @@ class ExtranetScores(Held):
         self._scores: list[Score] = []
         self._counted = 0
 
-    def _open(self, stack: ExitStack) -> None:
-        if self._vmaf is not None:
-            stack.enter_context(self._vmaf)
-
     @property
     def notes(self) -> tuple[str, ...]:
         """Which frames counted."""
@@ -244,22 +208,22 @@ class ExtranetScores(Held):
             return (note,)
         return (note, f"VMAF is of {len(self._video)} frames in H.264, rendered ones included")
 
-    def add(self, pair: Pair) -> Scores:
-        """Score the next frame, if it counts, and append it to the videos."""
+    def add(self, pair: Pair) -> None:
+        """Score the next pair if it counts, and append it to the videos."""
         index = len(self._scores)
-        shown, judged = rounded(pair.truth), rounded(pair.test)
-        same = bool((shown == judged).all())
-        counts = not same if self._generated is None else self._generated[index]
+        truth, test = rounded(pair.truth), rounded(pair.test)
+        is_different = bool((truth != test).any())
+        counts = is_different if self._generated is None else self._generated[index]
         self._counted += counts
-        found = extranet.score(pair.truth, pair.test) if counts else Score()
-        found = Score(
-            psnr_db=found.psnr_db if "psnr_db" in self._names else None,
-            ssim=found.ssim if "ssim" in self._names else None,
+        values = extranet.score(pair.truth, pair.test) if counts else Score()
+        self._scores.append(
+            Score(
+                psnr_db=values.psnr_db if "psnr_db" in self._names else None,
+                ssim=values.ssim if "ssim" in self._names else None,
+            )
         )
-        self._scores.append(found)
         if self._vmaf is not None and index in self._video:
-            self._vmaf.write(shown, judged)
-        return found, None
+            self._vmaf.write(truth, test)
 
     def finish(self) -> list[Scores]:
         """Return all scores, with VMAF."""
@@ -271,20 +235,12 @@ class ExtranetScores(Held):
 
 @dataclass(frozen=True)
 class Origin:
-    """Where a frame came from, as its header tells; all None for a frame that ExWarp did not make.
+    """Where a frame came from, by its header; all None for a frame that ExWarp did not make."""
 
-    Attributes
-    ----------
-    kind
-        A value of `FrameKind`: "generated" or "dropped".
-    made_by
-        "warp", "extrapolate", "softsplat", "blend", "interpolate" or "hold".
-    path
-        Decision path of its key interval, S1 to S6; None outside the paper's paths.
-    """
-
-    kind: str | None = None
+    kind: str | None = None  # a value of `FrameKind`: "generated" or "dropped"
+    # "warp", "extrapolate", "softsplat", "blend", "interpolate" or "hold"
     made_by: str | None = None
+    # Decision path of its key interval, S1 to S6; None outside the paper's paths
     path: str | None = None
 
     @property
@@ -311,17 +267,17 @@ def origins_of(files: Listed[Path]) -> list[Origin]:
     DamagedFileError
         When a header cannot be read.
     """
-    return [_origin({} if is_clip(str(path)) else facts_in(path)) for path in files]
-
-
-def _origin(known: dict[str, Any]) -> Origin:
-    values = (known.get(name) for name in ("kind", "madeBy", "path", "method"))
-    kind, made_by, path, method = (value if isinstance(value, str) else None for value in values)
-    return Origin(kind, maker_of(made_by, method), path)
+    origins = []
+    for path in files:
+        facts = {} if is_clip(str(path)) else facts_in(path)
+        values = (facts.get(name) for name in ("kind", "madeBy", "path", "method"))
+        kind, made_by, decided, method = (v if isinstance(v, str) else None for v in values)
+        origins.append(Origin(kind, maker_of(made_by, method), decided))
+    return origins
 
 
 def require_consistent(measuring: MeasureSettings, holes: str | None) -> None:
-    """Refuse what contradicts itself, before any work; raises UsageError."""
+    """Refuse contradicting options, before any work; raises UsageError."""
     if holes is None:
         limits = [limit for limit in measuring.thresholds if limit.scope == "holes"]
         if limits:
@@ -346,7 +302,7 @@ def require_consistent(measuring: MeasureSettings, holes: str | None) -> None:
 
 
 def require_generated(measuring: MeasureSettings, origins: Listed[Origin], test: Sequence) -> None:
-    """Refuse limits on generated frames where no header tells of any; raises UsageError."""
+    """Refuse limits on generated frames where no header names any; raises UsageError."""
     limits = [limit for limit in measuring.thresholds if limit.scope == GENERATED]
     if limits and not any(origin.generated for origin in origins):
         raise UsageError(
@@ -356,46 +312,35 @@ def require_generated(measuring: MeasureSettings, origins: Listed[Origin], test:
         )
 
 
-def scorer(
+def make_scorer(
     measuring: MeasureSettings, spec: str, reference: Sequence, origins: Listed[Origin]
-) -> tuple[Scorer, tuple[str, ...]]:
-    """Return who scores, and what a reader of the numbers should know of it.
+) -> tuple[SequenceScorer, tuple[str, ...]]:
+    """Return a scorer, and what a reader of its numbers should know.
 
-    Parameters
-    ----------
-    measuring
-        What is wanted.
-    spec, reference
-        The true sequence: what the user named it by, and what was found.
-    origins
-        Of the frames that will be scored, in order.
+    The true sequence is `reference`, which the user named `spec`. The origins are those of the
+    frames that will be scored, in order.
     """
     if measuring.preset is not None:
-        generated = _generated(origins)
-        if generated is not None and not any(generated):
+        generated = [origin.generated for origin in origins]
+        has_headers = any(origin.kind is not None for origin in origins)
+        if has_headers and not any(generated):
             raise InputError(
                 "by their headers none of the frames of the second sequence is generated, and "
                 f"--preset {measuring.preset} scores nothing else; leave the preset out"
             )
-        return ExtranetScores(measuring.measured, len(origins), generated), ()
+        flags = generated if has_headers else None
+        return ExtranetScorer(measuring.measured, len(origins), flags), ()
     if "flicker" not in measuring.measured:
-        return SequenceScores(measuring.measured, None), ()
-    flow = open_flow(spec, reference, measuring.view)
-    if isinstance(flow, Flow):
-        return SequenceScores(measuring.measured, flow), ()
-    note = f"flicker is not measured, as it follows the motion of the first sequence: {flow}"
-    return SequenceScores(measuring.measured, None), (note,)
-
-
-def _generated(origins: Listed[Origin]) -> list[bool] | None:
-    """Return which frames the headers call generated; None where no header says anything."""
-    if all(origin.kind is None for origin in origins):
-        return None
-    return [origin.generated for origin in origins]
+        return MetricScorer(measuring.measured, None), ()
+    motion = open_motion(spec, reference, measuring.view)
+    if isinstance(motion, SequenceMotion):
+        return MetricScorer(measuring.measured, motion), ()
+    note = f"flicker is not measured, as it follows the motion of the first sequence: {motion}"
+    return MetricScorer(measuring.measured, None), (note,)
 
 
 def rendered_note(origins: Listed[Origin]) -> tuple[str, ...]:
-    """Say that frames which were rendered raise the means over an upsampled sequence, if any do."""
+    """Return a note where rendered frames raise the means over an upsampled sequence."""
     rendered = sum(not (origin.generated or origin.dropped) for origin in origins)
     if rendered in (0, len(origins)):
         return ()

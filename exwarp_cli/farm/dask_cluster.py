@@ -1,0 +1,485 @@
+"""One job on many processes: its chunks are tasks of the workers of a Dask cluster.
+
+The coordinator opens the job, refuses what it has to, and makes the folders. Workers open the same
+files and write frames where a single run would, so frames do not travel. Any division into chunks
+gives the same bytes: frames, video and report are those of a single run.
+"""
+
+from __future__ import annotations
+
+import math
+import queue
+import time
+import uuid
+from collections import Counter, deque
+from collections.abc import Collection, Generator, Iterable, Iterator, Sequence
+from contextlib import ExitStack, closing, suppress
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from exwarp_cli import __version__
+from exwarp_cli.domain.joining import Outcome
+from exwarp_cli.domain.results import RunSummary
+from exwarp_cli.domain.settings import ClusterSettings
+from exwarp_cli.domain.timeline import Slot, ranges
+from exwarp_cli.domain.wording import counted
+from exwarp_cli.errors import ClusterError, UsageError
+from exwarp_cli.farm.dask_client import connected, require_dask, threads_per_worker
+from exwarp_cli.farm.dask_worker import (
+    Chunk,
+    ChunkResult,
+    SharedWatcher,
+    WorkerRequirements,
+    check_worker,
+    render_chunk,
+)
+from exwarp_cli.farm.farm_job import DEFAULT_SIZE, split
+from exwarp_cli.farm.path_options import absolute, inputs_of
+from exwarp_cli.io.atomic import Held, await_file, marked, remove_leftovers
+from exwarp_cli.io.footage import picture
+from exwarp_cli.pipeline.dry_run import DryRun
+from exwarp_cli.pipeline.job import Job
+from exwarp_cli.pipeline.messages import announce_skipped
+from exwarp_cli.pipeline.progress import ANY, NoProgress, Progress, kind_of, kinds_of
+from exwarp_cli.pipeline.run import make_writer
+from exwarp_cli.pipeline.scheduling import AsyncWriter
+from exwarp_cli.pipeline.verification import verify_video
+from exwarp_cli.runtime.stop import check_stop, note_progress
+
+# Chunks for each worker: the last one keeps the others waiting for a third of its share at most.
+ROUNDS = 3
+POLL_S = 0.5  # seconds between two looks at which workers the cluster has
+ANSWER_S = 10.0  # seconds without a chunk begun, after which a message says that workers are busy
+PATIENCE_S = 180.0  # seconds to wait for a first worker: batch systems take minutes to start one
+ATTEMPTS = 4  # a chunk that ends its worker every time would end them all
+RESULT_S = 60.0  # seconds that the records of a finished chunk may take to arrive
+CANCEL_S = 10.0  # seconds to wait for cancelled chunks, which stop at their next frame
+
+_NO_ANSWER = (OSError, TimeoutError)  # of Dask; its CommClosedError is an OSError
+
+
+def run_on_cluster(
+    job: Job, where: ClusterSettings, progress: Progress, watcher: SharedWatcher | None = None
+) -> RunSummary:
+    """Do an open job on the workers of a cluster; return the summary of a single run but for times.
+
+    The watcher is shown the frames that it wants, by parts of it in the workers.
+
+    Raises
+    ------
+    ClusterError
+        When the cluster cannot be reached, cannot do the work, or loses its workers.
+    ExwarpError
+        As `pipeline.run.upsample` raises; frames written until then are complete.
+    """
+    _require_frames(job)
+    job.refuse()
+    with ExitStack() as stack:
+        for folder in job.targets.folders:  # of lost workers, once the others have ended
+            stack.callback(remove_leftovers, folder)
+        client = stack.enter_context(connected(where, job.settings.threads))
+        return _run(job, where, progress, watcher, client)
+
+
+def _run(
+    job: Job,
+    where: ClusterSettings,
+    progress: Progress,
+    watcher: SharedWatcher | None,
+    client: Any,
+) -> RunSummary:
+    job.targets.make_folders()
+    with ExitStack() as stack:
+        stack.callback(job.close)  # whose rendered frames the video shows
+        marks = [stack.enter_context(marked(folder)) for folder in job.targets.folders]
+        dispatcher = ChunkDispatcher(client, _requirements(job, marks), progress)
+        workers = dispatcher.await_workers()
+        divided = chunks_of(job.keys, where, workers)
+        job.announce(progress)
+        spread = _spread(where, workers, job.settings.threads)
+        progress.message(f"{counted(len(divided), 'chunk')} for {spread}")
+        begin = time.perf_counter()
+        progress.start(len(job.slots), kinds_of(job.slots), workers)
+        stack.callback(progress.finish)
+        if watcher is not None:
+            watcher.plan(job.groups)
+        video = None
+        if job.targets.video is not None:
+            video = stack.enter_context(VideoFromFrames(job))
+            for text in video.remarks:
+                progress.message(text)
+        chunks = _make_chunks(job, where, divided, watcher)
+        outcomes = _collect(dispatcher, chunks, progress, watcher, video)
+    seconds = time.perf_counter() - begin
+    outcome = Outcome.joined(outcomes)
+    if job.targets.video is not None and job.settings.verify:
+        verify_video(job.targets.video, outcome.shown)
+    return job.summary(outcome, seconds)
+
+
+def _collect(
+    dispatcher: ChunkDispatcher,
+    chunks: Sequence[Chunk],
+    progress: Progress,
+    watcher: SharedWatcher | None,
+    video: VideoFromFrames | None,
+) -> list[Outcome]:
+    """Have all chunks done; return their outcomes in the chunks' order."""
+    outcomes: dict[int, Outcome] = {}
+    filmed = 0
+    with closing(dispatcher.render(chunks)) as finished:
+        for chunk, result in finished:
+            outcomes[chunk.index] = result.outcome
+            for skipped in result.outcome.left_out:
+                announce_skipped(progress, skipped)
+            if watcher is not None and result.watcher is not None:
+                watcher.adopt(result.watcher)
+            while video is not None and filmed in outcomes:  # in order, as far as complete
+                skips = outcomes[filmed].left_out
+                video.append(chunks[filmed].keys, [n for skip in skips for n in skip.frames])
+                filmed += 1
+    return [outcomes[chunk.index] for chunk in chunks]
+
+
+def foresee_on_cluster(job: Job, where: ClusterSettings, dry_run: DryRun) -> DryRun:
+    """Add to a dry run how its key frames would be divided among workers.
+
+    Raises
+    ------
+    ClusterError
+        When the cluster cannot be reached, or cannot do the work.
+    """
+    _require_frames(job)
+    require_dask()
+    if where.address is None:
+        workers = where.workers or 1
+    else:
+        with connected(where, job.settings.threads) as client:
+            dispatcher = ChunkDispatcher(client, _requirements(job, ()), NoProgress())
+            workers = dispatcher.await_workers()
+    chunks = chunks_of(job.key_numbers, where, workers)
+    return replace(dry_run, chunks=chunks, spread=_spread(where, workers, job.settings.threads))
+
+
+def chunks_of(
+    keys: tuple[int, ...], where: ClusterSettings, workers: int
+) -> tuple[tuple[int, ...], ...]:
+    """Divide key frames into chunks, of the size that the user asks for or of a usual one.
+
+    The usual size gives each worker some chunks in turn, so that a lost worker costs little, and is
+    `DEFAULT_SIZE` at most. Each chunk reads key frames of its neighbours again, so smaller is not
+    better.
+    """
+    usual = min(DEFAULT_SIZE, max(1, math.ceil(len(keys) / (ROUNDS * workers))))
+    return split(keys, where.chunk_size or usual)
+
+
+def _spread(where: ClusterSettings, workers: int, threads: int | None) -> str:
+    """Describe the workers, for a message."""
+    if where.address is not None:
+        return f"{counted(workers, 'worker')} of {where.address}"
+    each = counted(threads_per_worker(workers, threads), "thread")
+    return f"{counted(workers, 'worker')} on this machine, {each} each"
+
+
+def _require_frames(job: Job) -> None:
+    if job.targets.frames is None:
+        raise UsageError(
+            f"-o {job.settings.output} is a video alone, and workers write frames; name a folder "
+            "in -o and the video in --video, or leave out --workers and --cluster"
+        )
+
+
+def _requirements(job: Job, marks: Sequence[Path]) -> WorkerRequirements:
+    return WorkerRequirements(
+        __version__, inputs_of(job), tuple(str(mark.absolute()) for mark in marks)
+    )
+
+
+def _make_chunks(
+    job: Job,
+    where: ClusterSettings,
+    divided: Sequence[tuple[int, ...]],
+    watcher: SharedWatcher | None,
+) -> list[Chunk]:
+    # The coordinator chooses the key frames, makes the video, and has looked for existing frames.
+    settings = replace(absolute(job.settings), frames=None, video=None)
+    if where.address is None:
+        settings = replace(settings, threads=None)  # a worker was started with its share
+    run, timeline = f"exwarp-{uuid.uuid4().hex}", job.source.timeline
+    chunks = []
+    for index, keys in enumerate(divided):
+        frames = ranges([timeline.number(slot) for key in keys for slot in timeline.slots_of(key)])
+        shared = None if watcher is None else watcher.share()
+        chunks.append(Chunk(run, index, settings, keys, frames, shared, job.reported))
+    return chunks
+
+
+class VideoFromFrames(Held):
+    """Appends finished key intervals to a job's video, in order, on a thread of its own.
+
+    The video is complete, or absent. It equals that of a single run unless the frames' compression
+    loses something. The job must have frames and a video among its outputs.
+    """
+
+    def __init__(self, job: Job) -> None:
+        self._job = job
+
+    def _open(self, stack: ExitStack) -> None:
+        self._frames = stack.enter_context(make_writer(self._job))
+        self._writer = stack.enter_context(AsyncWriter(1, len(self._job.slots)))
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What a user has to know about the video; see `VideoWriter.remarks`."""
+        return self._frames.remarks
+
+    def append(self, keys: Iterable[int], missing: Collection[int] = ()) -> None:
+        """Append the frames of key intervals; of `missing` output numbers, the frame before."""
+        timeline = self._job.source.timeline
+        for slot in (slot for key in keys for slot in timeline.slots_of(key)):
+            if timeline.number(slot) in missing:
+                self._writer.submit(self._frames.show_again)
+            else:
+                self._writer.submit(partial(self._show, slot))
+
+    def _show(self, slot: Slot) -> None:
+        source, frames = self._job.source, self._job.targets.frames
+        assert frames is not None
+        if not slot.index:  # the rendered file itself
+            number = source.timeline.numbers[slot.key]
+            self._frames.show(picture(source.keys.sequence, number, source.keys.view))
+            return
+        number = source.timeline.number(slot)
+        await_file(frames.path(number))  # another machine has just written it
+        self._frames.show(self._frames.read(number))
+
+
+@dataclass(frozen=True)
+class _Task:
+    chunk: Chunk
+    future: Any
+    worker: str
+
+
+class ChunkDispatcher:
+    """Gives one chunk at a time to each worker that can do the job; repeats those of lost workers.
+
+    A task is pinned to its worker. Dask alone would also give it to workers that cannot do the job,
+    such as one that joins later with another version. The client is a connected
+    `distributed.Client`; the progress receives each frame once, and messages.
+    """
+
+    def __init__(self, client: Any, requirements: WorkerRequirements, progress: Progress) -> None:
+        self._client, self._requirements, self._progress = client, requirements, progress
+        self._fit: set[str] = set()
+        self._unfit: dict[str, str] = {}
+        self._waiting: deque[Chunk] = deque()
+        self._tasks: dict[str, _Task] = {}  # by worker
+        self._begun: set[int] = set()  # chunks that workers are at
+        self._losses: Counter[int] = Counter()  # by chunk
+        self._frames: set[int] = set()
+        self._news: queue.SimpleQueue[Any] = queue.SimpleQueue()  # futures and events
+        self._looked_at = -math.inf
+        self._without_worker_since: float | None = None
+        self._busy_from = math.inf
+
+    def await_workers(self) -> int:
+        """Wait until there are workers that can do the job, and return how many.
+
+        Raises
+        ------
+        ClusterError
+            When no worker comes, or all that are there cannot do the job.
+        """
+        while not self._fit:
+            check_stop()
+            self._look()
+            if self._unfit and not self._fit:
+                worker, reason = min(self._unfit.items())
+                raise ClusterError(f"no worker can do this: {worker} {reason}")
+            if not self._fit:
+                time.sleep(POLL_S)
+        return len(self._fit)
+
+    def render(self, chunks: Iterable[Chunk]) -> Generator[tuple[Chunk, ChunkResult], None, None]:
+        """Yield chunks with their results, in the order in which they end.
+
+        Raises
+        ------
+        ClusterError
+            When the scheduler goes away, or a chunk loses its worker again and again.
+        ExwarpError
+            The first error of a chunk.
+        """
+        self._waiting.extend(chunks)
+        self._busy_from = time.monotonic() + ANSWER_S
+        self._subscribe()
+        try:
+            while self._waiting or self._tasks:
+                check_stop()
+                self._look()
+                for worker in sorted(self._fit - self._tasks.keys())[: len(self._waiting)]:
+                    chunk = self._waiting.popleft()
+                    key = f"{chunk.run}-{chunk.index}-{self._losses[chunk.index]}"
+                    future = self._call(
+                        "submit", render_chunk, chunk, key=key, workers=[worker], pure=False
+                    )
+                    self._tasks[worker] = _Task(chunk, future, worker)
+                    future.add_done_callback(self._news.put)  # called in another thread
+                yield from self._receive()
+        finally:
+            self._cancel_all()
+
+    def _call(self, method: str, *args: Any, **kwargs: Any) -> Any:
+        """Call a method of the client; ClusterError where there is no scheduler any more."""
+        try:
+            return getattr(self._client, method)(*args, **kwargs)
+        except Exception as error:
+            # How a closed client fails differs between methods and versions of Dask.
+            if not isinstance(error, _NO_ANSWER) and self._client.status == "running":
+                raise
+            raise ClusterError(
+                "the Dask scheduler went away; frames written so far are whole, and "
+                "--skip-existing goes on from there"
+            ) from error
+
+    def _look(self) -> None:
+        """Check new workers, and take back the chunks of lost ones."""
+        now = time.monotonic()
+        if now - self._looked_at < POLL_S:
+            return
+        self._looked_at = now
+        workers = set(self._call("nthreads"))
+        self._fit &= workers
+        self._unfit = {w: reason for w, reason in self._unfit.items() if w in workers}
+        if new := sorted(workers - self._fit - self._unfit.keys()):
+            self._check(new)
+        for worker in [worker for worker in self._tasks if worker not in workers]:
+            self._repeat(self._tasks.pop(worker))
+        self._require_worker(now, bool(workers))
+        if now > self._busy_from:
+            self._busy_from = math.inf
+            self._progress.message("waiting for a worker to be free: none has answered yet")
+
+    def _check(self, workers: list[str]) -> None:
+        # Not as a task: the answer of a busy worker would have to wait for a free thread.
+        answers = self._call(
+            "run", check_worker, self._requirements, workers=workers, on_error="return"
+        )
+        unfit = {}
+        for worker, answer in answers.items():
+            if answer is None:
+                self._fit.add(worker)
+            elif isinstance(answer, str):
+                unfit[worker] = answer
+            elif not isinstance(answer, _NO_ANSWER):  # else it is asked again
+                unfit[worker] = (
+                    f"cannot run ExWarp {self._requirements.version} ({answer}); install the same "
+                    "on all"
+                )
+        self._unfit |= unfit
+        if self._fit:
+            for worker, reason in sorted(unfit.items()):
+                self._progress.message(f"worker {worker} is left out: it {reason}")
+
+    def _require_worker(self, now: float, is_any_there: bool) -> None:
+        if self._fit:
+            self._without_worker_since = None
+        elif self._without_worker_since is None:
+            self._without_worker_since = now
+            if not is_any_there and not self._losses:
+                self._progress.message("waiting for a worker to join the cluster")
+        elif now - self._without_worker_since > PATIENCE_S:
+            raise ClusterError(
+                f"the cluster has had no worker that can do this for {PATIENCE_S:g} seconds; start "
+                "some with 'dask worker ADDRESS', and go on with --skip-existing"
+            )
+
+    def _subscribe(self) -> None:
+        for run in {chunk.run for chunk in self._waiting}:
+            self._call("subscribe_topic", run, lambda event: self._news.put(event[1]))
+
+    def _receive(self) -> Iterator[tuple[Chunk, ChunkResult]]:
+        """Take in all news, waiting for some; yield what ended."""
+        timeout = POLL_S
+        with suppress(queue.Empty):
+            while True:
+                news = self._news.get(timeout=timeout)
+                timeout = 0.0
+                if isinstance(news, dict):
+                    if "frame" in news:
+                        self._count(news["frame"], news["note"], news["kind"], news["made"])
+                    elif "begin" in news:
+                        self._begun.add(news["chunk"])
+                        self._busy_from = math.inf
+                    else:
+                        self._begun.discard(news["chunk"])
+                    continue
+                task = next((t for t in self._tasks.values() if t.future is news), None)
+                if task is not None and (result := self._result_of(task)) is not None:
+                    yield task.chunk, result
+
+    def _count(self, frame: int, note: str | None, kind: str, made: bool) -> None:
+        if frame not in self._frames:
+            self._frames.add(frame)
+            self._progress.advance(frame, note, kind, made)
+
+    def _result_of(self, task: _Task) -> ChunkResult | None:
+        """Return what a task came to; None if its worker was lost."""
+        from distributed import CancelledError, KilledWorker
+
+        del self._tasks[task.worker]
+        try:
+            result = task.future.result(timeout=RESULT_S)
+        except (CancelledError, KilledWorker, *_NO_ANSWER):
+            self._repeat(task)
+            return None
+        task.future.release()
+        if isinstance(result, BaseException):
+            raise result
+        assert isinstance(result, ChunkResult)
+        for record in result.outcome.frames:  # events may come later than the result
+            self._count(record.number, record.method, kind_of(record.slot), made=False)
+        for number in (number for skip in result.outcome.left_out for number in skip.frames):
+            self._count(number, "left out", ANY, made=False)
+        return result
+
+    def _repeat(self, task: _Task) -> None:
+        """Put back the chunk of a lost worker; ClusterError after several losses."""
+        chunk = task.chunk
+        self._begun.discard(chunk.index)
+        self._losses[chunk.index] += 1
+        if self._losses[chunk.index] >= ATTEMPTS:
+            raise ClusterError(
+                f"frames {chunk.frames} lost their worker {ATTEMPTS} times, so it may be they that "
+                "end it; try --frames with a part of them alone, fewer workers, or more memory "
+                "for each"
+            )
+        self._progress.message(
+            f"worker {task.worker} was lost; frames {chunk.frames} are done again"
+        )
+        self._waiting.appendleft(chunk)
+        self._subscribe()  # again, because a restarted scheduler has forgotten it
+        self._call("cancel", [task.future])
+
+    def _cancel_all(self) -> None:
+        """Cancel all tasks, and wait until no worker writes any more."""
+        futures = [task.future for task in self._tasks.values()]
+        begun = self._begun & {task.chunk.index for task in self._tasks.values()}
+        self._tasks.clear()
+        if not futures:
+            return
+        try:
+            self._call("cancel", futures)
+        except ClusterError:  # workers notice by themselves that their client is gone
+            return
+        deadline = time.monotonic() + CANCEL_S
+        while begun and time.monotonic() < deadline:
+            note_progress()
+            with suppress(queue.Empty):
+                news = self._news.get(timeout=POLL_S)
+                if isinstance(news, dict) and "end" in news:
+                    begun.discard(news["chunk"])

@@ -1,0 +1,490 @@
+"""The predictor of ``exwarp policy``: its schedule and decisions, and its files for hardware."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from importlib import resources
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from exwarp_cli.accel import verilog as verilog_files
+from exwarp_cli.accel.fixed_point import I32, ONE
+from exwarp_cli.accel.kernel import MlpKernel
+from exwarp_cli.accel.mac_array import (
+    MacArray,
+    Schedule,
+    missing_words,
+    resident_words,
+    schedule,
+)
+from exwarp_cli.accel.quantised_mlp import PAPER_SIZES, Inference, QuantisedMlp, infer_reference
+from exwarp_cli.errors import OutputExistsError, UsageError
+from exwarp_cli.io.atomic import atomic_write_text, make_folder
+from exwarp_cli.models.policy_files import StateRow, load_policy, read_states
+
+FORMAT = "exwarp.policy-hex/1"
+MANIFEST = "manifest.json"
+README = "README.txt"
+SOURCES = ("exwarp_predictor.v", "exwarp_core.v", "exwarp_predictor_tb.v", "Makefile")
+
+CACHE = 20 * 1024  # bytes of a core that hold the shipped network; 16 KB do not
+MOST_CORES = 10  # a core's files have its number as one digit
+
+Integers = npt.NDArray[np.integer[Any]]
+
+_CLOCK = re.compile(r"([0-9.]+(?:e[+-]?[0-9]+)?)\s*([kmg]?)(?:hz)?", re.IGNORECASE)
+_BYTES = re.compile(r"([0-9]+)\s*([kmg]?)i?b?", re.IGNORECASE)
+_HERTZ = {"": 1.0, "k": 1e3, "m": 1e6, "g": 1e9}
+_UNITS = {"": 1, "k": 1 << 10, "m": 1 << 20, "g": 1 << 30}
+
+
+@dataclass(frozen=True)
+class Decided:
+    """A row of a table, and the policy's decision."""
+
+    row: StateRow  # with the state
+    outputs: tuple[int, int]  # of warping and of extrapolating, int32
+    choice: int  # 0 to warp, 1 to extrapolate
+
+
+@dataclass(frozen=True)
+class Trace:
+    """One inference with all intermediate values, and its schedule on the paper's machine."""
+
+    row: StateRow
+    network: QuantisedMlp
+    inference: Inference
+    schedule: Schedule
+
+
+def clock_of(text: str, option: str = "--clock") -> float:
+    """Parse a clock rate, as ``500MHz``, ``1.5GHz`` or ``1e9``, in hertz.
+
+    Raises
+    ------
+    UsageError
+        With the name of the option, when it is no rate, or not above 0.
+    """
+    match = _CLOCK.fullmatch(text.strip())
+    try:
+        hertz = float(match[1]) * _HERTZ[match[2].lower()] if match else math.nan
+    except ValueError:
+        hertz = math.nan
+    if not (math.isfinite(hertz) and hertz > 0):
+        raise UsageError(f"{option} {text} is no clock rate; give one as 500MHz, 1.5GHz or 1e9")
+    return hertz
+
+
+def bytes_of(text: str) -> int:
+    """Parse a size, as ``16KB`` or ``16384``; K is 1024. Raises UsageError."""
+    match = _BYTES.fullmatch(text.strip())
+    if match is None or len(match[1]) > 15:
+        raise UsageError(f"--cache {text} is no size; give one as 16KB or 16384")
+    return int(match[1]) * _UNITS[match[2].lower()]
+
+
+def machine(cores: int, macs: int, cache: str, port: int) -> MacArray:
+    """Return a machine with a cache for each core and a port of some bytes a cycle; see `MacArray`.
+
+    Raises
+    ------
+    UsageError
+        For a cache that is no size, or 0.
+    """
+    try:
+        return MacArray(cores, macs, cache_bytes=bytes_of(cache), port_bytes=port)
+    except ValueError as error:
+        raise UsageError(f"--cache {cache} does not do: {error}; give a larger one") from error
+
+
+def cycles(policy: Path | None, cores: int, macs: int, cache: str, port: int = 0) -> Schedule:
+    """Schedule an inference of a policy, or of the paper's sizes for None, on a :func:`machine`.
+
+    Raises
+    ------
+    UsageError
+        When the cache is no size, or too small.
+    InputError
+        When the policy cannot be read.
+    """
+    sizes = PAPER_SIZES if policy is None else load_policy(policy).network.sizes
+    try:
+        return schedule(machine(cores, macs, cache, port), sizes)
+    except ValueError as error:
+        raise UsageError(f"--cache {cache} does not do: {error}; give a larger one") from error
+
+
+def decide_rows(table: Path, policy: Path | None, number: int | None) -> list[Decided]:
+    """Run a policy, or the one of ExWarp for None, on a row of a table, or all rows for None.
+
+    The table is a CSV file; see `exwarp_cli.models.policy_files.read_states`.
+
+    Raises
+    ------
+    InputError
+        When a file cannot be used.
+    UsageError
+        When there is no such row.
+    """
+    network = load_policy(policy).network
+    rows = _select(table, network, number)
+    outputs, choices = MlpKernel(network).decide_many(np.stack([row.state for row in rows]))
+    return [
+        Decided(row, (int(warp), int(extrapolate)), int(choice))
+        for row, (warp, extrapolate), choice in zip(rows, outputs, choices, strict=True)
+    ]
+
+
+def trace_row(table: Path, policy: Path | None, number: int | None) -> Trace:
+    """Run the policy on one state, the first by default, and keep all intermediate values.
+
+    Parameters and errors are those of :func:`decide_rows`.
+    """
+    network = load_policy(policy).network
+    row = _select(table, network, number)[0]
+    inference = infer_reference(network, row.state)
+    return Trace(row, network, inference, schedule(MacArray(), network.sizes))
+
+
+def _select(table: Path, network: QuantisedMlp, number: int | None) -> tuple[StateRow, ...]:
+    rows = read_states(table, network.sizes[0])
+    if number is None:
+        return rows
+    selected = tuple(row for row in rows if row.row == number)
+    if not selected:
+        raise UsageError(
+            f"--row {number}: {table} has no state in that row; its states are in rows "
+            f"{rows[0].row} to {rows[-1].row}"
+        )
+    return selected
+
+
+def sample_states(size: int, count: int, seed: int) -> I32:
+    """Return states to test an implementation with, int32 [count, size] in Q16.16.
+
+    By turns: within 0 … 1, as they are meant; of any magnitude, small ones as often as large ones;
+    and values at which bits carry and saturate.
+    """
+    rng = np.random.default_rng(seed)
+    shape = (count, size)
+    valid = rng.integers(0, ONE, shape, np.int64, endpoint=True)
+    powers = np.int64(1) << rng.integers(0, 32, shape, np.int64)
+    signs = rng.choice(np.array([-1, 1]), shape)
+    any_size = (rng.random(shape) * powers).astype(np.int64) * signs
+    edges = powers * signs + rng.integers(-2, 3, shape)
+    turn = np.arange(count)[:, None] % 3
+    states = np.where(turn == 0, valid, np.where(turn == 1, any_size, edges))
+    return np.clip(states, -(2**31), 2**31 - 1).astype(np.int32)
+
+
+ABOUT = """\
+ExWarp's predictor for a Verilog test bench. Read every .hex file with $readmemh: one word a line,
+hexadecimal, two's complement. manifest.json holds the sizes, and where each layer begins.
+
+Machine: {cores} cores with {macs} MAC units each. Inputs and neurons are dealt in turn: number i
+belongs to core i % {cores} and is its number i / {cores}, rounded down.
+
+core<c>_weights.hex     {macs} weights of 8 bits a word, in the order in which core c reads them:
+                        layer after layer, neuron after neuron, ceil(fan-in / {macs}) words a
+                        neuron. The first weight is in the lowest 8 bits, that is, at the end of
+                        the line. A neuron's last word is filled up with zeros. Word k of a core's
+                        neuron t in a layer is at weights_at + t * words + k.
+core<c>_bias.hex        32 bits a neuron, at bias_at + t.
+core<c>_multiplier.hex  32 bits a neuron of the hidden layers, at scale_at + t; never negative.
+core<c>_shift.hex       8 bits, at the same places.
+input_multiplier.hex    32 bits an input, in the order of the inputs.
+input_shift.hex         8 bits an input.
+
+vectors_input.hex       {inputs} words of 32 bits a vector: Q16.16.
+vectors_input_q.hex     {inputs} words of 8 bits a vector: after the input stage.
+vectors_layer<k>_accumulator.hex  32 bits a neuron, vector after vector, biases included.
+vectors_layer<k>_activation.hex   8 bits a neuron of the hidden layers, after requantisation.
+vectors_output.hex      3 words of 32 bits a vector: output 0 (warp), output 1 (extrapolate), and
+                        the decision, 0 or 1; a tie is 0.
+
+Arithmetic: an input or a hidden neuron becomes floor((value * multiplier + half) / 2^shift),
+clamped to 0 ... 127, where half is 2^(shift - 1), or 0 for shift 0; 64 bits hold it. An accumulator
+is the bias plus the sum of weight times activation, and fits 32 bits in any order of adding.
+"""
+
+DESIGN = """
+exwarp_predictor.v      The top module; its head says how it is used.
+exwarp_core.v           One core.
+exwarp_parameters.vh    Cores, MAC units, layers and sizes of the memories.
+exwarp_predictor_tb.v   Test bench: runs all test vectors, compares outputs, decision and cycles.
+exwarp_vectors.vh       Its numbers.
+Makefile                'make' simulates with Icarus Verilog, 'make verilator' with Verilator; both
+                        fail on any difference. 'make lint' checks the text.
+memory<c>_weights.hex   What core c's memories hold: words of weights, as above;
+memory<c>_scales.hex    shift (8 bits) and multiplier (32 bits) of its inputs, then of its hidden
+                        neurons;
+memory<c>_biases.hex    biases.
+refill.hex              What the port brings in an inference, a beat a word; 0 where all fits.
+"""
+
+
+def export(
+    folder: Path,
+    policy: Path | None,
+    *,
+    vectors: int,
+    seed: int,
+    overwrite: bool,
+    array: MacArray | None = None,
+    verilog: bool = False,
+) -> list[Path]:
+    """Write a policy's parameters and test vectors as hex files; return the files.
+
+    Parameters
+    ----------
+    policy
+        None for the one that comes with ExWarp.
+    vectors, seed
+        How many test vectors, and of which random numbers.
+    array
+        The machine; None for the paper's.
+    verilog
+        Whether to write its design too, with a test bench.
+
+    Raises
+    ------
+    InputError
+        When the policy cannot be used.
+    OutputExistsError, OutputError
+        When files exist, or cannot be written.
+    UsageError
+        When the design cannot be such a machine.
+    """
+    array = array or MacArray()
+    source = load_policy(policy)
+    network = source.network
+    about = ABOUT + DESIGN if verilog else ABOUT
+    texts = {README: about.format(cores=array.cores, macs=array.macs, inputs=network.sizes[0])}
+    texts |= hex_files(array, network, sample_states(network.sizes[0], vectors, seed))
+    if verilog:
+        texts |= design(array, network.sizes, texts, vectors)
+    manifest = {
+        "schema": FORMAT,
+        "policy": source.path.name,
+        "sha256": source.checksum,
+        "vectors": vectors,
+        "seed": seed,
+        "sizes": network.sizes,
+        "cores": array.cores,
+        "macs": array.macs,
+        "addresses": [_addresses(array, network, core) for core in range(array.cores)],
+        "files": list(texts),
+    }
+    # Last, so that a folder with a manifest is complete.
+    texts[MANIFEST] = json.dumps(manifest, indent=2) + "\n"
+    existing = [name for name in texts if (folder / name).exists()]
+    if existing and not overwrite:
+        raise OutputExistsError(
+            f"{folder / existing[0]} exists; choose another folder, or add --overwrite"
+        )
+    make_folder(folder)
+    for name, text in texts.items():
+        atomic_write_text(folder / name, text)
+    return [folder / name for name in texts]
+
+
+def hex_files(array: MacArray, network: QuantisedMlp, states: I32) -> dict[str, str]:
+    """Return the files of a network, and of test vectors from states int32 [N, n], by name."""
+    texts = {
+        "input_multiplier.hex": _hex(network.inputs.multipliers),
+        "input_shift.hex": _hex(network.inputs.shifts),
+    }
+    scales = [la.requantisation for la in network.layers if la.requantisation is not None]
+    for core in range(array.cores):
+        own = slice(core, None, array.cores)
+        texts[f"core{core}_weights.hex"] = _lines(_weight_words(array, network, core))
+        texts[f"core{core}_bias.hex"] = "".join(_hex(la.biases[own]) for la in network.layers)
+        texts[f"core{core}_multiplier.hex"] = "".join(_hex(s.multipliers[own]) for s in scales)
+        texts[f"core{core}_shift.hex"] = "".join(_hex(s.shifts[own]) for s in scales)
+    inference = infer_reference(network, states)
+    outputs = np.column_stack([inference.outputs, inference.choices.astype(np.int32)])
+    texts["vectors_input.hex"] = _hex(states)
+    texts["vectors_input_q.hex"] = _hex(inference.inputs)
+    texts["vectors_output.hex"] = _hex(outputs)
+    for k, sums in enumerate(inference.accumulators):
+        texts[f"vectors_layer{k}_accumulator.hex"] = _hex(sums)
+    for k, activations in enumerate(inference.activations):
+        texts[f"vectors_layer{k}_activation.hex"] = _hex(activations)
+    return texts
+
+
+def _weight_words(array: MacArray, network: QuantisedMlp, core: int) -> Iterator[str]:
+    """Yield a core's words of weights, the first weight in the lowest bits."""
+    for layer in network.layers:
+        own = layer.weights[core :: array.cores]
+        filled = np.pad(own, ((0, 0), (0, -layer.fan_in % array.macs)))
+        for word in filled.reshape(-1, array.macs):
+            yield word[::-1].tobytes().hex()
+
+
+def _addresses(array: MacArray, network: QuantisedMlp, core: int) -> list[dict[str, int | None]]:
+    """Return where each layer begins in a core's files."""
+    weights_at = bias_at = 0
+    addresses: list[dict[str, int | None]] = []
+    for layer in network.layers:
+        neurons, words = array.share(layer.neurons, core), array.words(layer.fan_in)
+        addresses.append(
+            {
+                "neurons": neurons,
+                "words": words,
+                "weights_at": weights_at,
+                "bias_at": bias_at,
+                "scale_at": None if layer.requantisation is None else bias_at,
+            }
+        )
+        weights_at, bias_at = weights_at + neurons * words, bias_at + neurons
+    return addresses
+
+
+def _hex(values: Integers) -> str:
+    """Write one word a line, with the digits of the type, two's complement."""
+    bits = 8 * values.dtype.itemsize
+    mask = (1 << bits) - 1
+    return _lines(f"{value & mask:0{bits // 4}x}" for value in values.ravel().tolist())
+
+
+def _lines(words: Iterable[str]) -> str:
+    return "".join(f"{word}\n" for word in words)
+
+
+def require_buildable(array: MacArray, sizes: Sequence[int]) -> None:
+    """Refuse a machine that the design cannot implement.
+
+    Raises
+    ------
+    UsageError
+        For more than 10 cores, more cores than MAC units in each, a pipeline of other than four
+        stages, a cache that is too small, and weights that do not fit without a port.
+    """
+    if array.cores > MOST_CORES or array.cores > array.macs:
+        raise UsageError(
+            f"--cores {array.cores} --macs {array.macs}: the design has at most {MOST_CORES} "
+            "cores, and no more than MAC units in each; give other numbers"
+        )
+    if array.pipeline_stages != MacArray.pipeline_stages:
+        raise UsageError(f"the design's pipeline has {MacArray.pipeline_stages} stages")
+    try:
+        room = resident_words(array, sizes)
+    except ValueError as error:
+        raise UsageError(f"--cache does not do: {error}; give a larger one") from error
+    shares = (array.share(after, 0) * array.words(before) for before, after in pairwise(sizes))
+    needed = sum(shares)
+    if room < needed and not array.port_bytes:
+        raise UsageError(
+            f"a cache of {array.cache_bytes} bytes holds {room} of {needed} words of weights; give "
+            "a larger --cache, or the width of a --port that brings the rest"
+        )
+
+
+def design(
+    array: MacArray, sizes: Sequence[int], texts: Mapping[str, str], vectors: int
+) -> dict[str, str]:
+    """Return the files of a machine's design by name.
+
+    Parameters
+    ----------
+    sizes
+        Of the network.
+    texts
+        The network's hex files, see `hex_files`.
+    vectors
+        How many test vectors there are.
+
+    Raises
+    ------
+    UsageError
+        For a machine that the design cannot implement.
+    """
+    require_buildable(array, sizes)
+    # Where all fits, the port is not used, and as wide as a word.
+    array = replace(array, port_bytes=array.port_bytes or array.macs)
+    cores = range(array.cores)
+    weights = [texts[f"core{core}_weights.hex"].split() for core in cores]
+    resident = min(resident_words(array, sizes), len(weights[0]))
+    memories = {
+        "weights": [own[:resident] for own in weights],
+        "scales": [_scales(texts, array, core) for core in cores],
+        "biases": [texts[f"core{core}_bias.hex"].split() for core in cores],
+    }
+    folder = resources.files(verilog_files)
+    files = {name: folder.joinpath(name).read_text(encoding="utf-8") for name in SOURCES}
+    for core in cores:
+        for name, words in memories.items():  # all as deep as the fullest core's, the first
+            filled = words[core] + ["0" * len(words[0][0])] * (len(words[0]) - len(words[core]))
+            files[f"memory{core}_{name}.hex"] = _lines(filled)
+    beats = list(_refill(array, sizes, weights)) or ["0"]
+    files["refill.hex"] = _lines(beats)
+    depths = {
+        "RESIDENT": resident,
+        "WEIGHT_WORDS": len(weights[0]),
+        "SCALES": len(memories["scales"][0]),
+        "BIASES": len(memories["biases"][0]),
+    }
+    files["exwarp_parameters.vh"] = _parameters(array, sizes, depths)
+    values = {
+        "VECTORS": vectors,
+        "INPUTS": sizes[0],
+        "PORT": array.port_bytes,
+        "REFILLS": len(beats),
+        "CYCLES": schedule(array, sizes).cycles,
+    }
+    files["exwarp_vectors.vh"] = _lines(f"localparam {k} = {v};" for k, v in values.items())
+    return files
+
+
+def _parameters(array: MacArray, sizes: Sequence[int], depths: Mapping[str, int]) -> str:
+    """Write the parameters of the top module; `depths` are those of its memories, in words."""
+    slots = [-(-size // array.cores) for size in sizes]
+    last = [size - (count - 1) * array.cores for size, count in zip(sizes, slots, strict=True)]
+    words = [array.words(size) for size in sizes[:-1]]
+    numbers = {
+        "CORES": array.cores,
+        "MACS": array.macs,
+        "LAYERS": len(sizes) - 1,
+        "DEPTH": max(2, *words),
+        **depths,
+        "STATES": slots[0],
+        "PORT": array.port_bytes,
+        "BEATS": array.beats,
+    }
+    # By stage: the inputs, then each layer. A slot is one number of each core.
+    tables = {"SLOTS": slots, "REMAINDERS": last, "WORDS": words}
+    lines = [f"parameter {name} = {value}," for name, value in numbers.items()]
+    for name, values in tables.items():  # 16-bit numbers in one constant, the first lowest
+        packed = ", ".join(f"16'd{value}" for value in reversed(values))
+        lines.append(f"parameter [{16 * len(values) - 1}:0] {name} = {{{packed}}},")
+    return "\n".join(lines)[:-1] + "\n"
+
+
+def _scales(texts: Mapping[str, str], array: MacArray, core: int) -> list[str]:
+    """Return shift and multiplier of a core's inputs, then of its hidden neurons."""
+    shifts, multipliers = (
+        texts[f"input_{part}.hex"].split()[core :: array.cores]
+        + texts[f"core{core}_{part}.hex"].split()
+        for part in ("shift", "multiplier")
+    )
+    return [shift + multiplier for shift, multiplier in zip(shifts, multipliers, strict=True)]
+
+
+def _refill(
+    array: MacArray, sizes: Sequence[int], weights: Sequence[Sequence[str]]
+) -> Iterator[str]:
+    """Yield what the port brings in an inference, a beat a line, the lowest bytes first."""
+    digits = 2 * array.port_bytes
+    for _, missing in missing_words(array, sizes):
+        for core, index in missing:
+            word = weights[core][index].zfill(digits * array.beats)
+            yield from (word[end - digits : end] for end in range(len(word), 0, -digits))
