@@ -185,7 +185,7 @@ def _read_sound(source: Path, read: Callable[[], KeyFile]) -> KeyFile:
         raise damaged(source, str(error)) from error
 
 
-def digest_key_file(
+def digests(
     path: Path, rate: Fraction | None = None, headers: HeaderCache | None = None
 ) -> tuple[str, str | None]:
     """Digest a frame's file, and what is written for it as a key frame with this rate.
