@@ -99,9 +99,9 @@ def parse_aovs(texts: Iterable[str]) -> tuple[AovFile, ...]:
     """
     aovs: list[AovFile] = []
     for text in texts:
-        role_name, equals, rest = text.partition("=")
-        match = _FILE.fullmatch(rest) or _FOLDER.fullmatch(rest)
-        if not equals or not rest or match is None:
+        role_name, equals, location = text.partition("=")
+        match = _FILE.fullmatch(location) or _FOLDER.fullmatch(location)
+        if not equals or not location or match is None:
             raise UsageError(
                 f"--aov {text!r} is not understood; write ROLE=PATTERN or ROLE=PATTERN:CHANNELS, "
                 "for example motion=vec/shot.####.exr:R,G"

@@ -288,8 +288,8 @@ def surface_id(bits: int, rounded: bool = False) -> int:
 def require_lossless_ids(ranks: Float32, where: str) -> None:
     """Refuse ids that a lossy step has destroyed: half floats or DWA compression."""
     bits = _bits_and_shares(ranks)[0][..., 0].ravel()
-    known = bits[(bits & ranked.MAGNITUDE) != 0]
-    distinct = np.unique(known[:: max(1, known.size // SAMPLES)])
+    bits = bits[(bits & ranked.MAGNITUDE) != 0]
+    distinct = np.unique(bits[:: max(1, bits.size // SAMPLES)])
     exponent = distinct & EXPONENT
     # No bits beyond those of a half, or an exponent that no id has. One id in 8,192 is like that by
     # chance, so it takes two.

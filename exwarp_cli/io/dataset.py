@@ -188,8 +188,8 @@ def find_scenes(
     if not root.is_dir():
         raise InputError(f"the data set {root} is no folder; render scenes first or mend the path")
     folders = [root] if (root / MANIFEST).is_file() else sorted(root.iterdir())
-    found = [open_scene(folder) for folder in folders if (folder / MANIFEST).is_file()]
-    scenes = {s.name: s for s in found if role is None or s.manifest.role == role}
+    every = [open_scene(folder) for folder in folders if (folder / MANIFEST).is_file()]
+    scenes = {s.name: s for s in every if role is None or s.manifest.role == role}
     if not scenes:
         kind = "scene" if role is None else f"{role} scene"
         raise InputError(f"{root} holds no {kind} (a folder with {MANIFEST}); render one first")

@@ -160,10 +160,11 @@ def group_names(pattern: NamePattern, names: Iterable[str]) -> list[tuple[int, d
     texts = {text: name for name in sorted(names) if (text := pattern.number_text(name))}
     filled = [text for text in texts if len(text) > 1 and text.lstrip("-").startswith("0")]
     # Programs disagree on whether a minus sign counts, so positive numbers decide where there are.
-    widths = {len(t) for t in filled if t[0] != "-"} or {len(t) for t in filled}
+    lengths = {len(t) for t in filled if t[0] != "-"} or {len(t) for t in filled}
+    widths = sorted(lengths, reverse=True)
     groups: dict[int, dict[int, str]] = defaultdict(dict)
     for text, name in texts.items():
-        paddings = (width for width in sorted(widths, reverse=True) if is_padded_to(text, width))
+        paddings = (width for width in widths if is_padded_to(text, width))
         groups[next(paddings, 0)].setdefault(int(text), name)
     if 0 in groups:
         unpadded = groups.pop(0)

@@ -185,7 +185,7 @@ def _read_sound(source: Path, read: Callable[[], KeyFile]) -> KeyFile:
         raise damaged(source, str(error)) from error
 
 
-def digest_key_file(
+def digests(
     path: Path, rate: Fraction | None = None, headers: HeaderCache | None = None
 ) -> tuple[str, str | None]:
     """Digest a frame's file, and what is written for it as a key frame with this rate.
@@ -244,8 +244,13 @@ def _changed_head(file: BinaryIO, header: RawHeader, changes: list[Change]) -> t
     head += data[position:]
     if len(head) == end:
         return head, end
-    size = os.fstat(file.fileno()).st_size
-    offsets = _read_offsets(file, size, end, _chunk_count(header) if header.is_multipart else None)
+    count = None
+    if header.is_multipart:
+        counts = [attribute for attribute in header.attributes if attribute.name == b"chunkCount"]
+        if len(counts) != header.part_count:
+            raise ValueError("a part has no chunkCount")
+        count = sum(struct.unpack("<I", header.value(attribute))[0] for attribute in counts)
+    offsets = _read_offsets(file, os.fstat(file.fileno()).st_size, end, count)
     moved = [offset + len(head) - end if offset else 0 for offset in offsets]
     return head + struct.pack(f"<{len(moved)}Q", *moved), end + _OFFSET_SIZE * len(offsets)
 
@@ -292,14 +297,6 @@ def _parse_rate(kind: bytes, value: bytes) -> Fraction | None:
     if kind in _NUMBER_FORMATS and len(value) == struct.calcsize(_NUMBER_FORMATS[kind]):
         return parsed_rate(struct.unpack(_NUMBER_FORMATS[kind], value)[0])
     return parsed_rate(value.decode("utf-8", "replace")) if kind == b"string" else None
-
-
-def _chunk_count(header: RawHeader) -> int:
-    """Return how many chunks all parts have together."""
-    counts = [attribute for attribute in header.attributes if attribute.name == b"chunkCount"]
-    if len(counts) != header.part_count:
-        raise ValueError("a part has no chunkCount")
-    return sum(struct.unpack("<I", header.value(attribute))[0] for attribute in counts)
 
 
 def _read_offsets(file: BinaryIO, size: int, begin: int, count: int | None) -> list[int]:

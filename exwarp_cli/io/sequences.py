@@ -278,16 +278,16 @@ def _list_candidates(folder: Path, suffixes: tuple[str, ...]) -> list[AovSet | S
     sequences = [s for stem in sorted(stems) for s in _group_files(folder, stem, names)]
     sets = _unreal_sets(sequences)
     members = [member.pattern for s in sets for member in s.members]
-    rest = [s for s in sequences if s.pattern not in members]
-    for pass_set in find_pass_sets([(s.base, s.suffix) for s in rest]):
-        colour = None if pass_set.colour is None else rest[pass_set.colour]
-        aovs = {name: rest[index] for name, index in pass_set.passes.items()}
+    remaining = [s for s in sequences if s.pattern not in members]
+    for pass_set in find_pass_sets([(s.base, s.suffix) for s in remaining]):
+        colour = None if pass_set.colour is None else remaining[pass_set.colour]
+        aovs = {name: remaining[index] for name, index in pass_set.passes.items()}
         for name, index in pass_set.more.items():
-            if colour is not None and set(colour.files) <= set(rest[index].files):
-                aovs.setdefault(name, rest[index])
+            if colour is not None and set(colour.files) <= set(remaining[index].files):
+                aovs.setdefault(name, remaining[index])
         sets.append(AovSet(colour, aovs, pass_set.motion))
         members += [member.pattern for member in sets[-1].members]
-    return [*sets, *(s for s in rest if s.pattern not in members)]
+    return [*sets, *(s for s in remaining if s.pattern not in members)]
 
 
 def _unreal_sets(sequences: list[Sequence]) -> list[AovSet]:
@@ -354,8 +354,10 @@ def _find_by_name(spec: str, suffixes: tuple[str, ...]) -> Sequence:
     if not exact and pattern.padding == 1 and len(sequences) == 1:
         return sequences[0]  # "#" and "%d" are often written for any padding; here only one fits
     if not exact:
-        there = f"; there is {_listing(sequences)}" if sequences else ""
-        raise InputError(f"no frame in {path.parent} matches {path.name}{there}; check the pattern")
+        others = f"; there is {_listing(sequences)}" if sequences else ""
+        raise InputError(
+            f"no frame in {path.parent} matches {path.name}{others}; check the pattern"
+        )
     return replace(exact[0], padding=pattern.padding)
 
 

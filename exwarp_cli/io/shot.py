@@ -247,18 +247,22 @@ def _open_view(
     )
     for aov in request.aovs:
         shot = _with_aov(shot, aov)
-    shot = _with_named_cryptomatte(shot)
+    return _with_depth_and_by_hand(_with_named_cryptomatte(shot), own)
+
+
+def _with_depth_and_by_hand(shot: Shot, own: Layout) -> Shot:
+    """Set how depth is read, and how the layout differs from the files' `own`."""
     by_name = depth_reading_by_name(ref.name for ref in shot.layout.roles.get(Role.DEPTH, ()))
     depth = by_name
-    if channel_map is not None and channel_map.depth_kind is not None:
-        depth = DepthReading.of(channel_map.depth_kind)
+    if shot.channel_map is not None and shot.channel_map.depth_kind is not None:
+        depth = DepthReading.of(shot.channel_map.depth_kind)
     by_hand: dict[str, Any] = {
         role.value: [channel_label(ref) for ref in shot.layout.roles.get(role, ())]
         for role in Role
         if shot.layout.roles.get(role) != own.roles.get(role)
     }
-    if views and view != views[0]:
-        by_hand["view"] = view
+    if shot.views and shot.view != shot.views[0]:
+        by_hand["view"] = shot.view
     if depth != by_name:
         by_hand["depth_kind"] = depth.kind.value
     return replace(shot, depth=depth, by_hand=by_hand)

@@ -1,46 +1,9 @@
 """The card of an interpolation network: the JSON beside ``NAME.onnx``, called ``NAME.json``.
 
-Two-frame networks differ in what they take and give. A card says it, for example for RIFE::
-
-    {
-        "schema": "exwarp.interpolator/1",
-        "name": "RIFE 4.25",
-        "inputs": {"img0": "first", "img1": "second", "timestep": "time"},
-        "output": "output",
-        "layout": "NCHW",
-        "order": "RGB",
-        "range": [0, 1],
-        "encoding": "srgb",
-        "padding": {"multiple": 32, "mode": "edge", "place": "end"},
-    }
-
-``schema``, ``inputs`` and ``output`` are needed. The others default to what stands here; ``name``
-is the model's file name without its suffix, and ``padding`` is to a multiple of 1.
-
-``name``
-    As tables show it.
-``inputs``
-    What each input of the network gets: ``first`` and ``second`` (the two frames), ``time`` (0 to
-    1 from the first to the second) or a number; or a list of those, joined on the channels. Beside
-    a frame, or where the network declares an input with a free height and width, time and numbers
-    are planes; elsewhere they have the declared shape: a scalar, [1], [1, 1] or [1, 1, 1, 1]. A
-    network without ``time`` makes the middle frame; slots 1 and 3 come from using it twice.
-``output``
-    Name of the output; or an object with its ``name`` and, where they differ from those of the
-    inputs, ``layout``, ``order``, ``range``, and ``first_channel``, the one that the frame starts
-    with where the output has more than three channels.
-``layout``
-    ``NCHW`` or ``NHWC``.
-``order``
-    ``RGB`` or ``BGR``.
-``range``
-    What black and white are for the network: [0, 1], [-1, 1], [0, 255].
-``encoding``
-    What the network was trained on: ``srgb``, ``linear`` or ``log``, see `domain.extrapolator`.
-``padding``
-    ``multiple``: what height and width have to be multiples of; ``mode``: what is added, ``edge``,
-    ``reflect`` or ``zero`` (black); ``place``: at the right and bottom (``end``) or on all sides
-    (``centre``).
+Two-frame networks differ in what they take and give. models/README.md describes the keys of a card,
+with an example for RIFE. ``schema``, ``inputs`` and ``output`` are needed. The defaults are: the
+model's file name, NCHW, RGB, range [0, 1], srgb, and padding with edge pixels at the right and
+bottom to a multiple of 1.
 """
 
 from __future__ import annotations
@@ -99,22 +62,27 @@ class Padding:
 
 @dataclass(frozen=True)
 class Card:
-    """What a network takes and gives; the module's text describes the keys."""
+    """What a network takes and gives."""
 
     path: Path
     checksum: str  # SHA-256, hexadecimal
-    name: str
+    name: str  # in tables
+    # Parts of each input, joined on the channels. Beside a frame, or where the network declares an
+    # input with a free height and width, time and numbers are planes; elsewhere they have the
+    # declared shape: a scalar, [1], [1, 1] or [1, 1, 1, 1].
     inputs: Mapping[str, tuple[Part, ...]]
     input_format: PictureFormat
     output_format: PictureFormat
+    # Name of the output, and the channel in it that the frame starts with.
     output: str
     first_channel: int
+    # The encoding that the network was trained on, out of `ENCODINGS`.
     encoding: str
     padding: Padding
 
     @property
     def timed(self) -> bool:
-        """True if the network has an input for the time; else it makes the middle frame."""
+        """True if the network has an input for the time; else it makes the middle frame only."""
         return any(TIME in parts for parts in self.inputs.values())
 
 
@@ -200,9 +168,9 @@ def _picture_format(path: Path, keys: Mapping[str, Any]) -> PictureFormat:
     return PictureFormat(layout, order, float(span[0]), float(span[1]))
 
 
-def _object(path: Path, what: str, value: Any, keys: tuple[str, ...]) -> dict[str, Any]:
+def _object(path: Path, item: str, value: Any, keys: tuple[str, ...]) -> dict[str, Any]:
     if not isinstance(value, dict):
-        _refuse(path, what, value, f"an object with keys out of {', '.join(keys)}")
+        _refuse(path, item, value, f"an object with keys out of {', '.join(keys)}")
     if foreign := [key for key in value if key not in keys]:
         raise LayoutError(
             f"the card {path} has the unknown key {foreign[0]!r}; use {', '.join(keys)}"
@@ -217,15 +185,15 @@ def _choice(path: Path, key: str, keys: Mapping[str, Any], choices: tuple[str, .
     return value
 
 
-def _text(path: Path, what: str, value: Any) -> str:
+def _text(path: Path, item: str, value: Any) -> str:
     if not isinstance(value, str) or not value.isprintable() or not value.strip():
-        _refuse(path, what, value, "a text")
+        _refuse(path, item, value, "a text")
     return value
 
 
-def _integer(path: Path, what: str, value: Any, least: int) -> int:
+def _integer(path: Path, item: str, value: Any, least: int) -> int:
     if not isinstance(value, int) or isinstance(value, bool) or not least <= value <= MAX_INTEGER:
-        _refuse(path, what, value, f"a whole number from {least} to {MAX_INTEGER}")
+        _refuse(path, item, value, f"a whole number from {least} to {MAX_INTEGER}")
     return value
 
 
@@ -234,7 +202,7 @@ def _is_finite(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e38
 
 
-def _refuse(path: Path, what: str, value: Any, wanted: str) -> NoReturn:
+def _refuse(path: Path, item: str, value: Any, wanted: str) -> NoReturn:
     text = json.dumps(value)
     text = text if len(text) <= 60 else text[:57] + "..."
-    raise LayoutError(f"the card {path} has {text} as {what}; write {wanted}")
+    raise LayoutError(f"the card {path} has {text} as {item}; write {wanted}")

@@ -17,7 +17,7 @@ from exwarp_cli.domain.results import InterpolatorSummary, NetworkSummary
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.footage import ClipSequence, digest_of, is_plain
-from exwarp_cli.io.key_file import digest_key_file, plan_key_file
+from exwarp_cli.io.key_file import digests, plan_key_file
 from exwarp_cli.io.output import file_digest
 from exwarp_cli.io.sequences import Sequence
 from exwarp_cli.io.shot import Shot
@@ -204,7 +204,7 @@ class Recipes:
         for aov, path in shot.files(number).items():
             is_key = not aov and shot is self.source.keys
             rate = self.key_rate if is_key else None
-            found[aov], written = digest_key_file(path, rate, None if aov else shot.headers)
+            found[aov], written = digests(path, rate, None if aov else shot.headers)
             if is_key and written is not None:
                 self._keep_rewritten(path, written)
         return json.dumps(found, sort_keys=True)
