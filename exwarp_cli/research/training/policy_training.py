@@ -100,13 +100,13 @@ def train_policy(
     make_folder(output)
     folds, written = {}, []
     for index, table in enumerate(tables):
-        others = [other for i, other in enumerate(tables) if i != index]
-        say(f"without {table.scene}: training on {', '.join(other.scene for other in others)}")
-        learned = learn(others, settings)
+        training_tables = [t for i, t in enumerate(tables) if i != index]
+        say(f"without {table.scene}: training on {', '.join(t.scene for t in training_tables)}")
+        learned = learn(training_tables, settings)
         name = left_out(table.scene)
-        _save(output / name, learned, others, settings)
+        _save(output / name, learned, training_tables, settings)
         written.append(name)
-        folds[table.scene] = _judge(learned, table, others)
+        folds[table.scene] = _judge(learned, table, training_tables)
         say(f"without {table.scene}: {_score_text(folds[table.scene][ALL])}")
     say(f"training on all {len(tables)} scenes")
     final = learn(tables, settings)
@@ -156,14 +156,14 @@ def _group_sizes(table: PolicyTable) -> dict[str, int]:
 
 
 def _judge(
-    learned: LearnedNetwork, table: PolicyTable, others: Sequence[PolicyTable]
+    learned: LearnedNetwork, table: PolicyTable, training_tables: Sequence[PolicyTable]
 ) -> dict[str, Any]:
     """Score a policy on a scene that it never saw, beside what it competes with."""
     floats, integers = learned.values(table), learned.outputs(table)
     policies = {
         "exwarp": greedy_paths(integers),
         "float": greedy_paths(floats),
-        "regressor": greedy_paths(predict_rewards(fit_regression(others), table)),
+        "regressor": greedy_paths(predict_rewards(fit_regression(training_tables), table)),
         **oracle_paths(table),
         **{name: fixed_path(table, name) for name in PATHS},
     }
