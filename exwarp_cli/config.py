@@ -512,19 +512,19 @@ def _command_table(
 ) -> Mapping[str, object]:
     """Return the table of a command; UsageError for unknown names on the way to it."""
     table: Mapping[str, object] = read_config_file(file).tables
-    for depth, (known, name) in enumerate(zip(names_above, path, strict=True)):
+    for depth, (valid, name) in enumerate(zip(names_above, path, strict=True)):
         for key, value in table.items():
             title = f"[{'.'.join((*path[:depth], key))}]"
             if not isinstance(value, dict):
                 place = f" in [{'.'.join(path[:depth])}]" if depth else ""
                 raise UsageError(
                     f"{key}{place} of {file} stands in no command's table; write it under "
-                    f"the command's, such as [{'.'.join((*path[:depth], next(iter(known))))}]"
+                    f"the command's, such as [{'.'.join((*path[:depth], next(iter(valid))))}]"
                 )
-            if key not in known:
+            if key not in valid:
                 group = " ".join(("exwarp", *path[:depth]))
                 raise UsageError(
-                    f"{title} in {file} is no command of {group}{_did_you_mean(key, known)}"
+                    f"{title} in {file} is no command of {group}{_did_you_mean(key, valid)}"
                 )
         below = table.get(name, {})
         assert isinstance(below, dict)
@@ -548,15 +548,15 @@ def _unknown_variables(
 ) -> list[str]:
     """Return a warning for each variable that is named after a command and none of its options."""
     # No errors: a farm's environment is shared by versions that have other options.
-    known = {variable_name(path, name) for name in _option_names(command)}
+    valid = {variable_name(path, name) for name in _option_names(command)}
     return [
         f"{name} in the environment is no option of exwarp {' '.join(path)}"
-        f"{_did_you_mean(name, known)}"
+        f"{_did_you_mean(name, valid)}"
         for name in sorted(environment)
-        if name.startswith(variable_name(path)) and name not in known
+        if name.startswith(variable_name(path)) and name not in valid
     ]
 
 
-def _did_you_mean(name: str, known: Collection[str]) -> str:
-    near = difflib.get_close_matches(name, known, n=1)
+def _did_you_mean(name: str, valid: Collection[str]) -> str:
+    near = difflib.get_close_matches(name, valid, n=1)
     return f"; did you mean {near[0]}?" if near else ""

@@ -1,7 +1,7 @@
 """``exwarp completion``, and what shells offer for values that click does not know.
 
-Names of methods and the like are written out here, as the registries that hold them import numba
-and OpenEXR, for which nobody should wait who pressed a key. A test compares both.
+Names of methods and the like are written out here, as importing the registries that hold them would
+delay each completion by the import of numba and OpenEXR. A test compares both.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ import click
 
 from exwarp_cli.commands.options import FILE, HelpfulGroup, json_option, print_json, show
 
-# Cores, or MAC units of a core: a slip of the pen must not fill the memory.
+# Cores, or MAC units of a core: a mistyped number must not fill the memory.
 MOST = 4096
 
 POLICY = click.option(

@@ -16,8 +16,8 @@ from exwarp_cli.research.training.extrapolation_network import (
     STRIDE,
     Architecture,
     ExtrapolationNetwork,
-    _first_seen,
-    _moved,
+    _first_visible,
+    _sample,
     build_network,
 )
 from exwarp_cli.research.training.onnx_export import export_extrapolator
@@ -71,14 +71,14 @@ def test_candidates_are_counted_right():
         sides = network._sides(filled, given["mask"])
         when = given[TIME].reshape(-1, 1, 1, 1)
         made = network._candidates(filled, given["history"], when, flow, sides)
-        assert not architecture.candidates or len(made) == network._count()
+        assert not architecture.candidates or len(made) == network.candidate_count
 
 
 def test_a_candidate_can_be_moved():
     frame = torch.arange(12.0).reshape(1, 1, 3, 4).repeat(1, 3, 1, 1)
     flow = torch.zeros(1, 2, 3, 4)
     flow[:, 0] = 1
-    np.testing.assert_allclose(_moved(frame, flow)[0, 0, :, :3], frame[0, 0, :, 1:], atol=1e-5)
+    np.testing.assert_allclose(_sample(frame, flow)[0, 0, :, :3], frame[0, 0, :, 1:], atol=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -97,7 +97,7 @@ def test_holes_look_to_their_sides(seen, side, colours, distances, turned):
     mask[..., seen] = 1
     if turned:
         frame, mask, side = frame.mT, mask.mT, side[::-1]
-    found = _first_seen(frame, mask, side, 3).flatten(2)
+    found = _first_visible(frame, mask, side, 3).flatten(2)
     assert found[0, 0].tolist() == colours
     np.testing.assert_allclose(3 * found[0, 3], distances, rtol=1e-6)
 

@@ -9,7 +9,6 @@ rounding. No look has motion blur: what ExWarp makes frames of is rendered witho
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from itertools import product
 
 import numpy as np
 
@@ -78,15 +77,6 @@ class Variant:
         return played[self.phase :: self.speed]
 
 
-def all_variants() -> tuple[Variant, ...]:
-    """Return every variant, the plain one first."""
-    return tuple(
-        Variant(phase, mirror, backwards, speed)
-        for speed, mirror, backwards in product(SPEEDS, (False, True), (False, True))
-        for phase in range(FACTOR * speed)
-    )
-
-
 def reverse_time(gbuffer: GBuffer) -> GBuffer:
     """Let time run backwards: what was the motion to the next frame is that to the previous one."""
     # Displacements keep their sign, as they lead from this frame to the other in either case. In a
@@ -138,23 +128,6 @@ class Look:
     noisy: float = 0.0
     # Whether only every second pixel is shown, which halves the size of the frame.
     aliased: bool = False
-
-    @property
-    def traits(self) -> tuple[str, ...]:
-        """Names of what is not as it was rendered, for statistics."""
-        is_trait = {
-            self.tones: self.tones != "linear",
-            f"{self.depth} depth": self.depth != "full",
-            f"{self.vectors} vectors": self.vectors != "full",
-            "game passes": self.missing == GAME,
-            "bare passes": self.missing == BARE,
-            "no surface": self.missing == SURFACE_PARTS,
-            "some passes": self.missing not in ((), GAME, BARE, SURFACE_PARTS),
-            "sharpened": self.sharpened > 0,
-            "noisy": self.noisy > 0,
-            "aliased": self.aliased,
-        }
-        return tuple(name for name, is_present in is_trait.items() if is_present)
 
 
 PLAIN = Look()

@@ -58,7 +58,7 @@ MOTION_WEIGHT = 1.0
 # Likelihood of a frame with fewer than three key frames behind it, against another one.
 SHORT_HISTORY = 0.25
 
-# Share of frames of which only a part is looked at, and the least size of its sides as a share of
+# Share of frames of which only a part is used, and the least size of its sides as a share of
 # the frame's. What lies beyond the edge of the frame is the hardest to predict, and a render shows
 # it at its own edges only.
 PARTIAL = 0.5
@@ -191,7 +191,7 @@ def _generator(seed: int, name: str, use: int) -> np.random.Generator:
 
 
 def _draw_view(frame: Window, side: int, rng: np.random.Generator) -> Window:
-    """Choose what of a frame is looked at: all of it, or a part that crops fit in."""
+    """Choose the part of a frame that is used: all of it, or a window that crops fit in."""
     if rng.random() >= PARTIAL:
         return frame
     width, height = (
@@ -354,11 +354,6 @@ class Crops(CachedArrays):
     def __init__(self, folders: Sequence[Path]) -> None:
         super().__init__(folders, CROP_ARRAYS)
 
-    @property
-    def side(self) -> int:
-        """Height and width of the crops, pixels."""
-        return int(self._files[0]["mask"].shape[-1])
-
     def batch(
         self, indices: Sequence[int], device: str = "cpu", patches: Sequence[Patch] | None = None
     ) -> Batch:
@@ -399,7 +394,8 @@ class Crops(CachedArrays):
         """
         rng = np.random.default_rng((seed, step))
         indices = [self.draw_index(step * size + i, seed) for i in range(size)]
-        room, over = self.side - side, int(OVERHANG * side)
+        room = int(self._files[0]["mask"].shape[-1]) - side
+        over = int(OVERHANG * side)
         corners = rng.integers(-over, room + over + 1, (size, 2)).clip(0, room).tolist()
         patches = [(slice(y, y + side), slice(x, x + side)) for y, x in corners]
         return vary(self.batch(indices, device, patches), rng)

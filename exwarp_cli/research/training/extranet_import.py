@@ -150,11 +150,11 @@ class ExtraNet(nn.Module):
         """
         x = torch.cat([pictures, pictures * mask, features], dim=1)
         x = torch.relu(self.bn1(self.conv1(x)))
-        whole = torch.relu(self.bn2(self.conv2(x)))
-        half = self.down1(whole)
+        full = torch.relu(self.bn2(self.conv2(x)))
+        half = self.down1(full)
         quarter = self.down2(half)
         eighth = torch.cat([self.down3(quarter), self._motion(history)], dim=1)
-        x = self.up3(self.up2(self.up1(eighth, quarter), half), whole)
+        x = self.up3(self.up2(self.up1(eighth, quarter), half), full)
         answer: Tensor = self.outc(x) + pictures[:, :3]
         return answer
 

@@ -232,8 +232,8 @@ def loss_of(colour: Tensor, truth: Tensor, plain: Tensor, mask: Tensor) -> Tenso
 
 def psnr(colour: Tensor, truth: Tensor, where: Tensor | None = None) -> Tensor:
     """Return PSNR in sRGB of each picture [N], dB; over `where` [N, 1, H, W], NaN if empty."""
-    shown = [to_display(x.clamp(0, 1)) for x in (colour, truth)]
-    squared = (shown[0] - shown[1]).square().mean(1, keepdim=True)
+    displayed = [to_display(x.clamp(0, 1)) for x in (colour, truth)]
+    squared = (displayed[0] - displayed[1]).square().mean(1, keepdim=True)
     if where is None:
         where = torch.ones_like(squared)
     total = (squared * where).sum((1, 2, 3)) / where.sum((1, 2, 3))

@@ -162,16 +162,16 @@ def mix(weights: Tensor, colour: Tensor) -> Tensor:
     return (weights[:, :, None] * candidates).sum(1)
 
 
-def loss_of(made: Tensor, truth: Tensor) -> Tensor:
+def loss_of(colour: Tensor, truth: Tensor) -> Tensor:
     """Return the loss of pictures as displayed, [N, 3, S, S].
 
     The sum of the logarithm of the squared error, which is what PSNR judges, of that of the
     gradients, which keep structure, and of how far the mean magnitude of gradients is from the
     truth's, block by block.
     """
-    made, truth = made.clamp(max=BRIGHTEST), truth.clamp(max=BRIGHTEST)
-    loss = 0.5 * _log_error(made, truth).mean()
-    pairs = list(zip(_gradients(made), _gradients(truth), strict=True))
+    colour, truth = colour.clamp(max=BRIGHTEST), truth.clamp(max=BRIGHTEST)
+    loss = 0.5 * _log_error(colour, truth).mean()
+    pairs = list(zip(_gradients(colour), _gradients(truth), strict=True))
     squared = torch.stack([(a - b).square().mean((1, 2, 3)) for a, b in pairs]).sum(0)
     loss = loss + GRADIENT * torch.log(squared + LEAST_ERROR).mean()
     # The mean of two sides that differ is softer than either.
@@ -182,8 +182,8 @@ def loss_of(made: Tensor, truth: Tensor) -> Tensor:
     return loss
 
 
-def _log_error(made: Tensor, truth: Tensor) -> Tensor:
-    return torch.log((made - truth).square().mean((1, 2, 3)) + LEAST_ERROR)
+def _log_error(colour: Tensor, truth: Tensor) -> Tensor:
+    return torch.log((colour - truth).square().mean((1, 2, 3)) + LEAST_ERROR)
 
 
 def _gradients(x: Tensor) -> tuple[Tensor, Tensor]:
@@ -269,11 +269,11 @@ class LookAheadTraining(ResumableTraining):
             name: functional.pad(picture, padding, mode="replicate")
             for name, picture in sample.inputs.items()
         }
-        made = mix(self.average(**inputs, time=sample.time), inputs["colour"])
-        made = made[..., :height, :width].clamp(0, 1)
+        colour = mix(self.average(**inputs, time=sample.time), inputs["colour"])
+        colour = colour[..., :height, :width].clamp(0, 1)
         truth, plain = sample.truth.clamp(0, 1), sample.inputs["colour"][:, :3].clamp(0, 1)
-        gain = 10 / math.log(10) * (_log_error(plain, truth) - _log_error(made, truth))
-        slopes = [sum(g.abs().mean() for g in _gradients(p.mean(1))) for p in (made, truth)]
+        gain = 10 / math.log(10) * (_log_error(plain, truth) - _log_error(colour, truth))
+        slopes = [sum(g.abs().mean() for g in _gradients(p.mean(1))) for p in (colour, truth)]
         return float(gain), 100 * (float(slopes[0]) / max(float(slopes[1]), 1e-6) - 1)
 
     def _scores_text(self, *scores: float) -> str:

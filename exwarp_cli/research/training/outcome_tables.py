@@ -64,7 +64,7 @@ class View:
 
     setting: str  # "key" or "slot"
     variant: Variant  # Which instants are key frames
-    # Whether every interval is looked at as if the sequence began with it: no key frame before, and
+    # True if each interval is measured as if the sequence began with it: no key frame before, and
     # no features of one.
     begins: bool = False
 
@@ -75,7 +75,7 @@ class View:
         return f"{name}-begins" if self.begins else name
 
     def intervals(self, clip: SceneClip) -> Sequence[int]:
-        """Return the indices of the key intervals that are looked at."""
+        """Return the indices of the key intervals that are measured."""
         return clip.intervals[:: BEGINNING_EVERY if self.begins else 1]
 
 
@@ -191,7 +191,7 @@ class PolicyTable:
     """The key intervals of one scene, group by group: a group is one view at one size."""
 
     scene: str
-    # Names, as in "key-phase0-speed1 427x240"; intervals that are looked at as beginnings are
+    # Names, as in "key-phase0-speed1 427x240"; intervals that are measured as beginnings are
     # groups of their own, of one name.
     groups: tuple[str, ...]
     # int16 [N]: which group a row belongs to; rows of a group are together, in order of time.

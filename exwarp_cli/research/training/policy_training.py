@@ -24,8 +24,8 @@ from exwarp_cli.accel.quantised_mlp import QuantisedMlp
 from exwarp_cli.domain.decision import NODES, PATHS
 from exwarp_cli.errors import DamagedFileError, InputError
 from exwarp_cli.io.atomic import atomic_write_text, make_folder
-from exwarp_cli.models.model_file import CHECKSUMS
-from exwarp_cli.models.policy_files import SHIPPED_POLICY, policy_name_without, save_network
+from exwarp_cli.io.models import CHECKSUMS
+from exwarp_cli.io.policy_files import SHIPPED_POLICY, left_out, save_network
 from exwarp_cli.policy.state import INPUTS, STATE_VERSION
 from exwarp_cli.research.training.onnx_export import export_float, export_integer
 from exwarp_cli.research.training.outcome_tables import PolicyTable
@@ -100,13 +100,13 @@ def train_policy(
     make_folder(output)
     folds, written = {}, []
     for index, table in enumerate(tables):
-        others = [other for i, other in enumerate(tables) if i != index]
-        say(f"without {table.scene}: training on {', '.join(other.scene for other in others)}")
-        learned = learn(others, settings)
-        name = policy_name_without(table.scene)
-        _save(output / name, learned, others, settings)
+        training_tables = [t for i, t in enumerate(tables) if i != index]
+        say(f"without {table.scene}: training on {', '.join(t.scene for t in training_tables)}")
+        learned = learn(training_tables, settings)
+        name = left_out(table.scene)
+        _save(output / name, learned, training_tables, settings)
         written.append(name)
-        folds[table.scene] = _judge(learned, table, others)
+        folds[table.scene] = _judge(learned, table, training_tables)
         say(f"without {table.scene}: {_score_text(folds[table.scene][ALL])}")
     say(f"training on all {len(tables)} scenes")
     final = learn(tables, settings)
@@ -156,14 +156,14 @@ def _group_sizes(table: PolicyTable) -> dict[str, int]:
 
 
 def _judge(
-    learned: LearnedNetwork, table: PolicyTable, others: Sequence[PolicyTable]
+    learned: LearnedNetwork, table: PolicyTable, training_tables: Sequence[PolicyTable]
 ) -> dict[str, Any]:
     """Score a policy on a scene that it never saw, beside what it competes with."""
     floats, integers = learned.values(table), learned.outputs(table)
     policies = {
         "exwarp": greedy_paths(integers),
         "float": greedy_paths(floats),
-        "regressor": greedy_paths(predict_rewards(fit_regression(others), table)),
+        "regressor": greedy_paths(predict_rewards(fit_regression(training_tables), table)),
         **oracle_paths(table),
         **{name: fixed_path(table, name) for name in PATHS},
     }

@@ -87,8 +87,9 @@ class SceneClip:
     def truth(self, k: int, i: int) -> Image:
         """Return what slot i of key frame k is to show."""
         frame = replace(self._load(self._order[FACTOR * k + i]), gbuffer=None)
-        shown = mirror(frame) if self.variant.mirror else frame
-        return with_tones(shown.image, self.look)
+        if self.variant.mirror:
+            frame = mirror(frame)
+        return with_tones(frame.image, self.look)
 
     def interval(self, k: int, setting: str) -> Interval:
         """Return key interval k for synthesis.

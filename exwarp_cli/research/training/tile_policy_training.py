@@ -190,8 +190,8 @@ def train_tile_policy(
     unseen: list[Margins] = []
     for index, table in enumerate(tables):
         say(f"without {table.scene}")
-        others = [other for place, other in enumerate(tables) if place != index]
-        unseen.append(choice_margins(train_tiles(others, settings), table))
+        network = train_tiles([t for i, t in enumerate(tables) if i != index], settings)
+        unseen.append(choice_margins(network, table))
     say(f"on all {len(tables)} scenes")
     network = train_tiles(tables, settings)
     own = [choice_margins(network, table) for table in tables]

@@ -51,7 +51,7 @@ MADE = ((2, WARP, "S6"), (2, EXTRAPOLATE, "S3"), (3, WARP, "S6"), (3, EXTRAPOLAT
 # Folder of the tables of tiles, beside the models.
 TILE_TABLES = "tiles"
 
-# How each scene is looked at: every instant as a key frame, and time both ways.
+# Variants of each scene: every instant as a key frame, and time in both directions.
 VARIANTS = tuple(
     Variant(phase, backwards=back) for back in (False, True) for phase in range(FACTOR)
 )
