@@ -29,7 +29,7 @@ from exwarp_cli.pipeline.comparing import (
     require_generated,
     scorer,
 )
-from exwarp_cli.pipeline.finding import truth_rate
+from exwarp_cli.pipeline.ground_truth import truth_rate
 from exwarp_cli.pipeline.progress import FrameListener, NoProgress, Progress
 from exwarp_cli.runtime.stop import check_stop
 

@@ -22,8 +22,7 @@ from exwarp_cli.io.atomic import atomic_write_bytes, make_folder
 from exwarp_cli.io.dataset import RenderedScene
 from exwarp_cli.io.models import OnnxExtrapolator, load_extrapolator
 from exwarp_cli.io.threads import use_threads
-from exwarp_cli.pipeline.choosing import outcomes_of
-from exwarp_cli.pipeline.observing import with_ids
+from exwarp_cli.pipeline.decide import outcomes_of, with_ids
 from exwarp_cli.policy.features import observe
 from exwarp_cli.runtime.stop import check_stop
 from exwarp_cli.training.footage import Footage

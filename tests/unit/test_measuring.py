@@ -25,7 +25,7 @@ from exwarp_cli.io.models import (
 from exwarp_cli.kernels import _row_bands
 from exwarp_cli.metrics.display import encode
 from exwarp_cli.metrics.registry import METRICS
-from exwarp_cli.pipeline.observing import features
+from exwarp_cli.pipeline.decide import features
 from exwarp_cli.policy.features import observe
 from exwarp_cli.policy.outcomes import METRICS as JUDGED
 from exwarp_cli.policy.outcomes import shown

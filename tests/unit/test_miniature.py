@@ -13,8 +13,7 @@ import pytest
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.dataset import TRAINING, find_scenes
 from exwarp_cli.io.frames import read_raw
-from exwarp_cli.pipeline.motion_finding import find_motion
-from exwarp_cli.pipeline.motion_option import motion_names, parse_motion
+from exwarp_cli.pipeline.motion_convention import find_motion, motion_names, parse_motion
 from exwarp_cli.training.footage import Footage
 from exwarp_cli.training.variant import Variant, all_variants
 from tests.unit.analytic_scene import write_scene

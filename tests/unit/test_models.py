@@ -26,7 +26,7 @@ from exwarp_cli.errors import (
 from exwarp_cli.io import model_files, models
 from exwarp_cli.io.model_files import STRIDE_KEY
 from exwarp_cli.io.models import CHECKSUMS, CUDA, SHIPPED, load_extrapolator, shipped_folder
-from exwarp_cli.pipeline.finding import find_network
+from exwarp_cli.pipeline.job import find_network
 from exwarp_cli.synthesis.methods import METHODS
 from tests.unit import tiny_models
 from tests.unit.tiny_models import convolution, filled_warp, inputs, model, picture, save

@@ -1,4 +1,4 @@
-"""What a slot's frame depends on, digested: who resumes a run keeps frames of the same recipe."""
+"""What a frame depends on, digested: a resumed run keeps frames whose fingerprint is the same."""
 
 from __future__ import annotations
 
@@ -17,63 +17,43 @@ from exwarp_cli.domain.results import InterpolatorSummary, NetworkSummary
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.footage import ClipSequence, digest_of, is_plain
-from exwarp_cli.io.frames import Shot
 from exwarp_cli.io.key_file import digests, key_file
 from exwarp_cli.io.output import file_digest
 from exwarp_cli.io.sequence import Sequence
+from exwarp_cli.io.shot import Shot
 from exwarp_cli.pipeline.source import FrameOf, Source
 from exwarp_cli.synthesis.methods import Method
 from exwarp_cli.synthesis.optical_flow import flow_identity
 
+# Files' digests that are kept: more than the frames that one interval depends on.
 DIGESTS = 32
-"""Files' digests that are kept: more than the frames that one interval depends on."""
 
-
-Token = tuple[int, tuple[tuple[str, Path], ...]]
-"""A frame's number, which tells frames of one video apart, and its files by AOV."""
+# A frame's number, which tells frames of one video apart, and its files by AOV.
+FrameFiles = tuple[int, tuple[tuple[str, Path], ...]]
 
 
 @dataclass
-class Recipes:
-    """Digests what the frames of intervals depend on, interval after interval.
-
-    Attributes
-    ----------
-    source, method
-        Of the run.
-    compression
-        Of generated frames; None for the key frame's.
-    truth
-        Ground truth and its frame for a slot; only oracles depend on it.
-    network, interpolator
-        That extrapolates, and that interpolates; None for methods that do without.
-    policy
-        SHA-256 of the policy's file; None where none decides.
-    layers
-        Names of the layers that are written beside the beauty.
-    reading
-        In which a slot's frame is read, to note that it is lost where that fails; None where
-        nothing may be.
-    key_rate
-        The frame rate that written key frames get; None where they are copied as they are.
-    """
+class Fingerprinter:
+    """Digests what the frames of intervals depend on, interval after interval."""
 
     source: Source
     method: Method
-    compression: str | None
-    truth: tuple[Sequence, FrameOf] | None
-    network: NetworkSummary | None = None
+    compression: str | None  # of generated frames, as the user names it
+    truth: tuple[Sequence, FrameOf] | None  # only oracles depend on it
+    network: NetworkSummary | None = None  # that extrapolates
     interpolator: InterpolatorSummary | None = None
-    policy: str | None = None
-    layers: tuple[str, ...] = ()
+    policy: str | None = None  # SHA-256 of the policy's file, maybe with the effort
+    layers: tuple[str, ...] = ()  # names of those that are written beside the beauty
+    # In which a slot's frame is read, to record it as unreadable where that fails; None where
+    # nothing may be unreadable.
     reading: Callable[[Slot], AbstractContextManager[None]] | None = None
-    key_rate: Fraction | None = None
-    _digests: OrderedDict[Token, str] = field(default_factory=OrderedDict, init=False)
+    key_rate: Fraction | None = None  # frame rate that written key frames get; None: as they are
+    _digests: OrderedDict[FrameFiles, str] = field(default_factory=OrderedDict, init=False)
     _rewritten: OrderedDict[Path, str] = field(default_factory=OrderedDict, init=False)
 
-    def share(self, other: Recipes) -> None:
+    def share_digests(self, view: Fingerprinter) -> None:
         """Keep files' digests with those of another view, which may be of the same files."""
-        self._digests = other._digests
+        self._digests = view._digests
 
     def digest(self, slot: Slot) -> None:
         """Digest all files of a slot's frame ahead; raises InputError where one cannot be read."""
@@ -84,12 +64,12 @@ class Recipes:
             if number is not None:
                 self._digest(self.source.slots, number)
 
-    def of(
+    def fingerprints(
         self,
         key: int,
         keys: Iterable[int],
         instants: Iterable[Slot],
-        cuts: Collection[str] = (),
+        surroundings: Collection[str] = (),
     ) -> dict[int, str]:
         """Digest what each slot's frame depends on: sources, settings, version and networks.
 
@@ -101,48 +81,53 @@ class Recipes:
             Indices of the key frames whose colour is used.
         instants
             Whose G-buffers are used beside those of `keys`; in the key setting key frames all.
-        cuts
-            What cuts around the interval change.
+        surroundings
+            What cuts, holds, windows and trials around the interval change.
         """
-        source = self.source
+        source, timeline = self.source, self.source.timeline
         keys, instants = tuple(keys), tuple(instants)
         if self.reading is not None:
             for slot in (*(Slot(index, 0) for index in keys), *instants):
                 with self.reading(slot):
                     self.digest(slot)
-        files = [self._digest(source.keys, source.timeline.numbers[i]) for i in keys]
+        files = [self._digest(source.keys, timeline.numbers[i]) for i in keys]
         if source.slots is None:
-            files += [self._digest(source.keys, source.timeline.numbers[s.key]) for s in instants]
+            files += [self._digest(source.keys, timeline.numbers[s.key]) for s in instants]
         else:
             numbers = [source.slot_number(s) for s in (*(Slot(i, 0) for i in keys), *instants)]
             files += [self._digest(source.slots, n) for n in numbers if n is not None]
-        common: dict[str, Any] = {
+        facts: dict[str, Any] = {
             "version": __version__,
             "method": self.method.name,
             "setting": source.setting,
-            "motion": repr(None if source.finding is None else source.finding.convention),
+            "motion": repr(source.convention),
             "compression": self.compression,
             "fps": f"{source.fps}{'' if source.written_fps else ' assumed'}",
             "files": files,
         }
-        common |= _seen_otherwise(source, self.method)
+        facts |= _reading_facts(source, self.method)
         if self.layers:
-            common["layers"] = list(self.layers)
-        if cuts:
-            common["cuts"] = list(cuts)
+            facts["layers"] = list(self.layers)
+        if surroundings:
+            facts["cuts"] = list(surroundings)
         if self.network is not None:
-            common["network"] = [self.network.sha256, self.network.device]
+            facts["network"] = [self.network.sha256, self.network.device]
         if self.interpolator is not None:
-            common["interpolator"] = self.interpolator.identity
+            facts["interpolator"] = self.interpolator.identity
         if self.policy is not None:
-            common["policy"] = self.policy
+            facts["policy"] = self.policy
         if self.method.needs_truth:
-            common["truth"] = self._truth_digests(key)
+            facts["truth"] = self._truth_digests(key)
         return {
-            slot.index: hashlib.sha256(
-                json.dumps(common | self._place(slot), sort_keys=True).encode()
-            ).hexdigest()
-            for slot in source.timeline.made_of(key)
+            slot.index: _digest_json(
+                facts
+                | {
+                    "slot": slot.index,
+                    "time": str(timeline.time(slot)),
+                    "factor": str(timeline.factor),
+                }
+            )
+            for slot in timeline.made_of(key)
         }
 
     def key_digests(self, keys: Iterable[int]) -> dict[int, str]:
@@ -150,37 +135,27 @@ class Recipes:
         shot, numbers = self.source.keys, self.source.timeline.numbers
         if isinstance(shot.sequence, ClipSequence):
             return {}
-        digests = {numbers[key]: self._digest(shot, numbers[key]) for key in keys}
+        found = {numbers[key]: self._digest(shot, numbers[key]) for key in keys}
         if is_plain(shot.sequence):
-            return digests
+            return found
         return {
             number: self._written_digest(shot.sequence.files[number], json.loads(digest)[""])
-            for number, digest in digests.items()
+            for number, digest in found.items()
         }
 
     def _written_digest(self, path: Path, digest: str) -> str:
         """Return the digest of a key frame's file as it is written, from that of its source."""
         if path not in self._rewritten:
             file = key_file(path, self.key_rate)
-            self._keep_rewritten(path, file.digest() if file.head else digest)
+            self._remember_rewritten(path, file.digest() if file.head else digest)
         return self._rewritten[path]
 
-    def _keep_rewritten(self, path: Path, digest: str) -> None:
+    def _remember_rewritten(self, path: Path, digest: str) -> None:
         self._rewritten[path] = digest
         while len(self._rewritten) > DIGESTS:
             self._rewritten.popitem(last=False)
 
-    def _place(self, slot: Slot) -> dict[str, Any]:
-        """Say which slot it is, of how many."""
-        timeline = self.source.timeline
-        return {
-            "slot": slot.index,
-            "time": str(timeline.time(slot)),
-            "factor": str(timeline.factor),
-        }
-
     def _truth_digests(self, key: int) -> list[str]:
-        """Digest the ground truth of an interval."""
         if self.truth is None:
             return []
         sequence, frame_of = self.truth
@@ -189,51 +164,57 @@ class Recipes:
 
     def _digest(self, shot: Shot, number: int) -> str:
         """Digest all files of one frame; kept for the interval that shares it."""
-        token = (number, tuple(shot.files(number).items()))
-        if token not in self._digests:
-            self._digests[token] = self._digest_of(shot, number)
+        frame = (number, tuple(shot.files(number).items()))
+        if frame not in self._digests:
+            if is_plain(shot.sequence):
+                digest = digest_of(shot.sequence, number)
+            else:
+                digest = self._digest_files(shot, number)
+            self._digests[frame] = digest
             while len(self._digests) > DIGESTS:
                 self._digests.popitem(last=False)
-        return self._digests[token]
+        return self._digests[frame]
 
-    def _digest_of(self, shot: Shot, number: int) -> str:
-        """Digest all files of one frame, and a key frame's file as it is written."""
-        if is_plain(shot.sequence):
-            return digest_of(shot.sequence, number)
+    def _digest_files(self, shot: Shot, number: int) -> str:
+        """Digest a frame's EXR files by AOV, and a key frame's file as it is written."""
         found = {}
         for aov, path in shot.files(number).items():
             is_key = not aov and shot is self.source.keys
             rate = self.key_rate if is_key else None
-            found[aov], written = digests(path, rate, None if aov else shot.headers)
-            if is_key and written is not None:
-                self._keep_rewritten(path, written)
+            found[aov], rewritten = digests(path, rate, None if aov else shot.headers)
+            if is_key and rewritten is not None:
+                self._remember_rewritten(path, rewritten)
         return json.dumps(found, sort_keys=True)
 
 
-def key_recipe(keys: Shot, number: int, rate: Fraction | None = None) -> str:
+def key_fingerprint(keys: Shot, number: int, rate: Fraction | None = None) -> str:
     """Digest what a key frame depends on that is not copied but decoded and encoded.
 
     The rate is what its header says; None where it says none.
     """
-    found = {"version": __version__, "key": digest_of(keys.sequence, number), "fps": str(rate)}
-    return hashlib.sha256(json.dumps(found, sort_keys=True).encode()).hexdigest()
+    facts = {"version": __version__, "key": digest_of(keys.sequence, number), "fps": str(rate)}
+    return _digest_json(facts)
 
 
-def _seen_otherwise(source: Source, method: Method) -> dict[str, Any]:
-    """Return what is known of an input beside what its own channels say."""
-    found: dict[str, Any] = {}
+def _digest_json(facts: dict[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
+
+
+def _reading_facts(source: Source, method: Method) -> dict[str, Any]:
+    """Return how an input is read beside what its own channels say."""
+    facts: dict[str, Any] = {}
     if source.estimated or method.finds_flow or (source.moves and method.carries_light):
-        found["flow"] = flow_identity()
+        facts["flow"] = flow_identity()
     if source.keys.by_hand:
-        found["read"] = source.keys.by_hand
-    turned = [
+        facts["read"] = source.keys.by_hand
+    depth = [
         [reading.kind.value, reading.offset, reading.scale, Role.DEPTH in shot.layout]
         for shot in (source.keys, source.slots)
         if shot is not None and (reading := shot.depth).evidence
     ]
-    if turned:
-        found["depth"] = turned
+    if depth:
+        facts["depth"] = depth
     ids = (source.slots or source.keys).ids
     if ids is not None:
-        found["ids"] = ids.identity
-    return found
+        facts["ids"] = ids.identity
+    return facts
