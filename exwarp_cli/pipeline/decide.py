@@ -310,7 +310,7 @@ class Observer:
             self._last = None  # the next key frame is compared with slot 3
         older = range(key - 1, max(key - KEYS_BACK, self._shot_begin) - 1, -1)
         before_it = tuple(self._at_keys[i] for i in older)
-        self._at_keys = {i: seen for i, seen in self._at_keys.items() if i > key - KEYS_BACK}
+        self._at_keys = {i: at for i, at in self._at_keys.items() if i > key - KEYS_BACK}
         return Surroundings(now_on, before_it)
 
     def _features(self, now: GBuffer, before: GBuffer | None, span: int) -> Features:

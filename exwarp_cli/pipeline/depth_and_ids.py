@@ -186,7 +186,7 @@ def _without_depth(shot: Shot, evidence: str) -> Shot:
 
 
 def _without_role(shot: Shot, role: Role, reason: str) -> Shot:
-    roles = {known: refs for known, refs in shot.layout.roles.items() if known is not role}
+    roles = {each: refs for each, refs in shot.layout.roles.items() if each is not role}
     incomplete = {**shot.layout.incomplete, role: reason}
     return replace(shot, layout=replace(shot.layout, roles=roles, incomplete=incomplete))
 

@@ -116,8 +116,10 @@ class Fingerprinter:
             facts["interpolator"] = self.interpolator.identity
         if self.policy is not None:
             facts["policy"] = self.policy
-        if self.method.needs_truth:
-            facts["truth"] = self._truth_digests(key)
+        if self.method.needs_truth and self.truth is not None:
+            sequence, frame_of = self.truth
+            numbers = [frame_of(slot) for slot in timeline.made_of(key)]
+            facts["truth"] = [file_digest(sequence.files[n]) for n in numbers if n is not None]
         return {
             slot.index: _digest_json(
                 facts
@@ -135,32 +137,23 @@ class Fingerprinter:
         shot, numbers = self.source.keys, self.source.timeline.numbers
         if isinstance(shot.sequence, ClipSequence):
             return {}
-        found = {numbers[key]: self._digest(shot, numbers[key]) for key in keys}
+        digests_read = {numbers[key]: self._digest(shot, numbers[key]) for key in keys}
         if is_plain(shot.sequence):
-            return found
-        return {
-            number: self._written_digest(shot.sequence.files[number], json.loads(digest)[""])
-            for number, digest in found.items()
-        }
-
-    def _written_digest(self, path: Path, digest: str) -> str:
-        """Return the digest of a key frame's file as it is written, from that of its source."""
-        if path not in self._rewritten:
-            file = key_file(path, self.key_rate)
-            self._remember_rewritten(path, file.digest() if file.head else digest)
-        return self._rewritten[path]
+            return digests_read
+        written = {}
+        for number, digest in digests_read.items():
+            path = shot.sequence.files[number]
+            if path not in self._rewritten:
+                file = key_file(path, self.key_rate)
+                copied = json.loads(digest)[""]
+                self._remember_rewritten(path, file.digest() if file.head else copied)
+            written[number] = self._rewritten[path]
+        return written
 
     def _remember_rewritten(self, path: Path, digest: str) -> None:
         self._rewritten[path] = digest
         while len(self._rewritten) > DIGESTS:
             self._rewritten.popitem(last=False)
-
-    def _truth_digests(self, key: int) -> list[str]:
-        if self.truth is None:
-            return []
-        sequence, frame_of = self.truth
-        numbers = [frame_of(slot) for slot in self.source.timeline.made_of(key)]
-        return [file_digest(sequence.files[n]) for n in numbers if n is not None]
 
     def _digest(self, shot: Shot, number: int) -> str:
         """Digest all files of one frame; kept for the interval that shares it."""
@@ -177,14 +170,14 @@ class Fingerprinter:
 
     def _digest_files(self, shot: Shot, number: int) -> str:
         """Digest a frame's EXR files by AOV, and a key frame's file as it is written."""
-        found = {}
+        by_aov = {}
         for aov, path in shot.files(number).items():
             is_key = not aov and shot is self.source.keys
             rate = self.key_rate if is_key else None
-            found[aov], rewritten = digests(path, rate, None if aov else shot.headers)
+            by_aov[aov], rewritten = digests(path, rate, None if aov else shot.headers)
             if is_key and rewritten is not None:
                 self._remember_rewritten(path, rewritten)
-        return json.dumps(found, sort_keys=True)
+        return json.dumps(by_aov, sort_keys=True)
 
 
 def key_fingerprint(keys: Shot, number: int, rate: Fraction | None = None) -> str:

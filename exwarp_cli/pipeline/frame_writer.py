@@ -36,38 +36,18 @@ FRAMES_BEHIND = 4
 
 
 class FrameWriter(Held):
-    """Writes the frames of a run, in order; a context manager.
-
-    Parameters
-    ----------
-    output
-        The files to write.
-    display
-        The window that the video and the hole masks show.
-    rate
-        Of the video, and what headers of key frames get.
-    view
-        Which view of written frames is read again; "" for the hero, and without views.
-    behind
-        How many frames may wait for a thread to write them, beyond those under way.
-    look
-        Of the video: colour, pixels and sound; None for the usual.
-    sums
-        Whether checksums of files are wanted.
-    skips
-        Whether frames may be skipped, in whose place the video shows the last one again.
-    """
+    """Writes the frames of a run, in order; a context manager."""
 
     def __init__(
         self,
         output: OutputPlan,
-        display: Window,
-        rate: OutputRate,
-        view: str = "",
+        display: Window,  # that the video and the hole masks show
+        rate: OutputRate,  # of the video, and what headers of key frames get
+        view: str = "",  # which view of written frames is read again; "" for the hero
         behind: int = FRAMES_BEHIND,
-        look: VideoLook | None = None,
-        sums: bool = False,
-        skips: bool = False,
+        look: VideoLook | None = None,  # of the video: colour, pixels and sound
+        sums: bool = False,  # whether checksums of files are wanted
+        skips: bool = False,  # whether the video shows a frame again in the place of skipped ones
     ) -> None:
         self._output = output
         self._display = display
@@ -156,10 +136,6 @@ class FrameWriter(Held):
         if number not in self._replaced_early and not self.has_copy(number, source):
             self._copy(number, source)
             self._replaced_early.add(number)
-
-    def was_replaced(self, number: int) -> bool:
-        """Return True if `replace_key` replaced a key frame."""
-        return number in self._replaced_early
 
     def pass_key(self, number: int, source: Path) -> bool:
         """Copy a key frame's file, all its layers and attributes but for another frame rate.

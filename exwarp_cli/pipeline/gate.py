@@ -64,27 +64,16 @@ class TrialFrames:
 
 
 class TrialReader:
-    """Chooses the key frame that is predicted for an interval, and reads it.
-
-    Parameters
-    ----------
-    source, method
-        Of the run; the method has a gate.
-    store
-        Reads the key frames.
-    history
-        Returns the key frames that lead back from one, the newest first.
-    reads_late
-        True if the store keeps key frames without their surface.
-    """
+    """Chooses the key frame that is predicted for an interval, and reads it."""
 
     def __init__(
         self,
         source: Source,
         method: Method,
         store: KeyFrameStore,
+        # Returns the key frames that lead back from one, the newest first.
         history: Callable[[int], tuple[int, ...]],
-        reads_late: bool,
+        reads_late: bool,  # True if the store keeps key frames without their surface
     ) -> None:
         self._source, self._store, self._shots = source, store, store.shots
         self._history = history
@@ -234,14 +223,8 @@ def _over_two(frame: KeyFrame) -> KeyFrame:
 class Gate:
     """Decides for each interval whether the network may make its frames.
 
-    Parameters
-    ----------
-    method
-        Of the run.
-    builder
-        Builds the intervals of trials, and of nothing else.
-    display
-        The window that predictions are compared on.
+    `builder` builds the intervals of trials, and of nothing else. Predictions are compared on the
+    window `display`.
     """
 
     def __init__(self, method: Method, builder: IntervalBuilder, display: Window) -> None:

@@ -23,6 +23,7 @@ from exwarp_cli.domain.gate import Trial
 from exwarp_cli.domain.lookahead import LookAheadNetwork
 from exwarp_cli.domain.tiles import TilePlan
 from exwarp_cli.domain.timeline import Slot, ranges
+from exwarp_cli.io.layers import Kind
 from exwarp_cli.pipeline.decide import Choice, make_selector, only_warps
 from exwarp_cli.pipeline.gate import Gate
 from exwarp_cli.pipeline.interval_inputs import IntervalInputs, ViewsReader
@@ -60,7 +61,7 @@ class PreparedInterval:
 
     interval: Interval | None  # on one window; None where every slot of it is written
     choice: Choice | None  # its path; None outside the decision tree
-    existing: frozenset[Slot]  # the slots that an earlier run wrote
+    existing: frozenset[Slot]  # slots that nothing makes: rendered, or written by an earlier run
     timing_ms: Mapping[str, float]  # milliseconds that all this took, by step: a slot's share
     broken: Mapping[int, int]  # how many pixels of the frames around are broken, by number
     trial: Trial | None = None  # what the gate decided by; None where it decides nothing
@@ -83,35 +84,18 @@ class IntervalBuilder:
 
     Data windows may differ from frame to frame, and what moves from interval to interval, so what
     is shared goes by these, too.
-
-    Parameters
-    ----------
-    display
-        The display window of all frames.
-    network, interpolator
-        For methods that extrapolate, and that interpolate by a network.
-    estimated
-        Whether key frames come with estimated motion, which is settled as it is.
-    bare
-        Whether only motion and depth of key frames' settled geometry are used.
-    scratch
-        Where large settled frames lie when a network may extrapolate.
-    linear
-        Whether colour is moved in linear light, as layers that add up to it go along.
-    back
-        How many key frames before its own a later interval goes by, without a network.
     """
 
     def __init__(
         self,
-        display: Window,
+        display: Window,  # of all frames
         network: Extrapolator | None = None,
         interpolator: Interpolator | LookAheadNetwork | None = None,
-        estimated: bool = False,
-        bare: bool = False,
-        scratch: ScratchFrames = IN_MEMORY,
-        linear: bool = False,
-        back: int = 0,
+        estimated: bool = False,  # key frames come with estimated motion, which needs no settling
+        bare: bool = False,  # only motion and depth of key frames' settled geometry are used
+        scratch: ScratchFrames = IN_MEMORY,  # for large settled frames if a network extrapolates
+        linear: bool = False,  # colour is moved in linear light, as layers add up to it
+        back: int = 0,  # how many older key frames a later interval goes by, without a network
     ) -> None:
         self._display = display
         self._network = network
@@ -233,7 +217,11 @@ class IntervalBuilder:
             if frame_key not in self._past:
                 motion = self._scratch.store(self._motion_back(index, older, newer, basis))
                 frame = self._frame(index, older.frame, basis)
-                self._past[frame_key] = Past(frame, motion, is_guessed(older, newer))
+                # Guessed is motion that is made of vectors to the key frame after `newer`.
+                leads = older.held or bool(older.instants)
+                has_vectors = newer.gbuffer is None or newer.gbuffer.to_previous is not None
+                is_guessed = not leads and not has_vectors
+                self._past[frame_key] = Past(frame, motion, is_guessed)
             steps.append(self._past[frame_key])
             newer = steps[-1].frame
         return tuple(steps)
@@ -275,32 +263,16 @@ class IntervalBuilder:
 
 
 class IntervalPreparer:
-    """Builds the intervals of a run in order, and decides how their slots are made.
-
-    Parameters
-    ----------
-    job
-        The run's.
-    reader
-        Reads what only extrapolation needs.
-    builder
-        Of the view that decides.
-    writer
-        Tells what earlier runs wrote.
-    progress
-        Receives messages.
-    has_layers
-        Whether more than the beauty is written.
-    """
+    """Builds the intervals of a run in order, and decides how their slots are made."""
 
     def __init__(
         self,
         job: Job,
-        reader: ViewsReader,
-        builder: IntervalBuilder,
-        writer: FrameWriter,
+        reader: ViewsReader,  # of what only extrapolation needs
+        builder: IntervalBuilder,  # of the view that decides
+        writer: FrameWriter,  # knows what earlier runs wrote
         progress: Progress,
-        has_layers: bool,
+        has_layers: bool,  # whether more than the beauty is written
     ) -> None:
         self._job, self._reader, self._builder = job, reader, builder
         self._writer, self._progress, self._has_layers = writer, progress, has_layers
@@ -332,8 +304,13 @@ class IntervalPreparer:
         with record_time(timing_ms, "geometry", len(slots)):
             if inputs.frame is not None:
                 interval = self._builder.build(inputs)
+        number, recipes = self._timeline.number, inputs.metadata.recipes
         existing = frozenset(
-            slot for slot in slots if interval is None or self._exists(slot, inputs)
+            slot
+            for slot in slots
+            if interval is None
+            or slot.index in inputs.rendered.frames
+            or self._writer.has(number(slot), recipes[slot.index])
         )
         has_missing = len(existing) < len(slots)
         choice, trial = None, None
@@ -361,12 +338,6 @@ class IntervalPreparer:
             interval, choice, existing, timing_ms, self._broken, trial, parts
         )
         return prepared, inputs.without_geometry()
-
-    def _exists(self, slot: Slot, inputs: IntervalInputs) -> bool:
-        """Return True if nothing makes a slot's frame: it was rendered, or an earlier run did."""
-        if slot.index in inputs.rendered.frames:
-            return True
-        return self._writer.has(self._timeline.number(slot), inputs.metadata.recipes[slot.index])
 
     def _try_network(self, inputs: IntervalInputs, timing_ms: dict[str, float]) -> Trial | None:
         """Return what the gate decides by; None where no network would make the frames."""
@@ -419,17 +390,11 @@ def make_builders(job: Job) -> list[IntervalBuilder]:
             source.estimated,
             warps_alone,
             source.scratch,
-            layers.moves_light,
+            Kind.COLOUR in layers.kinds,  # layers of colour may add up to the beauty
             method.older_keys(method.lookahead),
         )
         for source in job.sources
     ]
-
-
-def is_guessed(older: HistoryFrame, newer: KeyFrame) -> bool:
-    """Return True if motion to a key frame is made of vectors to the one after `newer`."""
-    leads = older.held or bool(older.instants)
-    return not leads and newer.gbuffer is not None and newer.gbuffer.to_previous is None
 
 
 def has_surface(frame: KeyFrame) -> bool:

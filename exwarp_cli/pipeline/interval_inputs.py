@@ -137,21 +137,6 @@ class IntervalReader:
     """Reads intervals of one view, in order; what several intervals share is read once.
 
     Key frames and intervals are named by their index.
-
-    Parameters
-    ----------
-    source, method, settings
-        Of the run.
-    truth
-        Ground truth and its frame for a slot; None without.
-    depends_on
-        What frames depend on beside their input.
-    contents
-        What frames hold: of this view first, then of others in the same files; () for the beauty.
-    leader
-        Of the view that decides, where cuts are found too; None for that view itself.
-    rendered
-        Frames that take the place of generated ones; None without.
     """
 
     def __init__(
@@ -161,8 +146,9 @@ class IntervalReader:
         settings: UpsampleSettings,
         truth: tuple[Sequence, FrameOf] | None = None,
         depends_on: Dependencies = (None, None, None),
+        # What frames hold: of this view first, then of others in the same files; () for the beauty.
         contents: tuple[Content, ...] = (),
-        leader: IntervalReader | None = None,
+        leader: IntervalReader | None = None,  # of the view that decides, where cuts are found
         rendered: RenderedFrames | None = None,
     ) -> None:
         self._source, self._method = source, method
@@ -450,8 +436,8 @@ class ViewsReader:
     The other views' readers were made with that leader.
     """
 
-    def __init__(self, leader: IntervalReader, others: tuple[IntervalReader, ...] = ()) -> None:
-        self._leader, self._others = leader, others
+    def __init__(self, leader: IntervalReader, followers: tuple[IntervalReader, ...] = ()) -> None:
+        self._leader, self._followers = leader, followers
 
     @property
     def leading_recipes(self) -> Fingerprinter:
@@ -504,21 +490,21 @@ class ViewsReader:
         passed = None
         with suppress(InputError):
             passed = self._leader.read_key(key)
-        for reader in (self._leader, *self._others):
+        for reader in (self._leader, *self._followers):
             reader.release(key)
         return SkippedInterval(key, reason, passed)
 
     def _read_all(self, key: int, needed: Needed) -> IntervalInputs:
-        if not self._others:
+        if not self._followers:
             return self._leader.read(key, needed)
-        by_view = [reader.fingerprints(key) for reader in (self._leader, *self._others)]
+        by_view = [reader.fingerprints(key) for reader in (self._leader, *self._followers)]
         recipes = {
             slot: hashlib.sha256(" ".join(view[slot] for view in by_view).encode()).hexdigest()
             for slot in by_view[0]
         }
         inputs = self._leader.read(key, lambda index, _: needed(index, recipes))
         is_needed = inputs.frame is not None
-        views = tuple(reader.read(key, lambda *_: is_needed) for reader in self._others)
+        views = tuple(reader.read(key, lambda *_: is_needed) for reader in self._followers)
         read_ms = inputs.read_ms + sum(view.read_ms for view in views)
         metadata = replace(inputs.metadata, recipes=recipes)
         return replace(inputs, metadata=metadata, views=views, read_ms=read_ms)

@@ -203,15 +203,15 @@ def open_job(settings: UpsampleSettings) -> Job:
     """
     compression = compression_of(settings.compression)
     use_threads(settings.threads)
-    method = find_method(settings.method, settings.causal)
+    method = _find_method(settings.method, settings.causal)
     sources = open_sources(settings.source, method.needs_motion, pictures=True)
     if method.extrapolates:
         scratch = ScratchFrames(LARGE_PIXELS)
         sources = tuple(replace(each, scratch=scratch) for each in sources)
     source = sources[0]
     network = find_network(settings, method)
-    interpolator = find_interpolator(settings, method)
-    policy = find_policy(settings, method)
+    interpolator = _find_interpolator(settings, method)
+    policy = _find_policy(settings, method)
     method = _with_policy(method, policy, settings)
     _require_usable(settings, method, source)
     _require_factor(source, method, interpolator)
@@ -233,15 +233,10 @@ def open_job(settings: UpsampleSettings) -> Job:
     )  # fmt: skip
 
 
-def find_method(name: str | None, causal: bool = False) -> Method:
+def _find_method(name: str | None, causal: bool) -> Method:
     """Return a method by name, or the default for None.
 
     With `causal`, no frame may be made of a later key frame.
-
-    Raises
-    ------
-    UsageError
-        When there is no such method, or it looks ahead and must not.
     """
     if name in (None, EXWARP):
         return METHODS[CAUSAL if causal else EXWARP]
@@ -288,20 +283,10 @@ def find_network(settings: UpsampleSettings, method: Method) -> OnnxExtrapolator
     return load_extrapolator(_path(settings.extrapolator), settings.threads, settings.device)
 
 
-def find_interpolator(
+def _find_interpolator(
     settings: UpsampleSettings, method: Method
 ) -> OnnxInterpolator | OnnxLookAhead | None:
-    """Load the network that a method interpolates with, or weighs key frames with.
-
-    None for methods that do without.
-
-    Raises
-    ------
-    UsageError
-        When none is named.
-    InputError, MissingExtraError
-        When it or its card cannot be used.
-    """
+    """Load the network that a method interpolates with, or weighs key frames with; None without."""
     if method.weighs:
         from exwarp_cli.io.lookahead_network import load_lookahead
 
@@ -322,16 +307,8 @@ def _path(text: str | None) -> Path | None:
     return None if text is None else Path(text)
 
 
-def find_policy(settings: UpsampleSettings, method: Method) -> PolicyFile | None:
-    """Load the policy that a method asks; None for methods that ask none.
-
-    Raises
-    ------
-    UsageError
-        When options name a policy that the method would not ask.
-    InputError
-        When it cannot be used.
-    """
+def _find_policy(settings: UpsampleSettings, method: Method) -> PolicyFile | None:
+    """Load the policy that a method asks; None for methods that ask none."""
     if method.judge is Judge.TILES:
         from exwarp_cli.io.policy_files import (
             PAPER,
@@ -380,15 +357,7 @@ def _with_policy(method: Method, policy: PolicyFile | None, settings: UpsampleSe
 
 
 def _require_usable(settings: UpsampleSettings, method: Method, source: Source) -> None:
-    """Refuse what a method cannot do with these options, or with this input.
-
-    Raises
-    ------
-    UsageError
-        For options that contradict the method, or layers of a video or of stills.
-    LayoutError
-        When the method wants vectors or surfaces that the input lacks.
-    """
+    """Refuse what a method cannot do with these options, or with this input."""
     if method.needs_truth and settings.ground_truth is None:
         raise UsageError(
             f"--method {method.name} decides by ground truth; give it with --ground-truth, or use "

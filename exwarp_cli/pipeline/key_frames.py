@@ -7,14 +7,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 
 from exwarp_cli.domain.extrapolator import HISTORY
-from exwarp_cli.domain.frame import (
-    SURFACE_PARTS,
-    GBuffer,
-    KeyFrame,
-    Window,
-    place,
-    require_canvas,
-)
+from exwarp_cli.domain.frame import SURFACE_PARTS, GBuffer, KeyFrame, Window, place, require_canvas
 from exwarp_cli.domain.timeline import FACTOR, Slot
 from exwarp_cli.errors import InputError
 from exwarp_cli.io.channels import Role
@@ -45,35 +38,19 @@ class KeyFrameStore:
 
     One thread reads interval by interval. Another may ask for the surface of frames of an interval
     before (`get_complete`) meanwhile.
-
-    Parameters
-    ----------
-    source
-        The view.
-    method
-        Decides which roles are read.
-    unreadable
-        Where frames are recorded that cannot be read; all views share it.
-    digest
-        Called with a slot before its frame is read, where frames may be unreadable: digests the
-        slot's files, and raises InputError for a file that cannot be read.
-    reads_late
-        Whether older key frames and surfaces are read only for intervals that are extrapolated.
-    keeps_shapes
-        Whether features are computed, which need the geometry of instants with normals.
-    leader
-        The store of the view that decides where shots begin; None for that view itself.
     """
 
     def __init__(
         self,
         source: Source,
-        method: Method,
-        unreadable: UnreadableFrames,
+        method: Method,  # decides which roles are read
+        unreadable: UnreadableFrames,  # all views share it
+        # Called with a slot before its frame is read, where frames may be unreadable: digests the
+        # slot's files, and raises InputError for a file that cannot be read.
         digest: Callable[[Slot], None],
-        reads_late: bool = False,
-        keeps_shapes: bool = False,
-        leader: KeyFrameStore | None = None,
+        reads_late: bool = False,  # older key frames and surfaces only if slots are extrapolated
+        keeps_shapes: bool = False,  # what features need: the geometry of instants with normals
+        leader: KeyFrameStore | None = None,  # of the view that decides where shots begin
     ) -> None:
         self.source = source
         self.unreadable = unreadable
@@ -369,22 +346,13 @@ class MotionEstimates:
 
     Each is read and estimated once. A flow depends on its two frames alone, so any part of a
     sequence finds the same.
-
-    Parameters
-    ----------
-    read
-        Called with the index of a key frame; reads its colour.
-    count
-        Number of key frames.
-    is_unreadable
-        Called with the index of a key frame; none moves towards one that cannot be read.
     """
 
     def __init__(
         self,
-        read: Callable[[int], KeyFrame],
-        count: int,
-        is_unreadable: Callable[[int], bool] = lambda key: False,
+        read: Callable[[int], KeyFrame],  # reads the colour of a key frame
+        count: int,  # of key frames
+        is_unreadable: Callable[[int], bool] = lambda key: False,  # none moves towards such a one
     ) -> None:
         self._read = read
         self._count = count

@@ -241,16 +241,9 @@ class LayerReader:
             self._slots = LayerStore(source.slots, content.rendered.values())
 
     def read(self, key: int, lookahead: bool, older: int | None) -> LayerFrames:
-        """Read an interval.
+        """Read an interval, by the index of its key frame.
 
-        Parameters
-        ----------
-        key
-            Index of the key frame.
-        lookahead
-            Whether the next one is used.
-        older
-            Index of the one before, where it is used.
+        With `lookahead` the next key frame is used; `older` is the index of an older one, if used.
         """
         numbers = self._content.source.timeline.numbers
         before = self._keys.frame(numbers[key])
@@ -276,30 +269,21 @@ class LayerReader:
         numbers = [number for number in slots if number is not None]
         if len(numbers) < len(slots):
             return ()
-        planes = tuple(self._by_key_channels(self._slots.frame(number)) for number in numbers)
+        refs: dict[ChannelRef, ChannelRef] = {}  # the slots' channels by the key frames'
+        for layer, rendered in self._content.rendered.items():
+            own = {ref.component: ref for ref in rendered.refs}
+            refs |= {ref: own[ref.component] for ref in layer.refs}
+        frames = (self._slots.frame(number) for number in numbers)
+        planes = tuple({ref: frame[own] for ref, own in refs.items()} for frame in frames)
         self._slots.keep(())
         return planes
-
-    def _by_key_channels(self, planes: Planes) -> Planes:
-        """Return a slot's planes by the key frames' channels."""
-        named: dict[ChannelRef, Plane] = {}
-        for layer in self._content.extra:
-            rendered = self._content.rendered.get(layer)
-            if rendered is not None:
-                own = {ref.component: ref for ref in rendered.refs}
-                named |= {ref: planes[own[ref.component]] for ref in layer.refs}
-        return named
 
 
 class ExtraLayers:
     """Makes the planes that are written with the beauty of the view that leads.
 
-    Parameters
-    ----------
-    contents
-        What is written of each view, the one that leads first.
-    builders
-        Of the other views, in the same order.
+    `contents` is what is written of each view, the one that leads first; `builders` are those of
+    the other views, in the same order.
     """
 
     def __init__(
@@ -315,14 +299,9 @@ class ExtraLayers:
         return len(self._contents) > 1 or bool(self._contents[0].extra)
 
     @property
-    def moves_vectors(self) -> bool:
-        """True if motion vectors are written."""
-        return any(la.kind is Kind.MOTION for content in self._contents for la in content.extra)
-
-    @property
-    def moves_light(self) -> bool:
-        """True if layers of colour are written, which may add up to the beauty."""
-        return any(la.kind is Kind.COLOUR for content in self._contents for la in content.extra)
+    def kinds(self) -> set[Kind]:
+        """What the layers of all views are, beside the beauty."""
+        return {layer.kind for content in self._contents for layer in content.extra}
 
     def begin(self, inputs: IntervalInputs, interval: Interval | None) -> None:
         """Turn to an interval; None where nothing of it has to be made, and to drop the last."""
@@ -355,9 +334,9 @@ class ExtraLayers:
             Which planes there have to be.
         """
         needed = {plane.key for plane in template.planes}
-        leader, *others = self._views
+        leader, *further = self._views
         planes = leader.planes(slot, shown, needed)
-        for view in others:
+        for view in further:
             beauty = predict(view.interval)
             planes |= view.beauty(beauty)
             planes |= view.planes(slot, beauty, needed)

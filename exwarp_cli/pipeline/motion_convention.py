@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from exwarp_cli.domain.frame import Float32, place
+from exwarp_cli.domain.frame import place
 from exwarp_cli.domain.motion import AxisMap, MotionConvention, MotionFinding
 from exwarp_cli.domain.timeline import number_step
 from exwarp_cli.errors import InputError, MotionError, UsageError
@@ -293,7 +293,17 @@ class _Measurement:
         numbers = self._numbers
         frames = ", ".join(f"{numbers[i]}-{numbers[i + 1]}" for i in firsts)
         if any(self._picture_moves(first) for first in firsts):
-            raise zero_vectors_error(self._names, frames, self._shot.layout.producer)
+            producer = self._shot.layout.producer
+            advice = next(
+                (text for name, text in BLUR_ADVICE.items() if producer.startswith(name)),
+                "switch it off in the renderer's settings",
+            )
+            raise MotionError(
+                f"the motion channels {', '.join(self._names)} are 0 throughout in frames "
+                f"{frames}, while the picture moves: motion blur was on, or the pass is empty; "
+                f"{advice}, and render the motion pass again; if nothing is meant to move, give "
+                "--motion"
+            )
         if moving := self._moving_pairs(firsts, by_colour=False):
             return self._measure_pairs(moving, guess, by_colour=False)
         evidence = f"the vectors of frames {frames} are 0, and nothing moves there"
@@ -385,8 +395,8 @@ class _Measurement:
             return False
         parts = ("position", "depth", "perceived")
         values = [(getattr(before, part), getattr(after, part)) for part in parts]
-        known = [(a, b) for a, b in values if a is not None and b is not None]
-        return bool(known) and all(np.array_equal(a, b, equal_nan=True) for a, b in known)
+        comparable = [(a, b) for a, b in values if a is not None and b is not None]
+        return bool(comparable) and all(np.array_equal(a, b, equal_nan=True) for a, b in comparable)
 
     def _moving_pairs(self, firsts: list[int], by_colour: bool) -> list[int]:
         """Return pairs in which something moves, of some that are evenly spread; few at most."""
@@ -411,8 +421,8 @@ class _Measurement:
             # On the display window: data windows differ, and normalised vectors go by it. World
             # positions tell points apart best, and alone; reading the rest takes most of the time.
             by_position = Role.POSITION in self._shot.layout and not by_colour
-            seen = Role.POSITION if by_position else Role.COLOUR
-            raw = read_raw(self._shot, number, (Role.MOTION, Role.DEPTH, Role.STENCIL, seen))
+            compared = Role.POSITION if by_position else Role.COLOUR
+            raw = read_raw(self._shot, number, (Role.MOTION, Role.DEPTH, Role.STENCIL, compared))
             assert raw.motion is not None
             motion = place(raw.motion, raw.gbuffer.window, self._shot.display, np.nan)
             colour = None if raw.image is None else raw.image.on(self._shot.display).pixels
@@ -474,32 +484,13 @@ class _Measurement:
                 for number in numbers
             )
             between = [number for number in self._numbers if first <= number <= last]
-            vectors = [_read_vectors(self._shot, number) for number in between]
+            vectors = []
+            for number in between:
+                raw = read_raw(self._shot, number, (Role.MOTION,))
+                assert raw.motion is not None
+                vectors.append(place(raw.motion, raw.gbuffer.window, self._shot.display, np.nan))
         except InputError:
             if not keys.keep_going:
                 raise
             return None
         return interval(numbers, before, after, vectors)
-
-
-def _read_vectors(shot: Shot, number: int) -> Float32:
-    """Read a frame's motion channels on the display window."""
-    raw = read_raw(shot, number, (Role.MOTION,))
-    assert raw.motion is not None
-    return place(raw.motion, raw.gbuffer.window, shot.display, np.nan)
-
-
-def zero_vectors_error(names: tuple[str, ...], frames: str, producer: str) -> MotionError:
-    """Build the error for vectors that are 0 while the picture moves.
-
-    `names` are the motion channels, `frames` numbers as text, `producer` what wrote the files.
-    """
-    advice = next(
-        (text for name, text in BLUR_ADVICE.items() if producer.startswith(name)),
-        "switch it off in the renderer's settings",
-    )
-    return MotionError(
-        f"the motion channels {', '.join(names)} are 0 throughout in frames {frames}, while the "
-        f"picture moves: motion blur was on, or the pass is empty; {advice}, and render the motion "
-        "pass again; if nothing is meant to move, give --motion"
-    )

@@ -136,29 +136,15 @@ class IntervalRendered:
 
 
 class RenderedReader:
-    """Reads rendered frames, interval by interval.
-
-    Parameters
-    ----------
-    rendered
-        The frames.
-    contents
-        What frames hold, of every view: a rendered frame must have all of it.
-    rate
-        The frame rate that headers get; None where it is not known.
-    tolerant
-        Whether to generate frames whose rendered ones cannot be used.
-    leads
-        Whether slots around are made from them, too; see `leads_on`.
-    """
+    """Reads rendered frames, interval by interval."""
 
     def __init__(
         self,
         rendered: RenderedFrames,
-        contents: tuple[Content, ...],
-        rate: Fraction | None,
-        tolerant: bool = False,
-        leads: bool = False,
+        contents: tuple[Content, ...],  # of every view: a rendered frame must have all of it
+        rate: Fraction | None,  # that headers get; None where it is not known
+        tolerant: bool = False,  # whether to generate frames whose rendered ones cannot be used
+        leads: bool = False,  # whether slots around are made from them, too; see `leads_on`
     ) -> None:
         source = contents[0].source
         self._convention = source.convention

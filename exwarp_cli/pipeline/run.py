@@ -1,4 +1,10 @@
-"""The main job: a key sequence in, a sequence at four times its rate out, or at another."""
+"""The main job: a key sequence in, a sequence at four times its rate out, or at another.
+
+`Run.render_all` goes through the key intervals. Of each, a thread reads the files ahead
+(`interval_inputs`, from `key_frames`). This thread brings them onto one window and decides the path
+of the interval (`interval_builder`, `decide`, `gate`). It renders the slots, or a pool of threads
+does (`slot_renderer`, `scheduling`). Threads behind write the files (`frame_writer`).
+"""
 
 from __future__ import annotations
 
@@ -22,11 +28,7 @@ from exwarp_cli.pipeline.announcing import left_out, tell_left_out, unscored, un
 from exwarp_cli.pipeline.fingerprint import key_fingerprint
 from exwarp_cli.pipeline.frame_sizes import window_note
 from exwarp_cli.pipeline.frame_writer import FRAMES_BEHIND, FrameWriter
-from exwarp_cli.pipeline.interval_builder import (
-    IntervalPreparer,
-    PreparedInterval,
-    make_builders,
-)
+from exwarp_cli.pipeline.interval_builder import IntervalPreparer, PreparedInterval, make_builders
 from exwarp_cli.pipeline.interval_inputs import (
     IntervalInputs,
     IntervalReader,
@@ -35,12 +37,7 @@ from exwarp_cli.pipeline.interval_inputs import (
 )
 from exwarp_cli.pipeline.job import Job, open_job
 from exwarp_cli.pipeline.layers import ExtraLayers
-from exwarp_cli.pipeline.output_plan import (
-    BY_EXWARP,
-    is_video_kept,
-    video_fingerprint,
-    video_look,
-)
+from exwarp_cli.pipeline.output_plan import BY_EXWARP, is_video_kept, video_fingerprint, video_look
 from exwarp_cli.pipeline.progress import FrameListener, NoProgress, Progress, kind_of, kinds_of
 from exwarp_cli.pipeline.scheduling import (
     Mode,
@@ -188,7 +185,7 @@ class Run:
             intervals = prefetch(tasks, read_depth(self._display.pixels))
             for _ in keys:
                 # Handed on at once: a variable would hold the raw geometry while the next is read.
-                self._do_interval(next(intervals))
+                self._render_interval(next(intervals))
                 pool.trim()
         records = self._records
         if self._pulses is not None:
@@ -209,7 +206,7 @@ class Run:
         number = self._timeline.number
         return not all(self.writer.has(number(Slot(key, i)), recipes[i]) for i in recipes)
 
-    def _do_interval(self, inputs: IntervalInputs | SkippedInterval) -> None:
+    def _render_interval(self, inputs: IntervalInputs | SkippedInterval) -> None:
         """Render an interval's frames, or skip them."""
         if isinstance(inputs, SkippedInterval):
             self._skip(inputs)
@@ -229,9 +226,9 @@ class Run:
             self.left_out.append(problem)
             tell_left_out(self._progress, problem)
         self._pass_key(inputs)
-        self._do_slots(prepared, inputs)
+        self._render_slots(prepared, inputs)
 
-    def _do_slots(self, prepared: PreparedInterval, inputs: IntervalInputs) -> None:
+    def _render_slots(self, prepared: PreparedInterval, inputs: IntervalInputs) -> None:
         """Render the slots of an interval that are missing, and record all of them."""
         interval, slots = prepared.interval, self._timeline.made_of(inputs.key)
         missing = [slot for slot in slots if slot not in prepared.existing]
@@ -241,11 +238,7 @@ class Run:
             measured = self._job.settings.measured
             scores = IntervalScores(interval, self._display, measured, inputs.followed)
         how = mode(
-            prepared,
-            self._job.method,
-            self._display.pixels,
-            self._layers.any,
-            self._slots.workers,
+            prepared, self._job.method, self._display.pixels, self._layers.any, self._slots.workers
         )
         render = partial(self._renderer.render, prepared, inputs, in_pool=how is Mode.IN_POOL)
         in_order = self._slots.render(render, missing, how)
@@ -309,7 +302,7 @@ class Run:
         number = self._timeline.numbers[inputs.key]
         output = self._timeline.number(Slot(inputs.key, 0))
         path = source.keys.sequence.files[number]
-        replaced = writer.was_replaced(output) or writer.is_in_the_way(output)
+        replaced = writer.is_in_the_way(output)
         if writer.copies(path):
             resumed = writer.pass_key(output, path)
         elif not writer.keeps_frames:
@@ -423,11 +416,11 @@ def make_reader(job: Job) -> ViewsReader:
         contents,
         rendered=job.rendered,
     )
-    others = (
+    followers = (
         IntervalReader(content.source, method, settings, None, job.depends_on, (content,), leader)
         for content in contents[1:]
     )
-    return ViewsReader(leader, tuple(others))
+    return ViewsReader(leader, tuple(followers))
 
 
 def make_writer(job: Job, note: str = "", behind: int = FRAMES_BEHIND) -> FrameWriter:

@@ -79,20 +79,6 @@ class Shots:
     So any part of the sequence finds the same, and so does every method: all code that reads
     key frames shows them with the same channels. Key frames are named by their index.
 
-    Parameters
-    ----------
-    wish
-        What the user says about cuts.
-    numbers
-        Input numbers of all key frames.
-    read
-        Called with the index of a key frame that was not seen, or released; shows it by `see`, and
-        returns it.
-    unreadable
-        Key frames that cannot be read: shots end before them, and begin after them.
-    lossy
-        True if a lossy codec may have changed pictures that are repeated.
-
     Raises
     ------
     MissingFrameError
@@ -102,10 +88,12 @@ class Shots:
     def __init__(
         self,
         wish: CutWish,
-        numbers: Sequence[int],
+        numbers: Sequence[int],  # of the input's key frames
+        # Reads a key frame that was not seen, or released; shows it by `see`, and returns it.
         read: Callable[[int], KeyFrame],
+        # Key frames that cannot be read: shots end before them, and begin after them.
         unreadable: UnreadableFrames | None = None,
-        lossy: bool = False,
+        lossy: bool = False,  # True if a lossy codec may have changed pictures that are repeated
     ) -> None:
         self._wish = wish
         self._numbers = numbers

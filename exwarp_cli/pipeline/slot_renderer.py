@@ -22,6 +22,7 @@ from exwarp_cli.domain.tiles import TileMakers, TilePlan
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.errors import OutputError
 from exwarp_cli.io.exr.template import Plane, PlaneKey, Template
+from exwarp_cli.io.layers import Kind
 from exwarp_cli.io.output import KEY_FRAMES, PREFIX, REQUESTED_METHOD, FrameTemplate, quantised
 from exwarp_cli.metrics.pulse import mean_gradient
 from exwarp_cli.pipeline.frame_writer import FrameWriter
@@ -95,7 +96,10 @@ class SlotRenderer:
         with record_time(layers_timing, "layers"):
             layers = self._make_layers(slot, predicted, inputs, plan)
         mask = self._mask(interval, slot)
-        kind = self._kind(predicted, slot, inputs.after_hold)
+        # The first repeat of a key frame that is not shown itself is no repeat.
+        is_shown = inputs.after_hold or self._source.timeline.shows(slot.key)
+        is_first = slot.index == 1 and not is_shown
+        kind = FrameKind.GENERATED if is_first else predicted.kind
         measures = self._measures_gradient(kind, slot, inputs)
         shows = bool(inputs.truth.frames) or writer.shows
         template = inputs.metadata.template
@@ -212,11 +216,6 @@ class SlotRenderer:
         assert isinstance(template, Template)  # layers are for EXR
         return self._layers.make(slot.index, named_by_path(predicted, path), predict, template)
 
-    def _kind(self, predicted: Predicted, slot: Slot, after_hold: bool) -> FrameKind:
-        # The first repeat of a key frame that is not shown itself is no repeat.
-        is_shown = after_hold or self._source.timeline.shows(slot.key)
-        return FrameKind.GENERATED if slot.index == 1 and not is_shown else predicted.kind
-
     def _record_of(
         self,
         slot: Slot,
@@ -253,6 +252,7 @@ class SlotRenderer:
     def _record_in(self, slot: Slot, header: Mapping[str, Any]) -> FrameRecord:
         """Return the record of a frame from what its header says."""
         number, holes = self._source.timeline.number(slot), header.get("holeFraction")
+        error, gate, tiles = (header.get(name) for name in (PREDICTED_ERROR, "gate", "tiles"))
         return FrameRecord(
             number=number,
             file=self._writer.name(number),
@@ -267,16 +267,16 @@ class SlotRenderer:
             made_by=maker_of(header.get("madeBy"), str(header["method"])),
             path=header.get("path"),
             decision=parse_decision(header.get("decision")),
-            risk=parse_risk(header),
-            trial=None if header.get("gate") is None else Trial.parsed(str(header["gate"])),
-            tiles=None if header.get("tiles") is None else TileMakers.parsed(str(header["tiles"])),
+            risk=None if error is None else Risk.parsed(float(error), str(header["risk"])),
+            trial=None if gate is None else Trial.parsed(str(gate)),
+            tiles=None if tiles is None else TileMakers.parsed(str(tiles)),
         )
 
     def _attributes(self, record: FrameRecord, inputs: IntervalInputs) -> dict[str, Any]:
         """Return the header attributes of a generated frame."""
         digests = inputs.metadata.key_digests.items()
         # Those of a key frame, too, lead over a key interval, which is so many output frames.
-        span = float(self._source.timeline.factor) if self._layers.moves_vectors else None
+        span = self._source.timeline.factor if Kind.MOTION in self._layers.kinds else None
         decision = None if record.decision is None else decision_text(record.decision)
         facts: dict[str, Any] = {
             "version": __version__,
@@ -298,7 +298,7 @@ class SlotRenderer:
             "tiles": None if record.tiles is None else record.tiles.text,
             PREDICTED_ERROR: None if record.risk is None else record.risk.error,
             "risk": None if record.risk is None else record.risk.text,
-            "vectorSpan": span,
+            "vectorSpan": None if span is None else float(span),
         }
         own = {f"{PREFIX}{name}": value for name, value in facts.items() if value is not None}
         return {**rate_attribute(self._source), **own}
@@ -316,12 +316,6 @@ def rate_attribute(source: Source) -> dict[str, Any]:
 def rounded(image: Image, template: FrameTemplate) -> Image:
     """Return a frame as its file has it."""
     return replace(image, pixels=quantised(image.pixels, template))
-
-
-def parse_risk(header: Mapping[str, Any]) -> Risk | None:
-    """Read how wrong a frame is expected to be from its header; None where that does not say."""
-    error = header.get(PREDICTED_ERROR)
-    return None if error is None else Risk.parsed(float(error), str(header["risk"]))
 
 
 def decision_text(decision: Decision) -> str:

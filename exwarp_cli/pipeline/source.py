@@ -23,13 +23,7 @@ from exwarp_cli.domain.timeline import (
     ranges,
     standard_rate,
 )
-from exwarp_cli.errors import (
-    InputError,
-    LayoutError,
-    MissingFrameError,
-    MotionError,
-    UsageError,
-)
+from exwarp_cli.errors import InputError, LayoutError, MissingFrameError, MotionError, UsageError
 from exwarp_cli.io import sequence as sequences
 from exwarp_cli.io.aov_files import AovFile, parse_aovs
 from exwarp_cli.io.channel_map import ChannelMap, read_channel_map
@@ -210,13 +204,13 @@ def open_sources(
         When all views are asked for, and each has files of its own.
     """
     sources = tuple(open_source(view, motion_needed, pictures) for view in each_view(settings))
-    leader, *others = sources
-    for other in others:
-        if other.keys.sequence.files != leader.keys.sequence.files:
+    leader = sources[0].keys.sequence
+    for source in sources:
+        if source.keys.sequence.files != leader.files:
             raise UsageError(
                 f"--view all writes all views into one file, and here each has its own "
-                f"({leader.keys.sequence.pattern}); run once for each: "
-                + ", ".join(f"--view {source.keys.view}" for source in sources)
+                f"({leader.pattern}); run once for each: "
+                + ", ".join(f"--view {each.keys.view}" for each in sources)
             )
     return sources
 
@@ -318,14 +312,14 @@ def _channel_options(settings: SourceSettings) -> tuple[tuple[AovFile, ...], Cha
     return parse_aovs(settings.aovs), None if path is None else read_channel_map(Path(path))
 
 
-def rate_of(keys: Shot, given: Fraction | None) -> tuple[Fraction, str]:
+def rate_of(keys: Shot, option: Fraction | None) -> tuple[Fraction, str]:
     """Return the base rate, and whether it is from the option, the header, a video or assumed.
 
     A header has the scene's rate, and so has what is assumed. Of a scene at 24 fps that is rendered
     in steps of 4 (1, 5, 9 …) the key frames come at 6.
     """
-    if given is not None:
-        return standard_rate(given), "option"
+    if option is not None:
+        return standard_rate(option), "option"
     own = own_rate(keys.sequence)
     if own is not None:
         return own, "file"
