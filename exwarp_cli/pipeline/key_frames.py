@@ -129,8 +129,10 @@ class KeyFrameStore:
             if frame is None:
                 number = self.source.timeline.numbers[key]
                 roles = (Role.COLOUR, *GEOMETRY, *SURFACE)
-                raw = read_raw(self.source.keys, number, roles, objects=True)
-                complete = self._within_shot(key, raw.key(self.source.convention))
+                frame = read_raw(self.source.keys, number, roles, objects=True).key(
+                    self.source.convention
+                )
+                complete = self._within_shot(key, frame)
             else:
                 complete = self._with_surface(frame)
             self._complete[key] = self.source.scratch.store(complete)

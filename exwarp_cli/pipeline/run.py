@@ -244,14 +244,14 @@ class Run:
         in_order = self._slots.render(render, missing, how)
         first_record = len(self._records)
         for slot in slots:
+            # Handed on at once: a variable would hold a frame while the next is rendered.
             if slot.index in inputs.rendered.frames:
-                rendered = self._renderer.pass_rendered(slot, inputs)
+                self._record(self._renderer.pass_rendered(slot, inputs), inputs, scores)
             elif slot in prepared.existing:
-                is_masked = self._listener is not None
-                rendered = self._renderer.resume(slot, interval, inputs, is_masked)
+                masked = self._listener is not None
+                self._record(self._renderer.resume(slot, interval, inputs, masked), inputs, scores)
             else:
-                rendered = next(in_order)
-            self._record(rendered, inputs, scores)
+                self._record(next(in_order), inputs, scores)
             if interval is not None:
                 # Of the paper's paths a slot may be made by way of the one before it.
                 interval.forget(slot.index - 1 if prepared.extrapolates else slot.index)
