@@ -296,41 +296,40 @@ class IntervalPreparer:
         InputError
             When a file cannot be read that only extrapolation needs.
         """
-        method, slots = self._job.method, self._timeline.made_of(inputs.key)
+        slots = self._timeline.made_of(inputs.key)
+        if inputs.frame is None:  # every slot of it is written
+            self._broken = {}
+            written = PreparedInterval(None, None, frozenset(slots), {}, {})
+            return written, inputs.without_geometry()
         timing_ms: dict[str, float] = {}
         if self._gate is not None and inputs.trial is not None:
             self._gate.receive(inputs.trial)
-        interval: Interval | None = None
         with record_time(timing_ms, "geometry", len(slots)):
-            if inputs.frame is not None:
-                interval = self._builder.build(inputs)
+            interval = self._builder.build(inputs)
         number, recipes = self._timeline.number, inputs.metadata.recipes
         existing = frozenset(
             slot
             for slot in slots
-            if interval is None
-            or slot.index in inputs.rendered.frames
+            if slot.index in inputs.rendered.frames
             or self._writer.has(number(slot), recipes[slot.index])
         )
         has_missing = len(existing) < len(slots)
         choice, trial = None, None
-        if interval is not None and has_missing and not interval.held:
+        if has_missing and not interval.held:
             trial = self._try_network(inputs, timing_ms)
         # A policy looks at every interval: the states of later ones hold what it saw.
-        if interval is not None and slots and (has_missing or method.judge is Judge.POLICY):
+        if slots and (has_missing or self._job.method.judge is Judge.POLICY):
             choice = self._select_path(inputs, interval)
-        if interval is not None and trial is not None and not trial.pays:
+        if trial is not None and not trial.pays:
             interval = replace(interval, interpolator=None)
             choice = None if choice is None else replace(choice, plan=only_warps(choice.plan))
         if choice is not None:
             timing_ms |= {step: ms / len(slots) for step, ms in choice.timing_ms.items()}
         extrapolates = choice is not None and choice.plan.extrapolates
-        if interval is not None and extrapolates and inputs.lacks_history:
+        if extrapolates and inputs.lacks_history:
             inputs = self._reader.add_history(inputs)
             interval = self._builder.add_history(interval, inputs)
-        elif interval is not None and not (
-            extrapolates or inputs.slots or inputs.truth.frames or self._has_layers
-        ):
+        elif not (extrapolates or inputs.slots or inputs.truth.frames or self._has_layers):
             interval = interval.bare()  # slots are warped from the key frame
         self._broken = count_broken(inputs, self._broken) if has_missing else {}
         parts = self._split(interval, inputs) if has_missing else {}
@@ -359,12 +358,11 @@ class IntervalPreparer:
         choice = self._selector.select(inputs, interval)
         return None if interval.held else choice
 
-    def _split(self, interval: Interval | None, inputs: IntervalInputs) -> Mapping[int, SubSlot]:
+    def _split(self, interval: Interval, inputs: IntervalInputs) -> Mapping[int, SubSlot]:
         """Return how slots beside rendered frames are made, and say where these are of no use."""
         rendered = inputs.rendered.frames
-        if interval is None or not interval.has_motion or not rendered:
-            return {}
-        if not leads_on(self._job.source, self._job.method, self._job.contents):
+        leads = leads_on(self._job.source, self._job.method, self._job.contents)
+        if not (rendered and leads and interval.has_motion):
             return {}
         spans = vector_spans(interval, float(1 / self._timeline.factor))
         numbers = [self._timeline.number(Slot(inputs.key, i)) for i in rendered if i not in spans]
