@@ -108,7 +108,7 @@ class SlotRenderer:
         if as_written is not None and measures:
             with record_time(timing, "pulse"):
                 gradient = self._gradient(as_written)
-        record = self._record_of(slot, prepared, inputs, predicted, part)
+        record = self._new_record(slot, prepared, inputs, predicted, part)
         record = replace(
             record,
             kind=kind,
@@ -135,7 +135,7 @@ class SlotRenderer:
         """Return a frame that an earlier run wrote; with its holes if `masked` or scored."""
         number, writer = self._source.timeline.number(slot), self._writer
         try:
-            record = self._record_in(slot, writer.written(number))
+            record = self._read_record(slot, writer.written(number))
         except (LookupError, TypeError, ValueError, AttributeError, RecursionError) as error:
             raise OutputError(
                 f"what {writer.name(number)} says of itself was changed by hand; remove it, or "
@@ -216,7 +216,7 @@ class SlotRenderer:
         assert isinstance(template, Template)  # layers are for EXR
         return self._layers.make(slot.index, named_by_path(predicted, path), predict, template)
 
-    def _record_of(
+    def _new_record(
         self,
         slot: Slot,
         prepared: PreparedInterval,
@@ -249,7 +249,7 @@ class SlotRenderer:
             tiles=plan.makers(slot.index) if isinstance(plan, TilePlan) else None,
         )
 
-    def _record_in(self, slot: Slot, header: Mapping[str, Any]) -> FrameRecord:
+    def _read_record(self, slot: Slot, header: Mapping[str, Any]) -> FrameRecord:
         """Return the record of a frame from what its header says."""
         number, holes = self._source.timeline.number(slot), header.get("holeFraction")
         error, gate, tiles = (header.get(name) for name in (PREDICTED_ERROR, "gate", "tiles"))
