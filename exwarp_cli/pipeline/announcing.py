@@ -28,8 +28,8 @@ from exwarp_cli.io.cryptomatte_manifest import SHOWN, shown
 from exwarp_cli.io.footage import is_plain, lost_alpha, unevenness_of
 from exwarp_cli.io.model_files import shipped_folder
 from exwarp_cli.io.shot import alpha_left_out
+from exwarp_cli.pipeline.extra_layers import Content, files_apart
 from exwarp_cli.pipeline.ground_truth import OtherRate
-from exwarp_cli.pipeline.layers import Content, files_apart
 from exwarp_cli.pipeline.output_plan import frame_suffix, video_look
 from exwarp_cli.pipeline.progress import Progress
 from exwarp_cli.pipeline.source import step_note

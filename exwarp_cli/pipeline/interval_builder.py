@@ -25,10 +25,10 @@ from exwarp_cli.domain.tiles import TilePlan
 from exwarp_cli.domain.timeline import Slot, ranges
 from exwarp_cli.io.layers import Kind
 from exwarp_cli.pipeline.decide import Choice, make_selector, only_warps
+from exwarp_cli.pipeline.extra_layers import ExtraLayers
 from exwarp_cli.pipeline.gate import Gate
 from exwarp_cli.pipeline.interval_inputs import IntervalInputs, ViewsReader
 from exwarp_cli.pipeline.key_frames import HistoryFrame, slots_back_to, without_surface
-from exwarp_cli.pipeline.layers import ExtraLayers
 from exwarp_cli.pipeline.rendered_frames import leads_on
 from exwarp_cli.pipeline.scheduling import record_time
 from exwarp_cli.runtime.frame_pool import IN_MEMORY, ScratchFrames

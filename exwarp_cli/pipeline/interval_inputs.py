@@ -16,12 +16,12 @@ from exwarp_cli.domain.timeline import FACTOR, Slot
 from exwarp_cli.errors import InputError
 from exwarp_cli.io.output import FrameTemplate
 from exwarp_cli.io.sequence import Sequence
+from exwarp_cli.pipeline.extra_layers import Content, LayerFrames, LayerReader, template_of
 from exwarp_cli.pipeline.fingerprint import Fingerprinter
 from exwarp_cli.pipeline.frame_sizes import Regions
 from exwarp_cli.pipeline.gate import TrialInputs, TrialReader
 from exwarp_cli.pipeline.ground_truth import IntervalTruth, TruthReader
 from exwarp_cli.pipeline.key_frames import HistoryFrame, KeyFrameStore, reads_late
-from exwarp_cli.pipeline.layers import Content, LayerFrames, LayerReader, template_of
 from exwarp_cli.pipeline.output_plan import frame_suffix
 from exwarp_cli.pipeline.rendered_frames import (
     IntervalRendered,

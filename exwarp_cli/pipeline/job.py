@@ -24,13 +24,13 @@ from exwarp_cli.pipeline.announcing import (
     announce_video,
     input_summary,
 )
+from exwarp_cli.pipeline.extra_layers import Content, contents_of
 from exwarp_cli.pipeline.frame_sizes import (
     require_one_size_of,
     require_rendered_size,
     require_truth_size,
 )
 from exwarp_cli.pipeline.ground_truth import find_truth
-from exwarp_cli.pipeline.layers import Content, contents_of
 from exwarp_cli.pipeline.output_plan import OutputPlan, require_own
 from exwarp_cli.pipeline.rendered_frames import find_rendered
 from exwarp_cli.pipeline.scoring import require_measurable

@@ -26,7 +26,7 @@ from exwarp_cli.io.sequence import EXR, OutputPattern, Sequence, find_sequence
 from exwarp_cli.io.shot import Shot
 from exwarp_cli.io.soundness import NonFinite, count_broken, require_sound
 from exwarp_cli.io.views import expand
-from exwarp_cli.pipeline.layers import Content, LayerStore
+from exwarp_cli.pipeline.extra_layers import Content, LayerStore
 from exwarp_cli.pipeline.source import Source
 from exwarp_cli.synthesis.methods import Method
 

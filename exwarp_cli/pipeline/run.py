@@ -25,6 +25,7 @@ from exwarp_cli.io.output import PREFIX
 from exwarp_cli.io.threads import use_threads
 from exwarp_cli.kernels import _row_bands
 from exwarp_cli.pipeline.announcing import left_out, tell_left_out, unscored, unusable
+from exwarp_cli.pipeline.extra_layers import ExtraLayers
 from exwarp_cli.pipeline.fingerprint import key_fingerprint
 from exwarp_cli.pipeline.frame_sizes import window_note
 from exwarp_cli.pipeline.frame_writer import FRAMES_BEHIND, FrameWriter
@@ -36,7 +37,6 @@ from exwarp_cli.pipeline.interval_inputs import (
     ViewsReader,
 )
 from exwarp_cli.pipeline.job import Job, open_job
-from exwarp_cli.pipeline.layers import ExtraLayers
 from exwarp_cli.pipeline.output_plan import BY_EXWARP, is_video_kept, video_fingerprint, video_look
 from exwarp_cli.pipeline.progress import FrameListener, NoProgress, Progress, kind_of, kinds_of
 from exwarp_cli.pipeline.scheduling import (

@@ -25,10 +25,10 @@ from exwarp_cli.io.exr.template import Plane, PlaneKey, Template
 from exwarp_cli.io.layers import Kind
 from exwarp_cli.io.output import KEY_FRAMES, PREFIX, REQUESTED_METHOD, FrameTemplate, quantised
 from exwarp_cli.metrics.pulse import mean_gradient
+from exwarp_cli.pipeline.extra_layers import ExtraLayers, named_by_path
 from exwarp_cli.pipeline.frame_writer import FrameWriter
 from exwarp_cli.pipeline.interval_builder import PreparedInterval
 from exwarp_cli.pipeline.interval_inputs import IntervalInputs
-from exwarp_cli.pipeline.layers import ExtraLayers, named_by_path
 from exwarp_cli.pipeline.scheduling import record_time
 from exwarp_cli.pipeline.source import Source
 from exwarp_cli.synthesis.interval import Interval
