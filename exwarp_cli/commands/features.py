@@ -44,7 +44,7 @@ def command(
     """
     from exwarp_cli.domain.settings import SourceSettings
     from exwarp_cli.io.threads import use_threads
-    from exwarp_cli.pipeline.observing import features
+    from exwarp_cli.pipeline.decide import features
     from exwarp_cli.pipeline.progress import reporting
     from exwarp_cli.report.features_table import HEADER, document, row
     from exwarp_cli.report.frames_csv import table

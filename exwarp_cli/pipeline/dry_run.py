@@ -14,12 +14,12 @@ from exwarp_cli.domain.joining import Outcome
 from exwarp_cli.domain.results import FrameKind, RunSummary
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.io.atomic import is_there, output_error
+from exwarp_cli.pipeline.fingerprint import key_fingerprint
 from exwarp_cli.pipeline.frame_writer import FrameWriter
 from exwarp_cli.pipeline.interval_inputs import IntervalInputs, SkippedInterval
 from exwarp_cli.pipeline.job import Job
-from exwarp_cli.pipeline.recipes import key_recipe
+from exwarp_cli.pipeline.output_plan import is_video_kept, video_fingerprint
 from exwarp_cli.pipeline.run import make_reader, make_writer
-from exwarp_cli.pipeline.without_vectors import is_kept, note_of
 
 
 class Fate(Enum):
@@ -116,8 +116,8 @@ def _compare_existing(job: Job) -> tuple[tuple[ForeseenFrame, ...], tuple[Cut, .
     """Foresee frames where good ones are kept; also return the cuts that were detected."""
     reader = make_reader(job)
     if job.targets.frames is None:
-        note = note_of(reader.leading_recipes, job.settings, job.keys, job.rendered)
-        kept = is_kept(job.targets, job.settings, note)
+        note = video_fingerprint(reader.leading_recipes, job.settings, job.keys, job.rendered)
+        kept = is_video_kept(job.targets, job.settings, note)
         return tuple(_foreseen(job, slot, kept) for slot in job.slots), None
     writer = make_writer(job)
     frames = []
@@ -146,7 +146,9 @@ def _is_kept(
     path = keys.sequence.files[key_number]
     if writer.copies(path):
         return writer.has_copy(number, path)
-    return writer.has(number, key_recipe(keys, key_number, job.source.written_fps), masked=False)
+    return writer.has(
+        number, key_fingerprint(keys, key_number, job.source.written_fps), masked=False
+    )
 
 
 def _foreseen(job: Job, slot: Slot, kept: bool) -> ForeseenFrame:

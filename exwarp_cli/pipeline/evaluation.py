@@ -19,7 +19,7 @@ from exwarp_cli.io.footage import close, find_frames, picture
 from exwarp_cli.io.frames import read_plane
 from exwarp_cli.io.sequences import Sequence, find_sequence
 from exwarp_cli.io.views import expand_view
-from exwarp_cli.pipeline.finding import truth_rate
+from exwarp_cli.pipeline.ground_truth import truth_rate
 from exwarp_cli.pipeline.progress import FrameListener, NoProgress, Progress
 from exwarp_cli.pipeline.sequence_scores import (
     Origin,

@@ -22,28 +22,31 @@ from exwarp_cli.domain.frame import Image, Window
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.errors import InputError, LayoutError
 from exwarp_cli.io.footage import is_plain, picture_size
-from exwarp_cli.pipeline.key_frames import truth_of_another_size
+from exwarp_cli.pipeline.ground_truth import truth_of_another_size
 
 if TYPE_CHECKING:
     from exwarp_cli.io.sequences import Sequence
     from exwarp_cli.io.shot import Shot
     from exwarp_cli.pipeline.source import FrameOf, Source
 
+# Headers that are read at a time: on a network share each waits for the server.
 READERS = 16
-"""Headers that are read at a time: on a network share each waits for the server."""
+
+# Alpha from which on a pixel is opaque: denoisers and half floats take a little off.
+OPAQUE = 0.99
 
 
 def require_one_size(shot: Shot, numbers: Iterable[int]) -> None:
-    """Refuse a shot of which some frames have another size, unless such frames are left out.
+    """Refuse a shot of which some frames have another size, unless such frames are skipped.
 
     Headers that cannot be read are passed over: the reading of that frame says what is wrong.
-    500 headers take 0.1 s on a local disk.
 
     Raises
     ------
     LayoutError
         Where a frame's display window is not that of the shot.
     """
+    # 500 headers take 0.1 s on a local disk.
     if shot.keep_going:
         return
     wanted = list(numbers)
@@ -53,16 +56,16 @@ def require_one_size(shot: Shot, numbers: Iterable[int]) -> None:
         for number in wanted
         if number in member.files
     }
-    others = [
+    different = [
         (path, window)
         for path, window in zip(files, _displays(files.values()), strict=True)
         if window is not None and window != shot.display
     ]
-    if others:
-        path, window = others[0]
+    if different:
+        path, window = different[0]
         plain = is_plain(shot.sequence)
         sizes = [f"{w.width}x{w.height}" if plain else str(w) for w in (window, shot.display)]
-        more = f" (and {len(others) - 1} more)" if len(others) > 1 else ""
+        more = f" (and {len(different) - 1} more)" if len(different) > 1 else ""
         raise LayoutError(
             f"{path}{more} is {sizes[0]} where the sequence's first frame is {sizes[1]}; "
             f"{'write' if plain else 'render'} all frames at one resolution"
@@ -86,12 +89,9 @@ def require_one_size_of(source: Source, keys: tuple[int, ...], lookahead: bool) 
 def require_truth_size(
     truth: tuple[Sequence, FrameOf], source: Source, keys: tuple[int, ...]
 ) -> None:
-    """Refuse ground truth of which some frames have another size than the input.
+    """Refuse ground truth of another size than the input, for slots of some key intervals.
 
-    Raises
-    ------
-    LayoutError
-        Where that is so for a slot of some key intervals (indices).
+    `keys` are indices of key frames; raises LayoutError.
     """
     sequence, frame_of = truth
     timeline, display = source.timeline, source.keys.display
@@ -106,16 +106,13 @@ def require_truth_size(
 def require_rendered_size(sequence: Sequence, source: Source, keys: tuple[int, ...]) -> None:
     """Refuse rendered frames, by output number, of another size than the key frames.
 
-    Raises
-    ------
-    LayoutError
-        Where that is so in some key intervals (indices), unless such frames are left out.
+    `keys` are indices of key frames; raises LayoutError, unless such frames are skipped.
     """
     if source.keys.keep_going:
         return
     timeline, display = source.timeline, source.keys.display
-    made = (timeline.number(slot) for key in keys for slot in timeline.made_of(key))
-    numbers = [number for number in made if number in sequence.files]
+    slot_numbers = (timeline.number(slot) for key in keys for slot in timeline.made_of(key))
+    numbers = [number for number in slot_numbers if number in sequence.files]
     windows = _displays((sequence, number) for number in numbers)
     for number, window in zip(numbers, windows, strict=True):
         if window is not None and window != display:
@@ -138,20 +135,11 @@ def _displays(frames: Iterable[tuple[Sequence, int]]) -> list[Window | None]:
         return list(pool.map(display, frames))
 
 
-OPAQUE = 0.99
-"""Alpha from which on a pixel is opaque: denoisers and half floats take a little off."""
-
-
 class Regions:
-    """Tells which key frames show a region of a picture.
+    """Which key frames, by index, show a region of a picture.
 
-    Parameters
-    ----------
-    display
-        The display window of all frames.
-    window_of
-        Returns the data window of the colour of a key frame, by index; None where there is no such
-        frame, or it cannot be read.
+    `window_of` returns the data window of a key frame's colour; None where there is no such frame,
+    or it cannot be read.
     """
 
     def __init__(self, display: Window, window_of: Callable[[int], Window | None]) -> None:
@@ -160,32 +148,27 @@ class Regions:
         self._windows: dict[int, Window | None] = {}
 
     def is_steady(self, key: int) -> bool:
-        """Whether a key frame's window does not cover the display, and a neighbour's is the same.
+        """Return True if a window does not cover the display, and a neighbour's is the same.
 
         A single key frame has no neighbours that could contradict.
         """
         window = self._window(key)
         if window is None or window.covers(self._display):
             return False
-        around = [self._window(key - 1), self._window(key + 1)]
-        known = [other for other in around if other is not None]
-        return window in known or not known
+        neighbours = [self._window(key - 1), self._window(key + 1)]
+        readable = [neighbour for neighbour in neighbours if neighbour is not None]
+        return window in readable or not readable
 
     def is_region(self, key: int, image: Image, following: Image | None) -> bool:
-        """Whether the slots after a key frame show a region.
+        """Return True if the slots after a key frame show a region.
 
-        Parameters
-        ----------
-        key
-            Its index.
-        image, following
-            Its colour, and that of the next key frame where slots are made of it, too.
+        `image` is its colour, `following` that of the next key frame where slots are made of it.
         """
         images = [image] if following is None else [image, following]
         return self.is_steady(key) and all(map(is_opaque, images))
 
-    def forget(self, key: int) -> None:
-        """Drop the windows that no key frame after one goes by."""
+    def release_before(self, key: int) -> None:
+        """Drop the windows that no key frame from one on goes by."""
         self._windows = {index: w for index, w in self._windows.items() if index >= key}
 
     def _window(self, key: int) -> Window | None:
@@ -195,13 +178,13 @@ class Regions:
 
 
 def is_opaque(image: Image) -> bool:
-    """Whether a picture has no alpha, or is opaque in every pixel of its data window."""
+    """Return True if a picture has no alpha, or is opaque in every pixel of its data window."""
     alpha = image.pixels[..., 3:]
     return not bool((alpha < OPAQUE).any())
 
 
-def remark(image: Image, region: bool) -> str | None:
-    """Return how a key frame's window is read, in a sentence; None where it speaks for itself."""
+def window_note(image: Image, region: bool) -> str | None:
+    """Say how a key frame's window is read; None where it speaks for itself."""
     window, display = image.data_window, image.display_window
     if window.covers(display):
         return None

@@ -20,18 +20,10 @@ from exwarp_cli.io.exr.parts import Part
 from exwarp_cli.io.footage import facts_of
 from exwarp_cli.io.producers import UNKNOWN
 from exwarp_cli.io.shot import MAIN, Shot, channel_label
-from exwarp_cli.pipeline.depth_kind import with_depth_ordered
+from exwarp_cli.pipeline.depth_and_ids import read_ids, sound_cryptomattes, with_depth_ordered
 from exwarp_cli.pipeline.frame_sizes import require_one_size
-from exwarp_cli.pipeline.motion_finding import find_motion
-from exwarp_cli.pipeline.motion_option import motion_names
-from exwarp_cli.pipeline.opening import (
-    looked_into,
-    open_keys,
-    open_plain,
-    rate_of,
-    read_ids,
-    step_note,
-)
+from exwarp_cli.pipeline.motion_convention import find_motion, motion_names
+from exwarp_cli.pipeline.source import open_keys, open_plain, rate_of, step_note
 
 
 @dataclass(frozen=True)
@@ -119,7 +111,7 @@ def inspect(settings: SourceSettings) -> Inspection:
         problem = str(error)
     shot = with_depth_ordered(shot, None if finding is None else finding.convention)
     fps, fps_source = rate_of(shot, settings.fps)
-    mattes = tuple(looked_into(shot))
+    mattes = tuple(sound_cryptomattes(shot))
     return Inspection(shot, parts, finding, problem, fps, fps_source, types, mattes)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,64 +22,55 @@ from exwarp_cli.domain.frame import (
 from exwarp_cli.domain.gate import Trial
 from exwarp_cli.domain.lookahead import LookAheadNetwork
 from exwarp_cli.domain.tiles import TilePlan
-from exwarp_cli.domain.timeline import Slot
-from exwarp_cli.pipeline.choosing import Chosen
-from exwarp_cli.pipeline.interval_inputs import IntervalInputs
+from exwarp_cli.domain.timeline import Slot, ranges
+from exwarp_cli.io.layers import LayerKind
+from exwarp_cli.pipeline.decide import Choice, make_selector, only_warps
+from exwarp_cli.pipeline.extra_layers import ExtraLayers
+from exwarp_cli.pipeline.gate import Gate
+from exwarp_cli.pipeline.interval_inputs import IntervalInputs, ViewsReader
 from exwarp_cli.pipeline.key_frames import HistoryFrame, slots_back_to, without_surface
+from exwarp_cli.pipeline.rendered_frames import leads_on
+from exwarp_cli.pipeline.scheduling import record_time
 from exwarp_cli.runtime.frame_pool import IN_MEMORY, ScratchFrames
 from exwarp_cli.synthesis.geometry import settle_motion
 from exwarp_cli.synthesis.history import Past
 from exwarp_cli.synthesis.holds import around_holds
 from exwarp_cli.synthesis.interval import Interval
+from exwarp_cli.synthesis.methods import Judge
 from exwarp_cli.synthesis.movers import chosen, moving, those
-from exwarp_cli.synthesis.sub_intervals import SubSlot
+from exwarp_cli.synthesis.sub_intervals import SubSlot, sub_slots, vector_spans
 from exwarp_cli.synthesis.trajectory import displacement, span_motion
 
+if TYPE_CHECKING:
+    from exwarp_cli.pipeline.frame_writer import FrameWriter
+    from exwarp_cli.pipeline.job import Job
+    from exwarp_cli.pipeline.progress import Progress
+
 Ids = frozenset[int]
-Instant = tuple[Slot, GBuffer]
-Place = tuple[tuple[Slot, Window], ...]
-"""One or two instants with their windows: a key frame's data may fill less than its G-buffer."""
 
+# What settled geometry goes by: the window, and which objects move, where the frames tell.
 Basis = tuple[Window, Ids | None]
-"""What settled geometry goes by: the window, and which objects move, where the frames tell."""
 
-Settled = tuple[int, Basis, bool]
-"""A key frame's index, what its geometry goes by, and whether it has its surface."""
+# A key frame's index, what its geometry goes by, and whether it has its surface.
+FrameKey = tuple[int, Basis, bool]
 
 
 @dataclass(frozen=True)
 class PreparedInterval:
-    """A key interval whose slots can be rendered.
+    """A key interval whose slots can be rendered."""
 
-    Attributes
-    ----------
-    interval
-        On one window; None where every slot of it is written.
-    choice
-        By whom its path was decided, and how; None outside the decision tree.
-    existing
-        The slots that an earlier run wrote.
-    timing_ms
-        Milliseconds that all this took, by step: a slot's share.
-    broken
-        How many pixels of the frames around are NaN or infinite, by the frame's number.
-    trial
-        What the gate decided by; None where it decides nothing.
-    parts
-        How slots are made that lie beside frames which were rendered after all.
-    """
-
-    interval: Interval | None
-    choice: Chosen | None
-    existing: frozenset[Slot]
-    timing_ms: Mapping[str, float]
-    broken: Mapping[int, int]
-    trial: Trial | None = None
+    interval: Interval | None  # on one window; None where every slot of it is written
+    choice: Choice | None  # its path; None outside the decision tree
+    existing: frozenset[Slot]  # slots that nothing makes: rendered, or written by an earlier run
+    timing_ms: Mapping[str, float]  # milliseconds that all this took, by step: a slot's share
+    broken: Mapping[int, int]  # how many pixels of the frames around are broken, by number
+    trial: Trial | None = None  # what the gate decided by; None where it decides nothing
+    # How slots are made that lie beside frames which were rendered after all.
     parts: Mapping[int, SubSlot] = field(default_factory=dict)
 
     @property
     def extrapolates(self) -> bool:
-        """Whether its network makes any of the slots."""
+        """True if its network makes any of the slots."""
         return self.plan is not None and self.plan.extrapolates
 
     @property
@@ -92,48 +84,31 @@ class IntervalBuilder:
 
     Data windows may differ from frame to frame, and what moves from interval to interval, so what
     is shared goes by these, too.
-
-    Parameters
-    ----------
-    display
-        The display window of all frames.
-    network, interpolator
-        For methods that extrapolate, and that interpolate by a network.
-    estimated
-        Whether key frames come with estimated motion, which is settled as it is.
-    bare
-        Whether only motion and depth of key frames' settled geometry are used.
-    scratch
-        Where large settled frames lie when a network may extrapolate.
-    linear
-        Whether colour is moved in linear light, as layers that add up to it go along.
-    back
-        How many key frames before its own a later interval goes by, without a network.
     """
 
     def __init__(
         self,
-        display: Window,
+        display: Window,  # of all frames
         network: Extrapolator | None = None,
         interpolator: Interpolator | LookAheadNetwork | None = None,
-        estimated: bool = False,
-        bare: bool = False,
-        scratch: ScratchFrames = IN_MEMORY,
-        linear: bool = False,
-        back: int = 0,
+        estimated: bool = False,  # key frames come with estimated motion, which needs no settling
+        bare: bool = False,  # only motion and depth of key frames' settled geometry are used
+        scratch: ScratchFrames = IN_MEMORY,  # for large settled frames if a network extrapolates
+        linear: bool = False,  # colour is moved in linear light, as layers add up to it
+        back: int = 0,  # how many older key frames a later interval goes by, without a network
     ) -> None:
-        self._back = back if network is None else HISTORY - 1
-        self._linear = linear
         self._display = display
         self._network = network
         self._interpolator = interpolator
         self._estimated = estimated
         self._bare = bare
         self._scratch = scratch
+        self._linear = linear
+        self._back = back if network is None else HISTORY - 1
         self._moving = MovingObjects()
-        self._frames: dict[Settled, KeyFrame] = {}
+        self._frames: dict[FrameKey, KeyFrame] = {}
         self._instants: dict[tuple[Slot, Basis], GBuffer] = {}
-        self._past: dict[Settled, Past] = {}
+        self._past: dict[FrameKey, Past] = {}
         self._without_surface: KeyFrame | None = None
 
     def build(self, inputs: IntervalInputs) -> Interval:
@@ -143,15 +118,17 @@ class IntervalBuilder:
         """
         assert inputs.frame is not None
         window = inputs.frame.image.data_window
-        canvas = window if inputs.region else self._display.union(window)
-        if inputs.following is not None and not inputs.region:
-            canvas = canvas.union(inputs.following.image.data_window)
-        for rendered in inputs.rendered.frames.values():
-            if rendered.leads and not inputs.region:
-                canvas = canvas.union(rendered.frame.image.data_window)
+        canvas = window
+        if not inputs.region:
+            canvas = self._display.union(window)
+            if inputs.following is not None:
+                canvas = canvas.union(inputs.following.image.data_window)
+            for rendered in inputs.rendered.frames.values():
+                if rendered.leads:
+                    canvas = canvas.union(rendered.frame.image.data_window)
         require_canvas(f"frame {inputs.frame.number} and the next one", canvas)
         ids = self._moving.find(inputs, canvas)
-        return self._settled(with_stencils(inputs, ids), (canvas, ids))
+        return self._settle(with_stencils(inputs, ids), (canvas, ids))
 
     def add_history(self, interval: Interval, inputs: IntervalInputs) -> Interval:
         """Return an interval with the history and surface that it was built without.
@@ -172,11 +149,12 @@ class IntervalBuilder:
         assert complete is not None and complete.gbuffer is not None
         complete = replace(complete, gbuffer=replace(complete.gbuffer, **surface))
         self._frames[inputs.key, basis, has_surface(complete)] = complete
-        return replace(interval, key=key, past=self._led_back(inputs, complete, basis))
+        return replace(interval, key=key, past=self._lead_back(inputs, complete, basis))
 
-    def _settled(self, inputs: IntervalInputs, basis: Basis) -> Interval:
+    def _settle(self, inputs: IntervalInputs, basis: Basis) -> Interval:
         """Settle what was read, on one window and with what moves as its stencil."""
         assert inputs.frame is not None
+        window, _ = basis
         following = None
         if inputs.following is not None:
             following = self._frame(inputs.key + 1, inputs.following, basis)
@@ -184,12 +162,18 @@ class IntervalBuilder:
         if inputs.lacks_history:
             self._without_surface = key
         slots = tuple(
-            self._scratch.store(settle_motion(gbuffer.on(basis[0]))) for gbuffer in inputs.slots
+            self._scratch.store(settle_motion(gbuffer.on(window))) for gbuffer in inputs.slots
         )
-        past = self._led_back(inputs, key, basis)
-        self._release(inputs, slots, basis)
+        past = self._lead_back(inputs, key, basis)
+        self._release_before(inputs, slots, basis)
         if not (self._estimated or inputs.held or slots):
             key, following = around_holds(key, following, inputs.after_hold)
+        # Frames of slots that were rendered after all, as far as they have motion.
+        rendered = {
+            slot: self._settle_frame(each.frame, window)
+            for slot, each in inputs.rendered.frames.items()
+            if each.leads and window.covers(each.frame.image.data_window)
+        }
         return Interval(
             key,
             following,
@@ -205,71 +189,72 @@ class IntervalBuilder:
             scratch=self._scratch,
             linear=self._linear,
             display=self._display,
-            rendered=self._rendered(inputs, basis[0]),
+            rendered=rendered,
         )
 
-    def _rendered(self, inputs: IntervalInputs, window: Window) -> dict[int, KeyFrame]:
-        """Settle the frames of slots that were rendered after all, as far as they have motion."""
-        found = {}
-        for slot, rendered in inputs.rendered.frames.items():
-            frame = rendered.frame
-            if rendered.leads and window.covers(frame.image.data_window):
-                placed = frame.extended(window)
-                assert placed.gbuffer is not None
-                settled = settle_motion(placed.gbuffer)
-                found[slot] = replace(placed, gbuffer=settled.bare() if self._bare else settled)
-        return found
+    def _settle_frame(self, frame: KeyFrame, window: Window) -> KeyFrame:
+        placed = frame.extended(window)
+        if placed.gbuffer is None:
+            return placed
+        settled = settle_motion(placed.gbuffer)
+        return replace(placed, gbuffer=settled.bare() if self._bare else settled)
 
     def _frame(self, index: int, frame: KeyFrame, basis: Basis) -> KeyFrame:
+        """Return a settled key frame; what was settled before is kept."""
         if self._estimated:  # the flows of an interval are its own
             return frame.extended(basis[0])
-        place = index, basis, has_surface(frame)
-        if place not in self._frames:
-            placed = frame.extended(basis[0])
-            if placed.gbuffer is not None:
-                settled = settle_motion(placed.gbuffer)
-                placed = replace(placed, gbuffer=settled.bare() if self._bare else settled)
-            self._frames[place] = self._scratch.store(placed)
-        return self._frames[place]
+        frame_key = index, basis, has_surface(frame)
+        if frame_key not in self._frames:
+            self._frames[frame_key] = self._scratch.store(self._settle_frame(frame, basis[0]))
+        return self._frames[frame_key]
 
-    def _led_back(self, inputs: IntervalInputs, key: KeyFrame, basis: Basis) -> tuple[Past, ...]:
+    def _lead_back(self, inputs: IntervalInputs, key: KeyFrame, basis: Basis) -> tuple[Past, ...]:
+        """Return the key frames before, each with the motion that leads back to it."""
         steps: list[Past] = []
         newer = key
         for index, older in zip(range(inputs.key - 1, -1, -1), inputs.history, strict=False):
-            place = index, basis, has_surface(older.frame)
-            if place not in self._past:
-                motion = self._scratch.store(self._motion(index, older, newer, basis))
+            frame_key = index, basis, has_surface(older.frame)
+            if frame_key not in self._past:
+                motion = self._scratch.store(self._motion_back(index, older, newer, basis))
                 frame = self._frame(index, older.frame, basis)
-                self._past[place] = Past(frame, motion, is_guessed(older, newer))
-            steps.append(self._past[place])
+                # Guessed is motion that is made of vectors to the key frame after `newer`.
+                leads = older.held or bool(older.instants)
+                has_vectors = newer.gbuffer is None or newer.gbuffer.to_previous is not None
+                is_guessed = not leads and not has_vectors
+                self._past[frame_key] = Past(frame, motion, is_guessed)
+            steps.append(self._past[frame_key])
             newer = steps[-1].frame
         return tuple(steps)
 
-    def _motion(self, index: int, older: HistoryFrame, newer: KeyFrame, basis: Basis) -> Float32:
+    def _motion_back(
+        self, index: int, older: HistoryFrame, newer: KeyFrame, basis: Basis
+    ) -> Float32:
         """Return the motion, float32 [H, W, 2], from a key frame to the one before it."""
+        window, _ = basis
         if older.held:
-            return np.zeros((*basis[0].shape, 2), np.float32)
+            return np.zeros((*window.shape, 2), np.float32)
         if not older.instants:
             assert newer.gbuffer is not None
             return displacement(newer.gbuffer, -1)
-        instants = slots_back_to(index, len(older.instants) - 1)
-        *way, end = zip(instants, older.instants, strict=True)
-        settled = [self._instant(slot, gbuffer, basis) for slot, gbuffer in way]
-        return span_motion([*settled, end[1].on(basis[0])], -1)
+        slots = slots_back_to(index, len(older.instants) - 1)
+        *way, (_, last) = zip(slots, older.instants, strict=True)
+        settled = []
+        for slot, gbuffer in way:
+            kept = self._instants.get((slot, basis))
+            settled.append(settle_motion(gbuffer.on(window)) if kept is None else kept)
+        return span_motion([*settled, last.on(window)], -1)
 
-    def _instant(self, slot: Slot, gbuffer: GBuffer, basis: Basis) -> GBuffer:
-        settled = self._instants.get((slot, basis))
-        return settle_motion(gbuffer.on(basis[0])) if settled is None else settled
-
-    def _release(self, inputs: IntervalInputs, slots: tuple[GBuffer, ...], basis: Basis) -> None:
-        """Drop what no later interval needs."""
+    def _release_before(
+        self, inputs: IntervalInputs, slots: tuple[GBuffer, ...], basis: Basis
+    ) -> None:
+        """Drop what no later interval needs, and keep the slots' geometry that leads back."""
         key = inputs.key
         # Of frames without their surface, of which others are read late, warps go by the last.
         oldest = {surface: key + 1 - self._back for surface in (False, True)}
         if inputs.lacks_history:
             oldest[False] = key
-        self._frames = {at: frame for at, frame in self._frames.items() if at[0] >= oldest[at[2]]}
-        self._past = {at: past for at, past in self._past.items() if at[0] >= oldest[at[2]]}
+        self._frames = {k: frame for k, frame in self._frames.items() if k[0] >= oldest[k[2]]}
+        self._past = {k: past for k, past in self._past.items() if k[0] >= oldest[k[2]]}
         if self._back:
             self._instants = {
                 (Slot(key, i), basis): without_surface(gbuffer)
@@ -277,10 +262,137 @@ class IntervalBuilder:
             }
 
 
-def is_guessed(older: HistoryFrame, newer: KeyFrame) -> bool:
-    """Return True if motion to a key frame is made of vectors to the one after `newer`."""
-    leads = older.held or bool(older.instants)
-    return not leads and newer.gbuffer is not None and newer.gbuffer.to_previous is None
+class IntervalPreparer:
+    """Builds the intervals of a run in order, and decides how their slots are made."""
+
+    def __init__(
+        self,
+        job: Job,
+        reader: ViewsReader,  # of what only extrapolation needs
+        builder: IntervalBuilder,  # of the view that decides
+        writer: FrameWriter,  # knows what earlier runs wrote
+        progress: Progress,
+        has_layers: bool,  # whether more than the beauty is written
+    ) -> None:
+        self._job, self._reader, self._builder = job, reader, builder
+        self._writer, self._progress, self._has_layers = writer, progress, has_layers
+        self._timeline = job.source.timeline
+        self._selector = make_selector(job.method, job.source, job.policy, job.settings.spent)
+        self._gate: Gate | None = None
+        if job.is_gated:
+            source = job.source
+            trial_builder = IntervalBuilder(
+                source.keys.display, job.network, job.interpolator, source.estimated,
+                scratch=source.scratch,
+            )  # fmt: skip
+            self._gate = Gate(job.method, trial_builder, source.keys.display)
+        self._broken: dict[int, int] = {}
+
+    def prepare(self, inputs: IntervalInputs) -> tuple[PreparedInterval, IntervalInputs]:
+        """Build an interval, and decide its path; return it with what is left of its inputs.
+
+        Raises
+        ------
+        InputError
+            When a file cannot be read that only extrapolation needs.
+        """
+        slots = self._timeline.made_of(inputs.key)
+        if inputs.frame is None:  # every slot of it is written
+            self._broken = {}
+            written = PreparedInterval(None, None, frozenset(slots), {}, {})
+            return written, inputs.without_geometry()
+        timing_ms: dict[str, float] = {}
+        if self._gate is not None and inputs.trial is not None:
+            self._gate.receive(inputs.trial)
+        with record_time(timing_ms, "geometry", len(slots)):
+            interval = self._builder.build(inputs)
+        number, recipes = self._timeline.number, inputs.metadata.recipes
+        existing = frozenset(
+            slot
+            for slot in slots
+            if slot.index in inputs.rendered.frames
+            or self._writer.has(number(slot), recipes[slot.index])
+        )
+        has_missing = len(existing) < len(slots)
+        choice, trial = None, None
+        if has_missing and not interval.held:
+            trial = self._try_network(inputs, timing_ms)
+        # A policy looks at every interval: the states of later ones hold what it saw.
+        if slots and (has_missing or self._job.method.judge is Judge.POLICY):
+            choice = self._select_path(inputs, interval)
+        if trial is not None and not trial.pays:
+            interval = replace(interval, interpolator=None)
+            choice = None if choice is None else replace(choice, plan=only_warps(choice.plan))
+        if choice is not None:
+            timing_ms |= {step: ms / len(slots) for step, ms in choice.timing_ms.items()}
+        extrapolates = choice is not None and choice.plan.extrapolates
+        if extrapolates and inputs.lacks_history:
+            inputs = self._reader.add_history(inputs)
+            interval = self._builder.add_history(interval, inputs)
+        elif not (extrapolates or inputs.slots or inputs.truth.frames or self._has_layers):
+            interval = interval.bare()  # slots are warped from the key frame
+        self._broken = count_broken(inputs, self._broken) if has_missing else {}
+        parts = self._split(interval, inputs) if has_missing else {}
+        prepared = PreparedInterval(
+            interval, choice, existing, timing_ms, self._broken, trial, parts
+        )
+        return prepared, inputs.without_geometry()
+
+    def _try_network(self, inputs: IntervalInputs, timing_ms: dict[str, float]) -> Trial | None:
+        """Return what the gate decides by; None where no network would make the frames."""
+        ends_shot = self._job.method.lookahead and inputs.following is None
+        if self._gate is None or inputs.trial is None or ends_shot:
+            return None
+        with record_time(timing_ms, "gate", len(self._timeline.made_of(inputs.key))):
+            return self._gate.decide(inputs.trial)
+
+    def _select_path(self, inputs: IntervalInputs, interval: Interval) -> Choice | None:
+        """Decide an interval's path; None where it is held, and nothing is to be decided.
+
+        A policy looks at it all the same.
+        """
+        if self._selector is None:
+            return None
+        if interval.held and self._job.method.judge is not Judge.POLICY:
+            return None
+        choice = self._selector.select(inputs, interval)
+        return None if interval.held else choice
+
+    def _split(self, interval: Interval, inputs: IntervalInputs) -> Mapping[int, SubSlot]:
+        """Return how slots beside rendered frames are made, and say where these are of no use."""
+        rendered = inputs.rendered.frames
+        leads = leads_on(self._job.source, self._job.method, self._job.contents)
+        if not (rendered and leads and interval.has_motion):
+            return {}
+        spans = vector_spans(interval, float(1 / self._timeline.factor))
+        numbers = [self._timeline.number(Slot(inputs.key, i)) for i in rendered if i not in spans]
+        if numbers:
+            self._progress.message(
+                f"--rendered has no vectors like the key frames' in {ranges(numbers)}: frames "
+                "beside are made from key frames alone"
+            )
+        if self._gate is not None and interval.following is None:
+            interval = replace(interval, interpolator=None)  # the gate tried nothing here
+        return sub_slots(interval, spans)
+
+
+def make_builders(job: Job) -> list[IntervalBuilder]:
+    """Return what builds the intervals of each view, the one that decides first."""
+    layers, method = ExtraLayers(job.contents), job.method
+    warps_alone = job.source.slots is None and not method.extrapolates and not layers.any
+    return [
+        IntervalBuilder(
+            source.keys.display,
+            job.network,
+            job.interpolator,
+            source.estimated,
+            warps_alone,
+            source.scratch,
+            LayerKind.COLOUR in layers.kinds,  # layers of colour may add up to the beauty
+            method.older_keys(method.lookahead),
+        )
+        for source in job.sources
+    ]
 
 
 def has_surface(frame: KeyFrame) -> bool:
@@ -315,7 +427,9 @@ class MovingObjects:
     """
 
     def __init__(self) -> None:
-        self._compared: dict[tuple[Place, Window], Ids] = {}
+        # By one or two instants with their windows (a key frame's data may fill less than its
+        # G-buffer), and the canvas.
+        self._compared: dict[tuple[tuple[tuple[Slot, Window], ...], Window], Ids] = {}
 
     def find(self, inputs: IntervalInputs, canvas: Window) -> Ids | None:
         """Return the ids of what moves between any two instants of an interval.
@@ -325,10 +439,12 @@ class MovingObjects:
         instants = list(_instants(inputs))
         if all(gbuffer.objects is None for _, gbuffer in instants):
             return None
-        compared: dict[tuple[Place, Window], Ids] = {}
         # Each instant with the one before it; one that is alone with none.
-        pairs: Iterable[tuple[Instant, ...]] = zip(instants[1:], instants, strict=False)
-        for pair in pairs if instants[1:] else [(instants[0],)]:
+        pairs: list[tuple[tuple[Slot, GBuffer], ...]] = [(instants[0],)]
+        if len(instants) > 1:
+            pairs = list(zip(instants[1:], instants, strict=False))
+        compared = {}
+        for pair in pairs:
             place = tuple((slot, gbuffer.window) for slot, gbuffer in pair), canvas
             ids = self._compared.get(place)
             compared[place] = _moving_ids(canvas, *(g for _, g in pair)) if ids is None else ids
@@ -374,21 +490,20 @@ def _moving_ids(canvas: Window, now: GBuffer, before: GBuffer | None = None) -> 
     return frozenset() if moves is None or raw.objects is None else those(raw.objects, moves)
 
 
-def _instants(inputs: IntervalInputs) -> Iterator[Instant]:
+def _instants(inputs: IntervalInputs) -> Iterator[tuple[Slot, GBuffer]]:
     """Yield the instants of an interval in order, each with motion from the one before it."""
     key, frame, following = inputs.key, inputs.frame, inputs.following
     if frame is None or frame.gbuffer is None:
         return
-    older = list(enumerate(inputs.history, start=1))[::-1]
-    if any(past.instants for _, past in older):
-        for back, past in older:  # from the oldest key frame on, where slots have G-buffers
-            way = list(
-                zip(slots_back_to(key - back, len(past.instants) - 1), past.instants, strict=True)
-            )
+    oldest_first = list(enumerate(inputs.history, start=1))[::-1]
+    if any(past.instants for _, past in oldest_first):
+        for back, past in oldest_first:  # from the oldest key frame on, where slots have G-buffers
+            slots = slots_back_to(key - back, len(past.instants) - 1)
+            way = list(zip(slots, past.instants, strict=True))
             yield from reversed(way[1:])
         yield way[0]
     else:
-        for back, past in older:
+        for back, past in oldest_first:
             if past.frame.gbuffer is not None:
                 yield Slot(key - back, 0), past.frame.gbuffer
         yield Slot(key, 0), frame.gbuffer

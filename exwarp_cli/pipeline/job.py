@@ -3,31 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from exwarp_cli.domain.results import InterpolatorSummary, NetworkSummary, RunSummary
-from exwarp_cli.io.footage import close
+from exwarp_cli.domain.settings import UpsampleSettings
+from exwarp_cli.domain.tiles import TILE_STATE
+from exwarp_cli.domain.timeline import FACTOR
+from exwarp_cli.errors import LayoutError, UsageError
+from exwarp_cli.io.footage import close, is_plain
+from exwarp_cli.io.layers import BEAUTY
 from exwarp_cli.io.output import compression_of
 from exwarp_cli.io.threads import use_threads
-from exwarp_cli.pipeline.contents import Content, contents_of
-from exwarp_cli.pipeline.finding import (
-    find_interpolator,
-    find_method,
-    find_network,
-    find_policy,
-    find_truth,
-    is_usual,
-    method_of,
-    require_factor,
-    require_gate,
-    require_truth,
-)
+from exwarp_cli.pipeline.extra_layers import Content, contents_of
 from exwarp_cli.pipeline.frame_sizes import (
     require_one_size_of,
     require_rendered_size,
     require_truth_size,
 )
-from exwarp_cli.pipeline.frame_writer import OutputPlan
+from exwarp_cli.pipeline.ground_truth import find_truth
 from exwarp_cli.pipeline.messages import (
     Models,
     announce,
@@ -37,16 +31,15 @@ from exwarp_cli.pipeline.messages import (
     announce_video,
     input_summary,
 )
-from exwarp_cli.pipeline.ownership import require_own
+from exwarp_cli.pipeline.output_plan import OutputPlan, require_own
 from exwarp_cli.pipeline.rendered_frames import find_rendered
 from exwarp_cli.pipeline.scoring import require_measurable
 from exwarp_cli.pipeline.source import open_sources
-from exwarp_cli.pipeline.without_vectors import require_able
 from exwarp_cli.runtime.frame_pool import LARGE_PIXELS, ScratchFrames
+from exwarp_cli.synthesis.methods import CAUSAL, EXWARP, FRAMEWISE, METHODS, Judge, Method
 
 if TYPE_CHECKING:
     from exwarp_cli.domain.joining import Outcome
-    from exwarp_cli.domain.settings import UpsampleSettings
     from exwarp_cli.domain.timeline import Slot
     from exwarp_cli.io.sequences import Sequence
     from exwarp_cli.models.interpolator import OnnxInterpolator
@@ -55,66 +48,40 @@ if TYPE_CHECKING:
     from exwarp_cli.pipeline.progress import Progress
     from exwarp_cli.pipeline.rendered_frames import RenderedFrames
     from exwarp_cli.pipeline.source import FrameOf, Source
-    from exwarp_cli.synthesis.methods import Method
 
 
 @dataclass(frozen=True)
 class Job:
-    """What a run works with.
-
-    Attributes
-    ----------
-    settings
-        What the user asked for.
-    method
-        Makes the frames.
-    sources
-        The input, one a view; the first decides, and is scored.
-    network, interpolator, policy
-        What the method needs of them; None for what it does without.
-    models
-        The same three as the report names them.
-    contents
-        What is written of each view.
-    keys
-        Indices of the key frames to do.
-    targets
-        The files to write.
-    truth
-        Ground truth and its frame for a slot; None without.
-    rendered
-        Frames that were rendered after all; None without.
-    reported
-        Whether a report tells of it, which has checksums of all files.
-    """
+    """What a run works with."""
 
     settings: UpsampleSettings
     method: Method
-    sources: tuple[Source, ...]
+    sources: tuple[Source, ...]  # one a view; the first decides, and is scored
+    # What the method needs of these three; None for what it does without.
     network: OnnxExtrapolator | None
     interpolator: OnnxInterpolator | OnnxLookAhead | None
     policy: PolicyFile | None
-    models: Models
-    contents: tuple[Content, ...]
-    keys: tuple[int, ...]
+    models: Models  # the same three as the report names them
+    contents: tuple[Content, ...]  # what is written of each view
+    keys: tuple[int, ...]  # indices of the key frames to do
     targets: OutputPlan
-    truth: tuple[Sequence, FrameOf] | None
+    truth: tuple[Sequence, FrameOf] | None  # ground truth and its frame for a slot
     rendered: RenderedFrames | None = None
-    reported: bool = False
+    reported: bool = False  # whether there is a report, which has checksums of all files
 
     @property
     def sums(self) -> bool:
-        """Whether checksums of files are wanted."""
+        """True if checksums of files are wanted."""
         return self.reported or self.settings.verify
 
     @property
     def is_gated(self) -> bool:
-        """Whether the network makes frames only where trials show that it pays."""
+        """True if the network makes frames only where trials show that it pays."""
         return self.method.gated and self.settings.gate
 
     @property
     def measures_key_pulse(self) -> bool:
-        """Whether new frames without ground truth are compared with their key frames."""
+        """True if new frames without ground truth are compared with their key frames."""
         asked = self.reported or self.settings.metrics is not None
         return asked and "pulse" in self.settings.measured
 
@@ -142,11 +109,11 @@ class Job:
     @property
     def depends_on(self) -> tuple[NetworkSummary | None, str | None, InterpolatorSummary | None]:
         """What networks and policy frames depend on, as `IntervalReader` takes it."""
-        decided = None
+        policy = None
         if self.policy is not None:
             effort = f" effort {self.settings.spent:g}" if self.policy.of_tiles else ""
-            decided = f"{self.policy.checksum}{effort}"
-        return self.models.extrapolator, decided, self.models.interpolator
+            policy = f"{self.policy.checksum}{effort}"
+        return self.models.extrapolator, policy, self.models.interpolator
 
     def of(self, keys: tuple[int, ...]) -> Job:
         """Return the same job for other key frames."""
@@ -166,7 +133,7 @@ class Job:
         if self.rendered is not None:
             self.rendered.require_apart(self.targets.frames)
             require_rendered_size(self.rendered.sequence, self.source, self.keys)
-        self.targets.check_conflicts(self.settings, self.source.timeline, self.slots)
+        self.targets.check_conflicts(self.source.timeline, self.slots)
         if self.settings.skip_existing and not self.settings.replaces_foreign:
             rendered = None if self.rendered is None else self.rendered.sequence
             require_own(self.targets, self.source, self.method, self.slots, rendered)
@@ -190,7 +157,7 @@ class Job:
             close(self.rendered.sequence)
 
     def summary(self, outcome: Outcome, seconds: float) -> RunSummary:
-        """Put together what a run of this job found out.
+        """Put together what a run of this job did.
 
         Parameters
         ----------
@@ -209,7 +176,7 @@ class Job:
             fps_source=source.fps_source,
             wall_seconds=seconds,
             frames=outcome.frames,
-            decides=self.method.decides and is_usual(source),
+            decides=self.method.decides and source.allows_decisions,
             extrapolator=self.models.extrapolator,
             policy=self.models.policy,
             interpolator=self.models.interpolator,
@@ -233,31 +200,28 @@ def open_job(settings: UpsampleSettings) -> Job:
     ExwarpError
         For anything that a user can cause, but for what is in the way of the output.
     """
-    compression_of(settings.compression)
+    compression = compression_of(settings.compression)
     use_threads(settings.threads)
-    method = find_method(settings.method, settings.causal)
+    method = _find_method(settings.method, settings.causal)
     sources = open_sources(settings.source, method.needs_motion, pictures=True)
-    source = sources[0]
     if method.extrapolates:
         scratch = ScratchFrames(LARGE_PIXELS)
         sources = tuple(replace(each, scratch=scratch) for each in sources)
-        source = sources[0]
+    source = sources[0]
     network = find_network(settings, method)
-    interpolator = find_interpolator(settings, method)
-    policy = find_policy(settings, method)
-    method = method_of(method, policy, settings)
-    require_truth(settings, method)
-    require_gate(settings, method)
-    require_able(source, method, settings)
-    require_factor(source, method, interpolator)
+    interpolator = _find_interpolator(settings, method)
+    policy = _find_policy(settings, method)
+    method = _with_policy(method, policy, settings)
+    _require_usable(settings, method, source)
+    _require_factor(source, method, interpolator)
     contents = contents_of(sources, settings.layers)
     models = Models.of(source, network, interpolator, policy)
     keys = source.timeline.select(settings.frames)
-    targets = OutputPlan.from_settings(settings, source.keys.sequence)
+    targets = OutputPlan.from_settings(settings, source.keys.sequence, compression)
     truth = None
     if settings.ground_truth is not None:
-        bearable = settings.source.keep_going and not method.needs_truth
-        truth = find_truth(settings.ground_truth, source, bearable, settings.source.scan)
+        tolerant = settings.source.keep_going and not method.needs_truth
+        truth = find_truth(settings.ground_truth, source, tolerant, settings.source.scan)
     require_measurable(settings, source.keys.display, source.timeline.steps is not None)
     rendered = None
     if settings.rendered is not None:
@@ -266,3 +230,176 @@ def open_job(settings: UpsampleSettings) -> Job:
         settings, method, sources, network, interpolator, policy, models, contents, keys, targets,
         truth, rendered,
     )  # fmt: skip
+
+
+def _find_method(name: str | None, causal: bool) -> Method:
+    """Return a method by name, or the default for None.
+
+    With `causal`, no frame may be made of a later key frame.
+    """
+    if name in (None, EXWARP):
+        return METHODS[CAUSAL if causal else EXWARP]
+    if name not in METHODS:
+        raise UsageError(f"--method {name} is not one of {', '.join(METHODS)}")
+    if causal and METHODS[name].lookahead:
+        raise UsageError(
+            f"--causal keeps to past key frames, and --method {name} uses the next one, too; leave "
+            "out one of the two"
+        )
+    return METHODS[name]
+
+
+def find_network(settings: UpsampleSettings, method: Method) -> OnnxExtrapolator | None:
+    """Load the network that a method needs; None for methods that do not extrapolate.
+
+    Raises
+    ------
+    UsageError
+        When options ask for a network that the method would not use.
+    InputError, MissingExtraError
+        When the network cannot be used.
+    """
+    extrapolating = [m for m in METHODS.values() if m.extrapolates]
+    interpolating = [m for m in METHODS.values() if m.interpolates or m.weighs]
+    either = [m for m in METHODS.values() if m.runs_network]
+    other_device = settings.device != UpsampleSettings.device
+    rules = (
+        ("--extrapolator", settings.extrapolator is not None, "extrapolate", extrapolating),
+        ("--interpolator", settings.interpolator is not None, "interpolate so", interpolating),
+        ("--device", other_device, "run a network", either),
+    )
+    for option, is_set, what, users in rules:
+        if is_set and method not in users:
+            names = ", ".join(user.name for user in users)
+            raise UsageError(
+                f"{option} is for methods that {what}, and --method {method.name} does not; "
+                f"leave it out, or use {'one of ' if len(users) > 1 else ''}{names}"
+            )
+    if not method.extrapolates:
+        return None
+    from exwarp_cli.models.picture_network import load_extrapolator
+
+    return load_extrapolator(_path(settings.extrapolator), settings.threads, settings.device)
+
+
+def _find_interpolator(
+    settings: UpsampleSettings, method: Method
+) -> OnnxInterpolator | OnnxLookAhead | None:
+    """Load the network that a method interpolates with, or weighs key frames with; None without."""
+    if method.weighs:
+        from exwarp_cli.models.picture_network import load_lookahead
+
+        return load_lookahead(_path(settings.interpolator), settings.threads, settings.device)
+    if not method.interpolates:
+        return None
+    if settings.interpolator is None:
+        raise UsageError(
+            f"--method {method.name} has no network of its own; name an ONNX file with "
+            "--interpolator, or use --method softsplat"
+        )
+    from exwarp_cli.models.interpolator import load_interpolator
+
+    return load_interpolator(Path(settings.interpolator), settings.threads, settings.device)
+
+
+def _path(text: str | None) -> Path | None:
+    return None if text is None else Path(text)
+
+
+def _find_policy(settings: UpsampleSettings, method: Method) -> PolicyFile | None:
+    """Load the policy that a method asks; None for methods that ask none."""
+    if method.judge is Judge.TILES:
+        from exwarp_cli.models.policy_files import (
+            PAPER,
+            SHIPPED_POLICY,
+            SHIPPED_TILE_POLICY,
+            load_policy,
+        )
+
+        if settings.policy == PAPER:
+            return require_state(load_policy(None, SHIPPED_POLICY))
+        return require_state(load_policy(_path(settings.policy), SHIPPED_TILE_POLICY))
+    if settings.policy is not None:
+        raise UsageError(
+            f"--policy is for --causal, and --method {method.name} asks no policy; leave it out"
+        )
+    return None
+
+
+def require_state(policy: PolicyFile) -> PolicyFile:
+    """Refuse a policy that was trained on other inputs than a state has."""
+    from exwarp_cli.policy.state import INPUTS, STATE_VERSION
+
+    inputs, version = policy.network.sizes[0], policy.metadata.get("state")
+    if inputs != INPUTS or version not in (STATE_VERSION, TILE_STATE):
+        raise LayoutError(
+            f"{policy.path} takes {inputs} inputs of version {version!r}, and a state has {INPUTS} "
+            f"of version {STATE_VERSION}, or of {TILE_STATE!r} for tiles; train the policy again"
+        )
+    return policy
+
+
+def _with_policy(method: Method, policy: PolicyFile | None, settings: UpsampleSettings) -> Method:
+    """Return a method as its policy decides: for whole frames, or tile by tile.
+
+    Raises UsageError for ``--effort`` where no policy decides tile by tile.
+    """
+    by_tiles = policy is not None and policy.of_tiles
+    if settings.effort is not None and not by_tiles:
+        chooser = (
+            "--policy chooses for whole frames" if policy else f"{method.name} chooses nothing"
+        )
+        raise UsageError(
+            f"--effort is for --causal with a policy of tiles, and {chooser}; leave it out"
+        )
+    return method if policy is None or by_tiles else FRAMEWISE
+
+
+def _require_usable(settings: UpsampleSettings, method: Method, source: Source) -> None:
+    """Refuse what a method cannot do with these options, or with this input."""
+    if method.needs_truth and settings.ground_truth is None:
+        raise UsageError(
+            f"--method {method.name} decides by ground truth; give it with --ground-truth, or use "
+            "--causal"
+        )
+    if not (settings.gate or method.gated):
+        raise UsageError(
+            f"--no-gate is for exwarp and --causal, and --method {method.name} has no gate; leave "
+            "it out"
+        )
+    pattern, plain = source.keys.sequence.pattern, is_plain(source.keys.sequence)
+    if plain and settings.layers != BEAUTY:
+        raise UsageError(f"--layers is for EXR, and {pattern} has colour alone; leave it out")
+    if not (source.estimated and method.extrapolates):
+        return
+    if not plain:
+        raise LayoutError(
+            f"{pattern} has no motion vectors that are recognised; render the motion pass, or use "
+            "--method softsplat, for which it is estimated"
+        )
+    raise LayoutError(
+        f"--method {method.name} goes by depth, normals and materials, and {pattern} has colour "
+        "alone; use --method softsplat or s6"
+    )
+
+
+def _require_factor(
+    source: Source, method: Method, interpolator: OnnxInterpolator | OnnxLookAhead | None
+) -> None:
+    """Refuse a factor at which a method makes no frames; raises UsageError."""
+    timeline = source.timeline
+    if not (method.any_factor or source.allows_decisions):
+        names = ", ".join(each.name for each in METHODS.values() if each.any_factor)
+        raise UsageError(
+            f"--method {method.name} decides between slots of {FACTOR} times the rate, and "
+            f"{float(timeline.factor):g} times are asked for; use one of {names}"
+        )
+    if interpolator is None:
+        return
+    times = {timeline.time(slot) for key in range(3) for slot in timeline.between(key)}
+    if beyond := sorted(t for t in times if not interpolator.reaches(t)):
+        raise UsageError(
+            f"--interpolator {interpolator.name} has no input for the time and makes the middle "
+            f"frame only, so it does not reach {beyond[0]} of a key interval; give "
+            "--factor 2, 4 or 8, or a network with an input for the time"
+        )

@@ -2,86 +2,60 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 from exwarp_cli.domain.extrapolator import HISTORY
-from exwarp_cli.domain.frame import SURFACE_PARTS, GBuffer, Image, KeyFrame, Window
+from exwarp_cli.domain.frame import SURFACE_PARTS, GBuffer, KeyFrame, Window, place, require_canvas
 from exwarp_cli.domain.timeline import FACTOR, Slot
-from exwarp_cli.errors import InputError, LayoutError
+from exwarp_cli.errors import InputError
 from exwarp_cli.io.channels import Role
-from exwarp_cli.io.footage import ClipSequence, is_plain, key_picture, picture
+from exwarp_cli.io.footage import ClipSequence, is_plain, key_picture
 from exwarp_cli.io.frames import GEOMETRY, SURFACE, colour_window, read_raw
-from exwarp_cli.io.sequences import Sequence
 from exwarp_cli.io.shot import Shot
-from exwarp_cli.io.shot_files import NonFinite, count_nonfinite
 from exwarp_cli.pipeline.shots import Shots, UnreadableFrames
-from exwarp_cli.pipeline.source import FrameOf, Source
-from exwarp_cli.pipeline.without_vectors import Estimates
+from exwarp_cli.pipeline.source import Source
+from exwarp_cli.synthesis.holds import stands_one_way
 from exwarp_cli.synthesis.methods import Method
+from exwarp_cli.synthesis.optical_flow import Flow, estimate, moving
 
 
 @dataclass(frozen=True)
 class HistoryFrame:
-    """A key frame before the interval's own.
+    """A key frame before the interval's own."""
 
-    Attributes
-    ----------
-    frame
-        As read.
-    instants
-        With slots' G-buffers those on the way to it, without surface: the key frame after it, the
-        slots between from the last to the first, and this key frame; motion reaches over one slot.
-        Empty in the key setting.
-    held
-        True if the key frame after this one shows the same picture: nothing moves between them.
-    """
-
-    frame: KeyFrame
+    frame: KeyFrame  # as read
+    # With slots' G-buffers those on the way to it, without surface: the key frame after it, the
+    # slots between from the last to the first, and this key frame; motion reaches over one slot.
+    # Empty in the key setting.
     instants: tuple[GBuffer, ...]
-    held: bool = False
+    held: bool = False  # True if the key frame after shows the same picture: nothing moves between
 
 
 class KeyFrameStore:
-    """Reads key frames, and slots' G-buffers, of one view.
+    """Reads key frames, and slots' G-buffers, of one view. Key frames are named by their index.
 
     One thread reads interval by interval. Another may ask for the surface of frames of an interval
     before (`get_complete`) meanwhile.
-
-    Parameters
-    ----------
-    source
-        The view.
-    method
-        Decides which roles are read.
-    unreadable
-        Where frames are recorded that cannot be read; all views share it.
-    digest
-        Called with a slot before its frame is read, where frames may be unreadable: digests the
-        slot's files, and raises InputError for a file that cannot be read.
-    reads_late
-        Whether older key frames and surfaces are read only for intervals that are extrapolated.
-    keeps_shapes
-        Whether features are computed, which need the geometry of instants with normals.
-    leader
-        The store of the view that decides where shots begin; None for that view itself.
     """
 
     def __init__(
         self,
         source: Source,
-        method: Method,
-        unreadable: UnreadableFrames,
+        method: Method,  # decides which roles are read
+        unreadable: UnreadableFrames,  # all views share it
+        # Called with a slot before its frame is read, where frames may be unreadable: digests the
+        # slot's files, and raises InputError for a file that cannot be read.
         digest: Callable[[Slot], None],
-        reads_late: bool = False,
-        keeps_shapes: bool = False,
-        leader: KeyFrameStore | None = None,
+        reads_late: bool = False,  # older key frames and surfaces only if slots are extrapolated
+        keeps_shapes: bool = False,  # what features need: the geometry of instants with normals
+        leader: KeyFrameStore | None = None,  # of the view that decides where shots begin
     ) -> None:
         self.source = source
         self.unreadable = unreadable
         self._digest = digest
-        self._has_surface = method.extrapolates and not reads_late
+        self._roles = _key_roles(source, method, reads_late)
         self._slot_roles = (*GEOMETRY, *SURFACE) if method.extrapolates else GEOMETRY
         self._keeps_slots = method.older_keys(method.lookahead) > 0
         self._keeps_shapes = keeps_shapes
@@ -100,19 +74,19 @@ class KeyFrameStore:
             leader.read_with(self.get)
         self._estimates = None
         if source.estimated:
-            self._estimates = Estimates(self._read_colour, len(numbers), unreadable.has)
+            self._estimates = MotionEstimates(self._read_colour, len(numbers), unreadable.has)
         self._normals_tell = cuts_need_normals(source.keys, source.cuts.detect)
         self._needs_normals = frames_need_normals(source.keys, method.extrapolates)
 
     def read_with(self, read: Callable[[int], object]) -> None:
-        """Read more with each key frame, by its index, where frames may be unreadable.
+        """Read more with each key frame, where frames may be unreadable.
 
         A key frame counts as unreadable if its layers or its other views are.
         """
         self._companions.append(read)
 
     def get(self, key: int) -> KeyFrame:
-        """Return a key frame as it was read, by its index; it is shown to the search for cuts.
+        """Return a key frame as it was read; it is shown to the search for cuts.
 
         Raises
         ------
@@ -131,12 +105,7 @@ class KeyFrameStore:
     def get_in_shot(self, key: int, before: bool = False) -> KeyFrame:
         """Return a key frame without vectors that lead to another shot.
 
-        Parameters
-        ----------
-        key
-            Its index.
-        before
-            True for the interval before the key frame, False for the one after it.
+        `before` is True for the interval before the key frame, False for the one after it.
         """
         if self._estimates is not None:
             # A repeated picture tells nothing of the motion that leads on from it.
@@ -149,12 +118,7 @@ class KeyFrameStore:
     def get_complete(self, key: int, frame: KeyFrame | None = None) -> KeyFrame:
         """Return a key frame with its surface, without vectors that lead to another shot.
 
-        Parameters
-        ----------
-        key
-            Its index.
-        frame
-            The key frame without its surface, where that is in memory: only the surface is read.
+        Of a `frame` without its surface that is in memory, only the surface is read.
 
         Raises
         ------
@@ -162,7 +126,15 @@ class KeyFrameStore:
             When a file cannot be read.
         """
         if key not in self._complete:
-            complete = self._read_complete(key) if frame is None else self._add(frame)
+            if frame is None:
+                number = self.source.timeline.numbers[key]
+                roles = (Role.COLOUR, *GEOMETRY, *SURFACE)
+                frame = read_raw(self.source.keys, number, roles, objects=True).key(
+                    self.source.convention
+                )
+                complete = self._within_shot(key, frame)
+            else:
+                complete = self._with_surface(frame)
             self._complete[key] = self.source.scratch.store(complete)
         return self._complete[key]
 
@@ -186,11 +158,11 @@ class KeyFrameStore:
             return ()
         steps = self.source.timeline.steps
         assert steps is not None  # slots have G-buffers where the factor is an integer
-        found = []
+        gbuffers = []
         for slot in slots_back_to(key, steps):
-            known = self._slots.get(slot)
-            found.append(without_surface(self.get_slot(slot)) if known is None else known)
-        return tuple(found)
+            kept = self._slots.get(slot)
+            gbuffers.append(without_surface(self.get_slot(slot)) if kept is None else kept)
+        return tuple(gbuffers)
 
     def get_shape(self, slot: Slot) -> GBuffer:
         """Return the geometry of an instant with normals, which features are computed from."""
@@ -228,8 +200,7 @@ class KeyFrameStore:
     def slots_after(self, key: int) -> tuple[Slot, ...]:
         """Return the slots after a key frame that have G-buffers: all of them, or none."""
         slots = self.source.timeline.between(key)
-        known = all(self.source.slot_number(slot) is not None for slot in slots)
-        return slots if known else ()
+        return slots if all(self.source.slot_number(slot) is not None for slot in slots) else ()
 
     def keep_shape(self, key: int) -> None:
         """Remember of a key frame what the features of the next one are found by."""
@@ -241,12 +212,8 @@ class KeyFrameStore:
     def release_before(self, oldest: int, key: int) -> None:
         """Drop what no interval after one needs, or not yet, as it was read to find cuts.
 
-        Parameters
-        ----------
-        oldest
-            Index of the first key frame that the next interval needs.
-        key
-            Index of the interval that was read last.
+        `oldest` is the first key frame that the next interval needs, `key` the interval that was
+        read last.
         """
         self._frames = {i: f for i, f in self._frames.items() if oldest <= i <= key + 1}
         self._slots = {slot: g for slot, g in self._slots.items() if slot.key >= oldest}
@@ -255,9 +222,9 @@ class KeyFrameStore:
         for index in list(self._complete):
             if index < key - HISTORY:
                 self._complete.pop(index, None)
-        self.shots.forget(min(oldest, key))
+        self.shots.release_before(min(oldest, key))
         if self._estimates is not None:
-            self._estimates.forget(oldest)
+            self._estimates.release_before(oldest)
 
     @contextmanager
     def reading(self, slot: Slot) -> Iterator[None]:
@@ -271,10 +238,9 @@ class KeyFrameStore:
         source = self.source
         number = source.timeline.numbers[key]
         if self._estimates is not None:
-            frame = self._estimates.frame(key)
             if source.cuts.detect:
                 self.shots.see(key, self._estimates.flowing(key))
-            return frame
+            return self._estimates.frame(key)
         if is_plain(source.keys.sequence):
             frame = self._read_colour(key)
             self.shots.see(key, frame)
@@ -300,27 +266,8 @@ class KeyFrameStore:
                 return KeyFrame(number, key_picture(keys, number), None)
             return read_raw(keys, number, (Role.COLOUR,)).key(None)
 
-    @property
-    def _roles(self) -> tuple[Role, ...]:
-        """What is read of key frames without slots' G-buffers.
-
-        Methods without motion report holes by the geometry. Networks need the surface, too.
-        """
-        if self.source.finding is None:
-            return (Role.COLOUR,)
-        if self._has_surface:
-            return (Role.COLOUR, *GEOMETRY, *SURFACE)
-        if self._needs_normals or self._normals_tell:
-            return (Role.COLOUR, *GEOMETRY)
-        return (Role.COLOUR, *(role for role in GEOMETRY if role is not Role.NORMAL))
-
-    def _read_complete(self, key: int) -> KeyFrame:
-        number, roles = self.source.timeline.numbers[key], (Role.COLOUR, *GEOMETRY, *SURFACE)
-        raw = read_raw(self.source.keys, number, roles, objects=True)
-        return self._within_shot(key, raw.key(self.source.convention))
-
-    def _add(self, frame: KeyFrame) -> KeyFrame:
-        """Add a key frame's surface, on the window of its geometry."""
+    def _with_surface(self, frame: KeyFrame) -> KeyFrame:
+        """Read a key frame's surface, on the window of its geometry."""
         if frame.gbuffer is None:
             return frame
         # With colour everything lies on its data window.
@@ -336,11 +283,23 @@ class KeyFrameStore:
         return replace(frame, gbuffer=self.shots.within(key, frame.gbuffer))
 
 
-def frames_need_normals(shot: Shot, extrapolates: bool) -> bool:
-    """Return True if frames are made by key frames' normals.
+def _key_roles(source: Source, method: Method, reads_late: bool) -> tuple[Role, ...]:
+    """Return what is read of key frames without slots' G-buffers."""
+    if source.finding is None:
+        return (Role.COLOUR,)
+    # Methods without motion report holes by the geometry. Networks need the surface, too.
+    if method.extrapolates and not reads_late:
+        return (Role.COLOUR, *GEOMETRY, *SURFACE)
+    if frames_need_normals(source.keys, method.extrapolates) or cuts_need_normals(
+        source.keys, source.cuts.detect
+    ):
+        return (Role.COLOUR, *GEOMETRY)
+    return (Role.COLOUR, *(role for role in GEOMETRY if role is not Role.NORMAL))
 
-    Warps use them for Unreal's background alone, in sets of one file per AOV.
-    """
+
+def frames_need_normals(shot: Shot, extrapolates: bool) -> bool:
+    """Return True if frames are made by key frames' normals."""
+    # Warps use them for Unreal's background alone, in sets of one file per AOV.
     return extrapolates or bool(shot.aovs)
 
 
@@ -384,109 +343,88 @@ def over_interval(gbuffer: GBuffer, steps: int) -> GBuffer:
     )
 
 
-CHANNELS = "ground truth"
-"""What the report calls the channels of its frames."""
+class MotionEstimates:
+    """Key frames without vectors, by index, and the flows between neighbouring ones.
 
-
-@dataclass(frozen=True)
-class IntervalTruth:
-    """Ground truth of one interval, as far as there is some.
-
-    Attributes
-    ----------
-    frames
-        By slot, of the slots that are made.
-    ends
-        The rendered instants around, at slot 0 and, counted on as a slot, at the next key frame's
-        instant; only for VMAF.
-    unscored
-        Why frames cannot be used, by slot, where the run goes on without them.
+    Each is read and estimated once. A flow depends on its two frames alone, so any part of a
+    sequence finds the same.
     """
 
-    frames: dict[int, Image] = field(default_factory=dict)
-    ends: dict[int, Image] = field(default_factory=dict)
-    unscored: dict[int, str] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class TruthReader:
-    """Reads ground truth, as far as there is some.
-
-    Attributes
-    ----------
-    source
-        The view that is scored.
-    truth
-        The sequence, and its frame for a slot; None without.
-    measured
-        What is measured, as in `Score`.
-    tolerant
-        Whether to go on without frames that cannot be used.
-    nonfinite
-        What was counted in its frames, by the number of the output frame.
-    """
-
-    source: Source
-    truth: tuple[Sequence, FrameOf] | None
-    measured: tuple[str, ...]
-    tolerant: bool = False
-    nonfinite: NonFinite = field(default_factory=NonFinite)
-
-    def read(self, key: int) -> IntervalTruth:
-        """Read what an interval is scored by.
-
-        Raises
-        ------
-        InputError
-            When a frame is damaged, holds no colour or is of another size, unless tolerant.
-        """
-        result = IntervalTruth()
-        if self.truth is None:
-            return result
-        timeline = self.source.timeline
-        self._read_into(result.frames, timeline.made_of(key), result.unscored)
-        if "vmaf" in self.measured:
-            self._read_into(result.ends, self._ends(key), result.unscored)
-        return result
-
-    def _read_into(
-        self, frames: dict[int, Image], slots: Iterable[Slot], unscored: dict[int, str]
+    def __init__(
+        self,
+        read: Callable[[int], KeyFrame],  # reads the colour of a key frame
+        count: int,  # of key frames
+        is_unreadable: Callable[[int], bool] = lambda key: False,  # none moves towards such a one
     ) -> None:
-        for slot in slots:
-            try:
-                image = self._frame(slot)
-            except InputError as error:
-                if not self.tolerant:
-                    raise
-                unscored[slot.index] = str(error)
-                continue
-            if image is not None:
-                frames[slot.index] = image
+        self._read = read
+        self._count = count
+        self._is_unreadable = is_unreadable
+        self._frames: dict[int, KeyFrame] = {}
+        self._flows: dict[int, tuple[Flow, Flow]] = {}
 
-    def _frame(self, slot: Slot) -> Image | None:
-        """Read a frame; None where the sequence has none for the slot."""
-        assert self.truth is not None
-        sequence, frame_of = self.truth
-        number = frame_of(slot)
-        if number is None:
-            return None
-        image, display = picture(sequence, number, self.source.keys.view), self.source.keys.display
-        output = self.source.timeline.number(slot)
-        if image.display_window.shape != display.shape:
-            raise truth_of_another_size(output, image.display_window, display)
-        self.nonfinite.note(output, {CHANNELS: count_nonfinite((image.pixels,))})
-        return image
+    def frame(self, key: int) -> KeyFrame:
+        """Return a key frame, colour alone."""
+        if key not in self._frames:
+            self._frames[key] = replace(self._read(key), gbuffer=None)
+        return self._frames[key]
 
-    def _ends(self, key: int) -> tuple[Slot, ...]:
-        timeline = self.source.timeline
-        after = Slot(key, len(timeline.between(key)) + 1)
-        last = key + 1 == len(timeline.numbers)
-        return (Slot(key, 0),) if last else (Slot(key, 0), after)
+    def flowing(self, key: int) -> KeyFrame:
+        """Return a key frame with all that was estimated, as cuts are found by it."""
+        frame = self.frame(key)
+        flows = self._to_previous(key), self._to_next(key)
+        back, ahead = (None if flow is None else flow.motion for flow in flows)
+        window = frame.image.data_window
+        return replace(frame, gbuffer=GBuffer(window, to_previous=back, to_next=ahead))
 
+    def moving(self, key: int, back: bool, ahead: bool, before: bool = False) -> KeyFrame:
+        """Return a key frame for synthesis.
 
-def truth_of_another_size(output: int, size: Window, display: Window) -> LayoutError:
-    """Build the error for the truth of an output frame that has another size than the input."""
-    return LayoutError(
-        f"--ground-truth for frame {output} is {size} and the input is {display}; give a sequence "
-        "of the same resolution"
-    )
+        Parameters
+        ----------
+        key
+            Its index.
+        back, ahead
+            Whether the key frames before and after it may tell how it moves.
+        before
+            True for the interval before the key frame, False for the one after it.
+        """
+        to_previous = self._to_previous(key) if back else None
+        to_next = self._to_next(key) if ahead else None
+        # Where the picture stands towards one neighbour and moves towards the other, the motion
+        # between them is no parabola, and what fits the repeated picture best is no motion. Then
+        # the flow across the interval counts alone.
+        if (
+            to_previous is not None
+            and to_next is not None
+            and stands_one_way(to_previous.motion, to_next.motion)
+        ):
+            to_previous, to_next = (to_previous, None) if before else (None, to_next)
+        return moving(self.frame(key), to_previous, to_next)
+
+    def release_before(self, oldest: int) -> None:
+        """Drop what no key frame from one on needs."""
+        self._frames = {i: frame for i, frame in self._frames.items() if i >= oldest}
+        self._flows = {i: pair for i, pair in self._flows.items() if i >= oldest - 1}
+
+    def _to_previous(self, key: int) -> Flow | None:
+        leads = key > 0 and not self._is_unreadable(key - 1)
+        return self._between(key - 1)[1] if leads else None
+
+    def _to_next(self, key: int) -> Flow | None:
+        leads = key + 1 < self._count and not self._is_unreadable(key + 1)
+        return self._between(key)[0] if leads else None
+
+    def _between(self, key: int) -> tuple[Flow, Flow]:
+        """Return the flows from a key frame to the next, and back, each on its frame's window."""
+        if key not in self._flows:
+            frames = self.frame(key), self.frame(key + 1)
+            windows = [frame.image.data_window for frame in frames]
+            canvas = windows[0].union(windows[1])
+            require_canvas(f"frame {frames[0].number} and the next one", canvas)
+            flows = estimate(*(frame.image.on(canvas).pixels for frame in frames))
+            to_next, to_previous = (
+                Flow(place(flow.motion, canvas, window), place(flow.mismatch, canvas, window))
+                for flow, window in zip(flows, windows, strict=True)
+            )
+            self._flows[key] = to_next, to_previous
+        return self._flows[key]

@@ -28,12 +28,11 @@ from exwarp_cli.io.cryptomatte import MAX_NAMES, quote_name
 from exwarp_cli.io.footage import is_plain, lost_alpha, unevenness_of
 from exwarp_cli.io.shot import alpha_note
 from exwarp_cli.models.model_file import shipped_folder
-from exwarp_cli.pipeline.contents import Content, files_apart
-from exwarp_cli.pipeline.finding import OtherRate
-from exwarp_cli.pipeline.frame_writer import frame_suffix
-from exwarp_cli.pipeline.opening import step_note
+from exwarp_cli.pipeline.extra_layers import Content, files_apart
+from exwarp_cli.pipeline.ground_truth import OtherRate
+from exwarp_cli.pipeline.output_plan import frame_suffix, video_look
 from exwarp_cli.pipeline.progress import Progress
-from exwarp_cli.pipeline.without_vectors import video_look
+from exwarp_cli.pipeline.source import step_note
 
 if TYPE_CHECKING:
     from exwarp_cli.io.sequences import Sequence

@@ -26,30 +26,23 @@ from exwarp_cli.io.sequences import EXR, OutputPattern, Sequence, find_sequence
 from exwarp_cli.io.shot import Shot
 from exwarp_cli.io.shot_files import NonFinite, count_nonfinite, require_sound
 from exwarp_cli.io.views import expand_view
-from exwarp_cli.pipeline.contents import Content, LayerStore
+from exwarp_cli.pipeline.extra_layers import Content, LayerStore
 from exwarp_cli.pipeline.source import Source
 from exwarp_cli.synthesis.methods import Method
 
+# Roles by which frames lead to the slots around them.
 LEADING = tuple(role for role in GEOMETRY if role is not Role.NORMAL)
-"""Roles by which frames lead to the slots around them."""
 
+# Kinds of frames that no renderer made.
 NEW = (FrameKind.GENERATED.value, FrameKind.DROPPED.value)
-"""Kinds of frames that no renderer made."""
 
 
 @dataclass(frozen=True)
 class RenderedFrames:
-    """Frames of the output, between key frames, that were rendered after all.
+    """Frames of the output, between key frames, that were rendered after all."""
 
-    Attributes
-    ----------
-    sequence
-        Their files by output number; no others.
-    unused
-        Numbers that the user's sequence has beside these: of key frames, and outside the output.
-    """
-
-    sequence: Sequence
+    sequence: Sequence  # their files by output number; no others
+    # Numbers that the user's sequence has beside these: of key frames, and outside the output.
     unused: tuple[int, ...]
 
     def has(self, number: int) -> bool:
@@ -77,7 +70,7 @@ class RenderedFrames:
 
 
 def find_rendered(spec: str, source: Source, scan: str = SourceSettings.scan) -> RenderedFrames:
-    """Find rendered frames by their output numbers; any of them may be there.
+    """Find rendered frames by their output numbers; any of them may exist.
 
     Key frames that are EXR are joined by EXR alone, as others lack channels.
 
@@ -86,19 +79,20 @@ def find_rendered(spec: str, source: Source, scan: str = SourceSettings.scan) ->
     InputError
         When there is no such sequence, or none of its frames is a new one of the output.
     """
-    named = expand_view(spec, source.keys.view or None)[0]
+    pattern = expand_view(spec, source.keys.view or None)[0]
     plain = is_plain(source.keys.sequence)
-    found = find_frames(named, scan=scan) if plain else find_sequence(named)
+    sequence = find_frames(pattern, scan=scan) if plain else find_sequence(pattern)
     timeline = source.timeline
     slots = [slot for key in range(len(timeline.numbers)) for slot in timeline.made_of(key)]
     new = {timeline.number(slot) for slot in slots}
-    used = [number for number in found.numbers if number in new]
+    used = [number for number in sequence.numbers if number in new]
     if not used:
         raise InputError(
-            f"--rendered {found.pattern} has frames {ranges(found.numbers)}, and none of them is a "
-            f"new frame of the output, {_output_range(timeline)}; number them as review.txt does"
+            f"--rendered {sequence.pattern} has frames {ranges(sequence.numbers)}, and none of "
+            f"them is a new frame of the output, {_output_range(timeline)}; number them as "
+            "review.txt does"
         )
-    return RenderedFrames(found.over(used), tuple(n for n in found.numbers if n not in new))
+    return RenderedFrames(sequence.over(used), tuple(n for n in sequence.numbers if n not in new))
 
 
 def _output_range(timeline: Timeline) -> str:
@@ -109,21 +103,11 @@ def _output_range(timeline: Timeline) -> str:
 
 @dataclass(frozen=True)
 class RenderedFrame:
-    """A rendered frame that takes the place of a generated one.
-
-    Attributes
-    ----------
-    path
-        Its file.
-    frame
-        Its colour; and its geometry, as read, where that leads to the slots around it.
-    recipe
-        Digest of what its written file depends on.
-    """
+    """A rendered frame that takes the place of a generated one."""
 
     path: Path
-    frame: KeyFrame
-    recipe: str
+    frame: KeyFrame  # its colour; and its geometry as read, where that leads to slots around it
+    recipe: str  # fingerprint of its written file
 
     @property
     def leads(self) -> bool:
@@ -133,61 +117,41 @@ class RenderedFrame:
     @cached_property
     def broken(self) -> int:
         """How many pixels of its colour are NaN or infinite."""
-        known = self.frame.broken
-        return count_nonfinite((self.frame.image.pixels,)) if known is None else known
+        counted = self.frame.broken
+        return count_nonfinite((self.frame.image.pixels,)) if counted is None else counted
 
 
 @dataclass(frozen=True)
 class IntervalRendered:
-    """Rendered frames of one interval, by slot.
-
-    Attributes
-    ----------
-    frames
-        Those that are used.
-    unusable
-        Why others cannot be used; these slots are generated.
-    """
+    """Rendered frames of one interval, by slot."""
 
     frames: Mapping[int, RenderedFrame] = field(default_factory=dict)
+    # Why further ones cannot be used; these slots are generated.
     unusable: Mapping[int, str] = field(default_factory=dict)
 
     def map_frames(self, change: Callable[[KeyFrame], KeyFrame]) -> IntervalRendered:
         """Return the same with changed frames."""
-        frames = {i: replace(one, frame=change(one.frame)) for i, one in self.frames.items()}
+        frames = {i: replace(each, frame=change(each.frame)) for i, each in self.frames.items()}
         return replace(self, frames=frames)
 
 
 class RenderedReader:
-    """Reads rendered frames, interval by interval.
-
-    Parameters
-    ----------
-    rendered
-        The frames.
-    contents
-        What frames hold, of every view: a rendered frame must have all of it.
-    rate
-        The frame rate that headers get; None where it is not known.
-    tolerant
-        Whether to generate frames whose rendered ones cannot be used.
-    leads
-        Whether slots around are made from them, too; see `leads_on`.
-    """
+    """Reads rendered frames, interval by interval."""
 
     def __init__(
         self,
         rendered: RenderedFrames,
-        contents: tuple[Content, ...],
-        rate: Fraction | None,
-        tolerant: bool = False,
-        leads: bool = False,
+        contents: tuple[Content, ...],  # of every view: a rendered frame must have all of it
+        rate: Fraction | None,  # that headers get; None where it is not known
+        tolerant: bool = False,  # whether to generate frames whose rendered ones cannot be used
+        leads: bool = False,  # whether slots around are made from them, too; see `leads_on`
     ) -> None:
-        self._convention = contents[0].source.convention
+        source = contents[0].source
+        self._convention = source.convention
+        self._timeline = source.timeline
+        self._plain = is_plain(source.keys.sequence)
         self._leads = leads
         self._sequence = rendered.sequence
-        self._plain = is_plain(contents[0].source.keys.sequence)
-        self._timeline = contents[0].source.timeline
         self._rate = rate
         self._tolerant = tolerant
         self._shots = [
@@ -195,8 +159,9 @@ class RenderedReader:
             for content in contents
         ]
         pairs = zip(self._shots, contents, strict=True)
-        self._layers = [LayerStore(shot, content.beside) for shot, content in pairs]
-        self._last: tuple[int, IntervalRendered] | None = None
+        self._layers = [LayerStore(shot, content.extra) for shot, content in pairs]
+        self._last_key: int | None = None
+        self._last = IntervalRendered()
 
     @property
     def nonfinite(self) -> dict[str, NonFinite]:
@@ -211,11 +176,8 @@ class RenderedReader:
         InputError
             When a frame cannot be used, unless tolerant.
         """
-        if self._last is None or self._last[0] != key:
-            self._last = key, self._read(key)
-        return self._last[1]
-
-    def _read(self, key: int) -> IntervalRendered:
+        if self._last_key == key:
+            return self._last
         frames: dict[int, RenderedFrame] = {}
         unusable: dict[int, str] = {}
         for slot in self._timeline.made_of(key):
@@ -223,20 +185,21 @@ class RenderedReader:
             if number not in self._sequence.files:
                 continue
             try:
-                frames[slot.index] = self._frame(slot, number)
+                frames[slot.index] = self._read_frame(slot, number)
             except InputError as error:
                 problem = f"frame {number} of --rendered cannot be used: {error}"
                 if not self._tolerant:
                     raise type(error)(problem) from error
                 unusable[slot.index] = problem
-        return IntervalRendered(frames, unusable)
+        self._last_key, self._last = key, IntervalRendered(frames, unusable)
+        return self._last
 
-    def _frame(self, slot: Slot, number: int) -> RenderedFrame:
+    def _read_frame(self, slot: Slot, number: int) -> RenderedFrame:
         path = self._sequence.files[number]
         if path.suffix.lower() in EXR:
             require_sound((path,))
-        _require_rendered(path)
-        frames = [self._key_frame(shot, number) for shot in self._shots]
+        _refuse_generated(path)
+        frames = [self._read_as_key(shot, number) for shot in self._shots]
         for layers in self._layers:
             layers.frame(number)
             layers.keep(())
@@ -245,7 +208,7 @@ class RenderedReader:
         text = json.dumps([*facts, slot.key, slot.index])
         return RenderedFrame(path, frames[0], hashlib.sha256(text.encode()).hexdigest())
 
-    def _key_frame(self, shot: Shot, number: int) -> KeyFrame:
+    def _read_as_key(self, shot: Shot, number: int) -> KeyFrame:
         """Read a frame as if it were a key frame; raises InputError where that fails."""
         if self._plain:
             return KeyFrame(number, key_picture(shot, number), None)
@@ -261,12 +224,12 @@ def leads_on(source: Source, method: Method, contents: tuple[Content, ...]) -> b
 
     Only the beauty is, from both sides, and along key frames' vectors.
     """
-    alone = len(contents) == 1 and not contents[0].beside
-    along = source.finding is not None and source.slots is None and not source.keys.aovs
-    return alone and along and method.lookahead and method.needs_motion
+    is_alone = len(contents) == 1 and not contents[0].extra
+    has_vectors = source.finding is not None and source.slots is None and not source.keys.aovs
+    return is_alone and has_vectors and method.lookahead and method.needs_motion
 
 
-def _require_rendered(path: Path) -> None:
+def _refuse_generated(path: Path) -> None:
     """Refuse a frame that ExWarp made; raises LayoutError."""
     authorship = None if is_clip(str(path)) else authorship_of(path)
     if authorship is None or authorship.state is not State.INTACT:

@@ -1,33 +1,34 @@
-"""The main job: a key sequence in, a sequence at four times its rate out, or at another."""
+"""The main job: a key sequence in, a sequence at four times its rate out, or at another.
+
+`Run.render_all` goes through the key intervals. Of each, a thread reads the files ahead
+(`interval_inputs`, from `key_frames`). This thread brings them onto one window and decides the path
+of the interval (`interval_builder`, `decide`, `gate`). It renders the slots, or a pool of threads
+does (`slot_renderer`, `scheduling`). Threads behind write the files (`frame_writer`).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from time import perf_counter
 
 from exwarp_cli import __version__
 from exwarp_cli.domain.cores import working
-from exwarp_cli.domain.decision import ONLY_WARPS, Plan
-from exwarp_cli.domain.frame import Image, Window
-from exwarp_cli.domain.gate import Trial
+from exwarp_cli.domain.frame import Image
 from exwarp_cli.domain.joining import Outcome
 from exwarp_cli.domain.results import FrameKind, FrameRecord, LeftOut, RunSummary
 from exwarp_cli.domain.settings import UpsampleSettings
-from exwarp_cli.domain.tiles import TilePlan
-from exwarp_cli.domain.timeline import Slot, ranges
+from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.errors import InputError
 from exwarp_cli.io.footage import picture
 from exwarp_cli.io.output import PREFIX
 from exwarp_cli.io.threads import use_threads
 from exwarp_cli.kernels import _row_bands
-from exwarp_cli.pipeline.choosing import Chooser, Chosen, always, by_policy, by_tiles, by_truth
-from exwarp_cli.pipeline.finding import is_usual
-from exwarp_cli.pipeline.frame_sizes import remark
+from exwarp_cli.pipeline.extra_layers import ExtraLayers
+from exwarp_cli.pipeline.fingerprint import key_fingerprint
+from exwarp_cli.pipeline.frame_sizes import window_note
 from exwarp_cli.pipeline.frame_writer import FRAMES_BEHIND, FrameWriter
-from exwarp_cli.pipeline.gate import Gate
-from exwarp_cli.pipeline.interval_builder import IntervalBuilder, PreparedInterval, count_broken
+from exwarp_cli.pipeline.interval_builder import IntervalPreparer, PreparedInterval, make_builders
 from exwarp_cli.pipeline.interval_inputs import (
     IntervalInputs,
     IntervalReader,
@@ -35,16 +36,14 @@ from exwarp_cli.pipeline.interval_inputs import (
     ViewsReader,
 )
 from exwarp_cli.pipeline.job import Job, open_job
-from exwarp_cli.pipeline.layers import ExtraLayers
 from exwarp_cli.pipeline.messages import (
     announce_skipped,
     skipped_interval,
     skipped_rendered,
     skipped_scores,
 )
+from exwarp_cli.pipeline.output_plan import BY_EXWARP, is_video_kept, video_fingerprint, video_look
 from exwarp_cli.pipeline.progress import FrameListener, NoProgress, Progress, kind_of, kinds_of
-from exwarp_cli.pipeline.recipes import key_recipe
-from exwarp_cli.pipeline.rendered_frames import leads_on
 from exwarp_cli.pipeline.scheduling import (
     Mode,
     ParallelSlots,
@@ -56,18 +55,14 @@ from exwarp_cli.pipeline.scheduling import (
 from exwarp_cli.pipeline.scoring import IntervalScores, KeyedPulses, broken_pixels_of
 from exwarp_cli.pipeline.slot_renderer import RenderedSlot, SlotRenderer, rate_attribute, rounded
 from exwarp_cli.pipeline.verification import Sums, files_of, verify, verify_video
-from exwarp_cli.pipeline.without_vectors import BY_EXWARP, is_kept, note_of, video_look
 from exwarp_cli.runtime.frame_pool import pool
 from exwarp_cli.runtime.stop import check_stop
-from exwarp_cli.synthesis.interval import Interval
-from exwarp_cli.synthesis.methods import Judge
-from exwarp_cli.synthesis.sub_intervals import SubSlot, sub_slots, vector_spans
 
+# Bytes of frames that wait to be written, beside those that are being written.
 MAX_BYTES_BEHIND = 80 * 10**6
-"""Bytes of frames that wait to be written, beside those that are being written."""
 
+# Four channels in float32.
 PIXEL_BYTES = 16
-"""Four channels in float32."""
 
 
 def upsample(
@@ -102,10 +97,10 @@ def run_job(job: Job, progress: Progress, listener: FrameListener | None = None)
 
 
 def write_intervals(job: Job, progress: Progress, listener: FrameListener | None = None) -> Outcome:
-    """Do the work of a job whose folders are there, in this thread.
+    """Do the work of a job whose folders exist, in this thread.
 
     The caller starts and finishes `progress`, and has planned `listener`. The outcome has no frames
-    for a video alone that was there as this run would make it.
+    for a video alone that existed as this run would make it.
 
     Raises
     ------
@@ -115,11 +110,11 @@ def write_intervals(job: Job, progress: Progress, listener: FrameListener | None
     settings = job.settings
     use_threads(settings.threads)
     reader = make_reader(job)
-    note = ""
-    if job.targets.frames is None:
-        note = note_of(reader.leading_recipes, settings, job.keys, job.rendered)
     try:
-        if listener is None and is_kept(job.targets, settings, note):
+        note = ""
+        if job.targets.frames is None:
+            note = video_fingerprint(reader.leading_recipes, settings, job.keys, job.rendered)
+        if listener is None and is_video_kept(job.targets, settings, note):
             return Outcome(cuts=reader.cuts)
         run = Run(job, reader, note, progress, listener)
         with working():
@@ -130,19 +125,18 @@ def write_intervals(job: Job, progress: Progress, listener: FrameListener | None
             tuple(run.left_out),
             nonfinite=broken_pixels_of(job, reader.truth.nonfinite, reader.rendered),
         )
-        return _verified(outcome, job, run.writer.sums)
+        if job.sums and frames:
+            outcome = _with_checksums(outcome, job, run.writer.sums)
+        return outcome
     finally:
         job.close()
 
 
-def _verified(outcome: Outcome, job: Job, sums: Sums) -> Outcome:
+def _with_checksums(outcome: Outcome, job: Job, sums: Sums) -> Outcome:
     """Add checksums of the files to an outcome, and read these back, where that is asked."""
-    settings = job.settings
-    if not (job.sums and outcome.frames):
-        return outcome
     files = files_of(job.targets, outcome.frames, sums)
     count = None
-    if settings.verify:
+    if job.settings.verify:
         count = verify(job.targets, outcome.frames, files, job.source.keys.view, outcome.shown)
         if job.targets.frames is not None and job.targets.video is not None:
             verify_video(job.targets.video, outcome.shown)
@@ -165,101 +159,103 @@ class Run:
     ) -> None:
         self._job, self._reader = job, reader
         self._progress, self._listener = progress, listener
-        display = job.source.keys.display
-        warps = job.source.slots is None and not job.method.extrapolates
-        leader = ExtraLayers(job.contents)
-        bare = warps and not leader.any
-        self._builder, *others = (
-            IntervalBuilder(
-                source.keys.display,
-                job.network,
-                job.interpolator,
-                source.estimated,
-                bare,
-                source.scratch,
-                leader.moves_light,
-                job.method.older_keys(job.method.lookahead),
-            )
-            for source in job.sources
+        self._source, self._timeline = job.source, job.source.timeline
+        self._display = job.source.keys.display
+        builder, *view_builders = make_builders(job)
+        self._layers = ExtraLayers(job.contents, tuple(view_builders))
+        # Frames with all their layers are large, and few may wait; so are large ones.
+        behind = min(FRAMES_BEHIND, MAX_BYTES_BEHIND // (self._display.pixels * PIXEL_BYTES))
+        self.writer = make_writer(job, note, 0 if self._layers.any else behind)
+        self._preparer = IntervalPreparer(
+            job, reader, builder, self.writer, progress, self._layers.any
         )
-        self._layers = ExtraLayers(job.contents, tuple(others))
-        self._gate = make_gate(job)
-        # Frames with all their layers are large, and few may wait.
-        self.writer = make_writer(job, note, 0 if self._layers.any else _writes_behind(display))
-        self._chooser = make_chooser(job)
         self._renderer = SlotRenderer(
-            job.settings,
-            job.source,
-            job.method,
-            self.writer,
-            self._layers,
-            job.measures_key_pulse,
+            job.source, job.method, self.writer, self._layers, job.measures_key_pulse
         )
         self._pulses = KeyedPulses(job.source) if job.measures_key_pulse else None
-        most = max((len(job.source.timeline.made_of(key)) for key in job.keys), default=0)
+        most = max((len(self._timeline.made_of(key)) for key in job.keys), default=0)
         self._slots = ParallelSlots(_row_bands.threads(), most)
         self._records: list[FrameRecord] = []
         self.left_out: list[LeftOut] = []
-        self._broken: dict[int, int] = {}
-        self._remarked: set[bool] = set()
+        self._noted_windows: set[bool] = set()
 
     def render_all(self) -> tuple[FrameRecord, ...]:
-        """Work through the intervals: reading ahead, rendering here, writing behind."""
+        """Work through the intervals: reading ahead, rendering in this thread, writing behind."""
         keys = self._job.keys
         tasks = (partial(self._reader.read, key, self._is_needed) for key in keys)
         with self.writer, self._slots:
             for text in self.writer.remarks:
                 self._progress.message(text)
-            intervals = prefetch(tasks, read_depth(self._job.source.keys.display.pixels))
+            intervals = prefetch(tasks, read_depth(self._display.pixels))
             for _ in keys:
                 # Handed on at once: a variable would hold the raw geometry while the next is read.
-                self._do_interval(next(intervals))
+                self._render_interval(next(intervals))
                 pool.trim()
-        written = self.writer.write_ms
-        records = self._records if self._pulses is None else self._pulses.complete(self._records)
+        records = self._records
+        if self._pulses is not None:
+            records = list(self._pulses.complete(records))
+        write_ms = self.writer.write_ms
         return tuple(
-            replace(record, timing_ms=record.timing_ms | {"write": written[record.number]})
-            if record.number in written
+            replace(record, timing_ms=record.timing_ms | {"write": write_ms[record.number]})
+            if record.number in write_ms
             else record
             for record in records
         )
 
-    def _do_interval(self, inputs: IntervalInputs | SkippedInterval) -> None:
+    def _is_needed(self, key: int, recipes: dict[int, str]) -> bool:
+        """Return True if any slot is missing or must be scored."""
+        settings = self._job.settings
+        if not settings.skip_existing or settings.ground_truth is not None:
+            return True
+        number = self._timeline.number
+        return not all(self.writer.has(number(Slot(key, i)), recipes[i]) for i in recipes)
+
+    def _render_interval(self, inputs: IntervalInputs | SkippedInterval) -> None:
         """Render an interval's frames, or skip them."""
         if isinstance(inputs, SkippedInterval):
             self._skip(inputs)
             return
-        self._remark_window(inputs)
+        self._note_window(inputs)
         try:
-            prepared, inputs = self._prepare(inputs)
+            prepared, inputs = self._preparer.prepare(inputs)
         except InputError as error:  # of what only extrapolation needs
             if not self._job.settings.source.keep_going:
                 raise
             self._skip(SkippedInterval(inputs.key, str(error), inputs.without_geometry()))
             return
-        timeline, interval = self._job.source.timeline, prepared.interval
-        self._replace_key(inputs)
-        self._take_gradient(inputs)
-        self._tell_unusable(inputs)
-        if timeline.shows(inputs.key):
-            self._pass_key(inputs)
-        slots = timeline.made_of(inputs.key)
+        for problem in (
+            *skipped_scores(self._timeline, inputs.key, inputs.truth.unscored),
+            *skipped_rendered(self._timeline, inputs.key, inputs.rendered.unusable),
+        ):
+            self.left_out.append(problem)
+            announce_skipped(self._progress, problem)
+        self._pass_key(inputs)
+        self._render_slots(prepared, inputs)
+
+    def _render_slots(self, prepared: PreparedInterval, inputs: IntervalInputs) -> None:
+        """Render the slots of an interval that are missing, and record all of them."""
+        interval, slots = prepared.interval, self._timeline.made_of(inputs.key)
         missing = [slot for slot in slots if slot not in prepared.existing]
         self._layers.begin(inputs, interval if missing else None)
-        scores = self._scores(inputs, interval)
-        pixels = self._job.source.keys.display.pixels
-        how = mode(prepared, self._job.method, pixels, self._layers.any, self._slots.workers)
+        scores = None
+        if interval is not None and inputs.truth.frames:
+            measured = self._job.settings.measured
+            scores = IntervalScores(interval, self._display, measured, inputs.followed)
+        how = mode(
+            prepared, self._job.method, self._display.pixels, self._layers.any, self._slots.workers
+        )
         render = partial(self._renderer.render, prepared, inputs, in_pool=how is Mode.IN_POOL)
-        rendered = self._slots.render(render, missing, how)
+        in_order = self._slots.render(render, missing, how)
         first_record = len(self._records)
         for slot in slots:
+            # Handed on at once: a variable would hold a frame while the next is rendered.
             if slot.index in inputs.rendered.frames:
                 self._record(self._renderer.pass_rendered(slot, inputs), inputs, scores)
             elif slot in prepared.existing:
                 masked = self._listener is not None
                 self._record(self._renderer.resume(slot, interval, inputs, masked), inputs, scores)
             else:
-                self._record(next(rendered), inputs, scores)
+                self._record(next(in_order), inputs, scores)
             if interval is not None:
                 # Of the paper's paths a slot may be made by way of the one before it.
                 interval.forget(slot.index - 1 if prepared.extrapolates else slot.index)
@@ -268,150 +264,66 @@ class Run:
             self._complete_scores(first_record, inputs, scores)
         self._layers.begin(inputs, None)
 
-    def _tell_unusable(self, inputs: IntervalInputs) -> None:
-        """Record and say which ground truth and which rendered frames cannot be used."""
-        timeline = self._job.source.timeline
-        for found in (
-            *skipped_scores(timeline, inputs.key, inputs.truth.unscored),
-            *skipped_rendered(timeline, inputs.key, inputs.rendered.unusable),
-        ):
-            self.left_out.append(found)
-            announce_skipped(self._progress, found)
-
-    def _prepare(self, inputs: IntervalInputs) -> tuple[PreparedInterval, IntervalInputs]:
-        """Build an interval, and decide its path; return it with what is left of its inputs."""
-        method, slots = self._job.method, self._job.source.timeline.made_of(inputs.key)
-        timing_ms: dict[str, float] = {}
-        interval: Interval | None = None
-        if self._gate is not None and inputs.trial is not None:
-            self._gate.receive(inputs.trial)
-        with record_time(timing_ms, "geometry", len(slots)):
-            if inputs.frame is not None:
-                interval = self._builder.build(inputs)
-        existing = {slot for slot in slots if interval is None or self._exists(slot, inputs)}
-        trial = None
-        if interval is not None and not interval.held and len(existing) < len(slots):
-            trial = self._try(inputs, timing_ms)
-        choice = None
-        # A policy looks at every interval: the states of later ones hold what it saw.
-        looks = len(existing) < len(slots) or method.judge is Judge.POLICY
-        if slots and looks and interval is not None:
-            choice = self._choose(inputs, interval)
-        if trial is not None and not trial.pays and interval is not None:
-            interval = replace(interval, interpolator=None)
-            choice = None if choice is None else replace(choice, plan=only_warps(choice.plan))
-        if choice is not None:
-            timing_ms |= {step: ms / len(slots) for step, ms in choice.timing_ms.items()}
-        self._broken = count_broken(inputs, self._broken) if len(existing) < len(slots) else {}
-        prepared = PreparedInterval(
-            interval, choice, frozenset(existing), timing_ms, self._broken, trial
-        )
-        if interval is not None and prepared.extrapolates and inputs.lacks_history:
-            inputs = self._reader.add_history(inputs)
-            self._broken = count_broken(inputs, self._broken)
-            interval = self._builder.add_history(interval, inputs)
-        elif interval is not None and not (
-            prepared.extrapolates or inputs.slots or inputs.truth.frames or self._layers.any
-        ):
-            interval = interval.bare()  # slots are warped from the key frame
-        parts = self._split(interval, inputs) if len(existing) < len(slots) else {}
-        prepared = replace(prepared, interval=interval, broken=self._broken, parts=parts)
-        return prepared, inputs.without_geometry()
-
-    def _split(self, interval: Interval | None, inputs: IntervalInputs) -> Mapping[int, SubSlot]:
-        """Return how slots beside rendered frames are made, and say where these are of no use."""
-        source, rendered = self._job.source, inputs.rendered.frames
-        if interval is None or not interval.has_motion or not rendered:
-            return {}
-        if not leads_on(source, self._job.method, self._job.contents):
-            return {}
-        spans = vector_spans(interval, float(1 / source.timeline.factor))
-        numbers = [source.timeline.number(Slot(inputs.key, i)) for i in rendered if i not in spans]
-        if numbers:
-            self._progress.message(
-                f"--rendered has no vectors like the key frames' in {ranges(numbers)}: frames "
-                "beside are made from key frames alone"
-            )
-        if self._gate is not None and interval.following is None:
-            interval = replace(interval, interpolator=None)  # the gate tried nothing here
-        return sub_slots(interval, spans)
-
-    def _try(self, inputs: IntervalInputs, timing_ms: dict[str, float]) -> Trial | None:
-        """Return what the gate decides by; None where no network would make the frames."""
-        ends = self._job.method.lookahead and inputs.following is None
-        if self._gate is None or inputs.trial is None or ends:
-            return None
-        with record_time(timing_ms, "gate", len(self._job.source.timeline.made_of(inputs.key))):
-            return self._gate.decide(inputs.trial)
-
-    def _choose(self, inputs: IntervalInputs, interval: Interval) -> Chosen | None:
-        """Decide an interval's path; None where it is held, and nothing is to be decided.
-
-        A policy looks at it all the same.
-        """
-        if self._chooser is None or (interval.held and self._job.method.judge is not Judge.POLICY):
-            return None
-        choice = self._chooser(inputs, interval)
-        return None if interval.held else choice
-
-    def _is_needed(self, key: int, recipes: dict[int, str]) -> bool:
-        """Return True if any slot is missing or must be scored."""
-        settings = self._job.settings
-        if not settings.skip_existing or settings.ground_truth is not None:
-            return True
-        number = self._job.source.timeline.number
-        return not all(self.writer.has(number(Slot(key, i)), recipes[i]) for i in recipes)
-
-    def _exists(self, slot: Slot, inputs: IntervalInputs) -> bool:
-        """Return True if nothing makes a slot's frame: it was rendered, or an earlier run did."""
-        if slot.index in inputs.rendered.frames:
-            return True
-        number, recipe = self._job.source.timeline.number(slot), inputs.metadata.recipes[slot.index]
-        return self.writer.has(number, recipe)
+    def _note_window(self, inputs: IntervalInputs) -> None:
+        """Say how windows smaller than the display window are read, once each way."""
+        if inputs.frame is None or inputs.region in self._noted_windows:
+            return
+        note = window_note(inputs.frame.image, inputs.region)
+        if note is not None:
+            self._noted_windows.add(inputs.region)
+            self._progress.message(note)
 
     def _skip(self, skipped: SkippedInterval) -> None:
         """Pass the key frame through if it can be read, and record what is missing."""
-        timeline = self._job.source.timeline
-        slots = timeline.slots_of(skipped.key)
-        if skipped.passed is not None and timeline.shows(skipped.key):
-            self._pass_key(skipped.passed)
-            slots = timeline.made_of(skipped.key)
-        left = skipped_interval(timeline, skipped.key, slots, skipped.reason)
-        if left.frames:
-            self.left_out.append(left)
-            announce_skipped(self._progress, left)
+        slots = self._timeline.slots_of(skipped.key)
+        if skipped.passed is not None and self._timeline.shows(skipped.key):
+            self._write_key(skipped.passed)
+            slots = self._timeline.made_of(skipped.key)
+        missing = skipped_interval(self._timeline, skipped.key, slots, skipped.reason)
+        if missing.frames:
+            self.left_out.append(missing)
+            announce_skipped(self._progress, missing)
         for slot in slots:
             self.writer.show_again()
-            number = timeline.number(slot)
+            number = self._timeline.number(slot)
             self._progress.advance(number, "left out", kind_of(slot.index), made=False)
 
-    def _remark_window(self, inputs: IntervalInputs) -> None:
-        """Say how windows smaller than the display window are read, once each way."""
-        if inputs.frame is None or inputs.region in self._remarked:
-            return
-        text = remark(inputs.frame.image, inputs.region)
-        if text is not None:
-            self._remarked.add(inputs.region)
-            self._progress.message(text)
-
-    def _replace_key(self, inputs: IntervalInputs) -> None:
-        """Replace a copy of an earlier render before any frame that is made of the new one."""
-        source = self._job.source
-        path = source.keys.sequence.files[source.timeline.numbers[inputs.key]]
-        if source.timeline.shows(inputs.key) and self.writer.copies(path):
-            self.writer.replace_key(source.timeline.number(Slot(inputs.key, 0)), path)
-
     def _pass_key(self, inputs: IntervalInputs) -> None:
-        """Pass the key frame through."""
-        source, writer = self._job.source, self.writer
-        number = source.timeline.numbers[inputs.key]
-        output = source.timeline.number(Slot(inputs.key, 0))
+        """Pass the key frame through, if it is shown, and keep how sharp it is."""
+        is_shown = self._timeline.shows(inputs.key)
+        path = self._source.keys.sequence.files[self._timeline.numbers[inputs.key]]
+        if is_shown and self.writer.copies(path):
+            # Before any frame that is made of a new render, the copy of an earlier one is replaced.
+            self.writer.replace_key(self._timeline.number(Slot(inputs.key, 0)), path)
+        if self._pulses is not None:
+            self._pulses.add_key(inputs.key, self._key_image(inputs), inputs.followed)
+        if is_shown:
+            self._write_key(inputs)
+
+    def _write_key(self, inputs: IntervalInputs) -> None:
+        """Copy the key frame's file, or write what it decodes to, and record it."""
+        source, writer = self._source, self.writer
+        number = self._timeline.numbers[inputs.key]
+        output = self._timeline.number(Slot(inputs.key, 0))
         path = source.keys.sequence.files[number]
-        replaced = writer.was_replaced(output) or writer.is_in_the_way(output)
+        replaced = writer.is_in_the_way(output)
         if writer.copies(path):
             resumed = writer.pass_key(output, path)
+        elif not writer.keeps_frames:
+            resumed = False
         else:
-            resumed = self._write_key(output, inputs)
+            recipe = key_fingerprint(source.keys, number, source.written_fps)
+            resumed = writer.has(output, recipe, masked=False)
+            if not resumed:
+                attributes = {
+                    **rate_attribute(source),
+                    f"{PREFIX}version": __version__,
+                    f"{PREFIX}kind": FrameKind.KEY.value,
+                    f"{PREFIX}key": number,
+                    f"{PREFIX}recipe": recipe,
+                }
+                image = self._key_image(inputs)
+                writer.write_decoded(output, image, inputs.metadata.template, attributes)
         record = FrameRecord(
             output, writer.name(output), number, 0, FrameKind.KEY, "key", (number,),
             resumed=resumed,
@@ -423,38 +335,12 @@ class Run:
         self._show(RenderedSlot(record), inputs)
         self._progress.advance(output, "key", kind_of(0), made=not resumed)
 
-    def _write_key(self, output: int, inputs: IntervalInputs) -> bool:
-        """Write a key frame that is no file of the output's format; return whether it is there."""
-        source = self._job.source
-        number = source.timeline.numbers[inputs.key]
-        if not self.writer.keeps_frames:
-            return False
-        recipe = key_recipe(source.keys, number, source.written_fps)
-        if self.writer.has(output, recipe, masked=False):
-            return True
-        attributes = {
-            **rate_attribute(source),
-            f"{PREFIX}version": __version__,
-            f"{PREFIX}kind": FrameKind.KEY.value,
-            f"{PREFIX}key": number,
-            f"{PREFIX}recipe": recipe,
-        }
-        template = inputs.metadata.template
-        self.writer.write(output, self._key_image(inputs), None, template, attributes)
-        return False
-
     def _key_image(self, inputs: IntervalInputs) -> Image:
         """Return a key frame's colour, from disk where nothing else of its interval was read."""
         if inputs.frame is not None:
             return inputs.frame.image
-        source = self._job.source
-        number = source.timeline.numbers[inputs.key]
-        return picture(source.keys.sequence, number, source.keys.view)
-
-    def _take_gradient(self, inputs: IntervalInputs) -> None:
-        """Keep how sharp the key frame is, where new frames are compared with it."""
-        if self._pulses is not None:
-            self._pulses.add_key(inputs.key, self._key_image(inputs), inputs.followed)
+        number, keys = self._timeline.numbers[inputs.key], self._source.keys
+        return picture(keys.sequence, number, keys.view)
 
     def _record(
         self, rendered: RenderedSlot, inputs: IntervalInputs, scores: IntervalScores | None
@@ -468,7 +354,7 @@ class Run:
             timing_ms = dict(record.timing_ms)
             with record_time(timing_ms, "score"):
                 reference = truth.on(truth.display_window).pixels
-                test = image.on(self._job.source.keys.display).pixels
+                test = image.on(self._display).pixels
                 overall, holes = scores.frame(record.slot, reference, test, rendered.mask)
             record = replace(record, score=overall, hole_score=holes, timing_ms=timing_ms)
         self._records.append(record)
@@ -479,11 +365,10 @@ class Run:
 
     def _show(self, rendered: RenderedSlot, inputs: IntervalInputs) -> None:
         """Show a frame as its file has it: to the video, and with its truth to the listener."""
-        record, writer = rendered.record, self.writer
-        listens = self._listener is not None and self._listener.wants(
-            record.number, record.score, record.risk
-        )
-        if not (listens or writer.shows):
+        record, writer, listener = rendered.record, self.writer, self._listener
+        if listener is not None and not listener.wants(record.number, record.score, record.risk):
+            listener = None
+        if listener is None and not writer.shows:
             return
         is_key = record.kind is FrameKind.KEY
         if is_key:
@@ -494,24 +379,16 @@ class Run:
             image = rendered.image
         else:
             image = rounded(rendered.image, inputs.metadata.template)
-        if listens:
-            assert self._listener is not None
+        if listener is not None:
             truth = inputs.truth.frames.get(record.slot)
-            self._listener.frame(
+            listener.frame(
                 record.number,
-                writer.displayed(image.on(self._job.source.keys.display).pixels),
+                writer.displayed(image.on(self._display).pixels),
                 None if truth is None else writer.displayed(truth.on(truth.display_window).pixels),
                 rendered.mask,
                 is_key=is_key,
             )
         writer.show(image)
-
-    def _scores(self, inputs: IntervalInputs, interval: Interval | None) -> IntervalScores | None:
-        """Return what scores an interval's slots; None without ground truth."""
-        if interval is None or not inputs.truth.frames:
-            return None
-        measured = self._job.settings.measured
-        return IntervalScores(interval, self._job.source.keys.display, measured, inputs.followed)
 
     def _complete_scores(self, first: int, inputs: IntervalInputs, scores: IntervalScores) -> None:
         """Add what takes all frames of an interval to its scores; `first` is its first record."""
@@ -531,41 +408,6 @@ class Run:
                 )
 
 
-def only_warps(plan: Plan | TilePlan) -> Plan | TilePlan:
-    """Return a plan of the same kind that runs no network."""
-    if isinstance(plan, TilePlan):
-        return TilePlan.fixed(plan.columns, plan.rows, ONLY_WARPS)
-    return Plan.fixed(ONLY_WARPS)
-
-
-def make_chooser(job: Job) -> Chooser | None:
-    """Return what decides the path of each key interval; None outside the decision tree."""
-    method, source = job.method, job.source
-    if method.path is not None:
-        return always(method.path) if is_usual(source) else None
-    if job.policy is not None and job.policy.of_tiles:
-        return by_tiles(job.policy, job.settings.spent)
-    if job.policy is not None:
-        from exwarp_cli.pipeline.observing import Observer
-        from exwarp_cli.policy.state import LearnedPolicy
-
-        observer = Observer(source.keys.display, source.setting)
-        return by_policy(LearnedPolicy(job.policy.network), observer)
-    return None if method.judge is None else by_truth(method.judge, source.keys.display)
-
-
-def make_gate(job: Job) -> Gate | None:
-    """Return what decides where the network of a run may make frames; None without a gate."""
-    source, method = job.source, job.method
-    if not job.is_gated:
-        return None
-    builder = IntervalBuilder(
-        source.keys.display, job.network, job.interpolator, source.estimated,
-        scratch=source.scratch,
-    )  # fmt: skip
-    return Gate(method, builder, source.keys.display)
-
-
 def make_reader(job: Job) -> ViewsReader:
     """Return what reads the views that are written; the first decides, and is scored."""
     contents, method, settings = job.contents, job.method, job.settings
@@ -578,22 +420,23 @@ def make_reader(job: Job) -> ViewsReader:
         contents,
         rendered=job.rendered,
     )
-    others = (
+    followers = (
         IntervalReader(content.source, method, settings, None, job.depends_on, (content,), leader)
         for content in contents[1:]
     )
-    return ViewsReader(leader, tuple(others))
+    return ViewsReader(leader, tuple(followers))
 
 
 def make_writer(job: Job, note: str = "", behind: int = FRAMES_BEHIND) -> FrameWriter:
     """Return where frames go; `note` is what a video that is written alone says of itself."""
-    keys, rate = job.source.keys, job.source.output_rate
-    look = video_look(job.source, job.keys, note or BY_EXWARP)
+    keys = job.source.keys
     return FrameWriter(
-        job.targets, job.settings, keys.display, rate, keys.view, behind, look, job.sums
+        job.targets,
+        keys.display,
+        job.source.output_rate,
+        keys.view,
+        behind,
+        video_look(job.source, job.keys, note or BY_EXWARP),
+        job.sums,
+        job.settings.source.keep_going,
     )
-
-
-def _writes_behind(display: Window) -> int:
-    """Return how many frames may wait to be written: fewer of large ones."""
-    return min(FRAMES_BEHIND, MAX_BYTES_BEHIND // (display.pixels * PIXEL_BYTES))

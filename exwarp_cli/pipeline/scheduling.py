@@ -26,19 +26,19 @@ if TYPE_CHECKING:
 S = TypeVar("S")
 T = TypeVar("T")
 
+# Pixels of a frame up to which anything is done ahead: of 3840x2160 a key frame with its geometry
+# takes 430 MB, and decoding keeps all cores busy by itself.
 MAX_PIXELS_AHEAD = 4 * 2**20
-"""Pixels of a frame up to which anything is done ahead: of 3840x2160 a key frame with its geometry
-takes 430 MB, and decoding keeps all cores busy by itself."""
 
 
 class Mode(Enum):
     """How the slots of an interval are rendered."""
 
+    # One after the other, by all threads together; files are written behind.
     IN_LINE = "in line"
-    """One after the other, by all threads together; files are written behind."""
 
+    # Several at a time, each by a share of the threads, which write the file as well.
     IN_POOL = "in a pool"
-    """Several at a time, each by a share of the threads, which write the file as well."""
 
 
 def mode(
@@ -62,12 +62,12 @@ def mode(
     # A kernel that all threads share waits for the last of them, whose core may be reading or
     # writing: of two cores, 1.6 were busy. Networks use all threads by themselves.
     interval = prepared.interval
-    alone = workers > 1 and pixels <= MAX_PIXELS_AHEAD and not has_layers
+    fits = workers > 1 and pixels <= MAX_PIXELS_AHEAD and not has_layers
     # Optical flow takes as much memory as all the rest of a slot.
-    warps = not (prepared.extrapolates or method.interpolates or method.finds_flow)
+    only_warps = not (prepared.extrapolates or method.interpolates or method.finds_flow)
     # Slots with G-buffers are led along those before.
     independent = interval is not None and not interval.slots
-    return Mode.IN_POOL if alone and warps and independent else Mode.IN_LINE
+    return Mode.IN_POOL if fits and only_warps and independent else Mode.IN_LINE
 
 
 def read_depth(pixels: int) -> int:
@@ -82,6 +82,18 @@ def record_time(timing_ms: dict[S, float], step: S, count: int = 1) -> Iterator[
     yield
     elapsed = 1e3 * (time.perf_counter() - begin)
     timing_ms[step] = timing_ms.get(step, 0.0) + elapsed / max(count, 1)
+
+
+def wait_result(future: Future[T]) -> T:
+    """Return what another thread makes; it may work on this thread's cores until then."""
+    with waiting():
+        return future.result()
+
+
+def run_with_core(task: Callable[[], T]) -> T:
+    """Run a task on a core."""
+    with working():
+        return task()
 
 
 def prefetch(tasks: Iterable[Callable[[], T]], depth: int) -> Iterator[T]:
@@ -103,27 +115,10 @@ def prefetch(tasks: Iterable[Callable[[], T]], depth: int) -> Iterator[T]:
             pool.shutdown(wait=True, cancel_futures=True)
 
 
-def wait_result(future: Future[T]) -> T:
-    """Return what another thread makes; it may work on this thread's cores until then."""
-    with waiting():
-        return future.result()
-
-
-def run_with_core(task: Callable[[], T]) -> T:
-    """Run a task on a core."""
-    with working():
-        return task()
-
-
 class ParallelSlots:
     """Renders the slots of intervals, in a pool or in line; a context manager.
 
-    Parameters
-    ----------
-    threads
-        How many there are in all.
-    slots
-        The most slots that an interval has.
+    `threads` is how many there are in all, `slots` the most slots that an interval has.
     """
 
     def __init__(self, threads: int, slots: int) -> None:
@@ -148,10 +143,9 @@ class ParallelSlots:
             yield from map(render, slots)
             return
         if self._pool is None:
-            start = partial(
-                _row_bands.set_threads, self._share
-            )  # holds for the thread that calls it
-            self._pool = ThreadPoolExecutor(self.workers, "exwarp-slot", start)
+            # Holds for the thread that calls it.
+            set_share = partial(_row_bands.set_threads, self._share)
+            self._pool = ThreadPoolExecutor(self.workers, "exwarp-slot", set_share)
         pending = deque([self._pool.submit(self._run, render, slot) for slot in slots])
         while pending:
             yield wait_result(pending.popleft())

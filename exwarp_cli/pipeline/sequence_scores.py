@@ -27,7 +27,7 @@ from exwarp_cli.metrics import extranet
 from exwarp_cli.metrics.display import rounded
 from exwarp_cli.metrics.flicker import error, of_frames, transition
 from exwarp_cli.metrics.registry import score
-from exwarp_cli.pipeline.motion_finding import find_motion
+from exwarp_cli.pipeline.motion_convention import find_motion
 from exwarp_cli.synthesis.geometry import matched, reproject, settle_motion
 
 Scores = tuple[Score, Score | None]  # over all pixels, and in holes

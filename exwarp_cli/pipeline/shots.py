@@ -9,20 +9,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from exwarp_cli.domain.cuts import Cut, CutWish
-from exwarp_cli.domain.frame import Float32, GBuffer, KeyFrame
+from exwarp_cli.domain.frame import GBuffer, KeyFrame
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.errors import InputError
 from exwarp_cli.synthesis.cuts import is_cut_between
 from exwarp_cli.synthesis.glance import Glance, glance_at
 from exwarp_cli.synthesis.holds import SOON, Change, change_between, is_same_picture
 
+# Share of the frame's longer side from which a change of speed may come of a cut: 19 pixels of
+# 1920. Cameras that change so much within a key interval are rare, and what leads across a cut
+# leads to another camera, mostly by a good part of the frame.
 LEAP = 0.01
-"""Share of the frame's longer side from which a change of speed may come of a cut: 19 pixels of
-1920. Cameras that change so much within a key interval are rare, and what leads across a cut leads
-to another camera, mostly by a good part of the frame."""
 
+# Distances at which another pair is sought in place of one that shows the same picture twice.
 AROUND_HOLD = (1, -1, 2, -2, 3, -3, 5, -5, 8, -8, 16, -16, 32, -32)
-"""Distances at which another pair is sought in place of one that shows the same picture twice."""
 
 
 class _RecordedError(Exception):
@@ -35,12 +35,7 @@ class UnreadableFrames:
     An unreadable key frame is like a hole between two shots: nothing is taken across it. The same
     frames have to be unreadable for every chunk of a sequence, whatever else that chunk reads. So
     a key frame is always read in the same way, and a question where shots begin reads the key
-    frames on both sides.
-
-    Parameters
-    ----------
-    tolerant
-        Whether a run skips what depends on them; otherwise errors pass, and nothing is recorded.
+    frames on both sides. Unless `tolerant`, errors pass, and nothing is recorded.
     """
 
     def __init__(self, tolerant: bool = False) -> None:
@@ -52,12 +47,9 @@ class UnreadableFrames:
 
     @contextmanager
     def recorded(self, slot: Slot) -> Iterator[None]:
-        """Record the slot's frame as unreadable when the block fails.
+        """Record the slot's frame as unreadable when the block raises InputError.
 
-        Raises
-        ------
-        InputError
-            What the block raises; and at once for a frame that is recorded.
+        The error is raised again, and raised at once for a frame that is recorded.
         """
         if not self.tolerant:
             yield
@@ -76,34 +68,16 @@ class UnreadableFrames:
         """Return True if a key frame, by its index, is recorded."""
         return Slot(key, 0) in self._reasons
 
-    def has_either(self, key: int) -> bool:
-        """Return True if a key frame or the one before it is recorded."""
-        return self.has(key) or self.has(key - 1)
-
     def all_readable(self, slots: Iterable[Slot]) -> bool:
         """Return True if no frame of these slots is recorded."""
         return not any(slot in self._reasons for slot in slots)
 
 
 class Shots:
-    """Tells where shots begin, of every pair of key frames from those two alone.
+    """Where shots begin and pictures repeat, of every pair of key frames from those two alone.
 
     So any part of the sequence finds the same, and so does every method: all code that reads
-    key frames shows them with the same channels.
-
-    Parameters
-    ----------
-    wish
-        What the user says about cuts.
-    numbers
-        Input numbers of all key frames.
-    read
-        Called with the index of a key frame that was not seen, or forgotten; shows it by `see`, and
-        returns it.
-    unreadable
-        Key frames that cannot be read: shots end before them, and begin after them.
-    lossy
-        True if a lossy codec may have changed pictures that are repeated.
+    key frames shows them with the same channels. Key frames are named by their index.
 
     Raises
     ------
@@ -114,23 +88,25 @@ class Shots:
     def __init__(
         self,
         wish: CutWish,
-        numbers: Sequence[int],
+        numbers: Sequence[int],  # of the input's key frames
+        # Reads a key frame that was not seen, or released; shows it by `see`, and returns it.
         read: Callable[[int], KeyFrame],
+        # Key frames that cannot be read: shots end before them, and begin after them.
         unreadable: UnreadableFrames | None = None,
-        lossy: bool = False,
+        lossy: bool = False,  # True if a lossy codec may have changed pictures that are repeated
     ) -> None:
         self._wish = wish
         self._numbers = numbers
         self._given = wish.starts_in(numbers)
         self._read = read
         self._unreadable = UnreadableFrames() if unreadable is None else unreadable
+        self._lossy = lossy
         self._glances: dict[int, Glance] = {}
         self._starts: dict[int, bool] = {}
-        self._leaps: dict[int, _Leap | None] = {}
-        self._leader: Shots | None = None
-        self._lossy = lossy
         self._repeats: dict[int, bool] = {}
         self._changes: dict[int, Change] = {}
+        self._leaps: dict[int, _Leap | None] = {}
+        self._leader: Shots | None = None
         self._followers: list[Shots] = []
 
     def follow(self, leader: Shots) -> None:
@@ -145,33 +121,34 @@ class Shots:
             return None
         return tuple(
             Cut(self._numbers[key], "given" if key in self._given else "detected")
-            for key, found in sorted(self._starts.items())
-            if found
+            for key, is_start in sorted(self._starts.items())
+            if is_start
         )
 
     def see(self, key: int, frame: KeyFrame) -> None:
-        """Take a glance at a key frame.
-
-        Parameters
-        ----------
-        key
-            Its index.
-        frame
-            As it was read, with vectors over a key interval.
-        """
-        if self._wish.detect or self._at_given(key):
+        """Take a glance at a key frame as it was read, with vectors over a key interval."""
+        if self._wish.detect or self._is_beside_given_cut(key):
             self._glances[key] = glance_at(frame)
 
     def starts_at(self, key: int) -> bool:
-        """Whether a cut lies before a key frame; none does before the first."""
+        """Return True if a cut lies before a key frame; none does before the first."""
         if self._leader is not None:
             return self._leader.starts_at(key)
         inside = 0 < key < len(self._numbers)
-        if self._unreadable.has_either(key) and key not in self._given:
+        beside_unreadable = self._unreadable.has(key) or self._unreadable.has(key - 1)
+        if beside_unreadable and key not in self._given:
             return inside
         if key not in self._starts:
-            self._starts[key] = inside and (key in self._given or self._found(key))
+            self._starts[key] = inside and (key in self._given or self._detect_cut(key))
         return self._starts[key]
+
+    def _detect_cut(self, key: int) -> bool:
+        if not self._wish.detect:
+            if self._unreadable.tolerant:  # whether they can be read shows as they are read
+                self._read(key - 1)
+                self._read(key)
+            return False
+        return is_cut_between(self._glance(key - 1), self._glance(key))
 
     def repeats(self, key: int) -> bool:
         """Return True if a key frame shows the same picture as the one before it, in all views.
@@ -183,16 +160,15 @@ class Shots:
         if key not in self._repeats:
             inside = 0 < key < len(self._numbers) and not self.starts_at(key)
             self._repeats[key] = inside and all(
-                shots._shows_the_same(key) for shots in (self, *self._followers)
+                shots._shows_same_picture(key) for shots in (self, *self._followers)
             )
         return self._repeats[key]
 
-    def _shows_the_same(self, key: int) -> bool:
-        """Return True if a key frame and the one before it show the same picture."""
-        before, after = (self._read(index).image for index in (key - 1, key))
+    def _shows_same_picture(self, key: int) -> bool:
         if not self._lossy:
+            before, after = (self._read(index).image for index in (key - 1, key))
             return is_same_picture(before, after)
-        change = self._changes[key] = change_between(before, after)
+        change = self._change(key)
         if change.is_noise() or not change.is_calm():
             return change.is_noise()
         for earlier in range(key - 1, max(key - 1 - SOON, 0), -1):
@@ -215,14 +191,12 @@ class Shots:
         return next((i for i in range(key, oldest, -1) if self.starts_at(i)), oldest)
 
     def within(self, key: int, gbuffer: GBuffer) -> GBuffer:
-        """Return a key frame's geometry without vectors that lead to another shot.
-
-        A shot that was rendered by itself has good vectors beyond its ends, so they go only where
-        those the other way are there too, and the two do not continue each other.
-        """
+        """Return a key frame's geometry without vectors that lead to another shot."""
+        # A shot that was rendered by itself has good vectors beyond its ends, so they go only where
+        # those the other way are there too, and the two do not continue each other.
         if gbuffer.to_next is None or gbuffer.to_previous is None:
             return gbuffer
-        crossing = self._leading_across(key)
+        crossing = self._vectors_across_cut(key)
         return gbuffer.without(crossing) if crossing else gbuffer
 
     def cut_facts(self, key: int, back: int, used: Iterable[int]) -> list[str]:
@@ -238,16 +212,16 @@ class Shots:
             The key frames whose vectors are.
         """
         begin = self.begin(key, back)
-        found = [f"begin {begin - key}"] if self.starts_at(begin) else []
-        found += ["end"] if self.starts_at(key + 1) else []
-        crossing = {i - key: self._leading_across(i) for i in sorted(set(used))}
-        return found + [f"{name} {offset}" for offset, name in crossing.items() if name]
+        facts = [f"begin {begin - key}"] if self.starts_at(begin) else []
+        facts += ["end"] if self.starts_at(key + 1) else []
+        crossing = {i - key: self._vectors_across_cut(i) for i in sorted(set(used))}
+        return facts + [f"{name} {offset}" for offset, name in crossing.items() if name]
 
-    def forget(self, oldest: int) -> None:
+    def release_before(self, oldest: int) -> None:
         """Drop glances at key frames before one; what they showed stays known."""
         self._glances = {key: glance for key, glance in self._glances.items() if key >= oldest}
 
-    def _at_given(self, key: int) -> bool:
+    def _is_beside_given_cut(self, key: int) -> bool:
         return key in self._given or key + 1 in self._given
 
     def _glance(self, key: int) -> Glance:
@@ -255,63 +229,46 @@ class Shots:
             self._read(key)
         return self._glances[key]
 
-    def _found(self, key: int) -> bool:
-        """Look whether there is a cut before a key frame."""
-        if not self._wish.detect:
-            if self._unreadable.tolerant:  # whether they can be read shows as they are read
-                self._read(key - 1)
-                self._read(key)
-            return False
-        return is_cut_between(self._glance(key - 1), self._glance(key))
-
-    def _leading_across(self, key: int) -> str:
+    def _vectors_across_cut(self, key: int) -> str:
         """Return which vectors of a key frame lead to another shot; "" for none."""
-        if not self._wish.detect and not self._at_given(key):
+        if not self._wish.detect and not self._is_beside_given_cut(key):
             return ""
         if key not in self._leaps:
-            self._leaps[key] = _Leap.of(self._glance(key))
+            self._leaps[key] = _Leap.from_glance(self._glance(key))
         leap = self._leaps[key]
         return leap.crossing(self.starts_at(key), self.starts_at(key + 1)) if leap else ""
 
 
 @dataclass(frozen=True)
 class _Leap:
-    """Vectors of one frame to both sides that do not continue each other.
+    """Vectors of one frame to both sides that do not continue each other, in cells of a glance."""
 
-    Attributes
-    ----------
-    apart
-        How far they are apart: the median length of n + p, with n to the next frame and p to the
-        previous one. Lengths are in cells of a glance.
-    to_next, to_previous
-        Their own median lengths.
-    """
-
-    apart: float
-    to_next: float
+    apart: float  # median length of n + p, with n to the next frame and p to the previous one
+    to_next: float  # median lengths of the two
     to_previous: float
 
     @classmethod
-    def of(cls, glance: Glance) -> _Leap | None:
+    def from_glance(cls, glance: Glance) -> _Leap | None:
         """Compare the vectors of surfaces as rendered; None where they continue each other."""
         after, before = glance.to_next, glance.to_previous
         if after is None or before is None:
             return None
-        known = np.isfinite(after).all(axis=-1) & np.isfinite(before).all(axis=-1)
-        if (known & glance.surface).any():
-            known &= glance.surface  # background has often none, whatever the camera does
-        if not known.any():
+        valid = np.isfinite(after).all(axis=-1) & np.isfinite(before).all(axis=-1)
+        if (valid & glance.surface).any():
+            valid &= glance.surface  # background has often none, whatever the camera does
+        if not valid.any():
             return None
-        apart, *lengths = (_length(v[known]) for v in (after + before, after, before))
+        apart, *lengths = (
+            float(np.median(np.linalg.norm(vectors[valid], axis=-1)))
+            for vectors in (after + before, after, before)
+        )
         return cls(apart, *lengths) if apart > LEAP * max(glance.light.shape) else None
 
     def crossing(self, cut_before: bool, cut_after: bool) -> str:
-        """Return which vectors cross a cut: those that are not as the others foretell.
-
-        Between the two, the change has to be larger than what goes on inside the shot: a camera
-        that brakes or reverses changes by as much as it moves. Of a shot of one frame there is
-        nothing inside; the shorter ones stay there.
-        """
+        """Return which vectors cross a cut: those that are not as the others foretell."""
+        # Between the two, the change has to be larger than what goes on inside the shot: a camera
+        # that brakes or reverses changes by as much as it moves. Of a shot of one frame there is
+        # nothing inside; the shorter ones stay there.
         if cut_before and cut_after:
             longer = "to_next" if self.to_next > self.to_previous else "to_previous"
             return longer if self.apart > min(self.to_next, self.to_previous) else ""
@@ -322,13 +279,8 @@ class _Leap:
         return ""
 
 
-def _length(vectors: Float32) -> float:
-    """Median length of vectors [N, 2]."""
-    return float(np.median(np.linalg.norm(vectors, axis=-1)))
-
-
 def pair_beside_hold(
-    first: int, count: int, parted: Callable[[int], bool], is_hold: Callable[[int], bool]
+    first: int, count: int, is_cut: Callable[[int], bool], is_hold: Callable[[int], bool]
 ) -> int:
     """Return the first frame of a pair nearby that does not show one picture twice.
 
@@ -340,7 +292,7 @@ def pair_beside_hold(
         The pair that is wanted: it and the frame after it. Returned if none nearby is better.
     count
         Of all frames.
-    parted
+    is_cut
         Called with the index of a frame; True if it does not belong to the frame before it.
     is_hold
         Called with the first frame of a pair; True if both frames show the same picture.
@@ -348,9 +300,10 @@ def pair_beside_hold(
     if not is_hold(first):
         return first
     for distance in AROUND_HOLD:
-        other = first + distance
-        if 0 <= other < count - 1 and not parted(other + 1) and not is_hold(other):
-            return other
+        candidate = first + distance
+        inside = 0 <= candidate < count - 1
+        if inside and not is_cut(candidate + 1) and not is_hold(candidate):
+            return candidate
     return first
 
 
@@ -362,7 +315,7 @@ def pairs_within(count: int, is_cut: Callable[[int], bool]) -> list[int]:
     count
         Number of frames.
     is_cut
-        Takes a frame's index and returns whether a cut lies before it. A pair across one gives
+        Takes a frame's index and returns True if a cut lies before it. A pair across one gives
         way to the nearest that is not.
 
     Returns
@@ -370,10 +323,9 @@ def pairs_within(count: int, is_cut: Callable[[int], bool]) -> list[int]:
     list of int
         Indices of the earlier frames, ascending.
     """
-    wanted = {0, (count - 1) // 2, count - 2}
     firsts = range(count - 1)
-    found = {
-        next((i for i in sorted(firsts, key=lambda i: abs(i - first)) if not is_cut(i + 1)), -1)
-        for first in wanted
+    nearest = {
+        next((i for i in sorted(firsts, key=lambda i: abs(i - wanted)) if not is_cut(i + 1)), -1)
+        for wanted in (0, (count - 1) // 2, count - 2)
     }
-    return sorted(found - {-1})
+    return sorted(nearest - {-1})

@@ -1,15 +1,17 @@
-"""Opening an input: its frames, numbering, rate and what its motion vectors mean."""
+"""Opening an input: its frames, numbering, rate, ids, and what its vectors and depth mean."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
+from pathlib import Path
 
 from exwarp_cli.domain.cuts import CutWish, parse_cuts
+from exwarp_cli.domain.frame import allow
 from exwarp_cli.domain.motion import MotionConvention, MotionFinding
-from exwarp_cli.domain.settings import SourceSettings
+from exwarp_cli.domain.settings import DEFAULT_FPS, SourceSettings
 from exwarp_cli.domain.timeline import (
     FACTOR,
     MOST,
@@ -17,82 +19,55 @@ from exwarp_cli.domain.timeline import (
     Slot,
     Timeline,
     compatible_rate,
+    number_step,
     ranges,
     standard_rate,
 )
-from exwarp_cli.errors import (
-    InputError,
-    LayoutError,
-    MissingFrameError,
-    MotionError,
-    UsageError,
-)
+from exwarp_cli.errors import InputError, LayoutError, MissingFrameError, MotionError, UsageError
+from exwarp_cli.io import sequences
+from exwarp_cli.io.channel_map import AovFile, ChannelMap, parse_aovs, read_channel_map
 from exwarp_cli.io.channels import Role
-from exwarp_cli.io.sequences import Sequence
-from exwarp_cli.io.shot import Shot
+from exwarp_cli.io.clip import is_clip
+from exwarp_cli.io.footage import find_plain, is_plain, own_rate, shot_of
+from exwarp_cli.io.frames import require_visible
+from exwarp_cli.io.output import frame_rate
+from exwarp_cli.io.shot import Shot, open_shot, open_views
 from exwarp_cli.io.unrecognised import is_colour_alone, no_vectors_message
-from exwarp_cli.pipeline.depth_kind import read_alike, with_depth_ordered
-from exwarp_cli.pipeline.motion_finding import KeyColours, find_motion
-from exwarp_cli.pipeline.opening import (
-    each_view,
-    open_keys,
-    open_plain,
-    open_slots,
-    rate_of,
+from exwarp_cli.io.views import ALL
+from exwarp_cli.pipeline.depth_and_ids import (
+    read_alike,
     read_ids,
+    with_depth_measured,
+    with_depth_ordered,
+    with_world_positions,
+)
+from exwarp_cli.pipeline.motion_convention import (
+    KeyColours,
+    find_motion,
+    motion_names,
+    parse_motion,
 )
 from exwarp_cli.runtime.frame_pool import IN_MEMORY, ScratchFrames
 
+# Returns the number of a slot's frame in a sequence at the output rate; None where it has none.
 FrameOf = Callable[[Slot], int | None]
-
-ESTIMATED = (
-    "estimated",
-    "from colour by OpenCV's DIS optical flow between neighbouring key frames, far less exact than "
-    "a renderer's vectors",
-)
-"""What is said of motion without vectors."""
 
 
 @dataclass(frozen=True)
 class Source:
-    """An opened input.
-
-    Attributes
-    ----------
-    keys
-        The key frames.
-    slots
-        G-buffers at the output rate; None in the key setting, and where they were left out.
-    slot_number
-        The number of a slot's frame in `slots`; None where it has none.
-    timeline
-        Numbering.
-    finding
-        Convention of the motion vectors in use: those of `slots` where there are some, else of the
-        keys; None without motion.
-    fps, fps_source
-        Base rate, and where it came from: "option", "header", "file" (a video's) or
-        "assumed".
-    cuts
-        What the user says about cuts; those given lie at key frames.
-    estimated
-        Whether motion is needed and there are no vectors, so that it is estimated from colour.
-    unusable
-        Why vectors that are there are not used, and motion is estimated instead; "" otherwise.
-    scratch
-        Where large key frames lie when a network may extrapolate.
-    """
+    """An opened input."""
 
     keys: Shot
-    slots: Shot | None
-    slot_number: FrameOf
+    slots: Shot | None  # G-buffers at the output rate; None in the key setting
+    slot_number: FrameOf  # in `slots`
     timeline: Timeline
-    finding: MotionFinding | None
-    fps: Fraction
-    fps_source: str
-    cuts: CutWish
-    estimated: bool = False
-    unusable: str = ""
+    finding: MotionFinding | None  # convention of the vectors in use: of `slots`, else of the keys
+    fps: Fraction  # base rate
+    fps_source: str  # "option", "header", "file" (a video's) or "assumed"
+    cuts: CutWish  # those that are given lie at key frames
+    estimated: bool = False  # True if motion is needed and estimated from colour
+    unusable: str = ""  # why vectors that exist are not used, and motion is estimated instead
+    # Where large key frames lie when a network may extrapolate.
     scratch: ScratchFrames = field(default=IN_MEMORY, compare=False, repr=False)
 
     @property
@@ -112,7 +87,7 @@ class Source:
 
     @property
     def moves(self) -> bool:
-        """Whether motion is known, by vectors or estimated."""
+        """True if motion is known, by vectors or estimated."""
         return self.estimated or self.finding is not None
 
     @property
@@ -124,9 +99,19 @@ class Source:
     def motion_origin(self) -> tuple[str, str] | None:
         """Where motion is from, in a word and in a sentence; None without motion."""
         if self.estimated:
-            name, how = ESTIMATED
-            return name, f"{how}; vectors are not used: {self.unusable}" if self.unusable else how
+            evidence = (
+                "from colour by OpenCV's DIS optical flow between neighbouring key frames, far "
+                "less exact than a renderer's vectors"
+            )
+            if self.unusable:
+                evidence += f"; vectors are not used: {self.unusable}"
+            return "estimated", evidence
         return None if self.finding is None else (self.finding.source, self.finding.evidence)
+
+    @property
+    def allows_decisions(self) -> bool:
+        """True at the paper's factor, and along a renderer's motion."""
+        return self.timeline.factor == FACTOR and not self.estimated
 
     @property
     def setting(self) -> str:
@@ -135,16 +120,14 @@ class Source:
 
 
 def open_source(
-    settings: SourceSettings,
-    motion_needed: bool = True,
-    pictures: bool = False,
+    settings: SourceSettings, motion_needed: bool = True, pictures: bool = False
 ) -> Source:
     """Find and recognise an input.
 
     Parameters
     ----------
     settings
-        What the user said.
+        How the input is read.
     motion_needed
         Whether the method uses motion vectors. Without, a convention that cannot be settled is no
         error, and G-buffers at the output rate without vectors to the previous slot are left out.
@@ -180,23 +163,24 @@ def open_source(
             f"{float(fps * timeline.factor):g} fps most key frames are no output instants; leave "
             "--gbuffers out, or give a whole --factor"
         )
-    begin = cuts.starts_in(timeline.numbers)
+    first_keys = cuts.starts_in(timeline.numbers)
     keys, slots = read_ids(settings.dynamic, keys, open_slots(settings, keys))
     slot_number: FrameOf = _no_number
+    starts: set[int | None] = {timeline.numbers[key] for key in first_keys}
     if slots is not None:
         slot_number = align(timeline, slots.sequence, "--gbuffers")
-        _enough(timeline, slots, slot_number)
-    shot = slots or keys
-    starts = _numbers_at(begin, timeline, None if slots is None else slot_number)
+        _require_enough_slots(timeline, slots, slot_number)
+        starts = {slot_number(Slot(key, 0)) for key in first_keys}
+    cut_numbers = {number for number in starts if number is not None}
     unusable = ""
     try:
         colours = _key_colours(keys, slots, timeline, slot_number)
-        finding = find_motion(shot, settings.motion, cuts.detect, starts, colours)
+        finding = find_motion(slots or keys, settings.motion, cuts.detect, cut_numbers, colours)
     except MotionError as error:
         if motion_needed and not (pictures and _may_estimate(settings)):
             raise
         finding, unusable = None, str(error)
-    keys, slots = _with_depth(keys, slots, finding, starts)
+    keys, slots = _with_depth(keys, slots, finding, cut_numbers)
     shot = slots or keys
     estimated = finding is None and motion_needed and pictures and _is_estimated(shot, settings)
     if motion_needed and not estimated:
@@ -219,87 +203,153 @@ def open_sources(
         When all views are asked for, and each has files of its own.
     """
     sources = tuple(open_source(view, motion_needed, pictures) for view in each_view(settings))
-    leader, *others = sources
-    for other in others:
-        if other.keys.sequence.files != leader.keys.sequence.files:
+    leader = sources[0].keys.sequence
+    for source in sources:
+        if source.keys.sequence.files != leader.files:
             raise UsageError(
                 f"--view all writes all views into one file, and here each has its own "
-                f"({leader.keys.sequence.pattern}); run once for each: "
-                + ", ".join(f"--view {source.keys.view}" for source in sources)
+                f"({leader.pattern}); run once for each: "
+                + ", ".join(f"--view {each.keys.view}" for each in sources)
             )
     return sources
 
 
-def _key_colours(
-    keys: Shot, slots: Shot | None, timeline: Timeline, slot_number: FrameOf
-) -> KeyColours | None:
-    """Return the key frames to measure slots' vectors by, where these have no colour."""
-    if slots is None or {Role.COLOUR, Role.POSITION} & set(slots.layout.roles):
-        return None
-    if (keys.display.width, keys.display.height) != (slots.display.width, slots.display.height):
-        return None
-    count = len(timeline.numbers)
-    return KeyColours(keys, tuple(slot_number(Slot(key, 0)) for key in range(count)))
+def each_view(settings: SourceSettings) -> tuple[SourceSettings, ...]:
+    """Return the settings of every view of a shot for ``--view all``, the hero's first.
 
-
-def _with_depth(
-    keys: Shot,
-    slots: Shot | None,
-    finding: MotionFinding | None,
-    starts: Collection[int],
-) -> tuple[Shot, Shot | None]:
-    """Return key frames and slots with depth as their vectors say it grows.
-
-    Depth of the same name in both is read alike. `starts` are numbers at which shots begin.
+    Other settings are returned as they are.
     """
-    if finding is None:
-        return keys, slots
-    shot = slots or keys
-    found = with_depth_ordered(shot, finding.convention, starts)
-    if found is shot:
-        return keys, slots
-    if slots is None:
-        return found, None
-    names = [{ref.name for ref in each.layout.roles.get(Role.DEPTH, ())} for each in (keys, slots)]
-    if names[0] == names[1] and keys.depth == slots.depth:
-        keys = read_alike(keys, found)
-    return keys, found
+    if settings.view != ALL or is_clip(settings.sequence):
+        return (settings,)
+    shots = open_views(settings.sequence, ALL, *_channel_options(settings), settings.keep_going)
+    return tuple(replace(settings, view=shot.view) for shot in shots)
 
 
-def _require_vectors(
-    shot: Shot, finding: MotionFinding | None, slots: Shot | None, estimable: bool
-) -> None:
-    """Refuse a shot without vectors, and G-buffers of slots without those to the previous one."""
-    if finding is None:
-        raise LayoutError(no_vectors_message(shot, estimable and slots is None))
-    if slots is not None and finding.convention.to_previous is None:
+def open_plain(settings: SourceSettings) -> Shot | None:
+    """Open a video or a sequence of stills, which have colour alone; None where EXR is meant.
+
+    Raises
+    ------
+    InputError
+        When it cannot be read.
+    UsageError
+        When options are given that say how EXR is read.
+    """
+    allow(settings.max_pixels)
+    sequence = find_plain(settings.sequence, settings.keep_going, settings.scan)
+    if sequence is None:
+        return None
+    options = {
+        "--gbuffers": settings.gbuffers,
+        "--motion": settings.motion,
+        "--view": settings.view,
+        "--aov": settings.aovs,
+        "--channel-map": settings.channel_map,
+        "--dynamic": settings.dynamic,
+    }
+    for option, value in options.items():
+        if value:
+            raise UsageError(
+                f"{option} is for rendered EXR frames, and {sequence.pattern} has nothing but "
+                "colour; leave it out"
+            )
+    return shot_of(sequence, settings.keep_going)
+
+
+def open_keys(settings: SourceSettings) -> tuple[Shot, SourceSettings]:
+    """Open the key frames; the settings get the motion of their channel map.
+
+    That motion counts where `settings.motion` is not given, and vectors are those of the key
+    frames.
+
+    Raises
+    ------
+    InputError
+        As :func:`exwarp_cli.io.shot.open_shot` does.
+    UsageError
+        When the map's motion is not understood.
+    """
+    allow(settings.max_pixels)
+    options = _channel_options(settings)
+    shot = open_shot(settings.sequence, settings.view, *options, settings.keep_going)
+    require_visible(shot)
+    shot = with_world_positions(with_depth_measured(shot))
+    channel_map = shot.channel_map
+    if channel_map is None or channel_map.motion is None or settings.motion or settings.gbuffers:
+        return shot, settings
+    if Role.MOTION not in shot.layout:
         raise LayoutError(
-            f"--gbuffers {slots.sequence.pattern} has no readable vectors to the previous slot, "
-            "along which colour is moved; render them, or leave --gbuffers out"
+            f"{channel_map.option('motion')} is of no use, as no motion channels are recognised in "
+            f"{shot.sequence.pattern}; name them in channels.motion"
         )
+    try:
+        size = (shot.display.width, shot.display.height)
+        parse_motion(channel_map.motion, motion_names(shot), size)
+    except UsageError as error:
+        raise UsageError(f"{channel_map.option('motion')} is wrong: {error}") from error
+    return shot, replace(settings, motion=channel_map.motion)
+
+
+def open_slots(settings: SourceSettings, keys: Shot) -> Shot | None:
+    """Open the G-buffers at the output rate, in the view of the key frames; None without.
+
+    Options and maps that name channels are of the key frames; here they are recognised.
+    """
+    if settings.gbuffers is None:
+        return None
+    channel_map = keys.channel_map
+    view = settings.view or (None if channel_map is None else channel_map.view)
+    slots = open_shot(settings.gbuffers, view, keep_going=settings.keep_going)
+    if slots.view != keys.view and keys.view in slots.views:
+        # Another view is first there.
+        slots = open_shot(settings.gbuffers, keys.view, keep_going=settings.keep_going)
+    return with_world_positions(with_depth_measured(slots))
+
+
+def _channel_options(settings: SourceSettings) -> tuple[tuple[AovFile, ...], ChannelMap | None]:
+    path = settings.channel_map
+    return parse_aovs(settings.aovs), None if path is None else read_channel_map(Path(path))
+
+
+def rate_of(keys: Shot, option: Fraction | None) -> tuple[Fraction, str]:
+    """Return the base rate, and whether it is from the option, the header, a video or assumed.
+
+    A header has the scene's rate, and so has what is assumed. Of a scene at 24 fps that is rendered
+    in steps of 4 (1, 5, 9 …) the key frames come at 6.
+    """
+    if option is not None:
+        return standard_rate(option), "option"
+    own = own_rate(keys.sequence)
+    if own is not None:
+        return own, "file"
+    step = number_step(keys.sequence.numbers)
+    rate = None
+    if not is_plain(keys.sequence):
+        header = keys.headers.read(keys.sequence.files[keys.first])
+        rate = next(filter(None, map(frame_rate, header.attributes)), None)
+    return (DEFAULT_FPS / step, "assumed") if rate is None else (rate / step, "header")
+
+
+def step_note(numbers: Sequence[int], fps: Fraction, fps_source: str) -> str | None:
+    """Say how the rate of frames that are numbered in steps is read, and how else it could be."""
+    step = number_step(numbers)
+    if step == 1 or fps_source not in ("header", "assumed"):
+        return None
+    scene = f"{float(fps * step):g}"
+    what = f"the header's {scene} fps are" if fps_source == "header" else f"{scene} fps are assumed"
+    return (
+        f"frames are numbered in steps of {step}: {what} taken for the rate of the scene, of which "
+        f"one frame in {step} is rendered, so the key frames come at {float(fps):g} fps; if the "
+        f"key frames themselves come at {scene} fps, give --fps {scene}"
+    )
 
 
 def _timeline(keys: Shot, settings: SourceSettings, fps: Fraction) -> Timeline:
-    factor = factor_of(settings, fps)
+    factor = _output_factor(settings, fps)
     return Timeline.of(keys.sequence.numbers, settings.start_frame, settings.tail, factor)
 
 
-def _may_estimate(settings: SourceSettings) -> bool:
-    """Whether the user allows an estimate, and means no vectors."""
-    return settings.estimate_motion and settings.gbuffers is None and settings.motion is None
-
-
-def _is_estimated(shot: Shot, settings: SourceSettings) -> bool:
-    """Whether the motion of a shot without usable vectors is estimated from colour.
-
-    A render with passes is meant to have vectors: a farm would not notice that they are missing.
-    """
-    meant = settings.gbuffers is not None or settings.motion is not None
-    footage = not meant and Role.MOTION not in shot.layout and is_colour_alone(shot)
-    return footage or _may_estimate(settings)
-
-
-def factor_of(settings: SourceSettings, fps: Fraction) -> Fraction:
+def _output_factor(settings: SourceSettings, fps: Fraction) -> Fraction:
     """Return how many output frames there are per key frame.
 
     Raises
@@ -321,15 +371,7 @@ def factor_of(settings: SourceSettings, fps: Fraction) -> Fraction:
     return factor
 
 
-def _numbers_at(keys: Collection[int], timeline: Timeline, slot_number: FrameOf | None) -> set[int]:
-    """Return the numbers of key frames' instants, by index: theirs, or their slots'."""
-    if slot_number is None:
-        return {timeline.numbers[key] for key in keys}
-    found = (slot_number(Slot(key, 0)) for key in keys)
-    return {number for number in found if number is not None}
-
-
-def align(timeline: Timeline, sequence: Sequence, what: str) -> FrameOf:
+def align(timeline: Timeline, sequence: sequences.Sequence, option: str) -> FrameOf:
     """Match a sequence at the output rate to slots: by number where its numbers are those.
 
     Else by order: its first frame belongs to the first key frame.
@@ -342,30 +384,31 @@ def align(timeline: Timeline, sequence: Sequence, what: str) -> FrameOf:
     try:
         numbers = Timeline.of(sequence.numbers).numbers
     except MissingFrameError as error:
-        message = f"{what} needs every frame, those at the key frames' instants too: {error}"
+        message = f"{option} needs every frame, those at the key frames' instants too: {error}"
         raise MissingFrameError(message) from error
-    known = set(numbers)
+    available = set(numbers)
     count = math.floor((len(timeline.numbers) - 1) * timeline.factor) + 1
     expected = range(timeline.start, timeline.start + count)
-    by_number = known.issuperset(expected)
+    by_number = available.issuperset(expected)
 
     def frame_of(slot: Slot) -> int | None:
         if by_number:
             number = timeline.number(slot)
-            return number if number in known else None
+            return number if number in available else None
         order = timeline.order(slot)
         return numbers[order] if order < len(numbers) else None
 
     if len(numbers) == len(timeline.numbers) < count:
         raise InputError(
-            f"{what} has {len(numbers)} frames like the key frames, but has to be at "
+            f"{option} has {len(numbers)} frames like the key frames, but has to be at "
             f"{float(timeline.factor):g} times their rate; check the path"
         )
-    if len(numbers) > 1 and numbers[1] - numbers[0] > 1 and known.issubset(expected):
+    if len(numbers) > 1 and numbers[1] - numbers[0] > 1 and available.issubset(expected):
         # By order, each would be taken for a frame of another instant.
         raise InputError(
-            f"{what} has only the frames {ranges(list(numbers))} of {expected[0]}-{expected[-1]}, "
-            "and needs every frame from the first key frame on; give the whole sequence"
+            f"{option} has only the frames {ranges(list(numbers))} of "
+            f"{expected[0]}-{expected[-1]}, and needs every frame from the first key frame on; "
+            "give the whole sequence"
         )
     return frame_of
 
@@ -374,8 +417,7 @@ def _no_number(_slot: Slot) -> int | None:
     return None
 
 
-def _enough(timeline: Timeline, slots: Shot, frame_of: FrameOf) -> None:
-    """Refuse slot G-buffers that end before the last key frame."""
+def _require_enough_slots(timeline: Timeline, slots: Shot, frame_of: FrameOf) -> None:
     last = Slot(len(timeline.numbers) - 1, 0)
     if frame_of(last) is None:
         raise InputError(
@@ -383,3 +425,61 @@ def _enough(timeline: Timeline, slots: Shot, frame_of: FrameOf) -> None:
             f"fewer than the {timeline.order(last) + 1} slots up to the last key frame; render the "
             "others"
         )
+
+
+def _key_colours(
+    keys: Shot, slots: Shot | None, timeline: Timeline, slot_number: FrameOf
+) -> KeyColours | None:
+    """Return the key frames to measure slots' vectors by, where these have no colour."""
+    if slots is None or {Role.COLOUR, Role.POSITION} & set(slots.layout.roles):
+        return None
+    if keys.display.shape != slots.display.shape:
+        return None
+    count = len(timeline.numbers)
+    return KeyColours(keys, tuple(slot_number(Slot(key, 0)) for key in range(count)))
+
+
+def _with_depth(
+    keys: Shot, slots: Shot | None, finding: MotionFinding | None, starts: Collection[int]
+) -> tuple[Shot, Shot | None]:
+    """Return key frames and slots with depth as their vectors say it grows.
+
+    Depth of the same name in both is read alike. `starts` are numbers at which shots begin.
+    """
+    if finding is None:
+        return keys, slots
+    shot = slots or keys
+    ordered = with_depth_ordered(shot, finding.convention, starts)
+    if ordered is shot:
+        return keys, slots
+    if slots is None:
+        return ordered, None
+    names = [{ref.name for ref in each.layout.roles.get(Role.DEPTH, ())} for each in (keys, slots)]
+    if names[0] == names[1] and keys.depth == slots.depth:
+        keys = read_alike(keys, ordered)
+    return keys, ordered
+
+
+def _require_vectors(
+    shot: Shot, finding: MotionFinding | None, slots: Shot | None, estimable: bool
+) -> None:
+    if finding is None:
+        raise LayoutError(no_vectors_message(shot, estimable and slots is None))
+    if slots is not None and finding.convention.to_previous is None:
+        raise LayoutError(
+            f"--gbuffers {slots.sequence.pattern} has no readable vectors to the previous slot, "
+            "along which colour is moved; render them, or leave --gbuffers out"
+        )
+
+
+def _may_estimate(settings: SourceSettings) -> bool:
+    """Return True if the user allows an estimate, and names no vectors."""
+    return settings.estimate_motion and settings.gbuffers is None and settings.motion is None
+
+
+def _is_estimated(shot: Shot, settings: SourceSettings) -> bool:
+    """Return True if the motion of a shot without usable vectors is estimated from colour."""
+    # A render with passes is meant to have vectors: a farm would not notice that they are missing.
+    named = settings.gbuffers is not None or settings.motion is not None
+    is_footage = not named and Role.MOTION not in shot.layout and is_colour_alone(shot)
+    return is_footage or _may_estimate(settings)

@@ -22,7 +22,7 @@ from exwarp_cli.io.output import read_picture, recipe_in
 from exwarp_cli.runtime.stop import check_stop
 
 if TYPE_CHECKING:
-    from exwarp_cli.pipeline.frame_writer import OutputPlan
+    from exwarp_cli.pipeline.output_plan import OutputPlan
 
 FRAME, HOLES, VIDEO = "frame", "holes", "video"  # kinds of written files
 

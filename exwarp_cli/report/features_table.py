@@ -7,7 +7,7 @@ from typing import Any
 
 from exwarp_cli import __version__
 from exwarp_cli.domain.decision import FEATURES
-from exwarp_cli.pipeline.observing import NodeFeatures
+from exwarp_cli.pipeline.decide import NodeFeatures
 from exwarp_cli.report.frames_csv import cell
 
 SCHEMA = "exwarp.features/1"

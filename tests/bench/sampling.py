@@ -21,7 +21,7 @@ from exwarp_cli.io.shot import open_shot
 from exwarp_cli.kernels.resample import weights_of
 from exwarp_cli.metrics.pulse import measure
 from exwarp_cli.metrics.registry import score
-from exwarp_cli.pipeline.motion_option import motion_names, parse_motion
+from exwarp_cli.pipeline.motion_convention import motion_names, parse_motion
 from exwarp_cli.synthesis import warp
 from exwarp_cli.synthesis.geometry import settle_motion
 from exwarp_cli.synthesis.history import past_of

@@ -9,8 +9,7 @@ import pytest
 
 from exwarp_cli.domain.settings import SourceSettings
 from exwarp_cli.io.shot import open_views
-from exwarp_cli.pipeline.opening import each_view
-from exwarp_cli.pipeline.source import open_source
+from exwarp_cli.pipeline.source import each_view, open_source
 from tests.stereo_layouts import convert, read_eyes
 
 pytestmark = [pytest.mark.blender, pytest.mark.slow]

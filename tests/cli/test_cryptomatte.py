@@ -15,7 +15,7 @@ import pytest
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.frames import read_image
 from exwarp_cli.io.shot import open_shot
-from exwarp_cli.pipeline.opening import read_ids
+from exwarp_cli.pipeline.depth_and_ids import read_ids
 from tests.cli import shots
 from tests.cli.shots import VECTORS
 from tests.cli.street import Street

@@ -11,8 +11,8 @@ from exwarp_cli.io.channels import Role
 from exwarp_cli.io.depth import DepthKind
 from exwarp_cli.io.frames import read_raw
 from exwarp_cli.io.shot import open_shot
-from exwarp_cli.pipeline.depth_kind import with_depth_ordered
-from exwarp_cli.pipeline.motion_finding import find_motion
+from exwarp_cli.pipeline.depth_and_ids import with_depth_ordered
+from exwarp_cli.pipeline.motion_convention import find_motion
 from tests.blender_layers import FLOAT, layer
 from tests.cli import shots
 from tests.cli.shots import FORWARD

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from exwarp_cli.io.channels import Role
-from exwarp_cli.pipeline import key_frames, motion_finding
+from exwarp_cli.pipeline import key_frames, motion_convention
 from tests.blender_layers import Planes, layer
 from tests.cli import shots
 from tests.cli.shots import FORWARD, KEYS, SMALL, VECTORS
@@ -281,7 +281,7 @@ class TestHistory:
     def test_every_file_is_read_once(self, make, monkeypatch, setting, each):
         """By the run, beside the frames that vectors are measured by."""
         by_run, by_measuring = (
-            shots.reads_of(monkeypatch, module) for module in (key_frames, motion_finding)
+            shots.reads_of(monkeypatch, module) for module in (key_frames, motion_convention)
         )
         make("out", "s3", setting=setting)
         assert set(by_run.values()) == {1}

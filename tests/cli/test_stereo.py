@@ -11,7 +11,7 @@ import OpenEXR
 import pytest
 
 from exwarp_cli.io.frames import read_image
-from exwarp_cli.pipeline import recipes
+from exwarp_cli.pipeline import fingerprint
 from tests.cli import shots
 from tests.stereo_layouts import LAYOUTS
 from tests.stereo_shots import EYES, arguments, eyes_at, write_stereo
@@ -102,13 +102,13 @@ class TestStructure:
 
     def test_all_views_digest_their_files_once(self, single, upsample, monkeypatch, tmp_path):
         seen: list[Path] = []
-        true = recipes.digests
+        true = fingerprint.digests
 
         def digests(path: Path, *options: object) -> tuple[str, str | None]:
             seen.append(path)
             return true(path, *options)
 
-        monkeypatch.setattr(recipes, "digests", digests)
+        monkeypatch.setattr(fingerprint, "digests", digests)
         upsample(single, tmp_path / "out", "-m", "softsplat", "--view", "all")
         assert sorted(seen) == sorted(single.iterdir())
 

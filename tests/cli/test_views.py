@@ -12,9 +12,8 @@ import pytest
 from exwarp_cli.domain.results import RunSummary
 from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.errors import ExwarpError
-from exwarp_cli.pipeline.opening import each_view
 from exwarp_cli.pipeline.run import upsample
-from exwarp_cli.pipeline.source import open_source
+from exwarp_cli.pipeline.source import each_view, open_source
 from exwarp_cli.report.summary import report
 from tests.cli import shots
 from tests.stereo_layouts import LAYOUTS

@@ -12,8 +12,8 @@ import pytest
 from exwarp_cli.domain.frame import SURFACE_PARTS, GBuffer, KeyFrame, Window
 from exwarp_cli.pipeline import interval_builder
 from exwarp_cli.pipeline.interval_builder import IntervalBuilder
-from exwarp_cli.pipeline.interval_inputs import HistoryFrame, IntervalInputs
-from exwarp_cli.pipeline.key_frames import over_interval, without_surface
+from exwarp_cli.pipeline.interval_inputs import IntervalInputs
+from exwarp_cli.pipeline.key_frames import HistoryFrame, over_interval, without_surface
 from exwarp_cli.synthesis.interval import Interval
 from tests.unit.filled import Filled
 from tests.unit.scenes import View, town

@@ -180,7 +180,7 @@ def test_intervals_in_a_row_are_built_as_alone(folder, wider):
 def test_what_was_read_to_find_a_cut_waits_for_its_turn_on_disk(folder, read, monkeypatch):
     """Where the camera reverses, the vectors of a key frame are compared with a third frame."""
     expected = [reader(folder, "softsplat").read(key).following for key in range(COUNT - 1)]
-    monkeypatch.setattr(_Leap, "of", lambda _: _Leap(9.0, 1.0, 1.0))
+    monkeypatch.setattr(_Leap, "from_glance", lambda _: _Leap(9.0, 1.0, 1.0))
     in_a_row = reader(folder, "softsplat")
     for key, following in enumerate(expected):
         read.clear()

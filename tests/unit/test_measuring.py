@@ -24,7 +24,7 @@ from exwarp_cli.models.picture_network import (
     OnnxExtrapolator,
     load_extrapolator,
 )
-from exwarp_cli.pipeline.observing import features
+from exwarp_cli.pipeline.decide import features
 from exwarp_cli.policy.features import observe
 from exwarp_cli.policy.outcomes import METRICS as JUDGED
 from exwarp_cli.policy.outcomes import shown

@@ -14,8 +14,7 @@ import pytest
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.dataset import TRAINING, find_scenes
 from exwarp_cli.io.frames import read_raw
-from exwarp_cli.pipeline.motion_finding import find_motion
-from exwarp_cli.pipeline.motion_option import motion_names, parse_motion
+from exwarp_cli.pipeline.motion_convention import find_motion, motion_names, parse_motion
 from exwarp_cli.research.training.augmentation import Variant
 from exwarp_cli.research.training.scene_clip import SceneClip
 from tests.unit.analytic_scene import write_scene

@@ -27,7 +27,7 @@ from exwarp_cli.models import model_file, picture_network
 from exwarp_cli.models.model_file import CHECKSUMS, STRIDE_KEY, shipped_folder
 from exwarp_cli.models.picture_network import SHIPPED_EXTRAPOLATOR, load_extrapolator
 from exwarp_cli.models.session import CUDA
-from exwarp_cli.pipeline.finding import find_network
+from exwarp_cli.pipeline.job import find_network
 from exwarp_cli.synthesis.methods import METHODS
 from tests.unit import tiny_models
 from tests.unit.tiny_models import convolution, filled_warp, inputs, model, picture, save

@@ -16,8 +16,8 @@ from exwarp_cli.pipeline.interval_builder import (
     MovingObjects,
     with_stencils,
 )
-from exwarp_cli.pipeline.interval_inputs import HistoryFrame, IntervalInputs
-from exwarp_cli.pipeline.key_frames import over_interval, without_surface
+from exwarp_cli.pipeline.interval_inputs import IntervalInputs
+from exwarp_cli.pipeline.key_frames import HistoryFrame, over_interval, without_surface
 from exwarp_cli.synthesis.interval import Interval
 from tests.unit.filled import Filled
 from tests.unit.scenes import View, town

@@ -15,7 +15,7 @@ from exwarp_cli.domain import cores
 from exwarp_cli.domain.decision import Plan
 from exwarp_cli.errors import InputError
 from exwarp_cli.kernels import _row_bands
-from exwarp_cli.pipeline.choosing import Chosen
+from exwarp_cli.pipeline.decide import Choice
 from exwarp_cli.pipeline.interval_builder import PreparedInterval
 from exwarp_cli.pipeline.scheduling import (
     MAX_PIXELS_AHEAD,
@@ -294,7 +294,7 @@ class TestMode:
     SMALL = 1920 * 1080
 
     def mode(self, key: Any, method: str = "causal", path: str | None = None, **more: Any) -> Mode:
-        choice = None if path is None else Chosen(Plan.fixed(path))
+        choice = None if path is None else Choice(Plan.fixed(path))
         slots = more.pop("slots", ())
         prepared = PreparedInterval(Interval(key, None, slots), choice, frozenset(), {}, {})
         given = {"pixels": self.SMALL, "has_layers": False, "workers": 2} | more

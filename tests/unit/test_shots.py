@@ -89,7 +89,7 @@ class TestStarts:
     def test_what_was_forgotten_is_read_again_but_stays_known(self):
         footage = Footage(AUTO)
         footage.shots.starts_at(CUT)
-        footage.shots.forget(CUT + 1)
+        footage.shots.release_before(CUT + 1)
         assert footage.shots.starts_at(CUT)
         footage.shots.starts_at(CUT + 1)
         assert footage.seen == [CUT - 1, CUT, CUT, CUT + 1]

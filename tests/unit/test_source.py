@@ -16,8 +16,7 @@ from exwarp_cli.errors import InputError, LayoutError, MissingFrameError, Motion
 from exwarp_cli.io.producers import PRESETS
 from exwarp_cli.io.sequences import Sequence
 from exwarp_cli.io.shot import open_shot
-from exwarp_cli.pipeline.motion_finding import find_motion
-from exwarp_cli.pipeline.motion_option import motion_names
+from exwarp_cli.pipeline.motion_convention import find_motion, motion_names
 from exwarp_cli.pipeline.source import align, open_source, rate_of
 from tests.unit.exr_files import plane, rgba, write_single
 from tests.unit.scenes import town

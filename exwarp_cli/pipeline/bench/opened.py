@@ -20,10 +20,11 @@ from exwarp_cli.models.picture_network import OnnxExtrapolator, load_extrapolato
 from exwarp_cli.models.policy_files import load_policy
 from exwarp_cli.pipeline.bench.pictures import Pictures
 from exwarp_cli.pipeline.bench.plan import Subject
-from exwarp_cli.pipeline.finding import find_truth, require_state
+from exwarp_cli.pipeline.decide import Observer
+from exwarp_cli.pipeline.ground_truth import find_truth
 from exwarp_cli.pipeline.interval_builder import IntervalBuilder
 from exwarp_cli.pipeline.interval_inputs import IntervalInputs, IntervalReader
-from exwarp_cli.pipeline.observing import Observer
+from exwarp_cli.pipeline.job import require_state
 from exwarp_cli.pipeline.scoring import SLOTS
 from exwarp_cli.pipeline.source import open_source
 from exwarp_cli.policy.state import LearnedPolicy, Surroundings

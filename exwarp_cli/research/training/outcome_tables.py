@@ -33,8 +33,7 @@ from exwarp_cli.models.model_file import shipped_folder
 from exwarp_cli.models.picture_network import OnnxExtrapolator, load_extrapolator
 from exwarp_cli.models.policy_files import Array, pack_arrays, unpack_arrays
 from exwarp_cli.pipeline.bench.side_by_side import follow_parent, side_by_side
-from exwarp_cli.pipeline.choosing import outcomes_of
-from exwarp_cli.pipeline.observing import with_ids
+from exwarp_cli.pipeline.decide import outcomes_of, with_ids
 from exwarp_cli.policy.features import observe
 from exwarp_cli.policy.state import INPUTS, KEYS_BACK, Surroundings
 from exwarp_cli.research.training.augmentation import Variant

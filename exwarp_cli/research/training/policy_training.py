@@ -24,8 +24,8 @@ from exwarp_cli.accel.quantised_mlp import QuantisedMlp
 from exwarp_cli.domain.decision import NODES, PATHS
 from exwarp_cli.errors import DamagedFileError, InputError
 from exwarp_cli.io.atomic import atomic_write_text, make_folder
-from exwarp_cli.io.models import CHECKSUMS
-from exwarp_cli.io.policy_files import SHIPPED_POLICY, left_out, save_network
+from exwarp_cli.models.model_file import CHECKSUMS
+from exwarp_cli.models.policy_files import SHIPPED_POLICY, policy_name_without, save_network
 from exwarp_cli.policy.state import INPUTS, STATE_VERSION
 from exwarp_cli.research.training.onnx_export import export_float, export_integer
 from exwarp_cli.research.training.outcome_tables import PolicyTable
@@ -103,7 +103,7 @@ def train_policy(
         training_tables = [t for i, t in enumerate(tables) if i != index]
         say(f"without {table.scene}: training on {', '.join(t.scene for t in training_tables)}")
         learned = learn(training_tables, settings)
-        name = left_out(table.scene)
+        name = policy_name_without(table.scene)
         _save(output / name, learned, training_tables, settings)
         written.append(name)
         folds[table.scene] = _judge(learned, table, training_tables)

@@ -18,7 +18,7 @@ from exwarp_cli.io.dataset import RenderedScene
 from exwarp_cli.io.frames import GEOMETRY, SURFACE, read_raw
 from exwarp_cli.io.shot import Shot
 from exwarp_cli.pipeline.key_frames import over_interval
-from exwarp_cli.pipeline.motion_option import motion_names, parse_motion
+from exwarp_cli.pipeline.motion_convention import motion_names, parse_motion
 from exwarp_cli.research.training.augmentation import (
     PLAIN,
     Look,

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from exwarp_cli.io.channels import Role
-from exwarp_cli.pipeline import key_frames, motion_finding
+from exwarp_cli.pipeline import key_frames, motion_convention
 from tests.cli import shots
 from tests.cli.decisions.conftest import KEYS, SETTINGS, STREET, Done, take, write_shots
 from tests.cli.decisions.windows import moving_shots, parted
@@ -112,7 +112,7 @@ class TestChunks:
         """By a run that only warps, beside the frames that vectors are measured by."""
         by_run, by_measuring = (
             reads_of(monkeypatch, key_frames),
-            reads_of(monkeypatch, motion_finding),
+            reads_of(monkeypatch, motion_convention),
         )
         make("out", setting=setting, policy=policies("warp"))
         assert set(by_run.values()) == {1}

@@ -12,7 +12,7 @@ from exwarp_cli.io.channels import Role
 from exwarp_cli.io.depth import DepthKind, DepthReading
 from exwarp_cli.io.frames import read_raw
 from exwarp_cli.io.shot import Shot, open_shot
-from exwarp_cli.pipeline.depth_kind import with_depth_measured, with_world_positions
+from exwarp_cli.pipeline.depth_and_ids import with_depth_measured, with_world_positions
 from tests.blender_layers import layer
 from tests.unit.exr_files import write_single
 from tests.unit.scenes import town

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from exwarp_cli.domain.frame import Image, KeyFrame, Window
-from exwarp_cli.pipeline import without_vectors
-from exwarp_cli.pipeline.without_vectors import Estimates
+from exwarp_cli.pipeline import key_frames
+from exwarp_cli.pipeline.key_frames import MotionEstimates
 from exwarp_cli.synthesis.optical_flow import Flow
 
 DISPLAY = Window(0, 0, 8, 6)
@@ -22,7 +22,7 @@ def seen(monkeypatch) -> list[tuple[float, float]]:
         pairs.append((float(before.max()), float(after.max())))
         return _flow_in(before), _flow_in(after)
 
-    monkeypatch.setattr(without_vectors, "estimate", estimate)
+    monkeypatch.setattr(key_frames, "estimate", estimate)
     return pairs
 
 
@@ -37,7 +37,7 @@ def read(key: int, windows: dict[int, Window] | None = None) -> KeyFrame:
 
 
 def test_each_pair_is_estimated_once(seen):
-    estimates = Estimates(read, 3)
+    estimates = MotionEstimates(read, 3)
     for key in (0, 1, 2):
         estimates.flowing(key)
         estimates.moving(key, key > 0, key < 2)
@@ -45,16 +45,16 @@ def test_each_pair_is_estimated_once(seen):
 
 
 def test_there_is_nothing_before_the_first_and_after_the_last(seen):
-    estimates = Estimates(read, 2)
+    estimates = MotionEstimates(read, 2)
     first, last = (estimates.flowing(key).gbuffer for key in (0, 1))
     assert first is not None and last is not None
     assert first.to_previous is None and first.to_next is not None
     assert last.to_next is None and last.to_previous is not None
-    assert Estimates(read, 1).moving(0, True, True).gbuffer is None
+    assert MotionEstimates(read, 1).moving(0, True, True).gbuffer is None
 
 
 def test_only_the_sides_that_are_asked_for_tell(seen):
-    estimates = Estimates(read, 3)
+    estimates = MotionEstimates(read, 3)
     back = estimates.moving(1, True, False).gbuffer
     assert back is not None and back.to_next is None
     assert (back.to_previous == 2).all()
@@ -64,7 +64,7 @@ def test_only_the_sides_that_are_asked_for_tell(seen):
 
 def test_flows_lie_on_their_own_frame(seen):
     windows = {0: Window(1, 1, 4, 3), 1: Window(3, 2, 5, 4)}
-    estimates = Estimates(lambda key: read(key, windows), 2)
+    estimates = MotionEstimates(lambda key: read(key, windows), 2)
     for key in (0, 1):
         gbuffer = estimates.moving(key, True, True).gbuffer
         assert gbuffer is not None and gbuffer.window == windows[key]
@@ -74,10 +74,10 @@ def test_flows_lie_on_their_own_frame(seen):
 
 
 def test_what_the_next_interval_needs_stays(seen):
-    estimates = Estimates(read, 4)
+    estimates = MotionEstimates(read, 4)
     for key in range(4):
         estimates.flowing(key)
-    estimates.forget(2)
+    estimates.release_before(2)
     estimates.moving(2, True, True)
     assert len(seen) == 3
     estimates.moving(1, True, False)

@@ -17,7 +17,7 @@ from exwarp_cli.io.channels import ChannelRef, Layout, Role
 from exwarp_cli.io.producers import PRESETS
 from exwarp_cli.io.sequences import Sequence
 from exwarp_cli.io.shot import Shot
-from exwarp_cli.pipeline.motion_option import motion_names, parse_motion
+from exwarp_cli.pipeline.motion_convention import motion_names, parse_motion
 
 XYZW = ("X", "Y", "Z", "W")
 UV = ("forward.u", "forward.v", "backward.u", "backward.v")

@@ -10,9 +10,9 @@ import pytest
 
 from exwarp_cli.domain.frame import GBuffer, Window
 from exwarp_cli.kernels import emd
-from exwarp_cli.pipeline import observing
+from exwarp_cli.pipeline import decide
+from exwarp_cli.pipeline.decide import Observer, with_ids
 from exwarp_cli.pipeline.interval_inputs import PolicyObservation
-from exwarp_cli.pipeline.observing import Observer, with_ids
 from exwarp_cli.policy.features import compare, count_objects, observe
 from exwarp_cli.synthesis.geometry import settle_motion
 from tests.unit.scenes import SKY, town
@@ -99,7 +99,7 @@ class TestKeySetting:
 
     def test_in_a_row_each_is_looked_at_once(self, monkeypatch):
         counted = []
-        monkeypatch.setattr(observing, "compare", lambda *a: counted.append(a) or compare(*a))
+        monkeypatch.setattr(decide, "compare", lambda *a: counted.append(a) or compare(*a))
         row = Observer(DISPLAY, "key")
         found = [row.surroundings(k, keys(k), ()) for k in range(5)]
         assert len(counted) == 5
@@ -122,7 +122,7 @@ class TestKeySetting:
         row = Observer(DISPLAY, "key")
         for k in range(6):
             row.surroundings(k, [replace(keys(1)[0], key=k)], ())
-            assert len(row._starts) == min(k + 1, 3)
+            assert len(row._at_keys) == min(k + 1, 3)
 
     def test_what_lies_outside_the_display_does_not_count(self):
         inside = Window(10, 8, 64, 40)
@@ -131,7 +131,7 @@ class TestKeySetting:
         assert wide == cut and wide.now[0].resolution == 64 * 40
 
     def test_a_key_frame_settled_elsewhere_is_not_settled_again(self, monkeypatch):
-        monkeypatch.setattr(observing, "settle_motion", lambda gbuffer: pytest.fail("settled"))
+        monkeypatch.setattr(decide, "settle_motion", lambda gbuffer: pytest.fail("settled"))
         found = Observer(DISPLAY, "key").surroundings(0, keys(0), (), settled(0.0))
         assert found.now[0] == observe(settled(0.0), None, 4)
 

@@ -1,0 +1,403 @@
+"""What decides the path of each key interval: a fixed path, the learned policy, or the truth.
+
+A policy sees features around each key interval, each of which is computed once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from exwarp_cli.accel.fixed_point import to_fixed
+from exwarp_cli.domain.decision import (
+    CHOICES,
+    EXTRAPOLATE,
+    NODES,
+    ONLY_WARPS,
+    PATHS,
+    SLOTS,
+    WARP,
+    Decision,
+    Features,
+    Plan,
+)
+from exwarp_cli.domain.frame import Float32, GBuffer, Window, place
+from exwarp_cli.domain.risk import ROWS
+from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
+from exwarp_cli.domain.tiles import TilePlan
+from exwarp_cli.domain.timeline import FACTOR, Slot
+from exwarp_cli.io.output import quantised
+from exwarp_cli.pipeline.interval_inputs import IntervalInputs, IntervalReader, PolicyObservation
+from exwarp_cli.pipeline.progress import NoProgress, Progress
+from exwarp_cli.pipeline.scheduling import record_time
+from exwarp_cli.pipeline.source import Source, open_source
+from exwarp_cli.policy.features import Shapes, compare
+from exwarp_cli.policy.state import KEYS_BACK, LearnedPolicy, Surroundings
+from exwarp_cli.runtime.stop import check_stop
+from exwarp_cli.synthesis.geometry import settle_motion
+from exwarp_cli.synthesis.interval import Interval
+from exwarp_cli.synthesis.methods import CAUSAL, FRAMEWISE, Judge, Method, take
+from exwarp_cli.synthesis.movers import moving, of_moving
+from exwarp_cli.synthesis.tile_features import tile_features
+
+if TYPE_CHECKING:
+    from exwarp_cli.models.policy_files import PolicyFile
+
+# Id of all that moves, where only motion tells it: connected areas are the objects then.
+MOVING = 1
+
+# Choices that show the same frame as one of an earlier node: W(P2) after E(F), and E(P1).
+SAME = {("d4", WARP): ("d3", WARP), ("d5", EXTRAPOLATE): ("d4", EXTRAPOLATE)}
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A plan for one key interval, and how long it took."""
+
+    plan: Plan | TilePlan  # a path, or one for each tile
+    timing_ms: Mapping[str, float] = field(default_factory=dict)  # by step of the work
+
+
+class PathSelector(Protocol):
+    """Decides the path of key intervals, one after the other."""
+
+    def select(self, inputs: IntervalInputs, interval: Interval) -> Choice:
+        """Decide the path of an interval; raises nothing that a user can cause."""
+
+
+@dataclass(frozen=True)
+class FixedPath:
+    """Takes one path for all intervals."""
+
+    path: str
+
+    def select(self, inputs: IntervalInputs, interval: Interval) -> Choice:
+        """Return the path."""
+        return Choice(Plan.fixed(self.path))
+
+
+@dataclass(frozen=True)
+class PolicyPath:
+    """Asks the paper's learned policy, which decides for whole frames."""
+
+    policy: LearnedPolicy
+    observer: Observer
+
+    def select(self, inputs: IntervalInputs, interval: Interval) -> Choice:
+        """Compute the features of an interval, and decide by them."""
+        timing_ms: dict[str, float] = {}
+        with record_time(timing_ms, "features"):
+            surroundings = self.observer.of(inputs, interval)
+        with record_time(timing_ms, "decide"):
+            plan = self.policy.plan(surroundings)
+        return Choice(plan, timing_ms)
+
+
+class TilePaths:
+    """Asks a policy of tiles, or at an effort of 0 or 1 none.
+
+    `effort` is the share of the area that is extrapolated on the scenes that it learned from.
+    """
+
+    def __init__(self, policy: PolicyFile, effort: float) -> None:
+        from exwarp_cli.policy.tile_state import TilePolicy, price_of
+
+        self._fixed_path = {0.0: "S6", 1.0: "S3"}.get(effort)
+        self._policy = TilePolicy(policy.network, price_of(policy.efforts, effort))
+
+    def select(self, inputs: IntervalInputs, interval: Interval) -> Choice:
+        """Compute the features of an interval's tiles, and decide by them."""
+        tiles = interval.tiles
+        if self._fixed_path is not None or not interval.has_motion:
+            path = self._fixed_path or ONLY_WARPS
+            return Choice(TilePlan.fixed(tiles.columns, ROWS, path))
+        timing_ms: dict[str, float] = {}
+        with record_time(timing_ms, "features"):
+            features = [tile_features(interval, slot) for slot in range(1, FACTOR)]
+        with record_time(timing_ms, "decide"):
+            plan = self._policy.plan(features, tiles.display.width)
+        return Choice(plan, timing_ms)
+
+
+@dataclass(frozen=True)
+class OraclePath:
+    """Looks at the ground truth: exact over the six paths of each interval.
+
+    Where a slot has no ground truth no path can be judged, and the interval is warped.
+    """
+
+    judge: Judge  # by the mean PSNR, or by the sum of rewards
+    display: Window
+
+    def select(self, inputs: IntervalInputs, interval: Interval) -> Choice:
+        """Make the frames of all paths of an interval, and take the best path."""
+        from exwarp_cli.policy import outcomes
+
+        if set(inputs.truth.frames) != set(range(1, FACTOR)):
+            return Choice(Plan.fixed("S6"))
+
+        def as_written(pixels: Float32) -> Float32:
+            return quantised(pixels, inputs.metadata.template)
+
+        by_psnr = self.judge is Judge.PSNR
+        timing_ms: dict[str, float] = {}
+        with record_time(timing_ms, "decide"):
+            truth = {
+                slot: image.on(self.display).pixels for slot, image in inputs.truth.frames.items()
+            }
+            scores = outcomes_of(interval, truth, self.display, as_written)
+            best = outcomes.best_psnr(scores) if by_psnr else outcomes.best_return(scores)
+            path = tuple(PATHS)[int(best)]
+            values = scores[..., 0] if by_psnr else outcomes.rewards(scores)
+            decisions = []
+            for node, choice in PATHS[path].choices.items():
+                warp, extrapolate = (
+                    float(values[NODES.index(node), CHOICES.index(each)])
+                    for each in (WARP, EXTRAPOLATE)
+                )
+                decisions.append(Decision(node, choice, outputs=(warp, extrapolate)))
+        return Choice(Plan(path, tuple(decisions)), timing_ms)
+
+
+def make_selector(
+    method: Method, source: Source, policy: PolicyFile | None, effort: float
+) -> PathSelector | None:
+    """Return what decides the path of each key interval; None outside the decision tree."""
+    display = source.keys.display
+    if method.path is not None:
+        return FixedPath(method.path) if source.allows_decisions else None
+    if policy is not None and policy.of_tiles:
+        return TilePaths(policy, effort)
+    if policy is not None:
+        return PolicyPath(LearnedPolicy(policy.network), Observer(display, source.setting))
+    return None if method.judge is None else OraclePath(method.judge, display)
+
+
+def only_warps(plan: Plan | TilePlan) -> Plan | TilePlan:
+    """Return a plan of the same kind that runs no network."""
+    if isinstance(plan, TilePlan):
+        return TilePlan.fixed(plan.columns, plan.rows, ONLY_WARPS)
+    return Plan.fixed(ONLY_WARPS)
+
+
+def outcomes_of(
+    interval: Interval,
+    truth: Mapping[int, Float32],
+    display: Window | None = None,
+    as_written: Callable[[Float32], Float32] | None = None,
+) -> npt.NDArray[np.float64]:
+    """Make the frames of all choices of a key interval and measure them.
+
+    Parameters
+    ----------
+    interval
+        With its network.
+    truth
+        Ground truth of slots 1 to 3, float32 [H, W, 3] or more, scene-linear.
+    display
+        The window of the truth; None for the interval's own.
+    as_written
+        Rounds pixels to what a file keeps of them; None to measure them as they are made.
+
+    Returns
+    -------
+    float64 [5, 2, 2]
+        As `exwarp_cli.policy.outcomes` has it.
+    """
+    from exwarp_cli.metrics.display import encode  # numba: only an oracle measures while it decides
+    from exwarp_cli.metrics.registry import METRICS
+    from exwarp_cli.policy.outcomes import METRICS as JUDGED
+
+    canvas = interval.key.image.data_window
+    encoded = {slot: encode(pixels) for slot, pixels in truth.items()}
+    scores: dict[tuple[str, str], list[float]] = {}
+    for node in NODES:
+        for choice in CHOICES:
+            if (node, choice) in SAME:
+                scores[node, choice] = scores[SAME[node, choice]]
+                continue
+            slot = SLOTS[node]
+            path = next(name for name, p in PATHS.items() if p.choices.get(node) == choice)
+            pixels = take(path, interval, slot).pixels
+            if as_written is not None:
+                pixels = as_written(pixels)
+            test = encode(place(pixels, canvas, display or canvas))
+            scores[node, choice] = [METRICS[name](encoded[slot], test).overall() for name in JUDGED]
+    return np.array([[scores[node, choice] for choice in CHOICES] for node in NODES])
+
+
+class Observer:
+    """Computes features interval by interval, all on the display window.
+
+    `setting` is "key" or "slot".
+    """
+
+    def __init__(self, display: Window, setting: str) -> None:
+        self._display = display
+        self._span = FACTOR if setting == "key" else 1
+        self._at_keys: dict[int, Features] = {}
+        self._shot_begin = 0
+        self._last: Shapes | None = None
+
+    def of(self, inputs: IntervalInputs, interval: Interval) -> Surroundings:
+        """Return what the states of an interval are made of that was read and built."""
+        # Motion settled on another window than the display's differs in its last digits, as other
+        # points are looked at; so it is settled again then. It is, too, where the interval took
+        # what moves in it for ids: features are of an instant, whichever interval they are first
+        # seen in.
+        frame = None if inputs.frame is None else inputs.frame.gbuffer
+        has_objects = any(g is not None and g.objects is not None for g in (frame, *inputs.slots))
+        is_same = interval.key.image.data_window == self._display and not has_objects
+        covers = inputs.frame is not None and inputs.frame.image.data_window == self._display
+        settled = interval.key.gbuffer if self._span == FACTOR and covers and is_same else None
+        slots = interval.slots if is_same else self.settled(inputs.slots)
+        return self.surroundings(inputs.key, inputs.observed, slots, settled, inputs.slots)
+
+    def settled(self, slots: Sequence[GBuffer]) -> tuple[GBuffer, ...]:
+        """Return G-buffers of slots as `surroundings` takes them."""
+        return tuple(settle_motion(slot.on(self._display)) for slot in slots)
+
+    def surroundings(
+        self,
+        key: int,
+        observed: Sequence[PolicyObservation],
+        slots: Sequence[GBuffer],
+        settled: GBuffer | None = None,
+        read: Sequence[GBuffer] = (),
+    ) -> Surroundings:
+        """Return what the states of an interval are made of.
+
+        Parameters
+        ----------
+        key
+            Index of the key frame.
+        observed
+            Its instant, and those that were not seen before, ascending; one that nothing comes
+            before begins a shot, and what was seen of older ones is of no use.
+        slots
+            G-buffers of slots 1 to 3 on the display window with settled motion; empty where there
+            are none.
+        settled
+            The key frame's on the display window with settled motion, where it is in memory.
+        read
+            Those of the slots as read; empty where they are not in memory.
+        """
+        for instant in observed:
+            before = None if instant.before is None else instant.before.on(self._display)
+            if before is None:
+                self._shot_begin = instant.key
+            now, raw = settled if instant.key == key else None, instant.now.on(self._display)
+            if now is None:
+                now = settle_motion(raw)
+            now = with_ids(now, before, raw)
+            self._at_keys[instant.key] = self._features(now, before, self._span)
+        at_key = self._at_keys[key]
+        now_on = (at_key, at_key, at_key)
+        if slots:
+            instants = [observed[-1].now.on(self._display), *slots[:2]]
+            raw_slots = [slot.on(self._display) for slot in read[:2]]
+            first, second = (
+                with_ids(instants[i + 1], instants[i], raw_slots[i] if raw_slots else None)
+                for i in (0, 1)
+            )
+            now_on = (
+                at_key, self._features(first, instants[0], 1), self._features(second, first, 1)
+            )  # fmt: skip
+            self._last = None  # the next key frame is compared with slot 3
+        older = range(key - 1, max(key - KEYS_BACK, self._shot_begin) - 1, -1)
+        before_it = tuple(self._at_keys[i] for i in older)
+        self._at_keys = {i: at for i, at in self._at_keys.items() if i > key - KEYS_BACK}
+        return Surroundings(now_on, before_it)
+
+    def _features(self, now: GBuffer, before: GBuffer | None, span: int) -> Features:
+        """Return the features of an instant; statistics of the one before are mostly known."""
+        shapes_before = None
+        if before is not None:
+            last = self._last
+            shapes_before = last if last is not None and last.are_of(before) else Shapes(before)
+        self._last = Shapes(now)
+        return compare(now, self._last, shapes_before, span)
+
+
+def with_ids(
+    gbuffer: GBuffer, before: GBuffer | None = None, raw: GBuffer | None = None
+) -> GBuffer:
+    """Return a G-buffer with ids of what moves: its own, else of what keeps no place in the world.
+
+    Parameters
+    ----------
+    gbuffer
+        With settled motion. Without ids, positions or depth it stays as it is.
+    before, raw
+        As :func:`exwarp_cli.synthesis.movers.moving` takes them.
+    """
+    if gbuffer.stencil is not None:
+        return gbuffer
+    moves = moving(gbuffer, before, raw)
+    if moves is None:
+        return gbuffer
+    if gbuffer.objects is not None:
+        return replace(gbuffer, stencil=of_moving(gbuffer.objects, moves), objects=None)
+    return replace(gbuffer, stencil=np.where(moves, MOVING, 0).astype(np.int32))
+
+
+@dataclass(frozen=True)
+class NodeFeatures:
+    """What is seen at one node of a key interval."""
+
+    frame: int  # output number of the slot that the node decides
+    key: int  # input number of the key frame
+    node: str  # d1 to d5
+    features: Features  # of the instant at which it is decided
+    inputs: tuple[int, ...]  # of the policy's network, 44 numbers in Q16.16
+
+
+def features(
+    settings: SourceSettings, frames: str | None = None, progress: Progress | None = None
+) -> Iterator[NodeFeatures]:
+    """Yield the features at every node of every key interval.
+
+    Parameters
+    ----------
+    settings
+        The input.
+    frames
+        Range of key frames by input number; None for all.
+    progress
+        Receives every key frame.
+
+    Raises
+    ------
+    InputError
+        When the sequence cannot be used.
+    MotionError
+        When the convention of its motion vectors cannot be settled.
+    """
+    source = open_source(settings)
+    progress = progress or NoProgress()
+    keys = source.timeline.select(frames)
+    reader = IntervalReader(source, FRAMEWISE, UpsampleSettings(settings, "", CAUSAL))
+    observer = Observer(source.keys.display, source.setting)
+    progress.start(len(keys))
+    try:
+        for key in keys:
+            observed, slots = reader.read_observed(key)
+            settled = observer.settled(slots)
+            surroundings = observer.surroundings(key, observed, settled, read=slots)
+            number = source.timeline.numbers[key]
+            for node in NODES:
+                yield NodeFeatures(
+                    source.timeline.number(Slot(key, SLOTS[node])),
+                    number,
+                    node,
+                    surroundings.now[SLOTS[node] - 1],
+                    tuple(int(x) for x in to_fixed(surroundings.inputs(node))),
+                )
+            progress.advance(number)
+            check_stop()
+    finally:
+        progress.finish()

@@ -1,0 +1,383 @@
+"""Settling what a shot's depth, positions and ids are, where its own pixels tell."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Collection, Iterable, Iterator
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from exwarp_cli.domain.frame import Float32
+from exwarp_cli.domain.motion import MotionConvention
+from exwarp_cli.errors import DamagedFileError, InputError, LayoutError
+from exwarp_cli.io.channels import Role
+from exwarp_cli.io.cryptomatte import (
+    Cryptomatte,
+    IdReading,
+    Manifest,
+    find_cryptomattes,
+    find_dynamic_objects,
+    read_manifest,
+)
+from exwarp_cli.io.depth import (
+    DepthKind,
+    DepthReading,
+    is_negative,
+    is_relative_to_camera,
+    measure_depth_reading,
+)
+from exwarp_cli.io.frames import read_planes, read_raw
+from exwarp_cli.io.shot import Shot
+from exwarp_cli.io.shot_files import first_usable, rename_channels
+from exwarp_cli.pipeline.shots import pair_beside_hold, pairs_within
+from exwarp_cli.synthesis.depth_order import OrderVotes, camera_end, occlusion_votes
+
+# Places where one surface covers another by which the first pair of frames tells alone that depth
+# is a distance, and the share of them that has to agree. Of the example's shots 85 to 94 % do.
+ENOUGH, AGREE = 200, 0.75
+
+# Fewer places say nothing; up to this share of agreeing ones speaks against a distance.
+LEAST_VOTES, AGAINST = 60, 0.4
+
+# Places from which a pair of frames, one way, has to agree with the others. Vectors that miss the
+# neighbour frame speak against a distance in one pair and for it in the next.
+LEAST_OF_PAIR = 10
+
+# Producers whose depth is a distance and whose positions are in world space: nothing is read.
+KNOWN = ("Blender", "Unreal (one file per AOV)")
+
+
+def with_depth_measured(shot: Shot) -> Shot:
+    """Return a shot whose depth is read as its first frame's world positions tell.
+
+    The kind that a name or a channel map says stands, with the range that is measured for it; and
+    what nothing tells is taken for a distance.
+
+    Raises
+    ------
+    InputError
+        When the first frame cannot be read.
+    """
+    shot = _with_sign(shot)
+    stated = shot.depth.kind
+    is_certain = stated in (DepthKind.AXIS, DepthKind.RAY, DepthKind.NEGATIVE) or (
+        stated is DepthKind.UNKNOWN and shot.layout.producer in KNOWN
+    )
+    if is_certain or not {Role.DEPTH, Role.POSITION} <= set(shot.layout.roles):
+        return shot
+    # As written, whatever kind is stated.
+    raw = read_raw(
+        replace(shot, depth=DepthReading()), shot.first, (Role.DEPTH, Role.POSITION)
+    ).gbuffer
+    assert raw.depth is not None and raw.position is not None
+    reading = measure_depth_reading(raw.depth, raw.position)
+    if reading is None or stated not in (DepthKind.UNKNOWN, reading.kind):
+        return shot
+    return replace(shot, depth=reading)
+
+
+def _with_sign(shot: Shot) -> Shot:
+    """Return a shot whose distances count where they are written below 0."""
+    kinds = (DepthKind.UNKNOWN, DepthKind.AXIS, DepthKind.RAY)
+    if Role.DEPTH not in shot.layout or shot.depth.kind not in kinds:
+        return shot
+    (ref, *_) = shot.layout.roles[Role.DEPTH]
+    planes, _ = read_planes(shot, shot.first, (ref,))
+    if not is_negative(planes[ref].astype(np.float32, copy=False)):
+        return shot
+    evidence = f"{_depth_layer(shot)!r} is negative and read as the distance |z|"
+    return replace(shot, depth=DepthReading(DepthKind.NEGATIVE, evidence=evidence))
+
+
+def with_depth_ordered(
+    shot: Shot, convention: MotionConvention | None, starts: Collection[int] = ()
+) -> Shot:
+    """Return a shot whose depth grows away from the camera by its own vectors.
+
+    Depth that names, a channel map or world positions do not explain is taken for a distance, as
+    long as vectors do not speak against it. Where they do, it is read the other way round, or left
+    out. The pairs of frames are those that vectors are measured by, so that any part of the
+    sequence finds the same.
+
+    Parameters
+    ----------
+    shot
+        Its depth is read so far as a distance or as its name says.
+    convention
+        Of its vectors; None without.
+    starts
+        Numbers of frames before which cuts are known.
+    """
+    by_hand = shot.channel_map is not None and shot.channel_map.depth_kind is not None
+    uncertain = shot.depth.kind in (DepthKind.UNKNOWN, DepthKind.INVERSE) and not by_hand
+    if convention is None or shot.depth.measured or not uncertain or Role.DEPTH not in shot.layout:
+        return shot
+    numbers = shot.sequence.numbers
+
+    def is_cut(index: int) -> bool:
+        return numbers[index] in starts
+
+    @lru_cache(maxsize=1)  # a pair is looked at twice in a row
+    def both_directions(first: int) -> list[tuple[Float32, Float32, Float32]]:
+        return _read_both_directions(shot, (numbers[first], numbers[first + 1]), convention)
+
+    def is_hold(first: int) -> bool:
+        return any(
+            np.any(motion) and np.array_equal(depth, neighbour, equal_nan=True)
+            for depth, neighbour, motion in both_directions(first)
+        )
+
+    total, by_pair, ends = OrderVotes(), [], []
+    for first in pairs_within(len(numbers), is_cut):
+        pair = pair_beside_hold(first, len(numbers), is_cut, is_hold)
+        for depth, neighbour, motion in both_directions(pair):
+            votes = occlusion_votes(depth, neighbour, motion)
+            by_pair.append(votes)
+            total += votes
+            ends.append((depth, motion))
+        if total.count >= ENOUGH and total.small_share >= AGREE:
+            return shot
+    speak_against = all(
+        votes.small_share <= AGAINST for votes in (total, *by_pair) if votes.count >= LEAST_OF_PAIR
+    )
+    if total.count < LEAST_VOTES or not speak_against:
+        return shot
+    return _with_depth_turned(shot, total, ends)
+
+
+def _with_depth_turned(shot: Shot, votes: OrderVotes, ends: list[tuple[Float32, Float32]]) -> Shot:
+    """Return a shot with its depth read the other way round, or without depth.
+
+    `ends` are depth and motion of the frames that were looked at.
+    """
+    name = _depth_layer(shot)
+    places = f"of {votes.count} places where one surface covers another"
+    if votes.small_share > 1 - AGREE:
+        evidence = (
+            f"{name!r} is left out: in {votes.near_large} {places}, the nearer one has the larger "
+            "value, in the others the smaller one; check the pass, or say what it is by depth_kind "
+            "in a channel map"
+        )
+        return _without_depth(shot, evidence)
+    if shot.depth.kind is DepthKind.INVERSE:
+        evidence = (
+            f"{name!r} is read as a distance, against its name, by {votes.near_large} {places}"
+        )
+        return replace(shot, depth=DepthReading(evidence=evidence))
+    camera_ends = (camera_end(values, motion) for values, motion in ends)
+    at_camera = next((end for end in camera_ends if end is not None), None)
+    if at_camera is None:
+        # Nothing but its order is known; a range that ends at 1 is a picture of distances.
+        largest = max((float(v[np.isfinite(v)].max(initial=0)) for v, _ in ends), default=0.0)
+        at_camera = 1.0 if largest <= 1 else np.inf
+    kind, reading = "inverse", DepthReading(DepthKind.INVERSE)
+    if np.isfinite(at_camera):
+        kind = f"reversed, {at_camera:.3g} at the camera"
+        reading = DepthReading(DepthKind.REVERSED, at_camera, -1.0)
+    evidence = (
+        f"{name!r} grows towards the camera, by {votes.near_large} {places}, and is read as {kind}"
+    )
+    return replace(shot, depth=replace(reading, evidence=evidence))
+
+
+def read_alike(shot: Shot, like: Shot) -> Shot:
+    """Return a shot with depth read, or left out, as another one of the same render has it."""
+    if Role.DEPTH not in like.layout:
+        return _without_depth(shot, like.depth.evidence)
+    return replace(shot, depth=like.depth)
+
+
+def _without_depth(shot: Shot, evidence: str) -> Shot:
+    reason = f"{_depth_layer(shot)!r} contradicts the vectors"
+    shot = _without_role(shot, Role.DEPTH, reason)
+    return replace(shot, depth=DepthReading(evidence=evidence))
+
+
+def _without_role(shot: Shot, role: Role, reason: str) -> Shot:
+    roles = {each: refs for each, refs in shot.layout.roles.items() if each is not role}
+    incomplete = {**shot.layout.incomplete, role: reason}
+    return replace(shot, layout=replace(shot.layout, roles=roles, incomplete=incomplete))
+
+
+def _read_both_directions(
+    shot: Shot, pair: tuple[int, int], convention: MotionConvention
+) -> list[tuple[Float32, Float32, Float32]]:
+    """Return the depth of a frame and of its neighbour, and the motion between, both ways."""
+    try:
+        before, after = (
+            read_raw(shot, number, (Role.DEPTH, Role.MOTION)).settle(convention).on(shot.display)
+            for number in pair
+        )
+    except InputError:  # which is said when the frame's turn comes
+        return []
+    directions = ((before, after, before.to_next), (after, before, after.to_previous))
+    return [
+        (frame.depth, neighbour.depth, motion)
+        for frame, neighbour, motion in directions
+        if motion is not None and frame.depth is not None and neighbour.depth is not None
+    ]
+
+
+def _depth_layer(shot: Shot) -> str:
+    """Return the name of the depth's layer, or of the channel where it has none."""
+    ref = shot.layout.roles[Role.DEPTH][0]
+    return ref.name.rpartition(".")[0] or ref.aov or ref.name
+
+
+def with_world_positions(shot: Shot) -> Shot:
+    """Return a shot without positions that are relative to its moving camera.
+
+    By those no surface point is found again, and all that is judged by them would come out wrong.
+
+    Raises
+    ------
+    InputError
+        When a frame cannot be read.
+    """
+    numbers = shot.sequence.numbers
+    refs = shot.layout.roles.get(Role.POSITION)
+    if refs is None or shot.layout.producer in KNOWN or len(numbers) < 2:
+        return shot
+
+    def positions(number: int) -> Float32:
+        position = read_raw(shot, number, (Role.POSITION,)).gbuffer.position
+        assert position is not None
+        return position
+
+    first, middle = positions(shot.first), len(numbers) // 2
+    # Of a shot with damaged frames, the nearest sound one.
+    nearest = sorted(range(len(numbers)), key=lambda i: abs(i - middle))
+    candidates = nearest if shot.keep_going else nearest[:1]
+    later = first_usable((numbers[i] for i in candidates), positions)
+    if not is_relative_to_camera(first, later):
+        return shot
+    reason = f"{refs[0].name.rpartition('.')[0]!r} is relative to the camera"
+    return _without_role(shot, Role.POSITION, reason)
+
+
+def read_ids(dynamic: str | None, keys: Shot, slots: Shot | None) -> tuple[Shot, Shot | None]:
+    """Settle which ids are read of the key frames and of the slots' G-buffers.
+
+    Parameters
+    ----------
+    dynamic
+        What moves, as ``--dynamic`` takes it; None where nothing is said.
+    keys, slots
+        The key frames, and G-buffers of slots if there are some, whose ids count then.
+
+    Returns
+    -------
+    tuple
+        The same, with `Shot.ids` where ids are read from a Cryptomatte. With `dynamic` they are the
+        stencil, and the shots have no other one; without, they are only read where there is none,
+        and where they are sound.
+
+    Raises
+    ------
+    LayoutError
+        When something is named as moving, and there is no Cryptomatte, or one of half floats.
+    DamagedFileError
+        When something is named, and ids were destroyed.
+    UsageError
+        When a name or pattern matches nothing.
+    """
+    if dynamic is None:
+        return _with_best_ids(keys), None if slots is None else _with_best_ids(slots)
+    shots = [shot for shot in (keys, slots) if shot is not None and shot.cryptomattes]
+    needed = slots or keys
+    if needed not in shots:
+        raise LayoutError(
+            f"--dynamic names objects of a Cryptomatte, and {needed.sequence.pattern} has none; "
+            "render that pass, or leave --dynamic out"
+        )
+    manifests, rounded = _read_manifests(shots)
+    where = f"{needed.sequence.pattern}, layer {needed.cryptomattes[0].name!r},"
+    objects = find_dynamic_objects(dynamic, manifests, where, rounded)
+
+    def with_ids(shot: Shot) -> Shot:
+        if shot not in shots:
+            return shot
+        roles = dict(shot.layout.roles)
+        roles.pop(Role.STENCIL, None)
+        ids = IdReading(shot.cryptomattes[0], rounded, objects)
+        shot = replace(shot, layout=replace(shot.layout, roles=roles), ids=ids)
+        _read_first_ids(shot)
+        return shot
+
+    return with_ids(keys), None if slots is None else with_ids(slots)
+
+
+def sound_cryptomattes(shot: Shot) -> Iterator[tuple[Cryptomatte, Manifest]]:
+    """Yield each Cryptomatte of a shot with its first frame's manifest.
+
+    Of one whose ids cannot be used, the manifest has no names, and says why.
+    """
+    for matte in shot.cryptomattes:
+        try:
+            matte.require_exact("the file")
+            _read_first_ids(replace(shot, ids=IdReading(matte)))
+        except (LayoutError, DamagedFileError) as error:
+            yield matte, Manifest(problem=str(error))
+        else:
+            yield matte, read_manifest(matte, shot.files(shot.first)[matte.aov])
+
+
+def _with_best_ids(shot: Shot) -> Shot:
+    """Return a shot whose best Cryptomatte tells objects apart, where nothing else does."""
+    if Role.STENCIL in shot.layout or not shot.cryptomattes or not shot.cryptomattes[0].exact:
+        return shot
+    with_ids = replace(shot, ids=IdReading(shot.cryptomattes[0]))
+    try:
+        _read_first_ids(with_ids)
+    except DamagedFileError:
+        return shot
+    return with_ids
+
+
+def _read_first_ids(shot: Shot) -> None:
+    read_raw(shot, shot.first, (Role.STENCIL,), objects=True)
+
+
+def _mattes_of_frames(shot: Shot) -> Iterator[tuple[Cryptomatte, Path]]:
+    """Yield a shot's Cryptomatte as each frame has it, with the frame's file."""
+    # Frames have manifests of their own: an object that comes later is in those of later frames.
+    wanted = shot.cryptomattes[0]
+    for number in shot.sequence.numbers:
+        path = shot.files(number)[wanted.aov]
+        try:
+            header = shot.headers.read(path)
+            channels = {wanted.aov: rename_channels(shot.channels(header.parts, wanted.aov))}
+            in_file = find_cryptomattes(channels, {wanted.aov: header.texts})
+            mattes = [matte for matte in in_file if matte.name == wanted.name]
+            for matte in mattes:
+                matte.require_exact(str(path))
+        except InputError:
+            if not shot.keep_going:
+                raise
+            continue
+        for matte in mattes:
+            yield matte, path
+
+
+def _read_manifests(shots: Iterable[Shot]) -> tuple[list[Manifest], bool]:
+    """Return the manifests of all frames, and whether any frame's ids are rounded."""
+    manifests: list[Manifest] = []
+    rounded = False
+    # What a manifest repeats is left out: they are large, and mostly the same in all frames.
+    read_texts: set[bytes] = set()
+    read_names: set[tuple[str, int]] = set()
+    for matte, path in (pair for shot in shots for pair in _mattes_of_frames(shot)):
+        rounded = rounded or matte.rounded
+        text = repr((matte.manifest, matte.sidecar, str(path.parent)))
+        digest = hashlib.sha256(text.encode()).digest()
+        if digest in read_texts:
+            continue
+        read_texts.add(digest)
+        manifest = read_manifest(matte, path)
+        new = {name: bits for name, bits in manifest.ids.items() if (name, bits) not in read_names}
+        read_names.update(new.items())
+        manifests.append(replace(manifest, ids=new))
+    return manifests, rounded

@@ -1,0 +1,497 @@
+"""What generated frames hold beside the beauty: further layers, and other views."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from exwarp_cli.domain.frame import Float32, Window, outside, place
+from exwarp_cli.domain.motion import MotionConvention
+from exwarp_cli.io.channels import ChannelRef, Role
+from exwarp_cli.io.cryptomatte import find_cryptomattes
+from exwarp_cli.io.exr.template import Plane, PlaneKey, Template, ViewLayers, read_template
+from exwarp_cli.io.footage import is_plain, plain_template
+from exwarp_cli.io.frames import read_planes
+from exwarp_cli.io.layers import ALL, BEAUTY, Layer, LayerKind, group_layers, select_layers
+from exwarp_cli.io.output import FrameTemplate
+from exwarp_cli.io.shot import Shot
+from exwarp_cli.io.shot_files import count_nonfinite, rename_channels
+from exwarp_cli.pipeline.source import Source
+from exwarp_cli.synthesis.interval import Interval
+from exwarp_cli.synthesis.methods import Predicted
+from exwarp_cli.synthesis.retime import Course, Retiming, retiming
+
+if TYPE_CHECKING:
+    from exwarp_cli.pipeline.interval_builder import IntervalBuilder
+    from exwarp_cli.pipeline.interval_inputs import IntervalInputs
+
+# Layers whose values change as a point moves.
+POINTS = (LayerKind.POSITION, LayerKind.DEPTH)
+
+# Channels of one frame, each in the file's own type and on its own window.
+Planes = Mapping[ChannelRef, Plane]
+
+# Makes the frame of a slot from an interval of any view, by what was decided.
+Predict = Callable[[Interval], Predicted]
+
+
+@dataclass(frozen=True)
+class Content:
+    """What is written of one view."""
+
+    source: Source
+    layers: tuple[Layer, ...] = ()  # () for the beauty alone
+    # For layers that the slots' own files have too: the layer there, which is taken as it is.
+    rendered: Mapping[Layer, Layer] = field(default_factory=dict)
+    leads: bool = True  # True if decisions are made for this view
+
+    @property
+    def wanted(self) -> ViewLayers:
+        """What a template is read for."""
+        shot = self.source.keys
+        within = shot.within.get("", "")
+        return ViewLayers(shot.view, within, shot.layout.roles[Role.COLOUR], self.layers)
+
+    @cached_property
+    def extra(self) -> tuple[Layer, ...]:
+        """The layers that have channels beside the beauty's own."""
+        colour = set(self.source.keys.layout.roles[Role.COLOUR])
+        return tuple(layer for layer in self.layers if not colour.issuperset(layer.refs))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the extra layers."""
+        return tuple(dict.fromkeys(layer.name for layer in self.extra))
+
+    @property
+    def looks_back(self) -> bool:
+        """True if the key frame before is of use where the next one is not."""
+        return self.source.finding is not None and any(
+            layer.kind in POINTS and layer not in self.rendered for layer in self.extra
+        )
+
+    @property
+    def convention(self) -> MotionConvention | None:
+        """How the key frames' vectors are read; None where that is not known."""
+        return self.source.convention if self.source.slots is None else None
+
+    @cached_property
+    def motion(self) -> tuple[ChannelRef, ...]:
+        """The motion channels that have to be read to write any of them; () without."""
+        if (
+            all(layer.kind is not LayerKind.MOTION for layer in self.extra)
+            or self.convention is None
+        ):
+            return ()
+        return self.source.keys.layout.roles[Role.MOTION]
+
+
+def contents_of(sources: tuple[Source, ...], text: str) -> tuple[Content, ...]:
+    """Choose the layers of every view, the one that leads first.
+
+    The other views' layers have the same names as the leader's, as far as they have them. `text`
+    is as `io.layers.chosen` takes it.
+
+    Raises
+    ------
+    UsageError
+        When a name matches nothing.
+    """
+    if text == BEAUTY:
+        return tuple(Content(source, leads=source is sources[0]) for source in sources)
+    contents: list[Content] = []
+    for source in sources:
+        available = _layers_in(source.keys, main=True)
+        if contents:
+            names = {layer.name for layer in contents[0].layers}
+            layers = tuple(layer for layer in available if layer.name in names or text == ALL)
+        else:
+            layers = select_layers(available, text, source.keys.layout)
+        # By the layers themselves, as two parts may have layers of one name.
+        in_slots = () if source.slots is None else _layers_in(source.slots, main=False)
+        matches = {layer: layer.rendered_in(in_slots) for layer in layers}
+        rendered = {layer: match for layer, match in matches.items() if match is not None}
+        contents.append(Content(source, layers, rendered, leads=not contents))
+    return tuple(contents)
+
+
+def _layers_in(shot: Shot, main: bool) -> tuple[Layer, ...]:
+    """Return the layers of a shot's view in its first frame: of the main file, or of all."""
+    files, cryptomattes = {}, set()
+    for aov, path in shot.files(shot.first).items():
+        if aov and main:
+            continue
+        header = shot.headers.read(path)
+        files[aov] = shot.channels(header.parts, aov)
+        mattes = find_cryptomattes({aov: rename_channels(files[aov])}, {aov: header.texts})
+        cryptomattes |= {matte.name for matte in mattes}
+    return group_layers(files, shot.layout, cryptomattes)
+
+
+def files_apart(shot: Shot) -> tuple[str, ...]:
+    """Return the AOVs whose layers lie in files of their own, which are not written."""
+    return tuple(aov for aov in shot.aovs if aov)
+
+
+def template_of(contents: tuple[Content, ...], suffix: str, number: int) -> FrameTemplate:
+    """Return what frames made of a key frame take over from its file.
+
+    Parameters
+    ----------
+    contents
+        What is written of each view.
+    suffix
+        Of the frames' files, which counts where the input has colour alone.
+    number
+        Of the key frame.
+
+    Raises
+    ------
+    InputError
+        When its file cannot be read.
+    """
+    keys = contents[0].source.keys
+    if is_plain(keys.sequence):
+        return plain_template(keys, number, suffix)
+    wanted = tuple(content.wanted for content in contents)
+    return read_template(keys.sequence.files[number], wanted, keys.headers)
+
+
+@dataclass(frozen=True)
+class LayerFrames:
+    """Layers around the slots of one interval."""
+
+    before: Planes
+    after: Planes | None  # of the next key frame, where it is used
+    older: Planes | None  # of the key frame before, where points are led on from there
+    slots: tuple[Planes, ...]  # of the slots' own files, by the key frames' channels; () without
+
+
+class LayerStore:
+    """Reads channels of frames, and remembers them until they are dropped."""
+
+    def __init__(
+        self, shot: Shot, layers: Collection[Layer], more: Iterable[ChannelRef] = ()
+    ) -> None:
+        self._shot = shot
+        self._layers = tuple(layers)
+        # Part by part: what is decoded as float32 takes half the memory once it is half again.
+        groups: dict[tuple[str, int], dict[ChannelRef, bool]] = {}
+        for layer in layers:
+            for ref, channel in zip(layer.refs, layer.channels, strict=True):
+                is_half = channel.pixel_type == "half"
+                groups.setdefault((ref.aov, channel.part), {})[ref] = is_half
+        in_layers = {ref for group in groups.values() for ref in group}
+        for ref in more:
+            if ref not in in_layers:
+                groups.setdefault((ref.aov, -1), {})[ref] = False
+        self._groups = tuple(groups.values())
+        self._frames: dict[int, Planes] = {}
+
+    def frame(self, number: int) -> Planes:
+        """Return the channels of a frame.
+
+        Raises
+        ------
+        InputError
+            When a file is missing, damaged, of another size, or lacks a channel.
+        """
+        if number not in self._frames:
+            planes: dict[ChannelRef, Plane] = {}
+            for group in self._groups:
+                decoded, windows = read_planes(self._shot, number, list(group))
+                for ref, is_half in group.items():
+                    planes[ref] = Plane(_own_copy(decoded[ref], is_half), windows[ref])
+            self._frames[number] = planes
+            self._shot.nonfinite.note(number, dict(self._count_broken(planes)))
+        return self._frames[number]
+
+    def _count_broken(self, planes: Planes) -> Iterator[tuple[str, int]]:
+        """Count the pixels of layers that are not finite; those of a role have its name."""
+        roles = {refs: role for role, refs in self._shot.layout.roles.items()}
+        for layer in self._layers:
+            role = roles.get(layer.refs)
+            counted_as = Role.DEPTH if layer.kind is LayerKind.DEPTH else role
+            count = count_nonfinite((planes[ref].values for ref in layer.refs), counted_as)
+            yield layer.name if role is None else role.value, count
+
+    def keep(self, numbers: Iterable[int]) -> None:
+        """Drop all other frames."""
+        self._frames = {n: self._frames[n] for n in numbers if n in self._frames}
+
+
+def _own_copy(values: np.ndarray, is_half: bool) -> np.ndarray:
+    """Return a plane of its own, so that the part that it was decoded with can be freed."""
+    if is_half and values.dtype == np.float32:
+        with np.errstate(over="ignore"):  # another frame may hold the channel as float
+            return values.astype(np.float16)
+    return np.ascontiguousarray(values)
+
+
+class LayerReader:
+    """Reads the layers of a view, interval by interval; what several share is read once."""
+
+    def __init__(self, content: Content) -> None:
+        self._content = content
+        source = content.source
+        self._keys = LayerStore(source.keys, content.extra, content.motion)
+        self._slots = None
+        if source.slots is not None and content.rendered:
+            self._slots = LayerStore(source.slots, content.rendered.values())
+
+    def read(self, key: int, lookahead: bool, older: int | None) -> LayerFrames:
+        """Read an interval, by the index of its key frame.
+
+        With `lookahead` the next key frame is used; `older` is the index of an older one, if used.
+        """
+        numbers = self._content.source.timeline.numbers
+        before = self._keys.frame(numbers[key])
+        after = self._keys.frame(numbers[key + 1]) if lookahead else None
+        back = None if older is None else self._keys.frame(numbers[older])
+        self.release_before(key)
+        return LayerFrames(before, after, back, self._read_slots(key))
+
+    def require(self, key: int) -> None:
+        """Read a key frame's layers ahead; raises InputError where that fails."""
+        self._keys.frame(self._content.source.timeline.numbers[key])
+
+    def release_before(self, key: int) -> None:
+        """Drop what no interval after this one needs."""
+        self._keys.keep(self._content.source.timeline.numbers[key : key + 2])
+
+    def _read_slots(self, key: int) -> tuple[Planes, ...]:
+        """Read what the slots' own files have; () where a slot has no file."""
+        if self._slots is None:
+            return ()
+        source = self._content.source
+        slots = [source.slot_number(slot) for slot in source.timeline.between(key)]
+        numbers = [number for number in slots if number is not None]
+        if len(numbers) < len(slots):
+            return ()
+        refs: dict[ChannelRef, ChannelRef] = {}  # the slots' channels by the key frames'
+        for layer, rendered in self._content.rendered.items():
+            own = {ref.component: ref for ref in rendered.refs}
+            refs |= {ref: own[ref.component] for ref in layer.refs}
+        frames = (self._slots.frame(number) for number in numbers)
+        planes = tuple({ref: frame[own] for ref, own in refs.items()} for frame in frames)
+        self._slots.keep(())
+        return planes
+
+
+class ExtraLayers:
+    """Makes the planes that are written with the beauty of the view that leads.
+
+    `contents` is what is written of each view, the one that leads first; `builders` are those of
+    the other views, in the same order.
+    """
+
+    def __init__(
+        self, contents: tuple[Content, ...], builders: tuple[IntervalBuilder, ...] = ()
+    ) -> None:
+        self._contents = contents
+        self._builders = builders
+        self._views: tuple[ViewInterval, ...] = ()
+
+    @property
+    def any(self) -> bool:
+        """True if more than the beauty of the view that leads is written."""
+        return len(self._contents) > 1 or bool(self._contents[0].extra)
+
+    @property
+    def kinds(self) -> set[LayerKind]:
+        """What the layers of all views are, beside the beauty."""
+        return {layer.kind for content in self._contents for layer in content.extra}
+
+    def begin(self, inputs: IntervalInputs, interval: Interval | None) -> None:
+        """Turn to an interval; None where nothing of it has to be made, and to drop the last."""
+        self._views = ()
+        if interval is None:
+            return
+        views = [ViewInterval(self._contents[0], inputs, interval)]
+        for content, builder, view in zip(
+            self._contents[1:], self._builders, inputs.views, strict=True
+        ):
+            # One view decides which network mixes all of them.
+            built = replace(builder.build(view), interpolator=interval.interpolator)
+            views.append(ViewInterval(content, view, built))
+        self._views = tuple(views)
+
+    def make(
+        self, slot: int, shown: Predicted, predict: Predict, template: Template
+    ) -> dict[PlaneKey, Plane]:
+        """Make the planes of a slot.
+
+        Parameters
+        ----------
+        slot
+            1 or more.
+        shown
+            The beauty of the view that leads; its method is a path's name where a path made it.
+        predict
+            Makes that of another view.
+        template
+            Which planes there have to be.
+        """
+        needed = {plane.key for plane in template.planes}
+        leader, *further = self._views
+        planes = leader.planes(slot, shown, needed)
+        for view in further:
+            beauty = predict(view.interval)
+            planes |= view.beauty(beauty)
+            planes |= view.planes(slot, beauty, needed)
+        return planes
+
+
+@dataclass(frozen=True)
+class ViewInterval:
+    """One view of an interval."""
+
+    content: Content
+    inputs: IntervalInputs
+    interval: Interval
+
+    @property
+    def window(self) -> Window:
+        """What its planes are made on."""
+        return self.interval.key.image.data_window
+
+    @cached_property
+    def course(self) -> Course | None:
+        """How its points move; None where that is not known."""
+        key, following = self.interval.key.gbuffer, self.interval.following
+        if key is None or not key.has_motion:
+            return None
+        older = None if self.inputs.older is None else self.inputs.older.extended(self.window)
+        return Course(
+            key,
+            None if following is None else following.gbuffer,
+            None if older is None else older.gbuffer,
+        )
+
+    def beauty(self, shown: Predicted) -> dict[PlaneKey, Plane]:
+        """Return the planes of the beauty."""
+        wanted = self.content.wanted
+        return {
+            (wanted.view, ref): Plane(shown.pixels[..., i], self.window)
+            for i, ref in enumerate(wanted.colour)
+        }
+
+    def planes(self, slot: int, shown: Predicted, needed: set[PlaneKey]) -> dict[PlaneKey, Plane]:
+        """Make the layers beside the beauty `shown`, one after the other.
+
+        `needed` are those that are written: a channel that several views share is the first one's.
+        """
+        view, beauty = self.content.wanted.view, self.content.wanted.colour
+        frames = self.inputs.layers
+        if frames is None:
+            return {}
+        retimer = _LayerRetimer(self, frames, retiming(self.interval, slot, shown), slot)
+        planes: dict[PlaneKey, Plane] = {}
+        for layer in self.content.extra:
+            if any((view, ref) in needed for ref in layer.refs):
+                for ref, values in retimer.retime(layer).items():
+                    if ref not in beauty:
+                        planes[view, ref] = Plane(values, self.window)
+        return planes
+
+
+@dataclass(frozen=True)
+class _LayerRetimer:
+    """Makes the layers of one slot of a view, each in the type that its file has."""
+
+    view: ViewInterval
+    frames: LayerFrames
+    retiming: Retiming
+    slot: int
+
+    def retime(self, layer: Layer) -> dict[ChannelRef, np.ndarray]:
+        """Make a layer's channels, [H, W] each; all finite, but for infinity in a depth."""
+        values = self._values(layer)
+        if layer.kind is not LayerKind.COLOUR:  # which is mended where it is mixed
+            background = np.inf if layer.kind is LayerKind.DEPTH else 0.0
+            self.retiming.sources.mend(list(values.values()), background)
+        return values
+
+    def _values(self, layer: Layer) -> dict[ChannelRef, np.ndarray]:
+        frames, refs = self.frames, layer.refs
+        rendered = frames.slots[self.slot - 1] if frames.slots else {}
+        if all(ref in rendered for ref in refs):
+            return {ref: np.array(self._placed(rendered[ref])) for ref in refs}
+        motion = self.view.content.motion
+        if layer.kind is LayerKind.MOTION and motion:
+            return {
+                ref: self._vectors[..., motion.index(ref)] if ref in motion else self._copied(ref)
+                for ref in refs
+            }
+        if layer.kind is LayerKind.COLOUR:
+            before = self._light(frames.before, refs)
+            after = None if frames.after is None else self._light(frames.after, refs)
+            values = self.retiming.colour(before, after)
+        elif layer.kind in POINTS:
+            values = self._points(refs, is_fixed=layer.kind is LayerKind.POSITION)
+        else:
+            return {ref: self._copied(ref) for ref in refs}
+        # Copied, so that half takes its own memory.
+        return {ref: np.ascontiguousarray(values[..., i]) for i, ref in enumerate(refs)}
+
+    def _points(self, refs: tuple[ChannelRef, ...], is_fixed: bool) -> Float32:
+        """Make a layer [H, W, C] whose values change as a point moves."""
+        frames, window = self.frames, self.view.window
+        # What a key frame does not tell of a point is no change: not that it went to 0.
+        before, after, older = (
+            None if planes is None else self._stack(planes, refs, np.nan)
+            for planes in (frames.before, frames.after, frames.older)
+        )
+        values = self.retiming.moved(self.view.course, (before, after, older), is_fixed)
+        for i, ref in enumerate(refs):
+            ends = [frame[ref].window for frame in (frames.before, frames.after) if frame]
+            if any(not end.covers(window) for end in ends):
+                values[self.retiming.data(*(outside(window, end) for end in ends)), i] = 0
+        return values
+
+    @cached_property
+    def _vectors(self) -> Float32:
+        """All motion channels [H, W, C]."""
+        refs, convention = self.view.content.motion, self.view.content.convention
+        assert convention is not None
+        before = self._stack(self.frames.before, refs)
+        after = None if self.frames.after is None else self._stack(self.frames.after, refs)
+        return self.retiming.vectors(convention, before, after)
+
+    def _copied(self, ref: ChannelRef) -> np.ndarray:
+        """Copy the sources' values, bit for bit."""
+        before, after = self.frames.before[ref], None
+        if self.frames.after is not None:
+            plane = self._placed(self.frames.after[ref])
+            with np.errstate(invalid="ignore", over="ignore"):  # where the type changed on the way
+                after = plane.astype(before.values.dtype, copy=False)
+        return self.retiming.data(self._placed(before), after)
+
+    def _placed(self, plane: Plane, fill: float = 0.0) -> np.ndarray:
+        return place(plane.values, plane.window, self.view.window, fill)
+
+    def _stack(self, planes: Planes, refs: tuple[ChannelRef, ...], fill: float = 0.0) -> Float32:
+        members = [
+            Plane(planes[ref].values.astype(np.float32, copy=False), planes[ref].window)
+            for ref in refs
+        ]
+        return np.stack([self._placed(plane, fill) for plane in members], axis=-1)
+
+    def _light(self, planes: Planes, refs: tuple[ChannelRef, ...]) -> Float32:
+        """Return a layer [H, W, C] for warping: what no data tells is unknown, as in the beauty."""
+        stack = self._stack(planes, refs)
+        window, display = self.view.window, self.view.interval.key.image.display_window
+        for i, ref in enumerate(refs):
+            if planes[ref].window != window:
+                unknown = outside(window, planes[ref].window) & outside(window, display)
+                stack[unknown, i] = np.nan
+        return stack
+
+
+def named_by_path(shown: Predicted, path: str | None) -> Predicted:
+    """Return what is shown with the name of the path that made it, which layers go by."""
+    return shown if path is None else replace(shown, method=path.lower())

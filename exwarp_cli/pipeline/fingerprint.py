@@ -1,0 +1,213 @@
+"""What a frame depends on, digested: a resumed run keeps frames whose fingerprint is the same."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import OrderedDict
+from collections.abc import Callable, Collection, Iterable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+from exwarp_cli import __version__
+from exwarp_cli.domain.results import InterpolatorSummary, NetworkSummary
+from exwarp_cli.domain.timeline import Slot
+from exwarp_cli.io.channels import Role
+from exwarp_cli.io.footage import ClipSequence, digest_of, is_plain
+from exwarp_cli.io.key_file import digests, plan_key_file
+from exwarp_cli.io.output import file_digest
+from exwarp_cli.io.sequences import Sequence
+from exwarp_cli.io.shot import Shot
+from exwarp_cli.pipeline.source import FrameOf, Source
+from exwarp_cli.synthesis.methods import Method
+from exwarp_cli.synthesis.optical_flow import flow_identity
+
+# Files' digests that are kept: more than the frames that one interval depends on.
+DIGESTS = 32
+
+# A frame's number, which tells frames of one video apart, and its files by AOV.
+FrameFiles = tuple[int, tuple[tuple[str, Path], ...]]
+
+
+@dataclass
+class Fingerprinter:
+    """Digests what the frames of intervals depend on, interval after interval."""
+
+    source: Source
+    method: Method
+    compression: str | None  # of generated frames, as the user names it
+    truth: tuple[Sequence, FrameOf] | None  # only oracles depend on it
+    network: NetworkSummary | None = None  # that extrapolates
+    interpolator: InterpolatorSummary | None = None
+    policy: str | None = None  # SHA-256 of the policy's file, maybe with the effort
+    layers: tuple[str, ...] = ()  # names of those that are written beside the beauty
+    # In which a slot's frame is read, to record it as unreadable where that fails; None where
+    # nothing may be unreadable.
+    reading: Callable[[Slot], AbstractContextManager[None]] | None = None
+    key_rate: Fraction | None = None  # frame rate that written key frames get; None: as they are
+    _digests: OrderedDict[FrameFiles, str] = field(default_factory=OrderedDict, init=False)
+    _rewritten: OrderedDict[Path, str] = field(default_factory=OrderedDict, init=False)
+
+    def share_digests(self, view: Fingerprinter) -> None:
+        """Keep files' digests with those of another view, which may be of the same files."""
+        self._digests = view._digests
+
+    def digest(self, slot: Slot) -> None:
+        """Digest all files of a slot's frame ahead; raises InputError where one cannot be read."""
+        if not slot.index:
+            self._digest(self.source.keys, self.source.timeline.numbers[slot.key])
+        if self.source.slots is not None:
+            number = self.source.slot_number(slot)
+            if number is not None:
+                self._digest(self.source.slots, number)
+
+    def fingerprints(
+        self,
+        key: int,
+        keys: Iterable[int],
+        instants: Iterable[Slot],
+        surroundings: Collection[str] = (),
+    ) -> dict[int, str]:
+        """Digest what each slot's frame depends on: sources, settings, version and networks.
+
+        Parameters
+        ----------
+        key
+            Index of the key frame.
+        keys
+            Indices of the key frames whose colour is used.
+        instants
+            Whose G-buffers are used beside those of `keys`; in the key setting key frames all.
+        surroundings
+            What cuts, holds, windows and trials around the interval change.
+        """
+        source, timeline = self.source, self.source.timeline
+        keys, instants = tuple(keys), tuple(instants)
+        if self.reading is not None:
+            for slot in (*(Slot(index, 0) for index in keys), *instants):
+                with self.reading(slot):
+                    self.digest(slot)
+        files = [self._digest(source.keys, timeline.numbers[i]) for i in keys]
+        if source.slots is None:
+            files += [self._digest(source.keys, timeline.numbers[s.key]) for s in instants]
+        else:
+            numbers = [source.slot_number(s) for s in (*(Slot(i, 0) for i in keys), *instants)]
+            files += [self._digest(source.slots, n) for n in numbers if n is not None]
+        facts: dict[str, Any] = {
+            "version": __version__,
+            "method": self.method.name,
+            "setting": source.setting,
+            "motion": repr(source.convention),
+            "compression": self.compression,
+            "fps": f"{source.fps}{'' if source.written_fps else ' assumed'}",
+            "files": files,
+        }
+        facts |= _reading_facts(source, self.method)
+        if self.layers:
+            facts["layers"] = list(self.layers)
+        if surroundings:
+            facts["cuts"] = list(surroundings)
+        if self.network is not None:
+            facts["network"] = [self.network.sha256, self.network.device]
+        if self.interpolator is not None:
+            facts["interpolator"] = self.interpolator.identity
+        if self.policy is not None:
+            facts["policy"] = self.policy
+        if self.method.needs_truth and self.truth is not None:
+            sequence, frame_of = self.truth
+            numbers = [frame_of(slot) for slot in timeline.made_of(key)]
+            facts["truth"] = [file_digest(sequence.files[n]) for n in numbers if n is not None]
+        return {
+            slot.index: _digest_json(
+                facts
+                | {
+                    "slot": slot.index,
+                    "time": str(timeline.time(slot)),
+                    "factor": str(timeline.factor),
+                }
+            )
+            for slot in timeline.made_of(key)
+        }
+
+    def key_digests(self, keys: Iterable[int]) -> dict[int, str]:
+        """Return the digests of written key frames by input number; none for a video."""
+        shot, numbers = self.source.keys, self.source.timeline.numbers
+        if isinstance(shot.sequence, ClipSequence):
+            return {}
+        digests_read = {numbers[key]: self._digest(shot, numbers[key]) for key in keys}
+        if is_plain(shot.sequence):
+            return digests_read
+        written = {}
+        for number, digest in digests_read.items():
+            path = shot.sequence.files[number]
+            if path not in self._rewritten:
+                file = plan_key_file(path, self.key_rate)
+                copied = json.loads(digest)[""]
+                self._remember_rewritten(path, file.digest() if file.head else copied)
+            written[number] = self._rewritten[path]
+        return written
+
+    def _remember_rewritten(self, path: Path, digest: str) -> None:
+        self._rewritten[path] = digest
+        while len(self._rewritten) > DIGESTS:
+            self._rewritten.popitem(last=False)
+
+    def _digest(self, shot: Shot, number: int) -> str:
+        """Digest all files of one frame; kept for the interval that shares it."""
+        frame = (number, tuple(shot.files(number).items()))
+        if frame not in self._digests:
+            if is_plain(shot.sequence):
+                digest = digest_of(shot.sequence, number)
+            else:
+                digest = self._digest_files(shot, number)
+            self._digests[frame] = digest
+            while len(self._digests) > DIGESTS:
+                self._digests.popitem(last=False)
+        return self._digests[frame]
+
+    def _digest_files(self, shot: Shot, number: int) -> str:
+        """Digest a frame's EXR files by AOV, and a key frame's file as it is written."""
+        by_aov = {}
+        for aov, path in shot.files(number).items():
+            is_key = not aov and shot is self.source.keys
+            rate = self.key_rate if is_key else None
+            by_aov[aov], rewritten = digests(path, rate, None if aov else shot.headers)
+            if is_key and rewritten is not None:
+                self._remember_rewritten(path, rewritten)
+        return json.dumps(by_aov, sort_keys=True)
+
+
+def key_fingerprint(keys: Shot, number: int, rate: Fraction | None = None) -> str:
+    """Digest what a key frame depends on that is not copied but decoded and encoded.
+
+    The rate is what its header says; None where it says none.
+    """
+    facts = {"version": __version__, "key": digest_of(keys.sequence, number), "fps": str(rate)}
+    return _digest_json(facts)
+
+
+def _digest_json(facts: dict[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
+
+
+def _reading_facts(source: Source, method: Method) -> dict[str, Any]:
+    """Return how an input is read beside what its own channels say."""
+    facts: dict[str, Any] = {}
+    if source.estimated or method.finds_flow or (source.moves and method.carries_light):
+        facts["flow"] = flow_identity()
+    if source.keys.by_hand:
+        facts["read"] = source.keys.by_hand
+    depth = [
+        [reading.kind.value, reading.offset, reading.scale, Role.DEPTH in shot.layout]
+        for shot in (source.keys, source.slots)
+        if shot is not None and (reading := shot.depth).evidence
+    ]
+    if depth:
+        facts["depth"] = depth
+    ids = (source.slots or source.keys).ids
+    if ids is not None:
+        facts["ids"] = ids.identity
+    return facts

@@ -1,0 +1,496 @@
+"""What a shot's motion vectors mean: by ``--motion``, or measured in some pairs of its frames."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Collection
+from contextlib import suppress
+from dataclasses import dataclass
+
+import numpy as np
+
+from exwarp_cli.domain.frame import place
+from exwarp_cli.domain.motion import AxisMap, MotionConvention, MotionFinding
+from exwarp_cli.domain.timeline import number_step
+from exwarp_cli.errors import InputError, MotionError, UsageError
+from exwarp_cli.io.channels import Role
+from exwarp_cli.io.frames import is_visible, read_raw
+from exwarp_cli.io.producers import PRESETS
+from exwarp_cli.io.shot import Shot, channel_label
+from exwarp_cli.pipeline.shots import pair_beside_hold, pairs_within
+from exwarp_cli.synthesis.calibration import calibrate, looks_like
+from exwarp_cli.synthesis.cuts import is_cut
+from exwarp_cli.synthesis.picture_motion import colour_moves, geometry_moves
+from exwarp_cli.synthesis.sampling import LEAST, Instant, Interval, Sampled, interval, sampled
+
+# Words for the frame's size in pixels, as factors of ``--motion``.
+UNITS = ("width", "height")
+
+# Factors of ``--motion`` up to which vectors stay numbers of 32 bits.
+MOST = 1e30
+
+# Pairs that are looked through for motion where the first ones hold none, and those measured.
+SPREAD, MOST_MOVING = 16, 3
+
+# What to do about motion blur, by producer as `io.producers` names them.
+BLUR_ADVICE = {
+    "Blender": "switch it off in Render Properties > Motion Blur, as Cycles writes no vectors with "
+    "it",
+    "Arnold": "Arnold writes vectors only with Motion Blur on: switch it on together with "
+    "Instantaneous Shutter",
+    "Redshift": "Redshift writes vectors only with Motion Blur on, and keeps the beauty sharp "
+    "meanwhile: switch it on",
+    "V-Ray": "switch it off in Render Settings > Motion Blur, and check that the Velocity element "
+    "is on",
+    "Karma": "switch it off in the Karma render settings > Rendering > Motion Blur",
+    "RenderMan": "switch it off in Render Settings > Motion Blur",
+}
+
+_NUMBER = r"[0-9.]+(?:[eE][+-]?[0-9]+)?"
+# Names of channels may have spaces and commas in them, so only these words part the directions.
+_CLAUSES = re.compile(r"\s+(?=(?:previous|next)=)")
+
+
+def motion_names(shot: Shot) -> tuple[str, ...]:
+    """Return the names of the motion channels as --motion takes them, as short as possible.
+
+    Only so much of the layer stands before a component as tells them apart, and the AOV if it must.
+    """
+    refs = shot.layout.roles[Role.MOTION]
+    for elements in range(1, 1 + max(ref.name.count(".") + 1 for ref in refs)):
+        short = tuple(".".join(ref.name.split(".")[-elements:]) for ref in refs)
+        if len(set(short)) == len(short):
+            return short
+    return tuple(channel_label(ref) for ref in refs)
+
+
+def parse_motion(
+    text: str, names: tuple[str, ...], size: tuple[int, int] | None = None
+) -> MotionConvention:
+    """Read the ``--motion`` option.
+
+    Either a preset's name (blender, unreal, forward …), or the channels that hold the displacement
+    to the previous and next frame in pixels, x right and y down, with signs and factors:
+    ``previous=X,-Y next=-Z,W``, ``next=0.5*u,-0.5*v``. Besides:
+
+    - ``width`` and ``height`` are factors for vectors that are shares of the frame:
+      ``next=0.5*width*R,-0.5*height*G``;
+    - a value that stands for no motion is taken off in brackets:
+      ``previous=-1920*(R-0.5),1080*(G-0.5)``;
+    - a channel with the length, where the others are a direction, is a last factor:
+      ``next=R*B,-G*B``, or ``next=2*(R-0.5)*B,-2*(G-0.5)*B`` for a direction mapped to 0 … 1;
+    - premultiplied vectors are divided by alpha: ``next=R/A,-G/A``,
+      ``next=9*(R/A-0.5),9*(G/A-0.5)``.
+
+    Parameters
+    ----------
+    text
+        What the user wrote.
+    names
+        The motion channels' names, in order.
+    size
+        Width and height of the display window. Without it, a convention in shares of the frame
+        stays so (see `MotionConvention.of_frame`).
+
+    Raises
+    ------
+    UsageError
+        When the text is neither.
+    """
+    preset = PRESETS.get(text.strip().lower())
+    if preset is not None:
+        if preset.count > len(names):
+            raise UsageError(
+                f"--motion {text} needs {preset.count} motion channels and there are "
+                f"{len(names)}: {', '.join(names)}"
+            )
+        return preset if size is None else preset.sized(*size)
+    terms: dict[str, tuple[_Term, _Term]] = {}
+    for clause in filter(None, _CLAUSES.split(text.strip())):
+        direction, _, axes = clause.partition("=")
+        pair = _parse_pair(axes, names)
+        if direction not in ("previous", "next") or direction in terms or pair is None:
+            raise UsageError(
+                f"--motion {text!r} is not understood; write a preset ({', '.join(PRESETS)}) or "
+                f"for example 'previous={names[0]},-{names[1]}', with channels out of "
+                f"{', '.join(names)}"
+            )
+        terms[direction] = pair
+    if not terms:
+        raise UsageError("--motion is empty; write a preset or a convention, or leave it out")
+    of_frame = size is None and all((x.unit, y.unit) == UNITS for x, y in terms.values())
+    if size is None and not of_frame and any(t.unit for pair in terms.values() for t in pair):
+        raise UsageError(f"--motion {text!r} counts in frame sizes, and that is not known here")
+    maps = {
+        direction: AxisMap(x.channel, y.channel, x.pixels(size), y.pixels(size), *x.shared)
+        for direction, (x, y) in terms.items()
+    }
+    if max(abs(term.pixels(size)) for pair in terms.values() for term in pair) > MOST:
+        raise UsageError(f"--motion {text!r} has a factor above {MOST:g}; correct it")
+    return MotionConvention(maps.get("previous"), maps.get("next"), of_frame)
+
+
+@dataclass(frozen=True)
+class _Term:
+    """One axis of a displacement; see `AxisMap`."""
+
+    channel: int
+    scale: float
+    unit: str  # "", "width" or "height"
+    still: float
+    length: int | None
+    alpha: int | None
+
+    @property
+    def shared(self) -> tuple[float, int | None, int | None]:
+        """What both axes must have in common."""
+        return self.still, self.length, self.alpha
+
+    def pixels(self, size: tuple[int, int] | None) -> float:
+        """Return the factor in pixels, as far as the frame's size is known."""
+        if size is None or not self.unit:
+            return self.scale
+        return self.scale * size[UNITS.index(self.unit)]
+
+
+def _parse_pair(axes: str, names: tuple[str, ...]) -> tuple[_Term, _Term] | None:
+    """Read both axes of a displacement, parted by a comma; None when they are not that."""
+    for comma in (match.start() for match in re.finditer(",", axes)):
+        x, y = _parse_term(axes[:comma], names), _parse_term(axes[comma + 1 :], names)
+        if x is not None and y is not None and x.shared == y.shared:
+            return x, y
+    return None
+
+
+def _parse_term(text: str, names: tuple[str, ...]) -> _Term | None:
+    """Read one axis of a convention; None when it is not one."""
+    name = "|".join(re.escape(n) for n in sorted(names, key=len, reverse=True))
+    match = re.fullmatch(
+        rf"(?P<sign>[+-]?)(?:(?P<factor>{_NUMBER})\*)?(?:(?P<unit>width|height)\*)?"
+        rf"(?P<open>\()?(?P<name>{name})(?:/(?P<alpha>{name}))?"
+        rf"(?(open)(?P<still>[+-]{_NUMBER})\))(?:\*(?P<length>{name}))?",
+        text,
+    )
+    if match is None:
+        return None
+    try:
+        factor, still = float(match["factor"] or 1.0), 0.0 - float(match["still"] or 0.0)
+    except ValueError:
+        return None
+    length, alpha = (
+        None if match[key] is None else names.index(match[key]) for key in ("length", "alpha")
+    )
+    scale = -factor if match["sign"] == "-" else factor
+    return _Term(names.index(match["name"]), scale, match["unit"] or "", still, length, alpha)
+
+
+@dataclass(frozen=True)
+class KeyColours:
+    """Key frames whose colour tells what the vectors of frames between them mean."""
+
+    keys: Shot
+    numbers: tuple[int | None, ...]  # of the frame at each key frame's instant; None without
+
+
+def find_motion(
+    shot: Shot,
+    given: str | None,
+    detect: bool = True,
+    starts: Collection[int] = (),
+    colours: KeyColours | None = None,
+) -> MotionFinding | None:
+    """Settle the motion convention of a shot, by hand or by measuring; None without motion.
+
+    Parameters
+    ----------
+    shot
+        Whose vectors.
+    given
+        A convention by hand.
+    detect
+        Whether to look for cuts, where vectors explain nothing: what crosses one is no motion.
+    starts
+        Numbers of frames before which cuts are known.
+    colours
+        Key frames with colour, where the shot itself has none.
+
+    Raises
+    ------
+    MotionError
+        When the convention cannot be settled.
+    """
+    if Role.MOTION not in shot.layout:
+        return None
+    names, size = motion_names(shot), (shot.display.width, shot.display.height)
+    measurement = _Measurement(shot, starts, colours, names, detect)
+    if given is None:
+        guess = None if shot.layout.guess is None else shot.layout.guess.sized(*size)
+        return measurement.finding(guess)
+    convention = parse_motion(given, names, size)
+    evidence = f"{convention.describe(names)} given by --motion"
+    with suppress(InputError, MotionError):
+        finding = measurement.finding(convention)
+        if finding.source == "corrected":
+            measured = finding.evidence.partition(";")[0]
+            evidence += f", but the frames contradict it: {measured}{looks_like(finding.preset)}"
+    return MotionFinding(convention, "given", evidence)
+
+
+class _Measurement:
+    """Measures the vectors of a shot in some pairs of its frames; see `find_motion`.
+
+    A pair is named by the index of its first frame. With `by_colour`, frames are compared by colour
+    although they have world positions.
+    """
+
+    def __init__(
+        self,
+        shot: Shot,
+        starts: Collection[int],
+        colours: KeyColours | None,
+        names: tuple[str, ...],
+        detect: bool,
+    ) -> None:
+        self._shot = shot
+        self._starts = starts
+        self._colours = colours
+        self._names = names
+        self._detect = detect
+        self._numbers = shot.sequence.numbers
+        self._frames: dict[tuple[int, bool], Sampled] = {}
+
+    def finding(self, guess: MotionConvention | None) -> MotionFinding:
+        """Measure by world positions if there are any, else by depth and colour."""
+        firsts = pairs_within(len(self._numbers), self._is_parted)
+        if self._are_zero(firsts):
+            return self._at_rest(firsts, guess)
+        has_both = Role.POSITION in self._shot.layout and Role.COLOUR in self._shot.layout
+        # World positions of what moves by itself are not found again. Before a resting camera,
+        # nothing else moves, so there colour tells.
+        try:
+            finding = self._measure_within_shots(guess, by_colour=False)
+        except MotionError:
+            if not has_both:
+                raise
+        else:
+            if not (finding.source == "untested" and has_both):
+                return finding
+        return self._measure_within_shots(guess, by_colour=True)
+
+    def _are_zero(self, firsts: list[int]) -> bool:
+        """Return True if the vectors of all these pairs are 0; the first pair nearly always tells.
+
+        The last of an odd number of channels is a length or an alpha.
+        """
+        used = 2 * (len(self._names) // 2)
+        ends = (self._frame(first + i) for first in firsts for i in (0, 1))
+        return bool(firsts) and not any(
+            np.any(frame.motion[:, :used]) or np.any(frame.moving) for frame in ends
+        )
+
+    def _at_rest(self, firsts: list[int], guess: MotionConvention | None) -> MotionFinding:
+        """Return what is read of vectors that are 0; raises MotionError if the picture moves."""
+        numbers = self._numbers
+        frames = ", ".join(f"{numbers[i]}-{numbers[i + 1]}" for i in firsts)
+        if any(self._picture_moves(first) for first in firsts):
+            producer = self._shot.layout.producer
+            advice = next(
+                (text for name, text in BLUR_ADVICE.items() if producer.startswith(name)),
+                "switch it off in the renderer's settings",
+            )
+            raise MotionError(
+                f"the motion channels {', '.join(self._names)} are 0 throughout in frames "
+                f"{frames}, while the picture moves: motion blur was on, or the pass is empty; "
+                f"{advice}, and render the motion pass again; if nothing is meant to move, give "
+                "--motion"
+            )
+        if moving := self._moving_pairs(firsts, by_colour=False):
+            return self._measure_pairs(moving, guess, by_colour=False)
+        evidence = f"the vectors of frames {frames} are 0, and nothing moves there"
+        convention = MotionConvention(AxisMap(0, 1, 1.0, -1.0)) if guess is None else guess
+        return MotionFinding(convention, "untested", evidence, resting=True)
+
+    def _picture_moves(self, first: int) -> bool:
+        """Return True if the picture of a pair moves; what changes at a cut is no motion."""
+        moves = geometry_moves(self._frame(first), self._frame(first + 1))
+        if Role.COLOUR not in self._shot.layout:
+            return moves is True
+        if moves is None:
+            before, after = (self._frame(i, by_colour=True).perceived for i in (first, first + 1))
+            moves = before is not None and after is not None and colour_moves(before, after)
+        return moves and not (self._detect and self._is_cut_by_colour(first + 1))
+
+    def _measure_within_shots(
+        self, guess: MotionConvention | None, by_colour: bool
+    ) -> MotionFinding:
+        """Measure in pairs that cross no known cut, and where that fails, none that is seen."""
+        count = len(self._numbers)
+        firsts = pairs_within(count, self._is_unseen) or pairs_within(count, self._is_parted)
+        try:
+            return self._measure_first(firsts, guess, by_colour)
+        except MotionError:
+            if not self._detect or Role.COLOUR not in self._shot.layout:
+                raise
+            uncut = pairs_within(count, lambda i: self._is_unseen(i) or self._is_cut_by_colour(i))
+            if uncut == firsts:
+                raise
+            return self._measure_first(uncut, guess, by_colour)
+
+    def _measure_first(
+        self, firsts: list[int], guess: MotionConvention | None, by_colour: bool
+    ) -> MotionFinding:
+        """Measure by the first pair alone, which most runs read first anyway, if it tells all.
+
+        If nothing moves in all of them, look for pairs in which something does.
+        """
+        if len(firsts) > 1:
+            with suppress(MotionError):
+                pair = self._beside_holds(firsts[:1], by_colour)
+                finding = self._measure_pairs(pair, guess, by_colour)
+                if finding.clear:
+                    return finding
+        firsts = self._beside_holds(firsts, by_colour)
+        finding = self._measure_pairs(firsts, guess, by_colour)
+        moving = self._moving_pairs(firsts, by_colour) if finding.resting else []
+        return self._measure_pairs(moving, guess, by_colour) if moving else finding
+
+    def _measure_pairs(
+        self, firsts: list[int], guess: MotionConvention | None, by_colour: bool
+    ) -> MotionFinding:
+        # One after the other: each is decoded on all threads, and two at once took a sixth more.
+        pairs = [(self._frame(i, by_colour), self._frame(i + 1, by_colour)) for i in firsts]
+        width, height = self._shot.display.width, self._shot.display.height
+        return calibrate(
+            pairs,
+            guess,
+            self._names,
+            self._intervals(len(firsts)),
+            {name: preset.sized(width, height) for name, preset in PRESETS.items()},
+            number_step(self._numbers),
+        )
+
+    def _beside_holds(self, firsts: list[int], by_colour: bool) -> list[int]:
+        """Return the pairs, in place of those that show one picture twice others nearby."""
+
+        def is_hold_near(first: int) -> Callable[[int], bool]:
+            def is_hold(index: int) -> bool:
+                if abs(index - first) > 1:
+                    self._frames.clear()  # so that few are in memory
+                return self._shows_one_picture(index, by_colour)
+
+            return is_hold
+
+        count = len(self._numbers)
+        return sorted(
+            {pair_beside_hold(i, count, self._is_parted, is_hold_near(i)) for i in firsts}
+        )
+
+    def _shows_one_picture(self, first: int, by_colour: bool) -> bool:
+        """Return True if both frames of a pair are the same, though their vectors are not at rest.
+
+        Of a pair at rest, others are looked for where all of them are.
+        """
+        before, after = self._frame(first, by_colour), self._frame(first + 1, by_colour)
+        if not (before.moving.any() or after.moving.any()):
+            return False
+        parts = ("position", "depth", "perceived")
+        values = [(getattr(before, part), getattr(after, part)) for part in parts]
+        comparable = [(a, b) for a, b in values if a is not None and b is not None]
+        return bool(comparable) and all(np.array_equal(a, b, equal_nan=True) for a, b in comparable)
+
+    def _moving_pairs(self, firsts: list[int], by_colour: bool) -> list[int]:
+        """Return pairs in which something moves, of some that are evenly spread; few at most."""
+        count = len(self._numbers) - 1
+        candidates = sorted({count * i // SPREAD for i in range(SPREAD)} - set(firsts))
+        moving: list[int] = []
+        for first in candidates:
+            if self._is_parted(first + 1) or len(moving) == MOST_MOVING:
+                continue
+            ends = [self._frame(i, by_colour) for i in (first, first + 1)]
+            if any(np.count_nonzero(frame.moving & frame.usable) >= LEAST for frame in ends):
+                moving.append(first)
+            else:
+                self._frames.clear()
+        return moving
+
+    def _frame(self, index: int, by_colour: bool = False) -> Sampled:
+        """Read and reduce a frame; what was reduced before is kept."""
+        number = self._numbers[index]
+        key = number, by_colour
+        if key not in self._frames:
+            # On the display window: data windows differ, and normalised vectors go by it. World
+            # positions tell points apart best, and alone; reading the rest takes most of the time.
+            by_position = Role.POSITION in self._shot.layout and not by_colour
+            compared = Role.POSITION if by_position else Role.COLOUR
+            raw = read_raw(self._shot, number, (Role.MOTION, Role.DEPTH, Role.STENCIL, compared))
+            assert raw.motion is not None
+            motion = place(raw.motion, raw.gbuffer.window, self._shot.display, np.nan)
+            colour = None if raw.image is None else raw.image.on(self._shot.display).pixels
+            self._frames[key] = sampled(
+                Instant(number, raw.gbuffer.on(self._shot.display), motion, colour)
+            )
+        return self._frames[key]
+
+    def _is_parted(self, index: int) -> bool:
+        """Return True if a frame and the one before do not belong together, or are unreadable."""
+        if self._numbers[index] in self._starts:
+            return True
+        if self._shot.keep_going:
+            try:
+                self._frame(index - 1)
+                self._frame(index)
+            except InputError:
+                return True
+        return False
+
+    def _is_unseen(self, index: int) -> bool:
+        """Return True if a frame and the one before it tell nothing: one is beyond the display."""
+        pair = self._numbers[index - 1 : index + 1]
+        return self._is_parted(index) or not all(is_visible(self._shot, number) for number in pair)
+
+    def _is_cut_by_colour(self, index: int) -> bool:
+        """Return True if a cut lies before a frame, as far as colour tells without motion."""
+        before, after = (
+            read_raw(self._shot, number, (Role.COLOUR,)).key(None)
+            for number in self._numbers[index - 1 : index + 1]
+        )
+        return is_cut(before, after).found
+
+    def _intervals(self, count: int) -> list[Interval]:
+        """Read so many intervals between key frames whose colours tell; [] without colours."""
+        colours = self._colours
+        if colours is None:
+            return []
+        instants = colours.numbers
+
+        def is_parted(index: int) -> bool:
+            return instants[index] in self._starts or None in instants[index - 1 : index + 1]
+
+        intervals = (
+            self._interval(colours.keys, i, instants[i], instants[i + 1])
+            for i in pairs_within(len(instants), is_parted)[:count]
+        )
+        return [each for each in intervals if each is not None]
+
+    def _interval(
+        self, keys: Shot, index: int, first: int | None, last: int | None
+    ) -> Interval | None:
+        """Read two key frames' colours and the vectors between; None where one cannot be read."""
+        assert first is not None and last is not None
+        numbers = keys.sequence.numbers[index], keys.sequence.numbers[index + 1]
+        try:
+            before, after = (
+                read_raw(keys, number, (Role.COLOUR,)).key(None).image.on(keys.display).pixels
+                for number in numbers
+            )
+            between = [number for number in self._numbers if first <= number <= last]
+            vectors = []
+            for number in between:
+                raw = read_raw(self._shot, number, (Role.MOTION,))
+                assert raw.motion is not None
+                vectors.append(place(raw.motion, raw.gbuffer.window, self._shot.display, np.nan))
+        except InputError:
+            if not keys.keep_going:
+                raise
+            return None
+        return interval(numbers, before, after, vectors)

@@ -1,0 +1,475 @@
+"""Where a run writes: its files and video, and which files in the way it may replace.
+
+A resumed run may replace its own files alone. Own are: frames that ExWarp wrote by the run's
+method, complete or damaged, whatever has changed since; and copies of key frames, of the source as
+it is, or as it was when the frames around it were made. Everything else may be a person's work, and
+is never replaced without --overwrite.
+"""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import json
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from exwarp_cli.domain import cores
+from exwarp_cli.domain.results import FrameKind
+from exwarp_cli.domain.settings import UpsampleSettings
+from exwarp_cli.domain.timeline import Slot, Timeline, ranges
+from exwarp_cli.domain.wording import counted
+from exwarp_cli.errors import OutputError, OutputExistsError, UsageError
+from exwarp_cli.io.atomic import is_there, make_folder, output_error, remove_leftovers
+from exwarp_cli.io.clip import is_clip
+from exwarp_cli.io.footage import digest_of, is_plain, look_of, own_rate
+from exwarp_cli.io.key_file import KeyFile, possible_key_files
+from exwarp_cli.io.output import (
+    KEY_FRAMES,
+    REQUESTED_METHOD,
+    Authorship,
+    State,
+    authorship_of,
+    file_digest,
+    recipe_in,
+)
+from exwarp_cli.io.sequences import EXR, OutputPattern, Sequence, output_pattern
+from exwarp_cli.io.stills import STILLS, require_writer
+from exwarp_cli.io.video import VideoLook, require_container, video_note
+from exwarp_cli.pipeline.fingerprint import Fingerprinter, key_fingerprint
+from exwarp_cli.pipeline.source import Source
+from exwarp_cli.synthesis.methods import Method
+
+if TYPE_CHECKING:
+    from exwarp_cli.pipeline.rendered_frames import RenderedFrames
+
+# How the comment of every written video begins.
+BY_EXWARP = "ExWarp"
+
+# Files that a refusal names, at most.
+NAMED = 4
+
+# Methods of the frames after the last key frame, where the run's method needs a next one.
+FALLBACKS = ("s6", "hold")
+
+# Seconds by which a key frame may be newer than the frames around it, as files are written side by
+# side. It counts only where none of these names the key frame.
+SLACK_S = 60.0
+
+# Files that are read side by side, at most: each is in memory as a whole.
+READERS = 4
+
+# Bytes by which a frame rate in the headers of all parts may change a key frame's size.
+HEADER_GROWTH = 4096
+
+
+@dataclass(frozen=True)
+class OutputPlan:
+    """Where and how a run writes."""
+
+    frames: OutputPattern | None  # None where only a video is written
+    holes: OutputPattern | None  # of the hole masks
+    video: Path | None
+    compression: Any = None  # of generated frames, as OpenEXR takes it; None: the key frame's
+    exposure: float = 0.0  # of the video, in stops
+    resumes: bool = False  # whether good frames of an earlier run are kept
+    overwrites: bool = False
+    keeps_bytes: bool = False  # whether key frames are copied byte for byte, also at another rate
+
+    @classmethod
+    def from_settings(
+        cls, settings: UpsampleSettings, source: Sequence, compression: Any
+    ) -> OutputPlan:
+        """Read the output options.
+
+        Raises
+        ------
+        UsageError
+            When they name the same folder and pattern twice, or a video of an unknown kind.
+        """
+        video_alone = is_clip(settings.output)
+        if video_alone and settings.video is not None:
+            raise UsageError("-o names a video already; leave --video out, or name a folder in -o")
+        frames = None if video_alone else _frame_pattern(settings, source)
+        holes = None
+        if settings.write_holes is not None:
+            text = source.suffix[: -len(source.type)]
+            holes = output_pattern(settings.write_holes, replace(source, suffix=text + EXR[0]))
+            if holes == frames:
+                raise UsageError(
+                    "--write-holes and -o name the same files; give the masks a folder of their own"
+                )
+        named = settings.output if video_alone else settings.video
+        video = None if named is None else Path(named)
+        if video is not None:
+            require_container(video)
+            if video.resolve() in {path.resolve() for path in source.files.values()}:
+                raise OutputError(f"the video {video} is the input itself; name another")
+        return cls(
+            frames,
+            holes,
+            video,
+            compression,
+            settings.exposure,
+            settings.skip_existing,
+            settings.overwrite,
+            settings.keep_bytes,
+        )
+
+    def make_folders(self) -> None:
+        """Make the folders, and clear what dead runs left there; raises OutputError."""
+        for folder in self.folders:
+            make_folder(folder)
+            remove_leftovers(folder)
+
+    @property
+    def folders(self) -> tuple[Path, ...]:
+        """The folders in which files are written."""
+        folders = [pattern.folder for pattern in (self.frames, self.holes) if pattern is not None]
+        if self.video is not None:
+            folders.append(self.video.parent)
+        return tuple(dict.fromkeys(folders))
+
+    def check_conflicts(self, timeline: Timeline, slots: list[Slot]) -> None:
+        """Refuse to overwrite, and touch nothing.
+
+        Raises
+        ------
+        OutputExistsError
+            When something is in the way and neither --overwrite nor --skip-existing was given.
+        OutputError
+            When a folder is where the video would be.
+        """
+        if self.overwrites and self.resumes:
+            raise UsageError("--overwrite and --skip-existing contradict each other; give one")
+        if self.video is not None and is_there(self.video) and self.video.is_dir():
+            raise output_error(self.video, IsADirectoryError(errno.EISDIR, ""))
+        if self.overwrites or self.resumes:
+            return
+        numbers = [timeline.number(slot) for slot in slots]
+        for pattern in (self.frames, self.holes):
+            existing = [n for n in numbers if pattern is not None and is_there(pattern.path(n))]
+            if existing and pattern is not None:
+                raise OutputExistsError(
+                    f"{pattern.folder} has frame {ranges(existing)} of {pattern.name} already; "
+                    "give --skip-existing to keep good ones, --overwrite to replace them, or "
+                    "another -o"
+                )
+        if self.video is not None and is_there(self.video):
+            option = "--video" if self.frames is not None else "-o"
+            raise OutputExistsError(
+                f"{self.video} exists already; give --overwrite to replace it, or another {option}"
+            )
+
+
+def frame_suffix(output: str, source: Sequence) -> str:
+    """Return the suffix of the frames that ``-o`` asks for: its own, else the input's."""
+    suffix = Path(output).suffix
+    named = suffix.lower() in (*EXR, *STILLS) and not Path(output).is_dir()
+    return suffix if named else source.suffix
+
+
+def _frame_pattern(settings: UpsampleSettings, source: Sequence) -> OutputPattern:
+    """Read where frames go: those of EXR as EXR, others as EXR or stills of any kind."""
+    pattern = output_pattern(settings.output, source, (*STILLS, *EXR) if is_plain(source) else EXR)
+    if pattern.type in STILLS:
+        require_writer(pattern.path(0))
+        if settings.compression is not None:
+            raise UsageError(
+                f"--compression is for EXR, and frames are written as {pattern.type}; leave it "
+                "out, or name a pattern such as out.####.exr"
+            )
+    return pattern
+
+
+def key_is_there(target: Path, source: KeyFile) -> bool:
+    """Return True if a key frame was passed through already: the bytes that this job writes."""
+    try:
+        return target.exists() and source.is_at(target)
+    except OSError:
+        return False
+
+
+def slot_is_there(target: Path, recipe: str) -> bool:
+    """Return True if a generated frame exists, undamaged, and as this run would make it."""
+    return target.exists() and recipe_in(target) == recipe
+
+
+def video_look(source: Source, keys: tuple[int, ...], note: str = "") -> VideoLook:
+    """Return what a video of some key intervals is like, with the input's sound if it has one.
+
+    Parameters
+    ----------
+    source
+        The input.
+    keys
+        Indices of the key frames that are written. Sound goes along with those that lie side by
+        side, as cut up it would be of no use; and where the rate is the input's own.
+    note
+        What the video says of itself.
+    """
+    timeline = source.timeline
+    first, last = keys[0], keys[-1]
+    shown = timeline.slots_of(first) or (Slot(first, 0),)
+    begin = first + timeline.time(shown[0])
+    end = None if last == len(timeline.numbers) - 1 else Fraction(last + 1)
+    own, apart = own_rate(source.keys.sequence), None
+    if last - first + 1 != len(keys):
+        apart = "the key frames that are written do not follow each other"
+    elif own is not None and source.fps != own:
+        apart = f"--fps {float(source.fps):g} is not its own rate of {float(own):g}"
+    return look_of(source.keys, begin, end, note, apart)
+
+
+def video_fingerprint(
+    fingerprinter: Fingerprinter,
+    settings: UpsampleSettings,
+    keys: tuple[int, ...],
+    rendered: RenderedFrames | None = None,
+) -> str:
+    """Digest what a video depends on that is written alone; it keeps that as its comment.
+
+    "" where it may lack something whose files are as they were: it is made again then.
+    """
+    if settings.source.keep_going:
+        return ""
+    source = fingerprinter.source
+    count = len(source.timeline.numbers)
+    instants: list[Slot] = []
+    if source.slots is not None:
+        instants = [slot for key in range(count) for slot in source.timeline.between(key)]
+    facts: dict[str, Any] = {
+        "frames": fingerprinter.fingerprints(keys[0], range(count), instants),
+        # Needed as "frames" is empty where no frame is made after the first key frame.
+        "key": key_fingerprint(source.keys, source.timeline.numbers[keys[0]]),
+        "keys": list(keys),
+        "exposure": settings.exposure,
+        "tail": settings.source.tail,
+        "cuts": repr(source.cuts),
+    }
+    if rendered is not None:
+        sequence = rendered.sequence
+        facts["rendered"] = [[n, digest_of(sequence, n)] for n in sequence.numbers]
+    look = video_look(source, keys)
+    if look.pixel_aspect != 1 or look.primaries is not None:
+        facts["look"] = [str(look.pixel_aspect), repr(look.primaries)]
+    digest = hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
+    return f"{BY_EXWARP} {digest}"
+
+
+def is_video_kept(targets: OutputPlan, settings: UpsampleSettings, note: str) -> bool:
+    """Return True if a video that is written alone exists as this run would make it."""
+    wanted = settings.skip_existing and settings.ground_truth is None
+    if not (wanted and note) or targets.frames is not None or targets.video is None:
+        return False
+    return video_note(targets.video) == note
+
+
+def require_own(
+    targets: OutputPlan,
+    source: Source,
+    method: Method,
+    slots: list[Slot],
+    rendered: Sequence | None = None,
+) -> None:
+    """Refuse to replace what the run's earlier parts did not write.
+
+    Parameters
+    ----------
+    targets
+        The files that the run writes.
+    source
+        Its input.
+    method
+        Makes its frames.
+    slots
+        The output instants that it writes. No other frame is looked at, but for those next to a key
+        frame that was rendered again.
+    rendered
+        Frames that were rendered after all, by output number; None without.
+
+    Raises
+    ------
+    OutputExistsError
+        When files are in the way that are not the run's own.
+    UnreadableError
+        When the system does not let one of them through.
+    """
+    ownership = _Ownership(targets, source, method, rendered)
+    with ThreadPoolExecutor(min(cores.count(), READERS), "exwarp-own") as pool:
+        foreign = [pair for pairs in pool.map(ownership.foreign_files, slots) for pair in pairs]
+    if targets.video is not None and _is_foreign_video(targets.video):
+        foreign.append((targets.video, "not written by ExWarp"))
+    if not foreign:
+        return
+    listed = ", ".join(f"{path.name} ({reason})" for path, reason in foreign[:NAMED])
+    more = f" and {len(foreign) - NAMED} more" if len(foreign) > NAMED else ""
+    raise OutputExistsError(
+        f"{foreign[0][0].parent} has {counted(len(foreign), 'file')} that this run did not write: "
+        f"{listed}{more}; move what you want to keep, or give --overwrite to replace it"
+    )
+
+
+@dataclass(frozen=True)
+class _Ownership:
+    """Tells which files in the way of one run are not its own, and why."""
+
+    targets: OutputPlan
+    source: Source
+    method: Method
+    rendered: Sequence | None = None
+    _authorships: dict[Path, Authorship | None] = field(default_factory=dict)
+
+    def foreign_files(self, slot: Slot) -> list[tuple[Path, str]]:
+        """Return the files of a slot that are not the run's own, each with the reason."""
+        number = self.source.timeline.number(slot)
+        reasons: list[tuple[Path, str | None]] = []
+        if self.targets.frames is not None:
+            path = self.targets.frames.path(number)
+            reasons.append((path, self._why_foreign(path, slot)))
+        if self.targets.holes is not None and slot.index:
+            path = self.targets.holes.path(number)
+            reasons.append((path, self._why_not_written(self._authorship(path))))
+        return [(path, reason) for path, reason in reasons if reason is not None]
+
+    def _why_foreign(self, path: Path, slot: Slot) -> str | None:
+        """Return why a frame is not the run's own; None if it is, or there is none."""
+        copied_from = self._rendered_file(slot)
+        if copied_from is not None and _is_copy(path, copied_from):
+            return None
+        reason = self._why_not_written(self._authorship(path))
+        if reason is None:
+            return None
+        try:
+            copied = self._is_copy_of_any_key(path) or (
+                not slot.index and self._was_key(path, slot)
+            )
+        except FileNotFoundError:  # another chunk has just replaced it
+            return None
+        return None if copied else reason
+
+    def _authorship(self, path: Path) -> Authorship | None:
+        """Return what a file says of itself; None where there is none."""
+        if path not in self._authorships:
+            self._authorships[path] = authorship_of(path)
+        return self._authorships[path]
+
+    def _why_not_written(self, authorship: Authorship | None) -> str | None:
+        """Return why a file is none that the run's method wrote, by what it says of itself."""
+        if authorship is None:
+            return None
+        if authorship.state is State.FOREIGN:
+            return "not written by ExWarp"
+        if authorship.state is State.EDITED:
+            return "changed since ExWarp wrote it"
+        by = _other_method(authorship, self.method)
+        return None if by is None else f"made by {by} and not by {self.method.name}"
+
+    def _rendered_file(self, slot: Slot) -> Path | None:
+        """Return the file that a slot's frame is a copy of, if it is one."""
+        if not slot.index:
+            return self._key_file(slot.key)
+        files = {} if self.rendered is None else self.rendered.files
+        return files.get(self.source.timeline.number(slot))
+
+    def _key_file(self, key: int) -> Path:
+        return self.source.keys.sequence.files[self.source.timeline.numbers[key]]
+
+    def _is_copy_of_any_key(self, path: Path) -> bool:
+        size = path.stat().st_size
+        similar = (
+            k for k, length in self._key_sizes.items() if abs(size - length) <= HEADER_GROWTH
+        )
+        return any(_is_copy(path, key) for key in similar)
+
+    @cached_property
+    def _key_sizes(self) -> dict[Path, int]:
+        sizes: dict[Path, int] = {}
+        for path in dict.fromkeys(self.source.keys.sequence.files.values()):
+            try:
+                sizes[path] = path.stat().st_size
+            except OSError:  # missing, as --keep-going has it
+                continue
+        return sizes
+
+    def _was_key(self, path: Path, slot: Slot) -> bool:
+        """Return True if a file is the key frame as it was when the frames around it were made.
+
+        Or the beginning of what the key frame is now.
+        """
+        source = self._key_file(slot.key)
+        if source.suffix.lower() != path.suffix.lower():
+            return False  # key frames are decoded there, and carry a checksum
+        if _is_broken_copy(path, source):
+            return True
+        number = self.source.timeline.numbers[slot.key]
+        around = list(self._generated_around(slot.key))
+        named = [_key_frames_named(authorship) for _, authorship in around]
+        digest = file_digest(path)
+        if any(digest in keys.values() for keys in named):
+            return True
+        if any(number in keys for keys in named):
+            return False
+        # Earlier builds name none. Without a tail no frame is made of the last key frame, unless
+        # the method looks ahead. It is as old as the frames around it.
+        times = [frame.stat().st_mtime for frame, _ in around]
+        return bool(times) and path.stat().st_mtime <= max(times) + SLACK_S
+
+    def _generated_around(self, key: int) -> Iterator[tuple[Path, Authorship]]:
+        """Yield the generated frames before and after a key frame that are as they were written."""
+        timeline, frames = self.source.timeline, self.targets.frames
+        assert frames is not None
+        for index in (key, key - 1):
+            for slot in timeline.made_of(index) if index >= 0 else ():
+                path = frames.path(timeline.number(slot))
+                authorship = self._authorship(path)
+                if authorship is not None and authorship.state is State.INTACT:
+                    yield path, authorship
+
+
+def _is_foreign_video(path: Path) -> bool:
+    """Return True if something is where a video goes that does not name ExWarp in its comment."""
+    if not is_there(path) or not path.stat().st_size:
+        return False
+    return not (video_note(path) or "").startswith(BY_EXWARP)
+
+
+def _other_method(authorship: Authorship, method: Method) -> str | None:
+    """Return the method that made a frame, if it is another than the run's."""
+    facts = authorship.facts
+    if facts.get("kind") in (FrameKind.KEY.value, FrameKind.RENDERED.value):
+        return None
+    requested = facts.get(REQUESTED_METHOD)
+    if requested is not None:
+        return None if requested == method.name else str(requested)
+    # Frames of earlier builds name only their own method; after the last key frame it may be a
+    # fallback of the run's.
+    own = facts.get("method")
+    fell_back = method.lookahead and own in FALLBACKS
+    return None if own in (None, method.name) or fell_back else str(own)
+
+
+def _key_frames_named(authorship: Authorship) -> dict[int, str]:
+    """Read the digests of key frames by number that a generated frame names."""
+    words = str(authorship.facts.get(KEY_FRAMES, "")).split(",")
+    pairs = (word.partition(":") for word in words)
+    return {int(number): digest for number, _, digest in pairs if number.lstrip("-").isdecimal()}
+
+
+def _is_copy(path: Path, source: Path) -> bool:
+    """Return True if a file holds a key frame, as it is or with another rate in its header."""
+    return any(key_is_there(path, form) for form in possible_key_files(source, path))
+
+
+def _is_broken_copy(path: Path, source: Path) -> bool:
+    """Return True if a file is the beginning of another's copy, maybe with zeros at its end."""
+    try:
+        copied = path.read_bytes().rstrip(b"\0")
+    except OSError:
+        return False
+    return any(form.begins_with(copied) for form in possible_key_files(source, path))
