@@ -28,9 +28,8 @@ from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.io.output import quantised
 from exwarp_cli.pipeline.interval_inputs import IntervalInputs
 from exwarp_cli.pipeline.scheduling import record_time
-from exwarp_cli.synthesis.interval import Interval
-from exwarp_cli.synthesis.methods import Judge, take
-from exwarp_cli.synthesis.tile_features import tile_features
+from exwarp_cli.synthesis.interval import Interval, tile_features
+from exwarp_cli.synthesis.methods import DecisionSource, predict_path
 
 if TYPE_CHECKING:
     from exwarp_cli.io.policy_files import PolicyFile
@@ -101,14 +100,14 @@ def by_tiles(policy: PolicyFile, effort: float) -> Chooser:
     return choose
 
 
-def by_truth(judge: Judge, display: Window) -> Chooser:
+def by_truth(judge: DecisionSource, display: Window) -> Chooser:
     """Return who looks at the ground truth: exact over the six paths of each interval.
 
     Where a slot has no ground truth no path can be judged, and the interval is warped.
     """
     from exwarp_cli.policy import outcomes
 
-    by_psnr = judge is Judge.PSNR
+    by_psnr = judge is DecisionSource.PSNR
     best = outcomes.best_psnr if by_psnr else outcomes.best_return
 
     def choose(inputs: IntervalInputs, interval: Interval) -> Chosen:
@@ -177,7 +176,7 @@ def outcomes_of(
                 found[node, choice] = found[SAME[node, choice]]
                 continue
             slot = SLOTS[node]
-            pixels = take(_path_through(node, choice), interval, slot).pixels
+            pixels = predict_path(_path_through(node, choice), interval, slot).pixels
             if as_written is not None:
                 pixels = as_written(pixels)
             made = encode(place(pixels, canvas, display or canvas))

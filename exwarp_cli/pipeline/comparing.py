@@ -29,7 +29,7 @@ from exwarp_cli.metrics.display import rounded
 from exwarp_cli.metrics.flicker import error, of_frames, transition
 from exwarp_cli.metrics.registry import score
 from exwarp_cli.pipeline.motion_finding import find_motion
-from exwarp_cli.synthesis.geometry import matched, reproject, settle_motion
+from exwarp_cli.synthesis.motion_fields import field_between, reproject, settle_motion
 
 
 class Flow:
@@ -60,7 +60,7 @@ class Flow:
         found = (
             reproject(before[1], 1.0)
             if now.to_previous is None
-            else matched(now, before[1], now.to_previous, 1)
+            else field_between(now, before[1], now.to_previous, 1)
         )
         return found.field, found.hole
 

@@ -17,7 +17,7 @@ from exwarp_cli.io.frames import read_planes, read_raw
 from exwarp_cli.io.shot import Shot
 from exwarp_cli.io.soundness import first_of
 from exwarp_cli.pipeline.shots import pair_beside_hold, pairs_within
-from exwarp_cli.synthesis.depth_order import OrderVotes, camera_end, occlusion_votes
+from exwarp_cli.synthesis.gbuffer_values import OrderVotes, camera_end, occlusion_votes
 
 ENOUGH, AGREE = 200, 0.75
 """Places where one surface covers another by which the first pair of frames tells alone that depth

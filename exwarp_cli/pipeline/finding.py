@@ -24,7 +24,7 @@ from exwarp_cli.io.soundness import first_of
 from exwarp_cli.io.video import to_display
 from exwarp_cli.io.views import expand
 from exwarp_cli.pipeline.source import FrameOf, Source, align
-from exwarp_cli.synthesis.methods import CAUSAL, EXWARP, FRAMEWISE, METHODS, Judge, Method
+from exwarp_cli.synthesis.methods import CAUSAL, EXWARP, FRAMEWISE, METHODS, DecisionSource, Method
 
 if TYPE_CHECKING:
     from exwarp_cli.io.interpolator import OnnxInterpolator
@@ -136,7 +136,7 @@ def find_policy(settings: UpsampleSettings, method: Method) -> PolicyFile | None
     InputError
         When it cannot be used.
     """
-    if method.judge is Judge.TILES:
+    if method.judge is DecisionSource.TILES:
         from exwarp_cli.io.policy_files import (
             PAPER,
             SHIPPED_POLICY,

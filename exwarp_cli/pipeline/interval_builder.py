@@ -26,11 +26,10 @@ from exwarp_cli.pipeline.choosing import Chosen
 from exwarp_cli.pipeline.interval_inputs import IntervalInputs
 from exwarp_cli.pipeline.key_frames import HistoryFrame, slots_back_to, without_surface
 from exwarp_cli.runtime.frame_pool import IN_MEMORY, ScratchFrames
-from exwarp_cli.synthesis.geometry import settle_motion
-from exwarp_cli.synthesis.history import Past
-from exwarp_cli.synthesis.holds import around_holds
+from exwarp_cli.synthesis.history import OlderKeyFrame
+from exwarp_cli.synthesis.holds import adapt_motion_to_holds
 from exwarp_cli.synthesis.interval import Interval
-from exwarp_cli.synthesis.movers import chosen, moving, those
+from exwarp_cli.synthesis.motion_fields import find_moving, moving_ids, select_ids, settle_motion
 from exwarp_cli.synthesis.sub_intervals import SubSlot
 from exwarp_cli.synthesis.trajectory import displacement, span_motion
 
@@ -133,7 +132,7 @@ class IntervalBuilder:
         self._moving = MovingObjects()
         self._frames: dict[Settled, KeyFrame] = {}
         self._instants: dict[tuple[Slot, Basis], GBuffer] = {}
-        self._past: dict[Settled, Past] = {}
+        self._past: dict[Settled, OlderKeyFrame] = {}
         self._without_surface: KeyFrame | None = None
 
     def build(self, inputs: IntervalInputs) -> Interval:
@@ -189,7 +188,7 @@ class IntervalBuilder:
         past = self._led_back(inputs, key, basis)
         self._release(inputs, slots, basis)
         if not (self._estimated or inputs.held or slots):
-            key, following = around_holds(key, following, inputs.after_hold)
+            key, following = adapt_motion_to_holds(key, following, inputs.after_hold)
         return Interval(
             key,
             following,
@@ -232,15 +231,17 @@ class IntervalBuilder:
             self._frames[place] = self._scratch.store(placed)
         return self._frames[place]
 
-    def _led_back(self, inputs: IntervalInputs, key: KeyFrame, basis: Basis) -> tuple[Past, ...]:
-        steps: list[Past] = []
+    def _led_back(
+        self, inputs: IntervalInputs, key: KeyFrame, basis: Basis
+    ) -> tuple[OlderKeyFrame, ...]:
+        steps: list[OlderKeyFrame] = []
         newer = key
         for index, older in zip(range(inputs.key - 1, -1, -1), inputs.history, strict=False):
             place = index, basis, has_surface(older.frame)
             if place not in self._past:
                 motion = self._scratch.store(self._motion(index, older, newer, basis))
                 frame = self._frame(index, older.frame, basis)
-                self._past[place] = Past(frame, motion, is_guessed(older, newer))
+                self._past[place] = OlderKeyFrame(frame, motion, is_guessed(older, newer))
             steps.append(self._past[place])
             newer = steps[-1].frame
         return tuple(steps)
@@ -347,7 +348,7 @@ def with_stencils(inputs: IntervalInputs, ids: Ids | None) -> IntervalInputs:
     def marked(gbuffer: GBuffer) -> GBuffer:
         if gbuffer.objects is None:
             return gbuffer
-        return replace(gbuffer, stencil=chosen(gbuffer.objects, ids), objects=None)
+        return replace(gbuffer, stencil=select_ids(gbuffer.objects, ids), objects=None)
 
     def with_stencil(frame: KeyFrame) -> KeyFrame:
         return frame if frame.gbuffer is None else replace(frame, gbuffer=marked(frame.gbuffer))
@@ -370,8 +371,8 @@ def _moving_ids(canvas: Window, now: GBuffer, before: GBuffer | None = None) -> 
     if now.objects is None or not now.has_motion:
         return frozenset()
     raw = now.on(canvas)
-    moves = moving(settle_motion(raw), None if before is None else before.on(canvas), raw)
-    return frozenset() if moves is None or raw.objects is None else those(raw.objects, moves)
+    moves = find_moving(settle_motion(raw), None if before is None else before.on(canvas), raw)
+    return frozenset() if moves is None or raw.objects is None else moving_ids(raw.objects, moves)
 
 
 def _instants(inputs: IntervalInputs) -> Iterator[Instant]:

@@ -16,8 +16,8 @@ from exwarp_cli.pipeline.contents import POINTS, Content, LayerFrames, Planes
 from exwarp_cli.pipeline.interval_builder import IntervalBuilder
 from exwarp_cli.pipeline.interval_inputs import IntervalInputs
 from exwarp_cli.synthesis.interval import Interval
+from exwarp_cli.synthesis.layer_retiming import LayerMotion, LayerRetimer, make_retimer
 from exwarp_cli.synthesis.methods import Predicted
-from exwarp_cli.synthesis.retime import Course, Retiming, retiming
 
 Predict = Callable[[Interval], Predicted]
 """Makes the frame of a slot from an interval of any view, by what was decided."""
@@ -118,13 +118,13 @@ class ViewInterval:
         return self.interval.key.image.data_window
 
     @cached_property
-    def course(self) -> Course | None:
+    def course(self) -> LayerMotion | None:
         """How its points move; None where that is not known."""
         key, following = self.interval.key.gbuffer, self.interval.following
         if key is None or not key.has_motion:
             return None
         older = None if self.inputs.older is None else self.inputs.older.extended(self.window)
-        return Course(
+        return LayerMotion(
             key,
             None if following is None else following.gbuffer,
             None if older is None else older.gbuffer,
@@ -154,7 +154,7 @@ class ViewInterval:
         frames = self.inputs.layers
         if frames is None:
             return {}
-        maker = _Maker(self, frames, retiming(self.interval, slot, shown), slot)
+        maker = _Maker(self, frames, make_retimer(self.interval, slot, shown), slot)
         found: dict[PlaneKey, Plane] = {}
         for layer in self.content.beside:
             if any((view, ref) in needed for ref in layer.refs):
@@ -170,7 +170,7 @@ class _Maker:
 
     view: ViewInterval
     frames: LayerFrames
-    how: Retiming
+    how: LayerRetimer
     slot: int
 
     def layer(self, layer: Layer) -> dict[ChannelRef, np.ndarray]:

@@ -18,10 +18,17 @@ from exwarp_cli.io.frames import Shot, is_seen, read_raw
 from exwarp_cli.io.producers import PRESETS
 from exwarp_cli.pipeline.motion_option import motion_names, parse_motion
 from exwarp_cli.pipeline.shots import pair_beside_hold, pairs_within
-from exwarp_cli.synthesis.calibration import calibrate, looks_like
-from exwarp_cli.synthesis.cuts import is_cut
-from exwarp_cli.synthesis.picture_motion import colour_moves, geometry_moves
-from exwarp_cli.synthesis.sampling import LEAST, Instant, Interval, Sampled, interval, sampled
+from exwarp_cli.synthesis.calibration import calibrate, preset_hint
+from exwarp_cli.synthesis.calibration_samples import (
+    MIN_SAMPLES,
+    FrameSamples,
+    KeyPair,
+    MotionFrame,
+    sample_frame,
+    sample_key_pair,
+)
+from exwarp_cli.synthesis.cut_detection import compare_frames
+from exwarp_cli.synthesis.holds import has_colour_moved, has_geometry_moved
 
 SPREAD, MOST_MOVING = 16, 3
 """Pairs that are looked through for motion where the first ones hold none, and those measured."""
@@ -89,7 +96,7 @@ def _contradiction(finding: MotionFinding) -> str:
     if finding.source != "corrected":
         return ""
     measured = finding.evidence.partition(";")[0]
-    return f", but the frames contradict it: {measured}{looks_like(finding.preset)}"
+    return f", but the frames contradict it: {measured}{preset_hint(finding.preset)}"
 
 
 class _Measuring:
@@ -107,7 +114,7 @@ class _Measuring:
         self._colours = colours
         self._names = names
         self._numbers = shot.sequence.numbers
-        self._frames: dict[tuple[int, bool], Sampled] = {}
+        self._frames: dict[tuple[int, bool], FrameSamples] = {}
 
     def finding(self, guess: MotionConvention | None, detect: bool) -> MotionFinding:
         """Measure by world positions if there are any, else by depth and colour.
@@ -158,12 +165,12 @@ class _Measuring:
         """Return True if the picture of a pair moves; what changes at a cut is no motion."""
         numbers, layout = self._numbers, self._shot.layout
         pair = numbers[first], numbers[first + 1]
-        found = geometry_moves(*(self._frame(number, False) for number in pair))
+        found = has_geometry_moved(*(self._frame(number, False) for number in pair))
         if Role.COLOUR not in layout:
             return found is True
         if found is None:
             before, after = (self._frame(number, True).perceived for number in pair)
-            found = before is not None and after is not None and colour_moves(before, after)
+            found = before is not None and after is not None and has_colour_moved(before, after)
         return found and not (detect and _cut_by_colour(self._shot, numbers, first + 1))
 
     def _beside_holds(self, firsts: list[int], by_colour: bool) -> list[int]:
@@ -253,13 +260,13 @@ class _Measuring:
             if self._parted(first + 1) or len(moving) == MOST_MOVING:
                 continue
             ends = [self._frame(self._numbers[i], by_colour) for i in (first, first + 1)]
-            if any(np.count_nonzero(one.moving & one.usable) >= LEAST for one in ends):
+            if any(np.count_nonzero(one.moving & one.usable) >= MIN_SAMPLES for one in ends):
                 moving.append(first)
             else:
                 self._frames.clear()
         return moving
 
-    def _frame(self, number: int, by_colour: bool) -> Sampled:
+    def _frame(self, number: int, by_colour: bool) -> FrameSamples:
         """Read and reduce a frame; what was reduced before is kept."""
         key = number, by_colour
         if key not in self._frames:
@@ -271,8 +278,8 @@ class _Measuring:
             assert raw.motion is not None
             motion = place(raw.motion, raw.gbuffer.window, self._shot.display, np.nan)
             colour = None if raw.image is None else raw.image.on(self._shot.display).pixels
-            self._frames[key] = sampled(
-                Instant(number, raw.gbuffer.on(self._shot.display), motion, colour)
+            self._frames[key] = sample_frame(
+                MotionFrame(number, raw.gbuffer.on(self._shot.display), motion, colour)
             )
         return self._frames[key]
 
@@ -290,7 +297,7 @@ class _Measuring:
         pair = self._numbers[index - 1 : index + 1]
         return self._parted(index) or not all(is_seen(self._shot, number) for number in pair)
 
-    def _intervals(self, count: int) -> list[Interval]:
+    def _intervals(self, count: int) -> list[KeyPair]:
         """Read so many intervals between key frames whose colours tell; [] without colours."""
         colours = self._colours
         if colours is None:
@@ -303,7 +310,7 @@ class _Measuring:
         found = (self._interval(i) for i in pairs_within(len(ends), parted)[:count])
         return [one for one in found if one is not None]
 
-    def _interval(self, index: int) -> Interval | None:
+    def _interval(self, index: int) -> KeyPair | None:
         """Read two key frames' colours and the vectors between; None where one cannot be read."""
         assert self._colours is not None
         shot, ends = self._colours.keys, self._colours.numbers
@@ -321,17 +328,17 @@ class _Measuring:
             if not self._shot.keep_going:
                 raise
             return None
-        return interval(numbers, before, after, vectors)
+        return sample_key_pair(numbers, before, after, vectors)
 
 
 def _cut_by_colour(shot: Shot, numbers: Listed[int], index: int) -> bool:
     """Whether a cut lies before a frame, as far as colour tells without motion."""
     pair = numbers[index - 1], numbers[index]
     before, after = (read_raw(shot, number, (Role.COLOUR,)).key(None) for number in pair)
-    return is_cut(before, after).found
+    return compare_frames(before, after).found
 
 
-def _is_sound(frame: Callable[[int], Sampled], number: int) -> bool:
+def _is_sound(frame: Callable[[int], FrameSamples], number: int) -> bool:
     """Whether a frame can be measured in."""
     try:
         frame(number)

@@ -18,10 +18,9 @@ from exwarp_cli.pipeline.source import open_source
 from exwarp_cli.policy.features import Shapes, compare
 from exwarp_cli.policy.state import KEYS_BACK, Surroundings
 from exwarp_cli.runtime.stop import check_stop
-from exwarp_cli.synthesis.geometry import settle_motion
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import CAUSAL, FRAMEWISE
-from exwarp_cli.synthesis.movers import moving, of_moving
+from exwarp_cli.synthesis.motion_fields import find_moving, moving_stencil, settle_motion
 
 MOVING = 1
 """Id of all that moves, where only motion tells it: connected areas are the objects then."""
@@ -134,15 +133,15 @@ def with_ids(
     gbuffer
         With settled motion. Without ids, positions or depth it stays as it is.
     before, raw
-        As :func:`exwarp_cli.synthesis.movers.moving` takes them.
+        As :func:`exwarp_cli.synthesis.motion_fields.find_moving` takes them.
     """
     if gbuffer.stencil is not None:
         return gbuffer
-    moves = moving(gbuffer, before, raw)
+    moves = find_moving(gbuffer, before, raw)
     if moves is None:
         return gbuffer
     if gbuffer.objects is not None:
-        return replace(gbuffer, stencil=of_moving(gbuffer.objects, moves), objects=None)
+        return replace(gbuffer, stencil=moving_stencil(gbuffer.objects, moves), objects=None)
     return replace(gbuffer, stencil=np.where(moves, MOVING, 0).astype(np.int32))
 
 

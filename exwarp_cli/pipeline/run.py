@@ -56,7 +56,7 @@ from exwarp_cli.pipeline.without_vectors import BY_EXWARP, is_kept, note_of, vid
 from exwarp_cli.runtime.frame_pool import pool
 from exwarp_cli.runtime.stop import check_stop
 from exwarp_cli.synthesis.interval import Interval
-from exwarp_cli.synthesis.methods import Judge
+from exwarp_cli.synthesis.methods import DecisionSource
 from exwarp_cli.synthesis.sub_intervals import SubSlot, sub_slots, vector_spans
 
 MAX_BYTES_BEHIND = 80 * 10**6
@@ -290,7 +290,7 @@ class Run:
             trial = self._try(inputs, timing_ms)
         choice = None
         # A policy looks at every interval: the states of later ones hold what it saw.
-        looks = len(existing) < len(slots) or method.judge is Judge.POLICY
+        looks = len(existing) < len(slots) or method.judge is DecisionSource.POLICY
         if slots and looks and interval is not None:
             choice = self._choose(inputs, interval)
         if trial is not None and not trial.pays and interval is not None:
@@ -345,7 +345,9 @@ class Run:
 
         A policy looks at it all the same.
         """
-        if self._chooser is None or (interval.held and self._job.method.judge is not Judge.POLICY):
+        if self._chooser is None or (
+            interval.held and self._job.method.judge is not DecisionSource.POLICY
+        ):
             return None
         choice = self._chooser(inputs, interval)
         return None if interval.held else choice

@@ -39,7 +39,7 @@ from exwarp_cli.pipeline.layers import ExtraLayers, named_by_path
 from exwarp_cli.pipeline.scheduling import record_time
 from exwarp_cli.pipeline.source import Source
 from exwarp_cli.synthesis.interval import Interval
-from exwarp_cli.synthesis.methods import Method, Predicted, repeat_held, take, take_tiles
+from exwarp_cli.synthesis.methods import Method, Predicted, predict_path, predict_tiles, repeat_held
 from exwarp_cli.synthesis.sub_intervals import SubSlot
 
 PREDICTED_ERROR = "predictedError"
@@ -262,8 +262,8 @@ class SlotRenderer:
             return self._method.predict(interval, slot)
         assert plan is not None
         if isinstance(plan, TilePlan):
-            return take_tiles(plan, interval, slot)
-        return replace(take(plan.path, interval, slot), method=self._method.name)
+            return predict_tiles(plan, interval, slot)
+        return replace(predict_path(plan.path, interval, slot), method=self._method.name)
 
     def _make_layers(
         self,

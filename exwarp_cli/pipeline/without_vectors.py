@@ -18,9 +18,9 @@ from exwarp_cli.io.layers import BEAUTY
 from exwarp_cli.io.video import VideoLook, video_note
 from exwarp_cli.pipeline.recipes import Recipes, key_recipe
 from exwarp_cli.pipeline.source import Source
-from exwarp_cli.synthesis.holds import stands_one_way
+from exwarp_cli.synthesis.holds import is_still_one_way
 from exwarp_cli.synthesis.methods import Method
-from exwarp_cli.synthesis.optical_flow import Flow, estimate, moving
+from exwarp_cli.synthesis.optical_flow import Flow, estimate_flow, with_estimated_motion
 
 if TYPE_CHECKING:
     from exwarp_cli.pipeline.frame_writer import OutputPlan
@@ -187,9 +187,9 @@ class Estimates:
         to_previous = self._to_previous(key) if back else None
         to_next = self._to_next(key) if ahead else None
         both = None if to_previous is None or to_next is None else (to_previous, to_next)
-        if both is not None and stands_one_way(*(flow.motion for flow in both)):
+        if both is not None and is_still_one_way(*(flow.motion for flow in both)):
             to_previous, to_next = (to_previous, None) if before else (None, to_next)
-        return moving(self.frame(key), to_previous, to_next)
+        return with_estimated_motion(self.frame(key), to_previous, to_next)
 
     def forget(self, oldest: int) -> None:
         """Drop what no key frame from one on needs."""
@@ -210,7 +210,7 @@ class Estimates:
             windows = images[0].data_window, images[1].data_window
             canvas = windows[0].union(windows[1])
             require_canvas(f"frame {self.frame(key).number} and the next one", canvas)
-            there, back = estimate(*(image.on(canvas).pixels for image in images))
+            there, back = estimate_flow(*(image.on(canvas).pixels for image in images))
             self._flows[key] = _on(there, canvas, windows[0]), _on(back, canvas, windows[1])
         return self._flows[key]
 

@@ -12,7 +12,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from exwarp_cli.synthesis.extrapolate import UNKNOWN_DEPTH, UNKNOWN_METALLIC, UNKNOWN_ROUGHNESS
+from exwarp_cli.synthesis.extrapolation import UNKNOWN_DEPTH, UNKNOWN_METALLIC, UNKNOWN_ROUGHNESS
 
 STORED = ("colour", "mask", "features", "modulation", "target", "time")
 """Names of what is kept of crops, one ``.npy`` each."""

@@ -18,9 +18,9 @@ from exwarp_cli.io.dataset import RenderedScene
 from exwarp_cli.io.frames import GEOMETRY, SURFACE, Shot, read_raw
 from exwarp_cli.pipeline.key_frames import over_interval
 from exwarp_cli.pipeline.motion_option import motion_names, parse_motion
-from exwarp_cli.synthesis.geometry import settle_motion
-from exwarp_cli.synthesis.history import past_of
+from exwarp_cli.synthesis.history import older_key_frames
 from exwarp_cli.synthesis.interval import Interval
+from exwarp_cli.synthesis.motion_fields import settle_motion
 from exwarp_cli.synthesis.trajectory import span_motion
 from exwarp_cli.training.looks import PLAIN, Look, delivered, meant
 from exwarp_cli.training.variant import Variant, backwards, mirrored
@@ -111,7 +111,9 @@ class Footage:
             "key", or "slot" for G-buffers of the slots.
         """
         keys = [self._causal_key(k - j, setting) for j in range(HISTORY) if k >= j]
-        return Interval(self._key(k, setting), None, self._slots(k, setting), past_of(keys))
+        return Interval(
+            self._key(k, setting), None, self._slots(k, setting), older_key_frames(keys)
+        )
 
     def _key(self, k: int, setting: str) -> KeyFrame:
         """Return key frame k; with slot G-buffers its motion is made of those, as in a run."""

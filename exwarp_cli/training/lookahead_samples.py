@@ -19,7 +19,7 @@ from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.io.dataset import RenderedScene
 from exwarp_cli.runtime.stop import check_stop
 from exwarp_cli.synthesis.interval import Interval
-from exwarp_cli.synthesis.warp import as_shown
+from exwarp_cli.synthesis.warp import linear_to_srgb
 from exwarp_cli.training.crops import Stored
 from exwarp_cli.training.footage import Footage
 from exwarp_cli.training.looks import PLAIN, Look, draw_look
@@ -100,7 +100,7 @@ def _slot(interval: Interval, slot: int, truth: Float32) -> dict[str, np.ndarray
     assert following is not None
     mixer = replace(interval, interpolator=catcher).look_ahead(slot, weighs=True)
     mixer.make(interval.key.image.pixels, following.image.pixels)
-    shown = as_shown(np.ascontiguousarray(truth[..., :3], np.float32))
+    shown = linear_to_srgb(np.ascontiguousarray(truth[..., :3], np.float32))
     return catcher.pictures | {
         "truth": shown.transpose(2, 0, 1).astype(np.float16),
         "time": np.array(interval.time(slot), np.float32),

@@ -20,7 +20,7 @@ from exwarp_cli.errors import InputError
 from exwarp_cli.io.atomic import make_folder, output_error
 from exwarp_cli.io.dataset import RenderedScene, SceneManifest
 from exwarp_cli.runtime.stop import check_stop
-from exwarp_cli.synthesis.extrapolate import Prepared
+from exwarp_cli.synthesis.extrapolation import Prepared
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.training.footage import Footage
 from exwarp_cli.training.looks import Look, draw_look

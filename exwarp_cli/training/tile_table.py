@@ -25,9 +25,8 @@ from exwarp_cli.metrics.display import encode
 from exwarp_cli.policy.state import INPUTS
 from exwarp_cli.policy.tile_state import DECIDED, scaled, tile_inputs
 from exwarp_cli.runtime.stop import check_stop
-from exwarp_cli.synthesis.interval import Interval
-from exwarp_cli.synthesis.methods import take
-from exwarp_cli.synthesis.tile_features import tile_features
+from exwarp_cli.synthesis.interval import Interval, tile_features
+from exwarp_cli.synthesis.methods import predict_path
 from exwarp_cli.training.footage import Footage
 from exwarp_cli.training.policy_table import reading_table
 from exwarp_cli.training.variant import Variant
@@ -138,7 +137,7 @@ def _errors(interval: Interval, truth: dict[int, npt.NDArray[np.float32]]) -> F6
     """Return the errors of an interval's tiles, float64 [N, 5]."""
     found = []
     for slot, _, path in MADE:
-        made = encode(take(path, interval, slot).pixels)
+        made = encode(predict_path(path, interval, slot).pixels)
         squares = np.square(made[..., :3] - truth[slot][..., :3]).mean(axis=-1)
         found.append(interval.mosaic.means(squares).ravel())
     return np.stack(found, axis=-1)

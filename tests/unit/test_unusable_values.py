@@ -13,7 +13,7 @@ from exwarp_cli.domain.frame import Float32
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.dataset import open_scene
 from exwarp_cli.io.frames import SURFACE, Shot, read_raw
-from exwarp_cli.synthesis.extrapolate import Prepared
+from exwarp_cli.synthesis.extrapolation import Prepared
 from exwarp_cli.training.footage import Footage
 from tests.unit.analytic_scene import write_scene
 from tests.unit.filled import Filled

@@ -20,47 +20,35 @@ from exwarp_cli.domain.motion import MotionConvention
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.kernels import nearest
 from exwarp_cli.synthesis.camera import scene_of
-from exwarp_cli.synthesis.carried_light import CarriedLight
-from exwarp_cli.synthesis.geometry import SlotField, depth_of, stands_still, unmatched
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.look_ahead import LookAhead
 from exwarp_cli.synthesis.methods import Predicted
+from exwarp_cli.synthesis.motion_fields import SlotField, depth_of, find_holes, find_still
+from exwarp_cli.synthesis.residual_flow import CarriedLight
 from exwarp_cli.synthesis.trajectory import displacement
-from exwarp_cli.synthesis.warp import cross_fade, look_around, repair
+from exwarp_cli.synthesis.warp import cross_fade, fill_nonfinite, find_hole_neighbours
 
-FROM_KEY = np.float32(0)
-"""Time at which the key frame before has all the weight."""
+# Share of its depth by which a point may come nearer or go away within a key interval. Where it
+# seems to be more, it is another surface: on thin wires, whose pixels' footprints decide nothing.
+MAX_DEPTH_CHANGE = 0.25
 
 
 @dataclass(frozen=True)
-class Sources:
-    """The source of every pixel of a slot. One for all layers: their values stay together.
+class PixelSources:
+    """The source of every pixel of a slot. One for all layers: their values stay together."""
 
-    Attributes
-    ----------
-    pixel
-        int32 [H, W]: the source pixel, counted along the rows of the key frame.
-    later
-        bool [H, W]: it lies in the key frame after the slot.
-    hole
-        bool [H, W]: no key frame shows what is there, so the pixel has the source of one of the
-        visible pixels around, or its own place in the key frame before where there is none.
-    depth
-        float32 [H, W] of what the pixel shows, +inf background, NaN unknown.
-    """
-
-    pixel: Int32
-    later: Bool
+    pixel: Int32  # [H, W]: the source pixel, counted along the rows of the key frame
+    later: Bool  # [H, W]: it lies in the key frame after the slot
+    # [H, W]: no key frame shows what is there, so the pixel has the source of one of the visible
+    # pixels around, or its own place in the key frame before where there is none.
     hole: Bool
-    depth: Float32
+    depth: Float32  # [H, W] of what the pixel shows, +inf background, NaN unknown
 
     def take(self, before: np.ndarray, after: np.ndarray | None = None) -> np.ndarray:
         """Copy a layer's values of any type, bit for bit.
 
-        Parameters
-        ----------
-        before, after
-            [H, W, ...] of the key frames on both sides; `after` only where one is used.
+        `before` and `after` are [H, W, ...] of the key frames on both sides; `after` only where one
+        is used.
         """
         out = np.take(_flat(before), self.pixel, axis=0)
         if after is not None and self.later.any():
@@ -71,26 +59,31 @@ class Sources:
         """Replace what is not finite in a slot's layer, all of whose values stay together.
 
         On a surface by the values of one of the pixels around that have some, as in holes. On the
-        background, of which renderers write NaN and infinities too, and where none is in sight, by
-        what says that nothing is there.
+        background, of which renderers write NaN and infinities too, and where no such pixel is
+        near, by `nothing`.
 
         Parameters
         ----------
         planes
             [H, W] of any types, changed: the layer's channels.
         nothing
-            What says so: 0, or infinity where the layer is a depth; there infinities may stay.
+            0, or infinity where the layer is a depth; there infinities may stay.
         """
-        count = np.isnan if np.isinf(nothing) else _broken
-        kinds = [plane for plane in planes if plane.dtype.kind == "f"]
-        broken = np.logical_or.reduce([count(plane) for plane in kinds] or [False])
+        floats = [plane for plane in planes if plane.dtype.kind == "f"]
+        broken = np.logical_or.reduce(
+            [
+                np.isnan(plane) if np.isinf(nothing) else broken_pixels(plane[..., None])
+                for plane in floats
+            ]
+            or [False]
+        )
         if not broken.any():
             return
-        # Of what is not known nothing is like it.
+        # Nothing is like an unknown depth.
         depth = np.where(np.isnan(self.depth), np.float32(0), self.depth)
         alone = np.arange(self.pixel.size, dtype=np.int32).reshape(self.pixel.shape)
         source, later = alone.copy(), np.zeros(self.pixel.shape, np.bool_)
-        around = look_around(depth, broken)
+        around = find_hole_neighbours(depth, broken)
         assert around is not None
         nearest.adopt(source, later, depth, *around)
         empty = broken & (np.isinf(depth) | (source == alone))
@@ -100,115 +93,76 @@ class Sources:
             plane[empty] = nothing if plane.dtype.kind == "f" else 0
 
 
-def _broken(plane: np.ndarray) -> Bool:
-    """bool [H, W]: where a channel is not finite."""
-    return broken_pixels(plane[..., None])
-
-
-def in_place(shape: tuple[int, int], depth: Float32 | None = None, later: bool = False) -> Sources:
+def unmoved_sources(
+    shape: tuple[int, int], depth: Float32 | None = None, later: bool = False
+) -> PixelSources:
     """Return the sources of a slot that shows a key frame as it is; `depth` is that frame's."""
     pixel = np.arange(shape[0] * shape[1], dtype=np.int32).reshape(shape)
-    known = np.ones(shape, np.float32) if depth is None else depth
-    return Sources(pixel, np.full(shape, later), np.zeros(shape, np.bool_), known)
+    depth = np.ones(shape, np.float32) if depth is None else depth
+    return PixelSources(pixel, np.full(shape, later), np.zeros(shape, np.bool_), depth)
 
 
-def moved_from(back: SlotField, key: Float32) -> Sources:
-    """Return the sources of a slot that shows a moved key frame.
-
-    Parameters
-    ----------
-    back
-        From the slot to the key frame.
-    key
-        float32 [H, W]: the depth of the key frame's pixels, +inf background.
-    """
-    depth, mask = np.zeros((0, 0), np.float32), np.zeros((0, 0), np.bool_)
-    nothing = np.zeros((0, 0, 2), np.float32), depth, depth, mask, mask
-    return _chosen(_side(back, key), nothing, FROM_KEY)
-
-
-def moved_between(
-    back: SlotField, forward: SlotField, keys: tuple[Float32, Float32], time: float
-) -> Sources:
-    """Return the sources of a slot that shows the moved key frames on both sides.
+def moved_sources(
+    back: SlotField,
+    key: GBuffer,
+    forward: SlotField | None = None,
+    following: GBuffer | None = None,
+    time: float = 0.0,
+) -> PixelSources:
+    """Return the sources of a slot that shows one moved key frame, or those on both sides.
 
     Parameters
     ----------
     back, forward
         From the slot to the key frames before and after it.
-    keys
-        float32 [H, W] each: the depth of their pixels, +inf background.
+    key, following
+        G-buffers of these.
     time
-        Of the slot in the key interval, 0 < time < 1.
+        Of the slot in the key interval; 0 leaves all weight to the key frame before.
     """
-    sides = _side(back, keys[0]), _side(forward, keys[1])
-    return _chosen(*sides, np.float32(time))
 
+    def side(source: SlotField, gbuffer: GBuffer) -> nearest.Side:
+        return source.field, source.depth, depth_of(gbuffer), source.hole, source.fringe
 
-def _side(source: SlotField, key: Float32) -> nearest.Side:
-    return source.field, source.depth, key, source.hole, source.fringe
-
-
-def _chosen(before: nearest.Side, after: nearest.Side, time: np.float32) -> Sources:
-    """Choose the sources, and give the holes those of what is visible around them."""
-    shape = before[1].shape
+    empty, mask = np.zeros((0, 0), np.float32), np.zeros((0, 0), np.bool_)
+    after: nearest.Side = np.zeros((0, 0, 2), np.float32), empty, empty, mask, mask
+    if forward is not None and following is not None:
+        after = side(forward, following)
+    shape = back.depth.shape
     pixel, depth = np.empty(shape, np.int32), np.empty(shape, np.float32)
     later, hole = np.empty(shape, np.bool_), np.empty(shape, np.bool_)
-    nearest.choose(before, after, time, pixel, later, depth, hole)
-    around = look_around(depth, hole)
+    nearest.choose(side(back, key), after, np.float32(time), pixel, later, depth, hole)
+    around = find_hole_neighbours(depth, hole)
     if around is not None:
         nearest.adopt(pixel, later, depth, *around)
-    return Sources(pixel, later, hole, depth)
+    return PixelSources(pixel, later, hole, depth)
 
 
 def _flat(array: np.ndarray) -> np.ndarray:
     return array.reshape(-1, *array.shape[2:])
 
 
-LARGEST_CHANGE = 0.25
-"""Share of its depth by which a point may come nearer or go away within a key interval. Where it
-seems to be more, it is another surface: on thin wires, whose pixels' footprints tell nothing."""
-
-
-class Manner(Enum):
+class TransferRule(Enum):
     """How a slot's layers come from the key frames'."""
 
-    REPEAT = "repeat"
-    """The key frame's, unmoved."""
-
+    REPEAT = "repeat"  # the key frame's, unmoved
+    # Both key frames', unmoved: colour cross-faded, the rest that of the one nearer in time.
     FADE = "fade"
-    """Both key frames', unmoved: colour cross-faded, the rest that of the one nearer in time."""
-
-    WARP = "warp"
-    """The key frame's, moved."""
-
-    BLEND = "blend"
-    """Both key frames', moved, and blended by depth and time."""
+    WARP = "warp"  # the key frame's, moved
+    BLEND = "blend"  # both key frames', moved, and blended by depth and time
 
 
 @dataclass(frozen=True)
-class Passage:
-    """Where the points of one key frame are in a neighbouring one.
+class PointMotion:
+    """Where the points of one key frame are in a neighbouring one."""
 
-    Attributes
-    ----------
-    field
-        float32 [H, W, 2], pixels.
-    lost
-        bool [H, W]: the neighbour does not show the point, or it is background.
-    still
-        bool [H, W]: the point stands still in the world; None where no camera tells.
-    depth
-        float32 [H, W] of the neighbour's pixels.
-    """
-
-    field: Float32
-    lost: Bool
-    still: Bool | None
-    depth: Float32
+    field: Float32  # [H, W, 2], pixels
+    lost: Bool  # [H, W]: the neighbour does not show the point, or it is background
+    still: Bool | None  # [H, W]: the point stands still in the world; None without a camera
+    depth: Float32  # [H, W] of the neighbour's pixels
 
     def change(self, here: Float32, there: Float32, fixed: bool) -> Float32:
-        """Return by how much a layer's values change on the way, float32 [H, W, C].
+        """Return how a layer's values change on the way, float32 [H, W, C]; 0 if unknown.
 
         Parameters
         ----------
@@ -216,23 +170,18 @@ class Passage:
             float32 [H, W, C]: the layer in both key frames.
         fixed
             Whether it stays the same where a point stands still, as world positions do.
-
-        Returns
-        -------
-        float32 [H, W, C]
-            0 where that is not known.
         """
-        found = np.empty_like(here)
-        nearest.sample_surface(there, self.depth, self.field, found)
+        change = np.empty_like(here)
+        nearest.sample_surface(there, self.depth, self.field, change)
         with np.errstate(invalid="ignore", over="ignore"):
-            found -= here
-        found[self.lost | ~np.isfinite(found).all(axis=-1)] = 0
+            change -= here
+        change[self.lost | ~np.isfinite(change).all(axis=-1)] = 0
         if fixed and self.still is not None:
-            found[self.still] = 0
-        return found
+            change[self.still] = 0
+        return change
 
 
-def passage(here: GBuffer, there: GBuffer, way: int) -> Passage:
+def lead_points(here: GBuffer, there: GBuffer, way: int) -> PointMotion:
     """Lead the points of a key frame to a neighbouring one.
 
     Parameters
@@ -244,16 +193,16 @@ def passage(here: GBuffer, there: GBuffer, way: int) -> Passage:
     """
     field = displacement(here, way)
     depth, later = depth_of(here), depth_of(there)
-    found = np.empty((*depth.shape, 1), np.float32)
-    nearest.sample_surface(later[..., None], later, field, found)
+    sampled = np.empty((*depth.shape, 1), np.float32)
+    nearest.sample_surface(later[..., None], later, field, sampled)
     with np.errstate(invalid="ignore"):
-        same = np.abs(found[..., 0] - depth) <= np.float32(LARGEST_CHANGE) * depth
-    lost = unmatched(here, there, field, FACTOR) | ~same  # background, too: inf - inf is NaN
-    return Passage(field, lost, stands_still(here, scene_of(here)), later)
+        same = np.abs(sampled[..., 0] - depth) <= np.float32(MAX_DEPTH_CHANGE) * depth
+    lost = find_holes(here, there, field, FACTOR) | ~same  # background, too: inf - inf is NaN
+    return PointMotion(field, lost, find_still(here, scene_of(here)), later)
 
 
-class Course:
-    """How an interval's points move from key frame to key frame; worked out when first asked for.
+class LayerMotion:
+    """How an interval's points move from key frame to key frame, computed lazily.
 
     Parameters
     ----------
@@ -271,49 +220,33 @@ class Course:
         self._key, self._following, self._older = key, following, older
 
     @cached_property
-    def ahead(self) -> Passage | None:
+    def ahead(self) -> PointMotion | None:
         """From the key frame to the one after."""
-        return None if self._following is None else passage(self._key, self._following, 1)
+        return None if self._following is None else lead_points(self._key, self._following, 1)
 
     @cached_property
-    def behind(self) -> Passage | None:
+    def behind(self) -> PointMotion | None:
         """From the key frame after to the one before."""
-        return None if self._following is None else passage(self._following, self._key, -1)
+        return None if self._following is None else lead_points(self._following, self._key, -1)
 
     @cached_property
-    def past(self) -> Passage | None:
+    def past(self) -> PointMotion | None:
         """From the key frame to the one before it."""
-        return None if self._older is None else passage(self._key, self._older, -1)
+        return None if self._older is None else lead_points(self._key, self._older, -1)
 
 
 @dataclass(frozen=True)
-class Retiming:
-    """How the layers of one slot are made.
+class LayerRetimer:
+    """Makes the layers of one slot."""
 
-    Attributes
-    ----------
-    manner
-        Of all layers alike.
-    time
-        Of the slot, in key intervals after the key frame; 0 where the key frame is repeated.
-    sources
-        Where values come from that are not mixed.
-    back, forward
-        From the slot to the key frames before and after it, as far as they are used.
-    frames
-        Beauty of the key frames that are used, float32 [H, W, C]: layers go as it goes.
-    warp, mixer
-        What moves the key frame, or mixes both, for all layers of the slot; None where not used.
-    """
-
-    manner: Manner
-    time: float
-    sources: Sources
-    back: SlotField | None = None
+    rule: TransferRule
+    time: float  # of the slot, in key intervals after the key frame; 0 where that is repeated
+    sources: PixelSources  # of values that are not mixed
+    back: SlotField | None = None  # from the slot to the key frames, as far as they are used
     forward: SlotField | None = None
-    frames: tuple[Float32, ...] = ()
-    warp: CarriedLight | None = None
-    mixer: LookAhead | None = None
+    frames: tuple[Float32, ...] = ()  # beauty of the key frames that are used, [H, W, C]
+    warp: CarriedLight | None = None  # moves the key frame
+    mixer: LookAhead | None = None  # mixes both
 
     def colour(self, before: Float32, after: Float32 | None = None) -> Float32:
         """Make a layer of values that may be mixed, exactly as the beauty is made.
@@ -324,19 +257,18 @@ class Retiming:
             float32 [H, W, C] of the key frames on both sides, scene-linear, premultiplied where
             there is an alpha; `after` only where it is used.
         """
-        # A network may have made the beauty, which light then does not go by yet.
+        # If a network made the beauty, light is not followed yet.
         if self.warp is not None:
             if not self.warp.has_beauty:
                 self.warp.make(self.frames[0])
             return self.warp.make(before)
+        if self.rule is TransferRule.REPEAT:
+            return fill_nonfinite(before)
+        assert after is not None
         if self.mixer is not None:
             if not self.mixer.has_beauty:
                 self.mixer.make(*self.frames)
-            assert after is not None
             return self.mixer.make(before, after)
-        if self.manner is Manner.REPEAT:
-            return repair(before)
-        assert after is not None
         return cross_fade(before, after, self.time)
 
     def data(self, before: np.ndarray, after: np.ndarray | None = None) -> np.ndarray:
@@ -344,7 +276,7 @@ class Retiming:
         return self.sources.take(before, after)
 
     def moved(
-        self, course: Course | None, layers: tuple[Float32 | None, ...], fixed: bool
+        self, course: LayerMotion | None, layers: tuple[Float32 | None, ...], fixed: bool
     ) -> Float32:
         """Make a layer of values that belong to a point and change as it moves.
 
@@ -357,7 +289,7 @@ class Retiming:
             Of the interval; None where no motion is known.
         layers
             float32 [H, W, C] of the key frames before and after the slot, and of the one before
-            those; None for what is not there.
+            those; None if absent.
         fixed
             Whether a point that stands still keeps its value exactly, as world positions do.
         """
@@ -407,13 +339,13 @@ class Retiming:
         return np.where(changed[..., None], moved, raw)
 
 
-def retiming(interval: Interval, slot: int, shown: Predicted) -> Retiming:
-    """Find out how the layers of a slot are made, so that they go with its beauty.
+def make_retimer(interval: Interval, slot: int, shown: Predicted) -> LayerRetimer:
+    """Choose how the layers of a slot are made, so that they go with its beauty.
 
     Parameters
     ----------
     interval
-        As the beauty was made from; its motion fields are used again.
+        That the beauty was made from; its motion fields are used again.
     slot
         1 or more.
     shown
@@ -426,26 +358,23 @@ def retiming(interval: Interval, slot: int, shown: Predicted) -> Retiming:
         while slot and path.made_by[slot - 1] == HOLD:
             slot -= 1  # a repeat of what the slot before showed
     if name in ("hold", HELD) or slot == 0:
-        return Retiming(Manner.REPEAT, 0.0, in_place(shape, _depth(key)))
+        depth = None if key is None else depth_of(key)
+        return LayerRetimer(TransferRule.REPEAT, 0.0, unmoved_sources(shape, depth))
     time = interval.time(slot)
     if name == "blend" or not interval.has_motion:
         later = time > 0.5
-        shows = following.gbuffer if later and following is not None else key
-        return Retiming(Manner.FADE, time, in_place(shape, _depth(shows), later))
+        nearer = following.gbuffer if later and following is not None else key
+        depth = None if nearer is None else depth_of(nearer)
+        return LayerRetimer(TransferRule.FADE, time, unmoved_sources(shape, depth, later))
     assert key is not None
     back = interval.back(slot)
     if path is not None or following is None:
-        sources, frames = moved_from(back, depth_of(key)), (interval.key.image.pixels,)
-        return Retiming(Manner.WARP, time, sources, back, None, frames, interval.warp(slot))
+        sources, frames = moved_sources(back, key), (interval.key.image.pixels,)
+        warp = interval.warp(slot)
+        return LayerRetimer(TransferRule.WARP, time, sources, back, None, frames, warp)
     forward = interval.forward(slot)
     assert following.gbuffer is not None
-    depths = depth_of(key), depth_of(following.gbuffer)
-    sources = moved_between(back, forward, depths, time)
+    sources = moved_sources(back, key, forward, following.gbuffer, time)
     both = interval.key.image.pixels, following.image.pixels
     mixer = interval.look_ahead(slot)
-    return Retiming(Manner.BLEND, time, sources, back, forward, both, mixer=mixer)
-
-
-def _depth(gbuffer: GBuffer | None) -> Float32 | None:
-    """Return the depth of a key frame's pixels; None where no geometry tells."""
-    return None if gbuffer is None else depth_of(gbuffer)
+    return LayerRetimer(TransferRule.BLEND, time, sources, back, forward, both, mixer=mixer)
