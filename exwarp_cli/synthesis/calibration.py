@@ -60,30 +60,19 @@ Pairs = Sequence[tuple[FrameSamples, FrameSamples]]
 
 
 def calibrate(
+    # Neighbouring frames (earlier, later), fixed by the whole sequence, so that every part of it
+    # finds the same.
     pairs: Pairs,
-    guess: MotionConvention | None,
-    names: tuple[str, ...],
+    guess: MotionConvention | None,  # what the channel names say; None when they say nothing
+    names: tuple[str, ...],  # names of the motion channels' components, for the evidence
+    # Neighbouring key frames with colour, where these frames have none.
     intervals: Sequence[KeyPair] = (),
+    # Conventions by the name that ``--motion`` takes, in pixels: those that fit are named.
     presets: Mapping[str, MotionConvention] | None = None,
+    # By how much numbers rise from frame to frame: vectors may span one of these numbers.
     step: int = 1,
 ) -> MotionFinding:
     """Find the convention of motion channels.
-
-    Parameters
-    ----------
-    pairs
-        Neighbouring frames (earlier, later), fixed by the whole sequence, so that every part of it
-        finds the same.
-    guess
-        What the channel names say; None when they say nothing.
-    names
-        Names of the motion channels' components, for the evidence.
-    intervals
-        Neighbouring key frames with colour, where these frames have none.
-    presets
-        Conventions by the name that ``--motion`` takes, in pixels: those that fit are named.
-    step
-        By how much numbers rise from frame to frame: vectors may span one of these numbers.
 
     Raises
     ------

@@ -83,19 +83,13 @@ class Form:
 
 
 def find_forms(
-    raw: F64, channels: tuple[int, int], length: int | None, alpha: int | None
+    raw: F64,  # samples [N, C] of all motion channels, finite
+    channels: tuple[int, int],  # the two that are read
+    # Which further channel may be a length, and which is alpha.
+    length: int | None,
+    alpha: int | None,
 ) -> tuple[Form, ...]:
-    """Return the forms that values look like.
-
-    Parameters
-    ----------
-    raw
-        Samples [N, C] of all motion channels, finite.
-    channels
-        The two that are read.
-    length, alpha
-        Which further channel may be a length, and which is alpha.
-    """
+    """Return the forms that values look like."""
     values = raw[:, channels]
     if length is not None:
         size = raw[:, length]

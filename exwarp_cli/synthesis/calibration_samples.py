@@ -262,16 +262,12 @@ class Probe:
         raw = self.raw[self.part(count)]
         return np.stack([reading.apply(raw) for reading in readings])
 
-    def errors(self, shifts: Float32, count: int | None = None) -> F64:
-        """Return the mean errors of displacements, [K]: 0 (all samples are found again) to 1.
-
-        Parameters
-        ----------
-        shifts
-            float32 [K, N, 2]: K displacements of every sample that counts.
-        count
-            About how many do; see `part`.
-        """
+    def errors(
+        self,
+        shifts: Float32,  # [K, N, 2]: K displacements of every sample that counts
+        count: int | None = None,  # about how many do; see `part`
+    ) -> F64:
+        """Return the mean errors of displacements, [K]: 0 (all samples are found again) to 1."""
         part = self.part(count)
         xy = np.ascontiguousarray(self.xy[part])
         losses = np.empty((len(shifts), len(self.observables), len(xy)))
@@ -385,18 +381,17 @@ def _spread(usable: Bool) -> Index:
     return chosen[:: max(1, len(chosen) // SAMPLES)]
 
 
-def _choose(usable: Bool, moving: Bool, regular: Bool, change: F64) -> tuple[Index, bool]:
+def _choose(
+    # [G]; see `FrameSamples`.
+    usable: Bool,
+    moving: Bool,
+    regular: Bool,
+    change: F64,  # [G]: how far pixels change at their place, 0 to 1
+) -> tuple[Index, bool]:
     """Choose the pixels to measure by: the moving ones alone if few move and all others rest.
 
     What rests by its vectors, and shows no change, decides nothing: of a hundred pixels of which
     one moves it is 99 % of every reading's success.
-
-    Parameters
-    ----------
-    usable, moving, regular
-        bool [G]; see `FrameSamples`.
-    change
-        float64 [G]: how far pixels change at their place, 0 to 1.
 
     Returns
     -------
@@ -484,16 +479,11 @@ def _distinction(image: Float32, y: Index, x: Index, tolerance: F64) -> float:
     return max(differ[1] - differ[0], 0.0)
 
 
-def _level_gaps(every: F64, depth: F64) -> F64:
-    """Return the distance to the next level where depth was rounded to levels; else 0.
-
-    Parameters
-    ----------
-    every
-        Depths of the frame's whole grid.
-    depth
-        Those whose distances are returned.
-    """
+def _level_gaps(
+    every: F64,  # depths of the frame's whole grid
+    depth: F64,  # those whose distances are returned
+) -> F64:
+    """Return the distance to the next level where depth was rounded to levels; else 0."""
     levels = np.unique(every[np.isfinite(every)])
     if not MIN_LEVELS <= len(levels) <= len(every) // (2 * GRID):
         return np.zeros(len(depth))

@@ -123,15 +123,12 @@ def sample_surfaces(depth: Float32, stencil: Int32 | None = None) -> Index:
     return index[:: max(1, len(index) // MAX_SAMPLES)]
 
 
-def camera_after(scene: Scene, vectors: Float32, stencil: Int32 | None) -> Camera | None:
+def camera_after(
+    scene: Scene,
+    vectors: Float32,  # [H, W, 2], pixels, displacement to the other frame
+    stencil: Int32 | None,  # [H, W], 0 static; None when unknown
+) -> Camera | None:
     """Recover the camera of another instant from the motion to it.
-
-    Parameters
-    ----------
-    vectors
-        float32 [H, W, 2], pixels, displacement to the other frame.
-    stencil
-        int32 [H, W], 0 static; None when unknown.
 
     Returns
     -------
@@ -147,14 +144,12 @@ def camera_by(scene: Scene, motion_at: MotionAt, stencil: Int32 | None) -> Camer
 
 
 def cameras_around(
-    scene: Scene | None, vectors: Sequence[Float32 | None], stencil: Int32 | None
+    scene: Scene | None,
+    # As for `camera_after`; None for an instant without vectors.
+    vectors: Sequence[Float32 | None],
+    stencil: Int32 | None,
 ) -> F64:
     """Recover the cameras of several instants, in the layout of the kernel that settles motion.
-
-    Parameters
-    ----------
-    vectors, stencil
-        As for `camera_after`; None for an instant without vectors.
 
     Returns
     -------
@@ -227,16 +222,15 @@ def _homography_at_infinity(scene: Scene, camera: Camera) -> F64:
     return camera.matrix[:, :3] @ scene.to_ray
 
 
-def fit(points: F64, pixels: F64, movers: bool = False) -> Camera | None:
+def fit(
+    # [N, 4], homogeneous; float64 [N, 2].
+    points: F64,
+    pixels: F64,
+    # Whether points may be among them that move alike and differently from the rest. The fit then
+    # starts from the least median of small samples, which tolerates nearly half of them.
+    movers: bool = False,
+) -> Camera | None:
     """Fit a projection to points at pixels, most of which match.
-
-    Parameters
-    ----------
-    points, pixels
-        float64 [N, 4], homogeneous; float64 [N, 2].
-    movers
-        Whether points may be among them that move alike and differently from the rest. The fit then
-        starts from the least median of small samples, which tolerates nearly half of them.
 
     Returns
     -------

@@ -178,28 +178,18 @@ def _light(pixels: Float32, window: Window, display: Window, size: int) -> Float
 
 @dataclass(frozen=True)
 class CutEvidence:
-    """Whether there is a cut, and why.
+    """Whether there is a cut, and why."""
 
-    Attributes
-    ----------
-    found
-        Whether it is one.
-    colour
-        How well colour agrees along the vectors, about 0 (by chance) to 1; None where nothing can
-        be said, as between even areas.
-    geometry
-        How well geometry does. None also where colour agrees, so that geometry is not compared.
-    judged_by
-        What geometry was compared by: "position", "normal" or "depth"; "" for nothing.
-    shifted
-        How much better shifts of the whole frame explain the colour than others do; None where
-        nothing can be said, and where it was not measured.
-    """
-
-    found: bool
+    found: bool  # whether it is one
+    # How well colour agrees along the vectors, about 0 (by chance) to 1; None where nothing can be
+    # said, as between even areas.
     colour: float | None = None
+    # How well geometry does. None also where colour agrees, so that geometry is not compared.
     geometry: float | None = None
+    # What geometry was compared by: "position", "normal" or "depth"; "" for nothing.
     judged_by: str = ""
+    # How much better shifts of the whole frame explain the colour than others do; None where
+    # nothing can be said, and where it was not measured.
     shifted: float | None = None
 
     def __str__(self) -> str:
@@ -217,15 +207,13 @@ def _percent(share: float) -> str:
     return f"{100 * max(share, 0):.0f} %"
 
 
-def compare_frames(before: KeyFrame, after: KeyFrame) -> CutEvidence:
-    """Judge whether a cut lies between two key frames, by nothing but the two.
-
-    Parameters
-    ----------
-    before, after
-        Neighbouring key frames with one display window, as they were read. Vectors reach over a
-        key interval; they may be those of optical flow.
-    """
+def compare_frames(
+    # Neighbouring key frames with one display window, as they were read. Vectors reach over a key
+    # interval; they may be those of optical flow.
+    before: KeyFrame,
+    after: KeyFrame,
+) -> CutEvidence:
+    """Judge whether a cut lies between two key frames, by nothing but the two."""
     return compare_thumbnails(make_thumbnail(before), make_thumbnail(after))
 
 
@@ -420,21 +408,15 @@ def correlation(
 
 
 def correlations(
-    here: np.ndarray, there: np.ndarray, known: Bool, contrast: float, relative: bool = False
+    # [h, w, C]: values of the cells, and of their places in the other frame.
+    here: np.ndarray,
+    there: np.ndarray,
+    known: Bool,  # [h, w]: cells that count. A block counts with half of its cells.
+    contrast: float,  # deviation of `here` within a block from which it counts
+    # Count values in those of the block's mean `here`; for C = 1 and values not below 0.
+    relative: bool = False,
 ) -> F64:
-    """Return the correlation within each block, [N]; NaN in those without structure.
-
-    Parameters
-    ----------
-    here, there
-        [h, w, C]: values of the cells, and of their places in the other frame.
-    known
-        bool [h, w]: cells that count. A block counts with half of its cells.
-    contrast
-        Deviation of `here` within a block from which it counts.
-    relative
-        Count values in those of the block's mean `here`; for C = 1 and values not below 0.
-    """
+    """Return the correlation within each block, [N]; NaN in those without structure."""
     mask = _blocks(known[..., None])
     count = mask.sum(axis=1, keepdims=True)
     a, b = (np.where(mask, _blocks(values), 0).astype(np.float64) for values in (here, there))

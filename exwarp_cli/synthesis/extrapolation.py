@@ -145,29 +145,17 @@ class Prepared:
 
 
 def prepare(
-    slot: int,
-    warped: Float32,
+    slot: int,  # 1 to 3
+    warped: Float32,  # [H, W, C], scene-linear: W's frame of the slot
+    # The slot's motion field to the key frame, and its surfaces.
     back: SlotField,
     seen: HistorySamples,
+    # F_k, and F_k-1 and F_k-2 as far as they exist. Those in other light are left out.
     key: KeyFrame,
     past: Sequence[OlderKeyFrame],
-    scratch: ScratchFrames = IN_MEMORY,
+    scratch: ScratchFrames = IN_MEMORY,  # where large arrays wait for the network
 ) -> Prepared:
-    """Gather what the network needs for a slot.
-
-    Parameters
-    ----------
-    slot
-        1 to 3.
-    warped
-        float32 [H, W, C], scene-linear: W's frame of the slot.
-    back, seen
-        The slot's motion field to the key frame, and its surfaces.
-    key, past
-        F_k, and F_k-1 and F_k-2 as far as they exist. Those in other light are left out.
-    scratch
-        Where large arrays wait for the network.
-    """
+    """Gather what the network needs for a slot."""
     modulation = modulation_of(seen.surface)
     if modulation is not None and seen.unknown.any():
         assert seen.surface.depth is not None

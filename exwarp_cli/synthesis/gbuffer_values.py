@@ -67,16 +67,14 @@ ENDS, FINER = (0.0, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0), 1.35
 DECISIVE, CLEAR = 0.7, 0.01
 
 
-def depth_step(depth: Float32) -> DepthStep:
+def depth_step(
+    # float32 [H, W], scene units, +inf background. Nothing but this frame counts, so that every
+    # split of a sequence measures the same.
+    depth: Float32,
+) -> DepthStep:
     """Measure the step to which distances were rounded, themselves or as their inverse.
 
     The same surface point has two depths up to one step apart in two frames.
-
-    Parameters
-    ----------
-    depth
-        float32 [H, W], scene units, +inf background. Nothing but this frame counts, so that every
-        split of a sequence measures the same.
     """
     levels = _repeated_levels(depth)
     if levels is None:
@@ -170,16 +168,14 @@ class OrderVotes:
         return self.near_small / self.count if self.count else 0.5
 
 
-def occlusion_votes(here: Float32, there: Float32, motion: Float32) -> OrderVotes:
-    """Count which of two surfaces covers the other in a neighbouring frame.
-
-    Parameters
-    ----------
-    here, there
-        float32 [H, W]: depth values of both frames; not finite on background.
-    motion
-        float32 [H, W, 2], pixels: displacement from `here` to `there`; NaN where unknown.
-    """
+def occlusion_votes(
+    # [H, W]: depth values of both frames; not finite on background.
+    here: Float32,
+    there: Float32,
+    # [H, W, 2], pixels: displacement from `here` to `there`; NaN where unknown.
+    motion: Float32,
+) -> OrderVotes:
+    """Count which of two surfaces covers the other in a neighbouring frame."""
     finite = np.concatenate([depth[np.isfinite(depth)] for depth in (here, there)])
     if not finite.size:
         return OrderVotes()
@@ -217,15 +213,11 @@ def _ranks(values: Float32, table: Float32) -> Float32:
     return ((first + last) / (2 * len(table))).astype(np.float32)
 
 
-def camera_end(values: Float32, motion: Float32) -> float | None:
+def camera_end(
+    values: Float32,  # [H, W]; not finite on background
+    motion: Float32,  # [H, W, 2], pixels: displacement to a neighbouring frame
+) -> float | None:
     """Find the value at the camera, for values that grow towards it.
-
-    Parameters
-    ----------
-    values
-        float32 [H, W]; not finite on background.
-    motion
-        float32 [H, W, 2], pixels: displacement to a neighbouring frame.
 
     Returns
     -------

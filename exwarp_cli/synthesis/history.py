@@ -85,14 +85,11 @@ class OlderKeyFrame:
         return self._gone[0][1]
 
 
-def older_key_frames(keys: Sequence[KeyFrame]) -> tuple[OlderKeyFrame, ...]:
-    """Return all key frames but the first as older ones of it, by their own vectors.
-
-    Parameters
-    ----------
-    keys
-        Successive ones, the newest first, on one window, with settled motion between key frames.
-    """
+def older_key_frames(
+    # Successive ones, the newest first, on one window, with settled motion between key frames.
+    keys: Sequence[KeyFrame],
+) -> tuple[OlderKeyFrame, ...]:
+    """Return all key frames but the first as older ones of it, by their own vectors."""
     older_frames = []
     for newer, older in pairwise(keys):
         assert newer.gbuffer is not None
@@ -143,16 +140,13 @@ class KeyHistory:
         return scene_of(self.key)
 
 
-def is_lit_alike(frame: Float32, other: Float32, both: Bool) -> bool:
-    """Return True if the surfaces that two frames show have about the same light in both.
-
-    Parameters
-    ----------
-    frame, other
-        float32 [H, W, 3 or more], scene-linear, moved to one instant.
-    both
-        bool [H, W]: where both show the surface.
-    """
+def is_lit_alike(
+    # [H, W, 3 or more], scene-linear, moved to one instant.
+    frame: Float32,
+    other: Float32,
+    both: Bool,  # [H, W]: where both show the surface
+) -> bool:
+    """Return True if the surfaces that two frames show have about the same light in both."""
     lights = []
     for pixels in (frame, other):
         # A mean of roots: highlights dominate a mean, a dark background dominates a median.
@@ -173,25 +167,14 @@ class HistorySamples:
 
 
 def look_back(
-    slot: int,
-    back: SlotField,
+    slot: int,  # 1 to 3
+    back: SlotField,  # motion field from the slot to the key frame
+    # G-buffers of slots 1 to 3 with settled motion; empty when only key frames have them.
     slots: Sequence[GBuffer],
     history: KeyHistory,
-    scene: Scene | None = None,
+    scene: Scene | None = None,  # the slot's points, if its G-buffer has them
 ) -> HistorySamples:
-    """Find a slot's surfaces in the older key frames.
-
-    Parameters
-    ----------
-    slot
-        1 to 3.
-    back
-        Motion field from the slot to the key frame.
-    slots
-        G-buffers of slots 1 to 3 with settled motion; empty when only key frames have them.
-    scene
-        The slot's points, if its G-buffer has them.
-    """
+    """Find a slot's surfaces in the older key frames."""
     if slots:
         return _look_back_rendered(slot, slots[slot - 1], back, history, scene)
     return _look_back_reprojected(slot, back, history)
@@ -273,14 +256,12 @@ def _look_back_rendered(
     return HistorySamples(gbuffer, tuple(fields), tuple(hidden), unknown=nothing)
 
 
-def _reproject_surfaces(sources: Sequence[tuple[GBuffer, Float32]]) -> tuple[GBuffer, Bool]:
+def _reproject_surfaces(
+    # G-buffers on one window, each with the motion field float32 [H, W, 2] from the slot to it, NaN
+    # where it shows nothing of the slot. Each pixel comes from the first that shows it.
+    sources: Sequence[tuple[GBuffer, Float32]],
+) -> tuple[GBuffer, Bool]:
     """Return a slot's G-buffer, taken from other frames'.
-
-    Parameters
-    ----------
-    sources
-        G-buffers on one window, each with the motion field float32 [H, W, 2] from the slot to it,
-        NaN where it shows nothing of the slot. Each pixel comes from the first that shows it.
 
     Returns
     -------
@@ -331,18 +312,16 @@ def _take_over(
     )
 
 
-def step_back(back: SlotField, there: Float32, before: SlotField) -> SlotField:
+def step_back(
+    # Motion fields to the key frame, from the slot and from the slot before.
+    back: SlotField,
+    there: Float32,  # [H, W, 2]: motion from the key frame to the slot before
+    before: SlotField,
+) -> SlotField:
     """Return the motion field from a slot to the one before it, from key G-buffers alone.
 
     A hole is what the slot before shows another point of the key frame at, over SAME_POINT pixels
     away.
-
-    Parameters
-    ----------
-    back, before
-        Motion fields to the key frame, from the slot and from the slot before.
-    there
-        float32 [H, W, 2]: motion from the key frame to the slot before.
     """
     field = back.field + _nearest_at_end(there, back.field)
     to_key = field + _nearest_at_end(before.field, field)

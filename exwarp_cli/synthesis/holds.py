@@ -169,7 +169,10 @@ def _greatest_local_mean(differences: Float32, rows: int = 3) -> float:
 
 
 def adapt_motion_to_holds(
-    key: KeyFrame, following: KeyFrame | None, after_hold: bool = False
+    # With settled motion; `following` is None for causal methods.
+    key: KeyFrame,
+    following: KeyFrame | None,
+    after_hold: bool = False,  # true if `key` shows the same picture as the key frame before it
 ) -> tuple[KeyFrame, KeyFrame | None]:
     """Return the key frames of an interval with those vectors alone that hold across it.
 
@@ -180,13 +183,6 @@ def adapt_motion_to_holds(
     - it stands before the interval and after it, as on twos: the motion is a straight line;
     - vectors lead one way alone, and those of one key frame are 0 because of the hold beyond it:
       those of the other key frame lead it, reversed.
-
-    Parameters
-    ----------
-    key, following
-        With settled motion; `following` is None for causal methods.
-    after_hold
-        True if `key` shows the same picture as the key frame before it.
 
     Returns
     -------
@@ -292,15 +288,13 @@ def _has_steps(depth: Float32) -> bool:
     return bool(np.mean(steps) >= STEPS_SHARE)
 
 
-def has_colour_moved(before: Float32, after: Float32) -> bool:
-    """Return True if shifts explain the change of colour in a large part of the picture.
-
-    Parameters
-    ----------
-    before, after
-        float32 [H, W, 3], as the eye sees them. Exposure does not matter, as blocks are compared by
-        their correlation.
-    """
+def has_colour_moved(
+    # float32 [H, W, 3], as the eye sees them. Exposure does not matter, as blocks are compared by
+    # their correlation.
+    before: Float32,
+    after: Float32,
+) -> bool:
+    """Return True if shifts explain the change of colour in a large part of the picture."""
     return any(_is_shifted(_texture(before, width), _texture(after, width)) for width in WIDTHS)
 
 

@@ -65,60 +65,38 @@ class _Once(Generic[T]):
 
 @dataclass
 class Interval:
-    """A key frame, the frames around it, and lazily the motion fields of its slots.
+    """A key frame, the frames around it, and lazily the motion fields of its slots."""
 
-    Attributes
-    ----------
-    key
-        The key frame F_k; its motion is settled.
-    following
-        F_k+1 on the same window, for look-ahead methods; None for causal ones and at the end.
-    slots
-        G-buffers of all slots after the key frame, with settled motion between neighbouring ones;
-        empty when only the key frames have G-buffers. The key frames' vectors are then those to a
-        slot beside them, times the slots of an interval.
-    past
-        F_k-1 and F_k-2, the newer first, as far as they exist; the second only for extrapolation.
-    extrapolator
-        The network that extrapolates; None for methods that only warp.
-    interpolator
-        The network that interpolates, or that weighs both key frames.
-    times
-        Of the slots after the key frame, in order: fractions of the key interval, 0 < time < 1.
-        With G-buffers of the slots they are evenly spaced from key frame to key frame.
-    estimated
-        Whether motion was estimated from colour rather than rendered.
-    keeps
-        Whether results for slots are needed again once the slots are made, to score them.
-    held
-        True if every slot shows the picture of the key frame, as the next key frame repeats it.
-    after_hold
-        True if the key frame repeats the picture of the one before it: light stood still.
-    scratch
-        Where arrays are kept that wait for a network.
-    linear
-        Whether colour is moved and mixed in linear light, as layers that add up to it go along.
-    display
-        The window whose tiles get a predicted error; None for that of the frames.
-    rendered
-        Frames of slots, by index, that were rendered after all, with settled motion; their vectors
-        may lead over another time than the key frames' do.
-    """
-
-    key: KeyFrame
+    key: KeyFrame  # the key frame F_k; its motion is settled
+    # F_k+1 on the same window, for look-ahead methods; None for causal ones and at the end.
     following: KeyFrame | None = None
+    # G-buffers of all slots after the key frame, with settled motion between neighbouring ones;
+    # empty when only the key frames have G-buffers. The key frames' vectors are then those to a
+    # slot beside them, times the slots of an interval.
     slots: tuple[GBuffer, ...] = ()
+    # F_k-1 and F_k-2, the newer first, as far as they exist; the second only for extrapolation.
     past: tuple[OlderKeyFrame, ...] = ()
+    # The network that extrapolates; None for methods that only warp.
     extrapolator: Extrapolator | None = None
+    # The network that interpolates, or that weighs both key frames.
     interpolator: Interpolator | LookAheadNetwork | None = None
+    # Of the slots after the key frame, in order: fractions of the key interval, 0 < time < 1. With
+    # G-buffers of the slots they are evenly spaced from key frame to key frame.
     times: tuple[float, ...] = QUARTERS
-    estimated: bool = False
+    estimated: bool = False  # whether motion was estimated from colour rather than rendered
+    # Whether results for slots are needed again once the slots are made, to score them.
     keeps: bool = False
+    # True if every slot shows the picture of the key frame, as the next key frame repeats it.
     held: bool = False
+    # True if the key frame repeats the picture of the one before it: light stood still.
     after_hold: bool = False
-    scratch: ScratchFrames = IN_MEMORY
+    scratch: ScratchFrames = IN_MEMORY  # where arrays are kept that wait for a network
+    # Whether colour is moved and mixed in linear light, as layers that add up to it go along.
     linear: bool = False
+    # The window whose tiles get a predicted error; None for that of the frames.
     display: Window | None = None
+    # Frames of slots, by index, that were rendered after all, with settled motion; their vectors
+    # may lead over another time than the key frames' do.
     rendered: Mapping[int, KeyFrame] = field(default_factory=dict)
     _warps: dict[int, CarriedLight] = field(default_factory=dict, init=False)
     _mixers: dict[int, LookAhead] = field(default_factory=dict, init=False)
@@ -451,15 +429,11 @@ def _require_motion(frame: KeyFrame) -> GBuffer:
     return frame.gbuffer
 
 
-def tile_features(interval: Interval, slot: int) -> F64:
+def tile_features(
+    interval: Interval,  # With motion. Its next key frame is not used.
+    slot: int,  # 1 or more; nothing of it needs to be made
+) -> F64:
     """Return the features of a slot's tiles, by which a policy chooses what makes each of them.
-
-    Parameters
-    ----------
-    interval
-        With motion. Its next key frame is not used.
-    slot
-        1 or more; nothing of it needs to be made.
 
     Returns
     -------

@@ -55,19 +55,17 @@ class PixelSources:
             out[self.later] = np.take(_flat(after), self.pixel[self.later], axis=0)
         return out
 
-    def mend(self, planes: Sequence[np.ndarray], nothing: float = 0.0) -> None:
+    def mend(
+        self,
+        planes: Sequence[np.ndarray],  # [H, W] of any types, changed: the layer's channels
+        # 0, or infinity where the layer is a depth; there infinities may stay.
+        nothing: float = 0.0,
+    ) -> None:
         """Replace what is not finite in a slot's layer, all of whose values stay together.
 
         On a surface by the values of one of the pixels around that have some, as in holes. On the
         background, of which renderers write NaN and infinities too, and where no such pixel is
         near, by `nothing`.
-
-        Parameters
-        ----------
-        planes
-            [H, W] of any types, changed: the layer's channels.
-        nothing
-            0, or infinity where the layer is a depth; there infinities may stay.
         """
         floats = [plane for plane in planes if plane.dtype.kind == "f"]
         broken = np.logical_or.reduce(
@@ -103,23 +101,16 @@ def unmoved_sources(
 
 
 def moved_sources(
+    # From the slot to the key frames before and after it.
     back: SlotField,
+    # G-buffers of these.
     key: GBuffer,
     forward: SlotField | None = None,
     following: GBuffer | None = None,
+    # Of the slot in the key interval; 0 leaves all weight to the key frame before.
     time: float = 0.0,
 ) -> PixelSources:
-    """Return the sources of a slot that shows one moved key frame, or those on both sides.
-
-    Parameters
-    ----------
-    back, forward
-        From the slot to the key frames before and after it.
-    key, following
-        G-buffers of these.
-    time
-        Of the slot in the key interval; 0 leaves all weight to the key frame before.
-    """
+    """Return the sources of a slot that shows one moved key frame, or those on both sides."""
 
     def side(source: SlotField, gbuffer: GBuffer) -> nearest.Side:
         return source.field, source.depth, depth_of(gbuffer), source.hole, source.fringe
@@ -161,16 +152,14 @@ class PointMotion:
     still: Bool | None  # [H, W]: the point stands still in the world; None without a camera
     depth: Float32  # [H, W] of the neighbour's pixels
 
-    def change(self, here: Float32, there: Float32, fixed: bool) -> Float32:
-        """Return how a layer's values change on the way, float32 [H, W, C]; 0 if unknown.
-
-        Parameters
-        ----------
-        here, there
-            float32 [H, W, C]: the layer in both key frames.
-        fixed
-            Whether it stays the same where a point stands still, as world positions do.
-        """
+    def change(
+        self,
+        # [H, W, C]: the layer in both key frames.
+        here: Float32,
+        there: Float32,
+        fixed: bool,  # whether it stays the same where a point stands still, as world positions do
+    ) -> Float32:
+        """Return how a layer's values change on the way, float32 [H, W, C]; 0 if unknown."""
         change = np.empty_like(here)
         nearest.sample_surface(there, self.depth, self.field, change)
         with np.errstate(invalid="ignore", over="ignore"):
@@ -181,16 +170,13 @@ class PointMotion:
         return change
 
 
-def lead_points(here: GBuffer, there: GBuffer, way: int) -> PointMotion:
-    """Lead the points of a key frame to a neighbouring one.
-
-    Parameters
-    ----------
-    here, there
-        On one window, with settled motion that spans a key interval.
-    way
-        1 to the next key frame, -1 to the one before.
-    """
+def lead_points(
+    # On one window, with settled motion that spans a key interval.
+    here: GBuffer,
+    there: GBuffer,
+    way: int,  # 1 to the next key frame, -1 to the one before
+) -> PointMotion:
+    """Lead the points of a key frame to a neighbouring one."""
     field = displacement(here, way)
     depth, later = depth_of(here), depth_of(there)
     sampled = np.empty((*depth.shape, 1), np.float32)
@@ -202,20 +188,14 @@ def lead_points(here: GBuffer, there: GBuffer, way: int) -> PointMotion:
 
 
 class LayerMotion:
-    """How an interval's points move from key frame to key frame, computed lazily.
-
-    Parameters
-    ----------
-    key
-        G-buffer of the key frame before the slots.
-    following
-        That of the one after them, where it is used.
-    older
-        That of the one before `key`; only used where there is no `following`.
-    """
+    """How an interval's points move from key frame to key frame, computed lazily."""
 
     def __init__(
-        self, key: GBuffer, following: GBuffer | None = None, older: GBuffer | None = None
+        self,
+        key: GBuffer,  # g-buffer of the key frame before the slots
+        following: GBuffer | None = None,  # that of the one after them, where it is used
+        # That of the one before `key`; only used where there is no `following`.
+        older: GBuffer | None = None,
     ) -> None:
         self._key, self._following, self._older = key, following, older
 
@@ -248,15 +228,14 @@ class LayerRetimer:
     warp: CarriedLight | None = None  # moves the key frame
     mixer: LookAhead | None = None  # mixes both
 
-    def colour(self, before: Float32, after: Float32 | None = None) -> Float32:
-        """Make a layer of values that may be mixed, exactly as the beauty is made.
-
-        Parameters
-        ----------
-        before, after
-            float32 [H, W, C] of the key frames on both sides, scene-linear, premultiplied where
-            there is an alpha; `after` only where it is used.
-        """
+    def colour(
+        self,
+        # float32 [H, W, C] of the key frames on both sides, scene-linear, premultiplied where there
+        # is an alpha; `after` only where it is used.
+        before: Float32,
+        after: Float32 | None = None,
+    ) -> Float32:
+        """Make a layer of values that may be mixed, exactly as the beauty is made."""
         # If a network made the beauty, light is not followed yet.
         if self.warp is not None:
             if not self.warp.has_beauty:
@@ -276,22 +255,18 @@ class LayerRetimer:
         return self.sources.take(before, after)
 
     def moved(
-        self, course: LayerMotion | None, layers: tuple[Float32 | None, ...], fixed: bool
+        self,
+        course: LayerMotion | None,  # of the interval; None where no motion is known
+        # float32 [H, W, C] of the key frames before and after the slot, and of the one before
+        # those; None if absent.
+        layers: tuple[Float32 | None, ...],
+        # Whether a point that stands still keeps its value exactly, as world positions do.
+        fixed: bool,
     ) -> Float32:
         """Make a layer of values that belong to a point and change as it moves.
 
         Those of the source, and their linear change between the key frames where both show the
         point; with one key frame only, as they have changed since the one before it.
-
-        Parameters
-        ----------
-        course
-            Of the interval; None where no motion is known.
-        layers
-            float32 [H, W, C] of the key frames before and after the slot, and of the one before
-            those; None if absent.
-        fixed
-            Whether a point that stands still keeps its value exactly, as world positions do.
         """
         before, after, older = layers
         assert before is not None
@@ -309,7 +284,11 @@ class LayerRetimer:
         )
 
     def vectors(
-        self, convention: MotionConvention, before: Float32, after: Float32 | None = None
+        self,
+        convention: MotionConvention,  # how the channels are read
+        # [H, W, C]: all motion channels as written; `after` only where it is used.
+        before: Float32,
+        after: Float32 | None = None,
     ) -> Float32:
         """Make the motion channels, in the renderer's own convention.
 
@@ -318,13 +297,6 @@ class LayerRetimer:
         the displacement to the next key frame and p to the previous one, n becomes n + t (n + p)
         and p becomes p - t (n + p) after the time t; with one of them alone, at constant velocity,
         they stay as they are.
-
-        Parameters
-        ----------
-        convention
-            How the channels are read.
-        before, after
-            float32 [H, W, C]: all motion channels as written; `after` only where it is used.
         """
         raw: Float32 = self.sources.take(before, after)
         if self.back is None or convention.to_previous is None or convention.to_next is None:
@@ -339,18 +311,13 @@ class LayerRetimer:
         return np.where(changed[..., None], moved, raw)
 
 
-def make_retimer(interval: Interval, slot: int, shown: Predicted) -> LayerRetimer:
-    """Choose how the layers of a slot are made, so that they go with its beauty.
-
-    Parameters
-    ----------
-    interval
-        That the beauty was made from; its motion fields are used again.
-    slot
-        1 or more.
-    shown
-        The beauty. Where a network made it, which knows no other layers, they are moved instead.
-    """
+def make_retimer(
+    interval: Interval,  # that the beauty was made from; its motion fields are used again
+    slot: int,  # 1 or more
+    # The beauty. Where a network made it, which knows no other layers, they are moved instead.
+    shown: Predicted,
+) -> LayerRetimer:
+    """Choose how the layers of a slot are made, so that they go with its beauty."""
     name, shape = shown.method, interval.key.image.pixels.shape[:2]
     key, following = interval.key.gbuffer, interval.following
     path = PATHS.get(name.upper())

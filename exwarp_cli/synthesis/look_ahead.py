@@ -38,33 +38,20 @@ Weights = list[tuple[Tile, np.ndarray]]
 
 
 class LookAhead:
-    """Makes the colour of a slot from the key frames on both sides: its beauty, then its layers.
-
-    Parameters
-    ----------
-    back, forward
-        Motion fields from the slot to the key frames before and after it.
-    time
-        Of the slot in the key interval, 0 < time < 1.
-    linear
-        As for `Mover`.
-    coverage
-        Of the pixels beside edges; None where each has the surface of its centre.
-    network
-        That weighs what both sides show; None for the weights of softmax splatting.
-    tiles
-        For which `evidence` of the beauty is kept; None for none.
-    """
+    """Makes the colour of a slot from the key frames on both sides: its beauty, then its layers."""
 
     def __init__(
         self,
+        # Motion fields from the slot to the key frames before and after it.
         back: SlotField,
         forward: SlotField,
-        time: float,
-        linear: bool = False,
+        time: float,  # of the slot in the key interval, 0 < time < 1
+        linear: bool = False,  # as for `Mover`
+        # Of the pixels beside edges; None where each has the surface of its centre.
         coverage: Coverage | None = None,
+        # That weighs what both sides show; None for the weights of softmax splatting.
         network: LookAheadNetwork | None = None,
-        tiles: Tiles | None = None,
+        tiles: Tiles | None = None,  # for which `evidence` of the beauty is kept; None for none
     ) -> None:
         self._sides = Mover(back, linear), Mover(forward, linear)
         self._time = time
@@ -150,30 +137,17 @@ def _warp_along(
 
 
 class Candidates:
-    """The candidate colours of each pixel of a slot, of one layer: inputs of the network.
-
-    Parameters
-    ----------
-    mixed
-        float32 [H, W, C]: what `softsplat` makes.
-    sides
-        The key frames before and after, moved by surfaces, then by light as well. Their pixels are
-        changed: what a side does not show has the colour of `mixed`.
-    agreement
-        float32 [H, W], from `flow_weight`.
-    time
-        Of the slot in its key interval.
-    linear
-        Whether colour is scene-linear, and not as shown.
-    """
+    """The candidate colours of each pixel of a slot, of one layer: inputs of the network."""
 
     def __init__(
         self,
-        mixed: Float32,
+        mixed: Float32,  # [H, W, C]: what `softsplat` makes
+        # The key frames before and after, moved by surfaces, then by light as well. Their pixels
+        # are changed: what a side does not show has the colour of `mixed`.
         sides: tuple[Warped, Warped, Warped, Warped],
-        agreement: Float32,
-        time: float,
-        linear: bool,
+        agreement: Float32,  # [H, W], from `flow_weight`
+        time: float,  # of the slot in its key interval
+        linear: bool,  # whether colour is scene-linear, and not as shown
     ) -> None:
         self.time = time
         self._mixed, self._sides, self._agreement, self._linear = mixed, sides, agreement, linear

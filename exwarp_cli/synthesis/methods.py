@@ -55,39 +55,20 @@ class DecisionSource(Enum):
 
 @dataclass(frozen=True)
 class Method:
-    """A way to make the frames of slots.
+    """A way to make the frames of slots."""
 
-    Attributes
-    ----------
-    name
-        As on the command line.
-    predict
-        Called with an interval and a slot, 1 or more; None where each interval's path makes it.
-    lookahead
-        Whether it uses the next key frame.
-    needs_motion
-        Whether it cannot do without motion vectors.
-    path
-        The paper's decision path that it is, if any.
-    judge
-        What decides the path of each interval; None where nothing is decided.
-    interpolates
-        Whether it runs a network on the colour of the key frames on both sides.
-    weighs
-        Whether a network weighs the key frames on both sides, moved to the slot.
-    gated
-        Whether its network makes frames only where the gate finds that this pays.
-    """
-
-    name: str
+    name: str  # as on the command line
+    # Called with an interval and a slot, 1 or more; None where each interval's path makes it.
     predict: Callable[[Interval, int], Predicted] | None
-    lookahead: bool = False
-    needs_motion: bool = True
-    path: str | None = None
+    lookahead: bool = False  # whether it uses the next key frame
+    needs_motion: bool = True  # whether it cannot do without motion vectors
+    path: str | None = None  # the paper's decision path that it is, if any
+    # What decides the path of each interval; None where nothing is decided.
     judge: DecisionSource | None = None
+    # Whether it runs a network on the colour of the key frames on both sides.
     interpolates: bool = False
-    weighs: bool = False
-    gated: bool = False
+    weighs: bool = False  # whether a network weighs the key frames on both sides, moved to the slot
+    gated: bool = False  # whether its network makes frames only where the gate finds that this pays
 
     @property
     def any_factor(self) -> bool:

@@ -199,14 +199,12 @@ class Mosaic:
 
 
 def extrapolate_in(
-    mosaic: Mosaic, chosen: Bool, answer: Callable[[slice, slice], Float32]
+    mosaic: Mosaic,
+    chosen: Bool,
+    # Returns planes float32 [3, h, w] of rows and columns of the frame.
+    answer: Callable[[slice, slice], Float32],
 ) -> Float32:
     """Run a network in chosen tiles, bool [rows, columns], and in the ramps around them.
-
-    Parameters
-    ----------
-    answer
-        Returns planes float32 [3, h, w] of rows and columns of the frame.
 
     Returns
     -------

@@ -143,29 +143,21 @@ def find_still(gbuffer: GBuffer, scene: Scene | None) -> Bool | None:
     return None if camera is None else standing(scene, camera, step, STATIC_TOLERANCE)
 
 
-def reproject(gbuffer: GBuffer, time: float) -> SlotField:
-    """Return the motion field of a slot from a key frame's G-buffer alone.
-
-    Parameters
-    ----------
-    gbuffer
-        With settled motion.
-    time
-        Of the slot, in key intervals from this key frame; negative is earlier.
-    """
+def reproject(
+    gbuffer: GBuffer,  # with settled motion
+    time: float,  # of the slot, in key intervals from this key frame; negative is earlier
+) -> SlotField:
+    """Return the motion field of a slot from a key frame's G-buffer alone."""
     return splat_motion(gbuffer, *displacement_and_reach(gbuffer, time))
 
 
-def splat_motion(gbuffer: GBuffer, motion: Float32, reach: Float32 | None = None) -> SlotField:
-    """Return the motion field back to a frame from where its surfaces move to.
-
-    Parameters
-    ----------
-    motion
-        float32 [H, W, 2], pixels: where each of the frame's pixels moves; NaN for nowhere.
-    reach
-        From `reach_of` the motion, if already computed.
-    """
+def splat_motion(
+    gbuffer: GBuffer,
+    # [H, W, 2], pixels: where each of the frame's pixels moves; NaN for nowhere.
+    motion: Float32,
+    reach: Float32 | None = None,  # from `reach_of` the motion, if already computed
+) -> SlotField:
+    """Return the motion field back to a frame from where its surfaces move to."""
     reach = reach_of(motion) if reach is None else reach
     depth = depth_of(gbuffer)
     field, near = pool.empty(motion.shape, np.float32), pool.empty(depth.shape, np.float32)
@@ -186,22 +178,15 @@ def fill_unknown(field: SlotField, fallback: SlotField) -> SlotField:
 
 
 def compose(
-    slots: Sequence[GBuffer], key: GBuffer, way: int, scenes: Scenes | None = None
+    # G-buffers from the one beside the key frame to that of the slot, with settled motion to the
+    # slot beside them that way.
+    slots: Sequence[GBuffer],
+    key: GBuffer,  # g-buffer of the key frame's instant
+    way: int,  # -1 if the key frame is before the slots, 1 if it is after them
+    # Points of the slot, of the instant beside it, and of the key frame; found if None.
+    scenes: Scenes | None = None,
 ) -> SlotField:
-    """Return the motion field from a slot to a key frame, through the slots between them.
-
-    Parameters
-    ----------
-    slots
-        G-buffers from the one beside the key frame to that of the slot, with settled motion to
-        the slot beside them that way.
-    key
-        G-buffer of the key frame's instant.
-    way
-        -1 if the key frame is before the slots, 1 if it is after them.
-    scenes
-        Points of the slot, of the instant beside it, and of the key frame; found if None.
-    """
+    """Return the motion field from a slot to a key frame, through the slots between them."""
     *others, slot = slots
     if scenes is None:
         scenes = scene_of(slot), scene_of(others[-1] if others else key), scene_of(key)
@@ -248,18 +233,14 @@ def find_holes(slot: GBuffer, key: GBuffer, field: Float32, count: int) -> Bool:
     return hole
 
 
-def find_moving(now: GBuffer, before: GBuffer | None, raw: GBuffer | None) -> Bool | None:
+def find_moving(
+    now: GBuffer,  # with settled motion
+    before: GBuffer | None,  # the instant that `to_previous` leads to; None where there is none
+    # `now` before its motion was settled, if available: settled motion has no slow motion, and
+    # counts at edges alone then.
+    raw: GBuffer | None,
+) -> Bool | None:
     """Find the pixels whose world position changes; background never does.
-
-    Parameters
-    ----------
-    now
-        With settled motion.
-    before
-        The instant that `to_previous` leads to; None where there is none.
-    raw
-        `now` before its motion was settled, if available: settled motion has no slow motion, and
-        counts at edges alone then.
 
     Returns
     -------
@@ -298,16 +279,11 @@ def moving_stencil(objects: Int32, moves: Bool) -> Int32:
     return select_ids(objects, moving_ids(objects, moves))
 
 
-def moving_ids(objects: Int32, moves: Bool) -> frozenset[int]:
-    """Return the ids of the objects at least MOVING_SHARE of whose pixels move.
-
-    Parameters
-    ----------
-    objects
-        int32 [H, W], id of whatever is visible; 0 background, negative where ids mix.
-    moves
-        bool [H, W], from :func:`find_moving`.
-    """
+def moving_ids(
+    objects: Int32,  # [H, W], id of whatever is visible; 0 background, negative where ids mix
+    moves: Bool,  # [H, W], from :func:`find_moving`
+) -> frozenset[int]:
+    """Return the ids of the objects at least MOVING_SHARE of whose pixels move."""
     values, sizes, starts = _runs(objects)
     if not values.size:
         return frozenset()

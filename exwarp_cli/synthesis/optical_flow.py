@@ -80,16 +80,14 @@ def flow_identity() -> str:
     return f"DIS by OpenCV {_cv2().__version__}"
 
 
-def estimate_flow(before: Float32, after: Float32) -> tuple[Flow, Flow]:
-    """Estimate the motion between two pictures, from `before` to `after` and the other way.
-
-    Parameters
-    ----------
-    before, after
-        float32 [H, W, 3 or more], scene-linear. Bright scenes are darkened, what a display cannot
-        show is clipped; channels past the third are ignored, and pixels that are not finite count
-        as what is around them.
-    """
+def estimate_flow(
+    # float32 [H, W, 3 or more], scene-linear. Bright scenes are darkened, what a display cannot
+    # show is clipped; channels past the third are ignored, and pixels that are not finite count as
+    # what is around them.
+    before: Float32,
+    after: Float32,
+) -> tuple[Flow, Flow]:
+    """Estimate the motion between two pictures, from `before` to `after` and the other way."""
     linear = [fill_nonfinite(pixels[..., :3]) for pixels in (before, after)]
     exposure = _exposure(linear)
     first, second = (shown_colour(pixels * exposure) for pixels in linear)
@@ -142,16 +140,12 @@ def box_mean(values: Float32, side: int) -> Float32:
 
 
 def with_estimated_motion(
-    frame: KeyFrame, to_previous: Flow | None, to_next: Flow | None
+    frame: KeyFrame,  # any geometry of it is dropped
+    # Flows from this frame to its neighbours; None where there is none, or a cut lies between.
+    to_previous: Flow | None,
+    to_next: Flow | None,
 ) -> KeyFrame:
     """Give a key frame estimated motion, in place of what a renderer would have written.
-
-    Parameters
-    ----------
-    frame
-        Any geometry of it is dropped.
-    to_previous, to_next
-        Flows from this frame to its neighbours; None where there is none, or a cut lies between.
 
     Returns
     -------

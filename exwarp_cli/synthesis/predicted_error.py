@@ -73,16 +73,14 @@ class KeyResidual:
     motion: F64  # beside them
 
 
-def key_residual(tiles: Tiles, frame: KeyFrame, other: KeyFrame, motion: Float32) -> KeyResidual:
-    """Compare a key frame with another one, moved to it by plain bilinear sampling.
-
-    Parameters
-    ----------
-    frame, other
-        Key frames on one window.
-    motion
-        float32 [H, W, 2], pixels: from `frame` to `other`; NaN where unknown.
-    """
+def key_residual(
+    tiles: Tiles,
+    # Key frames on one window.
+    frame: KeyFrame,
+    other: KeyFrame,
+    motion: Float32,  # [H, W, 2], pixels: from `frame` to `other`; NaN where unknown
+) -> KeyResidual:
+    """Compare a key frame with another one, moved to it by plain bilinear sampling."""
     moved, inside = _sample_bilinear(other.image.pixels, tiles, motion)
     apart = _mean_square(_levels(tiles.sample(frame.image.pixels), linear=True) - moved)
     apart[~inside] = 0
@@ -122,25 +120,15 @@ class TileEvidence:
 
 def evidence_of_sides(
     tiles: Tiles,
+    # Both key frames moved to the slot, and moved along the residual flow as well.
     plain: tuple[Warped, Warped],
     shifted: tuple[Warped, Warped],
-    weight: Float32,
+    weight: Float32,  # [H, W]: how far the frame follows that flow
+    # [H, W, 2]: a motion field of the slot, in which edges of moving surfaces show.
     field: Float32,
-    linear: bool,
+    linear: bool,  # whether colour is scene-linear, and not as shown
 ) -> TileEvidence:
-    """Compare the two sides of a slot.
-
-    Parameters
-    ----------
-    plain, shifted
-        Both key frames moved to the slot, and moved along the residual flow as well.
-    weight
-        float32 [H, W]: how far the frame follows that flow.
-    field
-        float32 [H, W, 2]: a motion field of the slot, in which edges of moving surfaces show.
-    linear
-        Whether colour is scene-linear, and not as shown.
-    """
+    """Compare the two sides of a slot."""
     sides = [_levels(tiles.sample(side.pixels), linear) for side in (*plain, *shifted)]
     apart = sides[0] - sides[1]
     apart += tiles.sample(weight)[..., None] * (sides[2] - sides[3] - apart)
@@ -172,17 +160,12 @@ def beside_edges(field: Float32) -> Bool:
 
 
 def terms_of(
-    tiles: Tiles, evidence: TileEvidence, residual: KeyResidual | None, pixels: Float32
+    tiles: Tiles,
+    evidence: TileEvidence,
+    residual: KeyResidual | None,  # of the frame's key frames; None counts as 0
+    pixels: Float32,  # [H, W, 3 or more]: the new frame, scene-linear
 ) -> F64:
-    """Return the terms of a frame's tiles, float64 [len(TERMS), rows, columns].
-
-    Parameters
-    ----------
-    residual
-        Of the frame's key frames; None counts as 0.
-    pixels
-        float32 [H, W, 3 or more]: the new frame, scene-linear.
-    """
+    """Return the terms of a frame's tiles, float64 [len(TERMS), rows, columns]."""
     stride = tiles.stride
     samples = _levels(tiles.sample(pixels), linear=True)
     steps = np.zeros(samples.shape[:2], np.float32)

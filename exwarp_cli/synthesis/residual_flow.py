@@ -58,13 +58,13 @@ def disagreement(before: Warped, after: Warped) -> Float32:
     return box_mean(mean, SIDE)
 
 
-def search_flow(before: Warped, after: Warped, linear: bool) -> Float32:
+def search_flow(
+    # The key frames, warped to the slot; scene-linear if `linear`, else as shown.
+    before: Warped,
+    after: Warped,
+    linear: bool,
+) -> Float32:
     """Search the motion of light against the surfaces at a slot.
-
-    Parameters
-    ----------
-    before, after
-        The key frames, warped to the slot; scene-linear if `linear`, else as shown.
 
     Returns
     -------
@@ -78,20 +78,13 @@ def search_flow(before: Warped, after: Warped, linear: bool) -> Float32:
     return flow_between(np.where(before.hole, second, first), np.where(after.hole, first, second))
 
 
-def add_flow(plain: Warped, source: SlotField, flow: Float32, apart: Float32) -> SlotField:
-    """Return the motion field of a slot whose light moves along a flow as well.
-
-    Parameters
-    ----------
-    plain
-        A key frame warped without the flow.
-    source
-        From the slot to the key frame.
-    flow
-        float32 [H, W, 2], pixels: from the slot's picture to that of `plain`.
-    apart
-        From `disagreement`; where it is small, nothing is followed.
-    """
+def add_flow(
+    plain: Warped,  # a key frame warped without the flow
+    source: SlotField,  # from the slot to the key frame
+    flow: Float32,  # [H, W, 2], pixels: from the slot's picture to that of `plain`
+    apart: Float32,  # from `disagreement`; where it is small, nothing is followed
+) -> SlotField:
+    """Return the motion field of a slot whose light moves along a flow as well."""
     motion, _ = sample_bilinear(source.field, flow)
     motion += flow
     motion[apart < MIN_DISAGREEMENT] = np.nan
@@ -100,16 +93,13 @@ def add_flow(plain: Warped, source: SlotField, flow: Float32, apart: Float32) ->
     return SlotField(motion, source.depth, hole)
 
 
-def flow_weight(apart: Float32, before: Warped, after: Warped) -> Float32:
-    """Return how much a flow makes two pictures agree, float32 [H, W], 0 to 1.
-
-    Parameters
-    ----------
-    apart
-        From `disagreement`, of the key frames warped without the flow.
-    before, after
-        The key frames warped along it.
-    """
+def flow_weight(
+    apart: Float32,  # from `disagreement`, of the key frames warped without the flow
+    # The key frames warped along it.
+    before: Warped,
+    after: Warped,
+) -> Float32:
+    """Return how much a flow makes two pictures agree, float32 [H, W], 0 to 1."""
     gain = (apart - disagreement(before, after)) / np.maximum(apart, MIN_DISAGREEMENT)
     weight: Float32 = np.clip(GAIN * gain, np.float32(0), np.float32(1))
     weight[before.hole | after.hole] = 0
@@ -124,15 +114,12 @@ class LightFlow:
     weight: Float32  # [H, W], 0 to 1: how well the flow explains what changed on the surfaces
     surface: GBuffer  # of the key frame: motion, depth and ids alone
 
-    def shifted(self, back: SlotField, time: float) -> tuple[SlotField, Float32]:
+    def shifted(
+        self,
+        back: SlotField,  # from the slot to the key frame
+        time: float,  # of the slot, in key intervals after the key frame
+    ) -> tuple[SlotField, Float32]:
         """Return where a slot's light comes from, and how far that is to be followed.
-
-        Parameters
-        ----------
-        back
-            From the slot to the key frame.
-        time
-            Of the slot, in key intervals after the key frame.
 
         Returns
         -------
@@ -204,28 +191,15 @@ def _field_to_older(surface: GBuffer, before: GBuffer, older: OlderKeyFrame) -> 
 
 
 class CarriedLight:
-    """Makes the colour of a slot from the key frame before it: its beauty, then its layers.
-
-    Parameters
-    ----------
-    back
-        Motion field from the slot to the key frame.
-    time
-        Of the slot, in key intervals after the key frame.
-    light
-        How light moves; None where it stays on its surfaces.
-    linear
-        As for `Mover`.
-    coverage
-        Of the pixels beside edges; None where each has the surface of its centre.
-    """
+    """Makes the colour of a slot from the key frame before it: its beauty, then its layers."""
 
     def __init__(
         self,
-        back: SlotField,
-        time: float,
-        light: LightFlow | None,
-        linear: bool = False,
+        back: SlotField,  # motion field from the slot to the key frame
+        time: float,  # of the slot, in key intervals after the key frame
+        light: LightFlow | None,  # how light moves; None where it stays on its surfaces
+        linear: bool = False,  # as for `Mover`
+        # Of the pixels beside edges; None where each has the surface of its centre.
         coverage: Coverage | None = None,
     ) -> None:
         self._mover = Mover(back, linear)

@@ -57,18 +57,14 @@ class _End:
         return replace(self.frame, gbuffer=moved)
 
 
-def vector_spans(interval: Interval, step: float) -> dict[int, float]:
+def vector_spans(
+    interval: Interval,  # in the key setting, with motion
+    step: float,  # from slot to slot, in key intervals
+) -> dict[int, float]:
     """Measure the time span of the vectors of an interval's rendered frames.
 
     Renderers write vectors to the frame beside, which is a key frame or a slot, as the scene was
     set up for that render. They are compared with those that lead from the key frame to the slot.
-
-    Parameters
-    ----------
-    interval
-        In the key setting, with motion.
-    step
-        From slot to slot, in key intervals.
 
     Returns
     -------
@@ -98,17 +94,14 @@ def _vector_span(interval: Interval, slot: int, step: float) -> float | None:
     return nearest if distances[nearest] < NEAR else None
 
 
-def sub_slots(interval: Interval, spans: Mapping[int, float]) -> dict[int, SubSlot]:
+def sub_slots(
+    interval: Interval,  # in the key setting, with motion
+    # Of its rendered frames that are used, as `vector_spans` returns them.
+    spans: Mapping[int, float],
+) -> dict[int, SubSlot]:
     """Return how slots beside rendered frames are made, by slot.
 
     Slots after the last rendered frame are left out where no key frame follows.
-
-    Parameters
-    ----------
-    interval
-        In the key setting, with motion.
-    spans
-        Of its rendered frames that are used, as `vector_spans` returns them.
     """
     if interval.held or not spans:
         return {}

@@ -63,15 +63,11 @@ def stencil_of(gbuffer: GBuffer) -> Int32:
     return gbuffer.stencil if gbuffer.stencil is not None else np.zeros((0, 0), np.int32)
 
 
-def displacement(gbuffer: GBuffer, time: float) -> Float32:
+def displacement(
+    gbuffer: GBuffer,  # with settled motion
+    time: float,  # in steps of the vectors (key intervals, or slots); negative is earlier
+) -> Float32:
     """Return where points of a frame are at another time, minus where they are.
-
-    Parameters
-    ----------
-    gbuffer
-        With settled motion.
-    time
-        In steps of the vectors (key intervals, or slots); negative is earlier.
 
     Returns
     -------
@@ -151,16 +147,14 @@ def _by_vectors(gbuffer: GBuffer, index: Index, time: float) -> Float32:
     return out
 
 
-def follow_points(start: GBuffer, others: Sequence[GBuffer], way: int) -> Float32:
+def follow_points(
+    start: GBuffer,  # with settled motion
+    # The instants after it if `way` is 1, before it if -1, the nearest first; with settled motion
+    # that way.
+    others: Sequence[GBuffer],
+    way: int,
+) -> Float32:
     """Follow the points of one instant through others, one step beyond the last of them.
-
-    Parameters
-    ----------
-    start
-        With settled motion.
-    others
-        The instants after it if `way` is 1, before it if -1, the nearest first; with settled motion
-        that way.
 
     Returns
     -------
@@ -190,18 +184,15 @@ def _depth_or_empty(gbuffer: GBuffer) -> Float32:
     return gbuffer.depth if gbuffer.depth is not None else np.zeros((0, 0), np.float32)
 
 
-def span_motion(steps: Sequence[GBuffer], way: int) -> Float32:
+def span_motion(
+    # At least two, in the order in which the motion runs, with settled motion to the instant that
+    # comes next; the last needs none.
+    steps: Sequence[GBuffer],
+    way: int,  # 1 if that is forward in time, -1 if back
+) -> Float32:
     """Return the motion from the first of successive instants to the last, float32 [H, W, 2] px.
 
     What stands still follows the recovered cameras, what moves is followed from instant to instant.
-
-    Parameters
-    ----------
-    steps
-        At least two, in the order in which the motion runs, with settled motion to the instant
-        that comes next; the last needs none.
-    way
-        1 if that is forward in time, -1 if back.
     """
     start, *others = steps[:-1]
     moved = follow_points(start, others, way)
@@ -231,21 +222,14 @@ Poses = tuple[Pose | None, Pose | None]
 
 
 def move_rigidly(
-    gbuffer: GBuffer, scene: Scene | None, cameras: F64, settled: tuple[Float32, ...]
+    gbuffer: GBuffer,  # as rendered; without ids nothing is done
+    scene: Scene | None,  # the frame's points; without world positions nothing is done
+    cameras: F64,  # [2, 2, 3, 4], from :func:`exwarp_cli.synthesis.camera.cameras_around`
+    # Motion to the previous and to the next frame, float32 [H, 2 W] each, changed; empty where
+    # there is none.
+    settled: tuple[Float32, ...],
 ) -> Float32 | None:
     """Give all pixels of each rigid object the object's own motion.
-
-    Parameters
-    ----------
-    gbuffer
-        As rendered; without ids nothing is done.
-    scene
-        The frame's points; without world positions nothing is done.
-    cameras
-        float64 [2, 2, 3, 4], from :func:`exwarp_cli.synthesis.camera.cameras_around`.
-    settled
-        Motion to the previous and to the next frame, float32 [H, 2 W] each, changed; empty where
-        there is none.
 
     Returns
     -------
@@ -357,15 +341,13 @@ def _between(before: F64, after: F64, time: float) -> F64:
     return out
 
 
-def fit_pose(points: F64, ends: F64, camera: F64) -> Pose | None:
+def fit_pose(
+    # [N, 3], world; float64 [N, 2], pixels, not finite where unknown.
+    points: F64,
+    ends: F64,
+    camera: F64,  # [3, 4], world to pixels of the other frame
+) -> Pose | None:
     """Fit the rigid motion after which points appear at pixels, most of which match.
-
-    Parameters
-    ----------
-    points, ends
-        float64 [N, 3], world; float64 [N, 2], pixels, not finite where unknown.
-    camera
-        float64 [3, 4], world to pixels of the other frame.
 
     Returns
     -------
@@ -436,18 +418,18 @@ def _turn_vector(rotation: F64) -> F64:
     return turn
 
 
-def _moves_along(motion: Float32, index: Index, vectors: Float32, settled: Float32) -> Bool:
+def _moves_along(
+    # [N, 2], the rigid motion of the object's pixels, whose flat indices are `index`.
+    motion: Float32,
+    index: Index,
+    # [H, W, 2], as rendered, and settled without this object.
+    vectors: Float32,
+    settled: Float32,
+) -> Bool:
     """Return which pixels of an object move rigidly, bool [N]; none where the object does not.
 
     Those whose vector is the rigid motion, or a mixture with what is beside the pixel. Single
     pixels among them belong to them; parts that move otherwise, such as a mouth, do not.
-
-    Parameters
-    ----------
-    motion
-        float32 [N, 2], the rigid motion of the object's pixels, whose flat indices are `index`.
-    vectors, settled
-        float32 [H, W, 2], as rendered, and settled without this object.
     """
     y, x = np.divmod(index, vectors.shape[1])
     box = tuple(slice(max(int(each.min()) - 1, 0), int(each.max()) + 2) for each in (y, x))

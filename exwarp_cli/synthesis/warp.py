@@ -83,13 +83,11 @@ class Mover:
         """Invert `codes`, in place."""
         return codes if self._linear else srgb_to_linear(codes)
 
-    def move(self, codes: Float32) -> tuple[Float32, Bool]:
+    def move(
+        self,
+        codes: Float32,  # [H, W, C], from `codes`
+    ) -> tuple[Float32, Bool]:
         """Return moved colour by Lanczos-3, and where it is unseen.
-
-        Parameters
-        ----------
-        codes
-            float32 [H, W, C], from `codes`.
 
         Returns
         -------
@@ -124,13 +122,12 @@ class Mover:
         return self.light(fill_holes(out, self.source.depth, hole))
 
 
-def sample_bilinear(pixels: Float32, field: Float32) -> tuple[Float32, Bool]:
+def sample_bilinear(
+    # [H, W, C]; float32 [H, W, 2] in pixels, NaN where there is no end.
+    pixels: Float32,
+    field: Float32,
+) -> tuple[Float32, Bool]:
     """Sample data, not colour, at the end of a motion field.
-
-    Parameters
-    ----------
-    pixels, field
-        float32 [H, W, C]; float32 [H, W, 2] in pixels, NaN where there is no end.
 
     Returns
     -------
@@ -170,18 +167,16 @@ def fill_nonfinite(pixels: Float32) -> Float32:
     return fill_holes(clean, np.ones(broken.shape, np.float32), broken)
 
 
-def fill_holes(pixels: Float32, depth: Float32, hole: Bool) -> Float32:
+def fill_holes(
+    # [H, W, C]; C-contiguous pixels are changed and returned, which spares a copy.
+    pixels: Float32,
+    depth: Float32,  # [H, W] of the visible surface, +inf background; NaN where unknown
+    hole: Bool,
+) -> Float32:
     """Return a frame with its holes filled from what is visible around them.
 
     Where the surface in a hole is known (slot G-buffers, or a source outside the frame) it is
     filled from the same surface, else from the background.
-
-    Parameters
-    ----------
-    pixels
-        float32 [H, W, C]; C-contiguous pixels are changed and returned, which spares a copy.
-    depth
-        float32 [H, W] of the visible surface, +inf background; NaN where unknown.
     """
     depth = np.ascontiguousarray(depth)
     around = find_hole_neighbours(depth, hole)
@@ -225,15 +220,13 @@ def blend_by_depth(before: Warped, after: Warped, time: float) -> Float32:
     return fill_holes(*mix_by_depth(before, after, time))
 
 
-def mix_by_depth(before: Warped, after: Warped, time: float) -> tuple[Float32, Float32, Bool]:
+def mix_by_depth(
+    # The key frames on both sides, warped to the slot. The pixels of `before` are overwritten.
+    before: Warped,
+    after: Warped,
+    time: float,  # of the slot in the key interval, 0 < time < 1
+) -> tuple[Float32, Float32, Bool]:
     """Blend two warped key frames as softmax splatting does, with the renderer's exact motion.
-
-    Parameters
-    ----------
-    before, after
-        The key frames on both sides, warped to the slot. The pixels of `before` are overwritten.
-    time
-        Of the slot in the key interval, 0 < time < 1.
 
     Returns
     -------
@@ -260,15 +253,14 @@ def cross_fade(before: Float32, after: Float32, time: float) -> Float32:
         return (first + np.float32(time) * (second - first)).astype(np.float32)
 
 
-def interpolate(before: Float32, after: Float32, time: float, network: Interpolator) -> Float32:
+def interpolate(
+    # [H, W, 3 or 4], scene-linear; non-finite pixels are filled from around.
+    before: Float32,
+    after: Float32,
+    time: float,  # of the slot in the key interval, 0 < time < 1
+    network: Interpolator,
+) -> Float32:
     """Have a network make the frame of a slot from the colour of both key frames.
-
-    Parameters
-    ----------
-    before, after
-        float32 [H, W, 3 or 4], scene-linear; non-finite pixels are filled from around.
-    time
-        Of the slot in the key interval, 0 < time < 1.
 
     Returns
     -------
@@ -321,41 +313,26 @@ class _PlaceMovers:
 
 
 class Coverage:
-    """Gives the pixels of a slot that edges pass through the mean of several places inside them.
-
-    Parameters
-    ----------
-    sides
-        The key frame before the slot, or both around it.
-    fields
-        From the slot to each of them.
-    time
-        Of the slot in the key interval.
-    linear
-        As for `Mover`.
-    """
+    """Gives the pixels of a slot that edges pass through the mean of several places inside them."""
 
     def __init__(
         self,
-        sides: Sequence[CoverageSide],
-        fields: Sequence[SlotField],
-        time: float,
-        linear: bool = False,
+        sides: Sequence[CoverageSide],  # the key frame before the slot, or both around it
+        fields: Sequence[SlotField],  # from the slot to each of them
+        time: float,  # of the slot in the key interval
+        linear: bool = False,  # as for `Mover`
     ) -> None:
         self._sides, self._fields, self._time, self._linear = sides, fields, time, linear
         self._crossed: tuple[Index, list[_PlaceMovers]] | None = None
 
-    def cover(self, codes: Sequence[Float32], out: Float32) -> None:
-        """Overwrite a layer's pixels that an edge passes through; the first layer is the beauty.
-
-        Parameters
-        ----------
-        codes
-            float32 [H, W, C] of each key frame, from `Mover.codes`.
-        out
-            float32 [H, W, C], changed; its holes are filled. A place that no key frame shows has
-            the pixel's own colour.
-        """
+    def cover(
+        self,
+        codes: Sequence[Float32],  # float32 [H, W, C] of each key frame, from `Mover.codes`
+        # float32 [H, W, C], changed; its holes are filled. A place that no key frame shows has the
+        # pixel's own colour.
+        out: Float32,
+    ) -> None:
+        """Overwrite a layer's pixels that an edge passes through; the first layer is the beauty."""
         index, places = self._crossed or self._find_crossed()
         if self._linear:  # else no layers follow, and places are memory
             self._crossed = index, places
