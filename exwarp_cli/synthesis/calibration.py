@@ -347,10 +347,10 @@ class _Verdict:
                 error = _convention_error(guess, measured)
                 if error <= HARDLY_BEATS * self.still and error <= CLEARLY_WORSE * self.error:
                     return _untested(guess, f"frames {frames} do not tell it and others apart")
-            known = "are not known" if stated is None else f"say {stated}, which is worse"
+            name_problem = "are not known" if stated is None else f"say {stated}, which is worse"
             raise MotionError(
                 f"frames {frames} do not tell the conventions {read} and others apart and the "
-                f"channel names {known}; give --motion{preset_hint(presets[0])}"
+                f"channel names {name_problem}; give --motion{preset_hint(presets[0])}"
             )
         corrected = guess is not None and self.convention != guess
         named = () if guess is None else (guess.to_previous, guess.to_next)
@@ -372,7 +372,9 @@ class _Verdict:
 
     def _unexplained(self, measured: dict[Key, Evidence], frames: str, preset: str) -> str:
         """Say that nothing explains the motion, what may be the cause, and what to do."""
-        one = " in one of the two directions" if self.error <= BEATS_STILL * self.still else ""
+        direction = (
+            " in one of the two directions" if self.error <= BEATS_STILL * self.still else ""
+        )
         empty = all(evidence.empty for evidence in measured.values())
         cause = (
             "they hold one value everywhere, so the pass is empty, or motion blur was on: switch "
@@ -381,9 +383,9 @@ class _Verdict:
             else "check the pass"
         )
         return (
-            f"no reading of the motion channels explains the motion between frames {frames}{one} "
-            f"(error {self.error:.3f}, {self.still:.3f} without motion); {cause}, or give --motion"
-            f"{'' if empty else preset_hint(preset)}"
+            "no reading of the motion channels explains the motion between frames "
+            f"{frames}{direction} (error {self.error:.3f}, {self.still:.3f} without motion); "
+            f"{cause}, or give --motion{'' if empty else preset_hint(preset)}"
         )
 
 

@@ -317,11 +317,8 @@ def rank_jointly(
     Each direction by itself may be explained a little better by another span: vectors over one
     frame of four, read as three of them in a shot that slows down.
 
-    Returns
-    -------
-    tuple or None
-        The readings, and the error of the best such reading that moves points elsewhere. None
-        where the directions agree already, or are clearly better apart.
+    The readings, and the error of the best such reading that moves points elsewhere. None where the
+    directions agree already, or are clearly better apart.
     """
     if len(chosen) != 2 or is_alike(*(axes for _, axes in chosen.values())):
         return None

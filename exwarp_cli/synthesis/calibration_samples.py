@@ -318,28 +318,28 @@ def make_trail(pair: KeyPair, later: bool) -> Trail | None:
 
     With `later` they start from the earlier key frame. None where there are too few pixels.
     """
-    here, there = (pair.before, pair.after) if later else (pair.after, pair.before)
+    frame, neighbour = (pair.before, pair.after) if later else (pair.after, pair.before)
     fields = pair.vectors[:-1] if later else pair.vectors[:0:-1]
     first = fields[0].reshape(-1, fields[0].shape[-1])
     usable, moving = np.isfinite(first).all(axis=1), is_moving(first)
     rows, columns = np.divmod(np.arange(len(first)), fields[0].shape[1])
     y, x = rows * pair.stride, columns * pair.stride
-    height, width, _ = here.shape
+    height, width, _ = frame.shape
     usable &= (y > 0) & (y < height - 1) & (x > 0) & (x < width - 1)
-    loss = np.linalg.norm(here[y, x] - there[y, x], axis=1) / COLOUR_TOLERANCE
+    loss = np.linalg.norm(frame[y, x] - neighbour[y, x], axis=1) / COLOUR_TOLERANCE
     chosen, _ = _choose(usable, moving, usable, np.minimum(loss, 1).astype(np.float64))
     if len(chosen) < MIN_SAMPLES:
         return None
     y, x = y[chosen], x[chosen]
     xy = np.stack([x, y], axis=1).astype(np.float64)
-    colour = _colour_observable(here, there, y, x, pair.noise)
+    colour = _colour_observable(frame, neighbour, y, x, pair.noise)
     return Trail(xy, first[chosen], (colour,), fields=fields, stride=pair.stride)
 
 
 def make_probes(
-    here: FrameSamples, there: FrameSamples, pairs: Sequence[Sequence[int]]
+    frame: FrameSamples, neighbour: FrameSamples, pairs: Sequence[Sequence[int]]
 ) -> list[Probe | None]:
-    """Sample pixels of `here` where motion channels hold values, to look them up in `there`.
+    """Sample pixels of `frame` where motion channels hold values, to look them up in `neighbour`.
 
     Returns a probe for each of `pairs` of channels that have to hold values; None where there are
     too few pixels, or nothing distinguishes them.
@@ -347,32 +347,32 @@ def make_probes(
     probes: dict[bytes, Probe | None] = {}
     for_each = []
     for channels in pairs:
-        usable = here.usable & np.isfinite(here.motion[:, list(channels)]).all(axis=-1)
+        usable = frame.usable & np.isfinite(frame.motion[:, list(channels)]).all(axis=-1)
         mask = usable.tobytes()
         if mask not in probes:  # mostly all channels hold values at the same pixels
-            probes[mask] = _make_probe(here, there, usable)
+            probes[mask] = _make_probe(frame, neighbour, usable)
         for_each.append(probes[mask])
     return for_each
 
 
-def _make_probe(here: FrameSamples, there: FrameSamples, usable: Bool) -> Probe | None:
-    if here.still is not None:
-        still = usable & here.still
+def _make_probe(frame: FrameSamples, neighbour: FrameSamples, usable: Bool) -> Probe | None:
+    if frame.still is not None:
+        still = usable & frame.still
         usable = still if np.count_nonzero(still) >= MIN_SAMPLES else usable
     if np.count_nonzero(usable) < MIN_SAMPLES:
         return None
     resting = False
-    chosen = _spread(usable & here.regular)
-    if here.position is None:
-        chosen, resting = _choose(usable, here.moving, here.regular, _changes(here, there))
+    chosen = _spread(usable & frame.regular)
+    if frame.position is None:
+        chosen, resting = _choose(usable, frame.moving, frame.regular, _changes(frame, neighbour))
     if len(chosen) < MIN_SAMPLES:
         return None
-    y, x = here.y[chosen], here.x[chosen]
-    observables = _observe(here, there, y, x)
+    y, x = frame.y[chosen], frame.x[chosen]
+    observables = _observe(frame, neighbour, y, x)
     if not observables:
         return None
     xy = np.stack([x, y], axis=1).astype(np.float64)
-    return Probe(xy, here.motion[chosen], observables, resting)
+    return Probe(xy, frame.motion[chosen], observables, resting)
 
 
 def _spread(usable: Bool) -> Index:
@@ -393,10 +393,7 @@ def _choose(
     What rests by its vectors, and shows no change, decides nothing: of a hundred pixels of which
     one moves it is 99 % of every reading's success.
 
-    Returns
-    -------
-    tuple
-        Indices, and whether these are the moving pixels before a resting camera.
+    Indices, and whether these are the moving pixels before a resting camera.
     """
     even = _spread(usable & regular)
     movers, resting = usable & moving, usable & regular & ~moving
@@ -408,50 +405,52 @@ def _choose(
     return _spread(movers), True
 
 
-def _changes(here: FrameSamples, there: FrameSamples) -> F64:
+def _changes(frame: FrameSamples, neighbour: FrameSamples) -> F64:
     """Return how far pixels of the grid change at their place, 0 to 1: by colour, else by depth."""
-    y, x = here.y, here.x
-    if here.perceived is not None and there.perceived is not None:
-        apart = here.perceived[y, x].astype(np.float64) - there.perceived[y, x]
+    y, x = frame.y, frame.x
+    if frame.perceived is not None and neighbour.perceived is not None:
+        apart = frame.perceived[y, x].astype(np.float64) - neighbour.perceived[y, x]
         gap = np.linalg.norm(apart, axis=1)
         return np.asarray(np.minimum(gap / COLOUR_TOLERANCE, 1), np.float64)
-    if here.depth is None or there.depth is None:
+    if frame.depth is None or neighbour.depth is None:
         return np.zeros(len(y))
-    depth = np.asarray(here.depth[y, x], np.float64)
+    depth = np.asarray(frame.depth[y, x], np.float64)
     tolerance = DEPTH_TOLERANCE * depth + _level_gaps(depth, depth)
     with np.errstate(invalid="ignore"):
-        apart = np.abs(depth - there.depth[y, x]) / tolerance
+        apart = np.abs(depth - neighbour.depth[y, x]) / tolerance
     return np.asarray(np.where(np.isfinite(apart), np.minimum(apart, 1), 1), np.float64)
 
 
-def _observe(here: FrameSamples, there: FrameSamples, y: Index, x: Index) -> tuple[Observable, ...]:
+def _observe(
+    frame: FrameSamples, neighbour: FrameSamples, y: Index, x: Index
+) -> tuple[Observable, ...]:
     """Return what identifies surface points."""
-    if here.position is not None and there.position is not None:
-        values = here.position[y, x].astype(np.float64)
-        image = np.ascontiguousarray(there.position)
+    if frame.position is not None and neighbour.position is not None:
+        values = frame.position[y, x].astype(np.float64)
+        image = np.ascontiguousarray(neighbour.position)
         return (
-            Observable(values, image, _pixel_size(here.position, y, x), 1.0, _floor(here.noise)),
+            Observable(values, image, _pixel_size(frame.position, y, x), 1.0, _floor(frame.noise)),
         )
     out = []
-    if here.depth is not None and there.depth is not None:
-        depth = here.depth[y, x].astype(np.float64)
-        every = here.depth[here.y, here.x].astype(np.float64)
+    if frame.depth is not None and neighbour.depth is not None:
+        depth = frame.depth[y, x].astype(np.float64)
+        every = frame.depth[frame.y, frame.x].astype(np.float64)
         tolerance = DEPTH_TOLERANCE * depth + _level_gaps(every, depth)
-        weight = _distinction(here.depth[..., None], y, x, tolerance)
-        image = np.ascontiguousarray(there.depth[..., None])
+        weight = _distinction(frame.depth[..., None], y, x, tolerance)
+        image = np.ascontiguousarray(neighbour.depth[..., None])
         out.append(Observable(depth[:, None], image, tolerance, weight))
-    if here.perceived is not None and there.perceived is not None:
-        out.append(_colour_observable(here.perceived, there.perceived, y, x, here.noise))
+    if frame.perceived is not None and neighbour.perceived is not None:
+        out.append(_colour_observable(frame.perceived, neighbour.perceived, y, x, frame.noise))
     return tuple(out)
 
 
 def _colour_observable(
-    here: Float32, there: Float32, y: Index, x: Index, noise: float
+    frame: Float32, neighbour: Float32, y: Index, x: Index, noise: float
 ) -> Observable:
     tolerance = np.full(len(y), COLOUR_TOLERANCE)
-    weight = _distinction(here, y, x, tolerance)
-    values = here[y, x].astype(np.float64)
-    return Observable(values, np.ascontiguousarray(there), tolerance, weight, _floor(noise))
+    weight = _distinction(frame, y, x, tolerance)
+    values = frame[y, x].astype(np.float64)
+    return Observable(values, np.ascontiguousarray(neighbour), tolerance, weight, _floor(noise))
 
 
 def _floor(noise: float) -> float:

@@ -130,12 +130,9 @@ def camera_after(
 ) -> Camera | None:
     """Recover the camera of another instant from the motion to it.
 
-    Returns
-    -------
-    Camera or None
-        In the scene's own world; None if no camera explains the motion.
+    In the scene's own world; None if no camera explains the motion.
     """
-    return _fit_cameras(scene, [_displacement_lookup(vectors)], stencil)[0]
+    return camera_by(scene, vectors.reshape(-1, 2).__getitem__, stencil)
 
 
 def camera_by(scene: Scene, motion_at: MotionAt, stencil: Int32 | None) -> Camera | None:
@@ -151,24 +148,18 @@ def cameras_around(
 ) -> F64:
     """Recover the cameras of several instants, in the layout of the kernel that settles motion.
 
-    Returns
-    -------
-    float64 [N, 2, 3, 4]
-        Of each instant for points, and for background at infinity; NaN where there is none.
+    Returns float64 [N, 2, 3, 4]: of each instant for points, and for background at infinity; NaN
+    where there is none.
     """
     out = np.full((len(vectors), 2, 3, 4), np.nan)
     if scene is None:
         return out
-    motions = [None if motion is None else _displacement_lookup(motion) for motion in vectors]
+    motions = [None if each is None else each.reshape(-1, 2).__getitem__ for each in vectors]
     for matrices, camera in zip(out, _fit_cameras(scene, motions, stencil), strict=True):
         if camera is not None:
             matrices[0], matrices[1, :, :3] = camera.matrix, _homography_at_infinity(scene, camera)
             matrices[1, :, 3] = 1.0
     return out
-
-
-def _displacement_lookup(vectors: Float32) -> MotionAt:
-    return vectors.reshape(-1, 2).__getitem__
 
 
 def _fit_cameras(
@@ -232,10 +223,7 @@ def fit(
 ) -> Camera | None:
     """Fit a projection to points at pixels, most of which match.
 
-    Returns
-    -------
-    Camera or None
-        None with too few points, with points on one plane, or if no camera explains half of them.
+    None with too few points, with points on one plane, or if no camera explains half of them.
 
     Notes
     -----
@@ -248,7 +236,10 @@ def fit(
     if len(points) < MIN_SAMPLES:
         return None
     to_unit, unit_points = _normalise_points(points)
-    from_unit, unit_pixels = _normalise_pixels(pixels)
+    centre, spread = pixels.mean(axis=0), float(pixels.std()) or 1.0
+    unit_pixels = (pixels - centre) / spread
+    from_unit = np.diag([spread, spread, 1.0])
+    from_unit[:2, 2] = centre
     system = _LinearSystem(unit_points, unit_pixels)
     weights = np.ones(len(points))
     if movers:
@@ -285,15 +276,6 @@ def _normalise_points(points: F64) -> tuple[F64, F64]:
     transform[:3] /= spread
     moved = points @ transform.T
     return transform, moved / moved[:, 3:]
-
-
-def _normalise_pixels(pixels: F64) -> tuple[F64, F64]:
-    """Return the 3x3 transform back to pixels, and the pixels centred and of unit spread."""
-    centre = pixels.mean(axis=0)
-    spread = float(pixels.std()) or 1.0
-    back = np.diag([spread, spread, 1.0])
-    back[:2, 2] = centre
-    return back, (pixels - centre) / spread
 
 
 def _least_median_weights(points: F64, pixels: F64) -> F64:

@@ -236,8 +236,8 @@ def compare_thumbnails(before: Thumbnail, after: Thumbnail) -> CutEvidence:
     if dark <= BLACK and not to_black:
         return CutEvidence(False)
     ways = [
-        Alignment.along(here, there, vectors, back)
-        for here, there, vectors, back in (
+        Alignment.along(frame, neighbour, vectors, back)
+        for frame, neighbour, vectors, back in (
             (before, after, before.to_next, after.to_previous),
             (after, before, after.to_previous, before.to_next),
         )
@@ -256,7 +256,8 @@ def compare_thumbnails(before: Thumbnail, after: Thumbnail) -> CutEvidence:
         return CutEvidence(True, colour, geometry, judged_by)
     shifted, found = gain_of_shifts(before.light, after.light), False
     if shifted is not None:
-        tones = _tone_difference(before.light, after.light)
+        a, b = (np.sort(thumbnail.light, axis=None) for thumbnail in (before, after))
+        tones = float(2 * np.abs(a - b).mean() / (a.std() + b.std() + 1e-6))
         if ways:
             found = shifted < (ALIKE_SHIFT if tones <= ALIKE_TONES else SURE_SHIFT)
         else:
@@ -282,18 +283,12 @@ def _highest(values: Iterable[float | None]) -> float | None:
     return max((value for value in values if value is not None), default=None)
 
 
-def _tone_difference(before: Float32, after: Float32) -> float:
-    """Return how far distributions of light are apart, in their mean deviation."""
-    a, b = np.sort(before, axis=None), np.sort(after, axis=None)
-    return float(2 * np.abs(a - b).mean() / (a.std() + b.std() + 1e-6))
-
-
 @dataclass(frozen=True)
 class Alignment:
     """One frame aligned with its neighbour, along its vectors."""
 
-    here: Thumbnail
-    there: Thumbnail
+    frame: Thumbnail
+    neighbour: Thumbnail
     target: Float32  # [h, w, 2]: place of each cell in the other frame, in cells; inside it, or 0
     # [h, w]: cells whose vectors are known and lead to a place inside. Where there are surfaces,
     # background does not count: its vectors are often missing, or 0 whatever the camera does.
@@ -306,11 +301,11 @@ class Alignment:
 
     @classmethod
     def along(
-        cls, here: Thumbnail, there: Thumbnail, vectors: Float32, back: Float32 | None
+        cls, frame: Thumbnail, neighbour: Thumbnail, vectors: Float32, back: Float32 | None
     ) -> Alignment:
         """Follow vectors [h, w, 2], in cells, and compare them with those back."""
-        height, width = here.light.shape
-        counting = here.surface
+        height, width = frame.light.shape
+        counting = frame.surface
         if np.count_nonzero(counting) < MIN_LANDED * counting.size:
             counting = np.ones(counting.shape, np.bool_)
         finite = np.asarray(np.isfinite(vectors).all(axis=-1))
@@ -327,47 +322,47 @@ class Alignment:
             staying = int((counting & (inside | ~finite)).sum())
             trusted = int(returned.sum()) / max(staying, 1)
         leads_away = int(landed.sum()) < MIN_LANDED * int((counting & finite).sum())
-        return cls(here, there, target, landed, trusted, leads_away)
+        return cls(frame, neighbour, target, landed, trusted, leads_away)
 
     def colour(self) -> float | None:
         """Return how well patterns of light agree; None without any."""
-        sampled = _sample_bilinear(self.there.light, self.target)[..., None]
-        agreement = correlation(self.here.light[..., None], sampled, self.landed, CONTRAST)
+        sampled = _sample_bilinear(self.neighbour.light, self.target)[..., None]
+        agreement = correlation(self.frame.light[..., None], sampled, self.landed, CONTRAST)
         return None if agreement is None else agreement * self.trusted
 
     def normals(self) -> float | None:
         """Return how well patterns of normals agree."""
-        if self.here.normal is None or self.there.normal is None:
+        if self.frame.normal is None or self.neighbour.normal is None:
             return None
         x, y = _nearest_cells(self.target)
-        agreement = correlation(self.here.normal, self.there.normal[y, x], self._both, 0.1)
+        agreement = correlation(self.frame.normal, self.neighbour.normal[y, x], self._both, 0.1)
         return self._weigh_surfaces(agreement)
 
     def depths(self) -> float | None:
         """Return how well inverse depth agrees, of which a plane is a plane in every view."""
-        if self.here.depth is None or self.there.depth is None:
+        if self.frame.depth is None or self.neighbour.depth is None:
             return None
         x, y = _nearest_cells(self.target)
         both = self._both
         a, b = (
             np.divide(1, depth, out=np.zeros(both.shape), where=both & (depth != 0))[..., None]
-            for depth in (self.here.depth, self.there.depth[y, x])
+            for depth in (self.frame.depth, self.neighbour.depth[y, x])
         )
         return self._weigh_surfaces(correlation(a, b, both, 0.03, relative=True))
 
     def positions(self) -> float | None:
         """Return the share of still cells that find their world position again, near the target."""
-        here, there = self.here, self.there
-        if here.position is None or there.position is None:
+        frame, neighbour = self.frame, self.neighbour
+        if frame.position is None or neighbour.position is None:
             return None
-        size = _cell_size(here.position)
-        allowed = 2 * size + np.abs(here.position).max(axis=-1) * 2.0**-9
+        size = _cell_size(frame.position)
+        allowed = 2 * size + np.abs(frame.position).max(axis=-1) * 2.0**-9
         still = self.landed
-        if here.stencil is None:  # a point may move as far in the world as it does on the screen
+        if frame.stencil is None:  # a point may move as far in the world as it does on the screen
             moved = np.linalg.norm(self.target - _cell_places(*still.shape), axis=-1)
             allowed = allowed + size * np.minimum(moved, 8)
         else:
-            still = still & (here.stencil == 0)
+            still = still & (frame.stencil == 0)
         chosen = np.zeros_like(still)
         chosen[::2, ::2] = still[::2, ::2]  # enough
         if np.count_nonzero(chosen) < MIN_LANDED * still.size / 4:
@@ -377,19 +372,19 @@ class Alignment:
         for dy, dx in np.ndindex(3, 3):
             row = np.clip(y + dy - 1, 0, still.shape[0] - 1)
             column = np.clip(x + dx - 1, 0, still.shape[1] - 1)
-            gap = np.linalg.norm(there.position[row, column] - here.position[chosen], axis=-1)
-            is_found |= there.surface[row, column] & (gap < allowed[chosen])
+            gap = np.linalg.norm(neighbour.position[row, column] - frame.position[chosen], axis=-1)
+            is_found |= neighbour.surface[row, column] & (gap < allowed[chosen])
         return float(is_found.mean())
 
     @property
     def _both(self) -> Bool:
         """Cells that show a surface in both frames."""
         x, y = _nearest_cells(self.target)
-        return self.landed & self.here.surface & self.there.surface[y, x]
+        return self.landed & self.frame.surface & self.neighbour.surface[y, x]
 
     def _weigh_surfaces(self, agreement: float | None) -> float | None:
         """Count surfaces that lead to background as such that disagree."""
-        landed = np.count_nonzero(self.landed & self.here.surface)
+        landed = np.count_nonzero(self.landed & self.frame.surface)
         if landed < MIN_LANDED * self.landed.size:
             return None
         share = np.count_nonzero(self._both) / landed
@@ -399,27 +394,27 @@ class Alignment:
 
 
 def correlation(
-    here: np.ndarray, there: np.ndarray, known: Bool, contrast: float, relative: bool = False
+    frame: np.ndarray, neighbour: np.ndarray, valid: Bool, contrast: float, relative: bool = False
 ) -> float | None:
     """Return the mean of :func:`correlations`; None with too few blocks that have structure."""
-    each = correlations(here, there, known, contrast, relative)
+    each = correlations(frame, neighbour, valid, contrast, relative)
     finite = np.isfinite(each)
     return float(each[finite].mean()) if np.count_nonzero(finite) >= MIN_BLOCKS else None
 
 
 def correlations(
     # [h, w, C]: values of the cells, and of their places in the other frame.
-    here: np.ndarray,
-    there: np.ndarray,
-    known: Bool,  # [h, w]: cells that count. A block counts with half of its cells.
-    contrast: float,  # deviation of `here` within a block from which it counts
-    # Count values in those of the block's mean `here`; for C = 1 and values not below 0.
+    frame: np.ndarray,
+    neighbour: np.ndarray,
+    valid: Bool,  # [h, w]: cells that count. A block counts with half of its cells.
+    contrast: float,  # deviation of `frame` within a block from which it counts
+    # Count values in those of the block's mean `frame`; for C = 1 and values not below 0.
     relative: bool = False,
 ) -> F64:
     """Return the correlation within each block, [N]; NaN in those without structure."""
-    mask = _blocks(known[..., None])
+    mask = _blocks(valid[..., None])
     count = mask.sum(axis=1, keepdims=True)
-    a, b = (np.where(mask, _blocks(values), 0).astype(np.float64) for values in (here, there))
+    a, b = (np.where(mask, _blocks(values), 0).astype(np.float64) for values in (frame, neighbour))
     if relative:
         level = np.maximum(a.sum(axis=1, keepdims=True) / np.maximum(count, 1), 1e-30)
         a, b = a / level, b / level

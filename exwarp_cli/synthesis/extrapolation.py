@@ -149,19 +149,19 @@ def prepare(
     warped: Float32,  # [H, W, C], scene-linear: W's frame of the slot
     # The slot's motion field to the key frame, and its surfaces.
     back: SlotField,
-    seen: HistorySamples,
+    samples: HistorySamples,
     # F_k, and F_k-1 and F_k-2 as far as they exist. Those in other light are left out.
     key: KeyFrame,
     past: Sequence[OlderKeyFrame],
     scratch: ScratchFrames = IN_MEMORY,  # where large arrays wait for the network
 ) -> Prepared:
     """Gather what the network needs for a slot."""
-    modulation = modulation_of(seen.surface)
-    if modulation is not None and seen.unknown.any():
-        assert seen.surface.depth is not None
-        modulation = fill_holes(modulation, seen.surface.depth, seen.unknown)
+    modulation = modulation_of(samples.surface)
+    if modulation is not None and samples.unknown.any():
+        assert samples.surface.depth is not None
+        modulation = fill_holes(modulation, samples.surface.depth, samples.unknown)
     modulation = scratch.store(modulation)
-    surface = seen.surface.without(*SMOOTH)  # whose colours are in the modulation
+    surface = samples.surface.without(*SMOOTH)  # whose colours are in the modulation
 
     def move(frame: KeyFrame, source: SlotField) -> MovedFrame:
         mover, shading = Mover(source), None if modulation is None else demodulated(frame)
@@ -176,7 +176,7 @@ def prepare(
         filled[..., :3] /= modulation
         filled = scratch.store(filled)
     history, older = [newest], []
-    for step, field, hidden in zip(past, seen.fields, seen.hidden, strict=False):
+    for step, field, hidden in zip(past, samples.fields, samples.hidden, strict=False):
         moved = move(step.frame, SlotField(field, back.depth, hidden))
         if is_lit_alike(newest.pixels, moved.pixels, newest.visible & moved.visible):
             history.append(moved)

@@ -219,11 +219,8 @@ def camera_end(
 ) -> float | None:
     """Find the value at the camera, for values that grow towards it.
 
-    Returns
-    -------
-    float or None
-        Infinity where values are the inverse of the distance. None where no camera explains the
-        motion by either, or all do alike because the camera only turns, or stands.
+    Infinity where values are the inverse of the distance. None where no camera explains the motion
+    by either, or all do alike because the camera only turns, or stands.
     """
     index = sample_surfaces(values)
     if not index.size:

@@ -184,10 +184,7 @@ def adapt_motion_to_holds(
     - vectors lead one way alone, and those of one key frame are 0 because of the hold beyond it:
       those of the other key frame lead it, reversed.
 
-    Returns
-    -------
-    tuple of KeyFrame
-        The same where nothing stands.
+    The same where nothing stands.
     """
     first = key.gbuffer
     second = None if following is None else following.gbuffer

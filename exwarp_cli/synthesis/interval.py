@@ -302,8 +302,8 @@ class Interval:
             assert key is not None  # the motion came from it
             history = self._history = self._history or KeyHistory(key, self.past, self.scratch)
             scene = self._scene(slot) if self.slots else None
-            seen = look_back(slot, back, self.slots, history, scene)
-            self._looked[slot] = self.scratch.store(seen)
+            samples = look_back(slot, back, self.slots, history, scene)
+            self._looked[slot] = self.scratch.store(samples)
         return self._looked[slot]
 
     def _scene(self, index: int) -> Scene | None:
@@ -316,9 +316,9 @@ class Interval:
 
     def prepared(self, slot: int) -> Prepared:
         """Return what a network needs to extrapolate to a slot, 1 to 3."""
-        seen = self.look_back(slot)
+        samples = self.look_back(slot)
         return prepare(
-            slot, self.warped(slot), self.back(slot), seen, self.key, self.past, self.scratch
+            slot, self.warped(slot), self.back(slot), samples, self.key, self.past, self.scratch
         )
 
     def extrapolated(self, slot: int) -> Float32:
@@ -435,11 +435,8 @@ def tile_features(
 ) -> F64:
     """Return the features of a slot's tiles, by which a policy chooses what makes each of them.
 
-    Returns
-    -------
-    float64 [rows, columns, 6]
-        In the order of `TILE_FEATURES`; the key residuals are 0 after the first key frame of a
-        shot.
+    Returns float64 [rows, columns, 6]: in the order of `TILE_FEATURES`; the key residuals are 0
+    after the first key frame of a shot.
     """
     # Earth mover's distances of the tiles' normals and positions, as the paper has them of frames,
     # were tried as well: at a quarter of the area the choice was no better for them, and they took

@@ -266,10 +266,7 @@ def _both_frames(
 def predict_both_ways(interval: Interval, slot: int, lookahead: bool) -> tuple[Float32, Float32]:
     """Predict a slot by warping and by a network, as the gate compares them.
 
-    Returns
-    -------
-    tuple of float32 [H, W, C]
-        Scene-linear: of `softsplat` and `lookahead`, or else of W and E.
+    Returns scene-linear float32 [H, W, C]: of `softsplat` and `lookahead`, or else of W and E.
     """
     if not lookahead:
         return _warp(interval, slot).pixels, interval.extrapolated(slot)

@@ -206,10 +206,7 @@ def extrapolate_in(
 ) -> Float32:
     """Run a network in chosen tiles, bool [rows, columns], and in the ramps around them.
 
-    Returns
-    -------
-    float32 [3, H, W]
-        0 where nothing was asked for.
+    Returns float32 [3, H, W]: 0 where nothing was asked for.
     """
     out = np.zeros((3, *mosaic.shape), np.float32)
     cores: list[tuple[slice, slice, Float32]] = []

@@ -193,12 +193,14 @@ def compose(
     step = slot.to_next if way > 0 else slot.to_previous
     assert step is not None
     field = follow_points(slot, others[::-1], way)
-    scene, beside, last = (None if each is None or each.camera is None else each for each in scenes)
-    if scene is not None and beside is not None and last is not None:
+    scene, adjacent, last = (
+        None if each is None or each.camera is None else each for each in scenes
+    )
+    if scene is not None and adjacent is not None and last is not None:
         # What stands still is placed by the cameras: followed motion goes astray where a nearer
         # surface covers the point in between, though slot and key frame both show it.
-        assert beside.camera is not None and last.camera is not None
-        still = np.isinf(scene.depth) | standing(scene, beside.camera, step, STATIC_TOLERANCE)
+        assert adjacent.camera is not None and last.camera is not None
+        still = np.isinf(scene.depth) | standing(scene, adjacent.camera, step, STATIC_TOLERANCE)
         place_still(scene, last.camera, still, field, kept=True)
     return field_between(slot, key, field, len(slots))
 
@@ -242,10 +244,7 @@ def find_moving(
 ) -> Bool | None:
     """Find the pixels whose world position changes; background never does.
 
-    Returns
-    -------
-    bool [H, W] or None
-        None if no camera is recovered.
+    Returns bool [H, W]; None if no camera is recovered.
     """
     scene = scene_of(now)
     # World positions of both instants give both cameras, however much of the frame moves. The

@@ -84,8 +84,8 @@ def key_residual(
     moved, inside = _sample_bilinear(other.image.pixels, tiles, motion)
     apart = _mean_square(_levels(tiles.sample(frame.image.pixels), linear=True) - moved)
     apart[~inside] = 0
-    beside = beside_edges(tiles.sample(motion))
-    light, moving = tiles.means([np.where(beside, 0, apart), np.where(beside, apart, 0)])
+    at_edges = beside_edges(tiles.sample(motion))
+    light, moving = tiles.means([np.where(at_edges, 0, apart), np.where(at_edges, apart, 0)])
     return KeyResidual(light, moving)
 
 
@@ -135,8 +135,8 @@ def evidence_of_sides(
     before, after = (tiles.sample(side.hole) for side in plain)
     squares = _mean_square(apart)
     squares[before | after] = 0
-    beside = beside_edges(tiles.sample(field))
-    maps = np.where(beside, 0, squares), np.where(beside, squares, 0), before & after
+    at_edges = beside_edges(tiles.sample(field))
+    maps = np.where(at_edges, 0, squares), np.where(at_edges, squares, 0), before & after
     return TileEvidence(*tiles.means(maps))
 
 

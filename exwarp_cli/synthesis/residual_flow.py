@@ -66,10 +66,7 @@ def search_flow(
 ) -> Float32:
     """Search the motion of light against the surfaces at a slot.
 
-    Returns
-    -------
-    float32 [H, W, 2]
-        Pixels, from the picture of `before` to that of `after`.
+    Returns float32 [H, W, 2] in pixels, from the picture of `before` to that of `after`.
     """
     first, second = (
         grey_of(linear_to_srgb(side.pixels) if linear else side.pixels) for side in (before, after)

@@ -66,10 +66,7 @@ def vector_spans(
     Renderers write vectors to the frame beside, which is a key frame or a slot, as the scene was
     set up for that render. They are compared with those that lead from the key frame to the slot.
 
-    Returns
-    -------
-    dict
-        By slot, 1 for a key interval or `step`. Frames whose vectors fit neither are left out.
+    By slot, 1 for a key interval or `step`. Frames whose vectors fit neither are left out.
     """
     spans = {slot: _vector_span(interval, slot, step) for slot in interval.rendered}
     return {slot: span for slot, span in spans.items() if span is not None}

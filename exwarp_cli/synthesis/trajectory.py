@@ -69,12 +69,9 @@ def displacement(
 ) -> Float32:
     """Return where points of a frame are at another time, minus where they are.
 
-    Returns
-    -------
-    float32 [H, W, 2]
-        Pixels. With n the displacement to the next frame and p to the previous one, the parabola
-        through both, t (n - p) / 2 + t² (n + p) / 2; else t n, or -t p, constant velocity. Rigid
-        objects that turn go on arcs.
+    Returns float32 [H, W, 2] in pixels. With n the displacement to the next frame and p to the
+    previous one, the parabola through both, t (n - p) / 2 + t² (n + p) / 2; else t n, or -t p,
+    constant velocity. Rigid objects that turn go on arcs.
     """
     return _displacement(gbuffer, time, np.zeros((0, 0, 2), np.float32))
 
@@ -156,11 +153,9 @@ def follow_points(
 ) -> Float32:
     """Follow the points of one instant through others, one step beyond the last of them.
 
-    Returns
-    -------
-    float32 [H, W, 2]
-        Displacement in pixels over one step more than there are others. Where another surface
-        hides a point on its way, by its id or its depth, it continues by its own vectors.
+    Returns float32 [H, W, 2]: displacement in pixels over one step more than there are others.
+    Where another surface hides a point on its way, by its id or its depth, it continues by its own
+    vectors.
     """
     step = start.to_next if way > 0 else start.to_previous
     assert step is not None
@@ -231,10 +226,7 @@ def move_rigidly(
 ) -> Float32 | None:
     """Give all pixels of each rigid object the object's own motion.
 
-    Returns
-    -------
-    float32 [2, H, W, 2] or None
-        As in :class:`exwarp_cli.domain.frame.GBuffer`, `bend`.
+    Returns the `bend` of :class:`exwarp_cli.domain.frame.GBuffer`, if any object turns.
     """
     if scene is None or scene.camera is None or gbuffer.stencil is None:
         return None
@@ -349,10 +341,7 @@ def fit_pose(
 ) -> Pose | None:
     """Fit the rigid motion after which points appear at pixels, most of which match.
 
-    Returns
-    -------
-    Pose or None
-        None with too few points, or if one of them comes to lie behind the camera.
+    None with too few points, or if one of them comes to lie behind the camera.
 
     Notes
     -----

@@ -262,10 +262,7 @@ def interpolate(
 ) -> Float32:
     """Have a network make the frame of a slot from the colour of both key frames.
 
-    Returns
-    -------
-    float32 [H, W, 3 or 4]
-        Scene-linear, premultiplied alpha; a new array.
+    Returns float32 [H, W, 3 or 4]: scene-linear, premultiplied alpha; a new array.
     """
     return pool.copy(network(fill_nonfinite(before), fill_nonfinite(after), time))
 
@@ -309,7 +306,7 @@ class _PlaceMovers:
 
     movers: list[Mover]  # of each key frame
     share: Float32 | None
-    seen: Bool
+    visible: Bool
 
 
 class Coverage:
@@ -343,19 +340,19 @@ class Coverage:
         centre = pixels[index]
         total = np.zeros((count, channels), np.float32)
         for place in places:
-            colour, seen = _colour_at(place, codes)
+            colour, visible = _colour_at(place, codes)
             colour = colour.reshape(-1, channels)[:count]
-            total += weight * np.where(seen.reshape(-1)[:count, None], colour, centre)
+            total += weight * np.where(visible.reshape(-1)[:count, None], colour, centre)
         pixels[index] = total
 
     def _find_crossed(self) -> tuple[Index, list[_PlaceMovers]]:
         """Find the pixels that edges pass through, and what lies at the places inside them."""
-        beside: Bool = np.zeros(self._fields[0].depth.shape, np.bool_)
+        near_edges: Bool = np.zeros(self._fields[0].depth.shape, np.bool_)
         # Not in a fringe, whose colour is that of a nearer surface. What moves as one keeps the
         # mixed colour of its edges, which places inside would blur.
         for field in self._fields:
-            find_moving_edges(field.depth, field.field, field.fringe, beside)
-        index = np.flatnonzero(beside)
+            find_moving_edges(field.depth, field.field, field.fringe, near_edges)
+        index = np.flatnonzero(near_edges)
         centres = [field.field.reshape(-1, 2)[index] for field in self._fields]
         places = [self._look(offset, index) for offset in PLACES]
         crossed = np.zeros(len(index), np.bool_)
@@ -417,9 +414,9 @@ def _colour_at(place: _PlaceMovers, codes: Sequence[Float32]) -> tuple[Float32, 
     moved = [mover.move(each) for mover, each in zip(place.movers, codes, strict=True)]
     first, lost = moved[0]
     if place.share is None:
-        return first, place.seen & ~lost
+        return first, place.visible & ~lost
     second, second_lost = moved[1]
     # A source that is not finite, or outside its frame, leaves all to the other one.
     share = np.where(lost, np.float32(1), np.where(second_lost, np.float32(0), place.share))
     blend.mix(first, second, share, first)
-    return first, place.seen & ~(lost & second_lost)
+    return first, place.visible & ~(lost & second_lost)
