@@ -177,7 +177,7 @@ def _measure(
         each = executor.map(Evidence.ranked, measured.values())
         ranked = dict(zip(measured, each, strict=True))
     verdict = _judge(ranked, measured, guess)
-    if not verdict.stands(measured, guess):
+    if not verdict.stands:
         freely = {key: evidence.ranked_freely() for key, evidence in measured.items()}
         if all(freely.values()):
             scaled = _judge(freely, measured, guess)
@@ -187,7 +187,7 @@ def _measure(
         "" if each is None else _fitting_preset(presets, measured, each)
         for each in (verdict.convention, guess)
     )
-    finding = verdict.finding(measured, guess, names, frames, (fits[0], fits[1]))
+    finding = verdict.finding(names, frames, (fits[0], fits[1]))
     lost = [f"{names[x]},{names[y]}" for x, y in channel_pairs(names) if (x, y) not in kept]
     if not lost:
         return finding
@@ -233,6 +233,8 @@ def _judge(
             if axes is not None and _key(axes, later) not in measured:
                 untried[_key(axes, later)] = axes
     return _Verdict(
+        measured,
+        guess,
         maps,
         mean_error(chosen),
         float(np.mean([measured[key].still() for key in chosen])),
@@ -272,6 +274,8 @@ def _fitting_preset(
 class _Verdict:
     """The best convention and its errors."""
 
+    measured: dict[Key, Evidence]
+    guess: MotionConvention | None  # what the names say
     maps: dict[Key, AxisMap]
     error: float  # mean
     still: float  # of no motion
@@ -297,54 +301,51 @@ class _Verdict:
         """Whether no other is as good."""
         return self.rival >= self.error * TIE_RATIO
 
-    def hardly(self, guess: MotionConvention | None) -> bool:
+    @property
+    def is_hardly_better(self) -> bool:
         """Whether it is what the names say, and only a little better than no motion."""
-        hard = BEATS_STILL * self.still < self.error < HARDLY_BEATS * self.still
-        return self.convention == guess and hard
+        hardly = BEATS_STILL * self.still < self.error < HARDLY_BEATS * self.still
+        return self.convention == self.guess and hardly
 
-    def stands(self, measured: dict[Key, Evidence], guess: MotionConvention | None) -> bool:
+    @property
+    def stands(self) -> bool:
         """Whether no other scales than the usual ones need to be tried."""
-        if self.convention == guess:
-            return self.explains or self.hardly(guess)
-        return self.explains and self.alone and not self._scaled_is_better(measured)
-
-    def _scaled_is_better(self, measured: dict[Key, Evidence]) -> bool:
-        """Whether another scale near the convention's own is clearly better, one for both."""
-        errors = {key: measured[key].error(axes) for key, axes in self.maps.items()}
+        if self.convention == self.guess:
+            return self.explains or self.is_hardly_better
+        if not self.explains or not self.alone:
+            return False
+        # Another scale near the convention's own may be clearly better, one for both directions.
+        errors = {key: self.measured[key].error(axes) for key, axes in self.maps.items()}
         if len(self.maps) == 2 and is_alike(*self.maps.values()):
             own = {key: (errors[key], axes) for key, axes in self.maps.items()}
-            fits = [(mean_error(fit_scales(own, measured, AROUND)), mean_error(own))]
+            fits = [(mean_error(fit_scales(own, self.measured, AROUND)), mean_error(own))]
         else:
             fits = [
-                (measured[key].fit_scale(axes, AROUND)[0], errors[key])
+                (self.measured[key].fit_scale(axes, AROUND)[0], errors[key])
                 for key, axes in self.maps.items()
             ]
-        return any(better * CLEARLY_BETTER + CLEAR_FLOOR < error for better, error in fits)
+        return not any(better * CLEARLY_BETTER + CLEAR_FLOOR < error for better, error in fits)
 
     def finding(
         self,
-        measured: dict[Key, Evidence],
-        guess: MotionConvention | None,
         names: tuple[str, ...],
         frames: str,
-        presets: tuple[str, str],
+        presets: tuple[str, str],  # that read as this convention does, and as the names say; or ""
     ) -> MotionFinding:
-        """Accept the convention, or say why not; see :func:`calibrate`.
-
-        `presets` are those that read as this convention does, and as the names say; "" without.
-        """
+        """Accept the convention, or say why not; see :func:`calibrate`."""
+        guess = self.guess
         read = self.convention.describe(names)
         stated = None if guess is None else guess.describe(names)
         if not self.explains:
-            if self.hardly(guess):
+            if self.is_hardly_better:
                 return _untested(guess, f"frames {frames} hold too little motion to measure")
-            strongest = max(evidence.moved() for evidence in measured.values())
+            strongest = max(evidence.moved() for evidence in self.measured.values())
             if guess is not None and strongest < DECISIVE:
                 return _untested(guess, f"frames {frames} tell too little to contradict them")
-            raise MotionError(self._unexplained(measured, frames, presets[1]))
+            raise MotionError(self._unexplained(frames, presets[1]))
         if self.convention != guess and not self.alone:
             if guess is not None:
-                error = _convention_error(guess, measured)
+                error = _convention_error(guess, self.measured)
                 if error <= HARDLY_BEATS * self.still and error <= CLEARLY_WORSE * self.error:
                     return _untested(guess, f"frames {frames} do not tell it and others apart")
             name_problem = "are not known" if stated is None else f"say {stated}, which is worse"
@@ -355,7 +356,7 @@ class _Verdict:
         corrected = guess is not None and self.convention != guess
         named = () if guess is None else (guess.to_previous, guess.to_next)
         fitted = any(
-            axes not in named and axes not in measured[key].usual()
+            axes not in named and axes not in self.measured[key].usual()
             for key, axes in self.maps.items()
         )
         evidence = (
@@ -370,12 +371,12 @@ class _Verdict:
         clear = as_named and min(self.rival, self.turned) > CLEARLY_WORSE * self.error
         return MotionFinding(self.convention, source, evidence, *errors, clear, preset=presets[0])
 
-    def _unexplained(self, measured: dict[Key, Evidence], frames: str, preset: str) -> str:
+    def _unexplained(self, frames: str, preset: str) -> str:
         """Say that nothing explains the motion, what may be the cause, and what to do."""
         direction = (
             " in one of the two directions" if self.error <= BEATS_STILL * self.still else ""
         )
-        empty = all(evidence.empty for evidence in measured.values())
+        empty = all(evidence.empty for evidence in self.measured.values())
         cause = (
             "they hold one value everywhere, so the pass is empty, or motion blur was on: switch "
             "it off and render the pass again"

@@ -214,9 +214,8 @@ def _homography_at_infinity(scene: Scene, camera: Camera) -> F64:
 
 
 def fit(
-    # [N, 4], homogeneous; float64 [N, 2].
-    points: F64,
-    pixels: F64,
+    points: F64,  # [N, 4], homogeneous
+    pixels: F64,  # [N, 2]
     # Whether points may be among them that move alike and differently from the rest. The fit then
     # starts from the least median of small samples, which tolerates nearly half of them.
     movers: bool = False,

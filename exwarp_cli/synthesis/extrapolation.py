@@ -64,7 +64,7 @@ class SlotInputs:
     frames: tuple[MovedFrame, ...]  # F_k, F_k-1, F_k-2; the oldest repeated if there are fewer
     filled: Float32  # [H, W, C]: W's frame, divided by surface colour where that is known
     surface: GBuffer  # of the slot
-    median: float  # of its finite depths
+    median: float  # of its finite depths, which become relative: d / (d + median)
     time: float  # of the slot in its key interval
     scratch: ScratchFrames = IN_MEMORY  # where large arrays are kept
 
@@ -184,7 +184,9 @@ def prepare(
         del moved
         scratch.page_out()
     history += [history[-1]] * (HISTORY - len(history))
-    median = _median(surface.depth)
+    depth = np.ones(1) if surface.depth is None else np.maximum(surface.depth, 0)
+    depth = depth[np.isfinite(depth)]
+    median = float(np.median(depth)) if depth.size else 1.0
     inputs = SlotInputs(tuple(history), filled, surface, median, slot / FACTOR, scratch)
     side = ColourSource(key.image.pixels, back.field, newest.visible)
     sources = scratch.store(SlotSources((side,), tuple(older), back.depth, warped))
@@ -202,15 +204,6 @@ def _encode_colour(values: Float32, share: Share) -> None:
 
 def _plane(values: Float32 | None, nothing: Float32 = NO_PLANE) -> Float32:
     return nothing if values is None else np.ascontiguousarray(values)
-
-
-def _median(depth: Float32 | None) -> float:
-    """Return the median of the finite depths, by which they become relative: d / (d + median)."""
-    if depth is None:
-        return 1.0
-    positive = np.maximum(depth, 0)
-    finite = positive[np.isfinite(positive)]
-    return float(np.median(finite)) if finite.size else 1.0
 
 
 def modulation_of(gbuffer: GBuffer) -> Float32 | None:

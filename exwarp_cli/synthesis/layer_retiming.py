@@ -192,7 +192,7 @@ class LayerMotion:
 
     def __init__(
         self,
-        key: GBuffer,  # g-buffer of the key frame before the slots
+        key: GBuffer,  # G-buffer of the key frame before the slots
         following: GBuffer | None = None,  # that of the one after them, where it is used
         # That of the one before `key`; only used where there is no `following`.
         older: GBuffer | None = None,

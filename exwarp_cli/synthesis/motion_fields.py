@@ -181,7 +181,7 @@ def compose(
     # G-buffers from the one beside the key frame to that of the slot, with settled motion to the
     # slot beside them that way.
     slots: Sequence[GBuffer],
-    key: GBuffer,  # g-buffer of the key frame's instant
+    key: GBuffer,  # G-buffer of the key frame's instant
     way: int,  # -1 if the key frame is before the slots, 1 if it is after them
     # Points of the slot, of the instant beside it, and of the key frame; found if None.
     scenes: Scenes | None = None,

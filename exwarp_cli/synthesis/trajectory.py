@@ -57,6 +57,8 @@ MAX_TURN = 0.5
 # pixels beside a straight line.
 MIN_TURN = 0.1
 
+_NO_REACH = np.zeros((0, 0, 2), np.float32)
+
 
 def stencil_of(gbuffer: GBuffer) -> Int32:
     """Return the ids, int32 [H, W], or [0, 0] when unknown."""
@@ -66,6 +68,7 @@ def stencil_of(gbuffer: GBuffer) -> Int32:
 def displacement(
     gbuffer: GBuffer,  # with settled motion
     time: float,  # in steps of the vectors (key intervals, or slots); negative is earlier
+    reach: Float32 | None = None,  # written: its `reach_of`, without another pass
 ) -> Float32:
     """Return where points of a frame are at another time, minus where they are.
 
@@ -73,30 +76,12 @@ def displacement(
     previous one, the parabola through both, t (n - p) / 2 + t² (n + p) / 2; else t n, or -t p,
     constant velocity. Rigid objects that turn go on arcs.
     """
-    return _displacement(gbuffer, time, np.zeros((0, 0, 2), np.float32))
-
-
-def displacement_and_reach(gbuffer: GBuffer, time: float) -> tuple[Float32, Float32]:
-    """Return a `displacement`, and its `reach_of`, in one pass."""
-    reach = np.empty(rows.reach_shape(gbuffer.window.shape), np.float32)
-    return _displacement(gbuffer, time, reach), reach
-
-
-def reach_of(motion: Float32) -> Float32:
-    """Return the target rows of displacements [H, W, 2], as the splatting kernel takes them."""
-    reach = np.empty(rows.reach_shape(motion.shape), np.float32)
-    rows.row_reach(motion, reach)
-    return reach
-
-
-def _displacement(gbuffer: GBuffer, time: float, reach: Float32) -> Float32:
-    """Return displacements, and write the rows they lead to, unless `reach` is [0, 0, 2]."""
     t = np.float32(time)
     after, before = gbuffer.to_next, gbuffer.to_previous
     if after is not None and before is not None:
         out: Float32 = pool.empty(after.shape, np.float32)
         before, after = np.ascontiguousarray(before), np.ascontiguousarray(after)
-        parabola.parabola(before, after, t, out, reach)
+        parabola.parabola(before, after, t, out, _NO_REACH if reach is None else reach)
         if not len(gbuffer.turning):
             return out
     elif after is not None:
@@ -106,9 +91,22 @@ def _displacement(gbuffer: GBuffer, time: float, reach: Float32) -> Float32:
         out = -t * before
     if len(gbuffer.turning) and 0 < abs(time) < 1:
         out.reshape(-1, 2)[gbuffer.turning] = _on_arc(gbuffer, gbuffer.turning, time)
-    if reach.size:
+    if reach is not None:
         rows.row_reach(out, reach)
     return out
+
+
+def displacement_and_reach(gbuffer: GBuffer, time: float) -> tuple[Float32, Float32]:
+    """Return a `displacement`, and its `reach_of`."""
+    reach = np.empty(rows.reach_shape(gbuffer.window.shape), np.float32)
+    return displacement(gbuffer, time, reach), reach
+
+
+def reach_of(motion: Float32) -> Float32:
+    """Return the target rows of displacements [H, W, 2], as the splatting kernel takes them."""
+    reach = np.empty(rows.reach_shape(motion.shape), np.float32)
+    rows.row_reach(motion, reach)
+    return reach
 
 
 def _on_arc(gbuffer: GBuffer, index: Index, time: float) -> Float32:
@@ -334,9 +332,8 @@ def _between(before: F64, after: F64, time: float) -> F64:
 
 
 def fit_pose(
-    # [N, 3], world; float64 [N, 2], pixels, not finite where unknown.
-    points: F64,
-    ends: F64,
+    points: F64,  # [N, 3], world
+    ends: F64,  # [N, 2], pixels; not finite where unknown
     camera: F64,  # [3, 4], world to pixels of the other frame
 ) -> Pose | None:
     """Fit the rigid motion after which points appear at pixels, most of which match.

@@ -123,9 +123,8 @@ class Mover:
 
 
 def sample_bilinear(
-    # [H, W, C]; float32 [H, W, 2] in pixels, NaN where there is no end.
-    pixels: Float32,
-    field: Float32,
+    pixels: Float32,  # [H, W, C]
+    field: Float32,  # [H, W, 2], pixels; NaN where there is no end
 ) -> tuple[Float32, Bool]:
     """Sample data, not colour, at the end of a motion field.
 
