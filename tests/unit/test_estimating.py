@@ -22,7 +22,7 @@ def seen(monkeypatch) -> list[tuple[float, float]]:
         pairs.append((float(before.max()), float(after.max())))
         return _flow_in(before), _flow_in(after)
 
-    monkeypatch.setattr(without_vectors, "estimate", estimate)
+    monkeypatch.setattr(without_vectors, "estimate_flow", estimate)
     return pairs
 
 
