@@ -132,7 +132,9 @@ class TestWhichMove:
         counts: list[int] = []
         module = "exwarp_cli.pipeline.interval_builder"
         true = MovingObjects.find.__globals__["find_moving"]
-        monkeypatch.setattr(f"{module}.find_moving", lambda *given: counts.append(1) or true(*given))
+        monkeypatch.setattr(
+            f"{module}.find_moving", lambda *given: counts.append(1) or true(*given)
+        )
         found = MovingObjects()
         for index in (2, 3):
             before = len(counts)
