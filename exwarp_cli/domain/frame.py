@@ -132,7 +132,7 @@ class GBuffer:
     bend
         float32 [2, H, W, 2], pixels: by how much points are elsewhere, half a frame earlier and
         half a frame later, than the vectors alone tell; None where nothing turns. See
-        `exwarp_cli.synthesis.rigid`.
+        `exwarp_cli.synthesis.trajectory`.
     """
 
     window: Window

@@ -271,7 +271,7 @@ def resample(image: F32, field: F32, table: F32, out: F32, hole: B8, share: Shar
     ----------
     image
         float32 [H, W, C], of less than 2^31 values. A display's curve suits it best: see
-        :func:`exwarp_cli.synthesis.warp.as_shown`.
+        :func:`exwarp_cli.synthesis.warp.linear_to_srgb`.
     field
         float32 [h, w, 2], pixels, +x right, +y down, from a pixel of `out` to its source; NaN where
         there is none.

@@ -38,11 +38,9 @@ from exwarp_cli.pipeline.source import Source, open_source
 from exwarp_cli.policy.features import Shapes, compare
 from exwarp_cli.policy.state import KEYS_BACK, LearnedPolicy, Surroundings
 from exwarp_cli.runtime.stop import check_stop
-from exwarp_cli.synthesis.geometry import settle_motion
-from exwarp_cli.synthesis.interval import Interval
-from exwarp_cli.synthesis.methods import CAUSAL, FRAMEWISE, Judge, Method, take
-from exwarp_cli.synthesis.movers import moving, of_moving
-from exwarp_cli.synthesis.tile_features import tile_features
+from exwarp_cli.synthesis.interval import Interval, tile_features
+from exwarp_cli.synthesis.methods import CAUSAL, FRAMEWISE, DecisionSource, Method, predict_path
+from exwarp_cli.synthesis.motion_fields import find_moving, moving_stencil, settle_motion
 
 if TYPE_CHECKING:
     from exwarp_cli.models.policy_files import PolicyFile
@@ -130,7 +128,7 @@ class OraclePath:
     Where a slot has no ground truth no path can be judged, and the interval is warped.
     """
 
-    judge: Judge  # by the mean PSNR, or by the sum of rewards
+    judge: DecisionSource  # by the mean PSNR, or by the sum of rewards
     display: Window
 
     def select(self, inputs: IntervalInputs, interval: Interval) -> Choice:
@@ -143,7 +141,7 @@ class OraclePath:
         def as_written(pixels: Float32) -> Float32:
             return quantised(pixels, inputs.metadata.template)
 
-        by_psnr = self.judge is Judge.PSNR
+        by_psnr = self.judge is DecisionSource.PSNR
         timing_ms: dict[str, float] = {}
         with record_time(timing_ms, "decide"):
             truth = {
@@ -222,7 +220,7 @@ def outcomes_of(
                 continue
             slot = SLOTS[node]
             path = next(name for name, p in PATHS.items() if p.choices.get(node) == choice)
-            pixels = take(path, interval, slot).pixels
+            pixels = predict_path(path, interval, slot).pixels
             if as_written is not None:
                 pixels = as_written(pixels)
             test = encode(place(pixels, canvas, display or canvas))
@@ -333,15 +331,15 @@ def with_ids(
     gbuffer
         With settled motion. Without ids, positions or depth it stays as it is.
     before, raw
-        As :func:`exwarp_cli.synthesis.movers.moving` takes them.
+        As :func:`exwarp_cli.synthesis.motion_fields.find_moving` takes them.
     """
     if gbuffer.stencil is not None:
         return gbuffer
-    moves = moving(gbuffer, before, raw)
+    moves = find_moving(gbuffer, before, raw)
     if moves is None:
         return gbuffer
     if gbuffer.objects is not None:
-        return replace(gbuffer, stencil=of_moving(gbuffer.objects, moves), objects=None)
+        return replace(gbuffer, stencil=moving_stencil(gbuffer.objects, moves), objects=None)
     return replace(gbuffer, stencil=np.where(moves, MOVING, 0).astype(np.int32))
 
 

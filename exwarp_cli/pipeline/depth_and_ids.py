@@ -33,7 +33,7 @@ from exwarp_cli.io.frames import read_planes, read_raw
 from exwarp_cli.io.shot import Shot
 from exwarp_cli.io.shot_files import first_usable, rename_channels
 from exwarp_cli.pipeline.shots import pair_beside_hold, pairs_within
-from exwarp_cli.synthesis.depth_order import OrderVotes, camera_end, occlusion_votes
+from exwarp_cli.synthesis.gbuffer_values import OrderVotes, camera_end, occlusion_votes
 
 # Places where one surface covers another by which the first pair of frames tells alone that depth
 # is a distance, and the share of them that has to agree. Of the example's shots 85 to 94 % do.

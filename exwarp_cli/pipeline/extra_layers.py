@@ -22,8 +22,8 @@ from exwarp_cli.io.shot import Shot
 from exwarp_cli.io.shot_files import count_nonfinite, rename_channels
 from exwarp_cli.pipeline.source import Source
 from exwarp_cli.synthesis.interval import Interval
+from exwarp_cli.synthesis.layer_retiming import LayerMotion, LayerRetimer, make_retimer
 from exwarp_cli.synthesis.methods import Predicted
-from exwarp_cli.synthesis.retime import Course, Retiming, retiming
 
 if TYPE_CHECKING:
     from exwarp_cli.pipeline.interval_builder import IntervalBuilder
@@ -360,13 +360,13 @@ class ViewInterval:
         return self.interval.key.image.data_window
 
     @cached_property
-    def course(self) -> Course | None:
+    def course(self) -> LayerMotion | None:
         """How its points move; None where that is not known."""
         key, following = self.interval.key.gbuffer, self.interval.following
         if key is None or not key.has_motion:
             return None
         older = None if self.inputs.older is None else self.inputs.older.extended(self.window)
-        return Course(
+        return LayerMotion(
             key,
             None if following is None else following.gbuffer,
             None if older is None else older.gbuffer,
@@ -389,7 +389,7 @@ class ViewInterval:
         frames = self.inputs.layers
         if frames is None:
             return {}
-        retimer = _LayerRetimer(self, frames, retiming(self.interval, slot, shown), slot)
+        retimer = _LayerRetimer(self, frames, make_retimer(self.interval, slot, shown), slot)
         planes: dict[PlaneKey, Plane] = {}
         for layer in self.content.extra:
             if any((view, ref) in needed for ref in layer.refs):
@@ -405,7 +405,7 @@ class _LayerRetimer:
 
     view: ViewInterval
     frames: LayerFrames
-    retiming: Retiming
+    retiming: LayerRetimer
     slot: int
 
     def retime(self, layer: Layer) -> dict[ChannelRef, np.ndarray]:

@@ -32,12 +32,11 @@ from exwarp_cli.pipeline.key_frames import HistoryFrame, slots_back_to, without_
 from exwarp_cli.pipeline.rendered_frames import leads_on
 from exwarp_cli.pipeline.scheduling import record_time
 from exwarp_cli.runtime.frame_pool import IN_MEMORY, ScratchFrames
-from exwarp_cli.synthesis.geometry import settle_motion
-from exwarp_cli.synthesis.history import Past
-from exwarp_cli.synthesis.holds import around_holds
+from exwarp_cli.synthesis.history import OlderKeyFrame
+from exwarp_cli.synthesis.holds import adapt_motion_to_holds
 from exwarp_cli.synthesis.interval import Interval
-from exwarp_cli.synthesis.methods import Judge
-from exwarp_cli.synthesis.movers import chosen, moving, those
+from exwarp_cli.synthesis.methods import DecisionSource
+from exwarp_cli.synthesis.motion_fields import find_moving, moving_ids, select_ids, settle_motion
 from exwarp_cli.synthesis.sub_intervals import SubSlot, sub_slots, vector_spans
 from exwarp_cli.synthesis.trajectory import displacement, span_motion
 
@@ -108,7 +107,7 @@ class IntervalBuilder:
         self._moving = MovingObjects()
         self._frames: dict[FrameKey, KeyFrame] = {}
         self._instants: dict[tuple[Slot, Basis], GBuffer] = {}
-        self._past: dict[FrameKey, Past] = {}
+        self._past: dict[FrameKey, OlderKeyFrame] = {}
         self._without_surface: KeyFrame | None = None
 
     def build(self, inputs: IntervalInputs) -> Interval:
@@ -167,7 +166,7 @@ class IntervalBuilder:
         past = self._lead_back(inputs, key, basis)
         self._release_before(inputs, slots, basis)
         if not (self._estimated or inputs.held or slots):
-            key, following = around_holds(key, following, inputs.after_hold)
+            key, following = adapt_motion_to_holds(key, following, inputs.after_hold)
         # Frames of slots that were rendered after all, as far as they have motion.
         rendered = {
             slot: self._settle_frame(each.frame, window)
@@ -208,9 +207,11 @@ class IntervalBuilder:
             self._frames[frame_key] = self._scratch.store(self._settle_frame(frame, basis[0]))
         return self._frames[frame_key]
 
-    def _lead_back(self, inputs: IntervalInputs, key: KeyFrame, basis: Basis) -> tuple[Past, ...]:
+    def _lead_back(
+        self, inputs: IntervalInputs, key: KeyFrame, basis: Basis
+    ) -> tuple[OlderKeyFrame, ...]:
         """Return the key frames before, each with the motion that leads back to it."""
-        steps: list[Past] = []
+        steps: list[OlderKeyFrame] = []
         newer = key
         for index, older in zip(range(inputs.key - 1, -1, -1), inputs.history, strict=False):
             frame_key = index, basis, has_surface(older.frame)
@@ -221,7 +222,7 @@ class IntervalBuilder:
                 leads = older.held or bool(older.instants)
                 has_vectors = newer.gbuffer is None or newer.gbuffer.to_previous is not None
                 is_guessed = not leads and not has_vectors
-                self._past[frame_key] = Past(frame, motion, is_guessed)
+                self._past[frame_key] = OlderKeyFrame(frame, motion, is_guessed)
             steps.append(self._past[frame_key])
             newer = steps[-1].frame
         return tuple(steps)
@@ -318,7 +319,7 @@ class IntervalPreparer:
         if has_missing and not interval.held:
             trial = self._try_network(inputs, timing_ms)
         # A policy looks at every interval: the states of later ones hold what it saw.
-        if slots and (has_missing or self._job.method.judge is Judge.POLICY):
+        if slots and (has_missing or self._job.method.judge is DecisionSource.POLICY):
             choice = self._select_path(inputs, interval)
         if trial is not None and not trial.pays:
             interval = replace(interval, interpolator=None)
@@ -353,7 +354,7 @@ class IntervalPreparer:
         """
         if self._selector is None:
             return None
-        if interval.held and self._job.method.judge is not Judge.POLICY:
+        if interval.held and self._job.method.judge is not DecisionSource.POLICY:
             return None
         choice = self._selector.select(inputs, interval)
         return None if interval.held else choice
@@ -463,7 +464,7 @@ def with_stencils(inputs: IntervalInputs, ids: Ids | None) -> IntervalInputs:
     def marked(gbuffer: GBuffer) -> GBuffer:
         if gbuffer.objects is None:
             return gbuffer
-        return replace(gbuffer, stencil=chosen(gbuffer.objects, ids), objects=None)
+        return replace(gbuffer, stencil=select_ids(gbuffer.objects, ids), objects=None)
 
     def with_stencil(frame: KeyFrame) -> KeyFrame:
         return frame if frame.gbuffer is None else replace(frame, gbuffer=marked(frame.gbuffer))
@@ -486,8 +487,8 @@ def _moving_ids(canvas: Window, now: GBuffer, before: GBuffer | None = None) -> 
     if now.objects is None or not now.has_motion:
         return frozenset()
     raw = now.on(canvas)
-    moves = moving(settle_motion(raw), None if before is None else before.on(canvas), raw)
-    return frozenset() if moves is None or raw.objects is None else those(raw.objects, moves)
+    moves = find_moving(settle_motion(raw), None if before is None else before.on(canvas), raw)
+    return frozenset() if moves is None or raw.objects is None else moving_ids(raw.objects, moves)
 
 
 def _instants(inputs: IntervalInputs) -> Iterator[tuple[Slot, GBuffer]]:

@@ -34,7 +34,7 @@ from exwarp_cli.pipeline.shots import UnreadableFrames
 from exwarp_cli.pipeline.source import FrameOf, Source
 from exwarp_cli.policy.state import KEYS_BACK
 from exwarp_cli.synthesis.interval import QUARTERS
-from exwarp_cli.synthesis.methods import Judge, Method
+from exwarp_cli.synthesis.methods import DecisionSource, Method
 
 # Called with an interval's index and fingerprints; False leaves the rest unread.
 Needed = Callable[[int, dict[int, str]], bool]
@@ -164,7 +164,7 @@ class IntervalReader:
             source, method, settings.compression, truth, network, interpolator, policy,
             content.names, key_rate=None if settings.keep_bytes else source.written_fps,
         )  # fmt: skip
-        self._observes = method.judge is Judge.POLICY and content.leads
+        self._observes = method.judge is DecisionSource.POLICY and content.leads
         # Of other views everything is read: their frames are built with those of the first.
         is_alone = content.leads and len(self._contents) == 1 and source.slots is None
         has_vectors = source.finding is not None and not source.estimated

@@ -36,7 +36,7 @@ from exwarp_cli.pipeline.rendered_frames import find_rendered
 from exwarp_cli.pipeline.scoring import require_measurable
 from exwarp_cli.pipeline.source import open_sources
 from exwarp_cli.runtime.frame_pool import LARGE_PIXELS, ScratchFrames
-from exwarp_cli.synthesis.methods import CAUSAL, EXWARP, FRAMEWISE, METHODS, Judge, Method
+from exwarp_cli.synthesis.methods import CAUSAL, EXWARP, FRAMEWISE, METHODS, DecisionSource, Method
 
 if TYPE_CHECKING:
     from exwarp_cli.domain.joining import Outcome
@@ -308,7 +308,7 @@ def _path(text: str | None) -> Path | None:
 
 def _find_policy(settings: UpsampleSettings, method: Method) -> PolicyFile | None:
     """Load the policy that a method asks; None for methods that ask none."""
-    if method.judge is Judge.TILES:
+    if method.judge is DecisionSource.TILES:
         from exwarp_cli.models.policy_files import (
             PAPER,
             SHIPPED_POLICY,

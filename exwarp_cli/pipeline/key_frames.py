@@ -16,9 +16,9 @@ from exwarp_cli.io.frames import GEOMETRY, SURFACE, colour_window, read_raw
 from exwarp_cli.io.shot import Shot
 from exwarp_cli.pipeline.shots import Shots, UnreadableFrames
 from exwarp_cli.pipeline.source import Source
-from exwarp_cli.synthesis.holds import stands_one_way
+from exwarp_cli.synthesis.holds import is_still_one_way
 from exwarp_cli.synthesis.methods import Method
-from exwarp_cli.synthesis.optical_flow import Flow, estimate, moving
+from exwarp_cli.synthesis.optical_flow import Flow, estimate_flow, with_estimated_motion
 
 
 @dataclass(frozen=True)
@@ -396,10 +396,10 @@ class MotionEstimates:
         if (
             to_previous is not None
             and to_next is not None
-            and stands_one_way(to_previous.motion, to_next.motion)
+            and is_still_one_way(to_previous.motion, to_next.motion)
         ):
             to_previous, to_next = (to_previous, None) if before else (None, to_next)
-        return moving(self.frame(key), to_previous, to_next)
+        return with_estimated_motion(self.frame(key), to_previous, to_next)
 
     def release_before(self, oldest: int) -> None:
         """Drop what no key frame from one on needs."""
@@ -421,7 +421,7 @@ class MotionEstimates:
             windows = [frame.image.data_window for frame in frames]
             canvas = windows[0].union(windows[1])
             require_canvas(f"frame {frames[0].number} and the next one", canvas)
-            flows = estimate(*(frame.image.on(canvas).pixels for frame in frames))
+            flows = estimate_flow(*(frame.image.on(canvas).pixels for frame in frames))
             to_next, to_previous = (
                 Flow(place(flow.motion, canvas, window), place(flow.mismatch, canvas, window))
                 for flow, window in zip(flows, windows, strict=True)

@@ -18,10 +18,17 @@ from exwarp_cli.io.frames import is_visible, read_raw
 from exwarp_cli.io.producers import PRESETS
 from exwarp_cli.io.shot import Shot, channel_label
 from exwarp_cli.pipeline.shots import pair_beside_hold, pairs_within
-from exwarp_cli.synthesis.calibration import calibrate, looks_like
-from exwarp_cli.synthesis.cuts import is_cut
-from exwarp_cli.synthesis.picture_motion import colour_moves, geometry_moves
-from exwarp_cli.synthesis.sampling import LEAST, Instant, Interval, Sampled, interval, sampled
+from exwarp_cli.synthesis.calibration import calibrate, preset_hint
+from exwarp_cli.synthesis.calibration_samples import (
+    MIN_SAMPLES,
+    FrameSamples,
+    KeyPair,
+    MotionFrame,
+    sample_frame,
+    sample_key_pair,
+)
+from exwarp_cli.synthesis.cut_detection import compare_frames
+from exwarp_cli.synthesis.holds import has_colour_moved, has_geometry_moved
 
 # Words for the frame's size in pixels, as factors of ``--motion``.
 UNITS = ("width", "height")
@@ -232,7 +239,7 @@ def find_motion(
         finding = measurement.finding(convention)
         if finding.source == "corrected":
             measured = finding.evidence.partition(";")[0]
-            evidence += f", but the frames contradict it: {measured}{looks_like(finding.preset)}"
+            evidence += f", but the frames contradict it: {measured}{preset_hint(finding.preset)}"
     return MotionFinding(convention, "given", evidence)
 
 
@@ -257,7 +264,7 @@ class _Measurement:
         self._names = names
         self._detect = detect
         self._numbers = shot.sequence.numbers
-        self._frames: dict[tuple[int, bool], Sampled] = {}
+        self._frames: dict[tuple[int, bool], FrameSamples] = {}
 
     def finding(self, guess: MotionConvention | None) -> MotionFinding:
         """Measure by world positions if there are any, else by depth and colour."""
@@ -312,12 +319,12 @@ class _Measurement:
 
     def _picture_moves(self, first: int) -> bool:
         """Return True if the picture of a pair moves; what changes at a cut is no motion."""
-        moves = geometry_moves(self._frame(first), self._frame(first + 1))
+        moves = has_geometry_moved(self._frame(first), self._frame(first + 1))
         if Role.COLOUR not in self._shot.layout:
             return moves is True
         if moves is None:
             before, after = (self._frame(i, by_colour=True).perceived for i in (first, first + 1))
-            moves = before is not None and after is not None and colour_moves(before, after)
+            moves = before is not None and after is not None and has_colour_moved(before, after)
         return moves and not (self._detect and self._is_cut_by_colour(first + 1))
 
     def _measure_within_shots(
@@ -407,13 +414,13 @@ class _Measurement:
             if self._is_parted(first + 1) or len(moving) == MOST_MOVING:
                 continue
             ends = [self._frame(i, by_colour) for i in (first, first + 1)]
-            if any(np.count_nonzero(frame.moving & frame.usable) >= LEAST for frame in ends):
+            if any(np.count_nonzero(frame.moving & frame.usable) >= MIN_SAMPLES for frame in ends):
                 moving.append(first)
             else:
                 self._frames.clear()
         return moving
 
-    def _frame(self, index: int, by_colour: bool = False) -> Sampled:
+    def _frame(self, index: int, by_colour: bool = False) -> FrameSamples:
         """Read and reduce a frame; what was reduced before is kept."""
         number = self._numbers[index]
         key = number, by_colour
@@ -426,8 +433,8 @@ class _Measurement:
             assert raw.motion is not None
             motion = place(raw.motion, raw.gbuffer.window, self._shot.display, np.nan)
             colour = None if raw.image is None else raw.image.on(self._shot.display).pixels
-            self._frames[key] = sampled(
-                Instant(number, raw.gbuffer.on(self._shot.display), motion, colour)
+            self._frames[key] = sample_frame(
+                MotionFrame(number, raw.gbuffer.on(self._shot.display), motion, colour)
             )
         return self._frames[key]
 
@@ -454,9 +461,9 @@ class _Measurement:
             read_raw(self._shot, number, (Role.COLOUR,)).key(None)
             for number in self._numbers[index - 1 : index + 1]
         )
-        return is_cut(before, after).found
+        return compare_frames(before, after).found
 
-    def _intervals(self, count: int) -> list[Interval]:
+    def _intervals(self, count: int) -> list[KeyPair]:
         """Read so many intervals between key frames whose colours tell; [] without colours."""
         colours = self._colours
         if colours is None:
@@ -474,7 +481,7 @@ class _Measurement:
 
     def _interval(
         self, keys: Shot, index: int, first: int | None, last: int | None
-    ) -> Interval | None:
+    ) -> KeyPair | None:
         """Read two key frames' colours and the vectors between; None where one cannot be read."""
         assert first is not None and last is not None
         numbers = keys.sequence.numbers[index], keys.sequence.numbers[index + 1]
@@ -493,4 +500,4 @@ class _Measurement:
             if not keys.keep_going:
                 raise
             return None
-        return interval(numbers, before, after, vectors)
+        return sample_key_pair(numbers, before, after, vectors)

@@ -28,7 +28,7 @@ from exwarp_cli.metrics.display import rounded
 from exwarp_cli.metrics.flicker import error, of_frames, transition
 from exwarp_cli.metrics.registry import score
 from exwarp_cli.pipeline.motion_convention import find_motion
-from exwarp_cli.synthesis.geometry import matched, reproject, settle_motion
+from exwarp_cli.synthesis.motion_fields import field_between, reproject, settle_motion
 
 Scores = tuple[Score, Score | None]  # over all pixels, and in holes
 
@@ -64,7 +64,7 @@ class SequenceMotion:
         if current.to_previous is None:
             motion = reproject(previous[1], 1.0)
         else:
-            motion = matched(current, previous[1], current.to_previous, 1)
+            motion = field_between(current, previous[1], current.to_previous, 1)
         return motion.field, motion.hole
 
 

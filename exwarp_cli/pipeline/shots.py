@@ -12,9 +12,8 @@ from exwarp_cli.domain.cuts import Cut, CutWish
 from exwarp_cli.domain.frame import GBuffer, KeyFrame
 from exwarp_cli.domain.timeline import Slot
 from exwarp_cli.errors import InputError
-from exwarp_cli.synthesis.cuts import is_cut_between
-from exwarp_cli.synthesis.glance import Glance, glance_at
-from exwarp_cli.synthesis.holds import SOON, Change, change_between, is_same_picture
+from exwarp_cli.synthesis.cut_detection import Thumbnail, is_cut_between, make_thumbnail
+from exwarp_cli.synthesis.holds import RECENT_PAIRS, PictureChange, change_between, is_same_picture
 
 # Share of the frame's longer side from which a change of speed may come of a cut: 19 pixels of
 # 1920. Cameras that change so much within a key interval are rare, and what leads across a cut
@@ -101,10 +100,10 @@ class Shots:
         self._read = read
         self._unreadable = UnreadableFrames() if unreadable is None else unreadable
         self._lossy = lossy
-        self._glances: dict[int, Glance] = {}
+        self._glances: dict[int, Thumbnail] = {}
         self._starts: dict[int, bool] = {}
         self._repeats: dict[int, bool] = {}
-        self._changes: dict[int, Change] = {}
+        self._changes: dict[int, PictureChange] = {}
         self._leaps: dict[int, _Leap | None] = {}
         self._leader: Shots | None = None
         self._followers: list[Shots] = []
@@ -128,7 +127,7 @@ class Shots:
     def see(self, key: int, frame: KeyFrame) -> None:
         """Take a glance at a key frame as it was read, with vectors over a key interval."""
         if self._wish.detect or self._is_beside_given_cut(key):
-            self._glances[key] = glance_at(frame)
+            self._glances[key] = make_thumbnail(frame)
 
     def starts_at(self, key: int) -> bool:
         """Return True if a cut lies before a key frame; none does before the first."""
@@ -171,14 +170,14 @@ class Shots:
         change = self._change(key)
         if change.is_noise() or not change.is_calm():
             return change.is_noise()
-        for earlier in range(key - 1, max(key - 1 - SOON, 0), -1):
+        for earlier in range(key - 1, max(key - 1 - RECENT_PAIRS, 0), -1):
             if self.starts_at(earlier):
                 return False
             if not self._change(earlier).is_calm():
                 return change.is_calm_after(self._change(earlier))
         return False
 
-    def _change(self, key: int) -> Change:
+    def _change(self, key: int) -> PictureChange:
         """Return the change from the key frame before to one."""
         if key not in self._changes:
             before, after = (self._read(index).image for index in (key - 1, key))
@@ -224,7 +223,7 @@ class Shots:
     def _is_beside_given_cut(self, key: int) -> bool:
         return key in self._given or key + 1 in self._given
 
-    def _glance(self, key: int) -> Glance:
+    def _glance(self, key: int) -> Thumbnail:
         if key not in self._glances:
             self._read(key)
         return self._glances[key]
@@ -248,7 +247,7 @@ class _Leap:
     to_previous: float
 
     @classmethod
-    def from_glance(cls, glance: Glance) -> _Leap | None:
+    def from_glance(cls, glance: Thumbnail) -> _Leap | None:
         """Compare the vectors of surfaces as rendered; None where they continue each other."""
         after, before = glance.to_next, glance.to_previous
         if after is None or before is None:

@@ -32,7 +32,7 @@ from exwarp_cli.pipeline.interval_inputs import IntervalInputs
 from exwarp_cli.pipeline.scheduling import record_time
 from exwarp_cli.pipeline.source import Source
 from exwarp_cli.synthesis.interval import Interval
-from exwarp_cli.synthesis.methods import Method, Predicted, repeat_held, take, take_tiles
+from exwarp_cli.synthesis.methods import Method, Predicted, predict_path, predict_tiles, repeat_held
 from exwarp_cli.synthesis.sub_intervals import SubSlot
 
 # Attribute of generated frames; their tiles are in the one named risk.
@@ -198,8 +198,8 @@ class SlotRenderer:
             return self._method.predict(interval, slot)
         assert plan is not None
         if isinstance(plan, TilePlan):
-            return take_tiles(plan, interval, slot)
-        return replace(take(plan.path, interval, slot), method=self._method.name)
+            return predict_tiles(plan, interval, slot)
+        return replace(predict_path(plan.path, interval, slot), method=self._method.name)
 
     def _make_layers(
         self, slot: Slot, predicted: Predicted, inputs: IntervalInputs, plan: Plan | TilePlan | None

@@ -1,9 +1,9 @@
-"""Finding out what a renderer's motion vectors mean, by trying them on pairs of frames.
+"""Measures what a renderer's motion vectors mean, by trying readings on pairs of frames.
 
 Names and manuals are often wrong about sign, axis, unit and direction, so a convention is measured:
-of all candidates the one counts whose vectors lead surface points back to themselves, best judged
-by world position (with the right convention 96 % of static pixels find their own position again,
-with a flipped axis 68 %, with anything else under 18 %), else by depth and colour.
+of all candidates that one is chosen whose vectors lead surface points back to themselves. World
+position is the best measure (with the right convention 96 % of static pixels find their position
+again, with a flipped axis 68 %, with anything else under 18 %), else depth and colour.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from exwarp_cli.domain.frame import Bool
 from exwarp_cli.domain.motion import AxisMap, MotionConvention, MotionFinding
 from exwarp_cli.errors import MotionError
 from exwarp_cli.kernels._row_bands import threads
-from exwarp_cli.synthesis.evidence import (
+from exwarp_cli.synthesis.calibration_evidence import (
     AROUND,
     CLEAR_FLOOR,
     CLEARLY_BETTER,
@@ -28,60 +28,51 @@ from exwarp_cli.synthesis.evidence import (
     Evidence,
     Key,
     Ranked,
-    alike,
     channel_pairs,
-    fitted_together,
-    gathered,
+    fit_scales,
+    gather_evidence,
+    is_alike,
     mean_error,
-    together,
+    rank_jointly,
 )
-from exwarp_cli.synthesis.sampling import Interval, Sampled
+from exwarp_cli.synthesis.calibration_samples import FrameSamples, KeyPair
 
+# An error up to this much above the least does not speak against a convention known by name.
 TIE_RATIO = 1.1
-"""An error up to this much above the least does not speak against a convention known by name."""
 
+# Mean error without any motion below which a pair has too little motion to measure.
 STILL_ERROR = 0.08
-"""Mean error without any motion below which a pair has too little motion to tell anything."""
 
+# The best candidate's error must be below this share of the error without motion.
 BEATS_STILL = 0.7
-"""The best candidate's error must be below this share of the error without motion."""
 
-TELLING = 0.25
-"""Error without motion below which what is measured is too weak to refuse a known name."""
+# Error without motion below which a measurement is too weak to refuse a known name.
+DECISIVE = 0.25
 
+# An error of short vectors must be below that of full ones by this to be read so.
 SPAN_FLOOR = 0.01
-"""An error of short vectors must be below that of full ones by this to be read so."""
 
+# Up to this share, and no other reading better, a convention known by name stands untested: pixels
+# at silhouettes miss whatever the vectors, and in a slow shot they are most of the error.
 HARDLY_BEATS = 0.9
-"""Up to this share, and no other reading better, a convention known by name stands untested: pixels
-at silhouettes miss whatever the vectors, and in a slow shot they are most of the error."""
+
+Pairs = Sequence[tuple[FrameSamples, FrameSamples]]
 
 
 def calibrate(
-    pairs: Sequence[tuple[Sampled, Sampled]],
-    guess: MotionConvention | None,
-    names: tuple[str, ...],
-    intervals: Sequence[Interval] = (),
+    # Neighbouring frames (earlier, later), fixed by the whole sequence, so that every part of it
+    # finds the same.
+    pairs: Pairs,
+    guess: MotionConvention | None,  # what the channel names say; None when they say nothing
+    names: tuple[str, ...],  # names of the motion channels' components, for the evidence
+    # Neighbouring key frames with colour, where these frames have none.
+    intervals: Sequence[KeyPair] = (),
+    # Conventions by the name that ``--motion`` takes, in pixels: those that fit are named.
     presets: Mapping[str, MotionConvention] | None = None,
+    # By how much numbers rise from frame to frame: vectors may span one of these numbers.
     step: int = 1,
 ) -> MotionFinding:
     """Find the convention of motion channels.
-
-    Parameters
-    ----------
-    pairs
-        Neighbouring frames (earlier, later), fixed by the whole sequence, so that every part of it
-        finds the same.
-    guess
-        What the channel names say; None when they say nothing.
-    names
-        Names of the motion channels' components, for the evidence.
-    intervals
-        Neighbouring key frames with colour, where these frames have none.
-    presets
-        Conventions by the name that ``--motion`` takes, in pixels: those that fit are named.
-    step
-        By how much numbers rise from frame to frame: vectors may span one of these numbers.
 
     Raises
     ------
@@ -93,49 +84,44 @@ def calibrate(
         return _untested(guess, "one frame alone shows no motion")
     frames = ", ".join(f"{a.number}-{b.number}" for a, b in pairs)
     if intervals:
-        keys = ", ".join(f"{first}-{last}" for first, last in (one.numbers for one in intervals))
+        keys = ", ".join(f"{first}-{last}" for first, last in (pair.numbers for pair in intervals))
         frames += f" and the colour of key frames {keys}"
-    visible = None if guess is None else _visible(guess, pairs)
-    measured = {k: e for k, e in gathered(pairs, names, intervals).items() if e.probes}
+    usable_guess = None if guess is None else _without_vanishing(guess, pairs)
+    evidence = gather_evidence(pairs, names, intervals)
+    measured = {key: each for key, each in evidence.items() if each.probes}
     if not measured:
-        return _untested(visible, _why_nothing(pairs, frames, names))
-    if max(e.moved() for e in measured.values()) < STILL_ERROR:
-        return _too_little(pairs, visible, names, frames)
-    wanted = _spanning(guess, measured, step)
-    finding = _of_written(measured, wanted, names, frames, presets or {})
-    if wanted == guess or finding.convention != wanted:
+        if all(frame.empty for pair in pairs for frame in pair):
+            raise MotionError(
+                f"the motion channels {', '.join(names)} of frames {frames} hold no numbers, only "
+                "NaN or infinity; render the motion pass again, or give other vectors"
+            )
+        reason = (
+            f"frames {frames} hold nothing to measure by: no surfaces, or no depth and no colour"
+        )
+        return _untested(usable_guess, reason)
+    if max(each.moved() for each in measured.values()) < STILL_ERROR:
+        return _too_little_motion(pairs, usable_guess, names, frames)
+    spanning = guess
+    if guess is not None and step > 1:
+        # Both directions are compared together: they span the same.
+        short = guess.scaled(step)
+        if _convention_error(short, measured) + SPAN_FLOOR < _convention_error(guess, measured):
+            spanning = short
+    finding = _measure(measured, spanning, names, frames, presets or {})
+    if spanning == guess or finding.convention != spanning:
         return finding
     span = f"{finding.evidence}; vectors span one frame of the {step} from key frame to key frame"
     return replace(finding, evidence=span)
 
 
-def _of_written(
-    measured: dict[Key, Evidence],
-    guess: MotionConvention | None,
-    names: tuple[str, ...],
-    frames: str,
-    presets: Mapping[str, MotionConvention],
+def _too_little_motion(
+    pairs: Pairs, guess: MotionConvention | None, names: tuple[str, ...], frames: str
 ) -> MotionFinding:
-    """Find the convention of all channels, but for those that hold no vectors."""
-    written = {key: e for key, e in measured.items() if not e.empty}
-    if written and {channels for channels, _ in written} != set(channel_pairs(names)):
-        kept = {channels for channels, _ in written}
-        measured = {key: e for key, e in measured.items() if key[0] in kept}
-        return _settled(measured, _without(guess, kept), names, frames, kept, presets)
-    return _settled(measured, guess, names, frames, channel_pairs(names), presets)
-
-
-def _too_little(
-    pairs: Sequence[tuple[Sampled, Sampled]],
-    guess: MotionConvention | None,
-    names: tuple[str, ...],
-    frames: str,
-) -> MotionFinding:
-    """Return what is read where too little moves to measure: at rest, every reading is the same."""
-    if any(_movers(one).any() for pair in pairs for one in pair):
-        return _untested(guess, f"frames {frames} hold too little motion to measure")
+    """Return the reading where too little moves to measure: at rest, all readings are the same."""
+    reason = f"frames {frames} hold too little motion to measure"
+    if any(_usable_movers(frame).any() for pair in pairs for frame in pair):
+        return _untested(guess, reason)
     if guess is not None:
-        reason = f"frames {frames} hold too little motion to measure"
         return replace(_untested(guess, reason), resting=True)
     rest = float(np.nan_to_num(np.nanmedian(pairs[0][0].motion[:, :2])))
     convention = MotionConvention(AxisMap(0, 1, 1.0, -1.0, still=rest))
@@ -146,139 +132,125 @@ def _too_little(
     return MotionFinding(convention, "untested", evidence, resting=True)
 
 
-def _movers(frame: Sampled) -> Bool:
-    """Return which samples of a frame have vectors that are not at rest."""
+def _usable_movers(frame: FrameSamples) -> Bool:
     return np.asarray(frame.moving & frame.usable)
 
 
-def _visible(guess: MotionConvention, pairs: Sequence[tuple[Sampled, Sampled]]) -> MotionConvention:
+def _without_vanishing(guess: MotionConvention, pairs: Pairs) -> MotionConvention:
     """Return the named convention without a length or alpha that makes every vector vanish."""
-    moving = np.concatenate([one.motion[_movers(one)] for pair in pairs for one in pair])
+    moving = np.concatenate(
+        [frame.motion[_usable_movers(frame)] for pair in pairs for frame in pair]
+    )
 
-    def seen(axes: AxisMap | None) -> AxisMap | None:
+    def usable(axes: AxisMap | None) -> AxisMap | None:
         if axes is None or not len(moving):
             return axes
         plain = replace(axes, length=None, alpha=None)
         vanishes = not np.nan_to_num(axes.apply(moving)).any()
         return plain if vanishes and np.nan_to_num(plain.apply(moving)).any() else axes
 
-    return replace(guess, to_previous=seen(guess.to_previous), to_next=seen(guess.to_next))
+    return replace(guess, to_previous=usable(guess.to_previous), to_next=usable(guess.to_next))
 
 
-def _spanning(
-    guess: MotionConvention | None, measured: dict[Key, Evidence], step: int
-) -> MotionConvention | None:
-    """Return what the names say, for vectors over one frame or all that key frames are apart.
-
-    Both directions are judged together: they span the same.
-    """
-    if guess is None or step == 1:
-        return guess
-    short = guess.scaled(step)
-    full_error, short_error = (_error(one, measured) for one in (guess, short))
-    return short if short_error + SPAN_FLOOR < full_error else guess
-
-
-def _error(convention: MotionConvention, measured: dict[Key, Evidence]) -> float:
+def _convention_error(convention: MotionConvention, measured: dict[Key, Evidence]) -> float:
     """Return the mean error of a convention, by those directions that can be measured."""
     named = {key: _named(key, convention) for key in measured}
     errors = [measured[key].error(axes) for key, axes in named.items() if axes is not None]
     return float(np.mean(errors)) if errors else math.inf
 
 
-def _settled(
+def _measure(
     measured: dict[Key, Evidence],
     guess: MotionConvention | None,
     names: tuple[str, ...],
     frames: str,
-    kept: Collection[tuple[int, int]],
     presets: Mapping[str, MotionConvention],
 ) -> MotionFinding:
     """Find the convention of those channels that hold vectors; see `calibrate`."""
-    with ThreadPoolExecutor(min(threads(), len(measured)), "exwarp-measure") as pool:
-        each = pool.map(Evidence.ranked, measured.values())
+    kept = set(channel_pairs(names))
+    written = {key[0] for key, evidence in measured.items() if not evidence.empty}
+    if written and written != kept:
+        kept = written
+        measured = {key: evidence for key, evidence in measured.items() if key[0] in kept}
+        guess = _restrict(guess, kept)
+    with ThreadPoolExecutor(min(threads(), len(measured)), "exwarp-measure") as executor:
+        each = executor.map(Evidence.ranked, measured.values())
         ranked = dict(zip(measured, each, strict=True))
-    verdict = _judged(ranked, measured, guess)
-    if not verdict.stands(measured, guess):
+    verdict = _judge(ranked, measured, guess)
+    if not verdict.stands:
         freely = {key: evidence.ranked_freely() for key, evidence in measured.items()}
         if all(freely.values()):
-            scaled = _judged(freely, measured, guess)
+            scaled = _judge(freely, measured, guess)
             better = scaled.error * CLEARLY_BETTER + TIE_FLOOR < verdict.error
             verdict = scaled if scaled.explains and better else verdict
-    fits = [_fitting(presets, measured, one) for one in (verdict.convention, guess)]
-    found = verdict.finding(measured, guess, names, frames, (fits[0], fits[1]))
+    fits = tuple(
+        "" if each is None else _fitting_preset(presets, measured, each)
+        for each in (verdict.convention, guess)
+    )
+    finding = verdict.finding(names, frames, (fits[0], fits[1]))
     lost = [f"{names[x]},{names[y]}" for x, y in channel_pairs(names) if (x, y) not in kept]
     if not lost:
-        return found
-    said = f"{found.evidence}; {' and '.join(lost)} hold no vectors and are left out"
-    return replace(found, evidence=said, clear=False)
+        return finding
+    evidence = f"{finding.evidence}; {' and '.join(lost)} hold no vectors and are left out"
+    return replace(finding, evidence=evidence, clear=False)
 
 
-def _without(
+def _restrict(
     guess: MotionConvention | None, kept: Collection[tuple[int, int]]
 ) -> MotionConvention | None:
     """Return what the names say of some pairs of channels alone; None where that is nothing."""
     if guess is None:
         return None
     before, after = (
-        one if one is not None and _key(one, False)[0] in kept else None
-        for one in (guess.to_previous, guess.to_next)
+        axes if axes is not None and _key(axes, False)[0] in kept else None
+        for axes in (guess.to_previous, guess.to_next)
     )
     if before is None and after is None:
         return None
     return replace(guess, to_previous=before, to_next=after)
 
 
-def _why_nothing(
-    pairs: Sequence[tuple[Sampled, Sampled]], frames: str, names: tuple[str, ...]
-) -> str:
-    """Say why there was nothing to measure; what holds no vectors at all is an error."""
-    if all(one.empty for pair in pairs for one in pair):
-        raise MotionError(
-            f"the motion channels {', '.join(names)} of frames {frames} hold no numbers, only NaN "
-            "or infinity; render the motion pass again, or give other vectors"
-        )
-    return f"frames {frames} hold nothing to measure by: no surfaces, or no depth and no colour"
-
-
-def _judged(
-    ranked: Ranked,
-    measured: dict[Key, Evidence],
-    guess: MotionConvention | None,
+def _judge(
+    ranked: Ranked, measured: dict[Key, Evidence], guess: MotionConvention | None
 ) -> _Verdict:
     """Choose among ranked candidates of every key."""
-    option = _assign(ranked, measured, guess)
+    option = _assign_directions(ranked, measured, guess)
     chosen = {key: _named_or_best(ranked[key], measured[key], guess) for key in option}
-    others = [[ranked[key][0][0] for key in o] for o in _options(ranked) if o != option]
-    rival = math.inf
-    joint = together(ranked, measured, chosen)
+    turned = [[ranked[key][0][0] for key in o] for o in _options(ranked) if o != option]
+    joint = rank_jointly(ranked, measured, chosen)
     if joint:
         chosen, rival = joint
-    maps = {key: found for key, (_, found) in chosen.items()}
+    maps = {key: axes for key, (_, axes) in chosen.items()}
     if not joint:
-        rival = min(_rival(ranked[key], measured[key], found) for key, found in maps.items())
+        rival = min(
+            next((e for e, axes in ranked[key] if measured[key].differ(axes, best)), 1.0)
+            for key, best in maps.items()
+        )
+    untried: dict[Key, AxisMap] = {}
+    if guess is not None and all(_named(key, guess) == axes for key, axes in maps.items()):
+        # Some programs write no vectors in the first frame, or in the last.
+        for axes, later in ((guess.to_previous, False), (guess.to_next, True)):
+            if axes is not None and _key(axes, later) not in measured:
+                untried[_key(axes, later)] = axes
     return _Verdict(
+        measured,
+        guess,
         maps,
-        float(np.mean([error for error, _ in chosen.values()])),
+        mean_error(chosen),
         float(np.mean([measured[key].still() for key in chosen])),
         rival,
         max(error / (measured[key].still() or 1.0) for key, (error, _) in chosen.items()),
-        _untried(maps, measured, guess),
-        min(map(max, others), default=math.inf),
+        untried,
+        min(map(max, turned), default=math.inf),
     )
 
 
-def _fitting(
+def _fitting_preset(
     presets: Mapping[str, MotionConvention],
     measured: dict[Key, Evidence],
-    convention: MotionConvention | None,
+    convention: MotionConvention,
 ) -> str:
-    """Return the preset that reads vectors as a convention does; "" without.
-
-    Many programs write alike: the shortest of their names is as good as any.
-    """
-    if convention is None:
-        return ""
+    """Return the preset that reads vectors as a convention does; "" without."""
 
     def same(a: AxisMap | None, b: AxisMap | None, later: bool) -> bool:
         if a is None or b is None or a == b:
@@ -294,50 +266,34 @@ def _fitting(
         and same(preset.to_previous, convention.to_previous, False)
         and same(preset.to_next, convention.to_next, True)
     ]
+    # Many programs write alike: the shortest of their names is as good as any.
     return min(fits, key=len, default="")
-
-
-def _untried(
-    maps: dict[Key, AxisMap], measured: dict[Key, Evidence], guess: MotionConvention | None
-) -> dict[Key, AxisMap]:
-    """Return the named maps of a direction whose frames hold no vectors, if the other is as named.
-
-    Some programs write none in the first frame, or in the last.
-    """
-    if guess is None or any(_named(key, guess) != found for key, found in maps.items()):
-        return {}
-    named = ((guess.to_previous, False), (guess.to_next, True))
-    keys = {_key(one, later): one for one, later in named if one is not None}
-    return {key: one for key, one in keys.items() if key not in measured}
 
 
 @dataclass(frozen=True)
 class _Verdict:
-    """The best convention with its mean error, that of no motion, and that of its best rival.
+    """The best convention and its errors."""
 
-    `worst` is the largest error of a direction, as a share of that of no motion; `untried` are maps
-    that could not be tried, and are as the names say; `turned` is the error where channels to the
-    previous and to the next frame change places: of those which that explains worst.
-    """
-
+    measured: dict[Key, Evidence]
+    guess: MotionConvention | None  # what the names say
     maps: dict[Key, AxisMap]
-    error: float
-    still: float
-    rival: float
-    worst: float
-    untried: dict[Key, AxisMap]
+    error: float  # mean
+    still: float  # of no motion
+    rival: float  # of the best other reading
+    worst: float  # the largest error of a direction, as a share of that of no motion
+    untried: dict[Key, AxisMap]  # maps that could not be tried, and are as the names say
+    # Where channels to the previous and to the next frame change places: the largest error then.
     turned: float
 
     @property
     def convention(self) -> MotionConvention:
-        """The convention."""
         every = {**self.untried, **self.maps}
         maps = {later: axis_map for (_, later), axis_map in every.items()}
         return MotionConvention(maps.get(False), maps.get(True))
 
     @property
     def explains(self) -> bool:
-        """Whether the convention explains the motion, and no direction is there for nothing."""
+        """Whether the convention explains the motion, and each direction contributes."""
         return self.error <= BEATS_STILL * self.still and self.worst <= HARDLY_BEATS
 
     @property
@@ -345,63 +301,64 @@ class _Verdict:
         """Whether no other is as good."""
         return self.rival >= self.error * TIE_RATIO
 
-    def hardly(self, guess: MotionConvention | None) -> bool:
-        """Whether it is what the names say, and better than no motion, if not by much."""
-        hard = BEATS_STILL * self.still < self.error < HARDLY_BEATS * self.still
-        return self.convention == guess and hard
+    @property
+    def is_hardly_better(self) -> bool:
+        """Whether it is what the names say, and only a little better than no motion."""
+        hardly = BEATS_STILL * self.still < self.error < HARDLY_BEATS * self.still
+        return self.convention == self.guess and hardly
 
-    def stands(self, measured: dict[Key, Evidence], guess: MotionConvention | None) -> bool:
-        """Whether there is no need to look for other scales than the usual ones."""
-        if self.convention == guess:
-            return self.explains or self.hardly(guess)
-        return self.explains and self.alone and not self._scaled_is_better(measured)
-
-    def _scaled_is_better(self, measured: dict[Key, Evidence]) -> bool:
-        """Whether another scale near the convention's own is clearly better, one for both."""
-        if len(self.maps) < 2 or not alike(*self.maps.values()):
-            return any(measured[key].scaled_is_better(m) for key, m in self.maps.items())
-        own = {key: (measured[key].error(axes), axes) for key, axes in self.maps.items()}
-        better = mean_error(fitted_together(own, measured, AROUND))
-        return better * CLEARLY_BETTER + CLEAR_FLOOR < mean_error(own)
-
-    def fitted(self, measured: dict[Key, Evidence], guess: MotionConvention | None) -> bool:
-        """Whether a scale is none of the usual ones."""
-        known = () if guess is None else (guess.to_previous, guess.to_next)
-        return any(
-            m not in known and m not in measured[key].usual() for key, m in self.maps.items()
-        )
+    @property
+    def stands(self) -> bool:
+        """Whether no other scales than the usual ones need to be tried."""
+        if self.convention == self.guess:
+            return self.explains or self.is_hardly_better
+        if not self.explains or not self.alone:
+            return False
+        # Another scale near the convention's own may be clearly better, one for both directions.
+        errors = {key: self.measured[key].error(axes) for key, axes in self.maps.items()}
+        if len(self.maps) == 2 and is_alike(*self.maps.values()):
+            own = {key: (errors[key], axes) for key, axes in self.maps.items()}
+            fits = [(mean_error(fit_scales(own, self.measured, AROUND)), mean_error(own))]
+        else:
+            fits = [
+                (self.measured[key].fit_scale(axes, AROUND)[0], errors[key])
+                for key, axes in self.maps.items()
+            ]
+        return not any(better * CLEARLY_BETTER + CLEAR_FLOOR < error for better, error in fits)
 
     def finding(
         self,
-        measured: dict[Key, Evidence],
-        guess: MotionConvention | None,
         names: tuple[str, ...],
         frames: str,
-        presets: tuple[str, str],
+        presets: tuple[str, str],  # that read as this convention does, and as the names say; or ""
     ) -> MotionFinding:
-        """Accept the convention, or say why not; see :func:`calibrate`.
-
-        `presets` are those that read as this convention does, and as the names say; "" without.
-        """
+        """Accept the convention, or say why not; see :func:`calibrate`."""
+        guess = self.guess
         read = self.convention.describe(names)
         stated = None if guess is None else guess.describe(names)
         if not self.explains:
-            if self.hardly(guess):
+            if self.is_hardly_better:
                 return _untested(guess, f"frames {frames} hold too little motion to measure")
-            telling = max(evidence.moved() for evidence in measured.values())
-            if guess is not None and telling < TELLING:
+            strongest = max(evidence.moved() for evidence in self.measured.values())
+            if guess is not None and strongest < DECISIVE:
                 return _untested(guess, f"frames {frames} tell too little to contradict them")
-            raise MotionError(self._unexplained(measured, frames, presets[1]))
+            raise MotionError(self._unexplained(frames, presets[1]))
         if self.convention != guess and not self.alone:
-            if guess is not None and self._nearly(guess, measured):
-                return _untested(guess, f"frames {frames} do not tell it and others apart")
-            known = "are not known" if stated is None else f"say {stated}, which is worse"
+            if guess is not None:
+                error = _convention_error(guess, self.measured)
+                if error <= HARDLY_BEATS * self.still and error <= CLEARLY_WORSE * self.error:
+                    return _untested(guess, f"frames {frames} do not tell it and others apart")
+            name_problem = "are not known" if stated is None else f"say {stated}, which is worse"
             raise MotionError(
                 f"frames {frames} do not tell the conventions {read} and others apart and the "
-                f"channel names {known}; give --motion{looks_like(presets[0])}"
+                f"channel names {name_problem}; give --motion{preset_hint(presets[0])}"
             )
         corrected = guess is not None and self.convention != guess
-        fitted = self.fitted(measured, guess)
+        named = () if guess is None else (guess.to_previous, guess.to_next)
+        fitted = any(
+            axes not in named and axes not in self.measured[key].usual()
+            for key, axes in self.maps.items()
+        )
         evidence = (
             f"{read} measured on frames {frames}: error {self.error:.3f}, {self.rival:.3f} for the "
             f"next best reading, {self.still:.3f} without motion"
@@ -410,13 +367,16 @@ class _Verdict:
         )
         errors = self.error, self.still, self.rival
         source = "corrected" if corrected else "calibrated"
-        clear = self._clear(guess)
+        as_named = self.convention == guess and not self.untried
+        clear = as_named and min(self.rival, self.turned) > CLEARLY_WORSE * self.error
         return MotionFinding(self.convention, source, evidence, *errors, clear, preset=presets[0])
 
-    def _unexplained(self, measured: dict[Key, Evidence], frames: str, named: str) -> str:
+    def _unexplained(self, frames: str, preset: str) -> str:
         """Say that nothing explains the motion, what may be the cause, and what to do."""
-        one = " in one of the two directions" if self.error <= BEATS_STILL * self.still else ""
-        empty = all(evidence.empty for evidence in measured.values())
+        direction = (
+            " in one of the two directions" if self.error <= BEATS_STILL * self.still else ""
+        )
+        empty = all(evidence.empty for evidence in self.measured.values())
         cause = (
             "they hold one value everywhere, so the pass is empty, or motion blur was on: switch "
             "it off and render the pass again"
@@ -424,24 +384,14 @@ class _Verdict:
             else "check the pass"
         )
         return (
-            f"no reading of the motion channels explains the motion between frames {frames}{one} "
-            f"(error {self.error:.3f}, {self.still:.3f} without motion); {cause}, or give --motion"
-            f"{'' if empty else looks_like(named)}"
+            "no reading of the motion channels explains the motion between frames "
+            f"{frames}{direction} (error {self.error:.3f}, {self.still:.3f} without motion); "
+            f"{cause}, or give --motion{'' if empty else preset_hint(preset)}"
         )
 
-    def _nearly(self, guess: MotionConvention, measured: dict[Key, Evidence]) -> bool:
-        """Whether what the names say explains the motion, and no worse than the best, clearly."""
-        error = _error(guess, measured)
-        return error <= HARDLY_BEATS * self.still and error <= CLEARLY_WORSE * self.error
 
-    def _clear(self, guess: MotionConvention | None) -> bool:
-        """Whether `MotionFinding.clear` holds, where no channels were left out."""
-        as_named = self.convention == guess and not self.untried
-        return as_named and min(self.rival, self.turned) > CLEARLY_WORSE * self.error
-
-
-def looks_like(preset: str) -> str:
-    """Return the end of a sentence that names a preset which fits, as a hint; "" without."""
+def preset_hint(preset: str) -> str:
+    """Return the end of a sentence that names a preset which fits; "" without."""
     return f" (looks like {preset.capitalize()}: --motion {preset})" if preset else ""
 
 
@@ -454,18 +404,19 @@ def _untested(guess: MotionConvention | None, reason: str) -> MotionFinding:
     return MotionFinding(guess, "untested", f"taken from the channel names: {reason}")
 
 
-def _assign(
-    ranked: Ranked,
-    measured: dict[Key, Evidence],
-    guess: MotionConvention | None,
+def _assign_directions(
+    ranked: Ranked, measured: dict[Key, Evidence], guess: MotionConvention | None
 ) -> tuple[Key, ...]:
     """Decide which channels lead to the previous and which to the next frame."""
-    least = {option: _least(option, ranked) for option in _options(ranked)}
+    # Of each option the mean error, each pair of channels by its best reading.
+    least = {
+        option: float(np.mean([ranked[key][0][0] for key in option])) for option in _options(ranked)
+    }
     directions = len({channels for channels, _ in ranked})
     most = min(least.values()) * TIE_RATIO + TIE_FLOOR / directions
     for option, error in least.items():
-        named = all(_as_named(ranked[key], measured[key], guess) for key in option)
-        if named and error <= most:
+        is_named = all(_is_as_named(ranked[key], measured[key], guess) for key in option)
+        if is_named and error <= most:
             return option
     return min(least, key=least.__getitem__)
 
@@ -477,22 +428,17 @@ def _options(ranked: Ranked) -> list[tuple[Key, ...]]:
         [(channels, later != bool(i)) for i, channels in enumerate(pairs)]
         for later in (False, True)
     ]
-    # Where a frame has no vectors, there is no telling what they lead to.
+    # Where a frame has no vectors, there is nothing to assign.
     return list(filter(None, (tuple(key for key in keys if key in ranked) for keys in both)))
 
 
-def _least(option: Sequence[Key], ranked: Ranked) -> float:
-    """Return the mean error of channels in one of these ways, each by its best reading."""
-    return float(np.mean([ranked[key][0][0] for key in option]))
-
-
-def _as_named(
+def _is_as_named(
     ranked: list[tuple[float, AxisMap]], evidence: Evidence, guess: MotionConvention | None
 ) -> bool:
     """Whether the guess holds for these channels in this direction, or does but for its scale.
 
-    At an even speed, vectors to one frame are those to the other turned round. So a direction is
-    no better for being named when the signs are not as named.
+    At an even speed, vectors to one frame are those to the other reversed. So a direction is no
+    better for being named when the signs are not as named.
     """
     named = None if guess is None else _named((evidence.channels, evidence.later), guess)
     if named is None:
@@ -506,17 +452,16 @@ def _signs(axis_map: AxisMap) -> tuple[int, bool, bool]:
 
 
 def _key(axis_map: AxisMap, later: bool) -> Key:
-    """Return which channels a map reads, for a direction."""
     x, y = sorted((axis_map.x_channel, axis_map.y_channel))
     return (x, y), later
 
 
 def _named(key: Key, guess: MotionConvention) -> AxisMap | None:
     """Return the guessed map of these channels in this direction."""
-    found = guess.to_next if key[1] else guess.to_previous
-    if found is None or {found.x_channel, found.y_channel} != set(key[0]):
+    axes = guess.to_next if key[1] else guess.to_previous
+    if axes is None or {axes.x_channel, axes.y_channel} != set(key[0]):
         return None
-    return found
+    return axes
 
 
 def _named_or_best(
@@ -529,8 +474,3 @@ def _named_or_best(
         if error <= ranked[0][0] * TIE_RATIO + TIE_FLOOR:
             return error, named
     return ranked[0]
-
-
-def _rival(ranked: list[tuple[float, AxisMap]], evidence: Evidence, chosen: AxisMap) -> float:
-    """Return the error of the best candidate that moves points elsewhere."""
-    return next((e for e, c in ranked if evidence.differ(c, chosen)), 1.0)

@@ -1,15 +1,16 @@
 """Cameras, recovered from what the G-buffer shows.
 
-EXR headers seldom hold a camera matrix, but points of known position that are seen at known pixels
-determine the 3x4 projection by a linear fit (the direct linear transform). With world positions
-the points are those; with only depth along the camera's axis, the frame's own camera serves as the
-world: the point at pixel (x, y) and depth z is (x, y, 1, 1/z) up to scale. Either way the fit to
-the neighbouring frame, through the renderer's vectors, gives that frame's camera, and with it the
-motion of everything static and of the sky, whose vectors are 0 even while the camera turns.
+EXR headers seldom hold a camera matrix, but points of known position at known pixels determine the
+3x4 projection by the direct linear transform. With world positions the points are those. With only
+depth along the camera's axis, the frame's own camera serves as the world: the point at pixel (x, y)
+and depth z is (x, y, 1, 1/z) up to scale. Either way the fit to the neighbouring frame, through the
+renderer's vectors, gives that frame's camera. With it comes the motion of everything static and of
+the sky, whose vectors are 0 even while the camera turns.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -17,86 +18,104 @@ import numpy as np
 import numpy.typing as npt
 
 from exwarp_cli.domain.frame import Bool, Float32, GBuffer, Int32
-from exwarp_cli.kernels import project
-from exwarp_cli.synthesis.resection import Camera as Camera
-from exwarp_cli.synthesis.resection import fit
+from exwarp_cli.kernels import project, resection
 
 Index = npt.NDArray[np.intp]
 F64 = npt.NDArray[np.float64]
 
+# Returns the displacement, float32 [N, 2] pixels, of the pixels with N flat indices.
 MotionAt = Callable[[Index], Float32]
-"""Returns float32 [N, 2], pixels, the displacement of the pixels with N flat indices."""
 
-MAX_SAMPLES = 4000
-GRID = 5
-"""How many pixels are looked at for each sample."""
+# Points that a camera is fitted to, and how many pixels are examined for each.
+MAX_SAMPLES, GRID = 4000, 5
+MIN_SAMPLES = 60
+ROUNDS = 12
+
+# Cameras that are tried, points that determine each, and points that judge it: with two fifths of
+# the points moving, 200 samples of six miss the right camera once in ten thousand.
+SUBSETS, SUBSET_SIZE, JUDGES = 200, 6, 500
+
+# An error below this is no outlier, in units of the spread of the pixels.
+MIN_OUTLIER = 1e-3
+
+# Pixels: a fit whose median error on its inliers is larger is no camera.
+MAX_MEDIAN_ERROR = 0.25
+
+# Pixels: a smaller error is never an outlier, because half-float passes are rounded.
+INLIER_FLOOR = 0.02
+
+# Ratio of singular values below which points lie on one plane and determine no camera.
+DEGENERATE = 1e-5
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A 3x4 projection from homogeneous scene points to pixels (+x right, +y down)."""
+
+    matrix: F64
+    median_error: float  # on the fit's inliers, pixels
+
+    def project(self, points: F64) -> F64:
+        """Project points [..., 4] to pixels [..., 2]; NaN for what lies behind the camera."""
+        image = points @ self.matrix.T
+        with np.errstate(divide="ignore", invalid="ignore"):
+            pixels: F64 = image[..., :2] / image[..., 2:]
+        pixels[image[..., 2] <= 0] = np.nan
+        return pixels
 
 
 @dataclass(frozen=True)
 class Scene:
-    """The points of a frame, in whatever world is at hand.
+    """The points of a frame: in world space, or in that of the frame's own camera."""
 
-    Attributes
-    ----------
-    position
-        float32 [H, W, 3], world space; [0, 0, 3] where depth places the points instead.
-    depth
-        float32 [H, W], +inf background.
-    to_ray
-        float64 [3, 3]: takes (x, y, 1) of a pixel to the direction of its ray in that world.
-    camera
-        The frame's own projection, from world positions; None where depth places the points.
-    """
+    position: Float32  # [H, W, 3], world space; [0, 0, 3] where depth places the points
+    depth: Float32  # [H, W], +inf background
+    to_ray: F64  # [3, 3]: takes (x, y, 1) of a pixel to the direction of its ray
+    camera: Camera | None = None  # from world positions; None where depth places the points
 
-    position: Float32
-    depth: Float32
-    to_ray: F64
-    camera: Camera | None = None
-
-    def points(self, index: npt.NDArray[np.intp]) -> F64:
-        """Homogeneous points float64 [N, 4] of pixels given by flat index."""
+    def points(self, index: Index) -> F64:
+        """Return homogeneous points float64 [N, 4] of pixels with these flat indices."""
         if self.position.shape[0]:
-            chosen = self.position.reshape(-1, 3)[index].astype(np.float64)
-            return np.concatenate([chosen, np.ones((len(index), 1))], axis=1)
+            position = self.position.reshape(-1, 3)[index].astype(np.float64)
+            return np.concatenate([position, np.ones((len(index), 1))], axis=1)
         inverse = 1.0 / self.depth.ravel()[index].astype(np.float64)
         grid = pixels_at(index, self.depth.shape[1])
         return np.column_stack([grid, np.ones(len(index)), inverse])
 
 
-def pixels_at(index: npt.NDArray[np.intp], width: int) -> F64:
-    """Pixel coordinates (x, y) float64 [N, 2] of flat indices."""
+def pixels_at(index: Index, width: int) -> F64:
+    """Return pixel coordinates (x, y) float64 [N, 2] of flat indices."""
     y, x = np.divmod(index, width)
     return np.stack([x, y], axis=1).astype(np.float64)
 
 
 def scene_of(gbuffer: GBuffer) -> Scene | None:
-    """Return a frame's points: from world positions if they fit a camera, else from depth.
+    """Place a frame's points by world positions if these fit a camera, else by depth.
 
-    None when neither is there.
+    None without either.
     """
     depth = gbuffer.depth
     if gbuffer.position is not None:
         position = np.ascontiguousarray(gbuffer.position)
         if depth is None:
             depth = np.where(gbuffer.background, np.inf, 1.0).astype(np.float32)
-        index = sample(depth)
+        index = sample_surfaces(depth)
         scene = Scene(position, depth, np.eye(3))
-        own = fit(scene.points(index), pixels_at(index, depth.shape[1]))
-        if own is not None:
-            to_ray = np.asarray(np.linalg.inv(own.matrix[:, :3]), dtype=np.float64)
-            return Scene(position, depth, to_ray, own)
+        camera = fit(scene.points(index), pixels_at(index, depth.shape[1]))
+        if camera is not None:
+            to_ray = np.asarray(np.linalg.inv(camera.matrix[:, :3]), dtype=np.float64)
+            return Scene(position, depth, to_ray, camera)
     if gbuffer.depth is None:
         return None
     return Scene(np.zeros((0, 0, 3), np.float32), gbuffer.depth, np.eye(3))
 
 
-def sample(depth: Float32, stencil: Int32 | None = None) -> npt.NDArray[np.intp]:
-    """Return flat indices of about MAX_SAMPLES pixels that show surfaces, always the same ones.
+def sample_surfaces(depth: Float32, stencil: Int32 | None = None) -> Index:
+    """Choose about MAX_SAMPLES pixels that show surfaces, always the same, as flat indices.
 
-    Static ones where ids are known, none where these are too few: what moves by itself tells no
-    camera. A regular grid, some times finer than needed, is looked at, as looking at every pixel
-    takes longer than the fit.
+    With ids, static pixels only: what moves by itself determines no camera.
     """
+    # A regular grid, finer than needed: examining every pixel takes longer than the fit.
     grid = np.arange(0, depth.size, max(1, depth.size // (GRID * MAX_SAMPLES)))
     index = grid[np.isfinite(depth.ravel()[grid])]
     if stencil is not None:
@@ -104,71 +123,49 @@ def sample(depth: Float32, stencil: Int32 | None = None) -> npt.NDArray[np.intp]
     return index[:: max(1, len(index) // MAX_SAMPLES)]
 
 
-def camera_after(scene: Scene, vectors: Float32, stencil: Int32 | None) -> Camera | None:
-    """Return the camera of another instant, which the motion to it implies.
+def camera_after(
+    scene: Scene,
+    vectors: Float32,  # [H, W, 2], pixels, displacement to the other frame
+    stencil: Int32 | None,  # [H, W], 0 static; None when unknown
+) -> Camera | None:
+    """Recover the camera of another instant from the motion to it.
 
-    Parameters
-    ----------
-    scene
-        The frame's points.
-    vectors
-        float32 [H, W, 2], pixels, displacement to the other frame.
-    stencil
-        int32 [H, W], 0 static; None when unknown. Used to find points for the fit.
-
-    Returns
-    -------
-    Camera or None
-        In the scene's own world; None when none can be found.
+    In the scene's own world; None if no camera explains the motion.
     """
-    return camera_by(scene, _found_in(vectors), stencil)
+    return camera_by(scene, vectors.reshape(-1, 2).__getitem__, stencil)
 
 
 def camera_by(scene: Scene, motion_at: MotionAt, stencil: Int32 | None) -> Camera | None:
-    """Return a camera as `camera_after` does, by the motion of the points it looks at alone."""
-    return _cameras(scene, (motion_at,), stencil)[0]
+    """Recover a camera as `camera_after` does, from the motion of its sampled points alone."""
+    return _fit_cameras(scene, [motion_at], stencil)[0]
 
 
 def cameras_around(
-    scene: Scene | None, vectors: Sequence[Float32 | None], stencil: Int32 | None
+    scene: Scene | None,
+    # As for `camera_after`; None for an instant without vectors.
+    vectors: Sequence[Float32 | None],
+    stencil: Int32 | None,
 ) -> F64:
-    """Return the cameras of several instants, as the kernel that settles motion has them.
+    """Recover the cameras of several instants, in the layout of the kernel that settles motion.
 
-    Parameters
-    ----------
-    scene
-        The frame's points; None where nothing tells.
-    vectors
-        As in `camera_after`, to each of the instants; None where there are none.
-    stencil
-        As there.
-
-    Returns
-    -------
-    float64 [N, 2, 3, 4]
-        Of each instant for points, and for background, at infinity; NaN where there is none.
+    Returns float64 [N, 2, 3, 4]: of each instant for points, and for background at infinity; NaN
+    where there is none.
     """
     out = np.full((len(vectors), 2, 3, 4), np.nan)
     if scene is None:
         return out
-    motions = [None if motion is None else _found_in(motion) for motion in vectors]
-    for found, camera in zip(out, _cameras(scene, motions, stencil), strict=True):
+    motions = [None if each is None else each.reshape(-1, 2).__getitem__ for each in vectors]
+    for matrices, camera in zip(out, _fit_cameras(scene, motions, stencil), strict=True):
         if camera is not None:
-            found[0], found[1, :, :3] = camera.matrix, _at_infinity(scene, camera)
-            found[1, :, 3] = 1.0
+            matrices[0], matrices[1, :, :3] = camera.matrix, _homography_at_infinity(scene, camera)
+            matrices[1, :, 3] = 1.0
     return out
 
 
-def _found_in(vectors: Float32) -> MotionAt:
-    """Return what finds displacements in a field of them, float32 [H, W, 2]."""
-    return vectors.reshape(-1, 2).__getitem__
-
-
-def _cameras(
+def _fit_cameras(
     scene: Scene, motions: Sequence[MotionAt | None], stencil: Int32 | None
 ) -> list[Camera | None]:
-    """Return the cameras of several instants, all by the same points."""
-    index = sample(scene.depth, stencil)
+    index = sample_surfaces(scene.depth, stencil)
     points, pixels = scene.points(index), pixels_at(index, scene.depth.shape[1])
     return [
         None
@@ -181,57 +178,157 @@ def _cameras(
 def seen_by(scene: Scene, camera: Camera) -> Float32:
     """Return the displacement of each pixel to another camera's frame, if its point stands still.
 
-    Returns
-    -------
-    float32 [H, W, 2]
-        Pixels; NaN for what lies behind the camera.
+    float32 [H, W, 2] in pixels; NaN for what lies behind the camera.
     """
     out = np.empty((*scene.depth.shape, 2), np.float32)
-    project.rigid(*_sight(scene, camera), np.zeros((0, 0), np.bool_), False, out)
+    project.rigid(*_kernel_inputs(scene, camera), np.zeros((0, 0), np.bool_), False, out)
     return out
 
 
 def place_still(
     scene: Scene, camera: Camera, still: Bool, motion: Float32, kept: bool = False
 ) -> None:
-    """Write what `seen_by` returns to the pixels of a motion field that stand still.
+    """Write what `seen_by` returns into `motion` where `still` is True.
 
-    Parameters
-    ----------
-    scene, camera
-        As there.
-    still
-        bool [H, W].
-    motion
-        float32 [H, W, 2], changed.
-    kept
-        Whether it is kept for what lies behind the camera.
+    With `kept`, what lies behind the camera keeps its motion.
     """
-    project.rigid(*_sight(scene, camera), still, kept, motion)
+    project.rigid(*_kernel_inputs(scene, camera), still, kept, motion)
 
 
 def standing(scene: Scene, camera: Camera, step: Float32, tolerance: float) -> Bool:
-    """bool [H, W]: pixels whose motion is what `seen_by` returns, but for a tolerance in pixels.
+    """Mark pixels, bool [H, W], whose motion `step` to the camera's frame is that of still points.
 
-    Parameters
-    ----------
-    scene, camera
-        As there.
-    step
-        float32 [H, W, 2], pixels: motion to the camera's frame; NaN where unknown.
-    tolerance
-        Of either component.
+    `tolerance` is in pixels, for either component; unknown motion (NaN) is not still.
     """
     out = np.empty(scene.depth.shape, np.bool_)
-    project.standing(*_sight(scene, camera), step, np.float32(tolerance), out)
+    project.standing(*_kernel_inputs(scene, camera), step, np.float32(tolerance), out)
     return out
 
 
-def _sight(scene: Scene, camera: Camera) -> tuple[Float32, Float32, F64, F64]:
-    """Return what kernels need of a scene and another camera."""
-    return scene.position, scene.depth, camera.matrix, _at_infinity(scene, camera)
+def _kernel_inputs(scene: Scene, camera: Camera) -> tuple[Float32, Float32, F64, F64]:
+    return scene.position, scene.depth, camera.matrix, _homography_at_infinity(scene, camera)
 
 
-def _at_infinity(scene: Scene, camera: Camera) -> F64:
-    """Return the homography float64 [3, 3] of the background."""
+def _homography_at_infinity(scene: Scene, camera: Camera) -> F64:
     return camera.matrix[:, :3] @ scene.to_ray
+
+
+def fit(
+    points: F64,  # [N, 4], homogeneous
+    pixels: F64,  # [N, 2]
+    # Whether points may be among them that move alike and differently from the rest. The fit then
+    # starts from the least median of small samples, which tolerates nearly half of them.
+    movers: bool = False,
+) -> Camera | None:
+    """Fit a projection to points at pixels, most of which match.
+
+    None with too few points, with points on one plane, or if no camera explains half of them.
+
+    Notes
+    -----
+    Direct linear transform on normalised coordinates, reweighted to pixel error and by Geman and
+    McClure's weights. Points beyond four median errors are left out round by round, until the same
+    points stay.
+    """
+    usable = np.isfinite(points).all(axis=1) & np.isfinite(pixels).all(axis=1)
+    points, pixels = points[usable], pixels[usable]
+    if len(points) < MIN_SAMPLES:
+        return None
+    to_unit, unit_points = _normalise_points(points)
+    centre, spread = pixels.mean(axis=0), float(pixels.std()) or 1.0
+    unit_pixels = (pixels - centre) / spread
+    from_unit = np.diag([spread, spread, 1.0])
+    from_unit[:2, 2] = centre
+    system = _LinearSystem(unit_points, unit_pixels)
+    weights = np.ones(len(points))
+    if movers:
+        weights = _least_median_weights(unit_points, unit_pixels)
+    errors, inliers = np.empty(len(points)), np.ones(len(points), np.bool_)
+    for count in range(ROUNDS):
+        unit = system.solve(weights)
+        if unit is None:
+            return None
+        matrix = from_unit @ unit @ to_unit
+        resection.write_errors(points @ matrix.T, pixels, errors)
+        median = float(np.median(errors))
+        limit = max(4.0 * median, INLIER_FLOOR)
+        inside, is_same = resection.mark_inliers(errors, limit, inliers)
+        if inside < MIN_SAMPLES or not math.isfinite(median):
+            return None
+        if count and is_same:
+            break
+        # Without these weights an object on a sixth of the points drags the camera with it: it
+        # pulls the first fit so far that it stays within four median errors.
+        depths = unit_points @ unit[2]
+        resection.write_weights(errors, inliers, depths, max(median, INLIER_FLOOR), weights)
+    camera = Camera(matrix, float(np.median(errors[inliers])))
+    return camera if camera.median_error <= MAX_MEDIAN_ERROR else None
+
+
+def _normalise_points(points: F64) -> tuple[F64, F64]:
+    """Return a 4x4 transform, and the points after it: centred, of unit spread."""
+    finite = points[:, :3] / points[:, 3:]
+    centre = np.median(finite, axis=0)
+    spread = float(np.median(np.abs(finite - centre))) or 1.0
+    transform = np.eye(4)
+    transform[:3, 3] = -centre
+    transform[:3] /= spread
+    moved = points @ transform.T
+    return transform, moved / moved[:, 3:]
+
+
+def _least_median_weights(points: F64, pixels: F64) -> F64:
+    """Return weight 1 for points near the best of many cameras through six points each, else 0.
+
+    Rousseeuw, Least Median of Squares Regression, 1984; the samples are always the same ones.
+    """
+    rng = np.random.default_rng(0)
+    chosen = rng.integers(0, len(points), (SUBSETS, SUBSET_SIZE))
+    rows = _equations(points[chosen], pixels[chosen]).reshape(SUBSETS, -1, 12)
+    _, directions = np.linalg.eigh(rows.transpose(0, 2, 1) @ rows)
+    matrices = directions[..., 0].reshape(SUBSETS, 3, 4)
+    judges = slice(None, None, max(1, len(points) // JUDGES))
+
+    def errors(matrix: F64, samples: slice) -> F64:
+        image = points[samples] @ matrix.swapaxes(-1, -2)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            miss = np.linalg.norm(image[..., :2] / image[..., 2:] - pixels[samples], axis=-1)
+        return np.asarray(np.where(np.isfinite(miss), miss, np.inf))
+
+    medians = np.median(errors(matrices, judges), axis=-1)
+    best = int(np.argmin(medians))
+    limit = max(4.0 * float(medians[best]), MIN_OUTLIER)
+    return (errors(matrices[best], slice(None)) <= limit).astype(np.float64)
+
+
+def _equations(points: F64, pixels: F64) -> F64:
+    """Return the equations of the direct linear transform: [..., N, 4] to [..., 2, N, 12]."""
+    x, y = pixels[..., :1], pixels[..., 1:]
+    rows = np.zeros((*points.shape[:-2], 2, points.shape[-2], 12))
+    rows[..., 0, :, :4], rows[..., 0, :, 8:] = points, -x * points
+    rows[..., 1, :, 4:8], rows[..., 1, :, 8:] = points, -y * points
+    return rows
+
+
+class _LinearSystem:
+    """The equations of points float64 [N, 4] at pixels [N, 2]; its buffers serve every round."""
+
+    def __init__(self, points: F64, pixels: F64) -> None:
+        self._points, self._pixels = points, pixels
+        self._scaled, self._rows = np.empty(4 * len(points)), np.empty(24 * len(points))
+
+    def solve(self, weights: F64) -> F64 | None:
+        """Return the 3x4 matrix of least algebraic error, None if points do not determine it."""
+        used = resection.write_equations(
+            self._points, self._pixels, weights, self._scaled, self._rows
+        )
+        if used < MIN_SAMPLES:
+            return None
+        scaled = self._scaled[: 4 * used].reshape(used, 4)
+        rows = self._rows[: 24 * used].reshape(2 * used, 12)
+        squares, directions = np.linalg.eigh(rows.T @ rows)
+        if squares[1] < DEGENERATE**2 * squares[-1]:
+            return None
+        matrix = directions[:, 0].reshape(3, 4)
+        oriented: F64 = matrix * (1.0 if np.median(scaled @ matrix[2]) > 0 else -1.0)
+        return oriented

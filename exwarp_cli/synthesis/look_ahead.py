@@ -11,45 +11,47 @@ from dataclasses import replace
 
 import numpy as np
 
+from exwarp_cli.domain.extrapolator import Tile
 from exwarp_cli.domain.frame import Float32
-from exwarp_cli.domain.lookahead import LookAheadNetwork
+from exwarp_cli.domain.lookahead import LOOKS_AHEAD, LookAheadNetwork
+from exwarp_cli.domain.network import NetworkPictures
+from exwarp_cli.kernels import candidates
 from exwarp_cli.runtime.frame_pool import pool
-from exwarp_cli.synthesis.candidates import Candidates, Weights
-from exwarp_cli.synthesis.coverage import Coverage
-from exwarp_cli.synthesis.geometry import SlotField
-from exwarp_cli.synthesis.residual import agreement, along, disagreement, flow_of
-from exwarp_cli.synthesis.risk import Evidence, Tiles, evidence_of_sides
-from exwarp_cli.synthesis.warp import Mover, Warped, blend_by_depth, mix_by_depth
+from exwarp_cli.synthesis.mosaic import Tiles
+from exwarp_cli.synthesis.motion_fields import SlotField
+from exwarp_cli.synthesis.predicted_error import TileEvidence, evidence_of_sides
+from exwarp_cli.synthesis.residual_flow import add_flow, disagreement, flow_weight, search_flow
+from exwarp_cli.synthesis.warp import (
+    Coverage,
+    Mover,
+    Warped,
+    blend_by_depth,
+    linear_to_srgb,
+    mix_by_depth,
+)
+
+# Depths, scene units: nearer and farther ones are given to the network as these.
+NEAREST, FURTHEST = np.float32(1e-2), np.float32(1e4)
+
+# Of each tile of a slot, float16 [5, h, w].
+Weights = list[tuple[Tile, np.ndarray]]
 
 
 class LookAhead:
-    """Makes the colour of a slot from the key frames on both sides: its beauty, then its layers.
-
-    Parameters
-    ----------
-    back, forward
-        Motion fields from the slot to the key frames before and after it.
-    time
-        Of the slot in the key interval, 0 < time < 1.
-    linear
-        As for `Mover`.
-    coverage
-        Of the pixels beside edges; None where each has the surface of its centre.
-    network
-        That weighs what both sides show; None for the weights of softmax splatting.
-    tiles
-        For which `evidence` is kept; None for none.
-    """
+    """Makes the colour of a slot from the key frames on both sides: its beauty, then its layers."""
 
     def __init__(
         self,
+        # Motion fields from the slot to the key frames before and after it.
         back: SlotField,
         forward: SlotField,
-        time: float,
-        linear: bool = False,
+        time: float,  # of the slot in the key interval, 0 < time < 1
+        linear: bool = False,  # as for `Mover`
+        # Of the pixels beside edges; None where each has the surface of its centre.
         coverage: Coverage | None = None,
+        # That weighs what both sides show; None for the weights of softmax splatting.
         network: LookAheadNetwork | None = None,
-        tiles: Tiles | None = None,
+        tiles: Tiles | None = None,  # for which `evidence` of the beauty is kept; None for none
     ) -> None:
         self._sides = Mover(back, linear), Mover(forward, linear)
         self._time = time
@@ -58,10 +60,9 @@ class LookAhead:
         self._network = network
         self._weights: Weights = []
         self._shifted: tuple[Mover, Mover] | None = None
-        self._weight = np.zeros((0, 0), np.float32)
+        self._flow_weight = np.zeros((0, 0), np.float32)
         self._tiles = tiles
-        self.evidence: Evidence | None = None
-        """What was seen of the beauty's tiles while it was made."""
+        self.evidence: TileEvidence | None = None
 
     @property
     def weighs(self) -> bool:
@@ -74,17 +75,9 @@ class LookAhead:
         return self._shifted is not None
 
     def make(self, before: Float32, after: Float32) -> Float32:
-        """Make a layer of the slot; the first is the beauty, which tells how light moves.
+        """Make a layer of the slot; the first is the beauty, by which light is followed.
 
-        Parameters
-        ----------
-        before, after
-            float32 [H, W, C], scene-linear, of the key frames.
-
-        Returns
-        -------
-        float32 [H, W, C]
-            Scene-linear.
+        Takes the key frames' and returns the slot's scene-linear float32 [H, W, C].
         """
         codes = self._sides[0].codes(before), self._sides[1].codes(after)
         plain = self._sides[0].warp(codes[0]), self._sides[1].warp(codes[1])
@@ -92,58 +85,129 @@ class LookAhead:
         if self._shifted is None:
             apart = disagreement(*plain)
             self._shifted = self._follow_light(plain, apart)
-            shifted = _moved(self._shifted, codes, plain)
-            self._weight = agreement(apart, *shifted)
-            self._look_at(plain, shifted)
+            shifted = _warp_along(self._shifted, codes, plain)
+            self._flow_weight = flow_weight(apart, *shifted)
+            if self._tiles is not None:
+                field = self._sides[0].source.field
+                self.evidence = evidence_of_sides(
+                    self._tiles, plain, shifted, self._flow_weight, field, self._linear
+                )
         else:
-            shifted = _moved(self._shifted, codes, plain)
-        candidates = (*plain, *shifted)
-        if self._network is not None:  # blending writes over the first of each pair
-            plain, shifted = (_with_own_pixels(plain), _with_own_pixels(shifted))
+            shifted = _warp_along(self._shifted, codes, plain)
+        sides = (*plain, *shifted)
+        if self._network is not None:  # mixing overwrites the pixels of the first of each pair
+            plain, shifted = (
+                (replace(first, pixels=pool.copy(first.pixels)), second)
+                for first, second in (plain, shifted)
+            )
         out = blend_by_depth(*plain, self._time)
         if self._coverage is not None:
             self._coverage.cover(codes, out)
         del codes
         moving, _, _ = mix_by_depth(*shifted, self._time)  # no weight where neither side sees
         moving -= out
-        moving *= self._weight[..., None]
+        moving *= self._flow_weight[..., None]
         out += moving
         del moving
         if self._network is not None:
-            layer = Candidates(out, candidates, self._weight, self._time, self._linear)
+            layer = Candidates(out, sides, self._flow_weight, self._time, self._linear)
             if leads:
                 out, self._weights = layer.weigh(self._network, keep=self._linear)
             else:
                 out = layer.mix(self._weights)
         return self._sides[0].light(out)
 
-    def _look_at(self, plain: tuple[Warped, Warped], shifted: tuple[Warped, Warped]) -> None:
-        """Keep what is seen of both sides, before they are mixed."""
-        if self._tiles is not None:
-            field = self._sides[0].source.field
-            self.evidence = evidence_of_sides(
-                self._tiles, plain, shifted, self._weight, field, self._linear
-            )
-
     def _follow_light(self, plain: tuple[Warped, Warped], apart: Float32) -> tuple[Mover, Mover]:
         """Move each side its share of the way, so that both meet at the slot's time."""
-        flow = flow_of(*plain, self._linear)
+        flow = search_flow(*plain, self._linear)
         time = np.float32(self._time)
         before, after = (side.source for side in self._sides)
         return (
-            Mover(along(plain[0], before, -time * flow, apart), self._linear),
-            Mover(along(plain[1], after, (np.float32(1) - time) * flow, apart), self._linear),
+            Mover(add_flow(plain[0], before, -time * flow, apart), self._linear),
+            Mover(add_flow(plain[1], after, (np.float32(1) - time) * flow, apart), self._linear),
         )
 
 
-def _with_own_pixels(pair: tuple[Warped, Warped]) -> tuple[Warped, Warped]:
-    """Return two sides, of which the pixels of the first may be changed."""
-    return replace(pair[0], pixels=pool.copy(pair[0].pixels)), pair[1]
-
-
-def _moved(
+def _warp_along(
     movers: tuple[Mover, Mover], codes: tuple[Float32, Float32], plain: tuple[Warped, Warped]
 ) -> tuple[Warped, Warped]:
     """Warp both key frames along the flow; outlines are those of the surfaces."""
     first, second = (mover.warp(each) for mover, each in zip(movers, codes, strict=True))
     return replace(first, fringe=plain[0].fringe), replace(second, fringe=plain[1].fringe)
+
+
+class Candidates:
+    """The candidate colours of each pixel of a slot, of one layer: inputs of the network."""
+
+    def __init__(
+        self,
+        mixed: Float32,  # [H, W, C]: what `softsplat` makes
+        # The key frames before and after, moved by surfaces, then by light as well. Their pixels
+        # are changed: what a side does not show has the colour of `mixed`.
+        sides: tuple[Warped, Warped, Warped, Warped],
+        agreement: Float32,  # [H, W], from `flow_weight`
+        time: float,  # of the slot in its key interval
+        linear: bool,  # whether colour is scene-linear, and not as shown
+    ) -> None:
+        self.time = time
+        self._mixed, self._sides, self._agreement, self._linear = mixed, sides, agreement, linear
+        for side in sides:
+            np.copyto(side.pixels, mixed, where=side.hole[..., None])
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width."""
+        height, width, _ = self._mixed.shape
+        return height, width
+
+    def part(self, rows: slice, columns: slice, room: Float32 | None = None) -> NetworkPictures:
+        """Return the network's inputs of some rows and columns; see `LOOKS_AHEAD`."""
+        height, width = self.shape
+        size = min(rows.stop, height) - rows.start, min(columns.stop, width) - columns.start
+        planes = room
+        if planes is None or planes.shape[1:] != size:
+            planes = np.empty((LOOKS_AHEAD.channels, *size), np.float32)
+        ends = np.cumsum(list(LOOKS_AHEAD.inputs.values()))[:-1]
+        pictures = dict(zip(LOOKS_AHEAD.inputs, np.split(planes, ends), strict=True))
+        for i, picture in enumerate((self._mixed, *(side.pixels for side in self._sides))):
+            colour = np.ascontiguousarray(picture[rows, columns, :3])
+            shown = linear_to_srgb(colour) if self._linear else colour
+            pictures["colour"][3 * i : 3 * i + 3] = shown.transpose(2, 0, 1)
+        before, after = self._sides[:2]
+        masks = (*(side.hole for side in self._sides), before.fringe, after.fringe)
+        for plane, mask in zip(pictures["masks"], masks, strict=True):
+            plane[:] = mask[rows, columns]
+        for plane, side in zip(pictures["depth"], (before, after), strict=True):
+            depth = side.depth[rows, columns]
+            depth = np.where(np.isnan(depth), FURTHEST, np.clip(depth, NEAREST, FURTHEST))
+            np.log2(depth, out=plane)
+        pictures["agreement"][0] = self._agreement[rows, columns]
+        return NetworkPictures(pictures, self.time)
+
+    def weigh(self, network: LookAheadNetwork, keep: bool) -> tuple[Float32, Weights]:
+        """Have a network weigh the candidates.
+
+        Returns the slot's colour, float32 [H, W, C], coded as the candidates are, and with `keep`
+        the weights, for further layers: 10 bytes a pixel.
+        """
+        out: Float32 = pool.empty(self._mixed.shape, np.float32)
+        weights: Weights = []
+        for tile, answer in network.weigh(self):
+            # Rounded before they are used, so that the beauty is what its layers add up to.
+            rounded = answer.astype(np.float16)
+            self._mix(tile, rounded, out)
+            if keep:
+                weights.append((tile, rounded))
+        return out, weights
+
+    def mix(self, weights: Weights) -> Float32:
+        """Mix the candidates of another layer by the weights of the beauty."""
+        out: Float32 = pool.empty(self._mixed.shape, np.float32)
+        for tile, part in weights:
+            self._mix(tile, part, out)
+        return out
+
+    def _mix(self, tile: Tile, weights: np.ndarray, out: Float32) -> None:
+        corner = tile[0].first, tile[1].first
+        sides = tuple(side.pixels for side in self._sides)
+        candidates.mix_candidates(self._mixed, sides, weights.astype(np.float32), corner, out)

@@ -1,7 +1,7 @@
-"""Mosaics: frames that a network makes in some tiles alone, and warping in the others.
+"""Tiles of a frame, and mosaics: a network makes some of the tiles, warping the others.
 
 The network is run on rectangles around the chosen tiles. It sees some way beyond them, and the
-frame goes over from one maker to the other outside of them, so that no seam shows.
+makers are mixed beside them, so that no seam shows.
 """
 
 from __future__ import annotations
@@ -13,25 +13,71 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from exwarp_cli.domain.frame import Bool, Float32
-from exwarp_cli.domain.risk import ROWS, edges
-from exwarp_cli.synthesis.risk import Tiles
+from exwarp_cli.domain.frame import Bool, Float32, Window
+from exwarp_cli.domain.risk import ROWS, columns_of, edges
+from exwarp_cli.synthesis.camera import F64
 
+# A frame is sampled in about so many of its rows at most, and in as many of its columns to their
+# length: every second row and column at 427x240, every seventh at 1920x1080.
+SAMPLED_ROWS = 160
+
+# Pixels that the network sees around chosen tiles. Against whole frames of 427x240, tiles of 32
+# pixels differ by an RMS of 0.2 display levels with 8 pixels, 0.01 to 0.03 with 16 and 0.003 to
+# 0.015 with 32, at 1.7 times the time.
 HALO = 16
-"""Pixels that the network sees around chosen tiles. Against whole frames of 427x240, tiles of 32
-pixels differ by an RMS of 0.2 display levels with 8 pixels, 0.01 to 0.03 with 16 and 0.003 to 0.015
-with 32, at 1.7 times the time."""
 
+# Rectangles begin at multiples of the stride of the network that comes with ExWarp, whose coarsest
+# pixels then lie as in the whole frame. With 24 pixels around, which is no multiple, the difference
+# was twice that with 16.
 GRID = 16
-"""Rectangles begin at multiples of it: of the stride of the network that comes with ExWarp, whose
-coarsest pixels then lie as in the whole frame. With 24 pixels around, which is no multiple, the
-difference was twice that with 16."""
 
-RAMP = 8
-"""A tile is gone over into its neighbours within an eighth of its height, and at most in HALO."""
+# A tile is mixed into its neighbours within this share of its height, and at most in HALO.
+RAMP = 1 / 8
 
+# First row or column, and the one after the last.
 Span = tuple[int, int]
-"""First row or column, and the one after the last."""
+
+
+@dataclass(frozen=True)
+class Tiles:
+    """The tiles of a frame, and the pixels that are sampled in them."""
+
+    canvas: Window  # of the arrays
+    display: Window  # that the tiles divide
+
+    @property
+    def stride(self) -> int:
+        """Every so many-th row and column is sampled."""
+        return max(1, -(-min(self.canvas.shape) // SAMPLED_ROWS))
+
+    @property
+    def columns(self) -> int:
+        """Number of columns of tiles; rows are `ROWS`."""
+        return columns_of(self.display.width, self.display.height)
+
+    def sample(self, values: np.ndarray) -> np.ndarray:
+        """Return the samples of an array [H, W, ...] on the canvas."""
+        return values[:: self.stride, :: self.stride]
+
+    def means(self, maps: Sequence[np.ndarray]) -> F64:
+        """Return the means of samples [h, w] over each tile, [N, rows, columns]; 0 outside."""
+        down, across = self.spans(self.stride, maps[0].shape)
+        counts = np.outer([b - a for a, b in down], [b - a for a, b in across])
+        # Plain sums, in an order that no number of threads changes.
+        strips = [[values[a:b].sum(axis=0, dtype=np.float64) for a, b in down] for values in maps]
+        sums = np.stack([np.array(strips)[..., a:b].sum(axis=-1) for a, b in across], axis=-1)
+        return np.asarray(sums / np.maximum(counts, 1))
+
+    def spans(self, stride: int, shape: tuple[int, ...]) -> tuple[list[Span], list[Span]]:
+        """Return the rows and columns of each tile in an array of every `stride`-th pixel."""
+        out = []
+        for offset, size, parts, end in (
+            (self.display.y - self.canvas.y, self.display.height, ROWS, shape[0]),
+            (self.display.x - self.canvas.x, self.display.width, self.columns, shape[1]),
+        ):
+            first = (-(-(offset + edge) // stride) for edge in edges(size, parts))
+            out.append(list(pairwise(min(max(place, 0), end) for place in first)))
+        return out[0], out[1]
 
 
 @dataclass(frozen=True)
@@ -43,31 +89,28 @@ class Box:
 
     def around(self, other: Box) -> Box:
         """Return the smallest box that holds both."""
-        rows, columns = (self.rows, other.rows), (self.columns, other.columns)
-        return Box(*((min(a[0], b[0]), max(a[1], b[1])) for a, b in (rows, columns)))
+        (top, bottom), (left, right) = (
+            (min(a[0], b[0]), max(a[1], b[1]))
+            for a, b in ((self.rows, other.rows), (self.columns, other.columns))
+        )
+        return Box((top, bottom), (left, right))
 
 
 @dataclass(frozen=True)
 class Mosaic:
-    """Where the tiles of a frame lie.
-
-    Attributes
-    ----------
-    down, across
-        Pixels of each row and column of tiles; together all of the frame.
-    """
+    """Pixels of each row and column of tiles; together all of the frame."""
 
     down: tuple[Span, ...]
     across: tuple[Span, ...]
 
     @classmethod
     def of(cls, tiles: Tiles) -> Mosaic:
-        """Return the tiles that errors are predicted of; the outer ones reach to the borders."""
-        canvas, display = tiles.canvas, tiles.display
-        return cls(
-            _spans(display.y - canvas.y, display.height, ROWS, canvas.height),
-            _spans(display.x - canvas.x, display.width, tiles.columns, canvas.width),
-        )
+        """Place the tiles; the outer ones reach to the frame's borders."""
+        down, across = tiles.spans(1, tiles.canvas.shape)
+        for spans, size in zip((down, across), tiles.canvas.shape, strict=True):
+            spans[0] = 0, spans[0][1]
+            spans[-1] = spans[-1][0], size
+        return cls(tuple(down), tuple(across))
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -76,48 +119,45 @@ class Mosaic:
 
     @property
     def ramp(self) -> int:
-        """Pixels beyond a tile in which it goes over into its neighbours."""
+        """Pixels beyond a tile in which it is mixed into its neighbours."""
         first, last = self.down[len(self.down) // 2]
-        return min(max((last - first) // RAMP, 1), HALO - 1)
+        return min(max(int((last - first) * RAMP), 1), HALO - 1)
 
-    def means(self, values: npt.NDArray[np.floating]) -> npt.NDArray[np.float64]:
+    def means(self, values: npt.NDArray[np.floating]) -> F64:
         """Return the means over each tile, float64 [rows, columns], of values [H, W]."""
         tiles = [[values[a:b, c:d] for c, d in self.across] for a, b in self.down]
         return np.array([[tile.mean(dtype=np.float64) for tile in row] for row in tiles])
 
     def weight(self, chosen: Bool) -> Float32:
-        """Return how far chosen tiles, bool [rows, columns], count at each pixel.
+        """Return the weight of chosen tiles, bool [rows, columns], at each pixel, float32 [H, W].
 
-        Returns
-        -------
-        float32 [H, W]
-            1 in them, falling to 0 beyond.
+        1 in them, falling to 0 beyond.
         """
         out = np.zeros(self.shape, np.float32)
         for row, column in np.argwhere(chosen):
-            rows, down = self._ramp(self.down[row], self.shape[0])
-            columns, across = self._ramp(self.across[column], self.shape[1])
+            rows, down = self._ramp_weights(self.down[row], self.shape[0])
+            columns, across = self._ramp_weights(self.across[column], self.shape[1])
             part = out[rows, columns]
             np.maximum(part, down[:, None] * across, out=part)
         return out
 
-    def _ramp(self, span: Span, size: int) -> tuple[slice, Float32]:
-        """Return the pixels that a tile counts at along one axis, and how much it does."""
+    def _ramp_weights(self, span: Span, size: int) -> tuple[slice, Float32]:
+        """Return the pixels at which a tile counts along one axis, and its weights."""
         first, last = max(span[0] - self.ramp, 0), min(span[1] + self.ramp, size)
         places = np.arange(first, last)
-        away = np.maximum(np.maximum(span[0] - places, places - (span[1] - 1)), 0)
-        return slice(first, last), (1 - away / (self.ramp + 1)).astype(np.float32)
+        distance = np.maximum(np.maximum(span[0] - places, places - (span[1] - 1)), 0)
+        return slice(first, last), (1 - distance / (self.ramp + 1)).astype(np.float32)
 
     def parts(self, chosen: Bool) -> list[tuple[Box, slice, slice]]:
-        """Return the boxes that chosen tiles are computed in, and the pixels that are looked at.
+        """Return the boxes that chosen tiles are computed in, and the pixels the network sees.
 
         One of all tiles where the others would take as many pixels.
         """
-        boxes = self._merged(chosen)
-        whole = Box((0, len(self.down)), (0, len(self.across)))
-        if sum(map(self._pixels, boxes)) >= self._pixels(whole):
-            boxes = [whole]
-        return [(box, *self._looked_at(box)) for box in boxes]
+        boxes = self._merged_boxes(chosen)
+        full = Box((0, len(self.down)), (0, len(self.across)))
+        if sum(map(self._cost, boxes)) >= self._cost(full):
+            boxes = [full]
+        return [(box, *self._with_halo(box)) for box in boxes]
 
     def inside(self, box: Box) -> tuple[slice, slice]:
         """Return the pixels of a box of tiles."""
@@ -127,96 +167,76 @@ class Mosaic:
             slice(self.across[left][0], self.across[right - 1][1]),
         )
 
-    def _looked_at(self, box: Box) -> tuple[slice, slice]:
-        """Return the pixels of a box, and those around it that the network sees."""
-        found = []
-        for inside, size in zip(self.inside(box), self.shape, strict=True):
-            first = max(inside.start - HALO, 0) // GRID * GRID
-            found.append(slice(first, min(inside.stop + HALO, size)))
-        return found[0], found[1]
+    def _with_halo(self, box: Box) -> tuple[slice, slice]:
+        rows, columns = (
+            slice(max(inside.start - HALO, 0) // GRID * GRID, min(inside.stop + HALO, size))
+            for inside, size in zip(self.inside(box), self.shape, strict=True)
+        )
+        return rows, columns
 
-    def _pixels(self, box: Box) -> int:
-        rows, columns = self._looked_at(box)
+    def _cost(self, box: Box) -> int:
+        rows, columns = self._with_halo(box)
         return int((rows.stop - rows.start) * (columns.stop - columns.start))
 
-    def _merged(self, chosen: Bool) -> list[Box]:
+    def _merged_boxes(self, chosen: Bool) -> list[Box]:
         """Return boxes that hold the chosen tiles: neighbours together, where that saves pixels."""
         boxes = [
             Box((row, row + 1), run) for row, marks in enumerate(chosen) for run in _runs(marks)
         ]
-        merging = True
-        while merging:
-            merging = False
-            kept: list[Box] = []
+        count = len(boxes) + 1
+        while len(boxes) < count:
+            count, merged = len(boxes), list[Box]()
             for box in boxes:
-                index = next((i for i, other in enumerate(kept) if self._saves(box, other)), None)
-                if index is None:
-                    kept.append(box)
+                for index, other in enumerate(merged):
+                    union = other.around(box)
+                    if self._cost(union) <= self._cost(box) + self._cost(other):
+                        merged[index] = union
+                        break
                 else:
-                    kept[index] = kept[index].around(box)
-                    merging = True
-            boxes = kept
+                    merged.append(box)
+            boxes = merged
         return boxes
-
-    def _saves(self, box: Box, other: Box) -> bool:
-        """Whether two boxes take no fewer pixels apart than together."""
-        return self._pixels(box.around(other)) <= self._pixels(box) + self._pixels(other)
 
 
 def extrapolate_in(
-    mosaic: Mosaic, chosen: Bool, answer: Callable[[slice, slice], Float32]
+    mosaic: Mosaic,
+    chosen: Bool,
+    # Returns planes float32 [3, h, w] of rows and columns of the frame.
+    answer: Callable[[slice, slice], Float32],
 ) -> Float32:
-    """Have a network answer in chosen tiles, and around them as far as they go over into others.
+    """Run a network in chosen tiles, bool [rows, columns], and in the ramps around them.
 
-    Parameters
-    ----------
-    mosaic, chosen
-        Where the tiles lie, and which of them are chosen: bool [rows, columns].
-    answer
-        Gives planes float32 [3, h, w] of rows and columns of the frame.
-
-    Returns
-    -------
-    float32 [3, H, W]
-        0 where nothing was asked for.
+    Returns float32 [3, H, W]: 0 where nothing was asked for.
     """
     out = np.zeros((3, *mosaic.shape), np.float32)
-    kept: list[tuple[slice, slice, Float32]] = []
+    cores: list[tuple[slice, slice, Float32]] = []
     for box, rows, columns in mosaic.parts(chosen):
-        made = answer(rows, columns)
-        out[:, rows, columns] = made
+        planes = answer(rows, columns)
+        out[:, rows, columns] = planes
         down, across = mosaic.inside(box)
-        own = made[:, _within(down, rows), _within(across, columns)]
-        kept.append((down, across, own))
-    for down, across, own in kept:  # over what others made around their own tiles
-        out[:, down, across] = own
+        core = planes[
+            :,
+            down.start - rows.start : down.stop - rows.start,
+            across.start - columns.start : across.stop - columns.start,
+        ]
+        cores.append((down, across, core))
+    for down, across, core in cores:  # over what others made around their own tiles
+        out[:, down, across] = core
     return out
 
 
 def lay_over(below: Float32, above: Float32, weight: Float32) -> Float32:
-    """Return a frame [H, W, C] that is another one to the share of a weight, float32 [H, W].
+    """Mix `above` over `below`, [H, W, C], by a weight, float32 [H, W].
 
-    Where the weight is 0 or 1 it is exactly one of the two.
+    Where the weight is 0 or 1 the result is exactly one of the two.
     """
     share = weight[..., None]
     mixed = below + share * (above - below)
     return np.where(share == 1, above, np.where(share == 0, below, mixed))
 
 
-def _within(inner: slice, outer: slice) -> slice:
-    return slice(inner.start - outer.start, inner.stop - outer.start)
-
-
 def _runs(marks: Bool) -> list[Span]:
-    """Return where marks begin, and where they end."""
     padded = np.concatenate([[False], marks, [False]]).astype(np.int8)
     steps = np.diff(padded)
     firsts, lasts = np.flatnonzero(steps == 1), np.flatnonzero(steps == -1)
     return [(int(a), int(b)) for a, b in zip(firsts, lasts, strict=True)]
-
-
-def _spans(offset: int, size: int, parts: int, whole: int) -> tuple[Span, ...]:
-    """Return the pixels of tiles along an axis; the first and the last reach to the borders."""
-    inner = [min(max(offset + edge, 0), whole) for edge in edges(size, parts)]
-    places: Sequence[int] = [0, *inner[1:-1], whole]
-    return tuple(pairwise(places))

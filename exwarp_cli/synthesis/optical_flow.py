@@ -9,10 +9,10 @@ Measured over six rendered scenes of 320x180 and 427x240 from 30 to 120 fps, fou
 splatted and blended as with rendered vectors (PSNR in dB, SSIM): the preset down to the finest
 level 24.86, .828; patches closer together 25.02, .833; the exchange 25.07, .837; the median 25.09,
 .8375. A second exchange gave .001 of SSIM for nearly twice the time; a homography as further
-candidate and more steps of refinement gave nothing. What `moving` makes of the flows to both
-neighbours is worth more than any of these. On five intervals each: 25.43, .847, where sampling both
-key frames along the preset's flow (Jiang et al., Super SloMo, CVPR 2018) comes to 24.81, .821, and
-ffmpeg's minterpolate to 23.89, .792. Blended in linear light, not as shown, it is 25.18, .845.
+candidate and more steps of refinement gave nothing. What `with_estimated_motion` makes of the flows
+to both neighbours is worth more than any of these. On five intervals each: 25.43, .847, where
+sampling both key frames along the preset's flow (Jiang et al., Super SloMo, CVPR 2018) comes to
+24.81, .821, and ffmpeg's minterpolate to 23.89, .792. Blended in linear light it is 25.18, .845.
 """
 
 from __future__ import annotations
@@ -28,124 +28,103 @@ import numpy as np
 from exwarp_cli.domain.curves import SRGB
 from exwarp_cli.domain.frame import Float32, GBuffer, KeyFrame, UInt8, Window
 from exwarp_cli.kernels._row_bands import threads
-from exwarp_cli.synthesis.geometry import moved_on
-from exwarp_cli.synthesis.warp import repair, sampled
+from exwarp_cli.synthesis.motion_fields import splat_motion
+from exwarp_cli.synthesis.warp import fill_nonfinite, sample_bilinear
 
+# Pixels between patches; the preset's is 3. With 1 it took four times as long and gained nothing.
 PATCH_STRIDE = 2
-"""Pixels between patches; the preset's is 3. With 1 it took four times as long and gained nothing.
-"""
 
+# The same where two pictures show nearly the same: 3 gained 0.02 dB, 2 nothing more.
 BETWEEN_STRIDE = 4
-"""Pixels between patches where two pictures show nearly the same: 3 gained 0.02 dB, 2 nothing more.
-"""
 
-MOST_PIXELS = 600_000
-"""Of the level down to which flow is searched; a finer one takes four times as long."""
+# Pixels of the level down to which flow is searched; a finer one takes four times as long.
+MAX_PIXELS = 600_000
 
+# Levels above the finest from which flow is refined after the exchange.
 LEVELS_AGAIN = 3
-"""Levels above the finest from which flow is refined after the exchange."""
 
-LEAST = 64
-"""Smallest side, pixels, that the search has levels enough for; smaller frames are widened."""
+# Smallest side, pixels, that the search has levels enough for; smaller frames are padded.
+MIN_SIDE = 64
 
-FIT_SIDE = 5
-"""Side of the square, pixels, over which the fit of two candidates is compared."""
+# Sides of squares, pixels: over which the fit of two candidates is compared, whose median each
+# component of a vector becomes, and over which the fit of two neighbours is compared.
+FIT_SIDE, MEDIAN_SIDE, LOST_SIDE = 5, 5, 9
 
-MEDIAN_SIDE = 5
-"""Side of the square, pixels, whose median each component of a vector becomes."""
-
+# How pseudo depth grows with the mismatch of colour: exp of so many times the difference. Three
+# times as steep lost 0.06 dB, since two views of one surface are better than one; flat lost 0.04.
+# Leaving out vectors that the two directions disagree on gained nothing, and by how much they do
+# says less than the mismatch of colour.
 FAITH = 0.3
-"""How pseudo depth grows with the mismatch of colour: exp of so many times the difference."""
 
+# Share of the values that frames of high dynamic range are darkened for, to be below white. Of one
+# scene eight times too bright, that brought 23.10 dB for 22.06, as of the scene itself.
 BRIGHT = 0.95
-"""Share of the values that frames of high dynamic range are darkened for, to be below white. Of one
-scene eight times too bright, that brought 23.10 dB for 22.06, as of the scene itself."""
 
-LOST_SIDE = 9
-"""Side of the square, pixels, over which the fit of the two neighbours is compared."""
-
-LOST_LEAST, LOST_RATIO = 0.03, 1.2
-"""A neighbour does not show a surface if colour fits worse than so many times as along the other
-way, and so much of the range."""
+# A neighbour does not show a surface if colour fits worse than so many times as along the other
+# way, and so much of the range.
+LOST_RATIO, LOST_FLOOR = 1.2, 0.03
 
 
 @dataclass(frozen=True)
 class Flow:
-    """Estimated motion from one picture to another.
+    """Estimated motion from one picture to another."""
 
-    Attributes
-    ----------
-    motion
-        float32 [H, W, 2], pixels, +x right, +y down: where what each pixel shows is seen in the
-        other picture, minus where it is seen here. Finite.
-    mismatch
-        float32 [H, W], 0 to 1: mean difference of the display-encoded colours at both ends.
-    """
-
+    # [H, W, 2], pixels, +x right, +y down, finite: where what each pixel shows is in the other
+    # picture, minus where it is in this one.
     motion: Float32
-    mismatch: Float32
+    mismatch: Float32  # [H, W], 0 to 1: mean difference of the display-encoded colours at both ends
 
 
 def flow_identity() -> str:
-    """Name what estimates motion, as far as what it finds depends on it."""
+    """Name the software that estimated motion depends on."""
     return f"DIS by OpenCV {_cv2().__version__}"
 
 
-def estimate(before: Float32, after: Float32) -> tuple[Flow, Flow]:
-    """Estimate the motion between two pictures, both ways.
-
-    Parameters
-    ----------
-    before, after
-        float32 [H, W, 3 or more], scene-linear; what a display cannot show is clipped, after bright
-        scenes were darkened until they can be seen; channels past the third are left out, and
-        pixels that are not finite count as what is around them.
-
-    Returns
-    -------
-    tuple of Flow
-        From `before` to `after`, on the pixels of `before`; and the other way.
-    """
-    light = [repair(pixels[..., :3]) for pixels in (before, after)]
-    exposure = _exposure(light)
-    shown = [shown_colour(pixels * exposure) for pixels in light]
+def estimate_flow(
+    # float32 [H, W, 3 or more], scene-linear. Bright scenes are darkened, what a display cannot
+    # show is clipped; channels past the third are ignored, and pixels that are not finite count as
+    # what is around them.
+    before: Float32,
+    after: Float32,
+) -> tuple[Flow, Flow]:
+    """Estimate the motion between two pictures, from `before` to `after` and the other way."""
+    linear = [fill_nonfinite(pixels[..., :3]) for pixels in (before, after)]
+    exposure = _exposure(linear)
+    first, second = (shown_colour(pixels * exposure) for pixels in linear)
     height, width = before.shape[:2]
-    there, back = _both_ways(_widened(shown[0]), _widened(shown[1]))
-    flows = [np.ascontiguousarray(flow[:height, :width]) for flow in (there, back)]
+    there, back = (
+        np.ascontiguousarray(flow[:height, :width])
+        for flow in _search_both_ways(_padded(first), _padded(second))
+    )
     return (
-        Flow(flows[0], _mismatch(shown[0], shown[1], flows[0])),
-        Flow(flows[1], _mismatch(shown[1], shown[0], flows[1])),
+        Flow(there, _mismatch(first, second, there)),
+        Flow(back, _mismatch(second, first, back)),
     )
 
 
 def grey_of(codes: Float32) -> UInt8:
-    """Return the luma of a picture as shown, finite float32 [H, W, 3 or more], clipped; uint8."""
-    return _grey(codes[..., :3].clip(0, 1))
+    """Return luma (BT.601) of a picture as shown, finite float32 [H, W, 3 or more], in 8 bits."""
+    weights = np.array([0.299, 0.587, 0.114], np.float32)
+    luma = codes[..., :3].clip(0, 1) @ weights
+    grey: UInt8 = np.floor(luma * np.float32(255) + np.float32(0.5)).astype(np.uint8)
+    return grey
 
 
 def flow_between(first: UInt8, second: UInt8) -> Float32:
-    """Estimate the motion between two pictures that show nearly the same.
+    """Estimate the motion from one picture to another that shows nearly the same.
 
-    Parameters
-    ----------
-    first, second
-        uint8 [H, W], from `grey_of`.
-
-    Returns
-    -------
-    float32 [H, W, 2]
-        Pixels, from the first picture to the second: half the difference of both directions. The
-        exchange and the median of `estimate` gained 0.01 dB here, for twice the time.
+    Takes uint8 [H, W] from `grey_of`, returns float32 [H, W, 2] in pixels.
     """
     height, width = first.shape
-    greys = [_widened(first), _widened(second)]
+    greys = _padded(first), _padded(second)
     finest = finest_level(*greys[0].shape)
-    with ThreadPoolExecutor(min(2, threads())) as pool:  # OpenCV needs no interpreter's lock
+    with ThreadPoolExecutor(min(2, threads())) as executor:  # OpenCV does not need the GIL
         ways = [
-            pool.submit(_search, here, there, None, finest, None, BETWEEN_STRIDE)
-            for here, there in (greys, greys[::-1])
+            executor.submit(_search, start, end, None, finest, None, BETWEEN_STRIDE)
+            for start, end in (greys, greys[::-1])
         ]
         there, back = (way.result()[:height, :width] for way in ways)
+    # The exchange and the median of `estimate_flow` gained 0.01 dB here, for twice the time.
     return (there - back) / np.float32(2)
 
 
@@ -163,67 +142,58 @@ def box_mean(values: Float32, side: int) -> Float32:
     return mean
 
 
-def moving(frame: KeyFrame, to_previous: Flow | None, to_next: Flow | None) -> KeyFrame:
+def with_estimated_motion(
+    frame: KeyFrame,  # any geometry of it is dropped
+    # Flows from this frame to its neighbours; None where there is none, or a cut lies between.
+    to_previous: Flow | None,
+    to_next: Flow | None,
+) -> KeyFrame:
     """Give a key frame estimated motion, in place of what a renderer would have written.
 
-    Parameters
-    ----------
-    frame
-        The frame; what geometry it has is dropped.
-    to_previous, to_next
-        Flows from this frame to its neighbours; None where there is none, or a cut lies between.
-
-    Returns
-    -------
-    KeyFrame
-        With motion, which is settled as it is, and a depth that is no distance; without geometry
-        where there are no flows. With both flows surfaces move on parabolas, which is worth 0.3 dB
-        and .009 of SSIM over the one flow that leads through the interval. A vector is NaN where
-        that neighbour seems not to show the surface.
+    With settled motion and a pseudo depth; without geometry where there are no flows. A vector is
+    NaN where that neighbour seems not to show the surface.
     """
+    # With both flows surfaces move on parabolas, which is worth 0.3 dB and .009 of SSIM over the
+    # one flow that leads through the interval.
     flows = [flow for flow in (to_previous, to_next) if flow is not None]
     if not flows:
         return replace(frame, gbuffer=None)
     gbuffer = GBuffer(
         frame.image.data_window,
         depth=pseudo_depth(*flows),
-        to_previous=_without_lost(to_previous, to_next),
-        to_next=_without_lost(to_next, to_previous),
+        to_previous=_drop_lost(to_previous, to_next),
+        to_next=_drop_lost(to_next, to_previous),
     )
     return replace(frame, gbuffer=gbuffer)
 
 
-def _without_lost(flow: Flow | None, other: Flow | None) -> Float32 | None:
-    """Return a flow's vectors, NaN where colour fits much better along the other way.
-
-    There the surface is hidden in that neighbour, and what was found is chance; it then moves at
-    the constant velocity that the other neighbour tells (worth 0.09 dB and .002 of SSIM).
-    """
+def _drop_lost(flow: Flow | None, other: Flow | None) -> Float32 | None:
+    """Return a flow's vectors, NaN where colour fits much better along the other way."""
     if flow is None or other is None:
         return None if flow is None else flow.motion
+    # There the surface is hidden in that neighbour, and its vector is chance. It then moves at the
+    # constant velocity to the other neighbour (worth 0.09 dB and .002 of SSIM).
     fits, fits_other = (box_mean(each.mismatch, LOST_SIDE) for each in (flow, other))
-    lost = fits > np.float32(LOST_LEAST) + np.float32(LOST_RATIO) * fits_other
+    lost = fits > np.float32(LOST_FLOOR) + np.float32(LOST_RATIO) * fits_other
     return np.where(lost[..., None], np.float32(np.nan), flow.motion)
 
 
 def pseudo_depth(*flows: Flow) -> Float32:
-    """Return what orders the surfaces of a frame without depth, float32 [H, W], 1 and more.
+    """Return an order of the surfaces of a frame without depth, float32 [H, W], 1 and more.
 
     It is 1 where colour fits along every flow, and more where it does not. So where two surfaces
-    fall on one pixel of a slot the one that was followed better is shown, and where two key frames
-    disagree the better one weighs more: a mismatch of a tenth of the range counts as 3 % further
-    away and weighs 0.74 times as much. Three times as steep lost 0.06 dB, since two views of one
-    surface are better than one; flat lost 0.04. Leaving out vectors that the two directions
-    disagree on gained nothing, and by how much they do tells less than the mismatch of colour.
+    fall on one pixel of a slot the better followed one is shown, and where two key frames disagree
+    the better one weighs more: a mismatch of a tenth of the range counts as 3 % further away and
+    weighs 0.74 times as much.
     """
     mismatch = sum((flow.mismatch for flow in flows[1:]), start=flows[0].mismatch)
     depth: Float32 = np.exp(np.float32(FAITH / len(flows)) * mismatch)
     return depth
 
 
-def _exposure(light: list[Float32]) -> np.float32:
-    """Return what to multiply two frames by, at most 1: nearly all of them is shown then."""
-    brightest = max(float(np.quantile(pixels[::4, ::4], BRIGHT)) for pixels in light)
+def _exposure(linear: list[Float32]) -> np.float32:
+    """Return a factor for two frames, at most 1, after which nearly all of them can be shown."""
+    brightest = max(float(np.quantile(pixels[::4, ::4], BRIGHT)) for pixels in linear)
     return np.float32(1 / max(brightest, 1.0))
 
 
@@ -233,78 +203,69 @@ def shown_colour(linear: Float32) -> Float32:
     return SRGB.to_code(clipped)
 
 
-def _widened(shown: np.ndarray) -> np.ndarray:
+def _padded(shown: np.ndarray) -> np.ndarray:
     """Return a picture [H, W, ...] that is large enough to be searched; its edges are repeated."""
     height, width = shown.shape[:2]
-    margin = max(LEAST - height, 0), max(LEAST - width, 0)
+    margin = max(MIN_SIDE - height, 0), max(MIN_SIDE - width, 0)
     if margin == (0, 0):
         return shown
     none = ((0, 0),) * (shown.ndim - 2)
     return np.pad(shown, ((0, margin[0]), (0, margin[1]), *none), mode="edge")
 
 
-def _both_ways(before: Float32, after: Float32) -> tuple[Float32, Float32]:
+def _search_both_ways(before: Float32, after: Float32) -> tuple[Float32, Float32]:
     """Return the flows between two pictures as shown, each searched, exchanged and refined."""
-    grey = _grey(before), _grey(after)
+    grey = grey_of(before), grey_of(after)
     finest = finest_level(*grey[0].shape)
-    with ThreadPoolExecutor(min(2, threads())) as pool:  # OpenCV needs no interpreter's lock
+    with ThreadPoolExecutor(min(2, threads())) as executor:  # OpenCV does not need the GIL
 
-        def both(there: Float32 | None, back: Float32 | None) -> tuple[Float32, Float32]:
-            coarsest = None if there is None else finest + LEVELS_AGAIN
-            first = pool.submit(_search, grey[0], grey[1], there, finest, coarsest)
-            second = pool.submit(_search, grey[1], grey[0], back, finest, coarsest)
+        def both(
+            starts: tuple[Float32 | None, Float32 | None], coarsest: int | None
+        ) -> tuple[Float32, Float32]:
+            first = executor.submit(_search, grey[0], grey[1], starts[0], finest, coarsest)
+            second = executor.submit(_search, grey[1], grey[0], starts[1], finest, coarsest)
             return first.result(), second.result()
 
-        there, back = both(None, None)
-        there, back = both(
-            _better(before, after, there, inverted(back)),
-            _better(after, before, back, inverted(there)),
+        there, back = both((None, None), None)
+        better = (
+            _better(before, after, there, invert_flow(back)),
+            _better(after, before, back, invert_flow(there)),
         )
-    return _smoothed(there), _smoothed(back)
+        there, back = both(better, finest + LEVELS_AGAIN)
+    return _median_filter(there), _median_filter(back)
 
 
 def finest_level(height: int, width: int) -> int:
     """Return the level of the pyramid, 0 for the frame itself, down to which flow is searched."""
-    return max(math.ceil(math.log(height * width / MOST_PIXELS, 4)), 0)
+    return max(math.ceil(math.log(height * width / MAX_PIXELS, 4)), 0)
 
 
-def inverted(flow: Float32) -> Float32:
+def invert_flow(flow: Float32) -> Float32:
     """Return a flow the other way round, float32 [H, W, 2]; NaN where nothing lands."""
     height, width = flow.shape[:2]
-    return moved_on(GBuffer(Window(0, 0, width, height)), flow).field
+    return splat_motion(GBuffer(Window(0, 0, width, height)), flow).field
 
 
-def _better(here: Float32, there: Float32, flow: Float32, other: Float32) -> Float32:
+def _better(start: Float32, end: Float32, flow: Float32, other: Float32) -> Float32:
     """Return, pixel by pixel, the flow along which two pictures fit better around it."""
-    known = ~np.isnan(other[..., :1])
-    candidate = np.where(known, other, flow)
-    fits = [box_mean(_mismatch(here, there, each), FIT_SIDE) for each in (flow, candidate)]
+    candidate = np.where(np.isnan(other[..., :1]), flow, other)
+    fits = [box_mean(_mismatch(start, end, each), FIT_SIDE) for each in (flow, candidate)]
     return np.where((fits[1] < fits[0])[..., None], candidate, flow)
 
 
-def _smoothed(flow: Float32) -> Float32:
-    """Return the median of each component around each pixel."""
-    cv2 = _cv2()
+def _median_filter(flow: Float32) -> Float32:
     planes = [np.ascontiguousarray(flow[..., axis]) for axis in (0, 1)]
-    return np.stack([cv2.medianBlur(plane, MEDIAN_SIDE) for plane in planes], axis=-1)
+    return np.stack([_cv2().medianBlur(plane, MEDIAN_SIDE) for plane in planes], axis=-1)
 
 
-def _mismatch(here: Float32, there: Float32, flow: Float32) -> Float32:
-    """Return the mean difference of colour at both ends of a flow, float32 [H, W]."""
-    return mean_difference(here, sampled(there, flow)[0])
-
-
-def _grey(shown: Float32) -> UInt8:
-    """Return luma (BT.601) in 8 bits, which is what the search takes."""
-    weights = np.array([0.299, 0.587, 0.114], np.float32)
-    grey: UInt8 = np.floor(shown @ weights * np.float32(255) + np.float32(0.5)).astype(np.uint8)
-    return grey
+def _mismatch(start: Float32, end: Float32, flow: Float32) -> Float32:
+    return mean_difference(start, sample_bilinear(end, flow)[0])
 
 
 def _search(
-    here: UInt8,
-    there: UInt8,
-    start: Float32 | None,
+    start: UInt8,
+    end: UInt8,
+    guess: Float32 | None,
     finest: int,
     coarsest: int | None,
     stride: int = PATCH_STRIDE,
@@ -316,13 +277,13 @@ def _search(
     search.setPatchStride(stride)
     if coarsest is not None:
         search.setCoarsestScale(coarsest)
-    flow: Float32 = search.calc(here, there, start)
+    flow: Float32 = search.calc(start, end, guess)
     return flow
 
 
 @cache
 def _cv2() -> Any:
-    """Import OpenCV, to work in one thread: here both directions run side by side.
+    """Import OpenCV, set to one thread: both directions run side by side.
 
     Its own threads cut the picture into as many stripes, which could show in the flow.
     """

@@ -1,4 +1,4 @@
-"""Parts of a key interval between frames that were rendered after all: intervals of their own.
+"""Sub-intervals: parts of a key interval between frames that were rendered after all.
 
 A slot between a key frame and a rendered one is made from these two, which are nearer to it than
 the next key frame. Where the middle of three slots was rendered, the others gained 1.1 to 1.8 dB
@@ -18,81 +18,61 @@ from exwarp_cli.domain.frame import KeyFrame
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.trajectory import displacement
 
+# Pixels from which on a point moves between a key frame and a rendered one.
 MOVES = 0.5
-"""Pixels from which on a point moves between a key frame and a rendered one."""
 
-MOST_POINTS = 50
-"""Points that move, up to which a frame stands still: its vectors may lead over any time."""
+# Up to so many moving points a frame stands still: its vectors may lead over any time.
+MAX_STILL_POINTS = 50
 
+# How far, as a logarithm, the measured span of vectors may be from one that there can be.
 NEAR = math.log(1.3)
-"""How far, as a logarithm, the measured span of vectors may be from one that there can be."""
 
 
 @dataclass(frozen=True)
 class SubSlot:
-    """How a slot between two rendered frames is made.
+    """How a slot between two rendered frames is made."""
 
-    Attributes
-    ----------
-    interval
-        The part of the key interval between the two frames.
-    index
-        Of the slot in that part.
-    keys
-        Numbers of those of the two that are key frames.
-    rendered
-        Slots, in the key interval, of those that were rendered after all.
-    """
-
-    interval: Interval
-    index: int
-    keys: tuple[int, ...]
-    rendered: tuple[int, ...]
+    interval: Interval  # the part of the key interval between the two frames
+    index: int  # of the slot in that part
+    keys: tuple[int, ...]  # numbers of those of the two that are key frames
+    rendered: tuple[int, ...]  # slots, in the key interval, of those that were rendered after all
 
 
 @dataclass(frozen=True)
 class _End:
-    """A rendered frame: its slot in the key interval, when it is, and the span of its vectors."""
+    """A rendered frame at an end of a sub-interval."""
 
-    slot: int
+    slot: int  # in the key interval
     time: float
     frame: KeyFrame
-    span: float
+    span: float  # of its vectors, in key intervals
     is_key: bool = True
 
     def over(self, length: float) -> KeyFrame:
         """Return the frame with vectors over a part of a key interval."""
         gbuffer = self.frame.gbuffer
         assert gbuffer is not None
-        ways = (displacement(gbuffer, way * length / self.span) for way in (-1, 1))
-        before, after = ways
+        before, after = (displacement(gbuffer, way * length / self.span) for way in (-1, 1))
         moved = replace(gbuffer, to_previous=before, to_next=after, bend=None)
         return replace(self.frame, gbuffer=moved)
 
 
-def vector_spans(interval: Interval, step: float) -> dict[int, float]:
-    """Measure over which time the vectors of an interval's rendered frames lead.
+def vector_spans(
+    interval: Interval,  # in the key setting, with motion
+    step: float,  # from slot to slot, in key intervals
+) -> dict[int, float]:
+    """Measure the time span of the vectors of an interval's rendered frames.
 
     Renderers write vectors to the frame beside, which is a key frame or a slot, as the scene was
     set up for that render. They are compared with those that lead from the key frame to the slot.
 
-    Parameters
-    ----------
-    interval
-        In the key setting, with motion.
-    step
-        From slot to slot, in key intervals.
-
-    Returns
-    -------
-    dict
-        By slot, 1 for a key interval or `step`. Frames whose vectors fit neither are left out.
+    By slot, 1 for a key interval or `step`. Frames whose vectors fit neither are left out.
     """
-    found = {slot: _span(interval, slot, step) for slot in interval.rendered}
-    return {slot: span for slot, span in found.items() if span is not None}
+    spans = {slot: _vector_span(interval, slot, step) for slot in interval.rendered}
+    return {slot: span for slot, span in spans.items() if span is not None}
 
 
-def _span(interval: Interval, slot: int, step: float) -> float | None:
+def _vector_span(interval: Interval, slot: int, step: float) -> float | None:
     gbuffer = interval.rendered[slot].gbuffer
     assert gbuffer is not None
     back = interval.back(slot)
@@ -100,7 +80,7 @@ def _span(interval: Interval, slot: int, step: float) -> float | None:
     squares = (back.field * back.field).sum(axis=-1)
     with np.errstate(invalid="ignore"):
         moves = ~back.hole & (squares > MOVES**2) & np.isfinite(own).all(axis=-1)
-    if np.count_nonzero(moves) <= MOST_POINTS:
+    if np.count_nonzero(moves) <= MAX_STILL_POINTS:
         return 1.0
     shares = (own[moves] * back.field[moves]).sum(axis=-1) / squares[moves]
     measured = float(np.median(shares)) * interval.time(slot)
@@ -111,17 +91,14 @@ def _span(interval: Interval, slot: int, step: float) -> float | None:
     return nearest if distances[nearest] < NEAR else None
 
 
-def sub_slots(interval: Interval, spans: Mapping[int, float]) -> dict[int, SubSlot]:
+def sub_slots(
+    interval: Interval,  # in the key setting, with motion
+    # Of its rendered frames that are used, as `vector_spans` returns them.
+    spans: Mapping[int, float],
+) -> dict[int, SubSlot]:
     """Return how slots beside rendered frames are made, by slot.
 
     Slots after the last rendered frame are left out where no key frame follows.
-
-    Parameters
-    ----------
-    interval
-        In the key setting, with motion.
-    spans
-        Of its rendered frames that are used, as `vector_spans` returns them.
     """
     if interval.held or not spans:
         return {}
@@ -133,25 +110,23 @@ def sub_slots(interval: Interval, spans: Mapping[int, float]) -> dict[int, SubSl
     if interval.leads_both_ways:
         assert interval.following is not None
         ends.append(_End(len(interval.times) + 1, 1.0, interval.following, 1.0))
-    return {slot: sub for pair in pairwise(ends) for slot, sub in _between(interval, *pair).items()}
-
-
-def _between(interval: Interval, before: _End, after: _End) -> dict[int, SubSlot]:
-    """Return how the slots between two rendered frames are made."""
-    slots = range(before.slot + 1, after.slot)
-    if not slots:
-        return {}
-    length = after.time - before.time
-    part = replace(
-        interval,
-        key=before.over(length),
-        following=after.over(length),
-        rendered={},
-        past=(),
-        times=tuple((interval.time(slot) - before.time) / length for slot in slots),
-        keeps=False,
-        after_hold=False,
-    )
-    keys = tuple(end.frame.number for end in (before, after) if end.is_key)
-    rendered = tuple(end.slot for end in (before, after) if not end.is_key)
-    return {slot: SubSlot(part, i, keys, rendered) for i, slot in enumerate(slots, start=1)}
+    out: dict[int, SubSlot] = {}
+    for before, after in pairwise(ends):
+        slots = range(before.slot + 1, after.slot)
+        if not slots:
+            continue
+        length = after.time - before.time
+        part = replace(
+            interval,
+            key=before.over(length),
+            following=after.over(length),
+            rendered={},
+            past=(),
+            times=tuple((interval.time(slot) - before.time) / length for slot in slots),
+            keeps=False,
+            after_hold=False,
+        )
+        keys = tuple(end.frame.number for end in (before, after) if end.is_key)
+        rendered = tuple(end.slot for end in (before, after) if not end.is_key)
+        out |= {slot: SubSlot(part, i, keys, rendered) for i, slot in enumerate(slots, start=1)}
+    return out

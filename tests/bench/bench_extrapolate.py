@@ -21,9 +21,9 @@ from exwarp_cli.kernels import _row_bands
 from exwarp_cli.models.model_file import shipped_folder, stated_stride
 from exwarp_cli.models.picture_network import load_extrapolator
 from exwarp_cli.models.session import open_session
-from exwarp_cli.synthesis.geometry import settle_motion
-from exwarp_cli.synthesis.history import past_of
+from exwarp_cli.synthesis.history import older_key_frames
 from exwarp_cli.synthesis.interval import Interval
+from exwarp_cli.synthesis.motion_fields import settle_motion
 from tests.bench import goals
 from tests.bench.timing import Ratio
 from tests.unit.analytic_scene import STEP, surface
@@ -114,7 +114,7 @@ def _timed(taken: dict[str, float], name: str, work: Callable[[], Any]) -> Any:
 def _interval(setting: str) -> Interval:
     """Return one of a run of such: of F_k-2 the interval before has found out what it can."""
     keys = [_key(K - j) for j in range(3)]
-    past = past_of(keys)
+    past = older_key_frames(keys)
     Interval(keys[1], None, _slots(setting, K - 1), past[1:]).look_back(SLOTS[0])
     return Interval(keys[0], None, _slots(setting, K), past)
 

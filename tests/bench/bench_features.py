@@ -22,7 +22,7 @@ from scipy.stats import wasserstein_distance
 from exwarp_cli.domain.frame import GBuffer, Int32
 from exwarp_cli.kernels import _row_bands, emd, labelling
 from exwarp_cli.policy.features import observe
-from exwarp_cli.synthesis.geometry import settle_motion
+from exwarp_cli.synthesis.motion_fields import settle_motion
 from tests.bench import goals
 from tests.bench.big_input import FAR
 from tests.bench.running import module, run

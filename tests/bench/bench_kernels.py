@@ -14,14 +14,9 @@ import numpy as np
 
 from exwarp_cli.domain.frame import Float32, GBuffer, KeyFrame
 from exwarp_cli.kernels import _row_bands, edges, gather, holes, resample, splat
-from exwarp_cli.synthesis.geometry import (
-    TURN_PER_SLOT,
-    SlotField,
-    reproject,
-    settle_motion,
-)
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import METHODS
+from exwarp_cli.synthesis.motion_fields import TURN_PER_SLOT, SlotField, reproject, settle_motion
 from exwarp_cli.synthesis.trajectory import displacement, reach_of
 from exwarp_cli.synthesis.warp import LANCZOS, Mover, fill_holes
 from tests.bench import goals

@@ -25,8 +25,8 @@ from exwarp_cli.metrics.display import encode
 from exwarp_cli.metrics.psnr import decibels
 from exwarp_cli.metrics.registry import score
 from exwarp_cli.research.training.scene_clip import SceneClip
-from exwarp_cli.synthesis.geometry import SlotField
-from exwarp_cli.synthesis.warp import sampled
+from exwarp_cli.synthesis.motion_fields import SlotField
+from exwarp_cli.synthesis.warp import sample_bilinear
 from tests.bench.quality import shown_pixels
 
 METHODS = ("s6", "softsplat", "causal")
@@ -166,7 +166,7 @@ def _stands_still(gbuffer: GBuffer) -> Bool:
 
 def _changes(truth: Image, key: Image, field: SlotField) -> Bool:
     """Find where a slot's truth differs from the same surfaces in a key frame."""
-    moved, _ = sampled(encode(key.pixels), np.nan_to_num(field.field))
+    moved, _ = sample_bilinear(encode(key.pixels), np.nan_to_num(field.field))
     difference = (moved - encode(truth.pixels)).mean(axis=-1)
     changes: Bool = np.abs(ndimage.uniform_filter(difference, 5)) > CHANGE
     return changes

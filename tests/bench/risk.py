@@ -1,7 +1,8 @@
 """How well the error of new frames is predicted, on the judged scenes, each left out in turn.
 
-``python -m tests.bench.risk --out FOLDER``: prints figures, and weights for `synthesis.risk`. What
-was measured of a scene is kept in FOLDER, so that a second run fits again in seconds.
+``python -m tests.bench.risk --out FOLDER``: prints figures, and weights for
+`synthesis.predicted_error`. What was measured of a scene is kept in FOLDER, so that a second run
+fits again in seconds.
 """
 
 from __future__ import annotations
@@ -25,10 +26,10 @@ from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.io.dataset import RenderedScene, find_scenes
 from exwarp_cli.metrics.display import encode
 from exwarp_cli.research.training.scene_clip import SceneClip
-from exwarp_cli.synthesis import risk
+from exwarp_cli.synthesis import predicted_error
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import METHODS, terms_of_warp
-from exwarp_cli.synthesis.risk import TERMS, Formula, mean_square, terms_of
+from exwarp_cli.synthesis.predicted_error import TERMS, Formula, terms_of, weigh_terms
 from tests.bench.pictures import rendered_intervals
 from tests.bench.quality import shown_pixels
 
@@ -36,7 +37,11 @@ F64 = npt.NDArray[np.float64]
 
 SCENES = ("lab", "town", "tropical", "village", "arena", "courtyard")
 
-KINDS = {"softsplat": risk.MIXED, "s6": risk.WARPED, "s6, first": risk.FIRST_WARPED}
+KINDS = {
+    "softsplat": predicted_error.MIXED,
+    "s6": predicted_error.WARPED,
+    "s6, first": predicted_error.FIRST_WARPED,
+}
 """Kinds of frames, each with its formula; those after the first key frame are one of their own."""
 
 LEAST = 0.25
@@ -67,7 +72,9 @@ class Samples:
     def predict(self, formula: Formula) -> F64:
         """Return the predicted mean squared error of each tile, [N, rows, columns]."""
         pairs = zip(self.terms, self.times, strict=True)
-        return np.stack([mean_square(terms, formula, float(time)) for terms, time in pairs])
+        return np.stack(
+            [weigh_terms(terms, formula, float(time)).sum(axis=0) for terms, time in pairs]
+        )
 
 
 Measured = dict[str, Samples]

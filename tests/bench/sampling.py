@@ -23,10 +23,10 @@ from exwarp_cli.metrics.pulse import measure
 from exwarp_cli.metrics.registry import score
 from exwarp_cli.pipeline.motion_convention import motion_names, parse_motion
 from exwarp_cli.synthesis import warp
-from exwarp_cli.synthesis.geometry import settle_motion
-from exwarp_cli.synthesis.history import past_of
+from exwarp_cli.synthesis.history import older_key_frames
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import METHODS
+from exwarp_cli.synthesis.motion_fields import settle_motion
 from tests.bench.quality import shown_pixels
 
 Curve = Callable[[Float32], Float32]
@@ -62,7 +62,7 @@ def from_log(codes: Float32) -> Float32:
 
 LIGHTS = {
     "linear": (np.copy, np.asarray), "log": (to_log, from_log),
-    "as shown": (warp.as_shown, warp.as_light),
+    "as shown": (warp.linear_to_srgb, warp.srgb_to_linear),
 }  # fmt: skip
 """Codes of scene-linear colour, and back. Those of alpha are taken for colour's."""
 
@@ -98,7 +98,7 @@ def _cell(method: str, keys: Sequence[KeyFrame], truth: Sequence[Path]) -> str:
     """Return mean PSNR, SSIM and pulse of every second key interval's frames."""
     rows = []
     for k in range(2, len(keys) - 1, 2):
-        past = past_of(keys[k - 2 : k + 1][::-1])
+        past = older_key_frames(keys[k - 2 : k + 1][::-1])
         interval = Interval(keys[k], keys[k + 1] if method == "softsplat" else None, past=past)
         for slot in range(1, FACTOR):
             wanted = shown_pixels(truth[FACTOR * k + slot])

@@ -10,7 +10,7 @@ import numpy as np
 
 from exwarp_cli.domain.motion import AxisMap, MotionConvention
 from exwarp_cli.io.producers import PRESETS
-from exwarp_cli.synthesis.sampling import Instant, Sampled, sampled
+from exwarp_cli.synthesis.calibration_samples import FrameSamples, MotionFrame, sample_frame
 from tests.unit.scenes import View, town
 
 XY, XYZW = ("X", "Y"), ("X", "Y", "Z", "W")
@@ -33,19 +33,19 @@ def raw_of(view: View, convention: MotionConvention, count: int, span: float = 1
     return raw
 
 
-def instants(convention: MotionConvention, count: int, **without: None) -> list[Instant]:
+def instants(convention: MotionConvention, count: int, **without: None) -> list[MotionFrame]:
     out = []
     for number, view in enumerate(views()):
         colour = None if "colour" in without else view.colour
         buffer = replace(
             view.gbuffer(motion=False), **{k: v for k, v in without.items() if k != "colour"}
         )
-        out.append(Instant(number, buffer, raw_of(view, convention, count), colour))
+        out.append(MotionFrame(number, buffer, raw_of(view, convention, count), colour))
     return out
 
 
-def pairs_of(frames: list[Instant]) -> list[tuple[Sampled, Sampled]]:
-    return list(pairwise(map(sampled, frames)))
+def pairs_of(frames: list[MotionFrame]) -> list[tuple[FrameSamples, FrameSamples]]:
+    return list(pairwise(map(sample_frame, frames)))
 
 
 def pairs(convention: MotionConvention, count: int = 2, **without: None):

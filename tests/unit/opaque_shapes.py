@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from exwarp_cli.domain.frame import GBuffer, Window
-from exwarp_cli.synthesis.geometry import settle_motion
+from exwarp_cli.synthesis.motion_fields import settle_motion
 
 HEIGHT, WIDTH, FINE = 64, 96, 8
 Shape = Callable[[np.ndarray, np.ndarray], np.ndarray]

@@ -11,7 +11,7 @@ from exwarp_cli.domain.motion import AxisMap, MotionConvention
 from exwarp_cli.errors import MotionError
 from exwarp_cli.io.producers import PRESETS
 from exwarp_cli.synthesis.calibration import calibrate
-from exwarp_cli.synthesis.sampling import Instant
+from exwarp_cli.synthesis.calibration_samples import MotionFrame
 from tests.unit.motion_pairs import (
     BLENDER,
     COLOUR_ONLY,
@@ -32,7 +32,7 @@ from tests.unit.motion_pairs import (
 from tests.unit.scenes import town
 
 
-def at_even_speed(truth: MotionConvention) -> list[Instant]:
+def at_even_speed(truth: MotionConvention) -> list[MotionFrame]:
     """Two frames whose vectors there and back are the same but for their sign."""
     scene = town()
     camera = replace(scene.camera, acceleration=np.zeros(3), yaw=0, pitch=0)
@@ -40,7 +40,7 @@ def at_even_speed(truth: MotionConvention) -> list[Instant]:
     even = replace(scene, camera=camera, quads=quads)
     views = [even.view(float(time)) for time in range(2)]
     return [
-        Instant(n, view.gbuffer(motion=False), raw_of(view, truth, 2), view.colour)
+        MotionFrame(n, view.gbuffer(motion=False), raw_of(view, truth, 2), view.colour)
         for n, view in enumerate(views)
     ]
 
@@ -108,7 +108,9 @@ class TestRecovery:
             assert buffer.depth is not None and buffer.position is not None
             rounded = replace(buffer, depth=half(buffer.depth), position=half(buffer.position))
             assert frame.colour is not None
-            frames.append(Instant(frame.number, rounded, half(frame.motion), half(frame.colour)))
+            frames.append(
+                MotionFrame(frame.number, rounded, half(frame.motion), half(frame.colour))
+            )
         assert calibrate(pairs_of(frames), None, XYZW).convention == BLENDER
 
     def test_unusable_pixels_do_not_matter(self):
@@ -204,7 +206,7 @@ class TestClear:
     def test_too_little_motion(self):
         scene = town()
         still = [
-            Instant(n, (v := scene.view(n / 60)).gbuffer(motion=False), raw, v.colour)
+            MotionFrame(n, (v := scene.view(n / 60)).gbuffer(motion=False), raw, v.colour)
             for n, raw in enumerate([raw_of(scene.view(0.0), BLENDER, 4, 1 / 60)] * 2)
         ]
         assert not calibrate(pairs_of(still), BLENDER, XYZW).clear
@@ -252,7 +254,7 @@ class TestAgainstTheNames:
         # Sixty times slower, signs can hardly be determined; the names then stand.
         scene = town()
         slow = [
-            Instant(
+            MotionFrame(
                 number,
                 (seen := scene.view(number / slower)).gbuffer(motion=False),
                 raw_of(seen, BLENDER, 4, 1 / slower),

@@ -11,7 +11,7 @@ from exwarp_cli.domain.motion import AxisMap, MotionConvention
 from exwarp_cli.errors import MotionError
 from exwarp_cli.io.producers import PRESETS
 from exwarp_cli.synthesis.calibration import calibrate
-from exwarp_cli.synthesis.sampling import Instant, Sampled
+from exwarp_cli.synthesis.calibration_samples import FrameSamples, MotionFrame
 from tests.unit.motion_pairs import (
     BLENDER,
     COLOUR_ONLY,
@@ -25,10 +25,10 @@ from tests.unit.motion_pairs import (
 from tests.unit.scenes import town
 
 
-def still_pairs(value: float = 0.0) -> list[tuple[Sampled, Sampled]]:
+def still_pairs(value: float = 0.0) -> list[tuple[FrameSamples, FrameSamples]]:
     seen = town().still().view(0.0)
     raw = np.full((*seen.surface.shape, 4), value, np.float32)
-    frames = [Instant(n, seen.gbuffer(motion=False), raw, seen.colour) for n in (7, 8)]
+    frames = [MotionFrame(n, seen.gbuffer(motion=False), raw, seen.colour) for n in (7, 8)]
     return pairs_of(frames)
 
 
@@ -61,12 +61,12 @@ class TestUntested:
         for number in range(2):
             seen = town().view(number / 60)
             raw = raw_of(seen, BLENDER, 4, 1 / 60)
-            frames.append(Instant(number, seen.gbuffer(motion=False), raw, seen.colour))
+            frames.append(MotionFrame(number, seen.gbuffer(motion=False), raw, seen.colour))
         with pytest.raises(MotionError, match=r"is unknown: .*too little motion"):
             calibrate(pairs_of(frames), None, XYZW)
 
 
-def with_values(frames: list[Instant], channels: slice, value: float) -> list[Instant]:
+def with_values(frames: list[MotionFrame], channels: slice, value: float) -> list[MotionFrame]:
     """Put a value into channels of every frame."""
     out = []
     for frame in frames:
@@ -194,7 +194,7 @@ class TestErrors:
         for number in range(2):
             seen = across.view(float(number))
             raw = raw_of(seen, truth, 2)
-            frames.append(Instant(number, seen.gbuffer(motion=False), raw, seen.colour))
+            frames.append(MotionFrame(number, seen.gbuffer(motion=False), raw, seen.colour))
         found = calibrate(pairs_of(frames), truth, XY)
         assert found.convention == truth
         # Without names either sign gives the same vectors, so either will do.
@@ -214,7 +214,7 @@ class TestPresetsAreNamed:
             seen = town().view(number / 4)
             raw = raw_of(seen, BLENDER, 4, 1 / 4)
             depth_alone = replace(seen.gbuffer(motion=False), position=None)
-            frames.append(Instant(number, depth_alone, raw, None))
+            frames.append(MotionFrame(number, depth_alone, raw, None))
         with pytest.raises(MotionError, match=r"\(looks like Blender: --motion blender\)$"):
             calibrate(pairs_of(frames), None, XYZW, presets=PRESETS)
 
@@ -239,7 +239,9 @@ class TestWeakEvidence:
             assert depth is not None
             most = depth[np.isfinite(depth)].max()
             coarse = (np.rint(depth / most * levels) / levels * most).astype(np.float32)
-            frames.append(Instant(number, replace(frame.gbuffer, depth=coarse), frame.motion, None))
+            frames.append(
+                MotionFrame(number, replace(frame.gbuffer, depth=coarse), frame.motion, None)
+            )
         found = calibrate(pairs_of(frames), PRESETS["unreal"], XY)
         assert found.convention == PRESETS["unreal"]
 

@@ -9,7 +9,7 @@ import pytest
 
 from exwarp_cli.domain.motion import AxisMap, MotionConvention
 from exwarp_cli.synthesis.calibration import calibrate
-from exwarp_cli.synthesis.sampling import Instant, Sampled
+from exwarp_cli.synthesis.calibration_samples import FrameSamples, MotionFrame
 from tests.unit.motion_pairs import BLENDER, XYZW, both, pairs_of, raw_of
 from tests.unit.scenes import town
 
@@ -18,7 +18,7 @@ STEP = 4
 
 def stepped(
     span: float, slower: float = 1.0, noise: float = 0.0, **without: None
-) -> list[tuple[Sampled, Sampled]]:
+) -> list[tuple[FrameSamples, FrameSamples]]:
     """Every fourth frame of a shot, with vectors over a part of the step."""
     rng = np.random.default_rng(3)
     frames = []
@@ -28,7 +28,7 @@ def stepped(
         raw += rng.normal(0, 0.3 * noise, raw.shape).astype(np.float32) * (raw != 0)
         colour = (seen.colour + rng.normal(0, noise, seen.colour.shape)).astype(np.float32)
         buffer = replace(seen.gbuffer(motion=False), **without)
-        frames.append(Instant(1 + STEP * index, buffer, raw, colour))
+        frames.append(MotionFrame(1 + STEP * index, buffer, raw, colour))
     return pairs_of(frames)
 
 
@@ -69,7 +69,7 @@ def test_numbers_without_steps_have_one_span_for_both_too():
     for number in range(3):
         seen = slowing.view(float(number))
         raw = raw_of(seen, BLENDER, 4, 1 / STEP)
-        frames.append(Instant(number, seen.gbuffer(motion=False), raw, seen.colour))
+        frames.append(MotionFrame(number, seen.gbuffer(motion=False), raw, seen.colour))
     found = calibrate(pairs_of(frames), BLENDER, XYZW).convention
     assert found.to_previous is not None and found.to_next is not None
     assert abs(found.to_previous.x_scale) == abs(found.to_next.x_scale)
@@ -81,7 +81,7 @@ def test_directions_that_are_clearly_apart_stay_apart():
     for number in range(3):
         seen = town().view(float(number))
         frames.append(
-            Instant(number, seen.gbuffer(motion=False), raw_of(seen, truth, 4), seen.colour)
+            MotionFrame(number, seen.gbuffer(motion=False), raw_of(seen, truth, 4), seen.colour)
         )
     assert calibrate(pairs_of(frames), None, XYZW).convention == MotionConvention(
         truth.to_previous, truth.to_next

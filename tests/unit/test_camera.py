@@ -9,6 +9,7 @@ import pytest
 
 from exwarp_cli.domain.frame import GBuffer, Window
 from exwarp_cli.synthesis.camera import (
+    MIN_SAMPLES,
     Camera,
     camera_after,
     fit,
@@ -16,7 +17,6 @@ from exwarp_cli.synthesis.camera import (
     scene_of,
     seen_by,
 )
-from exwarp_cli.synthesis.resection import MIN_SAMPLES
 from tests.unit.scenes import SKY, View, town
 
 CENTRE = np.array([63.5, 39.5])

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from exwarp_cli.domain.frame import Float32, GBuffer, Image, KeyFrame
-from exwarp_cli.synthesis.carried_light import CarriedLight
-from exwarp_cli.synthesis.coverage import Coverage, Side
-from exwarp_cli.synthesis.geometry import reproject
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.look_ahead import LookAhead
 from exwarp_cli.synthesis.methods import METHODS
-from exwarp_cli.synthesis.trajectory import displaced
+from exwarp_cli.synthesis.motion_fields import reproject
+from exwarp_cli.synthesis.residual_flow import CarriedLight
+from exwarp_cli.synthesis.trajectory import displacement_and_reach
+from exwarp_cli.synthesis.warp import Coverage, CoverageSide
 from tests.unit.opaque_shapes import (
     FINE,
     HEIGHT,
@@ -68,7 +68,9 @@ def make(
     times = (time, time - 1)[: len(views)]
     fields = [reproject(view.gbuffer, at) for view, at in zip(views, times, strict=True)]
     moved = zip(views, times, strict=True)
-    sides = [Side(view.gbuffer, *displaced(view.gbuffer, at)) for view, at in moved]
+    sides = [
+        CoverageSide(view.gbuffer, *displacement_and_reach(view.gbuffer, at)) for view, at in moved
+    ]
     coverage = Coverage(sides, fields, time, linear) if covered else None
     if len(views) == 1:
         how = CarriedLight(fields[0], time, None, linear, coverage)

@@ -10,9 +10,9 @@ import pytest
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.shot import Shot
 from exwarp_cli.research.training.scene_clip import SceneClip
-from exwarp_cli.synthesis.geometry import SlotField
 from exwarp_cli.synthesis.history import step_back
 from exwarp_cli.synthesis.interval import Interval
+from exwarp_cli.synthesis.motion_fields import SlotField
 from tests.unit.analytic_scene import STEP, surface
 from tests.unit.reading import changed_planes
 from tests.unit.scenes import SKY, View, town

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from exwarp_cli.kernels import resection
-from exwarp_cli.synthesis.resection import _median, _mostly_positive
 from tests.reference import resection as naive
 
 COUNT = 300
@@ -56,23 +55,3 @@ def test_weights_are_geman_and_mcclures():
     found = np.full(COUNT, np.nan)
     resection.write_weights(errors, inliers, depths, 0.7, found)
     assert found.tobytes() == naive.weights(errors, inliers, depths, 0.7).tobytes()
-
-
-@pytest.mark.parametrize("count", [1, 2, 5, 8, 61, 62])
-def test_medians_are_numpys(count):
-    rng = np.random.default_rng(count)
-    for values in (rng.normal(0, 1, count), rng.integers(0, 3, count).astype(float)):
-        assert _median(values) == np.median(values)
-        values[::3] = np.inf
-        assert _median(values) == np.median(values)
-
-
-@pytest.mark.parametrize("count", [1, 2, 7, 8])
-def test_the_sign_of_a_median_is_mostly_counted(count):
-    rng = np.random.default_rng(count)
-    signs = set()
-    for _ in range(300):
-        values = np.round(rng.normal(0, 1.2, count))
-        signs.add(_mostly_positive(values))
-        assert _mostly_positive(values) == bool(np.median(values) > 0)
-    assert signs == {True, False}

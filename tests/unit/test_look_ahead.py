@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from exwarp_cli.domain.frame import GBuffer, Window
-from exwarp_cli.synthesis.geometry import reproject, settle_motion
 from exwarp_cli.synthesis.look_ahead import LookAhead
-from exwarp_cli.synthesis.warp import Mover, as_light, blend_by_depth
+from exwarp_cli.synthesis.motion_fields import reproject, settle_motion
+from exwarp_cli.synthesis.warp import Mover, blend_by_depth, srgb_to_linear
 from tests.unit.opaque_shapes import FINE, HEIGHT, WIDTH, View, bar, cut_out, disc, grid, mean
 
 TIMES = (0.25, 0.5, 0.75)
@@ -120,7 +120,7 @@ def test_a_shadow_on_still_ground_moves_as_one(time, linear):
     made = LookAhead(*fields, time, linear).make(pair[0].pixels, pair[1].pixels)
     movers = [Mover(field) for field in fields]
     sides = [mover.warp(mover.codes(view.pixels)) for mover, view in zip(movers, pair, strict=True)]
-    faded = as_light(blend_by_depth(*sides, time))
+    faded = srgb_to_linear(blend_by_depth(*sides, time))
     error, plain = (np.abs(frame - truth.pixels).mean() for frame in (made, faded))
     assert error < 0.55 * plain
     assert made[28:34, 40 + round(10 * time)].mean() < 0.15, "the shadow's middle is dark"

@@ -15,9 +15,9 @@ from exwarp_cli.domain.network import NetworkGiven, NetworkPictures
 from exwarp_cli.errors import InputError, LayoutError
 from exwarp_cli.kernels import candidates
 from exwarp_cli.models.picture_network import load_lookahead
-from exwarp_cli.synthesis.geometry import settle_motion
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import METHODS
+from exwarp_cli.synthesis.motion_fields import settle_motion
 from tests.unit import tiny_lookahead
 from tests.unit.scenes import town
 

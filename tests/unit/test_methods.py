@@ -12,10 +12,10 @@ from exwarp_cli.domain.frame import Float32, KeyFrame, combine_3x3
 from exwarp_cli.domain.results import FrameKind
 from exwarp_cli.errors import LayoutError
 from exwarp_cli.pipeline.key_frames import over_interval
-from exwarp_cli.synthesis.geometry import settle_motion
 from exwarp_cli.synthesis.interval import Interval
-from exwarp_cli.synthesis.methods import EXWARP, METHODS, Judge, Predicted
-from exwarp_cli.synthesis.warp import Warped, blend_by_depth, fill_holes, repair
+from exwarp_cli.synthesis.methods import EXWARP, METHODS, DecisionSource, Predicted
+from exwarp_cli.synthesis.motion_fields import settle_motion
+from exwarp_cli.synthesis.warp import Warped, blend_by_depth, fill_holes, fill_nonfinite
 from tests.unit.scenes import View, town
 
 SLOTS = (1, 2, 3)
@@ -58,11 +58,11 @@ class TestRegistry:
         table = {m.name: (m.lookahead, m.needs_motion, m.path, m.judge) for m in METHODS.values()}
         assert table == {
             "exwarp": (True, True, None, None),
-            "causal": (False, True, None, Judge.TILES),
+            "causal": (False, True, None, DecisionSource.TILES),
             **{f"s{i}": (False, True, f"S{i}", None) for i in range(1, 6)},
             "s6": (False, True, "S6", None),
-            "oracle": (False, True, None, Judge.PSNR),
-            "oracle-return": (False, True, None, Judge.RETURN),
+            "oracle": (False, True, None, DecisionSource.PSNR),
+            "oracle-return": (False, True, None, DecisionSource.RETURN),
             "softsplat": (True, True, None, None),
             "lookahead": (True, True, None, None),
             "onnx": (True, False, None, None),
@@ -344,12 +344,12 @@ class TestBlendByDepth:
 class TestRepair:
     def test_a_sound_frame_is_returned_itself(self):
         pixels = key(0).image.pixels
-        assert repair(pixels) is pixels
+        assert fill_nonfinite(pixels) is pixels
 
     def test_only_broken_pixels_change(self):
         pixels = key(0).image.pixels.copy()
         pixels[10:13, 10:13, 2] = np.nan
-        found = repair(pixels)
+        found = fill_nonfinite(pixels)
         sound = np.isfinite(pixels).all(axis=-1)
         np.testing.assert_array_equal(found[sound], pixels[sound])
         assert np.isfinite(found).all()

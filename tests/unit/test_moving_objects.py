@@ -131,8 +131,10 @@ class TestWhichMove:
     def test_each_instant_is_looked_at_once(self, monkeypatch, setting):
         counts: list[int] = []
         module = "exwarp_cli.pipeline.interval_builder"
-        true = MovingObjects.find.__globals__["moving"]
-        monkeypatch.setattr(f"{module}.moving", lambda *given: counts.append(1) or true(*given))
+        true = MovingObjects.find.__globals__["find_moving"]
+        monkeypatch.setattr(
+            f"{module}.find_moving", lambda *given: counts.append(1) or true(*given)
+        )
         found = MovingObjects()
         for index in (2, 3):
             before = len(counts)

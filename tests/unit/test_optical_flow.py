@@ -8,16 +8,16 @@ import pytest
 from exwarp_cli.domain.curves import SRGB
 from exwarp_cli.domain.frame import Image, KeyFrame, Window
 from exwarp_cli.synthesis import optical_flow
-from exwarp_cli.synthesis.geometry import reproject
 from exwarp_cli.synthesis.look_ahead import LookAhead
+from exwarp_cli.synthesis.motion_fields import reproject
 from exwarp_cli.synthesis.optical_flow import (
     _better,
-    estimate,
+    estimate_flow,
     finest_level,
-    inverted,
-    moving,
+    invert_flow,
     pseudo_depth,
     shown_colour,
+    with_estimated_motion,
 )
 from exwarp_cli.synthesis.trajectory import displacement
 
@@ -53,7 +53,7 @@ def key(number: int, pixels: np.ndarray) -> KeyFrame:
 class TestEstimate:
     @pytest.mark.parametrize(("dx", "dy"), [(0, 0), (3, 0), (0, -5), (11, 7), (-16, 4)])
     def test_a_shift_is_found_both_ways(self, dx, dy):
-        there, back = estimate(*shifted(dx, dy))
+        there, back = estimate_flow(*shifted(dx, dy))
         inside = np.s_[20:-20, 20:-20]
         assert np.abs(there.motion[inside] - (dx, dy)).max() < 0.25
         assert np.abs(back.motion[inside] + (dx, dy)).max() < 0.25
@@ -64,7 +64,7 @@ class TestEstimate:
         before, after = back.copy(), back.copy()
         before[30:70, 30:70] = thing
         after[34:74, 42:82] = thing
-        there, _ = estimate(before, after)
+        there, _ = estimate_flow(before, after)
         assert np.abs(np.median(there.motion[36:64, 36:64], axis=(0, 1)) - (12, 4)).max() < 0.2
         assert np.abs(there.motion[:20]).max() < 0.5
         covered = there.mismatch[40:60, 74:80].mean()  # which the second picture does not show
@@ -73,7 +73,7 @@ class TestEstimate:
     @pytest.mark.parametrize("shape", [(1, 1), (5, 9), (16, 200), (70, 64)])
     def test_any_size(self, shape):
         before = texture(*shape)
-        for flow in estimate(before, before):
+        for flow in estimate_flow(before, before):
             assert flow.motion.shape == (*shape, 2) and flow.mismatch.shape == shape
             assert flow.motion.dtype == flow.mismatch.dtype == np.float32
             assert np.abs(flow.motion).max() < 0.5 and flow.mismatch.max() < 0.01
@@ -81,14 +81,14 @@ class TestEstimate:
     def test_it_is_the_same_every_time_and_leaves_its_input(self):
         before, after = shifted(6, 2)
         copies = before.copy(), after.copy()
-        first, second = estimate(before, after), estimate(before, after)
+        first, second = estimate_flow(before, after), estimate_flow(before, after)
         for one, other in zip(first, second, strict=True):
             assert np.array_equal(one.motion, other.motion)
         assert np.array_equal(before, copies[0]) and np.array_equal(after, copies[1])
 
     def test_the_two_directions_change_places_with_the_pictures(self):
         before, after = shifted(6, 2)
-        one, other = estimate(before, after), estimate(after, before)
+        one, other = estimate_flow(before, after), estimate_flow(after, before)
         assert np.array_equal(one[0].motion, other[1].motion)
         assert np.array_equal(one[1].motion, other[0].motion)
 
@@ -99,14 +99,14 @@ class TestEstimate:
         before[40, 40] = np.nan
         after[50, 60], after[51, 60] = np.inf, -np.inf
         before[10, 10, :3] = -5
-        for flow in estimate(before, after):
+        for flow in estimate_flow(before, after):
             assert np.isfinite(flow.motion).all()
             assert 0 <= flow.mismatch.min() <= flow.mismatch.max() <= 1
 
     def test_a_hole_in_the_pictures_is_no_black_spot(self):
         before, after = shifted(5, 0)
         before[40:46, 60:66] = after[40:46, 60:66] = np.nan
-        there, _ = estimate(before, after)
+        there, _ = estimate_flow(before, after)
         assert there.mismatch[40:46, 60:66].max() < 0.3
         assert np.abs(there.motion[42, 62] - (5, 0)).max() < 3
 
@@ -129,7 +129,7 @@ class TestEstimate:
 class TestInverted:
     def test_a_constant_flow(self):
         flow = np.full((20, 30, 2), (3, -2), np.float32)
-        back = inverted(flow)
+        back = invert_flow(flow)
         assert np.isnan(back[:, :2]).all() and np.isnan(back[-1:]).all()
         assert np.allclose(back[:17, 4:], (-3, 2), atol=1e-5)
 
@@ -143,8 +143,11 @@ def blended(before: KeyFrame, after: KeyFrame, time: float) -> np.ndarray:
 class TestMoving:
     def test_the_slot_between_shows_the_texture_on_its_way(self):
         before, after = shifted(8, 4)
-        there, back = estimate(before, after)
-        first, second = moving(key(1, before), None, there), moving(key(2, after), back, None)
+        there, back = estimate_flow(before, after)
+        first, second = (
+            with_estimated_motion(key(1, before), None, there),
+            with_estimated_motion(key(2, after), back, None),
+        )
         assert (first.number, second.number) == (1, 2)
         middle, truth = blended(first, second, 0.5), shifted(4, 2)[1]
         inside = np.s_[20:-20, 20:-20]
@@ -154,27 +157,30 @@ class TestMoving:
     def test_with_both_neighbours_motion_speeds_up(self):
         # At 0, 2 and 8: halfway between the last two it was at 4.5, not at 5.
         whole = [shifted(dx, 0)[1] for dx in (0, 2, 8)]
-        one, two = estimate(whole[0], whole[1]), estimate(whole[1], whole[2])
-        frame = moving(key(2, whole[1]), one[1], two[0])
+        one, two = estimate_flow(whole[0], whole[1]), estimate_flow(whole[1], whole[2])
+        frame = with_estimated_motion(key(2, whole[1]), one[1], two[0])
         assert frame.gbuffer is not None
         went = displacement(frame.gbuffer, 0.5)[20:-20, 20:-20, 0]
         assert abs(float(np.median(went)) - 2.5) < 0.1
 
     def test_what_is_not_known_is_left_out(self):
-        there, back = estimate(*shifted(3, 0))
+        there, back = estimate_flow(*shifted(3, 0))
         frame = key(1, shifted(3, 0)[0])
-        only = moving(frame, back, None).gbuffer
+        only = with_estimated_motion(frame, back, None).gbuffer
         assert only is not None and only.to_next is None and only.to_previous is back.motion
-        other = moving(frame, None, there).gbuffer
+        other = with_estimated_motion(frame, None, there).gbuffer
         assert other is not None and other.to_previous is None and other.to_next is there.motion
-        assert moving(moving(frame, back, there), None, None).gbuffer is None
+        assert (
+            with_estimated_motion(with_estimated_motion(frame, back, there), None, None).gbuffer
+            is None
+        )
 
     def test_vectors_to_where_a_surface_is_hidden_are_dropped(self):
         here, _ = shifted(0, 0)
         hiding = here.copy()
         hiding[30:60, 40:80] = texture(30, 40, seed=7) * (0.2, 1.5, 0.2)
-        there, back = estimate(here, hiding)[0], estimate(here, here)[0]
-        buffer = moving(key(1, here), back, there).gbuffer
+        there, back = estimate_flow(here, hiding)[0], estimate_flow(here, here)[0]
+        buffer = with_estimated_motion(key(1, here), back, there).gbuffer
         assert buffer is not None and buffer.to_next is not None
         lost = np.isnan(buffer.to_next[..., 0])
         assert lost[36:54, 46:74].all() and not lost[:20].any() and not lost[:, :30].any()
@@ -184,7 +190,7 @@ class TestMoving:
     def test_what_was_followed_better_counts_as_nearer(self):
         before, after = shifted(0, 0)
         after[40:60, 40:60] = 0
-        there, back = estimate(before, after)
+        there, back = estimate_flow(before, after)
         depth = pseudo_depth(there)
         assert depth.dtype == np.float32 and depth.min() >= 1
         assert depth[45:55, 45:55].mean() > depth[:20].mean() + 0.02
@@ -203,15 +209,15 @@ class TestShownColour:
 class TestExposure:
     def test_a_scene_too_bright_for_a_display_moves_all_the_same(self):
         before, after = shifted(3, 1)
-        there, _ = estimate(8 * before, 8 * after)
-        expected, _ = estimate(before, after)
+        there, _ = estimate_flow(8 * before, 8 * after)
+        expected, _ = estimate_flow(before, after)
         inside = (slice(8, -8), slice(8, -8))
         assert np.abs(there.motion[inside] - expected.motion[inside]).mean() < 0.1
 
     def test_one_lamp_darkens_nothing(self):
         before, after = shifted(3, 1)
-        plain = estimate(before, after)[0].motion
+        plain = estimate_flow(before, after)[0].motion
         before[:4, :4] = after[:4, :4] = 1000.0
         assert np.array_equal(optical_flow._exposure([before, after]), np.float32(1))
-        lit = estimate(before, after)[0].motion
+        lit = estimate_flow(before, after)[0].motion
         assert np.abs(lit - plain)[16:, 16:].mean() < 0.1

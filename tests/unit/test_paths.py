@@ -12,11 +12,11 @@ from exwarp_cli.domain.decision import EXTRAPOLATE, HOLD, NODES, PATHS, WARP
 from exwarp_cli.domain.extrapolator import NetworkInputs
 from exwarp_cli.domain.frame import Float32, KeyFrame
 from exwarp_cli.domain.results import FrameKind
-from exwarp_cli.synthesis.extrapolate import encode
-from exwarp_cli.synthesis.geometry import settle_motion
-from exwarp_cli.synthesis.history import past_of
+from exwarp_cli.synthesis.extrapolation import encode
+from exwarp_cli.synthesis.history import older_key_frames
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import METHODS, Predicted
+from exwarp_cli.synthesis.motion_fields import settle_motion
 from tests.unit.scenes import town
 
 SLOTS = (1, 2, 3)
@@ -60,7 +60,7 @@ def key(index: int) -> KeyFrame:
 def interval(older: int = 2) -> Interval:
     """Key frame 1003 with so many key frames before it."""
     keys = [key(index) for index in range(2, 1 - older, -1)]
-    return Interval(keys[0], None, (), past_of(keys), Painter())
+    return Interval(keys[0], None, (), older_key_frames(keys), Painter())
 
 
 def shown(name: str, given: Interval) -> list[Predicted]:

@@ -14,7 +14,7 @@ from exwarp_cli.io.channels import Layout, Role, detect_layout
 from exwarp_cli.io.exr.parts import Channel
 from exwarp_cli.io.frames import clean_depth, clean_stencil
 from exwarp_cli.synthesis.calibration import calibrate
-from exwarp_cli.synthesis.sampling import Instant
+from exwarp_cli.synthesis.calibration_samples import MotionFrame
 from tests.unit.motion_pairs import pairs_of
 from tests.unit.producer_files import PRODUCERS, Files, Passes, rounded
 from tests.unit.scenes import View, town
@@ -56,7 +56,7 @@ def layout_of(files: Files) -> Layout:
     )
 
 
-def instant(files: Files, layout: Layout, number: int) -> Instant:
+def instant(files: Files, layout: Layout, number: int) -> MotionFrame:
     """The frame as reading it gives it."""
 
     def stack(role: Role) -> np.ndarray | None:
@@ -74,12 +74,12 @@ def instant(files: Files, layout: Layout, number: int) -> Instant:
     )
     motion = stack(Role.MOTION)
     assert motion is not None
-    return Instant(number, gbuffer, motion, stack(Role.COLOUR))
+    return MotionFrame(number, gbuffer, motion, stack(Role.COLOUR))
 
 
 def found_in(
     producer: str, half: bool = False, mirror: np.ndarray | float = 1.0
-) -> tuple[MotionFinding, list[Instant]]:
+) -> tuple[MotionFinding, list[MotionFrame]]:
     """Write two frames, their vectors mirrored, read and measure them."""
     frames, layout = [], None
     for number, view in enumerate(views()):
@@ -95,7 +95,7 @@ def found_in(
     return calibrate(pairs_of(frames[:2]), guess, names), frames
 
 
-def worst(finding: MotionFinding, frames: list[Instant]) -> float:
+def worst(finding: MotionFinding, frames: list[MotionFrame]) -> float:
     """Pixels by which vectors miss the truth on surfaces, at the 99th percentile."""
     errors = []
     for view, frame in zip(views(), frames, strict=True):

@@ -13,10 +13,15 @@ import pytest
 
 from exwarp_cli.domain.frame import GBuffer, Image, KeyFrame, Window, place
 from exwarp_cli.research.training.augmentation import Look, deliver, mirror, reverse_time
-from exwarp_cli.synthesis.geometry import settle_motion
-from exwarp_cli.synthesis.holds import around_holds
-from exwarp_cli.synthesis.rigid import LEAST_PIXELS, fit_pose
-from exwarp_cli.synthesis.trajectory import displaced, displacement, reach_of
+from exwarp_cli.synthesis.holds import adapt_motion_to_holds
+from exwarp_cli.synthesis.motion_fields import settle_motion
+from exwarp_cli.synthesis.trajectory import (
+    MIN_OBJECT_PIXELS,
+    displacement,
+    displacement_and_reach,
+    fit_pose,
+    reach_of,
+)
 from tests.unit.scenes import Camera, vec
 
 HEIGHT, WIDTH, FOCAL = 80, 104, 130.0
@@ -322,7 +327,7 @@ class TestLessIsKnown:
         assert found.bend is None
         assert error(seen, found.to_next, 1).max() > 1
 
-    @pytest.mark.parametrize("count", [LEAST_PIXELS - 1, LEAST_PIXELS])
+    @pytest.mark.parametrize("count", [MIN_OBJECT_PIXELS - 1, MIN_OBJECT_PIXELS])
     def test_an_object_of_few_pixels_is_left_as_it_is(self, count):
         seen, raw, _ = shot("plate", "aslant", 25)
         shown = np.flatnonzero(seen.ident)
@@ -331,7 +336,7 @@ class TestLessIsKnown:
         ids.ravel()[hidden] = 2
         found = settle_motion(replace(raw, stencil=ids))
         off = np.linalg.norm(found.to_next - seen.motion_to(1), axis=-1)[ids == 1]
-        assert (off.max() < 0.05) == (count == LEAST_PIXELS)
+        assert (off.max() < 0.05) == (count == MIN_OBJECT_PIXELS)
 
     @pytest.mark.parametrize("absent", ["to_previous", "to_next"])
     def test_vectors_one_way_alone(self, absent):
@@ -419,7 +424,7 @@ class TestArcs:
 
     def test_the_rows_that_it_leads_to_are_those_of_the_arc(self):
         _, _, found = spinning()
-        motion, reach = displaced(found, 0.5)
+        motion, reach = displacement_and_reach(found, 0.5)
         np.testing.assert_array_equal(motion, displacement(found, 0.5))
         np.testing.assert_array_equal(reach, reach_of(motion))
 
@@ -467,17 +472,17 @@ class TestBend:
         _, _, found = spinning()
         image = Image(np.zeros((HEIGHT, WIDTH, 3), np.float32), found.window, found.window)
         held = replace(found, to_previous=np.zeros_like(found.to_previous))
-        key, _ = around_holds(KeyFrame(1, image, held), None, after_hold=True)
+        key, _ = adapt_motion_to_holds(KeyFrame(1, image, held), None, after_hold=True)
         np.testing.assert_array_equal(displacement(key.gbuffer, 0.5), found.to_next / 2)
         ending = replace(found, to_next=np.zeros_like(found.to_next))
-        _, following = around_holds(KeyFrame(1, image, held), KeyFrame(2, image, ending))
+        _, following = adapt_motion_to_holds(KeyFrame(1, image, held), KeyFrame(2, image, ending))
         np.testing.assert_array_equal(displacement(following.gbuffer, -0.5), found.to_previous / 2)
 
     def test_vectors_that_are_turned_round_have_none(self):
         _, _, found = spinning()
         image = Image(np.zeros((HEIGHT, WIDTH, 3), np.float32), found.window, found.window)
         standing = replace(found, to_previous=np.zeros_like(found.to_previous), to_next=None)
-        key, _ = around_holds(
+        key, _ = adapt_motion_to_holds(
             KeyFrame(1, image, standing), KeyFrame(2, image, found.without("to_next"))
         )
         assert key.gbuffer.to_next is not None and key.gbuffer.bend is None
@@ -513,7 +518,7 @@ class TestFitPose:
         np.testing.assert_allclose(pose.place(points), places, atol=1e-3)
 
     def test_too_few_points_tell_nothing(self):
-        points = MIDDLE + np.random.default_rng(3).uniform(-1, 1, (LEAST_PIXELS, 3))
+        points = MIDDLE + np.random.default_rng(3).uniform(-1, 1, (MIN_OBJECT_PIXELS, 3))
         ends = self.seen(points)
         assert fit_pose(points, ends, self.CAMERA) is not None
         assert fit_pose(points[1:], ends[1:], self.CAMERA) is None

@@ -26,9 +26,9 @@ from exwarp_cli.pipeline.scheduling import (
     prefetch,
     read_depth,
 )
-from exwarp_cli.synthesis.geometry import reproject
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import METHODS
+from exwarp_cli.synthesis.motion_fields import reproject
 from tests.bench.street import key_frame
 
 SOON = 10.0

@@ -14,7 +14,7 @@ from exwarp_cli.io.vmaf import vmaf
 from exwarp_cli.metrics.flicker import error
 from exwarp_cli.metrics.registry import score
 from exwarp_cli.pipeline.scoring import IntervalScores, flicker_of, steps_of, vmaf_of
-from exwarp_cli.synthesis.geometry import SlotField
+from exwarp_cli.synthesis.motion_fields import SlotField
 from tests.reference import flicker as naive
 
 DISPLAY = Window(0, 0, 40, 24)

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 
 from exwarp_cli.domain.extrapolator import Inputs
 from exwarp_cli.domain.frame import Float32, KeyFrame
-from exwarp_cli.synthesis.geometry import SlotField
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import METHODS
+from exwarp_cli.synthesis.motion_fields import SlotField
 from exwarp_cli.synthesis.source_bounds import hold_within, sources_between
 from exwarp_cli.synthesis.warp import Mover, blend_by_depth
 from tests.reference import extremes as naive

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from exwarp_cli.domain.frame import KeyFrame
-from exwarp_cli.synthesis.geometry import settle_motion
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import METHODS
+from exwarp_cli.synthesis.motion_fields import settle_motion
 from exwarp_cli.synthesis.sub_intervals import sub_slots, vector_spans
 from tests.unit.scenes import View, town
 

@@ -132,7 +132,7 @@ class TestPolicy:
 
 class TestFeatures:
     def test_they_are_of_each_tile(self):
-        from exwarp_cli.synthesis.tile_features import tile_features
+        from exwarp_cli.synthesis.interval import tile_features
 
         given = interval()
         for slot in SLOTS:
@@ -146,7 +146,7 @@ class TestFeatures:
         np.testing.assert_array_equal(found[..., 4], residual.light)
 
     def test_after_the_first_key_frame_nothing_tells_of_residuals(self):
-        from exwarp_cli.synthesis.tile_features import tile_features
+        from exwarp_cli.synthesis.interval import tile_features
 
         assert not tile_features(interval(0), 2)[..., 4:].any()
 

@@ -11,9 +11,8 @@ from exwarp_cli.domain.decision import EXTRAPOLATE, WARP
 from exwarp_cli.domain.extrapolator import Inputs
 from exwarp_cli.domain.frame import Float32, Window
 from exwarp_cli.domain.tiles import REWARP, TILE_PATHS, TileMakers, TilePlan, paths_of
-from exwarp_cli.synthesis.methods import take, take_tiles
-from exwarp_cli.synthesis.mosaic import HALO, Mosaic, extrapolate_in, lay_over
-from exwarp_cli.synthesis.risk import Tiles
+from exwarp_cli.synthesis.methods import predict_path, predict_tiles
+from exwarp_cli.synthesis.mosaic import HALO, Mosaic, Tiles, extrapolate_in, lay_over
 from tests.unit.test_paths import SLOTS, Painter, interval, painted
 
 
@@ -132,7 +131,7 @@ class TestFrames:
     def test_of_one_path_they_are_those_of_that_path(self, path, slot):
         given = interval()
         plan = TilePlan.fixed(given.tiles.columns, 8, path)
-        made, expected = take_tiles(plan, given, slot), take(path, interval(), slot)
+        made, expected = predict_tiles(plan, given, slot), predict_path(path, interval(), slot)
         np.testing.assert_array_equal(made.pixels, expected.pixels)
         assert (made.made_by, made.sources) == (expected.made_by, expected.sources)
 
@@ -140,8 +139,8 @@ class TestFrames:
     def test_the_network_paints_the_chosen_tiles_alone(self, slot):
         given = replace(interval(), extrapolator=Careful())
         plan, tile = self.plan(given, "S3", (4, 2))
-        made = take_tiles(plan, given, slot).pixels
-        warped = take("S6", interval(), slot).pixels
+        made = predict_tiles(plan, given, slot).pixels
+        warped = predict_path("S6", interval(), slot).pixels
         rows, columns = self.pixels(given, tile)
         np.testing.assert_allclose(made[rows, columns, :3], painted(slot), rtol=1e-5)
         weight = given.mosaic.weight(plan.makers(slot).made_by(EXTRAPOLATE))
@@ -153,9 +152,9 @@ class TestFrames:
     def test_what_the_network_made_is_warped_on(self):
         given = interval()
         plan, tile = self.plan(given, "S4", (4, 2))
-        made = take_tiles(plan, given, 3)
+        made = predict_tiles(plan, given, 3)
         rows, columns = self.pixels(given, tile)
-        warped = take("S6", interval(), 3).pixels
+        warped = predict_path("S6", interval(), 3).pixels
         assert not np.array_equal(made.pixels[rows, columns], warped[rows, columns])
         assert made.made_by == WARP and len(made.sources) == 3
         assert isinstance(given.extrapolator, Painter)
@@ -165,7 +164,7 @@ class TestFrames:
         given = interval()
         plan = TilePlan.fixed(given.tiles.columns, 8, "S6")
         for slot in SLOTS:
-            take_tiles(plan, given, slot)
+            predict_tiles(plan, given, slot)
         assert isinstance(given.extrapolator, Painter) and not given.extrapolator.asked
 
     @staticmethod

@@ -243,11 +243,11 @@ def encoded(linear: torch.Tensor) -> torch.Tensor:
 
 
 def test_coding_is_that_of_synthesis():
-    from exwarp_cli.synthesis import extrapolate
+    from exwarp_cli.synthesis import extrapolation
 
     linear = np.linspace(-3, 60, 100, dtype=np.float32)
     coded = batches.encode(torch.from_numpy(linear))
-    np.testing.assert_allclose(coded.numpy(), extrapolate.encode(linear), rtol=1e-6)
+    np.testing.assert_allclose(coded.numpy(), extrapolation.encode(linear), rtol=1e-6)
     np.testing.assert_allclose(batches.decode(coded).numpy(), linear, rtol=1e-5, atol=1e-6)
 
 

@@ -15,7 +15,7 @@ from exwarp_cli.io.dataset import open_scene
 from exwarp_cli.io.frames import SURFACE, read_raw
 from exwarp_cli.io.shot import Shot
 from exwarp_cli.research.training.scene_clip import SceneClip
-from exwarp_cli.synthesis.extrapolate import Prepared
+from exwarp_cli.synthesis.extrapolation import Prepared
 from tests.unit.analytic_scene import write_scene
 from tests.unit.filled import Filled
 from tests.unit.reading import changed_planes

@@ -29,9 +29,9 @@ from exwarp_cli.pipeline.scoring import SLOTS
 from exwarp_cli.pipeline.source import open_source
 from exwarp_cli.policy.state import LearnedPolicy, Surroundings
 from exwarp_cli.synthesis.interval import Interval
-from exwarp_cli.synthesis.methods import Judge, Method
+from exwarp_cli.synthesis.methods import DecisionSource, Method
 
-EVERYTHING = Method("bench", None, lookahead=True, needs_motion=True, judge=Judge.POLICY)
+EVERYTHING = Method("bench", None, lookahead=True, needs_motion=True, judge=DecisionSource.POLICY)
 """What is read for it serves every system."""
 
 

@@ -21,7 +21,7 @@ from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.io.minterpolate import minterpolate
 from exwarp_cli.pipeline.scoring import SLOTS
 from exwarp_cli.synthesis.interval import Interval
-from exwarp_cli.synthesis.methods import METHODS, take
+from exwarp_cli.synthesis.methods import METHODS, predict_path
 
 REPEATED = "F"
 
@@ -130,9 +130,13 @@ class Pictures:
         if name == REPEATED:
             return _predicted(HOLD, interval, 1)
         if name == "W(E2)":
-            return take("S4", interval, FACTOR - 1).pixels
+            return predict_path("S4", interval, FACTOR - 1).pixels
         slot = int(name[1])
-        return interval.extrapolated(slot) if name[0] == "E" else take("S6", interval, slot).pixels
+        return (
+            interval.extrapolated(slot)
+            if name[0] == "E"
+            else predict_path("S6", interval, slot).pixels
+        )
 
     def _by_ffmpeg(self) -> tuple[Float32, ...]:
         if not self._between:

@@ -20,9 +20,9 @@ from exwarp_cli.pipeline.bench.pictures import FIXED_PATHS, Pictures, names_of
 from exwarp_cli.pipeline.interval_inputs import IntervalInputs
 from exwarp_cli.pipeline.scoring import SLOTS
 from exwarp_cli.runtime.stop import check_stop
-from exwarp_cli.synthesis.geometry import unmatched
 from exwarp_cli.synthesis.interval import Interval
 from exwarp_cli.synthesis.methods import METHODS
+from exwarp_cli.synthesis.motion_fields import find_holes
 from exwarp_cli.synthesis.warp import Mover
 
 EXTRAPOLATED = (2, 3)
@@ -122,7 +122,7 @@ def _steps(interval: Interval) -> dict[str, float]:
     holes = None
     if fresh.slots and key is not None:
         holes, _ = timed(
-            lambda: [unmatched(fresh.slots[s - 1], key, backs[s].field, s) for s in SLOTS]
+            lambda: [find_holes(fresh.slots[s - 1], key, backs[s].field, s) for s in SLOTS]
         )
     moved, _ = timed(lambda: [Mover(backs[s]).warp_alone(interval.key.image.pixels) for s in SLOTS])
     found = {"warp": (fields + moved - (holes or 0.0)) / count}

@@ -27,7 +27,7 @@ from exwarp_cli.research.training.augmentation import Look, Variant, draw_look
 from exwarp_cli.research.training.scene_clip import SceneClip
 from exwarp_cli.research.training.training_settings import ExtrapolatorSettings
 from exwarp_cli.runtime.stop import check_stop
-from exwarp_cli.synthesis.extrapolate import (
+from exwarp_cli.synthesis.extrapolation import (
     UNKNOWN_DEPTH,
     UNKNOWN_METALLIC,
     UNKNOWN_ROUGHNESS,

@@ -22,7 +22,7 @@ from exwarp_cli.research.training.crop_cache import CachedArrays, digest_of, wri
 from exwarp_cli.research.training.scene_clip import SceneClip
 from exwarp_cli.runtime.stop import check_stop
 from exwarp_cli.synthesis.interval import Interval
-from exwarp_cli.synthesis.warp import as_shown
+from exwarp_cli.synthesis.warp import linear_to_srgb
 
 # Of what is cached; samples of another version are made again.
 VERSION = 1
@@ -93,7 +93,7 @@ def _slot_sample(interval: Interval, slot: int, truth: Float32) -> dict[str, np.
     assert following is not None
     mixer = replace(interval, interpolator=recorder).look_ahead(slot, weighs=True)
     mixer.make(interval.key.image.pixels, following.image.pixels)
-    displayed = as_shown(np.ascontiguousarray(truth[..., :3], np.float32))
+    displayed = linear_to_srgb(np.ascontiguousarray(truth[..., :3], np.float32))
     return recorder.pictures | {
         "truth": displayed.transpose(2, 0, 1).astype(np.float16),
         "time": np.array(interval.time(slot), np.float32),

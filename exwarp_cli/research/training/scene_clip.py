@@ -28,9 +28,9 @@ from exwarp_cli.research.training.augmentation import (
     reverse_time,
     with_tones,
 )
-from exwarp_cli.synthesis.geometry import settle_motion
-from exwarp_cli.synthesis.history import past_of
+from exwarp_cli.synthesis.history import older_key_frames
 from exwarp_cli.synthesis.interval import Interval
+from exwarp_cli.synthesis.motion_fields import settle_motion
 from exwarp_cli.synthesis.trajectory import span_motion
 
 # Instants that are kept in memory: enough for one interval and its history.
@@ -102,7 +102,9 @@ class SceneClip:
     def causal(self, k: int, setting: str) -> Interval:
         """Return key interval k for causal synthesis: with its past, without the next key frame."""
         keys = [self._causal_key(k - j, setting) for j in range(HISTORY) if k >= j]
-        return Interval(self._key(k, setting), None, self._slots(k, setting), past_of(keys))
+        return Interval(
+            self._key(k, setting), None, self._slots(k, setting), older_key_frames(keys)
+        )
 
     def _key(self, k: int, setting: str) -> KeyFrame:
         """Return key frame k; with slot G-buffers its motion is made of those, as in a run."""

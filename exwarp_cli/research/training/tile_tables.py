@@ -36,9 +36,8 @@ from exwarp_cli.research.training.outcome_tables import (
 )
 from exwarp_cli.research.training.scene_clip import SceneClip
 from exwarp_cli.runtime.stop import check_stop
-from exwarp_cli.synthesis.interval import Interval
-from exwarp_cli.synthesis.methods import take
-from exwarp_cli.synthesis.tile_features import tile_features
+from exwarp_cli.synthesis.interval import Interval, tile_features
+from exwarp_cli.synthesis.methods import predict_path
 
 F64 = npt.NDArray[np.float64]
 
@@ -133,7 +132,7 @@ def _tile_errors(interval: Interval, truth: dict[int, npt.NDArray[np.float32]]) 
     """Return the errors of an interval's tiles, float64 [N, 5]."""
     errors = []
     for slot, _, path in MADE:
-        frame = encode(take(path, interval, slot).pixels)
+        frame = encode(predict_path(path, interval, slot).pixels)
         squares = np.square(frame[..., :3] - truth[slot][..., :3]).mean(axis=-1)
         errors.append(interval.mosaic.means(squares).ravel())
     return np.stack(errors, axis=-1)

@@ -11,9 +11,8 @@ import pytest
 from exwarp_cli.domain.cuts import CutWish, parse_cuts
 from exwarp_cli.domain.frame import GBuffer, Image, KeyFrame, Window
 from exwarp_cli.errors import MissingFrameError, UsageError
-from exwarp_cli.synthesis import cuts
-from exwarp_cli.synthesis.cuts import CutEvidence, is_cut_between
-from exwarp_cli.synthesis.glance import glance_at
+from exwarp_cli.synthesis import cut_detection
+from exwarp_cli.synthesis.cut_detection import CutEvidence, is_cut_between, make_thumbnail
 from tests.unit.scenes import Rectangle, Scene, town, vec
 
 GEOMETRY = ("depth", "normal", "position", "stencil")
@@ -32,8 +31,8 @@ KNOWN = {
 
 def is_cut(before: KeyFrame, after: KeyFrame) -> CutEvidence:
     """What is found; it is the same where no evidence is requested."""
-    found = cuts.is_cut(before, after)
-    assert is_cut_between(glance_at(before), glance_at(after)) == found.found
+    found = cut_detection.compare_frames(before, after)
+    assert is_cut_between(make_thumbnail(before), make_thumbnail(after)) == found.found
     return found
 
 
@@ -261,7 +260,7 @@ def test_a_glance_goes_by_the_display_window() -> None:
     frame = key(town((256, 160)), 0)
     around = frame.on(Window(-7, -5, 280, 171))
     part = frame.on(Window(40, 30, 100, 90))
-    whole, wide, narrow = glance_at(frame), glance_at(around), glance_at(part)
+    whole, wide, narrow = make_thumbnail(frame), make_thumbnail(around), make_thumbnail(part)
     np.testing.assert_array_equal(wide.light, whole.light)
     np.testing.assert_array_equal(wide.to_next, whole.to_next)
     np.testing.assert_array_equal(narrow.light[16:58, 21:69], whole.light[16:58, 21:69])
@@ -274,7 +273,7 @@ def test_a_glance_is_the_mean_of_its_cells() -> None:
     pixels = np.zeros((320, 512, 3), np.float32)
     pixels[8:12, 4:6] = 4.0  # half of a cell, in luminance 4
     pixels[100, 100] = np.nan
-    light = glance_at(KeyFrame(1, Image(pixels, window, window), None)).light
+    light = make_thumbnail(KeyFrame(1, Image(pixels, window, window), None)).light
     assert light.shape == (80, 128)
     assert light[2, 1] == pytest.approx(1.0)
     assert np.count_nonzero(light) == 1

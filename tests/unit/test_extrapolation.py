@@ -14,7 +14,7 @@ from exwarp_cli.domain.extrapolator import INPUTS, NetworkInputs
 from exwarp_cli.domain.frame import Float32, GBuffer, KeyFrame, Window
 from exwarp_cli.errors import LayoutError
 from exwarp_cli.runtime.frame_pool import ScratchFrames
-from exwarp_cli.synthesis.extrapolate import DARKEST, decode, encode, modulation_of
+from exwarp_cli.synthesis.extrapolation import DARKEST, decode, encode, modulation_of
 from exwarp_cli.synthesis.interval import Interval
 from tests.unit.analytic_scene import STEP
 from tests.unit.filled import Filled

@@ -8,15 +8,15 @@ import pytest
 from exwarp_cli.domain.frame import broken_pixels
 from exwarp_cli.io.channels import Role
 from exwarp_cli.io.shot_files import count_nonfinite
-from exwarp_cli.synthesis.retime import Sources, in_place
+from exwarp_cli.synthesis.layer_retiming import PixelSources, unmoved_sources
 
 SHAPE = (5, 7)
 BROKEN = (np.nan, np.inf, -np.inf)
 
 
-def sources(depth: np.ndarray | None = None) -> Sources:
+def sources(depth: np.ndarray | None = None) -> PixelSources:
     """A slot that shows a key frame of one depth as it is, or of others."""
-    return in_place(SHAPE, np.ones(SHAPE, np.float32) if depth is None else depth)
+    return unmoved_sources(SHAPE, np.ones(SHAPE, np.float32) if depth is None else depth)
 
 
 def plane(kind: type = np.float32) -> np.ndarray:
@@ -82,7 +82,7 @@ def test_a_depth_may_be_infinite_and_what_is_unknown_is_so():
 def test_without_a_depth_all_surfaces_are_alike(unknown):
     x = plane()
     x[2, 3] = np.inf
-    in_place(SHAPE, unknown).mend([x])
+    unmoved_sources(SHAPE, unknown).mend([x])
     assert x[2, 3] in plane()[1:4, 2:5] and x[2, 3] != plane()[2, 3]
 
 

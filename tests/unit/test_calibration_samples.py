@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from exwarp_cli.synthesis.evidence import COARSE, gathered
-from exwarp_cli.synthesis.sampling import sampled
+from exwarp_cli.synthesis.calibration_evidence import COARSE, gather_evidence
+from exwarp_cli.synthesis.calibration_samples import sample_frame
 from tests.unit.motion_pairs import (
     BLENDER,
     COLOUR_ONLY,
@@ -20,7 +20,7 @@ from tests.unit.motion_pairs import (
 
 
 def evidence(**without: None):
-    return gathered(pairs_of(instants(BLENDER, 4, **without)), XYZW)
+    return gather_evidence(pairs_of(instants(BLENDER, 4, **without)), XYZW)
 
 
 def test_many_candidates_have_the_errors_that_each_has_alone():
@@ -48,7 +48,7 @@ def test_channels_that_do_not_are_sampled_apart():
     frames = instants(BLENDER, 4)
     for frame in frames:
         frame.motion[::2, :, 2:] = np.nan
-    found = gathered(pairs_of(frames), XYZW)
+    found = gather_evidence(pairs_of(frames), XYZW)
     first, second = found[(0, 1), True].probes[0], found[(2, 3), True].probes[0]
     assert len(first.xy) > len(second.xy)
     assert np.isfinite(second.raw).all() and not np.isfinite(first.raw).all()
@@ -57,16 +57,16 @@ def test_channels_that_do_not_are_sampled_apart():
 def test_a_frame_is_empty_only_without_any_number():
     frame = instants(BLENDER, 4)[0]
     nothing = np.full_like(frame.motion, np.nan)
-    assert sampled(replace(frame, motion=nothing)).empty
+    assert sample_frame(replace(frame, motion=nothing)).empty
     nothing[0, 1, 3] = 0  # no sample lies there
-    assert not sampled(replace(frame, motion=nothing)).empty
-    assert not sampled(frame).empty
+    assert not sample_frame(replace(frame, motion=nothing)).empty
+    assert not sample_frame(frame).empty
 
 
 def test_positions_alone_are_kept_where_there_are_some():
     frame = instants(BLENDER, 4)[0]
-    kept = sampled(frame)
+    kept = sample_frame(frame)
     assert kept.position is frame.gbuffer.position
     assert kept.depth is None and kept.perceived is None
-    depth = sampled(replace(frame, gbuffer=frame.gbuffer.without("position")))
+    depth = sample_frame(replace(frame, gbuffer=frame.gbuffer.without("position")))
     assert depth.depth is frame.gbuffer.depth and depth.perceived is not None

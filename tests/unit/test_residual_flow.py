@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from exwarp_cli.domain.frame import Float32, GBuffer, Image, KeyFrame, Window
-from exwarp_cli.synthesis.history import past_of
+from exwarp_cli.synthesis.history import older_key_frames
 from exwarp_cli.synthesis.interval import Interval
+from exwarp_cli.synthesis.layer_retiming import make_retimer
 from exwarp_cli.synthesis.methods import METHODS
-from exwarp_cli.synthesis.retime import retiming
 
 HEIGHT, WIDTH = 72, 112
 WINDOW = Window(0, 0, WIDTH, HEIGHT)
@@ -46,7 +46,7 @@ def ground(number: int, light: Float32, walls: tuple[int, ...] = ()) -> KeyFrame
 def interval(step: Pair = STEP, walls: tuple[int, ...] = ()) -> Interval:
     """Return the interval after the second of two key frames."""
     older, key = (ground(1 + i, shadow_at(i, step), walls) for i in (0, 1))
-    return Interval(key, past=past_of([key, older]))
+    return Interval(key, past=older_key_frames([key, older]))
 
 
 def alone(given: Interval) -> Interval:
@@ -74,7 +74,7 @@ def test_a_shadow_on_still_ground_goes_on_at_its_speed(angle, slot):
 def test_a_shadow_that_moves_by_more_than_its_width_leaves_nothing_behind():
     lights = [shadow_at(time, (14.0, 0.0), radius=6) for time in (0, 1, 1.75)]
     older, key, truth = (ground(1 + i, light) for i, light in enumerate(lights))
-    given = Interval(key, past=past_of([key, older]))
+    given = Interval(key, past=older_key_frames([key, older]))
     behind = np.s_[24:45, 50:64]
     carried, plain, true = (
         pixels[behind] for pixels in (made(given, 3), made(alone(given), 3), truth.image.pixels)
@@ -85,7 +85,7 @@ def test_a_shadow_that_moves_by_more_than_its_width_leaves_nothing_behind():
 def test_light_that_adds_up_to_the_beauty_still_does():
     given = replace(interval(), linear=True)
     shown = METHODS["s6"].predict(given, 3)
-    how = retiming(given, 3, shown)
+    how = make_retimer(given, 3, shown)
     pixels = given.key.image.pixels
     share = np.random.default_rng(3).random(pixels.shape).astype(np.float32)
     parts = how.colour(share * pixels) + how.colour((1 - share) * pixels)
@@ -159,7 +159,7 @@ def test_vectors_to_the_next_key_frame_alone_lead_the_older_one():
     picture = given.key
     moved = with_pixels(picture, np.roll(picture.image.pixels, 2, axis=1))
     keys = forward(moved, 6), forward(picture, 2)
-    found = Interval(keys[0], past=past_of(keys))
+    found = Interval(keys[0], past=older_key_frames(keys))
     np.testing.assert_array_equal(made(found, 2)[:, 20:-20], made(alone(found), 2)[:, 20:-20])
 
 

@@ -12,10 +12,17 @@ from exwarp_cli.domain.decision import HOLD, WARP
 from exwarp_cli.domain.frame import Float32, GBuffer, KeyFrame, Window
 from exwarp_cli.domain.motion import AxisMap, MotionConvention
 from exwarp_cli.domain.results import FrameKind
-from exwarp_cli.synthesis.geometry import depth_of, settle_motion
 from exwarp_cli.synthesis.interval import Interval
+from exwarp_cli.synthesis.layer_retiming import (
+    LayerMotion,
+    LayerRetimer,
+    TransferRule,
+    lead_points,
+    make_retimer,
+    unmoved_sources,
+)
 from exwarp_cli.synthesis.methods import METHODS, Predicted
-from exwarp_cli.synthesis.retime import Course, Manner, Retiming, in_place, passage, retiming
+from exwarp_cli.synthesis.motion_fields import depth_of, settle_motion
 from tests.unit.scenes import SKY, View, town
 
 SLOTS = (1, 2, 3)
@@ -45,18 +52,18 @@ def interval(lookahead: bool) -> Interval:
     return Interval(key(0), key(1) if lookahead else None, linear=True)
 
 
-def retimed(name: str, slot: int) -> tuple[Retiming, Predicted]:
+def retimed(name: str, slot: int) -> tuple[LayerRetimer, Predicted]:
     """A slot of a method that needs no network, and its beauty."""
     given = interval(METHODS[name].lookahead)
     shown = METHODS[name].predict(given, slot)
-    return retiming(given, slot, shown), shown
+    return make_retimer(given, slot, shown), shown
 
 
 @functools.cache
-def course(lookahead: bool) -> Course:
+def course(lookahead: bool) -> LayerMotion:
     if lookahead:
-        return Course(geometry(key(0)), geometry(key(1)))
-    return Course(geometry(key(0)), None, geometry(key(-1)))
+        return LayerMotion(geometry(key(0)), geometry(key(1)))
+    return LayerMotion(geometry(key(0)), None, geometry(key(-1)))
 
 
 def pair(name: str, layer: str) -> tuple[np.ndarray, np.ndarray | None]:
@@ -110,44 +117,44 @@ class TestColour:
 
 
 class TestManner:
-    def of(self, path: str, slot: int) -> Retiming:
+    def of(self, path: str, slot: int) -> LayerRetimer:
         """Retiming of a slot of one of the paper's paths, as if a network had been there."""
         pixels, maker = key(0).image.pixels, HOLD if (path, slot) == ("s1", 1) else WARP
         shown = Predicted(pixels, FrameKind.GENERATED, path, (1001,), maker)
-        return retiming(interval(lookahead=False), slot, shown)
+        return make_retimer(interval(lookahead=False), slot, shown)
 
     def test_a_dropped_slot_repeats_the_key_frame(self):
         made = self.of("s1", 1)
-        assert made.manner is Manner.REPEAT and made.time == 0
-        np.testing.assert_array_equal(made.sources.pixel, in_place((80, 128)).pixel)
+        assert made.rule is TransferRule.REPEAT and made.time == 0
+        np.testing.assert_array_equal(made.sources.pixel, unmoved_sources((80, 128)).pixel)
 
     def test_a_dropped_slot_repeats_the_slot_before(self):
         made = self.of("s1", 3)
-        assert made.manner is Manner.WARP and made.time == 0.5
+        assert made.rule is TransferRule.WARP and made.time == 0.5
 
     @pytest.mark.parametrize("path", ["s2", "s3", "s6"])
     def test_where_a_network_made_the_beauty_layers_are_moved(self, path):
         made = self.of(path, 3)
-        assert made.manner is Manner.WARP and made.time == 0.75
+        assert made.rule is TransferRule.WARP and made.time == 0.75
 
     def test_a_warp_goes_beyond_the_slots_of_the_paper(self):
         times = tuple(i / 8 for i in range(1, 8))
         given = replace(interval(lookahead=False), times=times)
         shown = Predicted(key(0).image.pixels, FrameKind.GENERATED, "s6", (1001,), WARP)
-        made = retiming(given, 7, shown)
-        assert made.manner is Manner.WARP and made.time == 7 / 8
+        made = make_retimer(given, 7, shown)
+        assert made.rule is TransferRule.WARP and made.time == 7 / 8
 
     @pytest.mark.parametrize(("slot", "later"), [(1, False), (2, False), (3, True)])
     def test_a_cross_fade_takes_ids_from_the_nearer_key_frame(self, slot, later):
         made, _ = retimed("blend", slot)
         ids = [geometry(frame).stencil for frame in (key(0), key(1))]
         np.testing.assert_array_equal(made.data(*ids), ids[later])
-        assert made.manner is Manner.FADE
+        assert made.rule is TransferRule.FADE
 
     def test_a_network_that_interpolates_goes_with_blended_layers(self):
         given = interval(lookahead=True)
         shown = Predicted(key(0).image.pixels, FrameKind.GENERATED, "onnx", (1, 2), "interpolate")
-        assert retiming(given, 2, shown).manner is Manner.BLEND
+        assert make_retimer(given, 2, shown).rule is TransferRule.BLEND
 
     def test_without_motion_its_layers_are_cross_faded(self):
         given = replace(
@@ -156,7 +163,7 @@ class TestManner:
             following=key(1).without("to_previous", "to_next"),
         )
         shown = Predicted(key(0).image.pixels, FrameKind.GENERATED, "onnx", (1, 2), "interpolate")
-        assert retiming(given, 2, shown).manner is Manner.FADE
+        assert make_retimer(given, 2, shown).rule is TransferRule.FADE
 
 
 class TestData:
@@ -246,7 +253,7 @@ class TestMoved:
     def test_without_an_older_key_frame_points_stay_as_in_the_source(self):
         made, _ = retimed("s6", 3)
         position = geometry(key(0)).position
-        found = made.moved(Course(geometry(key(0))), (position, None, None), True)
+        found = made.moved(LayerMotion(geometry(key(0))), (position, None, None), True)
         np.testing.assert_array_equal(found, made.data(position))
 
     def test_a_repeat_changes_nothing(self):
@@ -274,7 +281,7 @@ class TestMoved:
             return GBuffer(Window(0, 0, 9, 6), depth, None, position, ids, still, still)
 
         here, there = frame(4), frame(1)
-        lost = passage(here, there, 1)
+        lost = lead_points(here, there, 1)
         change = lost.change(here.depth[..., None], there.depth[..., None], False)
         assert lost.lost[:, 4].all()
         assert (change == 0).all()
@@ -360,7 +367,7 @@ def test_sources_do_not_depend_on_depth_being_known():
     frame = key(0).without("depth")
     given = Interval(frame)
     shown = METHODS["s6"].predict(given, 2)
-    made = retiming(given, 2, shown)
+    made = make_retimer(given, 2, shown)
     assert (depth_of(geometry(frame)) > 0).all()
     ids = made.data(geometry(frame).stencil)
     assert (ids == view(0.5).gbuffer().stencil)[inner(2)].mean() > 0.98

@@ -9,18 +9,18 @@ from hypothesis import strategies as st
 
 from exwarp_cli.domain.frame import Image, KeyFrame, Window
 from exwarp_cli.domain.risk import REASONS, ROWS, Risk, code_of, edges, level_of
-from exwarp_cli.synthesis.risk import (
+from exwarp_cli.synthesis.mosaic import Tiles
+from exwarp_cli.synthesis.predicted_error import (
     MIXED,
     WARPED,
-    Evidence,
-    Tiles,
+    TileEvidence,
     beside_edges,
     evidence_of_sides,
     key_residual,
     predict_risk,
     terms_of,
 )
-from exwarp_cli.synthesis.warp import Warped, as_shown
+from exwarp_cli.synthesis.warp import Warped, linear_to_srgb
 
 WIDTH, HEIGHT = 64, 64
 CANVAS = Window(0, 0, WIDTH, HEIGHT)
@@ -79,10 +79,10 @@ def test_means_are_those_of_each_tiles_pixels(display):
 def warped(colour: np.ndarray, hole: np.ndarray | None = None) -> Warped:
     none = np.zeros((HEIGHT, WIDTH), np.bool_)
     depth = np.ones((HEIGHT, WIDTH), np.float32)
-    return Warped(as_shown(colour), depth, none if hole is None else hole, none)
+    return Warped(linear_to_srgb(colour), depth, none if hole is None else hole, none)
 
 
-def seen(before: Warped, after: Warped, field: np.ndarray = STILL) -> Evidence:
+def seen(before: Warped, after: Warped, field: np.ndarray = STILL) -> TileEvidence:
     """Look at two sides whose light is not moved."""
     weight = np.zeros((HEIGHT, WIDTH), np.float32)
     return evidence_of_sides(TILES, (before, after), (before, after), weight, field, linear=False)
@@ -97,7 +97,7 @@ def test_sides_that_disagree_are_seen_where_they_do():
     other = NOISE.copy()
     other[8:16, 16:24] = 1.0
     found = seen(warped(NOISE), warped(other))
-    wanted = (255 * (as_shown(other) - as_shown(NOISE))[8:16, 16:24, :3]) ** 2
+    wanted = (255 * (linear_to_srgb(other) - linear_to_srgb(NOISE))[8:16, 16:24, :3]) ** 2
     assert found.light[1, 2] == pytest.approx(wanted.mean(), rel=1e-4)
     assert np.count_nonzero(found.light) == 1 and not found.motion.any()
 

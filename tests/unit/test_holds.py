@@ -7,7 +7,7 @@ import pytest
 
 from exwarp_cli.domain.curves import SRGB
 from exwarp_cli.domain.frame import GBuffer, Image, KeyFrame, Window
-from exwarp_cli.synthesis.holds import around_holds, change_between, is_same_picture
+from exwarp_cli.synthesis.holds import adapt_motion_to_holds, change_between, is_same_picture
 
 WINDOW = Window(0, 0, 40, 30)
 
@@ -102,22 +102,22 @@ class TestVectorsAroundHolds:
         ],
     )
     def test_those_that_lead_across_the_interval_are_left(self, before, across, after, left):
-        found = around_holds(frame(1, before, across), frame(2, across, after))
+        found = adapt_motion_to_holds(frame(1, before, across), frame(2, across, after))
         assert (sides(found[0]), sides(found[1])) == left
 
     @pytest.mark.parametrize(("after_hold", "left"), [(True, "next"), (False, "previous next")])
     def test_a_causal_method_goes_by_the_repeated_picture(self, after_hold, left):
-        found, _ = around_holds(frame(1, 0.0, 6.0), None, after_hold)
+        found, _ = adapt_motion_to_holds(frame(1, 0.0, 6.0), None, after_hold)
         assert sides(found) == left
 
     def test_vectors_one_way_alone_lead_the_key_frame_that_stood(self):
-        key, following = around_holds(frame(1, 0.0, None), frame(2, 6.0, None))
+        key, following = adapt_motion_to_holds(frame(1, 0.0, None), frame(2, 6.0, None))
         assert (sides(key), sides(following)) == ("next", "previous")
         assert key.gbuffer is not None and key.gbuffer.to_next is not None
         assert (key.gbuffer.to_next[:, :30] == (6, 0)).all()
 
     def test_or_the_one_that_will_stand(self):
-        key, following = around_holds(frame(1, None, 6.0), frame(2, None, 0.0))
+        key, following = adapt_motion_to_holds(frame(1, None, 6.0), frame(2, None, 0.0))
         assert (sides(key), sides(following)) == ("next", "previous")
         assert following is not None and following.gbuffer is not None
         assert following.gbuffer.to_previous is not None

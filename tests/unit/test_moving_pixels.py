@@ -8,8 +8,15 @@ import numpy as np
 import pytest
 
 from exwarp_cli.domain.frame import GBuffer, Window
-from exwarp_cli.synthesis.geometry import settle_motion
-from exwarp_cli.synthesis.movers import SHARE, SLOW, chosen, moving, of_moving, those
+from exwarp_cli.synthesis.motion_fields import (
+    MOVING_SHARE,
+    SLOW_TOLERANCE,
+    find_moving,
+    moving_ids,
+    moving_stencil,
+    select_ids,
+    settle_motion,
+)
 from tests.unit.scenes import town
 
 BOX = 3
@@ -32,7 +39,7 @@ class TestMoving:
     @pytest.mark.parametrize(("time", "step"), [(1.0, 1.0), (2.0, 1.0), (1.25, 0.25)])
     def test_it_is_the_box(self, time, step):
         now = bare(time, step)
-        found = moving(settle_motion(now), bare(time - step, step), now)
+        found = find_moving(settle_motion(now), bare(time - step, step), now)
         assert agreement(found, box(time)) > 0.9
 
     def test_however_much_of_the_frame_moves(self):
@@ -43,26 +50,26 @@ class TestMoving:
         still = np.zeros(now.window.shape, bool)
         still[:20] = True
         shown = replace(now, to_previous=np.where(still[..., None], now.to_previous, wild))
-        found = moving(settle_motion(shown), before, shown)
+        found = find_moving(settle_motion(shown), before, shown)
         assert found[~still & ~now.background].mean() > 0.95
         assert found[still & ~box(1.0)].mean() < 0.05
 
     def test_what_moves_slowly_is_found_as_read(self):
         now, before = town(SIZE).still().view(0.0).gbuffer(), town(SIZE).still().view(0.0).gbuffer()
         mine = now.stencil == BOX
-        for speed, wanted in ((2 * SLOW, True), (SLOW / 2, False)):
+        for speed, wanted in ((2 * SLOW_TOLERANCE, True), (SLOW_TOLERANCE / 2, False)):
             moved = np.where(mine[..., None], np.float32(speed), now.to_previous)
             raw = replace(now, to_previous=moved).without("stencil")
-            found = moving(settle_motion(raw), before, raw)
+            found = find_moving(settle_motion(raw), before, raw)
             assert bool(found[mine].mean() > 0.6) is wanted
             assert not found[~mine].any()
-            assert not moving(settle_motion(raw), before, None).any()
+            assert not find_moving(settle_motion(raw), before, None).any()
 
     def test_wrongly_settled_vectors_do_not_count(self):
         now, before = bare(1.0), bare(0.0)
         spoilt = replace(settle_motion(now), to_previous=now.to_previous + np.float32(1))
-        assert agreement(moving(spoilt, before, now), box(1.0)) > 0.8
-        assert agreement(moving(spoilt, before, None), box(1.0)) < 0.5
+        assert agreement(find_moving(spoilt, before, now), box(1.0)) > 0.8
+        assert agreement(find_moving(spoilt, before, None), box(1.0)) < 0.5
 
     def test_mixtures_at_silhouettes_do_not_count(self):
         now, before = bare(1.0), bare(0.0)
@@ -73,7 +80,7 @@ class TestMoving:
         around &= ~inside & ~now.background
         assert around.sum() > 30
         mixed = np.where(around[..., None], now.to_previous + np.float32(2), now.to_previous)
-        found = moving(settle_motion(now), before, replace(now, to_previous=mixed))
+        found = find_moving(settle_motion(now), before, replace(now, to_previous=mixed))
         assert found[around].mean() < 0.2
 
     @pytest.mark.parametrize("lost", ["position", "to_previous", "both"])
@@ -85,14 +92,14 @@ class TestMoving:
             before = before.without("position")
             now = now.without("position") if lost == "both" else now
         settled = settle_motion(now)
-        found = moving(settled, before, now)
-        np.testing.assert_array_equal(found, moving(settled, None, None))
+        found = find_moving(settled, before, now)
+        np.testing.assert_array_equal(found, find_moving(settled, None, None))
         assert agreement(found, box(1.0)) > 0.9
 
     def test_background_never_moves_and_nothing_is_made_up(self):
         now = settle_motion(bare(1.0))
-        assert not moving(now, bare(0.0), None)[now.background].any()
-        assert moving(now.without("depth", "position"), None, None) is None
+        assert not find_moving(now, bare(0.0), None)[now.background].any()
+        assert find_moving(now.without("depth", "position"), None, None) is None
 
 
 class TestOfMoving:
@@ -101,21 +108,23 @@ class TestOfMoving:
     def test_objects_are_whole(self):
         moves = np.zeros(self.IDS.shape, bool)
         moves[0, 0] = moves[1, 5] = moves[2, 5] = True  # one pixel in ten; mixed; background
-        found = of_moving(self.IDS, moves)
-        assert SHARE == 0.1 and found.dtype == np.int32
+        found = moving_stencil(self.IDS, moves)
+        assert MOVING_SHARE == 0.1 and found.dtype == np.int32
         np.testing.assert_array_equal(found, np.where(self.IDS == 7, 0, self.IDS))
 
     def test_fewer_do_not_count(self):
         ids = np.repeat(self.IDS, 2, axis=0)
         moves = np.zeros(ids.shape, bool)
         moves[0, 0] = True
-        assert set(np.unique(of_moving(ids, moves))) == {-1, 0}
+        assert set(np.unique(moving_stencil(ids, moves))) == {-1, 0}
 
     def test_background_and_mixtures_are_no_objects(self):
         moves = np.ones(self.IDS.shape, bool)
-        assert those(self.IDS, moves) == {5, 7} and those(self.IDS, ~moves) == set()
-        assert chosen(self.IDS, {7}).tolist() == np.where(self.IDS == 5, 0, self.IDS).tolist()
-        assert those(self.IDS[:0], moves[:0]) == set() and chosen(self.IDS[:0], {7}).size == 0
+        assert moving_ids(self.IDS, moves) == {5, 7} and moving_ids(self.IDS, ~moves) == set()
+        assert select_ids(self.IDS, {7}).tolist() == np.where(self.IDS == 5, 0, self.IDS).tolist()
+        assert (
+            moving_ids(self.IDS[:0], moves[:0]) == set() and select_ids(self.IDS[:0], {7}).size == 0
+        )
 
     def test_it_agrees_with_counting_each(self):
         rng = np.random.default_rng(1)
@@ -123,10 +132,10 @@ class TestOfMoving:
         moves = rng.random(ids.shape) < 0.1
         expected = np.where(ids < 0, -1, 0)
         for one in range(1, 6):
-            if moves[ids == one].mean() >= SHARE:
+            if moves[ids == one].mean() >= MOVING_SHARE:
                 expected[ids == one] = one
-        np.testing.assert_array_equal(of_moving(ids, moves), expected)
-        assert len(np.unique(expected)) > 2 and of_moving(ids[:0], moves[:0]).size == 0
+        np.testing.assert_array_equal(moving_stencil(ids, moves), expected)
+        assert len(np.unique(expected)) > 2 and moving_stencil(ids[:0], moves[:0]).size == 0
 
 
 def test_a_gbuffer_carries_what_it_shows():

@@ -12,15 +12,19 @@ from exwarp_cli.domain.frame import GBuffer, Window
 from exwarp_cli.kernels.holes import FOOTPRINTS
 from exwarp_cli.kernels.patches import FARTHEST
 from exwarp_cli.kernels.reach import SPAN
-from exwarp_cli.synthesis.geometry import (
+from exwarp_cli.synthesis.motion_fields import (
     SlotField,
-    compose_back,
-    compose_forward,
+    compose,
     depth_of,
     reproject,
     settle_motion,
 )
-from exwarp_cli.synthesis.trajectory import displaced, displacement, reach_of, stencil_of
+from exwarp_cli.synthesis.trajectory import (
+    displacement,
+    displacement_and_reach,
+    reach_of,
+    stencil_of,
+)
 from tests.unit.scenes import SKY, View, town
 
 TIMES = (0.25, 0.5, 0.75)
@@ -220,7 +224,7 @@ class TestDisplacement:
         ways = {"to_next": n, "to_previous": p}
         ways = ways if given == "both" else {given: ways[given]}
         gbuffer = GBuffer(Window(0, 0, width, 7), **ways)
-        motion, reach = displaced(gbuffer, 0.75)
+        motion, reach = displacement_and_reach(gbuffer, 0.75)
         np.testing.assert_array_equal(motion, displacement(gbuffer, 0.75))
         np.testing.assert_array_equal(reach, reach_of(motion))
         for i, row in enumerate(motion):
@@ -237,15 +241,19 @@ def slots() -> list[GBuffer]:
     return [settled(time, STEP) for time in TIMES]
 
 
+def composed_back(each: list[GBuffer], key: GBuffer) -> list[SlotField]:
+    return [compose(each[:count], key, -1) for count in range(1, len(each) + 1)]
+
+
 class TestCompose:
     def test_back_to_the_key_frame(self):
-        fields = compose_back(slots(), settled(0.0, STEP))
+        fields = composed_back(slots(), settled(0.0, STEP))
         assert len(fields) == 3
         for found, time in zip(fields, TIMES, strict=True):
             assert_exact(found, view(time), view(0.0))
 
     def test_forward_to_the_next_key_frame(self):
-        fields = compose_forward(slots(), settled(1.0, STEP))
+        fields = [compose(slots()[i:][::-1], settled(1.0, STEP), 1) for i in range(3)]
         assert len(fields) == 3
         for found, time in zip(fields, TIMES, strict=True):
             assert_exact(found, view(time), view(1.0))
@@ -254,7 +262,7 @@ class TestCompose:
     def test_what_the_box_hid_is_a_hole(self, index):
         slot = view(TIMES[index])
         covered = hidden(slot, view(0.0))
-        found = compose_back(slots(), settled(0.0, STEP))[index]
+        found = compose(slots()[: index + 1], settled(0.0, STEP), -1)
         np.testing.assert_array_equal(found.depth, slot.depth.astype(np.float32))
         assert found.hole.mean() < 0.08
         assert index < 2 or found.hole[covered].mean() > 0.5
@@ -267,12 +275,12 @@ class TestCompose:
         covered = hidden(slot, key)
         for absent in ("position", "normal", "stencil", "depth"):
             less = [replace(buffer, **{absent: None}) for buffer in slots()]
-            found = compose_back(less, replace(settled(0.0, STEP), **{absent: None}))[2]
+            found = compose(less, replace(settled(0.0, STEP), **{absent: None}), -1)
             assert found.hole[covered].mean() > 0.5, absent
             assert not found.hole[visible(slot, key)].any(), absent
 
     def test_both_settings_agree(self):
-        composed = compose_back(slots(), settled(0.0, STEP))
+        composed = composed_back(slots(), settled(0.0, STEP))
         for found, time in zip(composed, TIMES, strict=True):
             direct = reproject(settled(0.0), time)
             seen = visible(view(time), view(0.0))

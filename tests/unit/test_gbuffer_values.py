@@ -10,9 +10,8 @@ import pytest
 from exwarp_cli.domain.frame import GBuffer, Window
 from exwarp_cli.metrics.display import encode
 from exwarp_cli.metrics.registry import METRICS
-from exwarp_cli.synthesis import geometry
-from exwarp_cli.synthesis.geometry import SlotField, compose_back, matched
-from exwarp_cli.synthesis.rounding import (
+from exwarp_cli.synthesis import motion_fields
+from exwarp_cli.synthesis.gbuffer_values import (
     EXACT,
     HALF,
     PXR24,
@@ -21,7 +20,8 @@ from exwarp_cli.synthesis.rounding import (
     normal_step,
     relative_step,
 )
-from exwarp_cli.synthesis.trajectory import followed
+from exwarp_cli.synthesis.motion_fields import SlotField, compose, field_between
+from exwarp_cli.synthesis.trajectory import follow_points
 from exwarp_cli.synthesis.warp import Mover
 from tests.cli import street
 from tests.cli.street import Street
@@ -124,18 +124,18 @@ def slots(kind: str) -> tuple[tuple[GBuffer, ...], GBuffer]:
 
 @pytest.mark.parametrize("kind", ["even", "inverse"])
 def test_rounded_depth_makes_no_holes(kind, deep, monkeypatch):
-    exact, rounded = (compose_back(*slots(name))[2].hole.mean() for name in ("exact", kind))
+    exact, rounded = (compose(*slots(name), -1).hole.mean() for name in ("exact", kind))
     assert exact > 0.05
     assert rounded == pytest.approx(exact, abs=0.01)
-    monkeypatch.setattr(geometry, "depth_step", lambda _: EXACT)
-    assert compose_back(*slots(kind))[2].hole.mean() > exact + 0.02  # so it is the step that helps
+    monkeypatch.setattr(motion_fields, "depth_step", lambda _: EXACT)
+    assert compose(*slots(kind), -1).hole.mean() > exact + 0.02  # so it is the step that helps
 
 
 @pytest.mark.parametrize("kind", ["exact", "even", "inverse"])
 def test_composed_motion_is_no_worse_than_plain_composition(kind, deep):
     each, key = slots(kind)
     colour = STREET.colour(KEY_TIME).astype(np.float32)
-    own = compose_back(each, key)
+    own = [compose(each[:count], key, -1) for count in range(1, len(each) + 1)]
     plain = plainly_composed(each, key)
     for i, (found, expected) in enumerate(zip(own, plain, strict=True), start=1):
         truth = encode(STREET.colour(KEY_TIME + i / 4).astype(np.float32))
@@ -162,7 +162,7 @@ def plainly_composed(each: tuple[GBuffer, ...], key: GBuffer) -> list[SlotField]
             field += (1 - down) * above + down * below
         fields.append(field.astype(np.float32))
     return [
-        matched(slot, key, field, count)
+        field_between(slot, key, field, count)
         for count, (slot, field) in enumerate(zip(each, fields, strict=True), start=1)
     ]
 
@@ -178,5 +178,5 @@ def test_what_the_renderer_wrote_counts_and_not_what_was_expected(kind):
         vectors = np.full((HEIGHT, WIDTH, 2), (speed, 0), np.float32)
         return GBuffer(WINDOW, depth=depth, to_previous=vectors)
 
-    found = followed(moving(3.0), [moving(2.0), moving(2.0)], -1)
+    found = follow_points(moving(3.0), [moving(2.0), moving(2.0)], -1)
     np.testing.assert_allclose(found[:, 8:-8], np.full_like(found, (7, 0))[:, 8:-8], atol=1e-5)

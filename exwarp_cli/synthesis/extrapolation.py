@@ -1,0 +1,275 @@
+"""E: a slot's frame from the last three rendered ones by a network (paper, section II-C)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from exwarp_cli.domain.extrapolator import HISTORY, INPUTS, Inputs, NetworkInputs
+from exwarp_cli.domain.frame import Bool, Float32, GBuffer, KeyFrame
+from exwarp_cli.domain.timeline import FACTOR
+from exwarp_cli.kernels import _row_bands, planes
+from exwarp_cli.kernels._row_bands import Share, rows_of
+from exwarp_cli.runtime.frame_pool import IN_MEMORY, ScratchFrames, pool
+from exwarp_cli.synthesis.history import SMOOTH, HistorySamples, OlderKeyFrame, is_lit_alike
+from exwarp_cli.synthesis.motion_fields import SlotField
+from exwarp_cli.synthesis.source_bounds import ColourSource, SlotSources, hold_within
+from exwarp_cli.synthesis.warp import Mover, fill_holes
+
+# What the network receives for a slot whose G-buffer lacks depth, roughness or metallic; an unknown
+# normal is 0, as that of the background.
+UNKNOWN_DEPTH, UNKNOWN_ROUGHNESS, UNKNOWN_METALLIC = 0.5, 0.5, 0.0
+
+# Which of a network's planes, in the order of INPUTS, hold colour: the first, and how many. The
+# first three of all are those from 13 on, times the mask.
+COLOUR_PLANES = ((3, 3), (13, 3), (17, 3), (21, 3))
+
+# Surface colour is divided by at least this: what is darker shows emission, refraction or the sky,
+# of which surface colour says nothing, and a silhouette mixes it with the surface beside it. On
+# four scenes with slot G-buffers, division with this floor gained W -0.8 to 1.1 dB at 0.1, 0.0 to
+# 1.0 at 0.2, 0.2 to 0.8 at 0.3, 0.1 to 0.2 at 0.5; giving the background a colour of 1 or 0.5, or
+# adding the floor instead, was worse on the scene with foliage before the sky.
+DARKEST = 0.2
+
+# At most: white of both kinds.
+BRIGHTEST = 2.0
+
+SIGN = np.uint32(0x80000000)
+
+# Values that are coded at a time, which stay in the cache. With fewer, threads that share them wait
+# for each other more often in between.
+PART = 2**18
+
+# What kernels take for G-buffer parts that are not known.
+NO_PLANE, NO_VECTORS = np.zeros((0, 0), np.float32), np.zeros((0, 0, 3), np.float32)
+
+
+@dataclass(frozen=True)
+class MovedFrame:
+    """A rendered frame moved to the slot."""
+
+    pixels: Float32  # [H, W, C], divided by surface colour where that is known
+    visible: Bool  # [H, W]: the frame shows the slot's surface
+
+
+@dataclass(frozen=True)
+class SlotInputs:
+    """The inputs of a network for a slot, coded part by part as requested.
+
+    All 25 planes at once are 830 MB for a frame of 3840x2160.
+    """
+
+    frames: tuple[MovedFrame, ...]  # F_k, F_k-1, F_k-2; the oldest repeated if there are fewer
+    filled: Float32  # [H, W, C]: W's frame, divided by surface colour where that is known
+    surface: GBuffer  # of the slot
+    median: float  # of its finite depths, which become relative: d / (d + median)
+    time: float  # of the slot in its key interval
+    scratch: ScratchFrames = IN_MEMORY  # where large arrays are kept
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width."""
+        return self.surface.window.shape
+
+    def part(self, rows: slice, columns: slice, room: Float32 | None = None) -> NetworkInputs:
+        """Return the inputs of some rows and columns; beyond the frame its edge is repeated."""
+        (top, bottom), (left, right) = (
+            (span.start or 0, size if span.stop is None else span.stop)
+            for span, size in zip((rows, columns), self.shape, strict=True)
+        )
+        shape = sum(INPUTS.values()), bottom - top, right - left
+        out = np.empty(shape, np.float32) if room is None else room
+        surface = (
+            _plane(self.surface.depth),
+            _plane(self.surface.normal, NO_VECTORS),
+            _plane(self.surface.roughness),
+            _plane(self.surface.metallic),
+        )
+        defaults = UNKNOWN_DEPTH, UNKNOWN_ROUGHNESS, UNKNOWN_METALLIC
+        frames = tuple((frame.pixels, frame.visible) for frame in self.frames)
+        median, corner = np.float32(self.median), (top, left)
+        planes.spread(frames, self.filled, surface, defaults, median, corner, out)
+        self.scratch.page_out()  # before the network takes its memory
+        _row_bands.run(_encode_colour, (out.reshape(len(out), -1),), _row_bands.threads())
+        ends = np.cumsum(list(INPUTS.values()))[:-1]
+        warped, mask, features, history = np.split(out, ends)
+        return NetworkInputs(warped, mask, features, history, self.time)
+
+    def _all(self) -> NetworkInputs:
+        return self.part(slice(None), slice(None))
+
+    @property
+    def warped(self) -> Float32:
+        """float32 [6, H, W], of the whole frame; use `part` for several of these planes."""
+        return self._all().warped
+
+    @property
+    def mask(self) -> Float32:
+        """float32 [1, H, W]."""
+        return self._all().mask
+
+    @property
+    def features(self) -> Float32:
+        """float32 [6, H, W]."""
+        return self._all().features
+
+    @property
+    def history(self) -> Float32:
+        """float32 [12, H, W]."""
+        return self._all().history
+
+    @property
+    def pictures(self) -> dict[str, Float32]:
+        """The picture inputs by name."""
+        return self._all().pictures
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """What the network needs for a slot, and what turns its answer into a frame."""
+
+    inputs: Inputs
+    modulation: Float32 | None  # [H, W, 3], factor of the answer; None if the answer is colour
+    warped: Float32  # [H, W, C]: W's frame, whose alpha is taken over
+    sources: SlotSources  # the key frames, in whose range the frame is held
+
+    def finish(self, answer: Float32) -> Float32:
+        """Turn the network's answer, float32 [3, H, W], into scene-linear colour [H, W, C]."""
+        out: Float32 = pool.empty(self.warped.shape, np.float32)
+        modulation = NO_VECTORS if self.modulation is None else self.modulation
+        planes.join(decode(answer), modulation, self.warped, out)
+        hold_within(out, self.sources)
+        return out
+
+
+def prepare(
+    slot: int,  # 1 to 3
+    warped: Float32,  # [H, W, C], scene-linear: W's frame of the slot
+    # The slot's motion field to the key frame, and its surfaces.
+    back: SlotField,
+    samples: HistorySamples,
+    # F_k, and F_k-1 and F_k-2 as far as they exist. Those in other light are left out.
+    key: KeyFrame,
+    past: Sequence[OlderKeyFrame],
+    scratch: ScratchFrames = IN_MEMORY,  # where large arrays wait for the network
+) -> Prepared:
+    """Gather what the network needs for a slot."""
+    modulation = modulation_of(samples.surface)
+    if modulation is not None and samples.unknown.any():
+        assert samples.surface.depth is not None
+        modulation = fill_holes(modulation, samples.surface.depth, samples.unknown)
+    modulation = scratch.store(modulation)
+    surface = samples.surface.without(*SMOOTH)  # whose colours are in the modulation
+
+    def move(frame: KeyFrame, source: SlotField) -> MovedFrame:
+        mover, shading = Mover(source), None if modulation is None else demodulated(frame)
+        pixels, unseen = mover.move(mover.codes(frame.image.pixels if shading is None else shading))
+        return scratch.store(MovedFrame(mover.light(pixels), ~unseen))
+
+    newest = move(key, back)
+    warped = scratch.store(warped)
+    filled = warped
+    if modulation is not None:
+        filled = warped.copy()
+        filled[..., :3] /= modulation
+        filled = scratch.store(filled)
+    history, older = [newest], []
+    for step, field, hidden in zip(past, samples.fields, samples.hidden, strict=False):
+        moved = move(step.frame, SlotField(field, back.depth, hidden))
+        if is_lit_alike(newest.pixels, moved.pixels, newest.visible & moved.visible):
+            history.append(moved)
+            older.append(ColourSource(step.frame.image.pixels, field, moved.visible))
+        del moved
+        scratch.page_out()
+    history += [history[-1]] * (HISTORY - len(history))
+    depth = np.ones(1) if surface.depth is None else np.maximum(surface.depth, 0)
+    depth = depth[np.isfinite(depth)]
+    median = float(np.median(depth)) if depth.size else 1.0
+    inputs = SlotInputs(tuple(history), filled, surface, median, slot / FACTOR, scratch)
+    side = ColourSource(key.image.pixels, back.field, newest.visible)
+    sources = scratch.store(SlotSources((side,), tuple(older), back.depth, warped))
+    return Prepared(inputs, modulation, warped, sources)
+
+
+def _encode_colour(values: Float32, share: Share) -> None:
+    """Encode the colour of a network's planes [C, N], of a share of their pixels."""
+    part = values[:, rows_of(values.shape[1], share)]
+    for first, count in COLOUR_PLANES:
+        for line in part[first : first + count]:
+            encode(line, out=line)
+    np.multiply(part[13:16], part[16], out=part[:3])
+
+
+def _plane(values: Float32 | None, nothing: Float32 = NO_PLANE) -> Float32:
+    return nothing if values is None else np.ascontiguousarray(values)
+
+
+def modulation_of(gbuffer: GBuffer) -> Float32 | None:
+    """Return the factor of lighting at a surface, float32 [H, W, 3], from DARKEST to BRIGHTEST.
+
+    Diffuse and glossy colour together. None without both: metals have a black diffuse colour.
+    """
+    if gbuffer.albedo is None or gbuffer.specular is None:
+        return None
+    total: Float32 = pool.empty(gbuffer.albedo.shape, np.float32)
+    _row_bands.run(_modulate, (gbuffer.albedo, gbuffer.specular, total), _row_bands.threads())
+    return total
+
+
+def _modulate(albedo: Float32, specular: Float32, out: Float32, share: Share) -> None:
+    rows = rows_of(len(out), share)
+    np.add(albedo[rows], specular[rows], out=out[rows])
+    np.clip(out[rows], np.float32(DARKEST), np.float32(BRIGHTEST), out=out[rows])
+
+
+def demodulated(frame: KeyFrame) -> Float32 | None:
+    """Return a frame's pixels, float32 [H, W, C], divided by its :func:`modulation_of`, if any."""
+    gbuffer, pixels = frame.gbuffer, np.ascontiguousarray(frame.image.pixels)
+    if gbuffer is None or gbuffer.albedo is None or gbuffer.specular is None:
+        return None
+    out = np.empty_like(pixels)
+    surface = np.ascontiguousarray(gbuffer.albedo), np.ascontiguousarray(gbuffer.specular)
+    planes.demodulate(pixels, *surface, (DARKEST, BRIGHTEST), out)
+    return out
+
+
+def encode(linear: Float32, out: Float32 | None = None) -> Float32:
+    """Return sign(x) log(1 + |x|): high dynamic range in a few units, negative values kept.
+
+    `out`, contiguous, may be `linear` itself.
+    """
+    return _signed(np.log1p, linear, np.empty(linear.shape, np.float32) if out is None else out)
+
+
+def decode(coded: Float32) -> Float32:
+    """Invert :func:`encode`."""
+    out: Float32 = pool.empty(coded.shape, np.float32)
+    flat = np.ascontiguousarray(coded).reshape(-1)
+    _row_bands.run(_decode, (flat, out.reshape(-1)), _row_bands.threads())
+    return out
+
+
+def _decode(coded: Float32, out: Float32, share: Share) -> None:
+    part = rows_of(coded.size, share)
+    _signed(np.expm1, coded[part], out[part])
+
+
+def _signed(curve: np.ufunc, values: Float32, out: Float32) -> Float32:
+    """Write a curve of the magnitude with the value's sign to `out`, contiguous; return `out`."""
+    source, target = np.ascontiguousarray(values).reshape(-1), out.reshape(-1)
+    buffer = np.empty(min(source.size, PART), np.float32)
+    # numpy's curves compute 16 values at once, in a twentieth of the time of a loop of calls.
+    for first in range(0, source.size, PART):
+        part, result = source[first : first + PART], target[first : first + PART]
+        if part.view(np.int32).min() >= 0:  # none has a sign
+            curve(part, out=result)
+            continue
+        size = buffer[: part.size]
+        curve(np.abs(part, out=size), out=size)
+        # A curve of magnitudes has no sign bit, so that setting it is the same as `copysign`, in a
+        # fifth of the time.
+        np.bitwise_and(part.view(np.uint32), SIGN, out=result.view(np.uint32))
+        np.bitwise_or(result.view(np.uint32), size.view(np.uint32), out=result.view(np.uint32))
+    return out

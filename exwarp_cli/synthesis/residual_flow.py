@@ -1,0 +1,232 @@
+"""Residual flow: motion of shadows, reflections and highlights against the surfaces.
+
+Motion vectors are those of surfaces. A shadow on still ground has none, so both key frames show it
+where it was, and their mixture shows two of half its darkness. The motion that is left between the
+two warped pictures is searched as optical flow, and followed as far as it makes them agree.
+
+A warp from one key frame alone has no later picture. The key frame before it, moved to the key
+frame, shows where light came from. Light keeps that velocity through the slots.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from exwarp_cli.domain.frame import Bool, Float32, GBuffer, KeyFrame, broken_pixels
+from exwarp_cli.domain.timeline import FACTOR
+from exwarp_cli.kernels.edges import find_edges
+from exwarp_cli.synthesis.history import OlderKeyFrame, is_lit_alike
+from exwarp_cli.synthesis.motion_fields import (
+    SlotField,
+    depth_of,
+    find_holes,
+    reproject,
+    splat_motion,
+)
+from exwarp_cli.synthesis.optical_flow import box_mean, flow_between, grey_of, mean_difference
+from exwarp_cli.synthesis.trajectory import stencil_of
+from exwarp_cli.synthesis.warp import (
+    Coverage,
+    Mover,
+    Warped,
+    fill_holes,
+    linear_to_srgb,
+    sample_bilinear,
+    srgb_to_linear,
+)
+
+# Side of the square, pixels, over which two pictures are compared; 9 gained nothing.
+SIDE = 5
+
+# The flow counts in full where it removes one in so many of the disagreement.
+GAIN = np.float32(2)
+
+# A flow is followed from this disagreement on: less is noise, or invisible.
+MIN_DISAGREEMENT = np.float32(4 / 255)
+
+# Pixels a key interval from which on light counts as moving: less is the search's noise, and worth
+# less than 0.01 dB either way.
+MIN_MOTION = np.float32(0.25)
+
+
+def disagreement(before: Warped, after: Warped) -> Float32:
+    """Return the mean difference of two warped key frames around each pixel, float32 [H, W]."""
+    mean = mean_difference(before.pixels, after.pixels)
+    mean[before.hole | after.hole] = 0
+    return box_mean(mean, SIDE)
+
+
+def search_flow(
+    # The key frames, warped to the slot; scene-linear if `linear`, else as shown.
+    before: Warped,
+    after: Warped,
+    linear: bool,
+) -> Float32:
+    """Search the motion of light against the surfaces at a slot.
+
+    Returns float32 [H, W, 2] in pixels, from the picture of `before` to that of `after`.
+    """
+    first, second = (
+        grey_of(linear_to_srgb(side.pixels) if linear else side.pixels) for side in (before, after)
+    )
+    # Where one side sees nothing, it has the colour of the other.
+    return flow_between(np.where(before.hole, second, first), np.where(after.hole, first, second))
+
+
+def add_flow(
+    plain: Warped,  # a key frame warped without the flow
+    source: SlotField,  # from the slot to the key frame
+    flow: Float32,  # [H, W, 2], pixels: from the slot's picture to that of `plain`
+    apart: Float32,  # from `disagreement`; where it is small, nothing is followed
+) -> SlotField:
+    """Return the motion field of a slot whose light moves along a flow as well."""
+    motion, _ = sample_bilinear(source.field, flow)
+    motion += flow
+    motion[apart < MIN_DISAGREEMENT] = np.nan
+    hidden, _ = sample_bilinear(plain.hole.astype(np.float32)[..., None], flow)
+    hole: Bool = plain.hole | (hidden[..., 0] > 0)
+    return SlotField(motion, source.depth, hole)
+
+
+def flow_weight(
+    apart: Float32,  # from `disagreement`, of the key frames warped without the flow
+    # The key frames warped along it.
+    before: Warped,
+    after: Warped,
+) -> Float32:
+    """Return how much a flow makes two pictures agree, float32 [H, W], 0 to 1."""
+    gain = (apart - disagreement(before, after)) / np.maximum(apart, MIN_DISAGREEMENT)
+    weight: Float32 = np.clip(GAIN * gain, np.float32(0), np.float32(1))
+    weight[before.hole | after.hole] = 0
+    return weight
+
+
+@dataclass(frozen=True)
+class LightFlow:
+    """How light moves against the surfaces of a key frame."""
+
+    flow: Float32  # [H, W, 2], pixels a key interval: what the light at each pixel moves by
+    weight: Float32  # [H, W], 0 to 1: how well the flow explains what changed on the surfaces
+    surface: GBuffer  # of the key frame: motion, depth and ids alone
+
+    def shifted(
+        self,
+        back: SlotField,  # from the slot to the key frame
+        time: float,  # of the slot, in key intervals after the key frame
+    ) -> tuple[SlotField, Float32]:
+        """Return where a slot's light comes from, and how far that is to be followed.
+
+        Returns
+        -------
+        SlotField
+            From the slot to the place in the key frame that had its light.
+        float32 [H, W]
+            0 to 1; 0 where no moving light arrives, or only that of another surface.
+        """
+        motion = np.float32(time) * self.flow
+        motion[self.weight == 0] = np.nan
+        # Of light that meets, the better explained counts. To use the flow at the place alone left
+        # the front of a shadow where it was, with twice the error.
+        order = GBuffer(self.surface.window, depth=np.float32(2) - self.weight)
+        arrived = splat_motion(order, motion)
+        share, _ = sample_bilinear(self.weight[..., None], arrived.field)
+        # Where light has left and none arrives, what lies behind it shows: of shadows that move by
+        # more than their width, too. It is worth 0.03 dB on the scene lab.
+        gap = arrived.hole[..., None]
+        motion = np.where(gap, np.float32(-time) * self.flow, arrived.field)
+        share = np.where(gap, self.weight[..., None], share)
+        share[find_holes(self.surface, self.surface, motion, FACTOR)] = 0
+        sampled, lost = sample_bilinear(np.concatenate([motion, share], axis=-1), back.field)
+        weight = np.ascontiguousarray(sampled[..., 2])
+        weight[lost | back.hole] = 0
+        field = np.where(weight[..., None] > 0, back.field + sampled[..., :2], np.float32(np.nan))
+        return SlotField(field, back.depth, back.hole), weight
+
+
+def find_light_flow(key: KeyFrame, older: OlderKeyFrame) -> LightFlow | None:
+    """Find how light moves against the surfaces of F_k; None if it does not, or is unknown.
+
+    Both key frames are on one window, with settled motion.
+    """
+    before, surface = older.frame.gbuffer, key.gbuffer
+    if before is None or surface is None:
+        return None
+    surface = surface.bare().without("normal")
+    source = _field_to_older(surface, before.bare().without("normal"), older)
+    if source is None:
+        return None
+    pixels = key.image.pixels
+    broken = broken_pixels(pixels)
+    codes = linear_to_srgb(np.where(broken[..., None], np.float32(0), pixels))
+    now = Warped(codes, np.zeros(broken.shape, np.float32), broken, np.zeros_like(broken))
+    codes = linear_to_srgb(older.frame.image.pixels)
+    then = Mover(source).warp(codes)
+    apart = disagreement(then, now)
+    if not (apart >= MIN_DISAGREEMENT).any():
+        return None
+    both = ~(then.hole | now.hole)
+    if not is_lit_alike(pixels, srgb_to_linear(then.pixels.copy()), both):
+        return None
+    flow = search_flow(then, now, linear=False)
+    moved = Mover(add_flow(then, source, -flow, apart)).warp(codes)
+    weight = flow_weight(apart, moved, now)
+    weight[np.abs(flow).max(axis=-1) < MIN_MOTION] = 0
+    # At silhouettes colour is mixed: what was found at a lamp post's edge went into its hole.
+    silhouettes = np.empty(surface.window.shape, np.bool_)
+    find_edges(depth_of(surface), stencil_of(surface), silhouettes)
+    weight[silhouettes] = 0
+    return LightFlow(flow, weight, surface) if weight.any() else None
+
+
+def _field_to_older(surface: GBuffer, before: GBuffer, older: OlderKeyFrame) -> SlotField | None:
+    if not older.guessed:
+        hole = find_holes(surface, before, older.motion, FACTOR)
+        return SlotField(older.motion, depth_of(surface), hole)
+    return None if before.to_next is None else reproject(before, 1)
+
+
+class CarriedLight:
+    """Makes the colour of a slot from the key frame before it: its beauty, then its layers."""
+
+    def __init__(
+        self,
+        back: SlotField,  # motion field from the slot to the key frame
+        time: float,  # of the slot, in key intervals after the key frame
+        light: LightFlow | None,  # how light moves; None where it stays on its surfaces
+        linear: bool = False,  # as for `Mover`
+        # Of the pixels beside edges; None where each has the surface of its centre.
+        coverage: Coverage | None = None,
+    ) -> None:
+        self._mover = Mover(back, linear)
+        self._coverage = coverage
+        self._shifted: Mover | None = None
+        if light is not None:
+            source, self._weight = light.shifted(back, time)
+            self._shifted = Mover(source, linear) if self._weight.any() else None
+
+    @property
+    def has_beauty(self) -> bool:
+        """Whether the beauty was made, if layers need that first."""
+        return self._mover.has_beauty
+
+    def make(self, pixels: Float32) -> Float32:
+        """Make a layer of the slot, scene-linear float32 [H, W, C]; the first is the beauty.
+
+        `pixels` are the key frame's. Holes are filled as by `fill_holes`.
+        """
+        codes = self._mover.codes(pixels)
+        warped = self._mover.warp(codes)
+        out = fill_holes(warped.pixels, warped.depth, warped.hole)
+        if self._coverage is not None:
+            self._coverage.cover((codes,), out)
+        if self._shifted is not None:
+            moving, unseen = self._shifted.move(codes)
+            weight = np.where(warped.hole | unseen, np.float32(0), self._weight)[..., None]
+            # Only there: of the largest floats the difference may be infinite.
+            moving = np.where(weight > 0, moving, out)
+            moving -= out
+            moving *= weight
+            out += moving
+        return self._mover.light(out)
