@@ -13,7 +13,7 @@ from exwarp_cli.commands.json_option import json_option
 
 if TYPE_CHECKING:
     from exwarp_cli.pipeline.doctor.examine import Check
-    from exwarp_cli.report.doctor import Row
+    from exwarp_cli.report.doctor_text import CheckRow
 
 
 @click.command("doctor")
@@ -34,16 +34,21 @@ def command(ctx: click.Context, verbose: bool, skip_self_test: bool, as_json: bo
     """
     from exwarp_cli.errors import InstallationError
     from exwarp_cli.pipeline.doctor.examine import examine
-    from exwarp_cli.report.doctor import failures, heading, rows, verdict
+    from exwarp_cli.report.doctor_text import (
+        doctor_failures,
+        doctor_heading,
+        doctor_rows,
+        doctor_verdict,
+    )
 
     found = examine(not skip_self_test, {"configuration": lambda: _configuration(ctx)})
     if as_json:
         # Not by `print_json`, which needs numpy, and that may be what is broken.
         click.echo(json.dumps(found.as_dict(), indent=2))
     else:
-        _print(heading(found), rows(found, verbose), verdict(found))
+        _print(doctor_heading(found), doctor_rows(found, verbose), doctor_verdict(found))
     if found.outcome == "failed":
-        raise InstallationError(failures(found))
+        raise InstallationError(doctor_failures(found))
 
 
 def _configuration(ctx: click.Context) -> Check:
@@ -73,13 +78,13 @@ def _configuration(ctx: click.Context) -> Check:
     return Check(summary, remarks, facts, tuple(lines))
 
 
-def _print(heading: str, page: list[Row], verdict: str | None) -> None:
+def _print(heading: str, page: list[CheckRow], verdict: str | None) -> None:
     """Print the page, in colour and wrapped on a terminal."""
-    from exwarp_cli.report.doctor import plain
+    from exwarp_cli.report.doctor_text import doctor_lines
 
     if not sys.stdout.isatty() or find_spec("rich") is None:
         # At once, so that a reader who goes after the first lines does not break it off.
-        click.echo("\n".join([heading, *plain(page), *([verdict] if verdict else [])]))
+        click.echo("\n".join([heading, *doctor_lines(page), *([verdict] if verdict else [])]))
         return
     from rich.console import Console
     from rich.table import Table

@@ -17,8 +17,8 @@ from click.shell_completion import CompletionItem
 from click.types import StringParamType
 
 from exwarp_cli.commands.option_names import long_name, names_paths
-from exwarp_cli.domain.bench import SYSTEMS
 from exwarp_cli.domain.metric import ALL, BY_OPTION, METRICS, SCOPES
+from exwarp_cli.research.bench.systems import SYSTEMS
 
 METHODS = (
     "exwarp", "causal", "s1", "s2", "s3", "s4", "s5", "s6", "oracle", "oracle-return",

@@ -23,13 +23,13 @@ def summary_lines(
     scored
         Whether ground truth was given; None to tell by the scores that are there.
     """
-    from exwarp_cli.report.page_parts import rendered_text
+    from exwarp_cli.report.sentences import format_rendered
 
     frames, fps, quality = document["frames"], document["fps"], document["quality"]["all"]
     effective = "" if fps["effective"] is None else f", effective {fps['effective']:g}"
     lines = [
         f"{counted(frames['written'], 'frame')}{place and f' in {place}'}: "
-        f"{rendered_text(frames)}, {frames['generated']} generated, {frames['dropped']} repeated",
+        f"{format_rendered(frames)}, {frames['generated']} generated, {frames['dropped']} repeated",
         f"{fps['base']:g} fps in, {fps['output']:g} out{effective}",
     ]
     if frames["resumed"] or frames["replaced"]:
@@ -40,9 +40,9 @@ def summary_lines(
     lines.extend(_lines_of_lists(document, ("cuts", "held")))
     lines.extend(_decisions(document["decisions"]))
     if document["decisions"]["gate"]:
-        from exwarp_cli.report.decisions import gate_line
+        from exwarp_cli.report.sentences import describe_gate
 
-        lines.append(gate_line(document["decisions"]["gate"]))
+        lines.append(describe_gate(document["decisions"]["gate"]))
     if document["holes"]["mean_fraction"] is not None:
         lines.append(_holes(document["holes"], frames["generated"] + frames["dropped"]))
     compared = bool(quality["frames"]) if scored is None else scored
@@ -52,9 +52,9 @@ def summary_lines(
     if pulse is not None and pulse["against"] == KEY_FRAMES:
         lines.append(_pulse(pulse))
     if document["review"] is not None:
-        from exwarp_cli.report.review import review_line
+        from exwarp_cli.report.sentences import describe_review
 
-        lines.append(review_line(document["review"]))
+        lines.append(describe_review(document["review"]))
     lines.extend(_lines_of_lists(document, ("left_out", "nonfinite")))
     if document["verified"] is not None:
         lines.append(f"{counted(document['verified'], 'file')} read back, all as written")
@@ -80,13 +80,18 @@ def _decisions(decisions: dict[str, Any]) -> Iterator[str]:
 
 def _lines_of_lists(document: dict[str, Any], keys: tuple[str, ...]) -> Iterator[str]:
     """Yield a line for each of a report's lists that is not empty."""
-    from exwarp_cli.report.page_parts import cuts_line, held_line, left_out_line, nonfinite_line
+    from exwarp_cli.report.sentences import (
+        describe_cuts,
+        describe_holds,
+        describe_left_out,
+        describe_nonfinite,
+    )
 
     lines: dict[str, Callable[[list[Any]], str]] = {
-        "cuts": cuts_line,
-        "held": held_line,
-        "left_out": left_out_line,
-        "nonfinite": nonfinite_line,
+        "cuts": describe_cuts,
+        "held": describe_holds,
+        "left_out": describe_left_out,
+        "nonfinite": describe_nonfinite,
     }
     for key in keys:
         if document[key]:
@@ -115,12 +120,12 @@ def _pulse(found: dict[str, Any]) -> str:
 
 def _saved(found: dict[str, Any]) -> str:
     """Say what rendering would have taken, by the renderer's own times."""
-    from exwarp_cli.report.page_parts import time_text
+    from exwarp_cli.report.sentences import format_time
 
     return (
-        f"render time saved: {time_text(found['saved_s'])} ({found['saved_share']:.0%}); a key "
-        f"frame took {time_text(found['key_frame_s'])} to render, a new one takes "
-        f"{time_text(found['generated_frame_s'])}"
+        f"render time saved: {format_time(found['saved_s'])} ({found['saved_share']:.0%}); a key "
+        f"frame took {format_time(found['key_frame_s'])} to render, a new one takes "
+        f"{format_time(found['generated_frame_s'])}"
     )
 
 

@@ -365,7 +365,7 @@ def _foreseen(job: Job, where: ClusterSettings, place: Path | None, reporter: Pr
 
 def _tell(found: DryRun, as_json: bool) -> None:
     """Say what would be done."""
-    from exwarp_cli.report.dry_run import dry_run_document, dry_run_lines
+    from exwarp_cli.report.command_text import dry_run_document, dry_run_lines
 
     if as_json:
         print_json(dry_run_document(found))
@@ -378,9 +378,9 @@ def _print(
     summary: RunSummary, settings: UpsampleSettings, place: Path | None, as_json: bool
 ) -> None:
     """Say in a few lines what was done, or give the report's document."""
-    from exwarp_cli.report.summary import report
+    from exwarp_cli.report.schema import run_document
 
-    document = report(summary)
+    document = run_document(summary)
     if as_json:
         print_json(document)
         return

@@ -19,8 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 from exwarp_cli import __version__
 from exwarp_cli.domain.frame import Image
-from exwarp_cli.domain.joining import Outcome
-from exwarp_cli.domain.results import RunSummary
+from exwarp_cli.domain.results import RunOutcome, RunSummary
 from exwarp_cli.domain.settings import ClusterSettings
 from exwarp_cli.domain.timeline import Slot, ranges
 from exwarp_cli.domain.wording import counted
@@ -280,7 +279,7 @@ class _Coordinator:
 
     def _summary(self, seconds: float) -> RunSummary:
         """Join what the chunks found out: as a single run would have, in order."""
-        made = Outcome.joined([self._done[chunk.index].outcome for chunk in self._chunks])
+        made = RunOutcome.joined([self._done[chunk.index].outcome for chunk in self._chunks])
         video = self._job.targets.video
         if video is not None and self._job.settings.verify:
             verify_video(video, made.shown)

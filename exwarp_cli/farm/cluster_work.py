@@ -18,7 +18,7 @@ from typing import Any, Protocol
 from distributed import get_worker
 
 from exwarp_cli import __version__
-from exwarp_cli.domain.joining import Outcome
+from exwarp_cli.domain.results import RunOutcome
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.errors import OutputError
 from exwarp_cli.io.atomic import LOOK_S, make_folder, shows
@@ -112,7 +112,7 @@ class Done:
         The chunk's own, with what it has seen.
     """
 
-    outcome: Outcome
+    outcome: RunOutcome
     watcher: SharedWatcher | None
 
 

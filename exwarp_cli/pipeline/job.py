@@ -45,7 +45,7 @@ from exwarp_cli.pipeline.without_vectors import require_able
 from exwarp_cli.runtime.frame_pool import LARGE_PIXELS, ScratchFrames
 
 if TYPE_CHECKING:
-    from exwarp_cli.domain.joining import Outcome
+    from exwarp_cli.domain.results import RunOutcome
     from exwarp_cli.domain.settings import UpsampleSettings
     from exwarp_cli.domain.timeline import Slot
     from exwarp_cli.io.interpolator import OnnxInterpolator
@@ -190,7 +190,7 @@ class Job:
         if self.rendered is not None:
             close(self.rendered.sequence)
 
-    def summary(self, outcome: Outcome, seconds: float) -> RunSummary:
+    def summary(self, outcome: RunOutcome, seconds: float) -> RunSummary:
         """Put together what a run of this job found out.
 
         Parameters

@@ -12,8 +12,7 @@ from exwarp_cli.domain.cores import working
 from exwarp_cli.domain.decision import ONLY_WARPS, Plan
 from exwarp_cli.domain.frame import Image, Window
 from exwarp_cli.domain.gate import Trial
-from exwarp_cli.domain.joining import Outcome
-from exwarp_cli.domain.results import FrameKind, FrameRecord, LeftOut, RunSummary
+from exwarp_cli.domain.results import FrameKind, FrameRecord, LeftOut, RunOutcome, RunSummary
 from exwarp_cli.domain.settings import UpsampleSettings
 from exwarp_cli.domain.tiles import TilePlan
 from exwarp_cli.domain.timeline import Slot, ranges
@@ -97,7 +96,9 @@ def run_job(job: Job, progress: Progress, listener: FrameListener | None = None)
     return job.summary(outcome, perf_counter() - begin)
 
 
-def write_intervals(job: Job, progress: Progress, listener: FrameListener | None = None) -> Outcome:
+def write_intervals(
+    job: Job, progress: Progress, listener: FrameListener | None = None
+) -> RunOutcome:
     """Do the work of a job whose folders are there, in this thread.
 
     The caller starts and finishes `progress`, and has planned `listener`. The outcome has no frames
@@ -116,11 +117,11 @@ def write_intervals(job: Job, progress: Progress, listener: FrameListener | None
         note = note_of(reader.leading_recipes, settings, job.keys, job.rendered)
     try:
         if listener is None and is_kept(job.targets, settings, note):
-            return Outcome(cuts=reader.cuts)
+            return RunOutcome(cuts=reader.cuts)
         run = Run(job, reader, note, progress, listener)
         with working():
             frames = run.render_all()
-        outcome = Outcome(
+        outcome = RunOutcome(
             frames,
             reader.cuts,
             tuple(run.left_out),
@@ -131,7 +132,7 @@ def write_intervals(job: Job, progress: Progress, listener: FrameListener | None
         job.close()
 
 
-def _verified(outcome: Outcome, job: Job, sums: Sums) -> Outcome:
+def _verified(outcome: RunOutcome, job: Job, sums: Sums) -> RunOutcome:
     """Add checksums of the files to an outcome, and read these back, where that is asked."""
     settings = job.settings
     if not (job.sums and outcome.frames):

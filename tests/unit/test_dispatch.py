@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from exwarp_cli.domain.joining import Outcome
+from exwarp_cli.domain.results import RunOutcome
 from exwarp_cli.domain.settings import SourceSettings, UpsampleSettings
 from exwarp_cli.errors import ClusterError, OutputError
 from exwarp_cli.farm import cluster_dispatch
@@ -82,7 +82,7 @@ class Cluster:
         pass
 
 
-DONE = Done(Outcome(), None)
+DONE = Done(RunOutcome(), None)
 
 
 @pytest.fixture(autouse=True)

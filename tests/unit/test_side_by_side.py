@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from exwarp_cli.errors import ExwarpError, UsageError
-from exwarp_cli.pipeline.bench.side_by_side import follow_parent, side_by_side, tell
+from exwarp_cli.runtime.worker_pool import follow_parent, side_by_side, tell
 
 
 def test_every_task_comes_with_its_result():

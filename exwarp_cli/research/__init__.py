@@ -1,0 +1,1 @@
+"""Research: benchmarks and training, which no other part of the package needs."""
