@@ -190,14 +190,8 @@ def require_quality(result: Comparison) -> None:
 def compare_page(result: Comparison, document: dict[str, Any], album: Album | None = None) -> Page:
     """Build the page of a comparison.
 
-    Parameters
-    ----------
-    result
-        Its frames are plotted.
-    document
-        What `comparison_document` returned: tables and headline.
-    album
-        Pictures of its frames; None for a page without a viewer. Gets facts.
+    `document` is what `comparison_document` returned: tables and headline. `album` has pictures of
+    its frames, and gets facts.
     """
     if album is not None:
         for frame in result.frames:

@@ -48,20 +48,11 @@ MAX_NAME = 100
 
 
 def chunk_folder(report: Path, keys: Sequence[int]) -> Path:
-    """Return where the report of a chunk lies.
+    """Return where the report of a chunk lies in the folder of the whole run's report.
 
-    Parameters
-    ----------
-    report
-        The folder of the whole run's report.
-    keys
-        Input numbers of the chunk's key frames, at least one. Other key frames give another name.
-
-    Returns
-    -------
-    Path
-        ``chunks/1001-1010`` in it, ``chunks/1001`` for a single key frame, ``chunks/10-90x4`` or
-        ``chunks/1,5,9-12`` for others. Names that would be too long are cut, and end in a checksum.
+    `keys` are input numbers of the chunk's key frames, at least one: ``chunks/1001-1010``,
+    ``chunks/1001``, ``chunks/10-90x4`` or ``chunks/1,5,9-12``. Other key frames have another name.
+    Names that would be too long are cut, and end in a checksum.
     """
     name = ranges(keys)
     if len(name) > MAX_NAME:
@@ -75,16 +66,9 @@ def chunk_reports(report: Path) -> list[Path]:
 
 
 def prepare_report(folder: Path, replace: bool, option: str = "--report") -> None:
-    """Make the folder before the work, and refuse to replace a report unless asked.
+    """Make the folder of a report before the work, and refuse to replace one unless asked.
 
-    Parameters
-    ----------
-    folder
-        Of the report, or of a chunk's: see `chunk_folder`.
-    replace
-        True if a report in it may be replaced.
-    option
-        What names the folder on the command line.
+    `option` names the folder on the command line.
 
     Raises
     ------
@@ -132,16 +116,7 @@ def prepare_comparison(folder: Path) -> None:
 
 
 def write_report(folder: Path, run: RunSummary, album: Album | None = None) -> None:
-    """Write all files of the report of an upsampling run.
-
-    Parameters
-    ----------
-    folder
-        Made, with its parents, if it does not exist. Files of these names in it are replaced.
-    run
-        What was done.
-    album
-        Frames that the page shows; None for a page without pictures.
+    """Write, or replace, all files of the report of a run; `album` has the page's pictures.
 
     Raises
     ------

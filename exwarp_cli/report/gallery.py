@@ -86,18 +86,8 @@ class Album:
     ) -> Shown:
         """Encode the pictures of a frame and keep them; `facts` and `label` may be set later.
 
-        Parameters
-        ----------
-        number
-            Frame number, unique in the album.
-        kind
-            What made it, as `plots.KINDS` names it.
-        sources
-            By name, float32 [H, W, 3] or more, scene-linear, all of one size.
-        reference
-            The source that errors of the others are taken from; None for no error pictures.
-        mask
-            bool [H, W], holes.
+        `sources` are float32 [H, W, 3] or more, scene-linear, of one size; `mask` is bool [H, W],
+        holes. Errors are those of the other sources against the one named `reference`.
         """
         small = {name: shrink(pixels, self.longest) for name, pixels in sources.items()}
         peak = find_peak(*small.values())

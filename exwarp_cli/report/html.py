@@ -277,14 +277,8 @@ def worst_tables(
 ) -> list[Table]:
     """List the worst frames by the first metric that was measured; no table where none was.
 
-    Parameters
-    ----------
-    numbers, scores
-        Of every frame.
-    album
-        Frames that the page shows, and that numbers lead to.
-    makers
-        What made every frame; empty to leave that out.
+    `numbers`, `scores` and `makers`, unless empty, are those of every frame; numbers lead to the
+    frames that `album` has.
     """
     series = _series_by_metric(scores)
     if not series:

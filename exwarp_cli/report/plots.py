@@ -12,7 +12,7 @@ import math
 import re
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
@@ -146,8 +146,8 @@ def draw_lines(
     `marked` are indices into `x` that get a ring; an upright line stands before each frame that
     comes after one of the `cuts`.
     """
-
-    def paint(axes: Axes) -> None:
+    with _canvas(2.3) as canvas:
+        axes = _add_axes(canvas, labels)
         for i, (name, values) in enumerate(series.items()):
             points = thin_out(values)
             marker = MARKERS[i % len(MARKERS)] if len(points) <= 60 else None
@@ -162,11 +162,9 @@ def draw_lines(
                     markerfacecolor="none", markeredgecolor=COLOURS["mark"], zorder=5,
                     markeredgewidth=1.6,
                 )  # fmt: skip
-        _draw_cuts(axes, cuts)
-        _use_whole_ticks(axes, x)
+        _mark_frames(axes, x, cuts)
         _draw_legend(axes, len(series))
-
-    return _draw_axes(labels, 2.3, paint)
+        return _finish(canvas, labels)
 
 
 def draw_points(
@@ -177,8 +175,8 @@ def draw_points(
     cuts: Sequence[float] = (),
 ) -> Figure:
     """Draw one value a frame, coloured by what made the frame, a word out of KINDS each."""
-
-    def paint(axes: Axes) -> None:
+    with _canvas(2.5) as canvas:
+        axes = _add_axes(canvas, labels)
         points = thin_out(values)
         axes.plot(*_select(x, values, points), color=COLOURS["grid"], linewidth=1)
         for kind in dict.fromkeys(kinds):
@@ -188,11 +186,9 @@ def draw_points(
                     *_select(x, values, of_kind), linestyle="none", color=COLOURS[kind_role(kind)],
                     marker=KINDS.get(kind, "."), markersize=4, label=kind,
                 )  # fmt: skip
-        _draw_cuts(axes, cuts)
-        _use_whole_ticks(axes, x)
+        _mark_frames(axes, x, cuts)
         _draw_legend(axes, len(set(kinds)))
-
-    return _draw_axes(labels, 2.5, paint)
+        return _finish(canvas, labels)
 
 
 def draw_bars(
@@ -213,34 +209,31 @@ def draw_bars(
         By series, values that are marked across its bars: the paper's.
     """
     width = 0.8 / max(len(series), 1)
-    marks = references or {}
-    first_marked = next(
-        (name for name, values in marks.items() if any(v is not None for v in values)), None
-    )
-    long = sum(len(str(group)) for group in groups) > 70
-
-    def paint(axes: Axes) -> None:
+    is_in_legend = False  # the first mark stands for all
+    with _canvas(2.6) as canvas:
+        axes = _add_axes(canvas, labels)
         for i, (name, values) in enumerate(series.items()):
             x = [group - 0.4 + width * (i + 0.5) for group in range(len(groups))]
             axes.bar(
                 x, _to_floats(values), width * 0.92, color=_series_colour(i), label=name,
                 hatch="///" if i >= SERIES else None, edgecolor=COLOURS["bg"], linewidth=0,
             )  # fmt: skip
-            pairs = zip(x, marks.get(name, ()), strict=False)
-            marked = [(a, mark) for a, mark in pairs if mark is not None]
+            pairs = zip(x, (references or {}).get(name, ()), strict=False)
+            marks = [(a, mark) for a, mark in pairs if mark is not None]
             axes.hlines(
-                [mark for _, mark in marked], [a - width / 2 for a, _ in marked],
-                [a + width / 2 for a, _ in marked], color=COLOURS["fg"], linewidth=2,
-                label="paper" if marked and name == first_marked else "_",
+                [mark for _, mark in marks], [a - width / 2 for a, _ in marks],
+                [a + width / 2 for a, _ in marks], color=COLOURS["fg"], linewidth=2,
+                label="paper" if marks and not is_in_legend else "_",
             )  # fmt: skip
+            is_in_legend |= bool(marks)
+        is_long = sum(len(str(group)) for group in groups) > 70
         axes.set_xticks(
             range(len(groups)), [str(group) for group in groups],
-            rotation=30 if long else 0, ha="right" if long else "center",
+            rotation=30 if is_long else 0, ha="right" if is_long else "center",
         )  # fmt: skip
         axes.grid(False, axis="x")
         _draw_legend(axes, len(series) + bool(references))
-
-    return _draw_axes(labels, 2.6, paint)
+        return _finish(canvas, labels)
 
 
 def draw_stacked_bars(
@@ -263,8 +256,8 @@ def draw_stacked_bars(
     note
         A line below it.
     """
-
-    def paint(axes: Axes) -> None:
+    with _canvas(1.1 + 0.34 * len(groups)) as canvas:
+        axes = _add_axes(canvas, labels)
         left = [0.0] * len(groups)
         for i, (name, values) in enumerate(parts.items()):
             lengths = [value or 0.0 for value in values]
@@ -279,32 +272,29 @@ def draw_stacked_bars(
         axes.invert_yaxis()
         axes.grid(False, axis="y")
         _draw_legend(axes, max(len(parts), 2))
-
-    return _draw_axes(labels, 1.1 + 0.34 * len(groups), paint, note)
+        return _finish(canvas, labels, note)
 
 
 def draw_histogram(
     labels: Labels, edges: Sequence[float], counts: Mapping[str, Sequence[float]]
 ) -> Figure:
     """Draw counts between edges, one step line a series; a single one is filled."""
-
-    def paint(axes: Axes) -> None:
+    with _canvas(2.1) as canvas:
+        axes = _add_axes(canvas, labels)
         for i, (name, values) in enumerate(counts.items()):
             axes.stairs(
                 values, edges, label=name, color=_series_colour(i), fill=len(counts) == 1,
                 linewidth=1.6,
             )  # fmt: skip
         _draw_legend(axes, len(counts))
-
-    return _draw_axes(labels, 2.1, paint)
+        return _finish(canvas, labels)
 
 
 def draw_scatter(labels: Labels, panels: Sequence[Panel]) -> Figure:
     """Draw small scatter plots with a common y axis, in rows of `SCATTER_COLUMNS`."""
     rows = max(math.ceil(len(panels) / SCATTER_COLUMNS), 1)
     columns = min(SCATTER_COLUMNS, max(len(panels), 1))
-
-    def paint(canvas: Canvas) -> None:
+    with _canvas(0.4 + 1.9 * rows) as canvas:
         grid = canvas.subplots(rows, columns, sharey=True, squeeze=False)
         for axes in grid.flat[len(panels) :]:
             axes.set_visible(False)
@@ -318,23 +308,20 @@ def draw_scatter(labels: Labels, panels: Sequence[Panel]) -> Figure:
             axes.set_xlabel(panel.note)
             if i % SCATTER_COLUMNS == 0:
                 axes.set_ylabel(labels.y)
-
-    return _draw_canvas(labels, 0.4 + 1.9 * rows, paint)
+        return _finish(canvas, labels)
 
 
 def draw_series_panels(labels: Labels, x: Sequence[float], series: Mapping[str, Values]) -> Figure:
     """Draw a small line plot for each series below each other, each with its own y axis."""
-
-    def paint(canvas: Canvas) -> None:
+    with _canvas(0.5 + 0.75 * max(len(series), 1)) as canvas:
         grid = canvas.subplots(len(series), 1, sharex=True, squeeze=False)
         for axes, (name, values) in zip(grid.flat, series.items(), strict=True):
             axes.plot(*_select(x, values, thin_out(values)), color=_series_colour(0))
             axes.set_ylabel(name, rotation=0, ha="right", va="center")
             axes.locator_params(axis="y", nbins=3)
-            _use_whole_ticks(axes, x)
+            _mark_frames(axes, x)
         grid.flat[-1].set_xlabel(labels.x)
-
-    return _draw_canvas(labels, 0.5 + 0.75 * max(len(series), 1), paint)
+        return _finish(canvas, labels)
 
 
 def draw_timeline(
@@ -434,19 +421,15 @@ def _select(
     return [x[j] for j in indices], _to_floats([values[j] for j in indices])
 
 
-def _use_whole_ticks(axes: Axes, x: Sequence[float]) -> None:
-    """Let no tick fall between two frames, nor a single one stand in a row of fractions."""
-    if not all(float(value).is_integer() for value in x):
-        return
-    axes.locator_params(axis="x", integer=True)
-    if len(set(x)) == 1:
-        axes.set_xlim(x[0] - 0.5, x[0] + 0.5)
-        axes.set_xticks([x[0]])
-
-
-def _draw_cuts(axes: Axes, cuts: Sequence[float]) -> None:
+def _mark_frames(axes: Axes, x: Sequence[float], cuts: Sequence[float] = ()) -> None:
+    """Draw a line before each frame after a cut; let no tick stand between two frames."""
     for number in cuts:
         axes.axvline(number - 0.5, color=COLOURS["fg"], linestyle="--", linewidth=1, zorder=1)
+    if all(float(value).is_integer() for value in x):
+        axes.locator_params(axis="x", integer=True)
+        if len(set(x)) == 1:
+            axes.set_xlim(x[0] - 0.5, x[0] + 0.5)
+            axes.set_xticks([x[0]])
 
 
 def _draw_legend(axes: Axes, count: int) -> None:
@@ -459,28 +442,9 @@ def _draw_legend(axes: Axes, count: int) -> None:
         )  # fmt: skip
 
 
-def _draw_axes(
-    labels: Labels, height: float, paint: Callable[[Axes], None], note: str = ""
-) -> Figure:
-    """Draw one panel, `height` inches high."""
-
-    def paint_single(canvas: Canvas) -> None:
-        axes = canvas.add_subplot()
-        axes.set_xlabel(labels.x)
-        axes.set_ylabel(labels.y)
-        paint(axes)
-
-    return _draw_canvas(labels, height, paint_single, note)
-
-
-def _draw_canvas(
-    labels: Labels, height: float, paint: Callable[[Canvas], None], note: str = ""
-) -> Figure:
-    """Draw panels into one SVG, `height` inches high; the same input gives the same text.
-
-    Settings of the user's own matplotlib are left out. Letters that its fonts lack do not matter,
-    as the browser writes the text.
-    """
+@contextmanager
+def _canvas(height: float) -> Iterator[Canvas]:
+    """Yield a canvas, `height` inches high, without settings of the user's own matplotlib."""
     with quiet():
         import matplotlib
         from matplotlib.figure import Figure as Canvas
@@ -488,12 +452,39 @@ def _draw_canvas(
         with matplotlib.rc_context():
             matplotlib.rcdefaults()
             matplotlib.rcParams.update(SETTINGS)
-            canvas = Canvas(figsize=(WIDTH, height), layout="constrained")
-            paint(canvas)
-            text = io.StringIO()
-            metadata = dict.fromkeys(("Date", "Creator", "Format", "Type"))
-            canvas.savefig(text, format="svg", metadata=metadata, transparent=True)
-    return Figure(labels, _inline_svg(text.getvalue(), labels), note)
+            yield Canvas(figsize=(WIDTH, height), layout="constrained")
+
+
+def _add_axes(canvas: Canvas, labels: Labels) -> Axes:
+    axes = canvas.add_subplot()
+    axes.set_xlabel(labels.x)
+    axes.set_ylabel(labels.y)
+    return axes
+
+
+def _finish(canvas: Canvas, labels: Labels, note: str = "") -> Figure:
+    """Turn a canvas into an SVG element for HTML; the same input gives the same text.
+
+    Letters that matplotlib's fonts lack do not matter, as the browser writes the text.
+    """
+    file = io.StringIO()
+    metadata = dict.fromkeys(("Date", "Creator", "Format", "Type"))
+    canvas.savefig(file, format="svg", metadata=metadata, transparent=True)
+    text = file.getvalue()
+    # No prologue, fonts or global style.
+    body = text[text.index("<svg") :]
+    body = re.sub(r"<defs>\s*<style.*?</style>\s*</defs>", "", body, count=1, flags=re.DOTALL)
+    box = re.search(r'viewBox="([^"]*)"', body)
+    body = body[body.index(">") + 1 :]
+    body = re.sub(r'(<g) id="[^"]*"', r"\1", body)
+    body = body.replace("xlink:href", "href")
+    body = re.sub(r'(\bid="|url\(#|href="#)', rf"\g<1>{IDS}", body)
+    body = re.sub(r"font-size: ([0-9.]+)px; font-family: [^;\"]*", r"font-size: \1px", body)
+    for name, colour in COLOURS.items():
+        body = body.replace(colour, f"var(--{name})")
+    body = re.sub(r"\s*\n\s*", " ", body)
+    opening = _svg_opening(box[1] if box else "0 0 1 1", labels)
+    return Figure(labels, opening + body.rstrip(), note)
 
 
 @contextmanager
@@ -508,22 +499,6 @@ def quiet() -> Iterator[None]:
             yield
     finally:
         log.setLevel(level)
-
-
-def _inline_svg(text: str, labels: Labels) -> str:
-    """Turn matplotlib's SVG into an element for HTML: no prologue, fonts or global style."""
-    body = text[text.index("<svg") :]
-    body = re.sub(r"<defs>\s*<style.*?</style>\s*</defs>", "", body, count=1, flags=re.DOTALL)
-    box = re.search(r'viewBox="([^"]*)"', body)
-    body = body[body.index(">") + 1 :]
-    body = re.sub(r'(<g) id="[^"]*"', r"\1", body)
-    body = body.replace("xlink:href", "href")
-    body = re.sub(r'(\bid="|url\(#|href="#)', rf"\g<1>{IDS}", body)
-    body = re.sub(r"font-size: ([0-9.]+)px; font-family: [^;\"]*", r"font-size: \1px", body)
-    for name, colour in COLOURS.items():
-        body = body.replace(colour, f"var(--{name})")
-    body = re.sub(r"\s*\n\s*", " ", body)
-    return _svg_opening(box[1] if box else "0 0 1 1", labels) + body.rstrip()
 
 
 def _svg_opening(view_box: str, labels: Labels) -> str:

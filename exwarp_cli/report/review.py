@@ -79,7 +79,7 @@ def frames_worth_rendering(frames: Iterable[FrameRecord]) -> list[int]:
     def value(number: int) -> float:
         if squares[number] < RENDERED_FROM**2:
             return 0.0
-        return sum(share * squares[other] for other, share in gains[number].items())
+        return sum(share * squares[frame] for frame, share in gains[number].items())
 
     values = {number: value(number) for number in squares}
     chosen: list[int] = []
@@ -114,14 +114,9 @@ def places_worth_a_look(run: RunSummary) -> list[Place]:
 
 
 def places_of_frame(frame: FrameRecord, size: tuple[int, int]) -> list[Place]:
-    """Return the places of a frame that stand out, the worst first.
+    """Return the places of a frame with a predicted error that stand out, the worst first.
 
-    Parameters
-    ----------
-    frame
-        With a predicted error.
-    size
-        Width and height of the display window, pixels.
+    `size` is the width and height of the display window, pixels.
     """
     risk = frame.risk
     assert risk is not None

@@ -58,7 +58,7 @@ def run_document(run: RunSummary) -> dict[str, Any]:
         "frames": _count_frames(run.frames),
         "fps": _frame_rates(run),
         "holes": _summarise_holes(between),
-        "decisions": count_decisions(_paths(run)) | _summarise_gate(run) | _tile_shares(run),
+        "decisions": _summarise_decisions(run),
         "quality": _summarise_quality(run.decides, between),
         "pulse": _summarise_pulse(between),
         "review": summarise_review(run),
@@ -196,12 +196,14 @@ def _summarise_holes(between: tuple[FrameRecord, ...]) -> dict[str, Any]:
     }
 
 
-def _paths(run: RunSummary) -> list[str] | None:
-    """Return the path of each complete interval, or of each of its tiles; None outside the tree."""
-    if not run.decides:
-        return None
+def _summarise_decisions(run: RunSummary) -> dict[str, Any]:
+    """Count decisions, and state what the gate decided and what the network computed.
+
+    ``gate``: each trial with the key intervals that it decided for; ``look_ahead``: the frames that
+    warping and the network made; ``cost``: the network's share of the new frames' area.
+    """
     paths: list[str] = []
-    for interval in _complete_intervals(run):
+    for interval in _complete_intervals(run) if run.decides else ():
         taken = [frame.path for frame in interval if frame.path]
         tiles = {frame.slot: frame.tiles for frame in interval}
         second, third = tiles.get(2), tiles.get(3)
@@ -209,7 +211,32 @@ def _paths(run: RunSummary) -> list[str] | None:
             paths.append(taken[-1])
         elif second is not None and third is not None:
             paths += paths_of(second, third)
-    return paths
+    block = count_decisions(paths if run.decides else None)
+
+    keys: dict[Trial, dict[int, None]] = {}
+    for frame in run.frames:
+        if frame.trial is not None:
+            keys.setdefault(frame.trial, {})[frame.key] = None
+    cheap, dear = (SOFTSPLAT, LOOKAHEAD) if run.lookahead else CHOICES
+    trials = [
+        {
+            "frame": trial.frame,
+            f"{cheap}_db": trial.cheap_db,
+            f"{dear}_db": trial.dear_db,
+            "used": dear if trial.pays else cheap,
+            "keys": list(intervals),
+        }
+        for trial, intervals in keys.items()
+    ]
+    makers = Counter(frame.made_by for frame in run.frames)
+    counts = {"cheap": makers[SOFTSPLAT], "dear": makers[LOOKAHEAD]}
+    block |= {"gate": trials or None, "look_ahead": counts if trials and run.lookahead else None}
+
+    cost = mean(f.tiles.share(EXTRAPOLATE) for f in run.frames if f.tiles is not None)
+    block["cost"] = cost
+    if cost is not None:
+        block["warp_share"] = 1 - cost
+    return block
 
 
 def count_decisions(paths: Iterable[str] | None) -> dict[str, Any]:
@@ -238,39 +265,6 @@ def count_decisions(paths: Iterable[str] | None) -> dict[str, Any]:
         "paths": {name: taken[name] for name in PATHS},
         "warp_share": warped / steps.total() if steps else None,
     }
-
-
-def _tile_shares(run: RunSummary) -> dict[str, Any]:
-    """Return the share of the new frames' area by maker, where tiles were decided."""
-    costs = [frame.tiles.share(EXTRAPOLATE) for frame in run.frames if frame.tiles is not None]
-    if not costs:
-        return {"cost": None}
-    cost = sum(costs) / len(costs)
-    return {"cost": cost, "warp_share": 1 - cost}
-
-
-def _summarise_gate(run: RunSummary) -> dict[str, Any]:
-    """Return each trial with the key intervals that it decided for; None without a gate."""
-    intervals: dict[Trial, dict[int, None]] = {}
-    for frame in run.frames:
-        if frame.trial is not None:
-            intervals.setdefault(frame.trial, {})[frame.key] = None
-    if not intervals:
-        return {"gate": None, "look_ahead": None}
-    names = (SOFTSPLAT, LOOKAHEAD) if run.lookahead else CHOICES
-    trials = [
-        {
-            "frame": trial.frame,
-            f"{names[0]}_db": trial.cheap_db,
-            f"{names[1]}_db": trial.dear_db,
-            "used": names[trial.pays],
-            "keys": list(keys),
-        }
-        for trial, keys in intervals.items()
-    ]
-    makers = Counter(frame.made_by for frame in run.frames)
-    counts = {"cheap": makers[SOFTSPLAT], "dear": makers[LOOKAHEAD]}
-    return {"gate": trials, "look_ahead": counts if run.lookahead else None}
 
 
 def _summarise_quality(decides: bool, between: Sequence[FrameRecord]) -> dict[str, Any]:

@@ -82,15 +82,8 @@ MAX_ROWS = 200  # of a table on the page; report.json has them all
 def upsample_page(run: RunSummary, document: dict[str, Any], album: Album | None = None) -> Page:
     """Build the page of a run.
 
-    Parameters
-    ----------
-    run
-        The run; its frames are plotted.
-    document
-        What `exwarp_cli.report.schema.run_document` returned: tables and headline.
-    album
-        Pictures of its frames; None for a page without a viewer. Gets facts, and the worst frame
-        as its start.
+    `document` is what `schema.run_document` returned: tables and headline. `album` has pictures of
+    the run's frames, and gets facts and the worst frame as its start.
     """
     if album is not None:
         for frame in run.frames:

@@ -46,20 +46,9 @@ Document = dict[str, Any]
 def bench_document(benchmark: Benchmark, predictor: Schedule, clock_hz: float) -> Document:
     """Turn a benchmark into the dictionary of bench.json.
 
-    Parameters
-    ----------
-    benchmark
-        What was measured.
-    predictor
-        The accelerator's schedule.
-    clock_hz
-        At which its time is stated.
-
-    Returns
-    -------
-    dict
-        None is what was not measured, never 0; no number is NaN or infinite. What the paper prints
-        stands under ``paper``. ``real_time`` is there with a clock alone.
+    The time of `predictor`, the accelerator's schedule, is stated at `clock_hz`. None is what was
+    not measured, never 0; no number is NaN or infinite. What the paper prints stands under
+    ``paper``. ``real_time`` is there with a clock alone.
     """
     rows, clock = benchmark.measured, benchmark.settings.clock
     document = {
@@ -84,28 +73,8 @@ def bench_document(benchmark: Benchmark, predictor: Schedule, clock_hz: float) -
         + [_features_row(rows, {"name": "all", "setting": None, "size": None})],
         "quality": [_quality_row(row) for row in rows],
         "comparison": [_comparison_row(row) for row in rows],
-        "fps": [
-            identify(row)
-            | {
-                "base": row.about["fps"],
-                "effective": {
-                    name: row.about["fps"] * (1 + new_frames(row, name))
-                    for name in row.parts[0]["systems"]
-                },
-                "paper": paper.EFFECTIVE_FPS,
-            }
-            for row in rows
-        ],
-        "decisions": [
-            identify(row)
-            | {
-                chooser: count_decisions(part["paths"][chooser] for part in row.parts)
-                for chooser in CHOOSERS
-                if chooser in row.parts[0]["paths"]
-            }
-            | {"paper_warp_share": paper.WARP_SHARE}
-            for row in rows
-        ],
+        "fps": [_rate_row(row) for row in rows],
+        "decisions": [_decisions_row(row) for row in rows],
         "predictor": _predictor_cost(predictor, clock_hz),
         "extranet_procedure": [_extranet_row(row) for row in rows],
         "render_time": [_render_time_row(row) for row in rows],
@@ -141,7 +110,7 @@ def _frames(row: Measured, system: str) -> list[Document]:
     return [frame for part in row.parts for frame in part["systems"][system]]
 
 
-def new_frames(row: Measured, system: str) -> float:
+def _new_frames(row: Measured, system: str) -> float:
     """Return the mean number of new frames a key interval."""
     count: int = sum(frame["made_by"] != HOLD for frame in _frames(row, system))
     return count / len(row.parts)
@@ -297,6 +266,23 @@ def _comparison_row(row: Measured) -> Document:
     }
 
 
+def _rate_row(row: Measured) -> Document:
+    """Return what Figure 8 draws: base x (1 + mean number of new frames a key interval)."""
+    base = row.about["fps"]
+    effective = {name: base * (1 + _new_frames(row, name)) for name in row.parts[0]["systems"]}
+    return identify(row) | {"base": base, "effective": effective, "paper": paper.EFFECTIVE_FPS}
+
+
+def _decisions_row(row: Measured) -> Document:
+    """Return what Figure 9 draws: decisions, nodes and paths of the systems that choose."""
+    counts = {
+        chooser: count_decisions(part["paths"][chooser] for part in row.parts)
+        for chooser in CHOOSERS
+        if chooser in row.parts[0]["paths"]
+    }
+    return identify(row) | counts | {"paper_warp_share": paper.WARP_SHARE}
+
+
 def _extranet_row(row: Measured) -> Document:
     """Average what ExtraNet's procedure gives for the frame midway between key frames."""
     systems = {
@@ -312,17 +298,17 @@ def _extranet_row(row: Measured) -> Document:
 def _render_time_row(row: Measured) -> Document:
     """Return what rendering a frame took beside making one, in seconds, and what that saves."""
     rendered: float | None = row.about["render_s"]["key"]
-    made = {name: ms / 1e3 for name, ms in row.timing["systems_ms"].items()}
-    identity = identify(row) | {"key_frame_s": rendered, "generated_frame_s": made}
+    generated = {name: ms / 1e3 for name, ms in row.timing["systems_ms"].items()}
+    identity = identify(row) | {"key_frame_s": rendered, "generated_frame_s": generated}
     if rendered is None:
         return identity | {"times_faster": None, "saved_share": None}
     shares = {}
-    for name, seconds in made.items():
+    for name, seconds in generated.items():
         # Repeats cost time and save none, as they would not have been rendered.
-        new = new_frames(row, name)
+        new = _new_frames(row, name)
         shares[name] = (new * rendered - len(SLOTS) * seconds) / ((1 + new) * rendered)
     return identity | {
-        "times_faster": {name: rendered / each for name, each in made.items() if each > 0},
+        "times_faster": {name: rendered / each for name, each in generated.items() if each > 0},
         "saved_share": shares,
     }
 

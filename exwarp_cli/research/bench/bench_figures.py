@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from itertools import pairwise
+from typing import Any
 
 from exwarp_cli.domain.timeline import FACTOR
 from exwarp_cli.report.plots import (
@@ -21,7 +22,7 @@ from exwarp_cli.research.bench.bench_document import (
     feature_points,
 )
 from exwarp_cli.research.bench.benchmark import Benchmark
-from exwarp_cli.research.bench.systems import CHOOSERS, FIXED, POLICY, SYSTEMS
+from exwarp_cli.research.bench.systems import BEST_RETURN, CHOOSERS, FIXED, POLICY, SYSTEMS
 
 # Systems in the figure of Table VII, of those that are always measured.
 COMPARED = ("exwarp", "s1", "s6", "softsplat", "minterpolate")
@@ -51,8 +52,8 @@ def sequence_labels(document: Document) -> list[str]:
     return labels
 
 
-def _percents(shares: list[float | None]) -> list[float | None]:
-    return [None if share is None else 100 * share for share in shares]
+def _percent(share: float | None) -> float | None:
+    return None if share is None else 100 * share
 
 
 def draw_run_times(document: Document) -> Figure | None:
@@ -116,29 +117,41 @@ def draw_paths(document: Document) -> Figure | None:
     return draw_bars(labels, sequence_labels(document), values, printed)
 
 
+def _draw_by_system(
+    document: Document,
+    labels: Labels,
+    rows: Sequence[Document],
+    names: Iterable[str],
+    value_of: Callable[[Any], float | None],
+) -> Figure | None:
+    """Draw a group of bars for each sequence: a bar for each system of the first one in `names`.
+
+    `rows` have what is known of each system by its name, out of which `value_of` is drawn.
+    """
+    values = {
+        name: [value_of(row[name]) if name in row else None for row in rows]
+        for name in names
+        if name in rows[0]
+    }
+    return draw_bars(labels, sequence_labels(document), values) if values else None
+
+
 def draw_comparison(document: Document) -> Figure | None:
     """Draw Table VII: the PSNR of causal and look-ahead systems."""
+    labels = Labels("Causal and look-ahead systems", "", "PSNR dB", "Mean PSNR of slots 1 to 3.")
     rows = [row["systems"] for row in document["comparison"]]
     names = [name for name in rows[0] if name in COMPARED or name not in SYSTEMS]
-    if not names:
-        return None
-    labels = Labels("Causal and look-ahead systems", "", "PSNR dB", "Mean PSNR of slots 1 to 3.")
-    values = {name: [row.get(name, {}).get("psnr_db") for row in rows] for name in names}
-    return draw_bars(labels, sequence_labels(document), values)
+    return _draw_by_system(document, labels, rows, names, lambda scores: scores["psnr_db"])
 
 
 def draw_rates(document: Document) -> Figure | None:
     """Draw Figure 8: the effective rate."""
-    rows = [row["effective"] for row in document["fps"]]
-    names = [name for name in RATED if name in rows[0]]
-    if not names:
-        return None
     labels = Labels(
         "Effective rate", "", "frames per second",
         f"Base rate and new frames; at most {FACTOR} times the base rate.",
     )  # fmt: skip
-    values = {name: [row.get(name) for row in rows] for name in names}
-    return draw_bars(labels, sequence_labels(document), values)
+    rows = [row["effective"] for row in document["fps"]]
+    return _draw_by_system(document, labels, rows, RATED, lambda fps: fps)
 
 
 def draw_decisions(document: Document) -> Figure | None:
@@ -148,39 +161,34 @@ def draw_decisions(document: Document) -> Figure | None:
         "Decisions of the policy", "% of the decisions",
         description="Share of warping and of extrapolating among all decisions.",
     )  # fmt: skip
-    others = [None if share is None else 1 - share for share in shares]
-    parts = {"warp": _percents(shares), "extrapolate": _percents(others)}
+    parts = {
+        "warp": [_percent(share) for share in shares],
+        "extrapolate": [None if share is None else 100 * (1 - share) for share in shares],
+    }
     return draw_stacked_bars(labels, sequence_labels(document), parts, kinds=True)
 
 
 def draw_clocked_rates(document: Document) -> Figure | None:
     """Draw Figure 8 under the clock."""
-    rows = [row["systems"] for row in document["real_time"]["rows"]]
-    names = [name for name in (*RATED, "oracle-return") if name in rows[0]]
-    if not names:
-        return None
     labels = Labels(
         "Effective rate in real time", "", "frames per second",
         "Base rate and the new frames that are ready at their slots.",
     )  # fmt: skip
-    values = {name: [row[name]["effective"] for row in rows] for name in names}
-    return draw_bars(labels, sequence_labels(document), values)
+    rows = [row["systems"] for row in document["real_time"]["rows"]]
+    names = (*RATED, BEST_RETURN)
+    return _draw_by_system(document, labels, rows, names, lambda system: system["effective"])
 
 
 def draw_clocked_decisions(document: Document) -> Figure | None:
     """Draw Figure 9 under the clock: oracles that know the clock decide otherwise."""
-    rows = [row["systems"] for row in document["real_time"]["rows"]]
-    names = [name for name in CHOOSERS if name in rows[0]]
-    if not names:
-        return None
     labels = Labels(
         "Share of warping in real time", "", "% of the decisions",
         "Of the policy, and of oracles that know the clock.",
     )  # fmt: skip
-    shares = {
-        name: _percents([row[name]["decisions"]["warp_share"] for row in rows]) for name in names
-    }
-    return draw_bars(labels, sequence_labels(document), shares)
+    rows = [row["systems"] for row in document["real_time"]["rows"]]
+    return _draw_by_system(
+        document, labels, rows, CHOOSERS, lambda system: _percent(system["decisions"]["warp_share"])
+    )
 
 
 def draw_clocked_slots(document: Document) -> Figure | None:

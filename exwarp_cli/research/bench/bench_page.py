@@ -141,11 +141,11 @@ def _render_time_numbers(document: Document) -> list[Number]:
         if timed:
             share = format_percent(mean(row["saved_share"][name] for row in timed))
             rendered = format_time(mean(row["key_frame_s"] for row in timed))
-            made = format_time(mean(row["generated_frame_s"][name] for row in timed))
+            generated = format_time(mean(row["generated_frame_s"][name] for row in timed))
             return [
                 Number("Render time saved", str(share), f"{label}, of rendering all frames"),
                 Number("Rendered frame", str(rendered), "by the headers, on average"),
-                Number("Generated frame", str(made), f"{label}, files apart"),
+                Number("Generated frame", str(generated), f"{label}, files apart"),
             ]
     return []
 
@@ -185,7 +185,7 @@ def _make_album(
         key, part = index_of[number], parts[number]
         opened.restart()
         inputs = opened.load(key, lambda recipes: True)
-        interval = opened.build(inputs)
+        interval = opened.builder.build(inputs)
         frames, masks = opened.frames(inputs, interval), opened.masks(interval)
         truth, paths = opened.truth(key), FIXED_PATHS | part["paths"]
         shown = {

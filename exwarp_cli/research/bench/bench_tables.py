@@ -163,12 +163,12 @@ def _paper_row(row: Document) -> Document:
 
 def _saving_rows(document: Document) -> Iterable[Row]:
     for row in document["render_time"]:
-        for name, made in row["generated_frame_s"].items():
+        for name, seconds in row["generated_frame_s"].items():
             if name in SAVING or name not in SYSTEMS:
                 yield _sequence(row) | {
                     "system": name,
                     "key": row["key_frame_s"],
-                    "made": made,
+                    "made": seconds,
                     "saved": (row["saved_share"] or {}).get(name),
                     "faster": (row["times_faster"] or {}).get(name),
                 }

@@ -74,11 +74,11 @@ class Benchmark:
 
 @dataclass(frozen=True)
 class Step:
-    """A key interval that is done; `made` is false for one that was on disk."""
+    """A key interval that is done; `is_new` is false for one that was on disk."""
 
     subject: Subject
     number: int
-    made: bool
+    is_new: bool
 
 
 Hear = Callable[[Step], None]
@@ -108,9 +108,9 @@ def run_benchmark(settings: BenchSettings, progress: Progress | None = None) -> 
     networks = load_networks(settings, None)
     opened = {subject: OpenedSubject(subject, settings, networks) for subject in subjects}
     _make_folders(opened.values())
-    timings = {subject: _measure_times(one, progress) for subject, one in opened.items()}
-    keys = {subject: one.keys for subject, one in opened.items()}
-    about = {subject: describe_subject(one) for subject, one in opened.items()}
+    timings = {subject: _measure_times(entry, progress) for subject, entry in opened.items()}
+    keys = {subject: entry.keys for subject, entry in opened.items()}
+    about = {subject: describe_subject(entry) for subject, entry in opened.items()}
     del opened
     notes = [facts["policy"]["note"] for facts in about.values()]
     for note in dict.fromkeys(note for note in notes if note is not None):
@@ -129,7 +129,7 @@ def run_benchmark(settings: BenchSettings, progress: Progress | None = None) -> 
 
     def hear(step: Step) -> None:
         note = f"{step.subject.name}, {step.subject.setting}"
-        progress.advance(step.number, note, _kind(step.subject), step.made)
+        progress.advance(step.number, note, _kind(step.subject), step.is_new)
 
     parts: dict[tuple[Subject, int], dict[str, Any]] = {}
     try:
@@ -189,9 +189,9 @@ def measure_task(
     opened.restart()
     parts = []
     for key in keys:
-        part, made = _measure_part(opened, key)
+        part, is_new = _measure_part(opened, key)
         parts.append((key, part))
-        hear(Step(subject, part["key"], made))
+        hear(Step(subject, part["key"], is_new))
         check_stop()
     return parts
 

@@ -107,8 +107,8 @@ class IntervalScores:
         values = vmaf_of(self.truth, [[self.frames[name] for name in row] for row in rows])
         for row, row_values in zip(rows, values, strict=True):
             for slot, name, vmaf in zip(SLOTS, row, row_values, strict=True):
-                whole, holes = self.score(name, slot)
-                self._scores[name, slot] = replace(whole, vmaf=vmaf), holes
+                frame, holes = self.score(name, slot)
+                self._scores[name, slot] = replace(frame, vmaf=vmaf), holes
 
     def score_system(self, names: tuple[str, ...]) -> list[FrameScores]:
         """Return the scores of slots 1 to 3 of a system that shows these pictures."""
@@ -121,8 +121,8 @@ class IntervalScores:
         errors = {slot: self._errors[name, slot] for slot, name in zip(SLOTS, names, strict=True)}
         flickers = flicker_of(errors, self.masks, self.steps)
         return [
-            (replace(whole, flicker=over), holes and replace(holes, flicker=inside))
-            for (whole, holes), (over, inside) in zip(scores, flickers, strict=True)
+            (replace(frame, flicker=over), holes and replace(holes, flicker=inside))
+            for (frame, holes), (over, inside) in zip(scores, flickers, strict=True)
         ]
 
     def outcomes(self) -> npt.NDArray[np.float64]:
@@ -131,8 +131,8 @@ class IntervalScores:
         def judge(node: str, choice: str) -> list[float]:
             slot = SLOT_OF[node]
             path = next(path for path in PATHS.values() if path.choices.get(node) == choice)
-            whole, _ = self.score(picture_at(path.made_by, slot), slot)
-            return [getattr(whole, name) for name in JUDGED]
+            frame, _ = self.score(picture_at(path.made_by, slot), slot)
+            return [getattr(frame, name) for name in JUDGED]
 
         return np.array([[judge(node, choice) for choice in CHOICES] for node in NODES], np.float64)
 
@@ -165,8 +165,8 @@ def measure(opened: OpenedSubject, inputs: IntervalInputs) -> dict[str, Any]:
         scores of its three frames; ``extranet``, scores of pictures by ExtraNet's procedure. With
         a clock ``slot_scores`` as well.
     """
-    interval = opened.build(inputs)
-    surroundings = opened.observe(inputs, interval)
+    interval = opened.builder.build(inputs)
+    surroundings = opened.observer.of(inputs, interval)
     metrics = frozenset((*opened.settings.metrics, *JUDGED))
     masks, display = opened.masks(interval), opened.source.keys.display
     frames, truth = opened.frames(inputs, interval), opened.truth(inputs.key)
@@ -174,7 +174,7 @@ def measure(opened: OpenedSubject, inputs: IntervalInputs) -> dict[str, Any]:
     scores = IntervalScores(frames, truth, masks, steps, metrics)
 
     paths = {name: path for name, path in FIXED_PATHS.items() if name in opened.systems}
-    paths[POLICY] = opened.decide(surroundings)
+    paths[POLICY] = opened.chooser.plan(surroundings).path
     gains = None
     if opened.networks.own is not None:
         outcomes = scores.outcomes()
@@ -198,8 +198,8 @@ def measure(opened: OpenedSubject, inputs: IntervalInputs) -> dict[str, Any]:
         "warp_psnr_db": [scores.score(f"W{slot}", slot)[0].psnr_db for slot in SLOTS],
         "systems": {
             system: [
-                {"made_by": maker, "all": asdict(whole), "holes": holes and asdict(holes)}
-                for (whole, holes), maker in zip(
+                {"made_by": maker, "all": asdict(frame), "holes": holes and asdict(holes)}
+                for (frame, holes), maker in zip(
                     scores.score_system(names), makers_of(system, paths.get(system)), strict=True
                 )
             ]
@@ -217,7 +217,7 @@ def measure(opened: OpenedSubject, inputs: IntervalInputs) -> dict[str, Any]:
 
 def measure_slots(opened: OpenedSubject, inputs: IntervalInputs) -> dict[str, Any]:
     """Return what a part lacks for the real-time clock if it was measured without one."""
-    frames = opened.frames(inputs, opened.build(inputs))
+    frames = opened.frames(inputs, opened.builder.build(inputs))
     return {SLOT_SCORES: _score_slots(opened, frames, opened.truth(inputs.key))}
 
 
@@ -230,8 +230,8 @@ def _score_slots(
     """
 
     def judge(name: str, slot: int) -> list[float]:
-        whole, _ = score(truth[slot], frames[name], None, frozenset(JUDGED))
-        return [getattr(whole, metric) for metric in JUDGED]
+        frame, _ = score(truth[slot], frames[name], None, frozenset(JUDGED))
+        return [getattr(frame, metric) for metric in JUDGED]
 
     return {
         name: [judge(name, slot) if slot >= first else None for slot in SLOTS]
@@ -289,9 +289,9 @@ def _time_interval(
 ) -> tuple[dict[str, float], dict[str, float]]:
     """Time the steps of one interval, and its systems; milliseconds a frame."""
     count = len(SLOTS)
-    geometry_ms, interval = _timed(lambda: opened.build(inputs))
-    features_ms, surroundings = _timed(lambda: opened.observe(inputs, interval))
-    decide_ms, decided = _timed(lambda: opened.decide(surroundings))
+    geometry_ms, interval = _timed(lambda: opened.builder.build(inputs))
+    features_ms, surroundings = _timed(lambda: opened.observer.of(inputs, interval))
+    decide_ms, decided = _timed(lambda: opened.chooser.plan(surroundings).path)
     steps = {
         "read": inputs.read_ms / (count + 1),
         "geometry": geometry_ms / count,

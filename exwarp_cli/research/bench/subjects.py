@@ -25,7 +25,7 @@ from exwarp_cli.pipeline.interval_builder import IntervalBuilder
 from exwarp_cli.pipeline.interval_inputs import IntervalInputs, IntervalReader
 from exwarp_cli.pipeline.observing import Observer
 from exwarp_cli.pipeline.source import open_source
-from exwarp_cli.policy.state import LearnedPolicy, Surroundings
+from exwarp_cli.policy.state import LearnedPolicy
 from exwarp_cli.research.bench.system_frames import SystemFrames
 from exwarp_cli.research.bench.systems import (
     EXTRANET,
@@ -227,9 +227,9 @@ class OpenedSubject:
         asked = UpsampleSettings(self.subject.source, "", EVERYTHING.name)
         display = self.source.keys.display
         self._reader = IntervalReader(self.source, EVERYTHING, asked)
-        self._builder = IntervalBuilder(display, self.networks.own or self.networks.imported)
-        self._observer = Observer(display, self.source.setting)
-        self._policy = LearnedPolicy(self.policy.network)
+        self.builder = IntervalBuilder(display, self.networks.own or self.networks.imported)
+        self.observer = Observer(display, self.source.setting)
+        self.chooser = LearnedPolicy(self.policy.network)
 
     @property
     def systems(self) -> tuple[str, ...]:
@@ -256,18 +256,6 @@ class OpenedSubject:
     def load(self, key: int, needed: Callable[[dict[int, str]], bool]) -> IntervalInputs:
         """Read a key interval, unless its recipes show that it is not needed."""
         return self._reader.read(key, lambda _key, recipes: needed(recipes))
-
-    def build(self, inputs: IntervalInputs) -> Interval:
-        """Bring what was read onto one window."""
-        return self._builder.build(inputs)
-
-    def observe(self, inputs: IntervalInputs, interval: Interval) -> Surroundings:
-        """Return what the policy sees."""
-        return self._observer.of(inputs, interval)
-
-    def decide(self, surroundings: Surroundings) -> str:
-        """Ask the policy for the interval's path."""
-        return self._policy.plan(surroundings).path
 
     def frames(self, inputs: IntervalInputs, interval: Interval) -> SystemFrames:
         """Return what systems show, as files would hold it."""
