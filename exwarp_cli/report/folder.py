@@ -147,7 +147,7 @@ def write_comparison(folder: Path, result: Comparison, album: Album | None = Non
 
 
 def _write_files(folder: Path, texts: Mapping[str, str]) -> None:
-    """Write files in their order; report.json comes last, so that it stands for a whole report."""
+    """Write files in their order; report.json last, as it marks a complete report."""
     make_folder(folder)
     for name, text in texts.items():
         atomic_write_text(folder / name, text)

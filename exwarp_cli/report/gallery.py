@@ -105,7 +105,7 @@ class Album:
     def set_facts(
         self, number: int, kind: str, facts: Mapping[str, str], risk: Risk | None = None
     ) -> None:
-        """Set what stands beside a frame, and its predicted error, if the album has it."""
+        """Set the text and the predicted error of a frame, if the album has it."""
         if number in self.frames:
             shown = self.frames[number]
             shown.kind, shown.facts, shown.risk = kind, dict(facts), risk
@@ -154,14 +154,14 @@ class Album:
 
 
 class Gallery:
-    """Watches a run and keeps some of its frames: a `pipeline.progress.FrameListener`.
+    """Keeps some frames of a run for its page; a `pipeline.progress.FrameListener`.
 
     Whole groups (key intervals) evenly over the run, and the frame that is worst by the first
     metric that is known while frames are in memory (all but VMAF and flicker), which the viewer
     starts with. Without ground truth it is the frame with the largest predicted error.
 
-    Of a run that several processes do in parts, one gallery hears the plan. Each part is watched by
-    what `share` returned, which can be pickled, and `adopt` takes over what it kept.
+    Where several processes do parts of a run, one gallery gets the plan. Each part has what `share`
+    returns, which can be pickled, and `adopt` takes over the frames that it kept.
     """
 
     def __init__(self, has_truth: bool, output: str = OUTPUT, truth: str = TRUTH) -> None:

@@ -426,10 +426,11 @@ def _mark_frames(axes: Axes, x: Sequence[float], cuts: Sequence[float] = ()) -> 
     for number in cuts:
         axes.axvline(number - 0.5, color=COLOURS["fg"], linestyle="--", linewidth=1, zorder=1)
     if all(float(value).is_integer() for value in x):
-        axes.locator_params(axis="x", integer=True)
         if len(set(x)) == 1:
             axes.set_xlim(x[0] - 0.5, x[0] + 0.5)
             axes.set_xticks([x[0]])
+        else:
+            axes.locator_params(axis="x", integer=True)
 
 
 def _draw_legend(axes: Axes, count: int) -> None:

@@ -17,21 +17,21 @@ from exwarp_cli.runtime.stop import blocked, check_stop
 Task = TypeVar("Task", bound=tuple[Any, ...])
 Result = TypeVar("Result")
 
-POLL_S = 0.2  # seconds between two looks at what processes tell
+POLL_S = 0.2  # seconds between two looks at messages
 
 # Signals that reach no process before `follow_parent` has run in it.
 BLOCKED = (signal.SIGINT, signal.SIGTERM)
 
-# Where this process tells what it has done; None in one that is no worker.
-_news: Any = None
+# Where a worker puts its messages; None in other processes.
+_outbox: Any = None
 
 
-def side_by_side(
+def run_tasks(
     work: Callable[..., Result],
     tasks: Sequence[Task],
     jobs: int,
     begin: Callable[[], None],
-    hear: Callable[[Any], None] = lambda _: None,
+    receive: Callable[[Any], None] = lambda _: None,
 ) -> Generator[tuple[Task, Result], None, None]:
     """Yield every task with its result, as they come; close the iterator to end the work.
 
@@ -46,8 +46,8 @@ def side_by_side(
         Processes.
     begin
         Called once in each process; a function of a module that calls `follow_parent`.
-    hear
-        Called here with what processes `tell`, in between.
+    receive
+        Called here with the messages of workers, in between.
 
     Raises
     ------
@@ -56,8 +56,8 @@ def side_by_side(
     """
     before = set(active_children())
     context = get_context("spawn")
-    news = context.SimpleQueue()
-    pool = ProcessPoolExecutor(jobs, context, _begin, (begin, news))
+    inbox = context.SimpleQueue()
+    pool = ProcessPoolExecutor(jobs, context, _begin, (begin, inbox))
     try:
         with blocked(*BLOCKED):
             waiting = {pool.submit(work, *task): task for task in tasks}
@@ -65,8 +65,8 @@ def side_by_side(
         while pending:
             check_stop()
             done, pending = wait(pending, POLL_S, FIRST_COMPLETED)
-            while not news.empty():
-                hear(news.get())
+            while not inbox.empty():
+                receive(inbox.get())
             for future in done:
                 yield waiting[future], future.result()
     except BrokenProcessPool as error:
@@ -83,15 +83,15 @@ def side_by_side(
         pool.shutdown(cancel_futures=True)
 
 
-def tell(message: object) -> None:
+def send_message(message: object) -> None:
     """Send something that can be pickled to the process that gave the work."""
-    if _news is not None:
-        _news.put(message)
+    if _outbox is not None:
+        _outbox.put(message)
 
 
-def _begin(begin: Callable[[], None], news: Any) -> None:
-    global _news
-    _news = news
+def _begin(begin: Callable[[], None], inbox: Any) -> None:
+    global _outbox
+    _outbox = inbox
     begin()
 
 

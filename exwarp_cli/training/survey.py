@@ -13,7 +13,7 @@ from exwarp_cli.io.atomic import make_folder
 from exwarp_cli.io.dataset import BENCHMARK, RenderedScene, find_scenes
 from exwarp_cli.io.machine import processors
 from exwarp_cli.io.models import shipped_folder
-from exwarp_cli.runtime.worker_pool import follow_parent, side_by_side
+from exwarp_cli.runtime.worker_pool import follow_parent, run_tasks
 from exwarp_cli.training.measuring import VIEWS, Measured, View, fits, measure, network
 from exwarp_cli.training.policy_table import PolicyTable, joined, load_table, save_table
 from exwarp_cli.training.tile_table import (
@@ -156,7 +156,7 @@ def build_tables(survey: Survey, say: Say) -> list[PolicyTable]:
     tasks = [(scene, view) for view in VIEWS for scene in scenes if fits(scene, view)]
     measured: dict[tuple[str, str, str], Measured] = {}
     work = [(scene, view, model, cache) for scene, view in tasks]
-    with closing(side_by_side(measure, work, jobs, follow_parent)) as done:
+    with closing(run_tasks(measure, work, jobs, follow_parent)) as done:
         for (scene, view, *_), result in done:
             measured[scene.name, scene.manifest.size, view.name] = result
             count = len(result.outcomes)

@@ -135,7 +135,7 @@ def test_no_tick_stands_between_two_frames(x: list[int], draw: str) -> None:
     svg = {
         "lines": lambda: plots.draw_lines(Labels("T"), x, {"a": y}),
         "points": lambda: plots.draw_points(Labels("T"), x, y, ["warp"] * len(x)),
-        "panels": lambda: plots.draw_series_panels(Labels("T"), x, {"a": y}),
+        "panels": lambda: plots.draw_series_panels(Labels("T"), x, {"a": y, "b": y}),
     }[draw]().svg
     texts = ET.fromstring(svg.replace(IDS, "")).iter("text")
     # The y axis is around 1.5, so what is 5 and more belongs to x.

@@ -60,7 +60,7 @@ def write_benchmark(
     progress.message("making frames for the page")
     page = bench_page(benchmark, document, make_albums(benchmark))
     atomic_write_text(folder / PAGE_FILE, render(page))
-    # The document comes last, so that it stands for a whole benchmark.
+    # The document last, as it marks a complete benchmark.
     atomic_write_text(folder / JSON_FILE, to_json(document))
     return document
 

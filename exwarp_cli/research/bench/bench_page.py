@@ -99,7 +99,7 @@ def _blocks(benchmark: Benchmark, document: Document, table: BenchTable) -> list
 
 
 def _page_table(title: str, table: BenchTable, rows: Sequence[Row], note: str = "") -> Table:
-    """Leave out columns that say the same of all rows: the subtitle has it, or the title.
+    """Lay out rows without columns that are equal in all of them: titles have these.
 
     Rows still begin with a name: that of the sequence, or where it is left out, of the system.
     """

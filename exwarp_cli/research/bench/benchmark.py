@@ -38,7 +38,7 @@ from exwarp_cli.research.bench.subjects import (
 )
 from exwarp_cli.research.bench.systems import SLOTS, BenchSettings
 from exwarp_cli.runtime.stop import check_stop
-from exwarp_cli.runtime.worker_pool import follow_parent, side_by_side, tell
+from exwarp_cli.runtime.worker_pool import follow_parent, run_tasks, send_message
 
 # Folder of what was measured, a file a key interval.
 PARTS = "parts"
@@ -81,7 +81,7 @@ class Step:
     is_new: bool
 
 
-Hear = Callable[[Step], None]
+Report = Callable[[Step], None]
 
 # Arguments and result of `measure_task`.
 Task = tuple[BenchSettings, Subject, tuple[int, ...], int]
@@ -127,13 +127,13 @@ def run_benchmark(settings: BenchSettings, progress: Progress | None = None) -> 
         for i in range(0, len(chosen), size)
     ]
 
-    def hear(step: Step) -> None:
+    def report(step: Step) -> None:
         note = f"{step.subject.name}, {step.subject.setting}"
         progress.advance(step.number, note, _kind(step.subject), step.is_new)
 
     parts: dict[tuple[Subject, int], dict[str, Any]] = {}
     try:
-        with closing(_run_tasks(tasks, min(jobs, len(tasks)), hear)) as results:
+        with closing(_run_tasks(tasks, min(jobs, len(tasks)), report)) as results:
             for subject, measured in results:
                 parts |= {(subject, key): part for key, part in measured}
     finally:
@@ -160,14 +160,14 @@ def _kind(subject: Subject) -> str:
 
 
 def _run_tasks(
-    tasks: Sequence[Task], jobs: int, hear: Hear
+    tasks: Sequence[Task], jobs: int, report: Report
 ) -> Generator[tuple[Subject, Parts], None, None]:
     """Yield the parts of each task, as they come."""
     if jobs == 1:
         for settings, subject, keys, _ in tasks:
-            yield subject, measure_task(settings, subject, keys, None, hear)
+            yield subject, measure_task(settings, subject, keys, None, report)
         return
-    with closing(side_by_side(measure_task, tasks, jobs, _prepare_worker, hear)) as results:
+    with closing(run_tasks(measure_task, tasks, jobs, _prepare_worker, report)) as results:
         for (_, subject, _, _), parts in results:
             yield subject, parts
 
@@ -182,7 +182,7 @@ def measure_task(
     subject: Subject,
     keys: Sequence[int],
     threads: int | None,
-    hear: Hear = tell,
+    report: Report = send_message,
 ) -> Parts:
     """Measure some key intervals of a subject; what is on disk and still right is taken."""
     opened = _open_cached(settings, subject, threads)
@@ -191,7 +191,7 @@ def measure_task(
     for key in keys:
         part, is_new = _measure_part(opened, key)
         parts.append((key, part))
-        hear(Step(subject, part["key"], is_new))
+        report(Step(subject, part["key"], is_new))
         check_stop()
     return parts
 

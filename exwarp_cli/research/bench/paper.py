@@ -11,11 +11,11 @@ from dataclasses import dataclass
 
 from exwarp_cli.domain.decision import PATHS
 
+# Abbreviation by the name of our scene of the same theme.
 SCENES = {"lab": "LB", "tropical": "TR", "village": "VL", "town": "TN", "slum": "SL"}
-"""Abbreviation by the name of our scene of the same theme."""
 
+# Least height, and what is added to the abbreviation from there on.
 SIZES = ((900, "3"), (600, "2"), (0, ""))
-"""Least height, and what is added to the abbreviation from there on."""
 
 
 @dataclass(frozen=True)
@@ -40,12 +40,12 @@ RUNTIME = {
     "SL3": Runtime(2.1, 2.91, 4.63, 13.78),
 }
 
+# Applications of Table III by the size of their frames.
 RUNTIME_APPS = {
     "480p": ("LB", "TR", "VL", "TN", "SL"),
     "720p": ("TN2", "SL2"),
     "1080p": ("TN3", "SL3"),
 }
-"""Applications of Table III by the size of their frames."""
 
 _PSNR = {
     "LB": (20.63, 20.58, 20.05, 23.91, 21.43, 25.01, 28.65),
@@ -73,6 +73,7 @@ _SSIM = {
 
 _SYSTEMS = (*(name.lower() for name in PATHS), "exwarp")
 
+# Table VI, "Performance comparison across all scenarios"; s1 is ExtraNet.
 QUALITY = {
     app: {
         system: {"psnr_db": psnr, "ssim": ssim}
@@ -80,13 +81,15 @@ QUALITY = {
     }
     for app in _PSNR
 }
-"""Table VI, "Performance comparison across all scenarios"; s1 is ExtraNet."""
 
 _EMA_PSNR = (49.52, 24.60, 20.86, 14.40, 13.42, 14.15, 28.57, 24.58, 32.53)
 _EMA_SSIM = (0.99, 0.97, 0.94, 0.82, 0.71, 0.75, 0.61, 0.40, 0.75)
 _SPLAT_PSNR = (48.74, 23.42, 20.54, 13.84, 13.47, 14.53, 24.07, 22.74, 34.95)
 _SPLAT_SSIM = (0.99, 0.95, 0.93, 0.77, 0.59, 0.64, 0.26, 0.27, 0.83)
 
+# Table VII, "Performance comparison with the state-of-the-art"; the two interpolations. Its other
+# columns, ExtraNet and ExWarp, are s1 and exwarp of Table VI (but 24.11 dB for ExWarp on TN, and
+# 31.16 and 19.27 dB for ExtraNet on SL2 and TN3).
 INTERPOLATION = {
     app: {
         "EMA-VFI": {"psnr_db": ema_psnr, "ssim": ema_ssim},
@@ -96,34 +99,31 @@ INTERPOLATION = {
         _PSNR, _EMA_PSNR, _EMA_SSIM, _SPLAT_PSNR, _SPLAT_SSIM, strict=True
     )
 }
-"""Table VII, "Performance comparison with the state-of-the-art"; the two interpolations. Its other
-columns, ExtraNet and ExWarp, are s1 and exwarp of Table VI (but 24.11 dB for ExWarp on TN, and
-31.16 and 19.27 dB for ExtraNet on SL2 and TN3)."""
 
+# Figure 2, as far as the text has its numbers.
 HOLES = {
     "LB": "almost 90 % of the frames have less than 10 % holes",
     "TR": "more than 60 % of the frames have more than 20 % holes",
 }
-"""Figure 2, as far as the text tells its numbers."""
 
+# Figure 8, as far as the text has its numbers.
 EFFECTIVE_FPS = "more than 100 for every application, almost 110 on average"
-"""Figure 8, as far as the text tells its numbers."""
 
+# Figure 9: mean share of warps among the decisions; 80:20 for most applications.
 WARP_SHARE = 0.7586
-"""Figure 9: mean share of warps among the decisions; 80:20 for most applications."""
 
+# Figure 4, as far as the text describes it.
 CORRELATION = "PSNR of warped frames falls as each feature rises"
-"""Figure 4, as far as the text tells."""
 
+# Table "Overheads of the hardware predictor": Cadence Genus, TSMC 28 nm.
 AREA_MM2, POWER_MW, LATENCY_NS = 0.12, 9.12, 6.2
-"""Table "Overheads of the hardware predictor": Cadence Genus, TSMC 28 nm."""
 
 
 def app_of(scene: str, height: int) -> str | None:
     """Return the paper's abbreviation for a scene of its themes; None for another scene.
 
-    240p stands beside the paper's 480p, which is the smallest it has. An application that the paper
-    has not at that size has no figures; see `RUNTIME` and `QUALITY`.
+    240p is compared with 480p, the paper's smallest. `RUNTIME` and `QUALITY` lack applications that
+    the paper does not have at that size.
     """
     if scene not in SCENES:
         return None
