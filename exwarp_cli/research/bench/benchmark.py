@@ -89,14 +89,7 @@ Parts = list[tuple[int, dict[str, Any]]]
 
 
 def run_benchmark(settings: BenchSettings, progress: Progress | None = None) -> Benchmark:
-    """Measure what is not measured yet.
-
-    Parameters
-    ----------
-    settings
-        What is asked. Its output folder gets a folder `PARTS`.
-    progress
-        Receives every key interval.
+    """Measure what is not measured yet, and keep it in the folder `PARTS` of the output folder.
 
     Raises
     ------
